@@ -209,6 +209,15 @@ def test_a_hole_in_the_steering_costs_steering_samples_only(tmp_path: Path, whee
     assert drive.auxiliary.missing == {"steering_wheel_angle" if wheel else "road_wheel_angle": 1}
 
 
+def test_a_channel_of_a_lower_rate_has_lost_nothing(tmp_path: Path) -> None:
+    names = {**PLAIN, "steering_wheel_angle": "swa"}
+    sparse = {(k, len(names) - 1): "" for k in range(N) if k % 2}
+    drive = read_csv(spoilt(write(tmp_path / "d.csv", names), {**sparse, (6, len(names) - 1): ""}), LEAF)
+    assert (len(drive.log.x), len(drive.log.steering_wheel_angle)) == (N, N // 2 - 1)
+    assert drive.auxiliary.missing == {"steering_wheel_angle": 1}
+    assert "1 of 60 rows (1.7 %) hold no number" in drive.warnings[0]
+
+
 def test_a_hole_in_an_acceleration_costs_nothing_else(tmp_path: Path) -> None:
     drive = read_csv(spoilt(write(tmp_path / "d.csv", PLAIN), {(k, 8): "" for k in range(10)}))
     assert np.isnan(drive.log.acceleration_y).sum() == 10

@@ -24,6 +24,9 @@ ADVICE = "name the columns as in docs/csv_columns.md, or say in a run.yaml which
 HELD_SHARE = 0.3
 """Of the rows in which the car moves by several steps of the position's resolution and the position stays the same:
 with more, the position is slower than the rows."""
+REGULAR_SHARE = 0.9
+"""Of the distances between known samples of a channel [rows] that are multiples of the usual distance: with more, the
+blanks between them are its lower rate, not lost samples."""
 
 
 @dataclass(frozen=True)
@@ -222,7 +225,7 @@ def _steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehiclePara
                            "road wheel angle needs ratio and offset of the car", "give its vehicle file")
         columns[ROAD] = vehicle.road_wheel_angle(columns[WHEEL])
         return (WHEEL,)
-    if WHEEL in columns and np.isnan(columns[WHEEL]).mean() > 0.5:
+    if WHEEL in columns and _lost_samples(columns[WHEEL]) > 0.5 * len(columns[WHEEL]):
         notes.append(f"{table.file}: {WHEEL} (column {table.places[WHEEL].name}) holds no number in more than half of "
                      "the rows; it is not used, the road wheel angle is")
         return (ROAD,)
@@ -233,7 +236,7 @@ def _missing(table: Table, columns: Mapping[str, np.ndarray], steering: tuple[st
              notes: list[str]) -> dict[str, int]:
     """Channel -> rows without a usable number, each reported."""
     lost = {"time": table.timeless, **{
-        name: int(np.isnan(columns[name]).sum()) for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, *steering)
+        name: _lost_samples(columns[name]) for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, *steering)
         if name in columns}}
     lost = {name: count for name, count in lost.items() if count}
     total = len(table.time_ns) + table.timeless
@@ -248,6 +251,17 @@ def _missing(table: Table, columns: Mapping[str, np.ndarray], steering: tuple[st
         notes.append(f"{table.file}: {name}{column}: {share(count, total, 'rows')} hold no number"
                      f"{', more than half' if half else ''}; {follows}")
     return lost if ROAD in steering else {ROAD if name == WHEEL else name: count for name, count in lost.items()}
+
+
+def _lost_samples(column: np.ndarray) -> int:
+    """Rows without a number, apart from the regular blanks of a channel with a lower rate than the rows."""
+    known = np.flatnonzero(np.isfinite(column))
+    if len(known) < 3:
+        return int(len(column) - len(known))
+    steps = np.diff(known)
+    step = int(np.median(steps))
+    regular = step > 1 and np.mean(steps % step == 0) > REGULAR_SHARE
+    return round((known[-1] - known[0]) / step) + 1 - len(known) if regular else len(column) - len(known)
 
 
 def _blame(missing: Mapping[str, int], table: Table) -> str:
