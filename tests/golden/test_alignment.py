@@ -109,7 +109,32 @@ def test_a_steering_sensor_that_is_right_positive_aligns_as_well(pair: Pair) -> 
     assert result.verdict is Verdict.DOUBTFUL
     assert abs(pair.error(result, result.at_ns)) < 2 * result.offset_deviation
     wrong, _ = align_clocks(pair.motion, turned)
-    assert wrong.verdict is Verdict.REFUSED and "steering_sign" in wrong.reasons[-1]
+    assert wrong.verdict is Verdict.REFUSED and "with the other steering_sign of the car they fit" in wrong.reasons[-1]
+
+
+@pytest.mark.parametrize(("kept", "signal", "value"), [
+    *(("steering_wheel_angle", "steering_wheel_angle", np.deg2rad(deg)) for deg in (-999.9, 327.67, 819.1, 500.0)),
+    *((("vehicle_speed", "steering_wheel_angle"), "vehicle_speed", value) for value in (655.35 / 3.6, 91.0, 0.0)),
+    *((("ins_velocity", "ins_yaw_rate"), "ins_yaw_rate", np.deg2rad(deg)) for deg in (327.67, 81.9)),
+    *((("ins_velocity", "ins_yaw_rate"), "ins_velocity_x", value) for value in (327.67, 99.99)),
+    *((kept, channel, value) for kept in ("steering_wheel_angle", ("ins_velocity", "ins_yaw_rate"))
+      for channel, value in (("yaw_rate", 5.72), ("yaw_rate", -1.43), ("velocity_x", 99.9), ("velocity_x", 327.67))),
+])
+def test_sentinels_within_the_range_of_a_signal_do_not_move_the_clock(pair: Pair, kept, signal, value) -> None:
+    """1.2 s of a fixed value in the log or in the INS recording, which is as large as all motion together."""
+    signals = {k: s for k, s in pair.signals.signals.items() if k[0].startswith(kept)}
+    clean, _ = align_clocks(pair.motion, CanSignals(signals, {}))
+
+    def spoiled(time_ns: np.ndarray, values: np.ndarray) -> np.ndarray:
+        return np.where(np.abs((time_ns - time_ns[0]) * 1e-9 - 20.6) < 0.6, value, values)
+    motion = pair.motion
+    if hasattr(motion, signal):
+        motion = replace(motion, **{signal: spoiled(motion.time_ns, getattr(motion, signal))})
+    signals = {k: replace(s, values=spoiled(s.time_ns, s.values)) if k[0] == signal else s for k, s in signals.items()}
+    result, _ = align_clocks(motion, CanSignals(signals, {}))
+    assert result.verdict is clean.verdict
+    assert f"samples of {signal}" in result.reasons[0] and "left out of the alignment" in result.reasons[0]
+    assert abs(pair.error(result, result.at_ns) - pair.error(clean, clean.at_ns)) < 2e-3
 
 
 def test_nothing_shared_is_refused_and_can_be_given_by_hand(pair: Pair) -> None:

@@ -185,17 +185,18 @@ def _judged(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_ns: i
     strongest = max(s.correlation for s in result.signals)
     if strongest < USABLE_PEAK:
         refusals.append(f"the signals do not belong together (correlation {strongest:.2f} at best): the recordings do "
-                        "not overlap in time, or are not of the same drive")
+                        "not overlap in time, are not of the same drive, or a signal is wrong in part of it")
     elif weakest < GOOD_PEAK:
         worst = min(result.signals, key=lambda s: s.correlation)
         doubts.append(f"{worst.name} fits poorly: correlation {worst.correlation:.2f}, {GOOD_PEAK} expected")
     if result.ambiguous:
-        doubts.append(f"another offset fits nearly as well: {second:+.2f} s with correlation "
-                      f"{r_second:.2f} against {first:+.2f} s with {r_first:.2f} (repeated laps?)")
+        doubts.append(f"an offset {second - first:+.2f} s away fits nearly as well, with correlation {r_second:.2f} "
+                      f"against {r_first:.2f} (repeated laps?)")
+    why = "little motion" if strongest >= GOOD_PEAK else f"the signals differ (correlation {strongest:.2f} at best)"
     if solution.offset_deviation > USABLE_DEVIATION:
-        refusals.append(f"too little motion: the offset is only known to {solution.offset_deviation * 1e3:.0f} ms")
+        refusals.append(f"{why}: the offset is only known to {solution.offset_deviation * 1e3:.0f} ms")
     elif solution.offset_deviation > GOOD_DEVIATION:
-        doubts.append(f"little motion: the offset is only known to {solution.offset_deviation * 1e3:.1f} ms")
+        doubts.append(f"{why}: the offset is only known to {solution.offset_deviation * 1e3:.1f} ms")
     for row in result.signals:
         if abs(row.difference) > max(AGREEMENT, 3 * row.deviation):
             doubts.append(f"{row.name} alone gives an offset {row.difference * 1e3:+.1f} ms away")

@@ -129,7 +129,7 @@ def test_repeated_laps_are_pointed_out_and_a_bounded_search_settles_them() -> No
     ]
     result = align(signals)
     assert result.verdict is Verdict.DOUBTFUL
-    assert "another offset fits nearly as well" in result.reasons[0]
+    assert "fits nearly as well" in result.reasons[0]
     bounded = align(signals, search=(-20, 20))
     assert (bounded.verdict, round(bounded.offset_ns * 1e-9, 3)) == (Verdict.GOOD, 0.0)
 

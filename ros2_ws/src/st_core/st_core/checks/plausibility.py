@@ -105,19 +105,15 @@ def plausible(log: DriveLog, start_ns: int | None = None) -> tuple[DriveLog, lis
     steering = "road_wheel_angle" if log.steering_wheel_angle is None else "steering_wheel_angle"
     for name in (*INS_SIGNALS, "acceleration_x", "acceleration_y", steering):
         values = getattr(log, name)
-        of_steering = name == steering
-        time_ns = log.steering_time_ns if of_steering else log.ins_time_ns
-        channel = _channel(name, (time_ns - origin) * 1e-9, values)
-        if channel is None:
+        if values is None:
             continue
-        at = moving if not of_steering else np.interp(time_ns - origin, log.ins_time_ns - origin, moving) > 0.5
-        bad = np.zeros(len(values), bool)
-        for kind, samples in _implausible(channel, at[channel.rows]):
-            findings.append(_finding(kind, channel, samples))
-            bad[channel.rows[samples]] = kind != "channel_jumps"
-        if bad.mean() > MOST:
-            continue
-        if of_steering:
+        time_ns, at = log.ins_time_ns, moving
+        if name == steering:
+            time_ns = log.steering_time_ns
+            at = np.interp(time_ns - origin, log.ins_time_ns - origin, moving) > 0.5 if len(moving) else moving
+        bad, found = implausible_samples(name, (time_ns - origin) * 1e-9, values, at)
+        findings += found
+        if name == steering:
             bad_steering |= bad
         elif name in OPTIONAL_INS_SIGNALS and bad.any():
             blanked[name] = np.where(bad, np.nan, values)
@@ -126,16 +122,32 @@ def plausible(log: DriveLog, start_ns: int | None = None) -> tuple[DriveLog, lis
     return _without(log, bad_rows, bad_steering, blanked), _both_axes(findings)
 
 
+def implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
+                        moving: np.ndarray) -> tuple[np.ndarray, list[Finding]]:
+    """(samples of one channel to leave out (n,) bool, the findings).
+
+    name: a key of CHANNELS. time: rising [s], any zero; that of the findings. values: (n,), NaN where unknown; yaw
+    unwrapped. moving: (n,) whether the car moves. Nothing is left out of a channel more than half of which is bad.
+    """
+    bad = np.zeros(len(values), bool)
+    channel = _channel(name, time, values)
+    if channel is None:
+        return bad, []
+    findings = []
+    for kind, samples in _implausible(channel, moving[channel.rows]):
+        findings.append(_finding(kind, channel, samples))
+        bad[channel.rows[samples]] = kind != "channel_jumps"
+    return (bad if bad.mean() <= MOST else np.zeros_like(bad)), findings
+
+
 def broken_channels(findings: Iterable[Finding]) -> set[str]:
     """Channels that leaving samples out did not repair: nothing can be compared with them."""
     return {channel for one in findings if one.name == "channel_jumps" or one.severity is Severity.ERROR
             for channel in one.channels}
 
 
-def _channel(name: str, time: np.ndarray, values: np.ndarray | None) -> _Channel | None:
-    """None for a channel that is not there, too short, or constant."""
-    if values is None:
-        return None
+def _channel(name: str, time: np.ndarray, values: np.ndarray) -> _Channel | None:
+    """None for a channel that is too short or constant."""
     rows = np.flatnonzero(np.isfinite(values))
     if len(rows) < LEAST:
         return None

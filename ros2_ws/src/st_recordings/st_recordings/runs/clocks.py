@@ -1,8 +1,11 @@
 """One time for the INS recording and the CAN log: which signals both hold, and what follows for the clocks."""
 
+from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from st_core.checks.plausibility import implausible_samples
 from st_core.clock_alignment import align, by_hand, standstill_masked
 from st_core.clock_time_frames import align_by_time_frame
 from st_core.clock_types import Alignment, SharedSignal, Verdict, refused
@@ -27,6 +30,11 @@ METHODS_DIFFER = 0.01  # s
 NEAR = 60.0  # s; what a logger's clock is trusted with where the signals leave a choice
 CHECKED_WITHIN = 2.0  # s
 ALIKE = 0.97  # of the best correlation
+MOVING = 1.0  # m/s
+# Signals of the log by the channel that limits what they can hold.
+CHANNELS = {"ins_velocity_x": "velocity_x", "ins_yaw_rate": "yaw_rate", "ins_yaw": "yaw",
+            "vehicle_speed": "velocity_x", "wheel_speed_rear_left": "velocity_x",
+            "steering_wheel_angle": "steering_wheel_angle"}
 
 
 def shared_signals(ins: Motion, can: CanSignals, latency: tuple[float, float] = INS_ON_CAN) -> list[SharedSignal]:
@@ -67,7 +75,45 @@ def substitute_signals(ins: Motion, can: CanSignals, steering_sign: int = 1) -> 
     pair = SharedSignal("curvature against steering", ins.time_ns, curvature, steering.time_ns,
                         steering_sign * steering.values, *STEERING_LEAD, SMALLEST["curvature"])
     return [pair], (f"{NO_INS_FRAMES} and no wheel speed: aligned by steering against yaw rate, which lags by the "
-                    "response time of the car; if steering_sign of the car is wrong, no offset fits")
+                    "response time of the car")
+
+
+def without_implausible(ins: Motion, can: CanSignals) -> tuple[Motion, CanSignals, list[str]]:
+    """(both recordings, NaN where no working sensor gives such a value, what is NaN in words).
+
+    One sentinel or spike is larger than all motion together, and moves or hides the offset.
+    """
+    texts: list[str] = []
+
+    def plausible(channel: str, label: str, time_ns: np.ndarray, values: np.ndarray, moving: np.ndarray) -> np.ndarray:
+        if len(values) < 2:
+            return values
+        whole = np.unwrap(np.nan_to_num(values)) if channel == "yaw" else values
+        bad, found = implausible_samples(channel, (time_ns - time_ns[0]) * 1e-9, whole, moving)
+        if bad.any():
+            largest = float(values[bad][np.argmax(np.abs(values[bad]))])
+            texts.append(f"{bad.sum()} of {len(bad)} samples of {label} are implausible (up to {largest:.4g} "
+                         f"{found[0].unit}) and were left out of the alignment")
+        return np.where(bad, np.nan, values)
+
+    def cleaned(signals: Iterable[Signal], speed: Signal | None) -> dict[tuple[str, str], Signal]:
+        return {(one.name, one.message): replace(one, values=plausible(
+            CHANNELS[one.name], f"{one.name} ({one.message})", one.time_ns, one.values,
+            _moves(one.time_ns, speed.time_ns, speed.values) if speed else np.ones(len(one.values), bool)))
+            for one in signals}
+
+    raw = can.first_of("ins_velocity_x") or can.first_of("vehicle_speed")
+    kept = CanSignals({**can.signals, **cleaned(
+        (one for one in can.signals.values() if one.name in CHANNELS), raw)}, can.faults)
+    moving = _moves(ins.time_ns, ins.time_ns, ins.velocity_x)
+    columns: dict[str, Any] = {name: plausible(name, f"{name} of the INS", ins.time_ns, values, moving)
+               for name in ("velocity_x", "yaw_rate", "yaw") if (values := getattr(ins, name)) is not None}
+    return replace(ins, **columns), kept, texts
+
+
+def _moves(time_ns: np.ndarray, speed_time_ns: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """Whether the car moves within two seconds of each instant."""
+    return np.isfinite(standstill_masked(time_ns, np.ones(len(time_ns)), speed_time_ns, speed, MOVING))
 
 
 def align_clocks(ins: Motion, can: CanSignals, offset: float | None = None, search: tuple[float, float] | None = None,
@@ -80,21 +126,33 @@ def align_clocks(ins: Motion, can: CanSignals, offset: float | None = None, sear
     search: bounds of the offset [s]. latency: of INS values on CAN, and its standard deviation [s].
     steering_sign: +1 where the decoded sensor is left positive.
     """
+    ins, can, left_out = without_implausible(ins, can)
     pairs = shared_signals(ins, can, latency)
     warning = ""
     if not pairs:
         pairs, warning = substitute_signals(ins, can, steering_sign)
     if offset is not None:
         at_ns = int(pairs[0].other_time_ns[0]) if pairs else 0
-        return by_hand(round(offset * 1e9), at_ns, pairs), pairs
-    if ins.absolute and (frames := _time_frames(can)) is not None:
-        return _checked_time_frame(frames, pairs if not warning else [], latency), pairs
-    if not pairs:
+        result = by_hand(round(offset * 1e9), at_ns, pairs)
+    elif ins.absolute and (frames := _time_frames(can)) is not None:
+        result = _checked_time_frame(frames, pairs if not warning else [], latency)
+    elif not pairs:
         return refused("the CAN log holds no signal that the INS recording has too; give the offset by hand"), pairs
-    result = align(pairs, search=search)
-    if result.ambiguous and search is None and ins.absolute:
-        result = _nearest(pairs, result)
-    return (result.doubted(warning) if warning else result), pairs
+    else:
+        result = align(pairs, search=search)
+        if result.ambiguous and search is None and ins.absolute:
+            result = _nearest(pairs, result)
+        result = result.doubted(*filter(None, (warning, _other_sign(pairs, result, search))))
+    return replace(result, reasons=(*left_out, *result.reasons)), pairs
+
+
+def _other_sign(pairs: list[SharedSignal], result: Alignment, search: tuple[float, float] | None) -> str:
+    """That the steering counts the other way, where that alone explains a refusal."""
+    if result.verdict is not Verdict.REFUSED or pairs[0].smallest != SMALLEST["curvature"]:
+        return ""
+    turned = align([replace(pairs[0], other=-pairs[0].other)], search=search)
+    return "" if turned.verdict is Verdict.REFUSED else (
+        f"with the other steering_sign of the car they fit with a correlation of {turned.signals[0].correlation:.2f}")
 
 
 def _nearest(pairs: list[SharedSignal], result: Alignment) -> Alignment:
