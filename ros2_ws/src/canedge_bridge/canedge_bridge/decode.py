@@ -12,7 +12,7 @@ from st_core import vehicle
 from st_core.types import Number
 
 from .checks import CounterCheck, Mode, checksum_of
-from .extraction import Extractor, without_padding
+from .extraction import decode_frame, without_padding
 from .ins_time import to_parts, with_unix_time
 from .signals import ANGLES, MessageSpec, SignalSpec, SignalTable, load_table
 from .table_reader import TableError
@@ -107,7 +107,6 @@ class Plausibility:
 @dataclass
 class _Row:
     spec: MessageSpec
-    extractor: Extractor
     counter: CounterCheck | None
     plausibility: tuple[tuple[str, Plausibility], ...]
     statistics: MessageStatistics = field(default_factory=MessageStatistics)
@@ -164,7 +163,8 @@ class Decoder:
         if dropped:
             statistics.dropped += 1
             return None
-        values = row.extractor.si(data)
+        physical = decode_frame(spec.dbc, data)
+        values = {signal.name: signal.si(physical) for signal in spec.signals if signal.dbc.name in physical}
         if not all(map(math.isfinite, values.values())):
             statistics.not_finite += 1
             return None
@@ -250,8 +250,7 @@ class Decoder:
 def _row(spec: MessageSpec) -> _Row:
     counter = CounterCheck(spec.counter.field, int(spec.timeout * 1e9)) if spec.counter else None
     judged = [s for s in spec.signals if math.isfinite(s.maximum) or math.isfinite(s.max_rate)]
-    extractor = Extractor(spec.dbc, spec.signals)
-    return _Row(spec, extractor, counter, tuple((s.name, Plausibility(s, spec.period, spec.timeout)) for s in judged))
+    return _Row(spec, counter, tuple((s.name, Plausibility(s, spec.period, spec.timeout)) for s in judged))
 
 
 def _raw_of(spec: SignalSpec, si: float) -> float:

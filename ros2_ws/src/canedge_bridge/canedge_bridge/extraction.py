@@ -1,25 +1,22 @@
-"""Values of DBC signals out of frames: one frame for the live bridge, all frames of a log as arrays.
+"""Physical values of DBC signals: one frame for the live bridge, all frames of a log as arrays.
 
-cantools decodes every signal of a message into a dictionary, which takes up to twenty times as long; the values here
-are equal to its values to the last bit. Checked by: test_extraction.py, test_log_decode.py.
+cantools decodes single frames. A log is decoded in columns, equal to its values to the last bit. Checked by:
+test_extraction.py, test_log_decode.py.
 """
 
-import struct
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+from cantools.database import DecodeError
 from cantools.database.can import Message as DbcMessage
 from cantools.database.can import Signal as DbcSignal
-
-from .signals import ANGLES, SignalSpec, wrap
 
 EXTENDED = 0x8000_0000
 """Added to the identifier of a 29-bit frame in the `ids` of `decode_log`."""
 PADDING = frozenset((0x00, 0x55, 0xAA, 0xCC, 0xFF))
 """Bytes with which controllers fill a frame up to the next length it can have."""
-_FLOATS = {16: struct.Struct("<e"), 32: struct.Struct("<f"), 64: struct.Struct("<d")}
 
 
 def without_padding(data: bytes, length: int) -> bytes | None:
@@ -41,25 +38,13 @@ def has_length(payload: np.ndarray, lengths: np.ndarray, length: int) -> np.ndar
     return fits
 
 
-class Extractor:
-    """SI values of some signals of a message, frame by frame."""
-
-    def __init__(self, message: DbcMessage, signals: Sequence[SignalSpec]):
-        self._places = [(s, _reader(s.dbc, message.length), s.sign_signal and _reader(s.sign_signal, message.length),
-                         [(_reader(selector, message.length), ids) for selector, ids in gates(message, s.dbc)])
-                        for s in signals]
-
-    def si(self, data: bytes) -> dict[str, float]:
-        """Name -> value of the signals that this frame carries. data: as many bytes as the message has."""
-        frame = int.from_bytes(data, "little"), int.from_bytes(data, "big")
-        values = {}
-        for signal, read, negative, selectors in self._places:
-            if any(selector(frame) not in ids for selector, ids in selectors):
-                continue
-            physical = read(frame) * signal.dbc.scale + signal.dbc.offset
-            value = signal.gain * (-physical if negative and negative(frame) else physical) + signal.bias
-            values[signal.name] = wrap(value) if signal.name in ANGLES else value
-        return values
+def decode_frame(message: DbcMessage, data: bytes) -> Mapping[str, float]:
+    """DBC name -> physical value of the signals that a frame carries. data: as many bytes as the message has."""
+    try:
+        return cast("dict[str, float]", message.decode(data, decode_choices=False))
+    except DecodeError:  # a selector value that the DBC does not list: the other signals are valid
+        columns = _physical_columns(message, np.frombuffer(data, np.uint8)[None])
+        return {name: float(values[0]) for name, values in columns.items() if not np.isnan(values[0])}
 
 
 def gates(message: DbcMessage, signal: DbcSignal) -> list[tuple[DbcSignal, frozenset[int]]]:
@@ -70,20 +55,6 @@ def gates(message: DbcMessage, signal: DbcSignal) -> list[tuple[DbcSignal, froze
         found.append((selector, frozenset(signal.multiplexer_ids or ())))
         signal = selector
     return found
-
-
-def _reader(signal: DbcSignal, length: int) -> Callable[[tuple[int, int]], float]:
-    """Raw value of a signal in the payload as an integer, (low byte first, high byte first)."""
-    big = signal.byte_order == "big_endian"
-    # The DBC counts bits of a byte from its low end, bytes from the front; the integer's top bit is byte 0, bit 7.
-    shift = 8 * length - 8 * (signal.start // 8) - 7 + signal.start % 8 - signal.length if big else signal.start
-    mask, sign = (1 << signal.length) - 1, 1 << (signal.length - 1)
-    if signal.is_float:
-        form = _FLOATS[signal.length]
-        return lambda frame: form.unpack((frame[big] >> shift & mask).to_bytes(form.size, "little"))[0]
-    if signal.is_signed:
-        return lambda frame: ((frame[big] >> shift & mask) ^ sign) - sign
-    return lambda frame: frame[big] >> shift & mask
 
 
 @dataclass(frozen=True)

@@ -73,13 +73,16 @@ class SignalSpec:
     max_rate: float
     sign_signal: DbcSignal | None = None
 
+    def si(self, physical: Mapping[str, Any]) -> Any:
+        """SI value from the physical values of a frame by DBC name, or SI column from columns."""
+        value = physical[self.dbc.name]
+        if self.sign_signal is not None:
+            value = value * (1 - 2 * (physical.get(self.sign_signal.name, 0) != 0))
+        value = self.gain * value + self.bias
+        return (value + math.pi) % (2 * math.pi) - math.pi if self.name in ANGLES else value
+
     def to_physical(self, si: float) -> float:
         return (si - self.bias) / self.gain
-
-
-def wrap(angle: float) -> float:
-    """To [-pi, pi)."""
-    return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import math
 
 import pytest
 import yaml
-from canedge_bridge.signals import load_table, wrap
+from canedge_bridge.signals import load_table
 from canedge_bridge.table_reader import TableError
 
 
@@ -163,9 +163,3 @@ def test_a_file_that_is_no_table(text, dbc_file, tmp_path):
 def test_the_table_says_for_every_signal_what_unit_it_has(signals_file):
     messages = yaml.safe_load(signals_file.read_text())["messages"]
     assert all({"name", "unit", "sign"} <= set(s) for m in messages.values() for s in m["signals"].values())
-
-
-@pytest.mark.parametrize(("angle", "wrapped"), [(0.0, 0.0), (math.pi, -math.pi), (3 * math.pi / 2, -math.pi / 2),
-                                                (-3 * math.pi / 2, math.pi / 2), (7.0, 7.0 - 2 * math.pi)])
-def test_wrap(angle, wrapped):
-    assert wrap(angle) == pytest.approx(wrapped, abs=1e-12)

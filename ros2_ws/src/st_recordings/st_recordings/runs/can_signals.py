@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from canedge_bridge.extraction import MessageColumns, decode_log
+from canedge_bridge.extraction import decode_log
 from canedge_bridge.ins_time import with_unix_time
-from canedge_bridge.signals import ANGLES, MessageSpec, SignalTable, load_table
+from canedge_bridge.signals import MessageSpec, SignalTable, load_table
 
 from .can_checks import check_frames
 from .errors import RunError, share
@@ -75,7 +75,7 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
             continue
         rows, payload = rows[decoded.rows], payload[decoded.rows, : max(spec.dbc.length, 8)]
         time_ns = frames.time_ns[rows]
-        ours = _canonical(spec, decoded)
+        ours = {signal.name: signal.si(decoded.signals) for signal in spec.signals}
         keep, valid, fault = check_frames(spec, payload, time_ns, ours)
         if fault or wrong_length:
             faults[name] = "; ".join(filter(None, (wrong_length, fault)))
@@ -119,14 +119,3 @@ def load_signal_table(dbc: Path, table: Path) -> SignalTable:
         return load_table(dbc, table)
     except ValueError as error:
         raise RunError(table, str(error).removeprefix(f"{table}: ")) from None
-
-
-def _canonical(spec: MessageSpec, columns: MessageColumns) -> dict[str, np.ndarray]:
-    values = {}
-    for signal in spec.signals:
-        physical = columns.signals[signal.dbc.name]
-        if signal.sign_signal is not None:
-            physical = np.where(columns.signals[signal.sign_signal.name] != 0, -physical, physical)
-        value = signal.gain * physical + signal.bias
-        values[signal.name] = (value + np.pi) % (2 * np.pi) - np.pi if signal.name in ANGLES else value
-    return values
