@@ -176,7 +176,7 @@ def _can_frames(data: bytes, folder: Path) -> str:
                             is_remote_frame=bool(identifier & 0x40000000), data=payload, is_fd=len(payload) > 8,
                             is_error_frame=bool(identifier & 0x20000000), timestamp=0.01 * count)
         if frame.is_error_frame:
-            assert describe(frame).text.isprintable()
+            assert describe(frame)[0].isprintable()
         found = decoder.decode(frame, round((count + more) * 1e7))
         if found is not None:
             decoded += 1

@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class Mode(StrEnum):
-    """What a wrong counter or checksum does: nothing; pass on as not valid; drop, as if the frame had never come."""
+    """What a wrong counter or checksum does: nothing; pass on as not valid; drop the frame."""
 
     OFF = "off"
     WARN = "warn"
@@ -75,7 +75,7 @@ class CounterCheck:
     """Follows the counter of one message.
 
     Every step other than +1 is a fault. A step of k > 1 also means k - 1 frames lost (modulo the counter's range);
-    a repeated value means the sender is stuck or the frame came twice. The received value becomes the new reference
+    a repeated value means a stuck sender or a duplicated frame. The received value becomes the new reference
     either way, so that one lost frame costs one fault. The first frame, and the first after a gap longer than
     `restart_after_ns`, are not judged.
     """

@@ -1,4 +1,4 @@
-"""CAN frames to checked signals under our names in SI, and back to frames for a simulated car."""
+"""CAN frames to checked signals under canonical names in SI, and back to frames for a simulated car."""
 
 import math
 from collections import deque
@@ -17,7 +17,8 @@ from .ins_time import to_parts, with_unix_time
 from .signals import ANGLES, MessageSpec, SignalSpec, SignalTable, load_table
 from .table_reader import TableError
 
-# A verdict needs this many frames, one second of a 100 Hz signal; a stray frame must not condemn a good DBC.
+# Frames that are judged together, one second of a 100 Hz signal, and implausible ones tolerated among them: single
+# disturbed frames do not invalidate a signal.
 _WINDOW = 100
 _TOLERATED = 10
 
@@ -26,7 +27,7 @@ _TOLERATED = 10
 class Decoded:
     """One good frame.
 
-    values: our names, SI. valid: False where a counter or checksum set to `warn` was wrong; fault names it.
+    values: canonical names, SI. valid: False where a counter or checksum set to `warn` was wrong; fault names it.
     """
 
     message: str
@@ -38,7 +39,7 @@ class Decoded:
 
 @dataclass
 class MessageStatistics:
-    """What became of the frames of one message. last_seen_ns: of the last one that was not dropped; None before it."""
+    """Counts of the frames of one message. last_seen_ns: time of the last good one; None before it."""
 
     good: int = 0
     wrong_length: int = 0
@@ -53,7 +54,7 @@ class MessageStatistics:
 
 @dataclass
 class FrameStatistics:
-    """Frames that are none of ours."""
+    """Frames outside the table."""
 
     unknown: int = 0
     error: int = 0
@@ -61,9 +62,9 @@ class FrameStatistics:
 
 
 class Plausibility:
-    """Judges the values of one signal, newest frame by newest frame.
+    """Range and rate check of the values of one signal, frame by frame.
 
-    A swapped byte order shows on a turning wheel at once: one step of the low byte becomes a jump of 256 steps.
+    A wrong byte order is visible while the wheel turns: one step of the low byte becomes a jump of 256 steps.
     """
 
     def __init__(self, spec: SignalSpec, period: float, timeout: float):
@@ -94,7 +95,7 @@ class Plausibility:
 
     @property
     def implausible_signal(self) -> str:
-        """Why the signal is not to be used at present, empty when it is fine; good frames heal it."""
+        """Reason why the signal is withheld at present, empty if it is plausible; good frames end it."""
         bad = self._recent.count(False)
         if bad <= _TOLERATED:
             return ""
@@ -113,10 +114,10 @@ class _Row:
 
 
 class Decoder:
-    """Decodes the messages of one signal table; see `load_table` for the files and what it refuses.
+    """Decodes the messages of one signal table; files and refusals: see `load_table`.
 
     A bad frame (wrong length, counter or checksum wrong and set to drop, not finite, not plausible) updates nothing,
-    not even the time the message was last seen. `decode` raises for nothing that can be on a bus.
+    also not the time of the last message. `decode` never raises.
     """
 
     def __init__(self, dbc_file: str | Path, signals_file: str | Path, needed: Iterable[str] = (),
@@ -130,7 +131,7 @@ class Decoder:
 
     @property
     def keys(self) -> list[tuple[int, bool]]:
-        """(arbitration id, 29-bit?) of every message of the table: what a bus filter must let through."""
+        """(arbitration id, 29-bit?) of every message of the table, for a bus filter."""
         return list(self._rows)
 
     def statistics(self, message: str) -> MessageStatistics:
@@ -177,7 +178,7 @@ class Decoder:
         return Decoded(spec.name, time_ns, with_unix_time(values), not fault, fault)
 
     def _plausible(self, row: _Row, values: Mapping[str, float], time_ns: int) -> bool:
-        """False also while too many recent values of a signal are impossible: then a possible one is so by chance."""
+        """False also while too many recent values of a signal are impossible: a possible one is then a coincidence."""
         possible = [check.accepts(values[name], time_ns) for name, check in row.plausibility if name in values]
         if not all(possible):
             row.statistics.implausible += 1
@@ -185,12 +186,12 @@ class Decoder:
         return not any(check.implausible_signal for _, check in row.plausibility)
 
     def implausible_signals(self) -> list[str]:
-        """A sentence for every signal that is withheld at present because its values are impossible."""
+        """A sentence for every signal that is withheld at present because of implausible values."""
         checks = [check for row in self._rows.values() for _, check in row.plausibility]
         return [text for check in checks if (text := check.implausible_signal)]
 
     def _check(self, row: _Row, data: bytes, time_ns: int) -> tuple[str, bool]:
-        """(what is wrong, whether to drop the frame)"""
+        """(fault, whether to drop the frame)"""
         spec, statistics = row.spec, row.statistics
         counter_mode, checksum_mode = self.modes[spec.name]
         if spec.checksum is not None and spec.checksum.rule is not None and checksum_mode is not Mode.OFF:
@@ -212,8 +213,8 @@ class Decoder:
     def encode(self, message: str, values: Mapping[str, float], counter: int = 0) -> can.Message:
         """A frame with counter and checksum filled in.
 
-        message: any message of the DBC. values: our names in SI, or DBC signals in their own unit; `ins_unix_time`
-        fills a time frame. Signals not given take the table's `fill`, else raw 0. A value beyond the signal's range is
+        message: any message of the DBC. values: canonical names in SI, or DBC signals in their unit; ins_unix_time
+        for a time frame. Signals not given take the table's `fill`, else raw 0. A value beyond the signal's range is
         sent as its end, as a sensor does; angles of the INS are wrapped into the range.
         Raises KeyError for an unknown message or signal, ValueError for a value that is not finite.
         """
@@ -312,7 +313,7 @@ class SteeringCalibration:
         return vehicle.road_wheel_angle(angle, self.steering_wheel_offset, self.steering_ratio)
 
     def formula(self) -> str:
-        """The equation with its numbers, for people."""
+        """The equation with its numbers, for the log."""
         offset = math.degrees(self.steering_wheel_offset)
         return (f"road_wheel_angle = ({self.steering_sign:+d} * sensor - ({self.steering_wheel_offset:.6f} rad)) / "
                 f"{self.steering_ratio:g}, left +; steering_wheel_offset = {offset:.3f} deg, so a sensor at 0 gives "

@@ -39,7 +39,7 @@ def _from_milli_time(gps: np.ndarray, offset: np.ndarray) -> np.ndarray:
 
 
 def _from_date_time(parts: Mapping[str, np.ndarray]) -> np.ndarray:
-    """UTC [s] of a date and time in GPS time; NaN where the parts are no date."""
+    """UTC [s] of a date and time in GPS time; NaN for an invalid date."""
     whole = {name: np.nan_to_num(part, nan=-1).astype(np.int64) for name, part in parts.items()}
     day = _day_number(whole["gps_century"] * 100 + whole["gps_year_of_century"], whole["gps_month"], whole["gps_day"])
     clock = (whole["gps_hour"] < 24) & (whole["gps_minute"] < 60)
@@ -53,7 +53,7 @@ def _to_utc(gps_as_unix: np.ndarray) -> np.ndarray:
 
 
 def _day_number(year: np.ndarray, month: np.ndarray, day: np.ndarray) -> np.ndarray:
-    """Days since 1970-01-01, NaN where there is no such day."""
+    """Days since 1970-01-01, NaN for a date that does not exist."""
     possible = (year >= 1) & (year <= 9999) & (month >= 1) & (month <= 12) & (day >= 1)
     months = (np.where(possible, year, 1970) - 1970) * 12 + np.where(possible, month, 1) - 1
     first = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)

@@ -26,18 +26,18 @@ from .receiver import BusState, Receiver
 from .table_reader import TableError
 from .transport import check_channel, id_filters, open_bus
 
-# Four seconds at 250 Hz: what a reader that was held up (a busy machine, a laptop that slept) can still be sent again.
+# Depth: four seconds at 250 Hz, which a subscriber that was blocked (busy machine, suspended laptop) still receives.
 QOS = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
 FRAMES_PERIOD = 0.1  # s; raw frames are not time-critical
 
 PARAMETERS = (
     Parameter("interface", "socketcan", "python-can interface: socketcan, udp_multicast (loopback only), ..."),
     Parameter("channel", "can0", "can0 for socketcan, group or group:port for udp_multicast"),
-    Parameter("bitrate", 0, "for interfaces that set it themselves, 0: leave it", "bit/s", 0, 8_000_000),
+    Parameter("bitrate", 0, "for interfaces that set it themselves; 0: the interface's default", "bit/s", 0, 8_000_000),
     Parameter("dbc_file", "", "DBC of the bus"),
-    Parameter("signals_file", "", "table from DBC signals to our names, signs, units and checks"),
+    Parameter("signals_file", "", "table from DBC signals to canonical names, signs, units and checks"),
     Parameter("vehicle_file", "", "vehicle parameters, for steering_ratio and steering_wheel_offset"),
-    Parameter("needed_messages", [], "messages whose absence is an error, instead of those the table marks"),
+    Parameter("needed_messages", [], "messages whose absence is an error, instead of those marked in the table"),
     Parameter("checks", [], "MESSAGE=off|warn|drop, or MESSAGE.counter=..., MESSAGE.checksum=..., over the table"),
     Parameter("steering_sign", 1, "+1: decoded sensor is left positive; -1: right positive", choices=(1, -1)),
     Parameter("steering_ratio", math.nan, "steering wheel to road wheel; NaN: from vehicle_file", "1", 1.0, 60.0),
@@ -99,7 +99,7 @@ class CanedgeBridge(Node):
 
     def _open(self) -> can.BusABC:
         settings = self._settings
-        # A raw recording wants every frame, everything else only what the table decodes.
+        # A raw recording contains every frame; otherwise only the messages of the table are needed.
         filters = None if settings.publish_frames else id_filters(self._decoder.keys)
         return open_bus(settings.interface, settings.channel, filters, settings.bitrate)
 
@@ -155,17 +155,15 @@ def _make_decoder(settings: SimpleNamespace) -> Decoder:
             raise ConfigurationError(f"canedge_bridge.{name}: not given")
     try:
         check_channel(settings.interface, settings.channel)
-        checks = dict(_split_check(text) for text in settings.checks)
+        checks = {}
+        for text in settings.checks:
+            key, equals, mode = text.partition("=")
+            if not equals:
+                raise ValueError(f"checks: {text!r} is not MESSAGE=off|warn|drop")
+            checks[key.strip()] = mode.strip()
         return Decoder(settings.dbc_file, settings.signals_file, settings.needed_messages, checks)
     except (TableError, ValueError) as error:
         raise ConfigurationError(f"canedge_bridge: {error}") from None
-
-
-def _split_check(text: str) -> tuple[str, str]:
-    key, equals, mode = text.partition("=")
-    if not equals:
-        raise ValueError(f"checks: {text!r} is not MESSAGE=off|warn|drop")
-    return key.strip(), mode.strip()
 
 
 def _read_vehicle(file: str) -> VehicleParameters:

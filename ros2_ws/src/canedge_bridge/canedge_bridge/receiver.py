@@ -17,28 +17,29 @@ import can
 from .transport import link_is_up
 
 BACK_OFF_FIRST, BACK_OFF_LAST = 0.1, 5.0
-# How long recv may block: bounds how late stop(), silence and a vanished interface are noticed.
+# Longest time that recv blocks [s]: the delay with which stop(), silence and a removed interface are detected.
 _POLL = 0.2
-# Controllers report entering error-passive, not all report leaving it: this long without an error frame counts as left.
+# All controllers report entering error-passive, some do not report leaving it: assumed after this time without an
+# error frame [s].
 _PASSIVE_FOR = 5.0
-# Some adapters stamp with the time since they were powered; a stamp this far from the host's clock is not the host's.
+# Some adapters stamp with the time since power-on; a stamp this far from the host's clock is of another clock [ns].
 _FOREIGN_CLOCK_NS = 86_400 * 10**9
 
 
 class BusState(StrEnum):
     """State of the bus as seen by the receiver."""
 
-    OK = "ok"                        # frames come
+    OK = "ok"                        # frames are received
     SILENT = "silent"                # open, no error, but no frame for a while
-    ERROR_PASSIVE = "error-passive"  # the controller counts so many errors that it no longer objects to frames
-    BUS_OFF = "bus-off"              # the controller has cut itself off
-    DOWN = "down"                    # the interface is there but switched off
+    ERROR_PASSIVE = "error-passive"  # so many errors that the controller no longer reports errors on the bus
+    BUS_OFF = "bus-off"              # the controller has disconnected itself
+    DOWN = "down"                    # the interface exists but is switched off
     GONE = "gone"                    # no such interface, or it cannot be opened
 
 
 @dataclass
 class ReceiverStatus:
-    """A snapshot: state, reason (one line, empty when all is well) and counts since start.
+    """Snapshot: state, reason (one line, empty without a fault) and counts since start.
 
     delay, delay_maximum: from the receive stamp until the frame was handed over [s], median and maximum of the last
     frames; NaN before the first.
@@ -62,8 +63,8 @@ class Receiver:
     open_bus: opens the bus; called again, after 0.1 s doubling to 5 s, as long as it raises.
     on_state(state, reason): called in the same thread at every change of state or reason.
     silence: seconds without a frame after which an open bus counts as silent.
-    network_interface: its name, to see that it is switched off or gone where the socket does not say so; "" for a bus
-    that has none.
+    network_interface: its name, to detect that it is switched off or removed, which not every socket reports; "" for
+    a bus without one.
     An exception in `on_frame` is counted, passed to `on_trouble` and does not end the thread.
     """
 
@@ -106,27 +107,24 @@ class Receiver:
     def _run(self) -> None:
         while not self._stop.is_set():
             try:
-                if self._bus is None:
-                    self._open()
-                else:
+                if self._bus is not None:
                     self._receive(self._bus)
-            except Exception as error:  # The supervisor: whatever a driver raises, the thread lives on.
+                    continue
+                self._bus = self._open_bus()
+                self._last_frame_at = time.monotonic()
+                with self._lock:
+                    self._status.opened += 1
+                self._set(BusState.SILENT, "no frame yet")
+            except Exception as error:  # whatever a driver raises, the thread continues
                 self._failed(error)
         self._close()
-
-    def _open(self) -> None:
-        self._bus = self._open_bus()
-        self._last_frame_at = time.monotonic()
-        with self._lock:
-            self._status.opened += 1
-        self._set(BusState.SILENT, "no frame yet")
 
     def _close(self) -> None:
         bus, self._bus = self._bus, None
         if bus is not None:
             try:
                 bus.shutdown()
-            except Exception as error:  # A vanished device may not even let itself be closed.
+            except Exception as error:  # a removed device may fail to close
                 self._on_trouble(error)
 
     def _receive(self, bus: can.BusABC) -> None:
@@ -162,16 +160,16 @@ class Receiver:
             self._set(BusState.OK, "")
 
     def _error_frame(self, frame: can.Message) -> None:
-        error = describe(frame)
+        text, state = describe(frame)
         self._last_error_frame = time.monotonic()
         with self._lock:
             self._status.error_frames += 1
-            self._status.last_error = error.text
-        if error.state is BusState.OK:
+            self._status.last_error = text
+        if state is BusState.OK:
             if self._status.state in (BusState.BUS_OFF, BusState.ERROR_PASSIVE):
-                self._set(BusState.SILENT, f"{error.text}, no frame yet")
-        elif error.state is not None:
-            self._set(error.state, error.text)
+                self._set(BusState.SILENT, f"{text}, no frame yet")
+        elif state is not None:
+            self._set(state, text)
 
     def _errors_are_recent(self) -> bool:
         return time.monotonic() - self._last_error_frame < _PASSIVE_FOR
@@ -192,7 +190,7 @@ class Receiver:
             self._set(BusState.SILENT, f"no frame for more than {self._silence:g} s")
 
     def _failed(self, error: Exception) -> None:
-        """A network that is down comes back to the same socket; anything else needs a new one."""
+        """A socket receives again after its network was down; every other failure needs a new one."""
         with self._lock:
             self._status.failures += 1
         if _errno(error) == errno.ENETDOWN and self._bus is not None:
@@ -215,7 +213,7 @@ class Receiver:
 
 
 def _errno(error: BaseException) -> int | None:
-    """python-can puts the errno in `error_code`; an OSError has its own; a wrapper may have it in its cause."""
+    """Error number of python-can (`error_code`), of an OSError, or of the cause of either."""
     for candidate in (error, error.__cause__, error.__context__):
         code = getattr(candidate, "error_code", None) or getattr(candidate, "errno", None)
         if code:
@@ -249,23 +247,20 @@ _PROTOCOL = {
 _PASSIVE = 0x30
 
 
-@dataclass(frozen=True)
-class ErrorFrame:
-    """text: the classes in words. state: of the bus as this frame reports it; None if it reports none."""
+def describe(frame: can.Message) -> tuple[str, BusState | None]:
+    """Classes of an error frame in words, and the state of the bus that it reports, None if it reports none.
 
-    text: str
-    state: BusState | None
-
-
-def describe(frame: can.Message) -> ErrorFrame:
-    """Never raises; a frame with no known bit is "unknown error class" with its identifier."""
+    Never raises; a frame without a known bit is "unknown error class" with its identifier.
+    """
     bits = frame.arbitration_id
     data = bytes(frame.data).ljust(8, b"\0")
-    words = []
-    for bit, name in _CLASSES.items():
-        if bits & bit:
-            details = _details(bit, data)
-            words.append(f"{name} ({details})" if details else name)
+    details = {
+        0x002: f"bit {data[0]}" if data[0] else "",
+        0x004: ", ".join(name for bit, name in _CONTROLLER_STATUS.items() if data[1] & bit),
+        0x008: ", ".join(name for bit, name in _PROTOCOL.items() if data[2] & bit),
+        0x200: f"transmit {data[6]}, receive {data[7]}",
+    }
+    words = [f"{name} ({details[bit]})" if details.get(bit) else name for bit, name in _CLASSES.items() if bits & bit]
     state = None
     if bits & _RESTARTED or (bits & _CONTROLLER and data[1] & _ACTIVE):
         state = BusState.OK
@@ -273,13 +268,4 @@ def describe(frame: can.Message) -> ErrorFrame:
         state = BusState.ERROR_PASSIVE
     if bits & _BUS_OFF:
         state = BusState.BUS_OFF
-    return ErrorFrame(", ".join(words) or f"unknown error class {bits:#x}", state)
-
-
-def _details(error_class: int, data: bytes) -> str:
-    if error_class == 0x002:
-        return f"bit {data[0]}" if data[0] else ""
-    if error_class == 0x200:
-        return f"transmit {data[6]}, receive {data[7]}"
-    names, byte = {0x004: (_CONTROLLER_STATUS, data[1]), 0x008: (_PROTOCOL, data[2])}.get(error_class, ({}, 0))
-    return ", ".join(name for bit, name in names.items() if byte & bit)
+    return ", ".join(words) or f"unknown error class {bits:#x}", state

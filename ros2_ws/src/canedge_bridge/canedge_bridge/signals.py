@@ -1,4 +1,4 @@
-"""The table that maps DBC signals to our names, sign and SI unit, read from YAML and checked against the DBC."""
+"""Table that maps DBC signals to canonical names, sign and SI unit, read from YAML and checked against the DBC."""
 
 import math
 import re
@@ -15,7 +15,7 @@ from .checks import RULES, Field, Mode, Rule
 from .ins_time import DATE_TIME_PARTS, MILLI_TIME_PARTS
 from .table_reader import Entry, TableError, read_document, words
 
-# Our signal names and their SI unit. Angles named in ANGLES are wrapped to [-pi, pi).
+# Canonical signal names and their SI unit. Angles named in ANGLES are wrapped to [-pi, pi).
 CANONICAL_SIGNALS = {
     "steering_wheel_angle": "rad",
     "wheel_speed_front_left": "m/s", "wheel_speed_front_right": "m/s",
@@ -26,14 +26,14 @@ CANONICAL_SIGNALS = {
     "gps_time": "s", "gps_utc_offset": "s",
 }
 ANGLES = frozenset({"ins_yaw"})
-# Factors and offsets beyond cannot be meant.
+# Largest plausible factor or offset.
 LARGEST = 1e12
-# rad to each side that a sensor of the steering wheel must reach where the table gives no range.
+# Angle to each side that a steering wheel sensor must reach if the table gives no range [rad].
 MIN_STEERING_SPAN = math.radians(180)
 
 _BLOCK = re.compile(r"^BO_ +(?P<id>\d+) +(?P<name>\w+) *:.*\n(?:[ \t]+SG_.*\n|[ \t]*\n(?=[ \t]+SG_))*", re.MULTILINE)
 _EXTRA = re.compile(r"^(?:SIG_VALTYPE_|SG_MUL_VAL_) +(?P<id>\d+) .*;", re.MULTILINE)
-# Unit of a DBC -> (SI unit, factor), and the ways in which DBC files write it. Case does not count.
+# Unit of a DBC -> (SI unit, factor), and its spellings in DBC files, in any case.
 UNITS = {
     "": ("", 1.0), "deg": ("rad", math.pi / 180), "rad": ("rad", 1.0), "deg/s": ("rad/s", math.pi / 180),
     "rad/s": ("rad/s", 1.0), "km/h": ("m/s", 1 / 3.6), "m/s": ("m/s", 1.0), "mph": ("m/s", 0.44704), "s": ("s", 1.0),
@@ -49,17 +49,17 @@ _UNIT_OF = {text: unit for unit, others in _SPELLINGS.items() for text in (unit,
 
 
 def unit_of(text: str | None) -> str | None:
-    """The key of UNITS that a unit of a DBC or a table means, None for one that is not known."""
+    """Key of UNITS for a unit of a DBC or a table, None for an unknown one."""
     return _UNIT_OF.get((text or "").strip().lower().replace(" ", ""))
 
 
 @dataclass(frozen=True)
 class SignalSpec:
-    """One DBC signal and what we make of it: si = gain * physical + bias, physical in the DBC's unit.
+    """One DBC signal and its conversion: si = gain * physical + bias, physical in the DBC's unit.
 
-    minimum, maximum: what is physically possible; max_rate: how fast it can change [per s]. All three are for ours in
-    the DBC's unit: sign * scale * physical + offset. sign_signal: 1 in it makes physical negative, for a sensor that
-    sends size and sign apart.
+    minimum, maximum: physically possible range; max_rate: largest rate of change [per s]; all three of
+    sign * scale * physical + offset, in the DBC's unit. sign_signal: 1 makes physical negative, for a sensor that sends
+    magnitude and sign separately.
     """
 
     dbc: DbcSignal
@@ -95,7 +95,7 @@ class CheckSpec:
 
 @dataclass(frozen=True)
 class Sample:
-    """A recorded frame and what one signal must decode to, in the unit of the DBC, whatever the sign."""
+    """A recorded frame and the value of one signal in it, in the unit of the DBC; the sign is not checked."""
 
     data: bytes
     signal: str
@@ -104,7 +104,7 @@ class Sample:
 
 @dataclass(frozen=True)
 class MessageSpec:
-    """One row of the table. period, timeout in seconds; fill: raw values of undecoded signals for frames made here."""
+    """One row of the table. period, timeout in seconds; fill: raw values of undecoded signals in encoded frames."""
 
     dbc: DbcMessage
     needed: bool
@@ -127,7 +127,7 @@ class MessageSpec:
 
     @property
     def gives(self) -> frozenset[str]:
-        """Our names in a decoded frame."""
+        """Canonical names in a decoded frame."""
         names = frozenset(s.name for s in self.signals)
         return names | {"ins_unix_time"} if any(n.startswith("gps_") for n in names) else names
 
@@ -147,7 +147,7 @@ class SignalTable:
         return tuple(m for m in self.messages.values() if m.needed)
 
     def source_of(self, name: str) -> tuple[MessageSpec, SignalSpec] | None:
-        """The message and signal that give one of our names; a needed message first."""
+        """Message and signal of a canonical name; a needed message first."""
         rows = sorted(self.messages.values(), key=lambda m: not m.needed)
         return next(((m, s) for m in rows for s in m.signals if s.name == name), None)
 
@@ -157,8 +157,8 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Iterable[
 
     needed: message names that replace the table's own `needed` (for a bus that carries only some of the messages).
     Raises TableError, one line naming file, key and limit: unreadable file, misspelt key, unit other than the DBC's, a
-    needed message or signal that the DBC lacks, a layout that cannot hold what the signal is, a sample that decodes to
-    something else.
+    needed message or signal that the DBC lacks, a layout that cannot represent the signal, a sample that decodes to
+    another value.
     """
     dbc_path, table_path = Path(dbc_file), Path(signals_file)
     root = Entry(str(table_path), "", read_document(table_path))
@@ -186,10 +186,10 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Iterable[
 
 
 def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
-    """The database of a DBC file; where it has mistakes, that of the given messages alone.
+    """Database of a DBC file; if it has mistakes, of the given messages alone.
 
     Public DBC files of real cars have overlapping signals, identifiers of 29 bits without their mark or names that
-    begin with a digit in messages nobody uses. Raises TableError where these messages cannot be parsed either.
+    begin with a digit, in messages that are not used. Raises TableError where these messages cannot be parsed either.
     """
     try:
         text = path.read_bytes().decode("cp1252", "replace")  # the encoding that cantools assumes for DBC
@@ -197,7 +197,7 @@ def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
         raise TableError(f"{path}: cannot be read: {error.strerror}") from None
     try:
         return cantools.database.load_string(text, "dbc", strict=False)
-    except Exception as error:  # cantools raises whatever its parsers raise; all of it means the same to the user.
+    except Exception as error:  # cantools passes on every exception of its parsers
         first = error
     try:
         reduced = _reduced(text, frozenset(messages))
@@ -258,7 +258,7 @@ def _find(dbc: DbcMessage, name: str, dbc_path: Path, row: Entry) -> DbcSignal:
     for signal in dbc.signals:
         if signal.name == name:
             return signal
-    raise TableError(f"{dbc_path}: {dbc.name} has no signal {name}, which {row.origin} asks for; "
+    raise TableError(f"{dbc_path}: {dbc.name} has no signal {name}, which {row.origin} names; "
                      f"it has {', '.join(s.name for s in dbc.signals)}")
 
 
@@ -298,7 +298,7 @@ def _unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
 
 
 def _number(value: object) -> float:
-    """What cantools scales without choices."""
+    """Number that cantools returns without choices."""
     assert isinstance(value, int | float)
     return value
 
@@ -316,7 +316,7 @@ def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
     if spec.sign_signal is not None:
         physical += [-value for value in physical]
     ends = [(spec.gain * value + spec.bias) / spec.factor for value in physical]
-    # Half of the range: some sensors stop short of what is physically possible, none stops at straight ahead.
+    # Half of the range: some sensors end before the physically possible angle, none at straight ahead.
     if min(ends) > low / 2 or max(ends) < high / 2:
         order = "low byte first" if spec.dbc.byte_order == "little_endian" else "high byte first"
         raise TableError(
@@ -364,7 +364,7 @@ def _sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...], dbc_
                          f"gives {dbc.length}")
     physical = cast("dict[str, float]", dbc.decode(data, decode_choices=False))  # of a plain message
     value = (spec.gain * physical[spec.dbc.name] + spec.bias) / spec.factor
-    # The sign is left to steering_sign: which way the sensor counts is a property of the car, byte order is not.
+    # The sign is set by steering_sign: the counting direction of the sensor is a property of the car.
     if not math.isclose(abs(value), abs(expected), rel_tol=1e-6, abs_tol=abs(spec.dbc.scale) / 2):
         raise TableError(f"{dbc_path}: {spec.dbc.name} decodes {shown} incorrectly: {value:g} {spec.unit} instead of "
                          f"{expected:g} ({entry.origin}: {entry.path}); its byte order, start bit or factor is wrong")

@@ -18,7 +18,7 @@ _SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)
 _IP_MULTICAST_ALL = 49  # linux/in.h; not in the socket module
 _TIMESPEC = struct.Struct("@ll")
 _LARGEST_DATAGRAM = 4096
-# can.Message takes anything that looks like a number as one, and a list for a flag.
+# can.Message accepts text as a number and a list as a flag.
 _KINDS = {"arbitration_id": int, "dlc": int, "data": bytes, **dict.fromkeys(
     ("is_extended_id", "is_remote_frame", "is_error_frame", "is_fd", "bitrate_switch", "error_state_indicator"), bool)}
 _RECEIVE_BUFFER = 1 << 20
@@ -55,7 +55,7 @@ def open_bus(interface: str, channel: str, filters: list[dict[str, Any]] | None 
 
 
 def link_is_up(name: str) -> bool | None:
-    """Whether a network interface of this machine is switched on; None if there is no such interface."""
+    """Whether a network interface of this machine is switched on; None for an unknown interface."""
     try:
         return bool(int(Path("/sys/class/net", name, "flags").read_text(), 16) & _IFF_UP) if name else None
     except (OSError, ValueError):
@@ -153,7 +153,7 @@ class LoopbackMulticastBus(can.BusABC):
             fields["timestamp"] = timestamp
             fields["channel"] = self._destination[0]
             return can.Message(check=True, **fields)
-        except Exception:  # msgpack and Message raise a dozen types for malformed input; all mean the same here.
+        except Exception:  # msgpack and Message raise many types for malformed input
             self.malformed += 1
             return None
 

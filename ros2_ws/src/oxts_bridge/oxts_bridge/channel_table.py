@@ -8,34 +8,46 @@ knows. Checked by: tests/golden/test_ncom_vectors.py (every channel), test_chann
 from collections.abc import Iterable
 from math import degrees
 
-from .fields import (
-    AGE,
-    BIT0,
-    BYTE,
-    GPS_MINUTE,
-    HIGH_BIT,
-    INVERTED_B6,
-    INVERTED_B7,
-    LONG_RANGE,
-    MINUTE_MS,
-    NIBBLE,
-    NOT_255,
-    NOT_NEGATIVE,
-    OMNISTAR_STATUS,
-    POSITIVE,
-    WORD,
-    ZERO,
-    Field,
-    Validity,
-    aged_not,
-    not_,
-)
+from .fields import Field, Validity
 
 F = Field
 M = True
 LONG_RANGE_CHANNEL = 57
 TRIGGER_CHANNELS = {24: "TrigTime", 43: "Trig2Time", 65: "DigitalOutTime", 79: "Trig3Time", 80: "Trig4Time",
                     81: "DigitalOut2Time"}
+
+AGE = Validity("b6 < 150", lambda raw, data: data[6] < 150, flag=6)
+ZERO = Validity("b6 = 0", lambda raw, data: data[6] == 0, flag=6)
+NOT_255 = Validity("b6 < 255", lambda raw, data: data[6] < 255, flag=6)
+HIGH_BIT = Validity("bit 7 = 0", lambda raw, data: raw < 0x80, mark=0xFF)
+NOT_NEGATIVE = Validity(">= 0", lambda raw, data: raw >= 0, mark=-1)
+POSITIVE = Validity("> 0", lambda raw, data: raw > 0, mark=0)
+BIT0 = Validity("bit 0 = 1", lambda raw, data: bool(raw & 1), mark=0)
+MINUTE_MS = Validity("< 60000", lambda raw, data: raw < 60000, mark=0xFFFF)
+GPS_MINUTE = Validity(">= 1000", lambda raw, data: raw >= 1000, mark=0)
+OMNISTAR_STATUS = Validity("b4 < 255", lambda raw, data: data[4] < 255, flag=4)
+INVERTED_B6 = Validity("bit 7 of b6 = 0", lambda raw, data: data[6] < 0x80, flag=6, flag_valid=0x7F)
+INVERTED_B7 = Validity("bit 7 of b7 = 0", lambda raw, data: data[7] < 0x80, flag=7, flag_valid=0x7F)
+LONG_RANGE = Validity("b6 < 150 and b7 > 0", lambda raw, data: data[6] < 150 and data[7] != 0, flag=6)
+
+
+def not_(*marks: int) -> Validity:
+    """Valid unless the number is one of the marks; the first is the one that encoders write."""
+    return Validity("not " + ", ".join(map(str, marks)), lambda raw, data: raw not in marks, mark=marks[0])
+
+
+def aged_not(*marks: int) -> Validity:
+    """As not_(), and the age in b6 must be below 150."""
+    return Validity(
+        "b6 < 150 and not " + ", ".join(map(str, marks)),
+        lambda raw, data: data[6] < 150 and raw not in marks,
+        mark=marks[0],
+    )
+
+
+BYTE = not_(0xFF)
+WORD = not_(0xFFFF)
+NIBBLE = not_(0xF)
 
 
 def _b(name: str, at: int, unit: str = "1", scale: float = 1, offset: float = 0, manual: bool = False) -> Field:

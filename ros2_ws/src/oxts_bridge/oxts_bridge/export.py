@@ -7,9 +7,10 @@ from typing import TypeAlias
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from .channel_table import INVERTED_B6
 from .channels import FIELDS
 from .derived import Settings, derive, float_seconds
-from .fields import INVERTED_B6, Value
+from .fields import Value
 from .file_decoder import EMPTY, KINDS, STATUS, TRIGGER, UNKNOWN_TIME, Columns, decode_file
 from .ncom import NcomError
 from .packet_time import WEEK_MS

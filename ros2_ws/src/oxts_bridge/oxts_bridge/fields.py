@@ -4,6 +4,7 @@ import re
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any, NamedTuple, TypeAlias
 
 from .ncom import NcomError
@@ -29,102 +30,35 @@ class Validity:
 
 
 ALWAYS = Validity("always", mark=0)
-AGE = Validity("b6 < 150", lambda raw, data: data[6] < 150, flag=6)
-ZERO = Validity("b6 = 0", lambda raw, data: data[6] == 0, flag=6)
-NOT_255 = Validity("b6 < 255", lambda raw, data: data[6] < 255, flag=6)
-HIGH_BIT = Validity("bit 7 = 0", lambda raw, data: raw < 0x80, mark=0xFF)
-NOT_NEGATIVE = Validity(">= 0", lambda raw, data: raw >= 0, mark=-1)
-POSITIVE = Validity("> 0", lambda raw, data: raw > 0, mark=0)
-BIT0 = Validity("bit 0 = 1", lambda raw, data: bool(raw & 1), mark=0)
-MINUTE_MS = Validity("< 60000", lambda raw, data: raw < 60000, mark=0xFFFF)
-GPS_MINUTE = Validity(">= 1000", lambda raw, data: raw >= 1000, mark=0)
-OMNISTAR_STATUS = Validity("b4 < 255", lambda raw, data: data[4] < 255, flag=4)
-INVERTED_B6 = Validity("bit 7 of b6 = 0", lambda raw, data: data[6] < 0x80, flag=6, flag_valid=0x7F)
-INVERTED_B7 = Validity("bit 7 of b7 = 0", lambda raw, data: data[7] < 0x80, flag=7, flag_valid=0x7F)
-LONG_RANGE = Validity("b6 < 150 and b7 > 0", lambda raw, data: data[6] < 150 and data[7] != 0, flag=6)
-
-
-def not_(*marks: int) -> Validity:
-    """Valid unless the number is one of the marks; the first is the one that encoders write."""
-    return Validity("not " + ", ".join(map(str, marks)), lambda raw, data: raw not in marks, mark=marks[0])
-
-
-def aged_not(*marks: int) -> Validity:
-    """As not_(), and the age in b6 must be below 150."""
-    return Validity(
-        "b6 < 150 and not " + ", ".join(map(str, marks)),
-        lambda raw, data: data[6] < 150 and raw not in marks,
-        mark=marks[0],
-    )
-
-
-BYTE = not_(0xFF)
-WORD = not_(0xFFFF)
-NIBBLE = not_(0xF)
 
 # The 8 bytes given to a validity rule while a value is encoded: every flag byte is "valid".
 _FLAGS_SET = bytes(6) + b"\0\x01"
-
-
-class Wire(NamedTuple):
-    """Number format in the 8 bytes: read(data) -> number; write(buffer, number), a float for f32. low..high: range."""
-
-    read: Callable[[bytes], Any]
-    write: Callable[[bytearray, Any], None]
-    low: int
-    high: int
-
-
-_INTEGERS = {"u8": (1, False), "i8": (1, True), "u16": (2, False), "i16": (2, True), "u24": (3, False),
-             "i24": (3, True), "u32": (4, False), "i32": (4, True), "u64": (8, False)}
-_STRUCTS = {1: "B", 2: "H", 4: "I", 8: "Q"}
 _F32 = struct.Struct("<f")
+_ALIASES = {"shifted": "i8", "digits6": "i24", "lo4": "bits0+4", "hi4": "bits4+4"}
 
 
-def wire(kind: str, at: int) -> Wire:
-    """Reader and writer of a number format at byte `at`.
+class Bits(NamedTuple):
+    """Place of an integer in the 8 bytes, read as one little-endian integer of 64 bits.
 
-    kind: u8..u64, i8..i32 (little-endian); lo4, hi4: half a byte; bits<first>+<count>: bits of a byte,
-    ibits<first>+<count>: of the inverted byte; shifted: i8 whose bit 0 is its validity; f32.
+    raw = ((bytes >> shift & mask ^ flip) ^ sign) - sign.  sign: weight of the sign bit, 0 for unsigned numbers.
     """
-    if kind in _INTEGERS:
-        return _integer(at, *_INTEGERS[kind])
-    if kind == "shifted":
-        return _integer(at, 1, True)
-    if kind == "f32":
-        return Wire(
-            lambda data: _F32.unpack_from(data, at)[0], lambda buffer, value: _F32.pack_into(buffer, at, value), 0, 0
-        )
-    if kind in ("lo4", "hi4"):
-        return _bits(at, 0 if kind == "lo4" else 4, 4, 0)
-    first, count = kind.partition("bits")[2].split("+")
-    return _bits(at, int(first), int(count), 0xFF if kind.startswith("ibits") else 0)
+
+    shift: int
+    mask: int
+    flip: int
+    sign: int
 
 
-def _integer(at: int, size: int, signed: bool) -> Wire:
-    end = at + size
-    everything = (1 << 8 * size) - 1
-
-    def write(buffer: bytearray, number: int) -> None:
-        buffer[at:end] = (number & everything).to_bytes(size, "little")
-
-    low, high = (-(everything + 1) // 2, everything // 2) if signed else (0, everything)
-    if size == 1 and not signed:
-        return Wire(lambda data: data[at], write, low, high)
-    if size in _STRUCTS:
-        unpack = struct.Struct(f"<{_STRUCTS[size].lower() if signed else _STRUCTS[size]}").unpack_from
-        return Wire(lambda data: unpack(data, at)[0], write, low, high)
-    return Wire(lambda data: int.from_bytes(data[at:end], "little", signed=signed), write, low, high)
-
-
-def _bits(at: int, first: int, count: int, invert: int) -> Wire:
-    mask = (1 << count) - 1
-
-    def write(buffer: bytearray, number: int) -> None:
-        bits = (number ^ invert & mask) & mask
-        buffer[at] = buffer[at] & ~(mask << first) & 0xFF | bits << first
-
-    return Wire(lambda data: (data[at] ^ invert) >> first & mask, write, 0, mask)
+def bits_of(kind: str, at: int) -> Bits:
+    """Place of a number format at byte `at`, see Field."""
+    kind = _ALIASES.get(kind, kind)
+    before, _, bits = kind.partition("bits")
+    if bits:
+        first, count = bits.split("+")
+        mask = (1 << int(count)) - 1
+        return Bits(8 * at + int(first), mask, mask if before == "i" else 0, 0)
+    width = int(kind[1:])
+    return Bits(8 * at, (1 << width) - 1, 0, 1 << width - 1 if kind[0] == "i" else 0)
 
 
 @dataclass(frozen=True)
@@ -155,9 +89,12 @@ class Field:
         if self.kind.startswith("text"):
             end = at + int(self.kind[4:])
             return lambda data: _text(data[at:end])
-        read = wire(_wire_kind(self.kind), at).read
-        if self.kind == "f32":
-            return lambda data: value if (value := read(data)) >= 0 else None  # negative = invalid; so is NaN
+        if self.kind == "f32":  # negative = invalid; so is NaN
+            return lambda data: value if (value := _F32.unpack_from(data, at)[0]) >= 0 else None
+        shift, mask, flip, sign = bits_of(self.kind, at)
+        read: Callable[[bytes], int] = itemgetter(at)  # u8, most of the fields
+        if self.kind != "u8":
+            read = lambda data: ((int.from_bytes(data, "little") >> shift & mask ^ flip) ^ sign) - sign  # noqa: E731
         if self.kind == "digits6":
             return lambda data: f"{raw:06d}" if (raw := read(data)) >= 0 else None
         if self.kind == "shifted":
@@ -177,41 +114,35 @@ class Field:
             return
         if self.kind.startswith("text"):
             size = int(self.kind[4:])
-            buffer[self.at : self.at + size] = _text_bytes(str(value or ""))[:size].ljust(size, b"\0")
+            text = re.sub(r"\\x([0-9a-f]{2})", lambda match: chr(int(match[1], 16)), str(value or ""))
+            buffer[self.at : self.at + size] = text.encode("latin-1", "replace")[:size].ljust(size, b"\0")
             return
-        write = wire(_wire_kind(self.kind), self.at).write
         if self.kind == "f32":
-            write(buffer, -1.0 if value is None else value)
-        else:
-            write(buffer, self.validity.mark if value is None else self._number(value))
+            _F32.pack_into(buffer, self.at, -1.0 if value is None else value)
+            return
+        shift, mask, flip, _ = bits_of(self.kind, self.at)
+        number = self.validity.mark if value is None else self._number(value)
+        others = int.from_bytes(buffer, "little") & ~(mask << shift)
+        buffer[:] = (others | (number & mask ^ flip) << shift).to_bytes(8, "little")
 
     def _number(self, value: float | int | str) -> int:
+        """The valid number on the wire nearest to a value."""
         plain = self.scale == 1 and not self.offset
-        line = wire(_wire_kind(self.kind), self.at)
-        if plain:
-            number = int(value)
-        else:
-            number = round(max(line.low, min(line.high, (float(value) - self.offset) / self.scale)))
+        _, mask, _, sign = bits_of(self.kind, self.at)
+        low, high = -sign, mask - sign
+        number = int(value) if plain else round(max(low, min(high, (float(value) - self.offset) / self.scale)))
         if self.kind == "shifted":
             return max(-64, min(63, number)) << 1 | 1
         accepts = self.validity.accepts or (lambda raw, data: True)
-        if line.low <= number <= line.high and accepts(number, _FLAGS_SET):
+        if low <= number <= high and accepts(number, _FLAGS_SET):
             return number
         if plain:
-            raise NcomError(f"{self.name}: {value} does not fit ({line.low} to {line.high}, {self.validity.text})")
+            raise NcomError(f"{self.name}: {value} does not fit ({low} to {high}, {self.validity.text})")
         while not accepts(number, _FLAGS_SET):
             number += 1 if number <= 0 else -1
         return number
 
 
-def _wire_kind(kind: str) -> str:
-    return "i24" if kind == "digits6" else kind
-
-
 def _text(data: bytes) -> str | None:
     """Text up to the first zero byte; unprintable bytes are written as \\xNN so that a CSV row stays one line."""
     return "".join(chr(c) if 32 <= c < 127 else f"\\x{c:02x}" for c in data.split(b"\0")[0]) or None
-
-
-def _text_bytes(text: str) -> bytes:
-    return re.sub(r"\\x([0-9a-f]{2})", lambda match: chr(int(match[1], 16)), text).encode("latin-1", "replace")
