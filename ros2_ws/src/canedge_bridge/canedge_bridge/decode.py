@@ -17,10 +17,10 @@ from .ins_time import to_parts, with_unix_time
 from .signals import ANGLES, MessageSpec, SignalSpec, SignalTable, load_table
 from .table_reader import TableError
 
-# Frames that are judged together, one second of a 100 Hz signal, and implausible ones tolerated among them: single
-# disturbed frames do not invalidate a signal.
-_WINDOW = 100
-_TOLERATED = 10
+# A signal with more than TOLERATED implausible values among the last WINDOW frames (one second at 100 Hz) is withheld
+# until TOLERATED plausible ones came in a row: the plausible values of a wrong DBC are isolated.
+WINDOW = 100
+TOLERATED = 10
 
 
 @dataclass(frozen=True)
@@ -72,32 +72,41 @@ class Plausibility:
         self._spec = spec
         self._period = period
         self._remember_ns = int(timeout * 1e9)
-        self._last: tuple[int, float] | None = None
-        self._recent: deque[bool] = deque(maxlen=_WINDOW)
+        self._previous: tuple[int, float] | None = None  # of the frame before, None if it was out of range
+        self._accepted: tuple[int, float] | None = None
+        self._recent: deque[bool] = deque(maxlen=WINDOW)
+        self._accepted_in_a_row = 0
         self.implausible = 0
 
     def accepts(self, si: float, time_ns: int) -> bool:
-        """Whether this value [SI] is possible. A jump is judged against the value before it, possible or not."""
+        """Whether this value [SI] is in range and within the reach of the value before it or of the last accepted one.
+
+        A single outlier so costs itself only, and a true step one frame. Values out of range are no reference.
+        """
         value = si / self._spec.factor
-        possible = self._spec.minimum <= value <= self._spec.maximum and self._reachable(value, time_ns)
-        self._last = (time_ns, value)
+        in_range = self._spec.minimum <= value <= self._spec.maximum
+        possible = in_range and self._reachable(value, time_ns)
+        self._previous = (time_ns, value) if in_range else None
+        if possible:
+            self._accepted = self._previous
+        self._accepted_in_a_row = self._accepted_in_a_row + 1 if possible else 0
         self._recent.append(possible)
         self.implausible += not possible
         return possible
 
     def _reachable(self, value: float, time_ns: int) -> bool:
-        if self._last is None or not 0 < time_ns - self._last[0] <= self._remember_ns:
-            return True
+        references = [one for one in (self._previous, self._accepted)
+                      if one is not None and 0 < time_ns - one[0] <= self._remember_ns]
         # Frames can arrive closer together than they were sent: no shorter than the period counts.
-        elapsed = max((time_ns - self._last[0]) * 1e-9, self._period)
-        reach = self._spec.max_rate * elapsed
-        return abs(value - self._last[1]) <= reach
+        return not references or any(
+            abs(value - last) <= self._spec.max_rate * max((time_ns - last_ns) * 1e-9, self._period)
+            for last_ns, last in references)
 
     @property
     def implausible_signal(self) -> str:
         """Reason why the signal is withheld at present, empty if it is plausible; good frames end it."""
         bad = self._recent.count(False)
-        if bad <= _TOLERATED:
+        if bad <= TOLERATED or self._accepted_in_a_row >= TOLERATED:
             return ""
         spec = self._spec
         return (f"{spec.dbc.name} decodes to implausible values: {bad} of the last {len(self._recent)} frames are "

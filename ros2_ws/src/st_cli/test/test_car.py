@@ -8,7 +8,7 @@ from st_cli.cli import app
 from st_cli.verbs._options import LEAF, report_default_car, resolve_car
 from st_core.vehicle import VehicleParameters
 from st_recordings.car import car_named, names
-from st_recordings.car_skeleton import HINTS, problems, write_skeleton
+from st_recordings.car_skeleton import HINTS, problems, remarks, write_skeleton
 from st_recordings.paths import config
 from st_recordings.runs.errors import RunError
 from typer.main import get_command
@@ -86,6 +86,15 @@ def test_every_verb_that_decodes_steering_means_the_same_by_the_same_options(nam
         assert (ours.help, ours.default) == (theirs.help, None), option
     refused = CliRunner().invoke(app, [name, *([] if name == "live" else [str(LEAF)]), "--steering-sign", "2"])
     assert refused.exit_code == 2 and "2 is neither 1 nor -1" in refused.output
+
+
+def test_a_speed_that_the_table_does_not_use_is_pointed_out(folder):
+    assert not any("vehicle_speed" in line for line in remarks(str(folder)))
+    table = folder / "signals.yaml"
+    head, _, rest = table.read_text().partition("  Leaf_WheelSpeedFront:")
+    table.write_text(head + rest[rest.index("  # The INS on CAN"):])
+    (line,) = [line for line in remarks(str(folder)) if "vehicle_speed" in line]
+    assert "can.dbc has " in line and "Leaf_WheelSpeedFront.WheelSpeedFR" in line and "RT_" not in line
 
 
 @pytest.mark.parametrize("name", ["align", "calibrate", "check", "discover", "effects", "evaluate", "export",

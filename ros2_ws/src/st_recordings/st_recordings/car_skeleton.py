@@ -23,6 +23,8 @@ from st_core.vehicle import (
 from .car import Car, car_named, read_table, read_vehicle
 from .paths import config
 from .runs.errors import RunError
+from .runs.extras import SPEEDS as SPEEDS_ON_CAN
+from .runs.units import unit_named
 
 FILL_IN = "FILL_IN"
 """Placeholder of what only the owner of the car can state; no reader of these files accepts it as a value."""
@@ -58,6 +60,15 @@ messages:
       # unit: as in the DBC, or the true one where the DBC gives none. Leave sign at 1: the sign of the sensor is
       # steering_sign in car.yaml. sign_signal: NAME of the signal that is 1 for negative, if size and sign are apart.
       FILL_IN_signal: {name: steering_wheel_angle, unit: deg, sign: 1, range: [-900, 900], max_rate: 2000}
+
+  # The speed of the car or of its wheels (vehicle_speed, wheel_speed_rear_left, ...), if the bus carries it: the clocks
+  # of INS and CAN log are aligned by it where no INS frames are on the bus, and `st check` compares it with the INS.
+  # NAME_OF_MESSAGE:
+  #   needed: false
+  #   period: {value: 0.02, unit: s}
+  #   timeout: {value: 0.2, unit: s}
+  #   signals:
+  #     NAME_OF_SIGNAL: {name: vehicle_speed, unit: km/h, sign: 1}
 
 """
 DBC = """\
@@ -124,9 +135,11 @@ def problems(folder: str) -> list[str]:
 
 def remarks(folder: str) -> list[str]:
     """Lines on a car without mistakes: what is unusual for a road car, and the uncertainties in force."""
-    file = car_named(folder).vehicle
+    car = car_named(folder)
+    file = car.vehicle
     vehicle = read_vehicle(file)
     notes = [f"{file}: unusual: {text}" for text in objections(vehicle)]
+    notes += _unused_speeds(car)
     return [*notes, "uncertainty of each quantity, one standard deviation (st discover keeps the value near it):",
             *(f"  {line}" for line in uncertainties(vehicle))]
 
@@ -192,6 +205,21 @@ def _bus_problems(car: Car) -> list[str]:
         return [f"{car.signals}: messages: no signal of {car.dbc.name} is named steering_wheel_angle, which every "
                 "prediction needs"]
     return []
+
+
+def _unused_speeds(car: Car) -> list[str]:
+    """A line on the speed signals of the DBC, where the table names none."""
+    if not car.signals.exists():
+        return []
+    table = load_table(car.dbc, car.signals)
+    if {signal.name for one in table.messages.values() for signal in one.signals} & {*SPEEDS_ON_CAN}:
+        return []
+    found = [f"{message.name}.{signal.name}" for message in table.database.messages for signal in message.signals
+             if "speed" in signal.name.lower() and unit_named("speed", signal.unit or "") and
+             not message.name.startswith("RT_")]
+    return [f"{car.signals}: no speed signal is in it, and {car.dbc.name} has {', '.join(found[:4])}: name one "
+            "vehicle_speed (or wheel_speed_rear_left, ...); it aligns the clocks of INS and CAN log better than the "
+            "steering"] if found else []
 
 
 def _places(document: Any, top: str = "") -> Iterator[str]:

@@ -46,10 +46,25 @@ def test_equal_to_the_live_decoder(frames: Frames, damage: float) -> None:
     signals = decode_signals(log, load_signal_table(DBC, TABLE)).signals
     assert signals.keys() == expected.keys()
     for key, signal in signals.items():
-        times, values, valid = zip(*expected[key], strict=True)
-        assert signal.time_ns.tolist() == list(times), key
-        assert signal.valid.tolist() == list(valid), key
-        np.testing.assert_allclose(signal.values, values, rtol=1e-12, atol=1e-12)
+        times, values, valid = map(np.array, zip(*expected[key], strict=True))
+        # The first frames behind a stretch of implausible ones: only a whole log shows that they are good.
+        both = np.isin(signal.time_ns, times)
+        assert both.sum() == len(times) and (~both).sum() <= (0.05 * len(both) if damage > 0.1 else 0), key
+        assert signal.valid[both].tolist() == valid.tolist(), key
+        np.testing.assert_allclose(signal.values[both], values, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("bad", [[1000.0] * 100, [500.0], [-700.0, 700.0] * 20])
+def test_only_implausible_frames_are_left_out(bad: list[float]) -> None:
+    table, encoder = load_signal_table(DBC, TABLE), Decoder(DBC, TABLE)
+    angles = np.radians(np.concatenate([np.linspace(0, 50, 150), bad, np.linspace(55, 60, 150)]))
+    rows = [encoder.encode("Leaf_Steering", {"steering_wheel_angle": angle}, k % 16) for k, angle in enumerate(angles)]
+    n = len(rows)
+    log = Frames(np.arange(n) * 10**7, np.full(n, 2, np.uint32),
+                 np.stack([np.frombuffer(bytes(r.data).ljust(8, b"\0"), np.uint8) for r in rows]),
+                 np.full(n, 5, np.uint8), np.zeros(n, np.uint8), np.zeros(n, np.uint8))
+    steering = decode_signals(log, table).first_of("steering_wheel_angle")
+    assert np.abs(steering.values).max() < np.radians(61) and len(steering.values) >= 299
 
 
 def test_time_frames_become_utc() -> None:

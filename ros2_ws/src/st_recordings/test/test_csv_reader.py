@@ -66,8 +66,9 @@ def test_semicolons_and_other_column_orders(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("lines", "message"),
     [
-        ([""], "the header has no column"),
-        (["t,x,y,yaw", "0,0,0,0"], "the header has no column for velocity_x, .*road_wheel_angle; it has t, x, y, yaw"),
+        ([""], "no column of the header is known as t, x"),
+        (["t,x,y,yaw", "0,0,0,0"],
+         "no column of the header is known as velocity_x, .*; it has t, x, y, yaw; .*columns: {velocity_x: NAME"),
         ([HEADER], "fewer than two usable rows"),
         ([HEADER, *rows(3), *["1,2,3"] * 7, *rows(3)], "a row cannot be read"),
         ([HEADER, *rows(1), *["a,b,c,d,e,f,g,h,i,j"] * 3], "fewer than two usable rows"),

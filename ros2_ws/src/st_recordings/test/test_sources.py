@@ -7,6 +7,7 @@ from canedge_bridge import extraction
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import ReadSettings, RunSource, find_runs, frames, raw, read
 from st_recordings.runs.errors import RunError
+from st_recordings.runs.pairs import read_pair
 from support import ROOT
 
 DRIVE = "t,x,y,yaw,vx,vy,yaw_rate,delta\n" + "".join(f"{0.02 * k:.2f},0,0,0,5,0,0,0\n" for k in range(50))
@@ -97,6 +98,32 @@ def test_paths_that_are_no_run(tmp_path: Path, path: str, message: str) -> None:
     (run,) = find_runs([tmp_path / path])
     with pytest.raises(RunError, match=message):
         read(run)
+
+
+FOREIGN = "Zeit,Rechts,Hoch,Kurs,Tempo,Quer,Drehrate\n" + "".join(f"{0.02 * k:.2f},{k},0,0,5,0,0\n" for k in range(50))
+FRAMES = "".join(f"({k / 100:.6f}) can0 002#1D000007B0\n" for k in range(100))
+
+
+def test_a_table_with_foreign_columns_and_its_can_log_are_a_run(tmp_path: Path) -> None:
+    files = [*touch(tmp_path, "a.csv", content=FOREIGN), *touch(tmp_path, "a.log", content=FRAMES)]
+    leaf = VehicleParameters.from_yaml((ROOT / "config/vehicle/leaf.yaml").read_text(), "leaf.yaml")
+    for given in ([tmp_path], files):
+        (run,) = find_runs(given)
+        assert (run.kind, run.files, run.can) == ("csv", (files[0],), (files[1],))
+        with pytest.raises(RunError, match=r"known as t, x, .*; it has Zeit, .*a\.run\.yaml .*can: .*columns: {t:"):
+            read(run, leaf)
+    touch(tmp_path, "b.log", content=FRAMES)
+    alone = find_runs([tmp_path / "b.log"])
+    assert "name columns that are not recognised in a.csv, as columns:" in str(alone[0].problem)
+
+
+def test_alignment_uses_the_columns_of_the_run_file(tmp_path: Path) -> None:
+    touch(tmp_path, "a.csv", content=FOREIGN)
+    touch(tmp_path, "a.log", content=FRAMES)
+    file, = touch(tmp_path, "a.run.yaml", content="csv: a.csv\ncan: [a.log]\ncolumns: {t: Zeit, velocity_x: Tempo, "
+                  "yaw_rate: Drehrate}\noffset: 0.5\n")
+    pair = read_pair([file], ReadSettings())
+    assert pair.motion.velocity_x.tolist() == [5.0] * 50 and pair.alignment.offset_ns == 500_000_000
 
 
 def test_same_names_are_told_apart_by_their_folders(tmp_path: Path) -> None:

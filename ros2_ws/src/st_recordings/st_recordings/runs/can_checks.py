@@ -4,9 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 from canedge_bridge.checks import RULES, Field, Mode, checksum_of
+from canedge_bridge.decode import TOLERATED, WINDOW
 from canedge_bridge.signals import CheckSpec, MessageSpec, SignalSpec
-
-WINDOW, TOLERATED = 100, 10  # frames, impossible ones among them: as canedge_bridge.checks judges a signal
 
 
 def check_frames(spec: MessageSpec, payload: np.ndarray, time_ns: np.ndarray,
@@ -39,16 +38,38 @@ def check_frames(spec: MessageSpec, payload: np.ndarray, time_ns: np.ndarray,
 
 
 def plausible(signal: SignalSpec, spec: MessageSpec, time_ns: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Per frame: in range, not faster than anything can move, and not among too many that are not (Plausibility)."""
+    """Per frame: in range, within reach, and not isolated among implausible ones (canedge_bridge.decode.Plausibility).
+
+    Unlike the live decoder this knows the frames that follow: the first ones after a bad stretch are used too.
+    """
     physical = values / signal.factor
-    elapsed_ns = np.diff(time_ns, prepend=time_ns[:1])
-    reach = signal.max_rate * np.maximum(elapsed_ns * 1e-9, spec.period)
-    judged = (elapsed_ns > 0) & (elapsed_ns <= int(spec.timeout * 1e9))
-    jumped = judged & (np.abs(np.diff(physical, prepend=physical[:1])) > reach)
-    possible = (physical >= signal.minimum) & (physical <= signal.maximum) & ~jumped
+    in_range = (physical >= signal.minimum) & (physical <= signal.maximum)
+
+    def within_reach(frame: np.ndarray | int, reference: np.ndarray | int) -> tuple[np.ndarray, np.ndarray]:
+        """(whether the two frames are comparable, and then within the limit of the rate)."""
+        elapsed_ns = time_ns[frame] - time_ns[reference]
+        comparable = (elapsed_ns > 0) & (elapsed_ns <= int(spec.timeout * 1e9))
+        reach = signal.max_rate * np.maximum(elapsed_ns * 1e-9, spec.period)
+        return comparable, comparable & (np.abs(physical[frame] - physical[reference]) <= reach)
+
+    frames = np.arange(len(values))
+    comparable, reached = within_reach(frames, np.maximum(frames - 1, 0))
+    comparable[1:] &= in_range[:-1]
+    reached[1:] &= in_range[:-1]
+    possible = in_range & reached
+    earlier = np.maximum.accumulate(np.where(possible, frames, -1))
+    accepted = -1
+    for frame in np.flatnonzero(in_range & ~reached).tolist():  # jumps, and frames without a usable one before them
+        last = max(accepted, int(earlier[frame]))
+        known, close = within_reach(frame, last) if last >= 0 else (False, False)
+        if close or not (known or comparable[frame]):
+            possible[frame], accepted = True, frame
     bad = np.concatenate(([0], np.cumsum(~possible)))
-    recent = bad[1:] - bad[np.maximum(np.arange(len(values)) + 1 - WINDOW, 0)]
-    return possible & (recent <= TOLERATED)
+    recent = bad[1:] - bad[np.maximum(frames + 1 - WINDOW, 0)]
+    _, run, lengths = np.unique(bad[1:][possible], return_inverse=True, return_counts=True)
+    isolated = np.zeros(len(values), dtype=bool)
+    isolated[possible] = lengths[run] < TOLERATED
+    return possible & ~((recent > TOLERATED) & isolated)
 
 
 def checksum_matches(check: CheckSpec, payload: np.ndarray, arbitration_id: int) -> np.ndarray:

@@ -20,7 +20,8 @@ from .ncom import enu
 
 MOTION = ("velocity_x", "yaw_rate")
 ROAD, WHEEL, COMPASS = "road_wheel_angle", "steering_wheel_angle", "compass_heading"
-ADVICE = "name the columns as in docs/csv_columns.md, or say in a run.yaml which they are, as columns: {%s: NAME}"
+ADVICE = ("name the columns as in docs/csv_columns.md, or write a {stem}.run.yaml with the lines `csv: {name}`{can} "
+          "and `columns: {{{channel}: NAME, ...}}`")
 HELD_SHARE = 0.3
 """Of the rows in which the car moves by several steps of the position's resolution and the position stays the same:
 with more, the position is slower than the rows."""
@@ -98,7 +99,7 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
 
 def ins_of(table: Table) -> InsLog:
     """The INS part of a table, for a run with its steering in a CAN log. Raises RunError."""
-    _check_columns(table, INS_SIGNALS)
+    _check_columns(table, INS_SIGNALS, ", `can: [CAN LOGS]`")
     notes = list(table.warnings)
     columns = _with_derived(table, notes)
     rows = table.used & known(columns, INS_SIGNALS)
@@ -110,10 +111,10 @@ def ins_of(table: Table) -> InsLog:
     return planar(table.file, table.time_ns[rows], values, tuple(notes), table.absolute)
 
 
-def read_motion(file: Path) -> tuple[Motion, tuple[str, ...]]:
+def read_motion(file: Path, layout: Layout | None = None) -> tuple[Motion, tuple[str, ...]]:
     """An INS log with at least time, forward velocity and yaw rate. Raises RunError."""
-    table = read_table(file, Layout())
-    _check_columns(table, MOTION)
+    table = read_table(file, layout or Layout())
+    _check_columns(table, MOTION, ", `can: [CAN LOGS]`")
     notes = list(table.warnings)
     columns = dict(table.columns)
     if "yaw" not in columns and COMPASS in columns:
@@ -151,11 +152,13 @@ def _lacking(places: Iterable[str], names: Iterable[str], needed: Iterable[str])
     return [name for name in needed if name not in found]
 
 
-def _check_columns(table: Table, needed: tuple[str, ...]) -> None:
+def _check_columns(table: Table, needed: tuple[str, ...], can: str = "") -> None:
+    """can: line of a run.yaml with the CAN logs that belong to the table."""
     missing = _lacking(table.places, table.names, ("t", *needed))
     if missing:
-        raise RunError(table.file, f"the header has no column for {', '.join(missing)}; it has "
-                       f"{', '.join(table.names)[:200]}", ADVICE % missing[0])
+        raise RunError(table.file, f"no column of the header is known as {', '.join(missing)}; it has "
+                       f"{', '.join(table.names)[:200]}",
+                       ADVICE.format(stem=table.file.stem, name=table.file.name, can=can, channel=missing[0]))
     doubtful = doubtful_steering(table.names)
     if ROAD in needed and ROAD not in table.places and WHEEL not in table.places:
         raise RunError(table.file, f"column {doubtful} may be of the steering wheel or of the road wheels",

@@ -42,7 +42,7 @@ def read_pair(files: Sequence[Path], settings: ReadSettings) -> Pair:
     """
     source = _source(files)
     if source.kind == "csv":
-        motion, warnings = csv.read_motion(source.where)
+        motion, warnings = csv.read_motion(source.where, source.settings.get("layout"))
     else:
         read_ins = READERS[source.kind].read_ins
         assert read_ins is not None  # only such kinds have CAN logs beside them

@@ -78,7 +78,8 @@ def _in_folder(folder: Path) -> list[RunSource]:
         reader = reader_of(path)
         if path in taken and not path.is_dir():
             continue
-        if reader is None or reader.needs_can or reader.holds_drive(path) or reader.is_ins_only(path):
+        if reader is None or reader.needs_can or reader.holds_drive(path) or reader.is_ins_only(path) or (
+                reader.kind == "csv" and any(map(is_can_log, _logs_of(path, files)))):
             loose.append(path)
     return runs + _from_files(loose, given=False)
 
@@ -100,10 +101,12 @@ def _from_files(files: Sequence[Path], given: bool) -> list[RunSource]:
         readers = {f: reader for f, reader in readers.items() if f not in group}
     rest = []
     for file, reader in readers.items():
-        if not reader.needs_can and not (logs and reader.is_ins_only(file)):
+        same = _logs_of(file, logs)
+        # A table with a CAN log of the same name and columns that are not recognised is an INS recording as well.
+        if not reader.needs_can and not (logs and reader.is_ins_only(file)) and (
+                reader.kind != "csv" or not same or reader.holds_drive(file)):
             runs.append(_alone(file, reader))
             continue
-        same = [f for f in logs if f.stem == file.stem and f.parent == file.parent]
         if given and not same and not logs and reader.needs_can:
             same = [f for f in sorted(file.parent.iterdir())
                     if f.stem == file.stem and f.suffix.lower() in CAN_EXTENSIONS]
@@ -128,8 +131,16 @@ def _unmatched(rest: Sequence[Path], readers: dict[Path, Reader], logs: Sequence
                                      "give them the same name, or list the files of each run in a run.yaml"))
     for session in dict.fromkeys(session_of(f)[0] for f in logs) if not rest else ():
         file = next(f for f in logs if session_of(f)[0] == session)
-        yield _failed(file, RunError(file, "there is no INS recording (.ncom, CSV, bag) for this CAN log",
-                                     "give both, or list the files of the run in a run.yaml"))
+        tables = [f.name for f in sorted(file.parent.iterdir()) if f.suffix.lower() == ".csv"]
+        advice = "give both, or list the files of the run in a run.yaml"
+        if tables:
+            advice += f"; it can name columns that are not recognised in {tables[0]}, as columns: {{x: NAME, ...}}"
+        yield _failed(file, RunError(file, "there is no INS recording (.ncom, CSV, bag) for this CAN log", advice))
+
+
+def _logs_of(file: Path, files: Sequence[Path]) -> list[Path]:
+    """CAN logs with the stem of a recording in its folder."""
+    return [f for f in files if f.stem == file.stem and f.parent == file.parent and f.suffix.lower() in CAN_EXTENSIONS]
 
 
 def _splits(files: Sequence[Path]) -> list[list[Path]]:
