@@ -2,7 +2,7 @@
 stream packet by packet, of a whole file in columns.
 
 GPS time counts from 1980-01-06T00:00:00 without leap seconds: gps = minutes * 60 s + ms.  UTC = gps - leap seconds.
-Source: ncom.md section 5. Checked by: test_gps_time.py, tests/golden/test_ncom_vectors.py.
+Source: ncom.md section 5. Checked by: test_packet_time.py, tests/golden/test_ncom_vectors.py.
 """
 
 from collections.abc import Callable, Sequence
@@ -168,71 +168,40 @@ def packet_times(
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """GPS time [ms] (-1 unknown) and order of each timed packet of a file, and the number of time jumps.
 
-    Runs without an event are computed in columns, events by GpsClock.
+    A file without late packets whose sent minutes agree with the count is computed in columns, any other by GpsClock.
 
     ms, minutes: of each timed packet, minutes -1 where it has no channel 0. index: its packet number. hints: (packet
     number, minute) of status-only packets. equal(i, j): whether the bytes of timed packets i and j are the same.
     """
-    count = len(ms)
-    times = np.full(count, -1, np.int64)
-    order = np.full(count, NEW, np.int8)
-    clock = GpsClock()
-    events = _Events(ms, minutes)
-    waiting = list(hints)
-    k = 0
-    while k < count:
-        while waiting and waiting[0][0] < index[k]:
-            clock.hint(int(waiting.pop(0)[1]))
-        time, order[k] = clock.step(int(ms[k]), None if minutes[k] < 0 else int(minutes[k]))
-        times[k] = -1 if time is None else time
-        k += 1
-        minute = clock.minute
-        if minute is None or not clock.settled:
-            continue
-        end = events.next(k, minute)
-        if end > k:
-            run = slice(k, end)
-            times[run] = (minute + events.turns[run] - events.turns[k - 1]) * MINUTE_MS + ms[run]
-            order[run][events.ahead[run] == 0] = SAME
-            clock.jumps += int((events.ahead[run] * 1_000_000 > LARGEST_STEP_NS).sum())
-            clock.minute, clock.milliseconds = int(times[end - 1] // MINUTE_MS), int(ms[end - 1])
-            k = end
-            # Hints inside the run have no effect: the minute was known.
-            waiting = [hint for hint in waiting if hint[0] > index[k - 1]]
+    ahead = np.diff(ms, prepend=ms[:1]) % MINUTE_MS
+    turns = np.cumsum(np.diff(ms, prepend=ms[:1]) < 0)
+    early = [minute for number, minute in hints if len(ms) and number < index[0]]
+    sent = np.flatnonzero(minutes >= 0)
+    base = np.array([*early[:1], *(minutes[sent] - turns[sent])])
+    if len(base) and len(early) == len(hints) and ahead.max() < HALF_MINUTE_MS and (base == base[0]).all():
+        first_known = 0 if early else sent[0]
+        times = np.where(np.arange(len(ms)) < first_known, -1, (base[0] + turns) * MINUTE_MS + ms)
+        order = np.where(ahead > 0, NEW, SAME).astype(np.int8)
+        order[0] = NEW
+        jumps = int((ahead * 1_000_000 > LARGEST_STEP_NS).sum())
+    else:
+        times, order, jumps = _step_by_step(ms, minutes, index, list(hints))
     for i in np.flatnonzero(order == SAME).tolist():
         if equal(i, i - 1):
             order[i] = DUPLICATE
+    return times, order, jumps
+
+
+def _step_by_step(
+    ms: np.ndarray, minutes: np.ndarray, index: np.ndarray, hints: list[tuple[int, int]]
+) -> tuple[np.ndarray, np.ndarray, int]:
+    clock, times, order = GpsClock(), np.full(len(ms), -1, np.int64), np.full(len(ms), NEW, np.int8)
+    for k, (packet, milliseconds, minute) in enumerate(zip(index.tolist(), ms.tolist(), minutes.tolist(), strict=True)):
+        while hints and hints[0][0] < packet:
+            clock.hint(hints.pop(0)[1])
+        time, order[k] = clock.step(milliseconds, None if minute < 0 else minute)
+        times[k] = -1 if time is None else time
     return times, order, clock.jumps
-
-
-class _Events:
-    """Packets at which counting (add a minute when ms wraps) is not enough: late ones and a differing minute."""
-
-    def __init__(self, ms: np.ndarray, minutes: np.ndarray):
-        self.ahead = np.diff(ms, prepend=ms[:1]) % MINUTE_MS
-        wrapped = np.diff(ms, prepend=ms[:1]) < 0
-        self.turns = np.cumsum(wrapped & (self.ahead < HALF_MINUTE_MS))
-        self._late = np.flatnonzero(self.ahead >= HALF_MINUTE_MS)
-        self._sent = np.flatnonzero(minutes >= 0)
-        # A sent minute agrees with the count as long as minute - turns stays the same.
-        self._base = minutes[self._sent] - self.turns[self._sent]
-        self._changes = np.flatnonzero(np.diff(self._base)) + 1
-        self._count = len(ms)
-
-    def next(self, k: int, minute: int) -> int:
-        """First packet from k on that is late or carries a different minute, given the minute of packet k - 1; the
-        number of packets if there is none."""
-        end = self._at(self._late, int(np.searchsorted(self._late, k)))
-        j = int(np.searchsorted(self._sent, k))
-        if j == len(self._sent):
-            return end
-        if self._base[j] != minute - self.turns[k - 1]:
-            return min(end, int(self._sent[j]))
-        change = np.searchsorted(self._changes, j, side="right")
-        return min(end, int(self._sent[self._changes[change]]) if change < len(self._changes) else end)
-
-    def _at(self, positions: np.ndarray, i: int) -> int:
-        return int(positions[i]) if i < len(positions) else self._count
 
 
 def utc_times(gps_ns: np.ndarray, unknown: int, where: np.ndarray, offsets: np.ndarray) -> np.ndarray:
