@@ -62,15 +62,15 @@ class Publishers:
     def __init__(self, node: Node, settings: SimpleNamespace):
         self._node, self._settings = node, settings
         self._publishers: list[Publisher] = []
-        self._out = {name: self._on_demand(name, type_) for name, type_ in TYPES.items()}
+        self._out = {
+            name: OnDemandPublisher(self._create(type_, f"ins/{name}", QOS) if name in settings.topics else None)
+            for name, type_ in TYPES.items()
+        }
         self._status = self._create(InsStatus, "ins/status", LATCHED) if "status" in settings.topics else None
         self._origin = self._create(NavSatFix, "ins/origin", LATCHED) if "origin" in settings.topics else None
         self._tf = OnDemandPublisher(self._create(TFMessage, "/tf", TF_QOS) if settings.publish_tf else None)
         self._tf_static = self._create(TFMessage, "/tf_static", LATCHED) if settings.publish_tf else None
         self._clock = self._create(Clock, "/clock", 10) if settings.publish_clock else None
-        self._make_messages(settings)
-
-    def _make_messages(self, settings: SimpleNamespace) -> None:
         frame = settings.ins_frame
         self._odometry = Odometry(header=Header(frame_id=settings.map_frame), child_frame_id=frame)
         self._velocity = TwistWithCovarianceStamped(header=Header(frame_id=frame))
@@ -96,9 +96,6 @@ class Publishers:
         self._publishers.append(publisher)
         return publisher
 
-    def _on_demand(self, name: str, type_: type) -> OnDemandPublisher:
-        return OnDemandPublisher(self._create(type_, f"ins/{name}", QOS) if name in self._settings.topics else None)
-
     def destroy(self) -> None:
         for publisher in self._publishers:
             self._node.destroy_publisher(publisher)
@@ -120,26 +117,29 @@ class Publishers:
             self._out["time_reference"].publish(message)
 
     def motion(self, stamp_ns: int, motion: Motion, position: Vector | None, accuracy: Accuracy, now: float) -> None:
-        """Odometry, transform and velocity; position: ENU in the map frame [m], None until there is an origin."""
+        """Odometry (pose of the INS point in the map frame, ENU; twist in its own axes, FLU), the transform odom to
+        base, and velocity; position: ENU in the map frame [m], None until there is an origin."""
         if position is not None:
             if self._out["odometry"].has_subscribers(now):
-                _fill_odometry(self._odometry, stamp_ns, position, motion, accuracy)
-                self._out["odometry"].publish(self._odometry)
+                message = self._odometry
+                set_stamp(message.header, stamp_ns)
+                _set_pose(message.pose.pose, position, motion)
+                _set_twist(message.twist.twist, motion)
+                _set_diagonal(message.pose.covariance, 7, accuracy.position_variances or (UNKNOWN_VARIANCE,) * 3)
+                _set_block(message.pose.covariance, 21, _orientation_covariance(motion, accuracy) or _UNKNOWN_BLOCK)
+                _set_block(message.twist.covariance, 0, _velocity_covariance(motion, accuracy))
+                self._out["odometry"].publish(message)
             if self._tf.has_subscribers(now):
-                self._tf.publish(self._moving_transform(stamp_ns, position, motion))
+                x, y, z = motion.attitude.to_enu(self._ins_to_base)
+                set_stamp(self._transform.header, stamp_ns)
+                _set_vector(self._transform.transform.translation, (position[0] + x, position[1] + y, position[2] + z))
+                _set_quaternion(self._transform.transform.rotation, motion.attitude.quaternion())
+                self._tf.publish(self._transforms)
         if self._out["velocity"].has_subscribers(now):
             set_stamp(self._velocity.header, stamp_ns)
-            _fill_twist(self._velocity.twist.twist, motion)
+            _set_twist(self._velocity.twist.twist, motion)
             _set_block(self._velocity.twist.covariance, 0, _velocity_covariance(motion, accuracy))
             self._out["velocity"].publish(self._velocity)
-
-    def _moving_transform(self, stamp_ns: int, position: Vector, motion: Motion) -> TFMessage:
-        """odom -> base_link."""
-        set_stamp(self._transform.header, stamp_ns)
-        x, y, z = motion.attitude.to_enu(self._ins_to_base)
-        _set_vector(self._transform.transform.translation, (position[0] + x, position[1] + y, position[2] + z))
-        _set_quaternion(self._transform.transform.rotation, motion.attitude.quaternion())
-        return self._transforms
 
     def fix(self, stamp_ns: int, motion: Motion, accuracy: Accuracy, status: StatusTracker, now: float) -> None:
         """sensor_msgs/NavSatFix; its altitude is above the ellipsoid, NaN while the geoid undulation is unknown."""
@@ -150,20 +150,36 @@ class Publishers:
             height = motion.altitude
         else:
             height = nan if undulation is None else ellipsoidal_height(motion.altitude, undulation)
-        _fill_fix(self._fix, stamp_ns, motion, height, accuracy)
-        self._fix.status.status = fix_status(status.get("GpsPosMode"))
-        self._out["nav_sat_fix"].publish(self._fix)
+        message, variances = self._fix, accuracy.position_variances
+        set_stamp(message.header, stamp_ns)
+        message.latitude, message.longitude = degrees(motion.latitude), degrees(motion.longitude)
+        message.altitude = height
+        message.status.status = fix_status(status.get("GpsPosMode"))
+        _set_diagonal(message.position_covariance, 4, variances or (0.0,) * 3)
+        message.position_covariance_type = (
+            NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN if variances else NavSatFix.COVARIANCE_TYPE_UNKNOWN)
+        self._out["nav_sat_fix"].publish(message)
 
     def imu(self, stamp_ns: int, received: Received, motion: Motion | None, accuracy: Accuracy, now: float) -> None:
-        """sensor_msgs/Imu; motion: None while there is no valid attitude."""
-        packet = received.packet
+        """sensor_msgs/Imu; motion: None without a valid attitude.
+
+        Orientation covariance by the convention of sensor_msgs: zeros = unknown, -1 in the first element = no
+        orientation.
+        """
+        packet, covariance = received.packet, self._imu.orientation_covariance
         finite = isfinite(sum(packet.acceleration) + sum(packet.angular_rate))
         if not finite or not self._out["imu"].has_subscribers(now):
             return
         set_stamp(self._imu.header, stamp_ns)
         _set_vector(self._imu.angular_velocity, flu_from_frd(packet.angular_rate))
         _set_vector(self._imu.linear_acceleration, flu_from_frd(packet.acceleration))
-        _fill_orientation(self._imu, motion, accuracy)
+        if motion is None:
+            _set_quaternion(self._imu.orientation, (0.0, 0.0, 0.0, 1.0))
+            covariance[:] = 0.0
+            covariance[0] = -1.0
+        else:
+            _set_quaternion(self._imu.orientation, motion.attitude.quaternion())
+            covariance[:] = _orientation_covariance(motion, accuracy) or 0.0
         self._out["imu"].publish(self._imu)
 
     def trigger(self, message: Trigger) -> None:
@@ -222,23 +238,18 @@ def _set_block(covariance: Any, at: int, block: tuple[float, ...]) -> None:
     covariance[at + 12], covariance[at + 13], covariance[at + 14] = block[6:9]
 
 
-def _fill_twist(twist: Any, motion: Motion) -> None:
+def _set_diagonal(covariance: Any, step: int, variances: Vector) -> None:
+    covariance[0], covariance[step], covariance[2 * step] = variances
+
+
+def _set_pose(pose: Any, position: Vector, motion: Motion) -> None:
+    _set_vector(pose.position, position)
+    _set_quaternion(pose.orientation, motion.attitude.quaternion())
+
+
+def _set_twist(twist: Any, motion: Motion) -> None:
     _set_vector(twist.linear, motion.body_velocity)
     _set_vector(twist.angular, motion.angular_velocity)
-
-
-def _fill_odometry(message: Odometry, stamp_ns: int, position: Vector, motion: Motion, accuracy: Accuracy) -> None:
-    """Pose of the INS point in the map frame (ENU), twist in its own axes (FLU)."""
-    set_stamp(message.header, stamp_ns)
-    _set_vector(message.pose.pose.position, position)
-    _set_quaternion(message.pose.pose.orientation, motion.attitude.quaternion())
-    _fill_twist(message.twist.twist, motion)
-    covariance, known = message.pose.covariance, accuracy.position_known
-    covariance[0] = accuracy.east**2 if known else UNKNOWN_VARIANCE
-    covariance[7] = accuracy.north**2 if known else UNKNOWN_VARIANCE
-    covariance[14] = accuracy.up**2 if known else UNKNOWN_VARIANCE
-    _set_block(covariance, 21, _orientation_covariance(motion, accuracy))
-    _set_block(message.twist.covariance, 0, _velocity_covariance(motion, accuracy))
 
 
 def _velocity_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, ...]:
@@ -248,36 +259,11 @@ def _velocity_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, ...
     return motion.attitude.covariance_to_body(variances)
 
 
-def _orientation_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, ...]:
+def _orientation_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, ...] | None:
+    """None while unknown."""
     if not accuracy.attitude_known:
-        return _UNKNOWN_BLOCK
+        return None
     return motion.attitude.orientation_covariance(accuracy.roll, accuracy.pitch, accuracy.heading)
-
-
-def _fill_orientation(message: Imu, motion: Motion | None, accuracy: Accuracy) -> None:
-    """Covariance by the convention of sensor_msgs: zeros = unknown, -1 in the first element = no orientation."""
-    covariance = message.orientation_covariance
-    if motion is None:
-        _set_quaternion(message.orientation, (0.0, 0.0, 0.0, 1.0))
-        covariance[:] = 0.0
-        covariance[0] = -1.0
-        return
-    _set_quaternion(message.orientation, motion.attitude.quaternion())
-    covariance[:] = _orientation_covariance(motion, accuracy) if accuracy.attitude_known else 0.0
-
-
-def _fill_fix(message: NavSatFix, stamp_ns: int, motion: Motion, height: float, accuracy: Accuracy) -> None:
-    """height: above the ellipsoid [m], NaN unknown."""
-    set_stamp(message.header, stamp_ns)
-    message.latitude, message.longitude, message.altitude = degrees(motion.latitude), degrees(motion.longitude), height
-    known = accuracy.position_known
-    covariance = message.position_covariance
-    covariance[0] = accuracy.east**2 if known else 0.0
-    covariance[4] = accuracy.north**2 if known else 0.0
-    covariance[8] = accuracy.up**2 if known else 0.0
-    message.position_covariance_type = (
-        NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN if known else NavSatFix.COVARIANCE_TYPE_UNKNOWN
-    )
 
 
 def make_trigger(
@@ -288,9 +274,8 @@ def make_trigger(
     set_stamp(message.header, stamp_ns)
     message.pose_valid = position is not None and motion is not None
     if position is not None and motion is not None:
-        _set_vector(message.pose.position, position)
-        _set_quaternion(message.pose.orientation, motion.attitude.quaternion())
-        _fill_twist(message.twist, motion)
+        _set_pose(message.pose, position, motion)
+        _set_twist(message.twist, motion)
     return message
 
 

@@ -223,7 +223,7 @@ class Health:
             degraded.append("absolute time (channel 0): minute taken from the host's clock")
         if status.get("Undulation") is None and not self._ellipsoidal:
             degraded.append("geoid undulation (channel 48): altitude of ins/nav_sat_fix is NaN")
-        if not (accuracy.position_known and accuracy.velocity_known and accuracy.attitude_known):
+        if not (accuracy.position_variances and accuracy.velocity_known and accuracy.attitude_known):
             degraded.append("accuracies (channels 3, 4, 5): covariances unknown")
         if self._origin.frame is None:
             degraded.append(

@@ -36,22 +36,14 @@ class Accuracy:
 
     @classmethod
     def from_status(cls, status: StatusTracker) -> "Accuracy":
-        number = status.number
-        return cls(
-            number("EastAcc"),
-            number("NorthAcc"),
-            number("AltAcc"),
-            number("VeAcc"),
-            number("VnAcc"),
-            number("VdAcc"),
-            radians(number("RollAcc")),
-            radians(number("PitchAcc")),
-            radians(number("HeadingAcc")),
-        )
+        lengths = map(status.number, ("EastAcc", "NorthAcc", "AltAcc", "VeAcc", "VnAcc", "VdAcc"))
+        return cls(*lengths, *(radians(status.number(name)) for name in ("RollAcc", "PitchAcc", "HeadingAcc")))
 
     @property
-    def position_known(self) -> bool:
-        return not isnan(self.east + self.north + self.up)
+    def position_variances(self) -> Vector | None:
+        """East, north, up [m^2]; None while unknown."""
+        east, north, up = self.east**2, self.north**2, self.up**2
+        return None if isnan(east + north + up) else (east, north, up)
 
     @property
     def velocity_known(self) -> bool:

@@ -15,6 +15,7 @@ tests/golden/test_ncom_vectors.py.
 
 import math
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -51,8 +52,8 @@ class Rule(NamedTuple):
     """Parts of a packet that are valid at a navigation status (byte 21).
 
     time: bytes 1-2 belong to the series of packet times.  imu: batch A.  navigation: position, velocity, angles:
-    "none", "valid", or "approximate" (before the first fix, not published).  status: batch S.  trigger: an event,
-    timed by batch S.  kind: regular, status, trigger, empty.  known: defined by the manual.
+    "none", "valid", or "approximate" (before the first fix, not published).  status: batch S.  kind: regular, status,
+    trigger (an event, timed by batch S), empty.  known: defined by the manual.
     """
 
     text: str
@@ -60,34 +61,25 @@ class Rule(NamedTuple):
     imu: bool = False
     navigation: str = "none"
     status: bool = False
-    trigger: bool = False
     kind: str = "empty"
     known: bool = True
-
-
-def _regular(text: str, navigation: str, time: bool = True) -> Rule:
-    return Rule(text, time, True, navigation, True, kind="regular")
-
-
-def _trigger(text: str, navigation: str) -> Rule:
-    return Rule(text, False, True, navigation, True, trigger=True, kind="trigger")
 
 
 INITIALISING, LOCKING, LOCKED, EXPIRED, BLOCKED, STATUS_ONLY = 2, 3, 4, 6, 7, 10
 RULES: dict[int, Rule] = {
     0: Rule("nothing valid"),
-    1: _regular("raw IMU", "none", time=False),
-    INITIALISING: _regular("initialising", "approximate"),
-    LOCKING: _regular("locking", "valid"),
-    LOCKED: _regular("locked", "valid"),
+    1: Rule("raw IMU", False, True, "none", True, "regular"),
+    INITIALISING: Rule("initialising", True, True, "approximate", True, "regular"),
+    LOCKING: Rule("locking", True, True, "valid", True, "regular"),
+    LOCKED: Rule("locked", True, True, "valid", True, "regular"),
     5: Rule("reserved (unlocked)"),
     EXPIRED: Rule("firmware expired"),
     BLOCKED: Rule("firmware blocked"),
     STATUS_ONLY: Rule("status only", status=True, kind="status"),
     STRUCTURE_B: Rule("structure B"),
-    20: _trigger("trigger while initialising", "approximate"),
-    21: _trigger("trigger while locking", "valid"),
-    22: _trigger("trigger while locked", "valid"),
+    20: Rule("trigger while initialising", False, True, "approximate", True, "trigger"),
+    21: Rule("trigger while locking", False, True, "valid", True, "trigger"),
+    22: Rule("trigger while locked", False, True, "valid", True, "trigger"),
 }
 BY_STATUS: tuple[Rule, ...] = tuple(RULES.get(n, Rule(f"reserved ({n})", known=False)) for n in range(256))
 # Statuses whose channel 0 sets the GPS minute. Status-only packets are included because files start with them; status 1
@@ -182,15 +174,9 @@ def encode(packet: Packet) -> bytes:
         raise NcomError(f"batch_s has {len(packet.batch_s)} bytes, must have 8")
     if packet.navigation_status == STRUCTURE_B:
         raise NcomError("structure B packets (navigation status 11) cannot be encoded")
-    early: list[int] = []
-    for values, unit in ((packet.acceleration, ACCELERATION_UNIT), (packet.angular_rate, ANGULAR_RATE_UNIT)):
-        for value in values:
-            early += _i24_parts(value, unit)
-    late: list[int] = []
-    for value in packet.velocity_ned:
-        late += _i24_parts(value, VELOCITY_UNIT)
-    for value in (packet.heading, packet.pitch, packet.roll):
-        late += _i24_parts(value, ANGLE_UNIT)
+    angles = (packet.heading, packet.pitch, packet.roll)
+    early = *_i24_parts(packet.acceleration, ACCELERATION_UNIT), *_i24_parts(packet.angular_rate, ANGULAR_RATE_UNIT)
+    late = *_i24_parts(packet.velocity_ned, VELOCITY_UNIT), *_i24_parts(angles, ANGLE_UNIT)
     try:
         data = bytearray(_LAYOUT.pack(
             packet.milliseconds, *early, packet.navigation_status, packet.latitude, packet.longitude, packet.altitude,
@@ -198,7 +184,9 @@ def encode(packet: Packet) -> bytes:
     except (struct.error, OverflowError) as error:
         raise NcomError(f"packet does not fit the wire: {error}") from None
     data[0] = SYNC
-    return _fill_checksums(data)
+    for at in (CHECKSUM_1_AT, CHECKSUM_2_AT, CHECKSUM_3_AT):
+        data[at] = sum(data[1:at]) & 0xFF
+    return bytes(data)
 
 
 def is_valid_position(latitude: Any, longitude: Any, altitude: Any) -> Any:
@@ -234,8 +222,8 @@ def next_packet(data: bytes, at: int, in_step: bool, counters: Counters) -> tupl
     """Position of the first packet from `at` on, and whether a packet is expected there.
 
     in_step: a packet is expected at `at`. Without a whole packet the position is that of the bytes to keep until more
-    arrive. Counts checksum_errors and skipped_bytes. After bytes that are no packet the search proceeds byte by byte
-    and requires all three checksums and a known navigation status: one in 256 false syncs passes the final checksum.
+    arrive. Counts checksum_errors and skipped_bytes. After other bytes the search proceeds byte by byte and
+    requires all three checksums and a known navigation status: one in 256 false syncs passes the final checksum.
     """
     while at < len(data):
         if data[at] == SYNC:
@@ -257,19 +245,14 @@ def _plausible(raw: bytes) -> bool:
     return status == STRUCTURE_B or (BY_STATUS[status].known and inner_checksums_match(raw))
 
 
-def _fill_checksums(data: bytearray) -> bytes:
-    data[CHECKSUM_1_AT] = sum(data[1:CHECKSUM_1_AT]) & 0xFF
-    data[CHECKSUM_2_AT] = sum(data[1:CHECKSUM_2_AT]) & 0xFF
-    data[CHECKSUM_3_AT] = sum(data[1:CHECKSUM_3_AT]) & 0xFF
-    return bytes(data)
-
-
-def _i24_parts(value: float, unit: float) -> tuple[int, int]:
-    """(low 16 bits, high 8 bits signed) of a value in its unit."""
-    if math.isnan(value):
-        raw = INVALID_I24
-    elif abs(value) >= LARGEST_I24 * unit:
-        raw = LARGEST_I24 if value > 0 else -LARGEST_I24
-    else:
-        raw = round(value / unit)
-    return raw & 0xFFFF, raw >> 16
+def _i24_parts(values: tuple[float, float, float], unit: float) -> Iterator[int]:
+    """Low 16 bits and high 8 bits (signed) of each value in its unit."""
+    for value in values:
+        if math.isnan(value):
+            raw = INVALID_I24
+        elif abs(value) >= LARGEST_I24 * unit:
+            raw = LARGEST_I24 if value > 0 else -LARGEST_I24
+        else:
+            raw = round(value / unit)
+        yield raw & 0xFFFF
+        yield raw >> 16

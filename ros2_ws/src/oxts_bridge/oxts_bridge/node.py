@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from st_ros import parameters, spin
-from st_ros.diagnostics import Check, Diagnostics
+from st_ros.diagnostics import Diagnostics
 from st_ros.parameters import ConfigurationError
 
 from .convert import Publishers, make_status, make_trigger
@@ -16,7 +16,7 @@ from .motion import GIVEN, Accuracy, Motion, Origin, motion_of
 from .ncom import NcomError
 from .packet_time import DUPLICATE, NEW, SAME, unix_nanoseconds
 from .settings import NCOM, PARAMETERS, check
-from .sources import Continuity, ReplaySource, SourceStatus, UdpSource
+from .sources import Continuity, ReplaySource, UdpSource
 from .status import EventLog, StatusTracker
 from .stream import HostMinute, NcomParser, Received
 
@@ -37,7 +37,7 @@ class OxtsBridge(LifecycleNode):
         self._topics: Publishers | None = None
         self._problem = ""
         self._reset()
-        self._diagnostics = Diagnostics(self, "oxts", self._checks)
+        self._diagnostics = Diagnostics(self, "oxts", lambda: self._health.checks())  # noqa: PLW0108 - _reset() replaces it
         # A change of the port is reported at once; only the executor's thread may publish diagnostics.
         self._changed = self.create_guard_condition(self._diagnostics.publish)
         if self._settings.autostart:
@@ -54,7 +54,8 @@ class OxtsBridge(LifecycleNode):
         self._accuracy = Accuracy.from_status(self._status)
         self._health = Health(
             self._parser, self._status, self._origin, self._statistics,
-            self._source_status, self._live, s.altitude_is_ellipsoidal, s.silence_after)
+            lambda: None if self._source is None else self._source.status,
+            self._live, s.altitude_is_ellipsoidal, s.silence_after)
         self._minute = HostMinute()
         self._reported: tuple | None = None
         self._reported_at = self._clock_at = float("-inf")
@@ -87,11 +88,12 @@ class OxtsBridge(LifecycleNode):
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._stop_source()
-        self._destroy_topics()
+        if self._topics is not None:
+            self._topics.destroy()
+            self._topics = None
         return super().on_cleanup(state)
 
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        return self.on_cleanup(state)
+    on_shutdown = on_cleanup
 
     def close(self) -> None:
         """Stop the thread, which must not publish after the node is destroyed."""
@@ -109,17 +111,6 @@ class OxtsBridge(LifecycleNode):
         if self._source is not None:
             self._source.stop()
             self._source = None
-
-    def _destroy_topics(self) -> None:
-        if self._topics is not None:
-            self._topics.destroy()
-            self._topics = None
-
-    def _source_status(self) -> SourceStatus | None:
-        return None if self._source is None else self._source.status
-
-    def _checks(self) -> list[Check]:
-        return self._health.checks()
 
     # Packets; everything below runs in the thread of the source.
 
@@ -147,13 +138,19 @@ class OxtsBridge(LifecycleNode):
             return
         if received.rule.known:
             self._health.navigation_status = received.packet.navigation_status
-        self._update_status(received)
+        if received.rule.time and received.packet.channel == 0:
+            self._health.minute_from_host = False
+        if self._status.update_from(received) and received.packet.channel in _ACCURACY_CHANNELS:
+            self._accuracy = Accuracy.from_status(self._status)
         if not publish:
             return
         in_series = received.kind == "regular" and received.order == NEW
         motion = motion_of(received)
         position = self._position(publishers, received_ns, motion)
-        self._publish_event(publishers, received, motion, position)
+        if (event := self._events.event(received)) is not None:
+            where = (position, motion) if event.complete else (None, None)
+            publishers.trigger(make_trigger(unix_nanoseconds(event.gps_ns, self._parser.utc_offset),
+                                            self._settings.map_frame, event.channel, event.count, *where))
         if in_series:
             self._continuity.update(received.packet)
             self._statistics.add(received)
@@ -161,12 +158,6 @@ class OxtsBridge(LifecycleNode):
                 self._health.minute_from_host = True
             self._publish_motion(publishers, received, motion, position, now)
         self._publish_status(publishers, received.utc_ns if received.utc_ns is not None else received_ns, now)
-
-    def _update_status(self, received: Received) -> None:
-        if received.rule.time and received.packet.channel == 0:
-            self._health.minute_from_host = False
-        if self._status.update_from(received) and received.packet.channel in _ACCURACY_CHANNELS:
-            self._accuracy = Accuracy.from_status(self._status)
 
     def _position(self, publishers: Publishers, received_ns: int, motion: Motion | None) -> Vector | None:
         if motion is None:
@@ -176,16 +167,6 @@ class OxtsBridge(LifecycleNode):
         if frame is not before and self._origin.degrees is not None:
             publishers.origin(received_ns, self._origin.degrees)
         return None if frame is None else motion.position(frame)
-
-    def _publish_event(
-        self, publishers: Publishers, received: Received, motion: Motion | None, position: Vector | None
-    ) -> None:
-        event = self._events.event(received)
-        if event is None:
-            return
-        stamp = unix_nanoseconds(event.gps_ns, self._parser.utc_offset)
-        where = (position, motion) if event.complete else (None, None)
-        publishers.trigger(make_trigger(stamp, self._settings.map_frame, event.channel, event.count, *where))
 
     def _publish_motion(
         self, publishers: Publishers, received: Received, motion: Motion | None, position: Vector | None, now: float

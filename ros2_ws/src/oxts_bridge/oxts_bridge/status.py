@@ -62,9 +62,28 @@ class StatusTracker:
             before = self.values.get(name)
             if before is not None:
                 fields[name] = before + (fields[name] - before) % modulus
-        derive = _DERIVE.get(channel)
-        if derive is not None:
-            derive(self, fields, data, gps_seconds, position)
+        if channel in TRIGGER_CHANNELS:
+            time, name = trigger_nanoseconds(data), TRIGGER_CHANNELS[channel]
+            fields = {name: self.values.get(name) if time is None else time / 1e9}
+        elif channel == 23:
+            lag, code = fields["BnsLag"], fields.pop("UpTimeCode")
+            if lag is not None:
+                before = self.values.get("BnsLagFilt")
+                fields["BnsLagFilt"] = lag if before is None else before * (1 - _LAG_WEIGHT) + lag * _LAG_WEIGHT
+            fields["UpTime"] = None if code is None else up_time(code)
+        elif channel == 25:
+            self._old_origin(fields, data, position)
+        elif channel == 45:
+            self._wheel_speed(fields, gps_seconds)
+        elif channel == 48:
+            horizontal, total = fields["HDOP"], fields["PDOP"]
+            known = horizontal is not None and total is not None and total > horizontal
+            fields["VDOP"] = sqrt(total**2 - horizontal**2) if known else None
+        elif channel in (66, 67):
+            self._local_frame.update(fields)
+            fields = {}
+            if self._has_local_frame():
+                fields = self._local_frame | {"RefHeading": wrap_degrees(self._local_frame["RefHeading"])}
         self.values.update(fields)
         return fields
 
@@ -94,25 +113,10 @@ class StatusTracker:
             return None
         return latitude, longitude, altitude, heading
 
-    def _system(self, fields: dict, data: bytes, gps_seconds: float | None, position: object) -> None:
-        lag, code = fields["BnsLag"], fields.pop("UpTimeCode")
-        if lag is not None:
-            before = self.values.get("BnsLagFilt")
-            fields["BnsLagFilt"] = lag if before is None else before * (1 - _LAG_WEIGHT) + lag * _LAG_WEIGHT
-        fields["UpTime"] = None if code is None else up_time(code)
+    def _has_local_frame(self) -> bool:
+        return all(self._local_frame.get(name) is not None for name in LOCAL_FRAME)
 
-    def _dilution(self, fields: dict, data: bytes, gps_seconds: float | None, position: object) -> None:
-        horizontal, total = fields["HDOP"], fields["PDOP"]
-        known = horizontal is not None and total is not None and total > horizontal
-        fields["VDOP"] = sqrt(total**2 - horizontal**2) if known else None
-
-    def _trigger(self, fields: dict, data: bytes, gps_seconds: float | None, position: object) -> None:
-        time = trigger_nanoseconds(data)
-        name = next(iter(fields)).removesuffix("Minutes") + "Time"
-        fields.clear()
-        fields[name] = self.values.get(name) if time is None else time / 1e9
-
-    def _wheel_speed(self, fields: dict, data: bytes, gps_seconds: float | None, position: object) -> None:
+    def _wheel_speed(self, fields: dict, gps_seconds: float | None) -> None:
         """Time of the count [s], in the minute that puts it nearest to the packet, and pulse frequency [1/s]."""
         milliseconds = fields.pop("WSpeedMilliseconds")
         fields["WSpeedTime"] = None
@@ -125,37 +129,15 @@ class StatusTracker:
         self._wheel = time, count
         fields["WSpeedTime"] = time
 
-    def _origin(self, fields: dict, data: bytes, gps_seconds: float | None, position: object) -> None:
-        self._local_frame.update(fields)
-        complete = all(self._local_frame.get(name) is not None for name in LOCAL_FRAME)
-        fields.clear()
-        if complete:
-            fields.update(self._local_frame)
-            fields["RefHeading"] = wrap_degrees(fields["RefHeading"])
-
-    def _old_origin(
-        self, fields: dict, data: bytes, gps_seconds: float | None, position: tuple[float, float, float] | None
-    ) -> None:
+    def _old_origin(self, fields: dict, data: bytes, position: tuple[float, float, float] | None) -> None:
         x, y, heading = (fields.pop(name) for name in ("OldRefX", "OldRefY", "OldRefHeading"))
-        newer = all(self._local_frame.get(name) is not None for name in LOCAL_FRAME)
         marked = None in (x, y, heading) or data == b"\x80\0\0\0\x80\0\0\0"
-        if newer or marked or position is None or not all(map(isfinite, position)):
+        if self._has_local_frame() or marked or position is None or not all(map(isfinite, position)):
             return
         latitude, longitude, altitude, heading = origin_from_channel_25(x, y, heading, *position)
         fields.update(
             RefLat=degrees(latitude), RefLon=degrees(longitude), RefAlt=altitude, RefHeading=wrap_degrees(heading)
         )
-
-
-_DERIVE = {
-    23: StatusTracker._system,
-    25: StatusTracker._old_origin,
-    45: StatusTracker._wheel_speed,
-    48: StatusTracker._dilution,
-    66: StatusTracker._origin,
-    67: StatusTracker._origin,
-    **dict.fromkeys(TRIGGER_CHANNELS, StatusTracker._trigger),
-}
 
 
 def up_time(code: int) -> int:
