@@ -11,10 +11,9 @@ from st_core.log import DriveLog
 from st_core.model_file import ModelFile
 from st_core.models import Model, get_model
 from st_core.vehicle import VehicleParameters
-from st_offline.bands.error_shares import intervals_of
-from st_offline.discovery.document import model_file
-from st_offline.discovery.drives import Drive
-from st_offline.discovery.request import Request
+from st_offline.bands.bands_report import intervals_of
+from st_offline.discovery.discovery_report import model_file
+from st_offline.discovery.drives import Drive, Request
 from st_offline.discovery.vehicle_update import update_vehicle
 
 

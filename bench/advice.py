@@ -9,9 +9,8 @@ from pathlib import Path
 from _markers import renew, table
 from st_core.log_evaluation import EvaluationSettings
 from st_core.vehicle import VehicleParameters
-from st_offline.advice import advice_report
-from st_offline.advice.accuracy import cheapest
-from st_offline.advice.advice_report import measure
+from st_offline.evaluation import advice as advice_report
+from st_offline.evaluation.advice import cheapest, measure
 from st_offline.evaluation.drawing import Place
 from st_offline.evaluation.work import Task
 from st_recordings.paths import config, project_root

@@ -23,7 +23,7 @@ from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings
 from st_core.models import Model, get_model
 from st_core.vehicle import VehicleParameters
-from st_offline.bands.error_shares import finished_shares, share_rows, share_sums
+from st_offline.bands.bands_report import finished_shares, share_rows, share_sums
 from st_offline.bands.scoring import finished, pooled_sums, question_sums
 from st_recordings.paths import config, project_root
 from st_recordings.runs import find_runs, read

@@ -27,7 +27,7 @@ from st_core.log_evaluation import EvaluationSettings
 from st_core.models import get_model
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
-from st_offline.bands.band_export import half_width_function
+from st_offline.model_export import half_width_function
 from st_recordings.output import new_folder
 from st_recordings.paths import config
 from st_sim.car import Car, read_car

@@ -19,8 +19,7 @@ from st_core.log import DriveLog
 from st_core.model_file import ModelFile
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery.discover_command import measured, write_results
-from st_offline.discovery.drives import Drive, read_drives
-from st_offline.discovery.request import Request
+from st_offline.discovery.drives import Drive, Request, read_drives
 from st_offline.discovery.vehicle_update import update_vehicle
 from st_recordings.runs import ReadSettings, find_runs
 from typer.testing import CliRunner

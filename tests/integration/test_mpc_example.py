@@ -58,7 +58,7 @@ def test_a_gate_is_passed_along_its_post_and_a_band_keeps_the_car_off(monkeypatc
     from controller import Controller, Tuning
     from st_core.bands import Band, CalibrationDomain
     from st_core.bands.scale import Scale, features, knots_of
-    from st_offline.bands.band_export import half_width_function
+    from st_offline.model_export import half_width_function
 
     monkeypatch.setattr(corridor, "DURATION", 6.0)
     there, time = [corridor.Gate(30.0, 36.0, -1, 1.0)], 0.05 * np.arange(1, 51)

@@ -3,8 +3,7 @@
 import pytest
 from st_core.discovery import DiscoverySettings, discover
 from st_offline.discovery.discover_command import measured
-from st_offline.discovery.drives import read_drives
-from st_offline.discovery.request import Request
+from st_offline.discovery.drives import Request, read_drives
 from st_offline.discovery.vehicle_update import update_vehicle
 from st_recordings.car import read_vehicle
 from st_recordings.runs import ReadSettings, find_runs

@@ -10,9 +10,7 @@ from st_cli.cli import app
 from st_core.bands import RunSamples
 from st_core.log_evaluation import EvaluationSettings
 from st_core.prediction import PredictionSettings
-from st_offline.advice.accuracy import cheapest, model_accuracy, processor_time
-from st_offline.advice.advice_report import choice_rows, rows, steps
-from st_offline.advice.cost import Cost
+from st_offline.evaluation.advice import Cost, cheapest, choice_rows, model_accuracy, processor_time, rows, steps
 from support import ROOT
 from typer.testing import CliRunner
 

@@ -15,14 +15,11 @@ from st_core.discovery import DiscoverySettings
 from st_core.discovery.result import BoundEffect, Candidate, Change, ForceCurve, NotTestable, Step, Value
 from st_core.discovery.where import survey
 from st_core.vehicle import VehicleParameters
-from st_offline.discovery import answers, quantities, report_text
-from st_offline.discovery.agreement_figures import agreement, bound
-from st_offline.discovery.document import document, write_page
-from st_offline.discovery.drives import read_drive
-from st_offline.discovery.figures import Scene, axle_curves, gap, maps, waterfall
+from st_offline.discovery import drives, quantities, report_text
+from st_offline.discovery.discovery_report import document, show, write_page
+from st_offline.discovery.drives import Request, cached_answer, keep_answer, read_drive
+from st_offline.discovery.figures import Scene, agreement, axle_curves, bound, gap, maps, waterfall
 from st_offline.discovery.relation_report import RelationReport, Table
-from st_offline.discovery.request import Request
-from st_offline.discovery.terminal_report import show
 from st_offline.discovery.vehicle_update import VehicleUpdate, update_vehicle
 from st_offline.evaluation.drawing import Place
 from st_recordings.runs import ReadSettings, find_runs
@@ -224,15 +221,15 @@ def test_page_and_terminal_hold_the_same_of_a_proposal(logs, drive, tmp_path, ca
 def test_an_answer_is_kept_whole(logs, tmp_path):
     found = discovery(logs, STEPS, 1.72, bound=(tied(logs),), start=augment("nonlinear", {"mass": {"factor": 1.1}}))
     for one in (found, discovery(logs, (), 1.72)):
-        answers.keep(tmp_path / "a.json", one)
-        back = answers.kept(tmp_path / "a.json")
+        keep_answer(tmp_path / "a.json", one)
+        back = cached_answer(tmp_path / "a.json")
         assert back.document() == one.document() and back.steps == one.steps and back.bound == one.bound
         assert back.base.values == one.base.values
         assert (back.model and back.model.values) == (one.model and one.model.values)
     for damaged in ("", "{}", (tmp_path / "a.json").read_text()[:200], '{"base": 1}'):
         (tmp_path / "a.json").write_text(damaged)
-        assert answers.kept(tmp_path / "a.json") is None
-    assert answers.kept(tmp_path / "none.json") is None
+        assert cached_answer(tmp_path / "a.json") is None
+    assert cached_answer(tmp_path / "none.json") is None
 
 
 def test_another_question_is_another_answer(logs):
@@ -242,10 +239,10 @@ def test_another_question_is_another_answer(logs):
               (2, replace(CAR, mass=1600.0)), (3, augment("nonlinear", {"mass": {"factor": 1.1}})),
               (3, augment("linear", {})), (4, DiscoverySettings(seed=1)), (5, {"mine.py": "ab"}),
               (6, {"yaw_rate_bias": (0.1, 0.0, 0.2)})]
-    keys = {answers.key(*asked)}
+    keys = {drives.answer_key(*asked)}
     for place, value in others:
-        keys.add(answers.key(*asked[:place], value, *asked[place + 1:]))
-    assert len(keys) == 1 + len(others) and answers.key(*asked) in keys
+        keys.add(drives.answer_key(*asked[:place], value, *asked[place + 1:]))
+    assert len(keys) == 1 + len(others) and drives.answer_key(*asked) in keys
 
 
 @pytest.mark.parametrize(("given", "meant"), [

@@ -16,9 +16,8 @@ from st_core.model_file import ModelFile
 from st_core.prediction import PredictionSettings
 from st_core.stability import slip_speed_needed
 from st_core.vehicle import VehicleParameters
-from st_offline.discovery.document import model_file
-from st_offline.discovery.drives import Drive, read_drive
-from st_offline.discovery.request import Request
+from st_offline.discovery.discovery_report import model_file
+from st_offline.discovery.drives import Drive, Request, read_drive
 from st_offline.discovery.vehicle_update import KEYS, edited, folded_update, update_vehicle
 from st_recordings.car_skeleton import SPEEDS
 from st_recordings.runs import ReadSettings, find_runs

@@ -189,7 +189,7 @@ def test_bands_of_another_car_model_or_configuration_are_refused(bands, leaf):
 
 def test_half_widths_as_a_casadi_function_are_those_of_the_band(bands, leaf):
     casadi = pytest.importorskip("casadi", reason="casadi is not installed")
-    from st_offline.bands.band_export import half_width_function
+    from st_offline.model_export import half_width_function
 
     band = bands.bands[QUESTION]
     function = casadi.Function.deserialize(half_width_function(band, 0.9, leaf).serialize())

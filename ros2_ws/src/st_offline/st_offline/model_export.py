@@ -1,4 +1,4 @@
-"""A model as files for a controller: CasADi functions or C, with a description of x, u and p."""
+"""A model as files for a controller: CasADi functions or C, with a description of x, u and p; bands as functions."""
 
 import json
 from collections.abc import Iterable, Mapping
@@ -6,18 +6,19 @@ from pathlib import Path
 from typing import Any, Literal
 
 import casadi
+import numpy as np
 from st_core import __version__
 from st_core.augmented import AugmentedModel
 from st_core.backends.casadi_backend import SymbolicModel, Variable, build
-from st_core.bands import LEVELS, Bands
+from st_core.bands import LEVELS, Band, Bands
+from st_core.bands.conditions import magnitudes
+from st_core.bands.scale import features_of_one, floor_at, interpolation
 from st_core.errors import ConfigurationError
 from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model, get_model
 from st_core.stability import lowest_stable_speed
 from st_core.vehicle import VehicleParameters
 from st_recordings.plain_json import finite
-
-from .bands.band_export import half_width_function
 
 Format = Literal["casadi", "c"]
 STEPS = (0.01, 0.02, 0.05, 0.1)
@@ -45,7 +46,7 @@ def export(model: Model, vehicle: VehicleParameters, folder: Path, kind: Format,
            free: Iterable[str] = (), bands: Bands | None = None) -> list[Path]:
     """Write the functions of a model into an existing folder, with model.json and README.md; the files written.
 
-    bands: also their half-widths, a CasADi function for each mode and level (`band_export.half_width_function`).
+    bands: also their half-widths, a CasADi function for each mode and level (`half_width_function`).
     Raises ConfigurationError for a parameter in `free` that is not one, see `casadi_backend.build`.
     """
     symbolic = build(model, vehicle, substeps, free)
@@ -176,3 +177,32 @@ def _number(value: float | None) -> str:
 
 def _listed(shapes: dict[str, list[int]]) -> str:
     return ", ".join(f"{name} ({rows} x {columns})" for name, (rows, columns) in shapes.items())
+
+
+MAX_LOG = 60.0
+"""Of a squared scale: finite in floats, far beyond any error of a prediction."""
+
+
+def half_width_function(band: Band, level: float, vehicle: VehicleParameters,
+                        name: str = "half_widths") -> casadi.Function:
+    """(x, u, steering_activity) -> (points, 3): along, across [m] and yaw [rad] at every point of the horizon.
+
+    x: the six states at the CG. u: road_wheel_angle [rad], velocity_x_dot [m/s^2]. steering_activity [rad/s]: root mean
+    square of the road wheel's rate over the last second. The numbers are those of `Band.half_widths`; the calibration
+    domain is not checked. Raises ConfigurationError for a level that is not in the band.
+    """
+    if level not in band.factors:
+        known = ", ".join(f"{one:g}" for one in band.factors)
+        raise ConfigurationError(f"level {level:g}: the bands state {known}")
+    x, u, activity = casadi.SX.sym("x", 6), casadi.SX.sym("u", 2), casadi.SX.sym("steering_activity")
+    velocity_x = x[2] - x[5] * vehicle.cg_to_ins_y
+    phi = casadi.vertcat(*features_of_one(magnitudes(velocity_x, x[5], u[1], activity), casadi.log, casadi.fmax))
+    scale = band.scale
+    between, floor = interpolation(scale.knots, scale.time), floor_at(scale.floor, scale.time)
+    columns = []
+    for axis, coefficients in enumerate(scale.coefficients):
+        at_knots = casadi.fmin(casadi.fmax(2.0 * casadi.DM(coefficients) @ phi, -MAX_LOG), MAX_LOG)
+        squared = casadi.exp(casadi.DM(between) @ at_knots) + casadi.DM(np.square(floor[:, axis]))
+        columns.append(band.factors[level] * casadi.sqrt(squared))
+    return casadi.Function(name, [x, u, activity], [casadi.horzcat(*columns)], ["x", "u", "steering_activity"],
+                           ["half_widths"])

@@ -7,8 +7,8 @@ import jinja2
 from markupsafe import Markup
 from st_core.palette import MODEL_COLOUR
 
-from .checking import check_wording as checking_words
-from .checking.check_document import findings_in
+from .checking import check_report as checking_words
+from .checking.check_report import findings_in
 
 # The house colours are made for white paper; these are lighter twins for a dark page.
 DARK = {"kinematic": "#6cb4ee", "linear": "#ffa657", "nonlinear": "#d08be0", "augmented": "#3fd0a4"}

@@ -9,10 +9,17 @@ import pytest
 import yaml
 from st_core.checks import Advice, Channel, Checked, Finding, Identity, Severity
 from st_core.vehicle import VehicleParameters
-from st_offline.checking import check_wording as words
-from st_offline.checking.check_document import CheckedRun, FailedRun, document, documents, findings_in
-from st_offline.checking.check_report import print_findings, show
-from st_offline.checking.page import title, write_page
+from st_offline.checking import check_report as words
+from st_offline.checking.check_page import title, write_page
+from st_offline.checking.check_report import (
+    CheckedRun,
+    FailedRun,
+    document,
+    documents,
+    findings_in,
+    print_findings,
+    show,
+)
 from st_offline.checking.run_corrections import run_yaml, with_corrections
 from st_recordings.output import OutputError
 from st_recordings.runs import ReadSettings, RunSource

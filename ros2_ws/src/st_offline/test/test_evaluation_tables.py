@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 from st_core.log_evaluation import MODES, ModelErrors
-from st_offline.evaluation import statistics, tables
+from st_offline.evaluation import tables
 from st_offline.evaluation.evaluation_report import pooled_bins
 from st_offline.evaluation.work import RunReport, slug
 
@@ -25,7 +25,7 @@ def errors(mean: np.ndarray, seed: int = 0) -> ModelErrors:
 
 def entry(longitudinal, lateral) -> dict:
     """Statistics of one model: (mean, max, rmse) of each axis."""
-    axes = {axis: dict(zip(statistics.KINDS, v, strict=True)) for axis, v in
+    axes = {axis: dict(zip(tables.KINDS, v, strict=True)) for axis, v in
             (("longitudinal", longitudinal), ("lateral", lateral), ("yaw", (0.0, 0.0, 0.0)))}
     one = {"n_starts": 7, "n_incomplete": 1, **axes, "samples": {"n_starts": 7, **axes}}
     return dict.fromkeys(MODES, one)
@@ -90,12 +90,12 @@ def test_csv_has_one_row_per_run_model_and_mode(tmp_path):
 
 def test_entry_counts_and_takes_only_what_is_selected():
     mean = np.array([[1.0, -2.0, 0.1], [3.0, 0.0, 0.1], [np.nan] * 3, [100.0, 0.0, 0.0]])
-    found = statistics.entry(errors(mean), np.array([True, True, True, False]))
+    found = tables.entry(errors(mean), np.array([True, True, True, False]))
     assert (found["n_starts"], found["n_incomplete"]) == (2, 1)
     assert found["longitudinal"] == pytest.approx({"mean": 2.0, "max": 3.0, "rmse": np.sqrt(5.0)})
     assert found["samples"]["longitudinal"]["mean"] == pytest.approx(2.0)
     assert found["samples"]["longitudinal"]["rmse"] > found["longitudinal"]["rmse"]
-    nothing = statistics.entry(errors(mean), np.zeros(4, bool))
+    nothing = tables.entry(errors(mean), np.zeros(4, bool))
     assert nothing["n_starts"] == 0 and nothing["lateral"] == {"mean": None, "max": None, "rmse": None}
 
 
@@ -103,10 +103,10 @@ def test_pooled_runs_are_as_one_run():
     rng = np.random.default_rng(3)
     whole = errors(rng.normal(0.2, 1.0, (90, 3)))
     parts = [np.arange(90) < 20, (np.arange(90) >= 20) & (np.arange(90) < 75), np.arange(90) >= 75]
-    documents = [{"linear": dict.fromkeys(MODES, statistics.entry(whole, part))} for part in parts]
-    empty = {"linear": dict.fromkeys(MODES, statistics.entry(whole, np.zeros(90, bool)))}
-    joined = statistics.pooled([*documents, empty])["linear"]["forecast"]
-    expected = statistics.entry(whole)
+    documents = [{"linear": dict.fromkeys(MODES, tables.entry(whole, part))} for part in parts]
+    empty = {"linear": dict.fromkeys(MODES, tables.entry(whole, np.zeros(90, bool)))}
+    joined = tables.pooled([*documents, empty])["linear"]["forecast"]
+    expected = tables.entry(whole)
     assert joined["n_starts"] == 90
     for axis in ("longitudinal", "lateral", "yaw"):
         assert joined[axis] == pytest.approx(expected[axis])

@@ -20,8 +20,8 @@ from st_core.relations.candidates import ADMISSIBLE, NEITHER, PAIRS
 from st_core.relations.next_drive import NextDrives, Option
 from st_core.relations.selection import RunShares
 from st_core.vehicle import VehicleParameters
-from st_offline.discovery import relation_wording
-from st_offline.discovery.relation_figure import relation_figure, shown
+from st_offline.discovery import quantities
+from st_offline.discovery.figures import relation_figure, shown
 from st_offline.discovery.relation_files import effect_file, name_of, relation_document, write_files
 from st_offline.discovery.relation_report import (
     CommandLine,
@@ -97,7 +97,7 @@ def test_the_file_keeps_the_promises_of_an_effect(tmp_path, registry, place, qua
 
 
 def test_the_curve_is_drawn_in_the_units_of_an_engineer():
-    assert set(relation_wording.AXES) == set(relation_wording.PLACES) == set(ADMISSIBLE)
+    assert set(quantities.AXES) == set(quantities.PLACES) == set(ADMISSIBLE)
     assert [shown(unit)[1] for unit in ("rad", "1", "m/s^2", "rad per rad/s")] == [
         "°", "%", "m/s²", "rad per rad/s"]
     assert shown("1")[0] == 100.0 and shown("rad")[0] == pytest.approx(57.2958)

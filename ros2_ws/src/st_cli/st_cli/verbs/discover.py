@@ -81,7 +81,7 @@ def discover(
     from rich.console import Console
     from st_core.discovery import DiscoverySettings
     from st_offline.discovery.discover_command import run_command
-    from st_offline.discovery.request import Request
+    from st_offline.discovery.drives import Request
 
     with shared.refusals("discover"):
         vehicle, read = read_options.resolve()

@@ -28,8 +28,7 @@ def replay(
     from st_live.report import conclude
     from st_live.suite import SuiteError
     from st_live.view.live import LiveView
-    from st_offline.checking.check_document import documents
-    from st_offline.checking.check_report import print_findings
+    from st_offline.checking.check_report import documents, print_findings
     from st_offline.checking.gate import passed_bag
     from st_recordings.output import new_folder
 

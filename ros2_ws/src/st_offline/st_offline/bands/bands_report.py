@@ -1,16 +1,24 @@
-"""Figures of bands: the reliability diagram, and how wide they are."""
+"""Tables and figures of tested bands, and of what the error is made of."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib.pyplot as plt
+import numpy as np
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from rich.table import Table
+from st_core.bands.shares import PARAMETERS, SENSORS, Intervals, share_squares
+from st_core.log_evaluation import AXES, EvaluationSettings
+from st_core.log_signals import LogSignals
+from st_core.model_file import ModelFile
+from st_core.models import Model
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
+from st_core.vehicle import VehicleParameters
 
-from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
+from ..evaluation.drawing import GRID, TEXT, WIDTH, Drawn, Place, finish, style
 from ..terminal import rows_table
-from .scoring import finished, finished_adaptive, pooled_sums
+from .scoring import Sums, finished, finished_adaptive, pooled_sums
 
 QUESTIONS = {"hindsight": "model (inputs as they were)", "forecast": "forecast (inputs held)"}
 
@@ -128,3 +136,107 @@ def _pair(axes: dict[str, float] | None) -> str:
     if not axes or axes["longitudinal"] is None:
         return "-"
     return f"{axes['longitudinal']:.2f} | {axes['lateral']:.2f}"
+
+
+REMAINS = "what remains"
+COLOURS = {PARAMETERS: MODEL_COLOUR["linear"], SENSORS: MODEL_COLOUR["kinematic"], REMAINS: GRID}
+SHOWN = ("1", "3", "5")
+"""Seconds ahead, in the table."""
+
+
+def intervals_of(files: Sequence[ModelFile]) -> dict[str, Intervals]:
+    """Those that model files state, by the name of their model."""
+    return {file.model().name: {(effect, name): one.interval for effect, parts in file.effects.items()
+                                for name, one in parts.items() if one.interval is not None} for file in files}
+
+
+def share_sums(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, settings: EvaluationSettings,
+               intervals: Mapping[str, Intervals]) -> Sums:
+    """Of one run, as sums over its starts."""
+    found: Sums = {}
+    for model in models:
+        starts, total, parts = share_squares(model, vehicle, signals, settings, intervals.get(model.name))
+        found[model.name] = {"starts": starts, "total": _seconds(total),
+                             "parts": {kind: {name: _seconds(squares) for (of, name), squares in parts.items()
+                                              if of == kind} for kind in (PARAMETERS, SENSORS)}}
+    return {"shares": found}
+
+
+def _seconds(values: np.ndarray) -> dict[str, dict[str, float]]:
+    return {str(k + 1): dict(zip(AXES, row.tolist(), strict=True)) for k, row in enumerate(values)}
+
+
+def finished_shares(sums: Sums) -> dict[str, Any]:
+    """By model: starts, rms of the error [m, m, rad] and of each cause by second and axis, and shares of the mean
+    square error; those of all causes and what remains are 1 together."""
+    found = {}
+    for model, one in sums.get("shares", {}).items():
+        if not one["starts"]:
+            continue
+        total, count = _array(one["total"]), one["starts"]
+        causes = {f"{kind}: {name}": _array(squares) for kind, parts in one["parts"].items()
+                  for name, squares in parts.items()}
+        kinds = {kind: sum((v for k, v in causes.items() if k.startswith(f"{kind}: ")), np.zeros_like(total))
+                 for kind in (PARAMETERS, SENSORS)}
+        shares = {kind: squares / total for kind, squares in kinds.items()}
+        shares[REMAINS] = 1.0 - sum(shares.values())
+        found[model] = {
+            "starts": count, "rms": _seconds(np.sqrt(total / count)),
+            "rms_of_cause": {name: _seconds(np.sqrt(squares / count)) for name, squares in causes.items()},
+            "stated": list(one["parts"][PARAMETERS]),
+            "share": {kind: _seconds(values) for kind, values in shares.items()}}
+    return found
+
+
+def share_rows(shares: Mapping[str, Any]) -> list[dict[str, str]]:
+    """One row for each model and second shown; columns by their titles."""
+    rows = []
+    for model, one in shares.items():
+        for second in (s for s in SHOWN if s in one["rms"]):
+            rms = one["rms"][second]
+            row = {"model": model, "second": second,
+                   "rms along | across, m": f"{rms['longitudinal']:.2f} | {rms['lateral']:.2f}"}
+            for kind, values in one["share"].items():
+                known = kind != PARAMETERS or one["stated"]
+                row[kind] = (f"{values[second]['longitudinal']:.0%} | {values[second]['lateral']:.0%}" if known
+                             else "not stated")
+            rows.append(row)
+    return rows
+
+
+def shares_table(shares: Mapping[str, Any], width: int) -> Table | None:
+    rows = share_rows(shares)
+    if not rows:
+        return None
+    return rows_table(
+        rows, title="What the error is made of, inputs as they were: shares of its mean square, along | across",
+        width=min(width, 140))
+
+
+def share_figures(shares: Mapping[str, Any], place: Place) -> list[Drawn]:
+    """Mean square across by second ahead, stacked of its causes; none without shares."""
+    if not shares:
+        return []
+    with style():
+        figure, panels = plt.subplots(1, len(shares), figsize=(WIDTH, 3.2), squeeze=False, sharey=True)
+        for axes, (model, one) in zip(panels[0], shares.items(), strict=True):
+            seconds = [int(s) for s in one["rms"]]
+            # Cut off at the whole: stated uncertainties may exceed the observed errors.
+            lower = np.zeros(len(seconds))
+            for kind, values in one["share"].items():
+                height = np.clip([values[str(s)]["lateral"] for s in seconds], 0.0, 1.0 - lower)
+                axes.bar(seconds, 100.0 * height, bottom=100.0 * lower, color=COLOURS[kind], width=0.8)
+                lower = lower + height
+            axes.set(title=model, xlabel="time ahead, s", ylim=(0, 100))
+        panels[0, 0].set_ylabel("of the mean square across, %")
+        figure.legend(handles=[Patch(color=colour, label=kind) for kind, colour in COLOURS.items()],
+                      loc="outside lower left", ncols=3)
+        last = list(next(iter(shares.values()))["rms"])[-1]
+        text = ", ".join(f"{model} {one['share'][REMAINS][last]['lateral']:.0%}" for model, one in shares.items())
+        return [finish(figure, place, "bands_shares", f"What the error across is made of; residual at {last} s: {text}",
+                       "Parameters: those with a stated uncertainty. Sensors and start: white noise of these runs. "
+                       "Cut off at 100 %.")]
+
+
+def _array(seconds: Mapping[str, Mapping[str, float]]) -> np.ndarray:
+    return np.array([[one[axis] for axis in AXES] for one in seconds.values()])

@@ -16,10 +16,9 @@ from st_recordings.runs import ReadSettings, RunSource, find_runs, read
 from st_recordings.runs.bag import records_of
 
 from ..terminal import list_files, progress_bars
-from .check_document import CheckedRun, FailedRun, document
-from .check_report import show, show_together
+from .check_page import write_page
+from .check_report import CheckedRun, FailedRun, document, show, show_together
 from .gate import PROBLEMS, checked_log, in_words
-from .page import write_page
 from .run_corrections import check_name, run_yaml
 
 MODELS = ("linear", "nonlinear")

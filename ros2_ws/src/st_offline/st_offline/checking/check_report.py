@@ -1,14 +1,208 @@
-"""What a check found, on the terminal."""
+"""Findings of `st check` in words, on the terminal, as plain values, and check.json (docs/manual/checks.md)."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.markup import escape
-from st_core.checks import Checked, Finding, Severity, across_runs
+from st_core.checks import SCHEMA, Advice, Checked, Finding, Identity, Severity, across_runs
+from st_core.vehicle import VehicleParameters
+from st_recordings.plain_json import finite
+from st_recordings.results import versions
 
 from ..terminal import line, report_problem
-from . import check_wording as words
-from .check_document import CheckedRun, FailedRun
+
+MOST_STRETCHES = 4
+MOST_LISTED = 3  # findings in a headline
+GRAVITY = (Severity.ERROR, Severity.WARNING, Severity.NOTE)
+MEANING = {
+    Severity.ERROR: "an evaluation would be meaningless", Severity.WARNING: "an evaluation would be biased",
+    Severity.NOTE: "harmless here",
+}
+QUANTITIES = {"yaw_rate_bias": "rad/s", "yaw_offset": "rad", "heading_misaligned": "rad", "steering_offset": "rad",
+              "position_reference": "m", "measuring_point": "m"}
+PLACE = {"run.yaml": "in its run.yaml: ", "vehicle": "in the vehicle file: ", "option": "with the option ", "look": ""}
+
+
+def gravity(finding: Finding) -> int:
+    """Sorts by severity, errors first; findings of one severity stay in their order."""
+    return GRAVITY.index(finding.severity)
+
+
+def counts(findings: Sequence[Finding]) -> str:
+    """"2 errors, 1 warning"; empty for none."""
+    numbers = ((severity.value, sum(one.severity is severity for one in findings)) for severity in GRAVITY)
+    return ", ".join(f"{count} {name}{'' if count == 1 else 's'}" for name, count in numbers if count)
+
+
+def verdict(checked: Checked) -> str:
+    """One one_line on a run: how many findings, and what they mean for an evaluation."""
+    if not checked.findings:
+        count = len(checked.identities)
+        compared = f"in {count} comparison{'' if count == 1 else 's'}" if count else "but there was nothing to compare"
+        return f"nothing found, {compared}"
+    worst = min(checked.findings, key=gravity).severity
+    if worst is Severity.WARNING and all(one.of_acceleration for one in checked.of(worst)):
+        return f"{counts(checked.findings)}: identify and discover would be misled"
+    return f"{counts(checked.findings)}: {MEANING[worst]}"
+
+
+def answer(checked: Checked) -> str:
+    """Verdict with the most severe findings."""
+    if not checked.findings:
+        return verdict(checked)
+    worst = min(checked.findings, key=gravity).severity
+    texts = [one.text for one in checked.findings if one.severity is worst]
+    more = f"; and {len(texts) - MOST_LISTED} more" if len(texts) > MOST_LISTED else ""
+    return f"{counts(checked.findings)}: {'; '.join(texts[:MOST_LISTED])}{more}"
+
+
+def unit(text: str) -> str:
+    return "" if text == "1" else text.replace("^2", "²")
+
+
+def number(value: float | None, interval: Sequence[float] | None = None, of: str = "1") -> str:
+    """An estimate with the digits its interval bears: "57.30 ± 0.02 m"; empty for none."""
+    if value is None:
+        return ""
+    ending = f" {unit(of)}" if unit(of) else ""
+    if interval is None or not interval[1] > interval[0]:
+        return f"{value:.4g}{ending}"
+    low, high = value - interval[0], interval[1] - value
+    decimals = min(max(1 - math.floor(math.log10(0.5 * (low + high)) + 1e-6), 0), 6)
+    if min(low, high) <= 0.0 or max(low, high) > 1.5 * min(low, high):
+        return f"{value:.{decimals}f} ({interval[0]:.{decimals}f} to {interval[1]:.{decimals}f}){ending}"
+    return f"{value:.{decimals}f} ± {0.5 * (low + high):.{decimals}f}{ending}"
+
+
+def estimate(finding: Finding) -> str:
+    return number(finding.value, finding.interval, finding.unit)
+
+
+def quantity(name: str, value: Sequence[float]) -> str:
+    """An estimate (value, low, high) by the name of the finding it would be."""
+    kind = name.rpartition("_")[2]
+    of = QUANTITIES.get(name, {"lag": "s", "bias": "m/s^2"}.get(kind, "1"))
+    return number(value[0], value[1:], of)
+
+
+def where(finding: Finding) -> str:
+    """The stretches of the run, or "whole run"."""
+    if not finding.where:
+        return "whole run"
+    shown = ", ".join(_stretch(*ends) for ends in finding.where[:MOST_STRETCHES])
+    more = len(finding.where) - MOST_STRETCHES
+    return shown + (f" and {more} more" if more > 0 else "")
+
+
+def _stretch(start: float, end: float) -> str:
+    first, last = f"{start:.1f}", f"{end:.1f}"
+    return f"{first} s" if first == last else f"{first} to {last} s"
+
+
+def effect(finding: Finding) -> str:
+    """What it does to a position after 5 s; empty where that means nothing."""
+    if finding.of_acceleration:
+        return "no effect on a prediction, but identify and discover are misled"
+    if finding.effect is None:
+        return "no prediction would mean anything" if finding.severity is Severity.ERROR else ""
+    size = f"{finding.effect:.0f}" if finding.effect >= 10.0 else f"{finding.effect:.2g}"
+    return f"shifts the position after 5 s by about {size} m"
+
+
+def correction(found: Advice | None) -> str:
+    """What corrects it and where that is written; empty where nothing is known."""
+    return f"{PLACE[found.kind]}{found.line}" if found else ""
+
+
+def one_line(finding: Finding) -> str:
+    """Everything in one one_line, for verbs that speak of other things."""
+    parts = [f"{finding.severity.value}: {finding.text}", where(finding), effect(finding)]
+    text = " | ".join(part for part in parts if part)
+    if finding.advice is None:
+        return text
+    return f"{text} | {'correction' if PLACE[finding.advice.kind] else 'advice'}: {correction(finding.advice)}"
+
+
+@dataclass(frozen=True)
+class CheckedRun:
+    """One run of `st check`. vehicle_from: file or recording. warnings: of the reading, with what was corrected."""
+
+    name: str
+    checked: Checked
+    vehicle: VehicleParameters
+    vehicle_from: str
+    duration: float
+    warnings: tuple[str, ...]
+    files: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class FailedRun:
+    """One that could not be read, and why."""
+
+    name: str
+    problem: str
+
+
+def documents(findings: Sequence[Finding]) -> list[dict[str, Any]]:
+    """Findings as JSON has them."""
+    return [finite(one.as_dict()) for one in findings]
+
+
+def findings_in(about: Mapping[str, Any]) -> list[Finding]:
+    """Findings of a run, read from a report (its key "findings")."""
+    return [_finding(entry) for entry in about.get("findings", ())]
+
+
+def _finding(entry: Mapping[str, Any]) -> Finding:
+    values = dict(entry)
+    advice = values.pop("cure")
+    interval = tuple(entry["interval"]) if entry["interval"] else None
+    return Finding(**{**values, "severity": Severity(entry["severity"]), "channels": tuple(entry["channels"]),
+                      "interval": interval, "where": tuple(map(tuple, entry["where"])),
+                      "advice": Advice(**advice) if advice else None,
+                      "tried": tuple(entry["tried"]) if entry.get("tried") else None})
+
+
+def document(good: Sequence[CheckedRun], failed: Sequence[FailedRun]) -> dict[str, Any]:
+    """The content of check.json."""
+    return {
+        "schema": SCHEMA,
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": versions(),
+        "vehicle": {source: {"name": car.name, "hash": car.hash}
+                    for source, car in {run.vehicle_from: run.vehicle for run in good}.items()},
+        "runs": {run.name: _run(run) for run in good},
+        "together": [finite(one.as_dict()) for one in across_runs([run.checked for run in good])],
+        "failed": {run.name: run.problem for run in failed},
+    }
+
+
+def _run(run: CheckedRun) -> dict[str, Any]:
+    return {
+        "verdict": verdict(run.checked), "vehicle": run.vehicle_from, "duration": run.duration,
+        **finite(run.checked.as_dict()),
+        "identities": [finite(_identity(one)) for one in run.checked.identities],
+        "warnings": list(run.warnings), "files": dict(run.files),
+    }
+
+
+def _identity(one: Identity) -> dict[str, Any]:
+    return {"name": one.name, "title": one.title, "unit": one.unit, "samples": len(one.time),
+            "residual_rms": residual_rms(one), "findings": list(one.findings)}
+
+
+def residual_rms(one: Identity) -> float:
+    """Root mean square of measured minus derived, in the unit of the identity; NaN where nothing is known of both."""
+    apart = np.asarray(one.measured) - np.asarray(one.derived)
+    apart = apart[np.isfinite(apart)]
+    return float(np.sqrt(np.square(apart).mean())) if len(apart) else float("nan")
+
 
 STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
 
@@ -18,24 +212,24 @@ def show(run: CheckedRun | FailedRun, console: Console) -> None:
     if isinstance(run, FailedRun):
         report_problem(run.name, run.problem, console)
         return
-    line(f"[bold]{escape(run.name)}[/bold]: [{_colour(run.checked)}]{escape(words.verdict(run.checked))}[/]  "
+    line(f"[bold]{escape(run.name)}[/bold]: [{_colour(run.checked)}]{escape(verdict(run.checked))}[/]  "
          f"[dim]{run.duration:.0f} s, {escape(run.vehicle.name)} from {escape(run.vehicle_from)}[/dim]", console)
     for finding in run.checked.findings:
         _show_finding(finding, console)
 
 
 def _colour(checked: Checked) -> str:
-    gravest = min((words.GRAVITY.index(one.severity) for one in checked.findings), default=None)
-    return "green" if gravest is None or words.GRAVITY[gravest] is Severity.NOTE else STYLE[words.GRAVITY[gravest]]
+    gravest = min((GRAVITY.index(one.severity) for one in checked.findings), default=None)
+    return "green" if gravest is None or GRAVITY[gravest] is Severity.NOTE else STYLE[GRAVITY[gravest]]
 
 
 def _show_finding(finding: Finding, console: Console) -> None:
     line(f"  [{STYLE[finding.severity]}]{finding.severity.value}[/] [bold]{escape(finding.name)}[/bold]: "
          f"{escape(finding.text)}", console)
-    about = [words.where(finding), words.effect(finding)]
+    about = [where(finding), effect(finding)]
     line(f"    [dim]{escape('; '.join(filter(None, about)))}[/dim]", console)
     if finding.advice:
-        place = words.PLACE[finding.advice.kind]
+        place = PLACE[finding.advice.kind]
         line(f"    {f'correction, {place}' if place else 'advice: '}{escape(finding.advice.line)}", console)
 
 
@@ -51,4 +245,4 @@ def show_together(runs: Sequence[Checked], console: Console) -> None:
 def print_findings(name: str, findings: Sequence[Finding], console: Console) -> None:
     """Prints the findings of a run, one line each, for verbs other than `st check`."""
     for finding in findings:
-        line(f"[{STYLE[finding.severity]}]{escape(name)}: {escape(words.line(finding))}[/]", console)
+        line(f"[{STYLE[finding.severity]}]{escape(name)}: {escape(one_line(finding))}[/]", console)

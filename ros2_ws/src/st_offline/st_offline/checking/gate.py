@@ -15,8 +15,8 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.recorded import configuration_of
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
 
-from . import check_wording as words
-from .check_document import documents
+from . import check_report as words
+from .check_report import documents
 
 STEP = PredictionSettings().step
 PROBLEMS = (RunError, StCoreError, MemoryError, OSError)

@@ -15,7 +15,7 @@ from st_recordings.runs.errors import printable
 from st_recordings.runs.readers import READERS
 from st_recordings.runs.sources import RUN_FILE, RUN_SUFFIX
 
-from . import check_wording as words
+from . import check_report as words
 
 OF_A_CSV = {"columns", "units"}
 HEAD = "# Proposed by st check. Every verb that reads it lists the corrections.\n"

@@ -25,16 +25,11 @@ from st_recordings.runs import find_runs
 
 from ..evaluation.drawing import Drawn, Place, check_formats
 from ..terminal import progress_bars
-from . import answers
-from .agreement_figures import agreement, bound
-from .document import document, model_file, write_page
-from .drives import Drive, cache_folder, read_drives
-from .figures import Scene, axle_curves, gap, maps, waterfall
-from .relation_figure import relation_figure
+from .discovery_report import document, model_file, show, write_page
+from .drives import Drive, Request, answer_key, cache_folder, cached_answer, keep_answer, read_drives
+from .figures import Scene, agreement, axle_curves, bound, gap, maps, relation_figure, waterfall
 from .relation_files import relation_document, write_files
 from .relation_report import CommandLine, RelationReport, relation_report
-from .request import Request
-from .terminal_report import show
 from .vehicle_update import VehicleUpdate, update_vehicle
 
 
@@ -158,15 +153,15 @@ def _answer(request: Request, base: Model, progress: Progress) -> tuple[Discover
         progress.update(bar, description=escape(name), completed=done, total=total)
 
     logs, reference, identities = _logs(request.drives), _logs(request.healthy), measured(request.drives)
-    name = answers.key(logs, reference, request.vehicle, base, request.settings, request.own_effects, identities)
+    name = answer_key(logs, reference, request.vehicle, base, request.settings, request.own_effects, identities)
     folder = cache_folder("answers") if request.cached else None
     file = folder / f"{name}.json" if folder else None
-    found = answers.kept(file) if file else None
+    found = cached_answer(file) if file else None
     if found is not None:
         return found, True
     found = discover(logs, request.vehicle, base, reference, request.settings, stage, identities, request.jobs)
     if file:
-        answers.keep(file, found)
+        keep_answer(file, found)
     return found, False
 
 

@@ -1,21 +1,27 @@
-"""Recordings into drives, with a memory: what was read once is not decoded again when a discovery is started anew."""
+"""Inputs of a discovery: options, drives as read, and the caches of drives and answers."""
 
 import hashlib
 import json
 import os
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from functools import cache as remembered
+from itertools import repeat
 from pathlib import Path
-from types import ModuleType
-from typing import Any
+from types import ModuleType, NoneType
+from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
+import st_core
 from st_core import checks
+from st_core.augmented import AugmentedModel, augment
+from st_core.discovery import Discovery, DiscoverySettings
+from st_core.discovery.result import MODELS
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
+from st_core.models import Model
 from st_core.vehicle import VehicleParameters
 from st_recordings.plain_json import finite
 from st_recordings.recorded import recorded_configuration
@@ -23,10 +29,10 @@ from st_recordings.runs import LoadedRun, ReadSettings, RunSource, read
 from st_recordings.runs.load import hashes, report
 from st_recordings.runs.run_types import signal_files
 
-from ..checking.check_document import documents, findings_in
+from ..checking.check_report import documents, findings_in
 from ..checking.gate import PROBLEMS, Refused, checked_log, in_words, refuse
 
-FORMAT = 3  # of what is kept; another number makes older files useless
+DRIVE_FORMAT = 3  # of what is kept; another number makes older files useless
 
 
 @dataclass(frozen=True)
@@ -136,8 +142,8 @@ def _key(source: RunSource, files: dict[str, str], vehicle: VehicleParameters, s
     tables = signal_files(source, settings) if source.can else ()
     table = [hashlib.sha256(f.read_bytes()).hexdigest() for f in tables]
     options = {k: v for k, v in asdict(settings).items() if k not in ("dbc", "signals")}
-    content = [FORMAT, code_of(checks), source.name, source.kind, sorted(files.values()), table, vehicle.hash, options,
-               {k: v for k, v in source.settings.items() if k not in ("dbc", "signals")}]
+    content = [DRIVE_FORMAT, code_of(checks), source.name, source.kind, sorted(files.values()), table, vehicle.hash,
+               options, {k: v for k, v in source.settings.items() if k not in ("dbc", "signals")}]
     return name_of(content)
 
 
@@ -156,3 +162,102 @@ def _restored(file: Path) -> Drive | None:
             return Drive(name, DriveLog(name, **{k: kept[k] for k in kept.files if k != "about"}), about)
     except (OSError, ValueError, KeyError, TypeError, StCoreError, zipfile.BadZipFile, EOFError):
         return None
+
+
+@dataclass(frozen=True)
+class Request:
+    """base: name or model file. vehicle_text: of vehicle_file. settings: of the search.
+
+    runs, reference: paths of recordings; drives, healthy: the same as read. read: how. effects: folder of own effects;
+    own_effects: sha256 of each file in it. output: folder, None for runs/discover-<time>. jobs: processes. formats: of
+    figure files. report: whether one is written. cached: whether earlier results may be used. force: use runs in which
+    a check finds an error. propose: search for a relation beyond the library; None: where much is unexplained. given:
+    options that name the car and the reading of the recordings, as typed; given_vehicle: those that every verb takes.
+    """
+
+    base: str
+    vehicle: VehicleParameters
+    vehicle_file: str
+    vehicle_text: str
+    settings: DiscoverySettings
+    runs: Sequence[Path] = ()
+    reference: Sequence[Path] = ()
+    read: ReadSettings = field(default_factory=ReadSettings)
+    effects: Path | None = None
+    output: Path | None = None
+    jobs: int = 1
+    formats: tuple[str, ...] = ()
+    report: bool = True
+    cached: bool = True
+    force: bool = False
+    propose: bool | None = None
+    given: Sequence[str] = ()
+    given_vehicle: Sequence[str] = ()
+    drives: Sequence[Drive] = ()
+    healthy: Sequence[Drive] = ()
+    own_effects: Mapping[str, str] = field(default_factory=dict)
+
+
+ANSWER_FORMAT = 2  # of what is cached_answer; another number makes older files useless
+
+
+def answer_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle: VehicleParameters, base: Model,
+        settings: DiscoverySettings, effects: Mapping[str, str], identities: Mapping[str, Sequence[float]]) -> str:
+    """Of everything an answer depends on, the code included."""
+    values = base.values if isinstance(base, AugmentedModel) else {}
+    content = [ANSWER_FORMAT, code_of(st_core), [_digest(log) for log in runs], [_digest(log) for log in reference],
+               vehicle.hash, sorted((name, one.uncertainty) for name, one in vehicle.provenance.items()),
+               _base(base), {effect: dict(entry) for effect, entry in values.items()}, asdict(settings),
+               sorted(effects.items()), sorted((name, list(value)) for name, value in identities.items())]
+    return name_of(content)
+
+
+def keep_answer(file: Path, found: Discovery) -> None:
+    """Into the file that `cached_answer` reads; nothing where it cannot be written."""
+    models = {name: getattr(found, name) for name in MODELS}
+    content = found.document() | {name: model and _model(model) for name, model in models.items()}
+    put(file, lambda temporary: temporary.write_text(json.dumps(content), encoding="utf-8"))
+
+
+def cached_answer(file: Path) -> Discovery | None:
+    """The answer in a file of `keep_answer`; None where there is none, or a damaged one."""
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        hints = get_type_hints(Discovery)
+        parts = {name: restored(kind, content[name]) for name, kind in hints.items() if name not in MODELS}
+        parts |= {name: content[name] and augment(*content[name]) for name in MODELS}
+        return Discovery(**parts)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, StCoreError):
+        return None
+
+
+def restored(kind: Any, value: Any) -> Any:
+    """What `Discovery.document` made lists and dicts of, as dataclasses, tuples and mappings of the type `kind`."""
+    origin, inner = get_origin(kind), get_args(kind)
+    if isinstance(kind, type) and is_dataclass(kind):
+        hints = get_type_hints(kind)
+        return kind(**{name: restored(hints[name], entry) for name, entry in value.items()})
+    if origin is tuple:
+        return tuple(map(restored, repeat(inner[0]) if inner[-1] is Ellipsis else inner, value))
+    if origin is Mapping:
+        return {name: restored(inner[1], entry) for name, entry in value.items()}
+    if NoneType in inner:
+        return None if value is None else restored(next(one for one in inner if one is not NoneType), value)
+    return value
+
+
+def _base(model: Model) -> str:
+    return model.base.name if isinstance(model, AugmentedModel) else model.name
+
+
+def _model(model: AugmentedModel) -> list[Any]:
+    return [_base(model), {effect: dict(values) for effect, values in model.values.items()}]
+
+
+def _digest(log: DriveLog) -> str:
+    content = hashlib.sha256(log.name.encode())
+    for column in fields(DriveLog):
+        values = getattr(log, column.name)
+        if isinstance(values, np.ndarray):
+            content.update(column.name.encode() + values.tobytes())
+    return content.hexdigest()

@@ -12,7 +12,7 @@ from st_core.relations import Candidate, Relation, RelationSearch
 from st_core.relations.candidates import MEMORY, QUANTITIES, WHERE
 from st_core.vehicle import VehicleParameters
 
-from . import relation_wording
+from . import quantities
 
 LIBRARY = Path(source_file(Effect)).parent
 KNOTS = 21  # straight lines between; the curve has eight numbers, so that nothing is lost
@@ -98,7 +98,7 @@ def name_of(one: Relation) -> str:
 
 def title_of(one: Relation) -> str:
     """Place and quantity, written out."""
-    return relation_wording.title(one.candidate, bool(one.formulas) and one.formulas[0].shape == "constant")
+    return quantities.title(one.candidate, bool(one.formulas) and one.formulas[0].shape == "constant")
 
 
 def _title_with_causes(one: Relation) -> str:

@@ -11,8 +11,8 @@ from st_core.relations.candidates import ODD, QUANTITIES
 from st_core.relations.next_drive import OF_A_PLACE, Option
 from st_core.vehicle import VehicleParameters
 
-from . import quantities, relation_wording, report_text
-from .relation_figure import shown
+from . import quantities, report_text
+from .figures import shown
 from .relation_files import name_of, title_of
 from .vehicle_update import changed
 
@@ -60,11 +60,11 @@ def relation_report(found: RelationSearch, answer: Discovery, vehicle: VehiclePa
                     typed: CommandLine) -> RelationReport:
     """Everything that is reported of a search for a relation."""
     one = found.relation
-    unseen = ", ".join(relation_wording.PLACES[name] for name in found.unseen())
+    unseen = ", ".join(quantities.PLACES[name] for name in found.unseen())
     excluded: Groups = [("not excluded", [f"a relation at these places, which the drives could not show: {unseen}"]
                          )] if unseen else []
     if one is None:
-        return RelationReport([("proposal", [f"none: {relation_wording.in_words(found.why, found.tried)}"]), *excluded])
+        return RelationReport([("proposal", [f"none: {quantities.in_words(found.why, found.tried)}"]), *excluded])
     groups: Groups = [("proposal", _proposal(one)), ("effect size", _effect_size(one, answer, found.why)),
                       ("formula", _formula(one, vehicle)), ("uncertainty of the curve", _uncertainty(one)),
                       ("alternatives", _alternatives(one)), ("next drive", next_drive_sentences(one)), *excluded,
@@ -107,19 +107,19 @@ def _effect_size(one: Relation, answer: Discovery, why: str) -> list[str]:
 def _formula(one: Relation, vehicle: VehicleParameters) -> list[str]:
     c = one.candidate
     lines = [f"{'or ' if k else ''}{r.text.replace('^2', '²').replace('^3', '³')} "
-             f"({relation_wording.SHAPES.get(r.shape, r.shape)}; keeps {r.kept:.0%} of the curve's held-out gain when "
+             f"({quantities.SHAPES.get(r.shape, r.shape)}; keeps {r.kept:.0%} of the curve's held-out gain when "
              "simulated in its place)" for k, r in enumerate(one.formulas)
              ] or ["no simple formula keeps 90 % of the curve's held-out gain when simulated in its place"]
-    return [*lines, f"y: {relation_wording.axis(c)}, {c.unit.translate(SQUARES)}; u: {relation_wording.quantity(c)}"
-            f"{relation_wording.SIGNS.get(c.quantity, '')}, {QUANTITIES[c.quantity].translate(SQUARES)}",
-            *filter(None, [relation_wording.in_newtons(c, vehicle)])]
+    return [*lines, f"y: {quantities.axis(c)}, {c.unit.translate(SQUARES)}; u: {quantities.quantity(c)}"
+            f"{quantities.SIGNS.get(c.quantity, '')}, {QUANTITIES[c.quantity].translate(SQUARES)}",
+            *filter(None, [quantities.in_newtons(c, vehicle)])]
 
 
 def _uncertainty(one: Relation) -> list[str]:
     """Driven range, the widest interval, sparse ranges, variation between runs."""
     c, widest = one.candidate, int(one.deviation.argmax())
     (up, unit), (across, across_unit) = shown(c.unit), shown(QUANTITIES[c.quantity])
-    lines = [f"driven: {relation_wording.quantity(c)} from {across * c.low:.3g} to {across * c.high:.3g} {across_unit}"
+    lines = [f"driven: {quantities.quantity(c)} from {across * c.low:.3g} to {across * c.high:.3g} {across_unit}"
              "; the curve is constant beyond",
              f"widest interval at {across * one.at[widest]:.3g} {across_unit}: {up * one.value[widest]:.2g} ± "
              f"{up * report_text.SURE * one.deviation[widest]:.2g} {unit} (95 %)"]
@@ -138,7 +138,7 @@ def _uncertainty(one: Relation) -> list[str]:
 def _alternatives(one: Relation) -> list[str]:
     lines = []
     if one.others:
-        names = "; ".join(f"{relation_wording.named(name)} ({cosine:.2f})" for name, cosine in one.others.items())
+        names = "; ".join(f"{quantities.named(name)} ({cosine:.2f})" for name, cosine in one.others.items())
         lines.append(f"these drives do not separate it from: {names}. In brackets the cosine similarity of the two "
                      "effects on the predictions: 1 the same, 0 unrelated")
     for name, share in one.redundant.items():
@@ -224,7 +224,7 @@ def next_drive_sentences(one: Relation) -> list[str]:
     separating = drives.most_separating()
     if separating is not None:
         option, rival = separating
-        lines.append(f"to separate it from {relation_wording.named(rival)}: {_manoeuvre(option, lines)}. Their "
+        lines.append(f"to separate it from {quantities.named(rival)}: {_manoeuvre(option, lines)}. Their "
                      f"difference is then {option.apart[rival] / max(drives.now[rival], 1e-9):.1f} times as large")
     elif drives.now:
         lines.append("no manoeuvre of the catalogue separates it much better from its alternatives: look for the "
@@ -267,7 +267,7 @@ def _sparse(one: Relation, before: Sequence[str]) -> list[str]:
                      "of each drive are in that range")
     if missed:
         lines.append(f"no manoeuvre of the catalogue stays at {_ranges(one, missed)} of the "
-                     f"{relation_wording.quantity(one.candidate)}: drive some seconds there by hand, turning to both "
+                     f"{quantities.quantity(one.candidate)}: drive some seconds there by hand, turning to both "
                      "sides")
     return lines
 

@@ -25,7 +25,7 @@ from st_core.vehicle import TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, VehicleP
 from st_core.yaml_text import number, quoted
 from st_recordings.car_skeleton import SPEEDS
 
-from .request import Request
+from .drives import Request
 
 HORIZON, STEP, EVERY = 5.0, 0.05, 5.0  # s: predictions the two descriptions are compared by, and between their starts
 SLOWEST = 1.5  # m/s

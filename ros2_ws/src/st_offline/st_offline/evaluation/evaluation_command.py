@@ -14,11 +14,9 @@ from st_core.errors import ConfigurationError
 from st_recordings.output import new_folder
 from st_recordings.runs import RunError, RunSource, find_runs
 
-from ..bands.bands_report import HOW_TO_GET, adaptive_table, bands_table
-from ..bands.error_shares import finished_shares, shares_table
+from ..bands.bands_report import HOW_TO_GET, adaptive_table, bands_table, finished_shares, shares_table
 from ..bands.scoring import pooled_sums
-from ..checking.check_document import findings_in
-from ..checking.check_report import print_findings
+from ..checking.check_report import findings_in, print_findings
 from ..terminal import line, list_files, progress_bars, report_problem
 from .drawing import check_formats
 from .evaluation_report import Choices, finding, settings_in_words, write_results
@@ -61,7 +59,7 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
     if shares := shares_table(finished_shares(pooled_sums([report.bands for report in good])), console.width):
         console.print(shares)
     if tolerance is not None:
-        from ..advice.advice_report import advise  # half a second of libraries, needed for advice only
+        from .advice import advise  # half a second of libraries, needed for advice only
 
         advise([s for s, report in zip(sources, found, strict=True) if not report.problem], task, tolerance, console)
     for report in found:

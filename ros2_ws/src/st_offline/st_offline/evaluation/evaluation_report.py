@@ -14,14 +14,12 @@ from st_core.palette import MODEL_COLOUR
 from st_core.vehicle import VehicleParameters
 from st_recordings.results import versions
 
-from ..bands.bands_report import adaptive_rows, band_figures, band_rows
-from ..bands.error_shares import finished_shares, share_figures, share_rows
+from ..bands.bands_report import adaptive_rows, band_figures, band_rows, finished_shares, share_figures, share_rows
 from ..bands.scoring import finished, finished_adaptive, pooled_sums
 from ..pages import template
 from . import tables
 from .drawing import TEXT, WIDTH, Drawn, Place, finish, style
-from .statistics import pooled, pooled_by
-from .tables import SHOWN_AXES, shown, values
+from .tables import SHOWN_AXES, pooled, pooled_by, shown, values
 from .work import RunReport, Task, slug
 
 SCHEMA = 1

@@ -16,17 +16,17 @@ from st_core.bands.file import times
 from st_core.effects import load_folder
 from st_core.errors import ConfigurationError
 from st_core.log_evaluation import AXES, Block, EvaluationSettings, LogEvaluation, evaluate_log
-from st_core.log_signals import LogSignals
 from st_core.model_file import ModelFile
 from st_core.models import Model, get_model
 from st_core.stability import StepTooLongWarning
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
 
-from ..bands.scoring import AdaptiveScorer
-from ..checking.check_document import documents
+from ..bands.bands_report import intervals_of, share_sums
+from ..bands.scoring import AdaptiveScorer, Scorer
+from ..checking.check_report import documents
 from ..checking.gate import PROBLEMS, Refused, in_words, passed
-from . import statistics
+from . import tables
 from .background import in_background
 from .drawing import Drawn, Place
 from .drive_parts import drive_parts
@@ -106,7 +106,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     with in_background(lambda: (_findings(source, run, task, models), drive_parts(run.log, run.labels))) as looked:
         signals = task.settings.signals(run.log)
         bands = load_bands(task, models)
-        scorer = _scorer(bands, signals) if bands else None
+        scorer = Scorer(bands, signals) if bands else None
         adaptive = AdaptiveScorer(bands, signals, horizon_times(task.settings)) if task.adaptive else None
         watches = [one.add for one in (scorer, adaptive) if one is not None]
 
@@ -133,12 +133,15 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     figures = run_figures(Drawing(evaluation, models, task.vehicle, signals, task.starts, place))
     marks.append(time.perf_counter())
     about = {**_about(run, evaluation), "inputs_ahead": list(ahead), "findings": findings}
-    sums = _band_sums(scorer, run, models, signals, task) if scorer else {}
+    sums: dict[str, Any] = {}
+    if scorer:
+        sums = scorer.sums(run.provenance["files"]) | share_sums(models, task.vehicle, signals, task.settings,
+                                                                 intervals_of(model_files(task)))
     if adaptive:
         sums |= adaptive.sums()
     return RunReport(
-        source.name, "", ranking(evaluation, "lateral"), about, statistics.by_model(evaluation),
-        statistics.by_second(evaluation), statistics.by_bin(evaluation), statistics.by_manoeuvre(evaluation, parts),
+        source.name, "", ranking(evaluation, "lateral"), about, tables.by_model(evaluation),
+        tables.by_second(evaluation), tables.by_bin(evaluation), tables.by_manoeuvre(evaluation, parts),
         figures, sums, dict(zip(("read", "predict", "draw"), np.diff(marks).tolist(), strict=True)))
 
 
@@ -188,19 +191,6 @@ def load_models(task: Task) -> list[Model]:
 def horizon_times(settings: EvaluationSettings) -> np.ndarray:
     """(points,) of the horizon without the start [s]."""
     return times(settings.prediction.horizon, settings.prediction.step)
-
-
-def _scorer(bands: Bands, signals: LogSignals):
-    from ..bands.scoring import Scorer  # a library of scores that an evaluation without bands need not wait for
-
-    return Scorer(bands, signals)
-
-
-def _band_sums(scorer, run: LoadedRun, models: Sequence[Model], signals: LogSignals, task: Task) -> dict[str, Any]:
-    from ..bands.error_shares import intervals_of, share_sums
-
-    return scorer.sums(run.provenance["files"]) | share_sums(models, task.vehicle, signals, task.settings,
-                                                             intervals_of(model_files(task)))
 
 
 def model_files(task: Task) -> list[ModelFile]:

@@ -1,23 +1,217 @@
-"""`st identify` from driving: steering offset, ratio, INS mounting, cornering stiffness, yaw inertia."""
+"""`st identify` from driving: steering offset, ratio, INS mounting, cornering stiffness, yaw inertia; with figures."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import matplotlib.pyplot as plt
+import numpy as np
+from scipy.stats import chi2
 from st_core.checks import Finding
 from st_core.errors import StCoreError
 from st_core.identification.cornering_stiffness import identify_stiffness
+from st_core.identification.driving_fit import FREE
 from st_core.identification.driving_prediction import identify_steering, identify_yaw_inertia, predict_stiffness
 from st_core.identification.ins_mounting import identify_ins_mounting
-from st_core.identification.result import Identification, IdentificationError, contradiction
+from st_core.identification.result import Estimate, Identification, IdentificationError, contradiction
 from st_core.identification.steering_offset import identify_steering_offset
 from st_core.log import DriveLog
 from st_core.models import MODELS, Model
+from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_recordings.runs import RunError, find_runs, read
 
 from ..checking.gate import checked_log, refuse
-from . import driving_figures as figures
-from .experiment import Experiment, Setup
+from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
+from .experiment import Experiment, Setup, number
+
+MOST_POINTS = 4000
+"""Dots of a cloud; more only make it darker."""
+PAPER, BETTER = MODEL_COLOUR["linear"], MODEL_COLOUR["augmented"]
+DEG = np.rad2deg(1.0)
+UNITS = {"rad": (DEG, "deg"), "N/rad": (1e-3, "kN/rad")}
+
+
+def draw_offset(found: Identification, place: Place) -> Drawn:
+    """Offset of every straight window and both results; yaw-rate residuals."""
+    data = found.figure
+    with style():
+        figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.4), width_ratios=(2, 1))
+        position = _in_line(data["run"], data["time"])
+        left.plot(position, data["offset"] * DEG, ".", color=MEASURED_COLOUR, ms=4, label="steady straight window")
+        for estimate, colour, label in ((found.estimates[0], PAPER, "yaw rate (paper)"),
+                                        (found.estimates[1], BETTER, "mean of windows")):
+            left.axhspan(*(np.array(estimate.interval95) * DEG), color=colour, alpha=0.25, lw=0)
+            left.axhline(estimate.value * DEG, color=colour, label=label)
+        left.set(xlabel="driving, s (runs one after the other, straights only)", ylabel="hand wheel when straight, deg")
+        left.legend(loc="best")
+        right.hist(data["residual_yaw_rate"] * DEG, 40, color=MEASURED_COLOUR)
+        right.set(xlabel="yaw rate simulated - measured, deg/s", ylabel="predictions")
+        first, second = (e.value * DEG for e in found.estimates[:2])
+        return finish(figure, place, "steering-offset",
+                      f"Steering offset {first:.2f} deg by the yaw rate, {second:.2f} deg by the mean reading",
+                      "Bands: 95 % intervals. Right: what the yaw-rate criterion leaves.")
+
+
+def draw_mounting(found: Identification, place: Place) -> Drawn:
+    """Lateral over forward velocity against curvature, slip removed; the slope is the distance to the axle."""
+    data = found.figure
+    with style():
+        figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
+        thin = _thin(len(data["curvature"]))
+        for index, name in enumerate(data["names"]):
+            here = thin[data["run"][thin] == index]
+            left.plot(data["curvature"][here], data["slope"][here], ".", ms=2.5, label=name)
+        ends = np.array([data["curvature"].min(), data["curvature"].max()])
+        left.plot(ends, data["theta"][0] + data["theta"][1] * ends, color=TEXT, lw=1, label="fit")
+        left.set(xlabel="yaw rate / forward velocity, 1/m (left +)", ylabel="lateral / forward velocity, slip removed")
+        if len(data["names"]) <= 8:
+            left.legend(markerscale=3, fontsize=7)
+        right.plot(data["speed"][thin], data["residual"][thin] * 1e3, ".", color=MEASURED_COLOUR, ms=2.5)
+        right.axhline(0.0, color=TEXT, lw=0.8)
+        right.set(xlabel="forward velocity, m/s", ylabel="left over, mm/s")
+        lever, angle = found["cg_to_ins_x"], found["ins_misalignment"]
+        return finish(figure, place, "ins", f"INS {_value(lever)} ahead of the CG, heading turned by {_value(angle)}",
+                      "Slope of the line: INS ahead of the rear axle. Where it crosses zero curvature: misalignment.")
+
+
+def draw_regression(found: Identification, place: Place) -> Drawn:
+    """The paper's figure: axle force against slip angle, and the slope."""
+    with style():
+        figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
+        _clouds(panels, found, (found,))
+        return finish(figure, place, "stiffness-paper", f"Slopes {_both(found)}",
+                      "Dots: force and slip angle of the axle from force and moment balance, up to 2 deg of slip.")
+
+
+def draw_stiffness(found: Identification, place: Place) -> Drawn:
+    """Both estimators over the paper's cloud, and their 95 % intervals."""
+    data = found.figure
+    paper = data.get("paper")
+    with style():
+        figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 3.6), width_ratios=(1.2, 1.2, 1))
+        if paper is not None:
+            _clouds(panels[:2], paper, (paper, found))
+        else:
+            for axes in panels[:2]:
+                axes.set_axis_off()
+        pair = panels[2]
+        _ellipse(pair, found, found.estimates[:2])
+        for one, colour, label in ((found, BETTER, "prediction"), (paper, PAPER, "regression (paper)")):
+            if one is not None and np.isfinite([e.value for e in one.estimates[:2]]).all():
+                front, rear = one.estimates[:2]
+                pair.errorbar(
+                    front.value * 1e-3, rear.value * 1e-3, fmt="o", color=colour, mec=TEXT, label=label, zorder=3,
+                    **{f"{axis}err": np.abs(np.array(e.interval95) - e.value)[:, None] * 1e-3
+                       for axis, e in (("x", front), ("y", rear))})
+        pair.set(xlabel="front, kN/rad", ylabel="rear, kN/rad")
+        pair.legend(fontsize=8)
+        return finish(figure, place, "stiffness", f"Cornering stiffness {_both(found)} by prediction",
+                      "Left: the paper's force and slip, with both slopes. Right: 95 % intervals and region of both.")
+
+
+def draw_prediction(found: Identification, place: Place) -> Drawn:
+    """Residuals of a fit of predictions, run after run, and the first parameter with its strongest correlation."""
+    data, first = found.figure, found.estimates[0]
+    with style():
+        figure, panels = plt.subplot_mosaic([["rate", "pair"], ["across", "pair"]], figsize=(WIDTH, 4.2),
+                                            width_ratios=(1.5, 1))
+        position = _in_line(data["residual_run"], data["residual_time"])
+        thin = _thin(len(position))
+        begins = position[np.unique(data["residual_run"], return_index=True)[1]]
+        for column, (key, label, factor) in enumerate((("rate", "yaw rate, deg/s", DEG),
+                                                       ("across", "lateral velocity, mm/s", 1e3))):
+            axes = panels[key]
+            for begin in begins[1:]:
+                axes.axvline(begin - 1.0, color=TEXT, lw=0.6, ls=":")
+            axes.plot(position[thin], data["residuals"][thin, column] * factor, ".", ms=1.5, color=MEASURED_COLOUR)
+            axes.axhline(0.0, color=TEXT, lw=0.8)
+            axes.set_ylabel(label)
+        panels["rate"].tick_params(labelbottom=False)
+        panels["across"].set_xlabel("driving, s (runs one after the other)")
+        second = found.estimates[1]
+        if found.correlation is not None:
+            second = found.estimates[1 + int(np.argmax(np.abs(found.correlation[0, 1:])))]
+        pair = panels["pair"]
+        _ellipse(pair, found, (first, second))
+        x, y = (e.value * _unit(e.parameter)[0] for e in (first, second))
+        errors = [np.abs(np.array(e.interval95) - e.value)[:, None] * _unit(e.parameter)[0] for e in (first, second)]
+        pair.errorbar(x, y, xerr=errors[0], yerr=errors[1], fmt="o", ms=4, color=TEXT, label="95 % interval")
+        for axis, one in (("x", first), ("y", second)):
+            getattr(pair, f"set_{axis}label")(_axis(one.parameter))
+        pair.legend(loc="best", fontsize=8)
+        title = "; ".join(f"{_name(e.parameter)} {_value(e)}" for e in (first, second))
+        return finish(figure, place, found.what, title,
+                      "Left: predicted minus measured, dotted lines between runs. Right: the first parameter and the "
+                      "one it is correlated with most; intervals include what the runs cannot show.")
+
+
+def _clouds(panels: Sequence[plt.Axes], cloud: Identification, lines: Sequence[Identification]) -> None:
+    for axes, axle in zip(panels, ("front", "rear"), strict=True):
+        slip, force = cloud.figure[f"slip_{axle}"], cloud.figure[f"force_{axle}"]
+        thin = _thin(len(slip))
+        axes.plot(slip[thin] * DEG, force[thin] * 1e-3, ".", color=MEASURED_COLOUR, ms=2)
+        # Through the middle of the cloud: an offset of steering or INS moves it away from the origin.
+        middle, ends = slip.mean(), np.array([slip.min(), slip.max()])
+        for one, colour, label in zip(lines, (PAPER, BETTER), ("regression (paper)", "prediction"), strict=False):
+            estimate = one[f"cornering_stiffness_{axle}"]
+            if not np.isfinite(estimate.value):
+                continue
+            axes.plot(ends * DEG, (force.mean() - estimate.value * (ends - middle)) * 1e-3, color=colour,
+                      label=f"{label}: {estimate.value * 1e-3:.1f} kN/rad")
+        axes.set(xlabel=f"{axle} slip angle, deg (+ slides left)", ylabel=f"{axle} axle force, kN (left +)")
+        axes.legend(fontsize=8)
+
+
+def _ellipse(axes: plt.Axes, found: Identification, pair: Sequence[Estimate]) -> None:
+    """95 % region of two estimates by the covariance of the fit."""
+    data, names = found.figure, [e.parameter for e in pair]
+    index = [data["names"].index(name) for name in names]
+    values, axes_of = np.linalg.eigh(data["covariance"][np.ix_(index, index)])
+    size = axes_of * np.sqrt(chi2.ppf(0.95, 2) * np.maximum(values, 0.0))
+    angle = np.linspace(0.0, 2.0 * np.pi, 121)
+    x, y = size @ np.stack([np.cos(angle), np.sin(angle)])
+    axes.plot((pair[0].value + x) * _unit(names[0])[0], (pair[1].value + y) * _unit(names[1])[0], color=BETTER, lw=1,
+              label="95 % region")
+
+
+def _thin(count: int) -> np.ndarray:
+    return np.arange(0, count, max(1, count // MOST_POINTS))
+
+
+def _in_line(run: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Times of all runs one after the other."""
+    result, end = np.zeros(len(time)), 0.0
+    for index in np.unique(run):
+        here = run == index
+        result[here] = end + time[here] - time[here].min()
+        end = float(result[here].max()) + 2.0
+    return result
+
+
+def _unit(parameter: str) -> tuple[float, str]:
+    unit = FREE[parameter].unit
+    return UNITS.get(unit, (1.0, unit))
+
+
+def _name(parameter: str) -> str:
+    return parameter.replace("_", " ")
+
+
+def _axis(parameter: str) -> str:
+    unit = _unit(parameter)[1]
+    return _name(parameter) + (f", {unit}" if unit != "1" else "")
+
+
+def _value(estimate: Estimate) -> str:
+    factor, unit = UNITS.get(estimate.unit, (1.0, estimate.unit))
+    value, spread = estimate.value * factor, estimate.standard_uncertainty * factor
+    text = f"{number(value, spread)} +/- {number(spread, spread)}"
+    return text if unit == "1" else f"{text} {unit}"
+
+
+def _both(found: Identification) -> str:
+    return ", ".join(f"{axle} {_value(found[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))
+
 
 DISAGREEMENT = 0.15
 ADVICE = "Steering ratio or lever arm may be wrong: run `st identify steering` and `st identify ins` first."
@@ -97,15 +291,15 @@ def stiffness(logs: Sequence[DriveLog], vehicle, base: Model) -> Identification:
 
 DRIVING = (
     experiment("steering-offset", "offset of the steering wheel sensor, two ways", "straight on, above 5 m/s",
-               identify_steering_offset, figures.offset),
+               identify_steering_offset, draw_offset),
     experiment("steering", "steering ratio and offset, without turntables", "bends and straights at several speeds",
-               identify_steering, figures.prediction, predicts=True),
+               identify_steering, draw_prediction, predicts=True),
     experiment("ins", "lever arm and misalignment of the INS", "2 to 9 m/s, straights and bends to both sides",
-               identify_ins_mounting, figures.mounting),
+               identify_ins_mounting, draw_mounting),
     experiment("stiffness", "cornering stiffnesses, by prediction", "bends to both sides, up to 4 m/s^2", stiffness,
-               figures.stiffness, predicts=True),
+               draw_stiffness, predicts=True),
     experiment("stiffness-paper", "cornering stiffnesses, the paper's regression", "bends to both sides",
-               identify_stiffness, figures.regression),
-    experiment("yaw-inertia", "yaw inertia", "steps, lane changes, sweeps", identify_yaw_inertia, figures.prediction,
+               identify_stiffness, draw_regression),
+    experiment("yaw-inertia", "yaw inertia", "steps, lane changes, sweeps", identify_yaw_inertia, draw_prediction,
                predicts=True),
 )

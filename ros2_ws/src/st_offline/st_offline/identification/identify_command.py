@@ -24,16 +24,14 @@ from st_recordings.plain_json import as_text
 from st_recordings.results import versions
 from st_recordings.runs.load import file_hashes
 
-from ..checking.check_document import documents
-from ..checking.check_report import print_findings
+from ..checking.check_report import documents, print_findings
 from ..discovery.vehicle_update import edited
 from ..evaluation.drawing import Drawn, Place
 from ..pages import template
 from ..terminal import line, list_files
 from .driving import DRIVING
 from .experiment import HEADS, Experiment, Setup, rows
-from .flat_plank import LAMBDA, TYRE
-from .workshop import CG_HEIGHT, SCALES, STEERING_RATIO
+from .workshop import CG_HEIGHT, LAMBDA, SCALES, STEERING_RATIO, TYRE
 
 EXPERIMENTS: dict[str, Experiment] = {
     one.name: one for one in (SCALES, CG_HEIGHT, STEERING_RATIO, TYRE, *DRIVING, LAMBDA)}

@@ -1,31 +1,178 @@
-"""`st evaluate --advise`: cost and accuracy of each model at three steps on the same runs, as tables and a figure."""
+"""`st evaluate --advise`: processor time and accuracy of each model at three steps on the same runs."""
 
 import csv
 import math
+import time
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import matplotlib.pyplot as plt
+import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from st_core.bands import NotFiniteError, RunSamples, run_samples
+from st_core.bands import CONDITIONS, NotFiniteError, RunSamples, calibrate, highest_level, run_samples
+from st_core.bands.calibration import FEWEST_RUNS
+from st_core.bands.file import times
+from st_core.batch import LogBatch
+from st_core.binning import SPEED
+from st_core.compiled import compile_models
 from st_core.errors import ConfigurationError, StCoreError
-from st_core.log_evaluation import EvaluationSettings
+from st_core.log_evaluation import EvaluationSettings, regular_starts, usable_starts
 from st_core.log_signals import LogSignals
 from st_core.models import Model
 from st_core.palette import MODEL_COLOUR
+from st_core.prediction import predict
 from st_core.stability import StepTooLongWarning
+from st_core.types import ControlInput, VehicleState
+from st_core.vehicle import VehicleParameters
 from st_recordings.runs import RunError, RunSource, read
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
 from ..evaluation.work import Task, load_models
 from ..terminal import line, list_files, rows_table
-from .accuracy import SHARE, Accuracy, Key, cheapest, model_accuracy, processor_time, speed_label
-from .cost import Cost, costs
+
+ROUNDS, LEAST = 5, 0.02
+"""Turns, and seconds of processor time of each."""
+BATCHED = 960
+"""Starts of a batch: 20 groups of the compiled lanes."""
+
+Call = Callable[[], object]
+CallKey = tuple[str, float, str]
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Processor time of one prediction over the horizon [s]. floats: as live without numba. compiled: as live with it,
+    one at a time; None where the model cannot be compiled. batch: a start of many in one drive.
+    """
+
+    floats: float
+    compiled: float | None
+    batch: float
+
+
+def costs(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,
+          settings: Mapping[float, EvaluationSettings]) -> dict[tuple[str, float], Cost]:
+    """By model and step [s], of this drive. settings: by step."""
+    calls: dict[tuple[str, float, str], tuple[Call, int]] = {}
+    for step, one in settings.items():
+        starts, _ = usable_starts(signals, vehicle, regular_starts(signals.log, one.interval),
+                                  one.prediction.minimum_speed)
+        starts = starts[:BATCHED]
+        batch = LogBatch(signals, starts, one.prediction.horizon, step, inputs="held")
+        middle = starts[len(starts) // 2:][:1]
+        state = VehicleState(*signals.states_at(middle, vehicle)[0])
+        acceleration, = signals.ins_at(middle, "velocity_x_dot")
+        held = ControlInput(float(signals.road_wheel_angle_at(middle)[0]), float(acceleration[0]))
+        compiled, _ = compile_models(models, vehicle, one.prediction)
+        for model in models:
+            calls[model.name, step, "floats"] = partial(
+                predict, model, vehicle, state, held, one.prediction.horizon, step), 1
+            if model.name in compiled:
+                calls[model.name, step, "compiled"] = partial(compiled[model.name], state, held), 1
+            calls[model.name, step, "batch"] = partial(batch.predict, model, vehicle), len(starts)
+    seconds = in_turns(calls)
+    return {(model.name, step): Cost(seconds[model.name, step, "floats"], seconds.get((model.name, step, "compiled")),
+                                     seconds[model.name, step, "batch"]) for model in models for step in settings}
+
+
+def in_turns(calls: Mapping[CallKey, tuple[Call, int]]) -> dict[CallKey, float]:
+    """Median processor time [s] of one of the predictions that a call makes, all calls in every round."""
+    taken: dict[CallKey, list[float]] = {key: [] for key in calls}
+    for call, _ in calls.values():
+        call()
+    for _ in range(ROUNDS):
+        for key, (call, predictions) in calls.items():
+            count, begin = 0, time.process_time()
+            while not count or time.process_time() - begin < LEAST:
+                call()
+                count += 1
+            taken[key].append((time.process_time() - begin) / (count * predictions))
+    return {key: float(np.median(values)) for key, values in taken.items()}
+
+
+ACROSS = 1
+"""Of along, across, yaw."""
+LEVELS = (0.9, 0.5)
+SHARE = 0.9
+"""Of starts that a model which is good enough keeps within the tolerance."""
+ENOUGH = 100
+"""Minimum starts in a speed bin for a result: ten seconds of driving."""
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Of one model and step, in the model question. second: whole seconds ahead. rms: of the error across there [m].
+    width: mean half-width across of the calibrated band of `level` there [m]; None with too few runs for one.
+    within: by lower edge of speed [m/s], (seconds,), the error across that SHARE of the starts stay below up to that
+    second [m], every run weighing the same."""
+
+    second: tuple[int, ...]
+    rms: tuple[float, ...]
+    level: float | None
+    width: tuple[float, ...] | None
+    within: dict[float, tuple[float, ...]]
+
+
+def model_accuracy(runs: Sequence[RunSamples], model: str, settings: EvaluationSettings) -> Accuracy:
+    """Of errors of this model; at least one run. Raises StCoreError where no band can be fitted to them."""
+    question = model, "hindsight"
+    time = times(settings.prediction.horizon, settings.prediction.step)
+    seconds = range(1, math.floor(time[-1] + 1e-9) + 1)
+    at = [int(np.abs(time - second).argmin()) for second in seconds]
+    across = [np.abs(run.errors[question][:, :, ACROSS].astype(float)) for run in runs]
+    rms = np.sqrt(np.mean([np.square(one[:, at]).mean(axis=0) for one in across], axis=0))
+    level = next((one for one in LEVELS if len(runs) >= FEWEST_RUNS and one <= highest_level(len(runs)) + 1e-9), None)
+    width = None
+    if level is not None:
+        # Mean over all starts, also those under conditions that fewer runs had than a band is given for.
+        band = calibrate(runs, question, time, (level,))
+        width = tuple(np.mean([band.half_widths(run.conditions, level)[:, at, ACROSS].mean(axis=0) for run in runs],
+                              axis=0).tolist())
+    highest = [np.maximum.accumulate(one, axis=1)[:, at] for one in across]
+    within = {}
+    for low, high in zip(SPEED, (*SPEED[1:], math.inf), strict=True):
+        speed = [run.conditions[:, CONDITIONS.index("speed")] for run in runs]
+        parts = [one[(v >= low) & (v < high)] for one, v in zip(highest, speed, strict=True)]
+        if sum(map(len, parts)) >= ENOUGH:
+            spread = [np.quantile(part, np.linspace(0.0, 1.0, 201), axis=0) for part in parts if len(part)]
+            within[low] = tuple(np.quantile(np.concatenate(spread), SHARE, axis=0).tolist())
+    return Accuracy(tuple(seconds), tuple(rms.tolist()), level, width, within)
+
+
+
+Key = tuple[str, float]
+"""Model, step [s]."""
+
+
+def processor_time(cost: Cost) -> float:
+    """Processor time that counts in a choice [s]: one prediction, compiled where the model can be."""
+    return cost.floats if cost.compiled is None else cost.compiled
+
+
+def cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
+             tolerance: float) -> dict[float, tuple[Key | None, ...]]:
+    """By lower edge of speed [m/s]: for each second ahead the cheapest with an error across within the tolerance
+    [m] in SHARE of the starts; None where no model does.
+    """
+    order = sorted(accuracies, key=lambda key: processor_time(costs[key]))
+    speeds = sorted({low for one in accuracies.values() for low in one.within})
+    seconds = max((len(one.second) for one in accuracies.values()), default=0)
+    return {low: tuple(next((key for key in order if low in accuracies[key].within
+                             and accuracies[key].within[low][k] <= tolerance), None) for k in range(seconds))
+            for low in speeds}
+
+
+def speed_label(low: float) -> str:
+    """Of a lower edge [m/s]."""
+    high = dict(zip(SPEED, (*SPEED[1:], math.inf), strict=True))[low]
+    return f"{low:g} to {high:g} m/s" if math.isfinite(high) else f"above {low:g} m/s"
+
 
 MULTIPLES = (1, 2, 4)
 """Of the integration step of the task."""

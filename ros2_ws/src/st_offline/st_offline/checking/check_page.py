@@ -1,6 +1,8 @@
-"""Each identity as a small panel: what was measured over what it must be, and their difference below."""
+"""The page of `st check`: what is wrong, what to do, and each comparison as a figure."""
 
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -8,8 +10,11 @@ from st_core.checks import Checked, Finding, Identity, Severity
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 
 from ..evaluation.drawing import BAD, TEXT, WARN, WIDTH, Drawn, Place, broken, finish, style, thinned
-from . import check_wording as words
-from .check_document import residual_rms
+from ..evaluation.evaluation_report import BUDGET
+from ..evaluation.work import slug
+from ..pages import template
+from . import check_report as words
+from .check_report import CheckedRun, FailedRun, residual_rms
 
 HEIGHT = 3.1  # inch
 GAP = 1.5  # s; no line across
@@ -39,7 +44,7 @@ def panel(identity: Identity, checked: Checked, place: Place) -> Drawn:
         figure.align_ylabels()
         figure.legend(loc="outside lower left", ncols=2)
         key = f"identity-{identity.name}"
-        return finish(figure, place, key, title(identity, findings), caption(identity, findings))
+        return finish(figure, place, key, panel_title(identity, findings), panel_caption(identity, findings))
 
 
 def resting_on(identity: Identity, checked: Checked) -> list[Finding]:
@@ -47,7 +52,7 @@ def resting_on(identity: Identity, checked: Checked) -> list[Finding]:
     return sorted((one for one in checked.findings if one.name in identity.findings), key=words.gravity)
 
 
-def title(identity: Identity, findings: Sequence[Finding]) -> str:
+def panel_title(identity: Identity, findings: Sequence[Finding]) -> str:
     """What the panel shows: the gravest finding, or that both agree."""
     what = identity.title[0].upper() + identity.title[1:]
     if findings:
@@ -56,7 +61,7 @@ def title(identity: Identity, findings: Sequence[Finding]) -> str:
     return f"{what}: no finding; they differ by {size} (root mean square)"
 
 
-def caption(identity: Identity, findings: Sequence[Finding]) -> str:
+def panel_caption(identity: Identity, findings: Sequence[Finding]) -> str:
     shaded = ", shaded where a finding has its stretches" if any(one.where for one in findings) else ""
     return f"Grey: {identity.measured_label}; blue: {identity.derived_label}; below, grey minus blue{shaded}."
 
@@ -68,3 +73,38 @@ def _shade(panels: Sequence[plt.Axes], findings: Sequence[Finding]) -> None:
         for start, end in finding.where:
             for axes in panels:
                 axes.axvspan(start, max(end, start + shortest), color=SHADE[finding.severity], alpha=0.3, lw=0)
+
+
+def title(good: Sequence[CheckedRun]) -> str:
+    """Verdict over all runs in one sentence."""
+    if len(good) == 1:
+        return f"{good[0].name}: {words.answer(good[0].checked)}"
+    worst = {severity: [run.name for run in good if run.checked.of(severity)] for severity in words.GRAVITY[:2]}
+    if not any(worst.values()):
+        return f"{len(good)} runs: no error and no warning"
+    counts = [f"{severity.value}s in {len(names)} of {len(good)} runs ({', '.join(names)})"
+            for severity, names in worst.items() if names]
+    sentence = "; ".join(counts)
+    return sentence[0].upper() + sentence[1:]
+
+
+def write_page(file: Path, good: Sequence[CheckedRun], failed: Sequence[FailedRun], content: dict[str, Any]) -> None:
+    """content: of check.json."""
+    text = template("checking", "check.html.jinja").render(
+        title=title(good), runs=good, failed=failed, content=content, figures=_within_budget(good))
+    file.write_text(text, encoding="utf-8")
+
+
+def _within_budget(runs: Sequence[CheckedRun]) -> dict[str, list[Drawn]]:
+    """The panels of each run: all, as long as there is room on the page; then those with findings; then none."""
+    room = BUDGET
+    shown: dict[str, list[Drawn]] = {run.name: [] for run in runs}
+    for run in runs:
+        for identity in run.checked.identities:
+            concerned = any(one.name in identity.findings for one in run.checked.findings)
+            if room < (0 if concerned else BUDGET // 2):
+                continue
+            drawn = panel(identity, run.checked, Place(None, (), f"{slug(run.name)}-"))
+            room -= len(drawn.svg.encode())
+            shown[run.name].append(drawn)
+    return shown
