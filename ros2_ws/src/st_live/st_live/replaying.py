@@ -15,9 +15,9 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.recorded import configuration_of
 from st_recordings.runs import ReadSettings
 from st_recordings.runs.bag import read_bag, was_cut
+from st_recordings.runs.cdr import ODOMETRY, STEERING
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.external_topics import SteeringField
-from st_recordings.runs.messages import ODOMETRY, STEERING
 from st_recordings.runs.reconstruct import RECONSTRUCTED
 
 from .configuration import REPLAY_NODES, TRUNCATED, add_bands, replay_parameters

@@ -9,7 +9,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 from st_core.palette import MODEL_COLOUR
-from st_recordings.counted import lines
+from st_recordings.results import band_lines
 
 from .node import SuiteState
 
@@ -59,7 +59,7 @@ def running_errors(state: SuiteState) -> RenderableType:
 
 def bands(state: SuiteState) -> list[Text]:
     """Coverage of the published bands; empty without bands."""
-    return [Text(line) for line in lines(state.summary.statistics if state.summary else [])]
+    return [Text(line) for line in band_lines(state.summary.statistics if state.summary else [])]
 
 
 def ticks(state: SuiteState) -> Text:

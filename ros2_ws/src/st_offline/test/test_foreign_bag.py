@@ -12,10 +12,9 @@ from st_offline.checking.gate import passed_bag
 from st_recordings.paths import config
 from st_recordings.runs import ReadSettings, find_runs, read
 from st_recordings.runs.bag import definitions, read_bag
-from st_recordings.runs.cdr import typestore
+from st_recordings.runs.cdr import ODOMETRY, typestore
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.external_topics import SteeringField
-from st_recordings.runs.messages import ODOMETRY
 
 STORE = typestore(definitions())
 START_NS = 1_700_000_000_000_000_000

@@ -22,9 +22,9 @@ from st_core.vehicle import (
 
 from .car import Car, car_named, read_table, read_vehicle
 from .paths import config
+from .runs.columns import unit_named
 from .runs.errors import RunError
-from .runs.extras import SPEEDS as SPEEDS_ON_CAN
-from .runs.units import unit_named
+from .runs.ins_log import SPEEDS as SPEEDS_ON_CAN
 
 FILL_IN = "FILL_IN"
 """Placeholder of what only the owner of the car can state; no reader of these files accepts it as a value."""

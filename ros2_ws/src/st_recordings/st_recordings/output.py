@@ -1,8 +1,12 @@
-"""Folders for what a verb leaves behind."""
+"""Output of a verb: its folder, and JSON without NaN, infinity and arrays."""
 
+import json
+import math
 import shutil
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 LEAST_ROOM = 10_000_000  # bytes; less does not hold what the shortest run leaves behind
 
@@ -28,3 +32,20 @@ def new_folder(given: Path | None, name: str, create: bool = True) -> Path:
     except OSError as error:
         raise OutputError(f"{folder}: cannot be made: {error.strerror}") from None
     return folder.absolute()
+
+
+def finite(value: Any) -> Any:
+    """The same with plain Python numbers; what is not finite is null."""
+    if isinstance(value, Mapping):
+        return {str(k): finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(v) for v in value]
+    if isinstance(value, bool | int | str) or value is None:
+        return value
+    number = float(value)
+    return number if math.isfinite(number) else None
+
+
+def as_text(content: Mapping[str, Any]) -> str:
+    """The text of a file, to be read by people too."""
+    return json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"

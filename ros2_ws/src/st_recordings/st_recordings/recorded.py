@@ -13,8 +13,8 @@ from .car import read_vehicle
 from .paths import config
 from .runs import RunError
 from .runs.bag import definitions, open_bag
+from .runs.bag_storage import parameters, text_of
 from .runs.cdr import Layout, Layouts, typestore
-from .runs.recorded_texts import parameters, text_of
 
 PREDICTION, ERROR = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
 PLANNED = "st_msgs/msg/PlannedPrediction"

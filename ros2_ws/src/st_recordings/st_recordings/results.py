@@ -1,19 +1,20 @@
-"""What a run left behind, read without ROS: measured track, scores, tick counts; and summary.json made of them."""
+"""Results of a run, read without ROS: measured track, scores, tick counts, coverage of bands; and its summary.json."""
 
 import importlib.metadata
 import json
+import math
 import platform
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from st_core.evaluation import Statistic
 
-from .counted import Row, as_dict, counted
+from .output import finite
 from .paths import source_version
-from .plain_json import finite
 from .runs.bag import definitions, numbers, open_bag
 from .runs.bag_storage import Storage
 from .runs.cdr import Layouts, typestore
@@ -58,6 +59,20 @@ class Segment:
     lateral: np.ndarray
 
 
+SUMMARY, TYPE = "/evaluator/summary", "st_msgs/msg/ErrorSummary"
+QUESTIONS = {"forecast": "forecast", "hindsight": "model"}
+
+
+class BandCounts(Protocol):
+    """Coverage of the bands of one model and mode (st_msgs/ErrorSummary)."""
+
+    model: str
+    mode: str
+    n_bands: int
+    coverage_50: float
+    coverage_90: float
+
+
 @dataclass(frozen=True)
 class Results:
     """scores: by model and mode. segments: of SEGMENTS starts spread over the run, by model and start.
@@ -69,7 +84,7 @@ class Results:
     segments: dict[tuple[str, int], Segment]
     ticks: dict[str, Any]
     configuration_hash: str
-    bands: list[Row] = field(default_factory=list)
+    bands: list[BandCounts] = field(default_factory=list)
 
     def models(self) -> list[str]:
         return list(dict.fromkeys(model for model, _ in self.scores))
@@ -84,7 +99,7 @@ def read_results(folder: Path) -> Results:
     scores, configuration = _scores(errors)
     segments = _segments(errors, _spread_starts(scores))
     return Results(_track(folder / "bag", bag), scores, segments, _ticks(bag), configuration,
-                   [row for row in counted(errors) if row.n_bands])
+                   [row for row in read_band_counts(errors) if row.n_bands])
 
 
 def _track(path: Path, bag: Storage) -> Track:
@@ -152,7 +167,7 @@ def summarise(results: Results, about: dict[str, Any]) -> dict[str, Any]:
         modes = [*MODES, *(mode for name, mode in results.scores if name == model and mode not in MODES)]
         models[model] = {mode: _statistics(results.scores.get((model, mode))) for mode in modes}
     for row in results.bands:
-        models[row.model][row.mode]["bands"] = as_dict(row)
+        models[row.model][row.mode]["bands"] = band_summary(row)
     return {
         **about,
         "models": models,
@@ -192,3 +207,28 @@ def _statistics(scores: MeanErrors | None) -> dict[str, Any]:
             statistic.add(getattr(scores, axis)[complete])
         result[axis] = {k: finite(getattr(statistic, k)) for k in ("mean", "max", "rmse")}
     return result
+
+
+def band_lines(rows: Sequence[BandCounts]) -> list[str]:
+    """Coverage of the published bands as the evaluator counted it, one line for each kind of score with bands."""
+    found = []
+    for mode, question in QUESTIONS.items():
+        of_mode = [row for row in rows if row.mode == mode and row.n_bands]
+        if of_mode:
+            words = ", ".join(f"{row.model} {100 * row.coverage_90:.0f} % | {100 * row.coverage_50:.0f} %"
+                              for row in of_mode)
+            found.append(f"inside the 90 | 50 % band, {question}: {words} of {max(row.n_bands for row in of_mode)}")
+    return found
+
+
+def read_band_counts(errors: Storage) -> list[BandCounts]:
+    """The statistics of the last summary in a bag of scores; none without one."""
+    last = deque(errors.messages(SUMMARY), maxlen=1)
+    summary: Any = typestore(definitions()).deserialize_cdr(last[0], TYPE) if last else None
+    return list(summary.statistics) if last else []
+
+
+def band_summary(row: BandCounts) -> dict[str, Any]:
+    """For summary.json; shares are null where nothing was counted."""
+    return {"n": int(row.n_bands)} | {name: None if math.isnan(value) else float(value) for name, value in
+                                      (("0.5", row.coverage_50), ("0.9", row.coverage_90))}

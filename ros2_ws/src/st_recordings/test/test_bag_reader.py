@@ -15,9 +15,8 @@ from st_recordings.mcap import BagWriter
 from st_recordings.runs import bag
 from st_recordings.runs.bag import ODOMETRY, STEERING, definitions, read_bag
 from st_recordings.runs.bag_storage import Mcap, Sqlite
-from st_recordings.runs.cdr import Layout, typestore
+from st_recordings.runs.cdr import INS_ON_CAN, INS_STATUS, NCOM, WHEEL_SPEEDS, Layout, typestore
 from st_recordings.runs.errors import RunError
-from st_recordings.runs.messages import INS_ON_CAN, INS_STATUS, NCOM, WHEEL_SPEEDS
 
 STORE = typestore(definitions())
 START_NS = 1_700_000_000_123_456_789

@@ -9,9 +9,8 @@ from st_core.channels import FURTHER
 from st_core.log import INS_SIGNALS, DriveLog
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import RunError, columns, find_runs, read
-from st_recordings.runs.columns import COLUMNS, Layout
+from st_recordings.runs.columns import COLUMNS, UNITS, Layout, plain
 from st_recordings.runs.csv import has_drive_columns, read_csv
-from st_recordings.runs.units import UNITS, plain
 from support import ROOT
 
 LEAF = VehicleParameters.from_yaml((ROOT / "config/vehicle/leaf.yaml").read_text(), "leaf.yaml")

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from st_recordings.paths import project_root
 from st_recordings.runs.cdr import typestore
-from st_recordings.runs.frames import ERROR, EXTENDED, FD, REMOTE
-from st_recordings.runs.recorded_frames import read_frames
+from st_recordings.runs.frames import ERROR, EXTENDED, FD, REMOTE, read_frames
 
 STORE = typestore(project_root() / "ros2_ws" / "src" / "st_msgs" / "msg")
 START = 1_756_900_800_123_456_789

@@ -7,7 +7,7 @@ from canedge_bridge import extraction
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import ReadSettings, RunSource, find_runs, frames, raw, read
 from st_recordings.runs.errors import RunError
-from st_recordings.runs.pairs import read_pair
+from st_recordings.runs.raw import read_pair
 from support import ROOT
 
 DRIVE = "t,x,y,yaw,vx,vy,yaw_rate,delta\n" + "".join(f"{0.02 * k:.2f},0,0,0,5,0,0,0\n" for k in range(50))

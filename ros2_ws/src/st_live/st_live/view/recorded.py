@@ -10,8 +10,8 @@ from rosbags.highlevel import AnyReader
 from st_core.types import InsSample
 from st_predictor import convert
 from st_predictor.map_drawing import History
-from st_recordings import counted
 from st_recordings.recorded import configuration_of
+from st_recordings.results import BandCounts, band_lines
 from st_recordings.runs.bag import definitions, open_bag, read_bag
 from st_recordings.runs.cdr import typestore
 from st_ros.stamps import to_nanoseconds
@@ -32,7 +32,7 @@ TOPICS = {
 }
 
 
-class Row(counted.Row, Protocol):
+class Row(BandCounts, Protocol):
     """One model and mode of st_msgs/ErrorSummary."""
 
     n_starts: int
@@ -136,7 +136,7 @@ def error_text(rows: Sequence[Row], ticks: str, health: Sequence[tuple[int, str,
             lines.append(f"| {row.model} | {mode} | {row.n_starts} | {numbers} |")
     if len(lines) == 2:
         lines = ["Waiting for the first complete horizon."]
-    lines += ["", *(f"- {line}" for line in counted.lines(rows)), "", ticks, ""]
+    lines += ["", *(f"- {line}" for line in band_lines(rows)), "", ticks, ""]
     wrong = [entry for entry in health if entry[0] > 0]
     lines += [f"- {LEVELS[min(level, 3)]}: {name}: {message}" for level, name, message in sorted(wrong, reverse=True)]
     if health and not wrong:

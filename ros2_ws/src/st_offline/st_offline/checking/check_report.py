@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 from st_core.checks import SCHEMA, Advice, Checked, Finding, Identity, Severity, across_runs
 from st_core.vehicle import VehicleParameters
-from st_recordings.plain_json import finite
+from st_recordings.output import finite
 from st_recordings.results import versions
 
 from ..terminal import line, report_problem

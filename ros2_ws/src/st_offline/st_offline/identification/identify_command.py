@@ -19,8 +19,7 @@ from st_core.identification.result import Identification, IdentificationError, q
 from st_core.provenance import Provenance
 from st_core.vehicle import TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, VehicleParameters
 from st_core.yaml_text import number, quoted
-from st_recordings.output import new_folder
-from st_recordings.plain_json import as_text
+from st_recordings.output import as_text, new_folder
 from st_recordings.results import versions
 from st_recordings.runs.load import file_hashes
 

@@ -14,7 +14,6 @@ from st_core.errors import StCoreError
 from st_core.log import DriveLog
 
 from ..paths import project_root
-from .bag_extras import bag_extras, extra_fields
 from .bag_storage import (
     EXTENSIONS,
     Storage,
@@ -24,14 +23,11 @@ from .bag_storage import (
     open_storage,
     storage_files,
 )
-from .cdr import typestore, with_definitions
+from .cdr import CAN_FRAMES, DAMAGE, NCOM, ODOMETRY, STEERING, summary_of, typestore, with_definitions
 from .errors import RunError, check_readable, share
 from .external_topics import SteeringField, steering_columns, steering_topic, unknown
-from .ins_log import InsLog, planar
-from .mcap_columns import DAMAGE, summary_of
-from .messages import CAN_FRAMES, NCOM, ODOMETRY, STEERING
-from .reconstruct import RECONSTRUCTED, Reconstruction
-from .times import usable_rows
+from .ins_log import InsLog, planar, usable_rows
+from .reconstruct import RECONSTRUCTED, Reconstruction, bag_extras, extra_fields
 
 OURS = {"recording", "configuration"}  # records that recorder and evaluator begin with
 CLOSING = "rosbag2"  # the metadata record that a recorder writes when it ends a recording

@@ -22,9 +22,8 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.rosbag2 import ReaderError
 from rosbags.typesys.store import Typestore
 
-from .cdr import Layout
+from .cdr import DAMAGE, Block, Layout, blocks, summary_of
 from .errors import RunError, share
-from .mcap_columns import DAMAGE, Block, blocks, summary_of
 
 EXTENSIONS = (".mcap", ".db3")
 MCAP_MAGIC = b"\x89MCAP0\r\n"
@@ -329,3 +328,20 @@ class _Gathered:
 
 def _short(error: Exception) -> str:
     return (" ".join(str(error).split()) or type(error).__name__)[:120]
+
+
+def parameters(records: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, Any]]:
+    """Parameters by node, of the metadata records of a recording; empty where it carries none."""
+    try:
+        document = yaml.safe_load(records.get("configuration", {}).get("parameters.yaml", "")) or {}
+        return {node: dict(section["ros__parameters"]) for node, section in document.items()}
+    except (yaml.YAMLError, AttributeError, KeyError, TypeError):
+        return {}
+
+
+def text_of(records: Mapping[str, Mapping[str, str]], file: str) -> str | None:
+    """The text of a configuration file named in the parameters; None where the recording does not carry it."""
+    parts = Path("/", file).parts
+    # Two files of one name are kept with a folder before it.
+    return next((text for key, text in records.get("configuration", {}).items()
+                 if file and parts[-len(Path(key).parts):] == Path(key).parts), None)

@@ -14,8 +14,7 @@ from .columns import Layout, doubtful_steering, find_columns
 from .csv_table import Table, header_of, known, read_table
 from .errors import RunError, share
 from .external_topics import SteeringField
-from .extras import SPEEDS, car_speed, mostly_known
-from .ins_log import InsLog, Motion, planar
+from .ins_log import SPEEDS, InsLog, Motion, car_speed, mostly_known, planar
 from .ncom import enu
 
 MOTION = ("velocity_x", "yaw_rate")

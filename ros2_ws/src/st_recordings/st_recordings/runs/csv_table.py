@@ -9,10 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .columns import COLUMNS, Layout, Place, find_columns
+from .columns import COLUMNS, UNITS, Layout, Place, find_columns, unit_named
 from .errors import RunError, check_readable, share
-from .times import usable_rows
-from .units import UNITS, unit_named
+from .ins_log import usable_rows
 
 LATEST = 9.0e9  # s, year 2255; whole nanoseconds since 1970 do not reach much further
 HEADER_WITHIN = 60  # lines; exports of loggers have some lines of their own before the header

@@ -1,11 +1,14 @@
-"""An INS recording in the axes of the suite, whatever instrument wrote it."""
+"""An INS recording in the axes of the suite, whatever instrument wrote it; usable time stamps; speeds for checks."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from st_core.checks import InsQuality
+from st_core.checks import InsQuality, Series
+from st_core.timeseries import interpolate
+
+from .errors import share
 
 
 @dataclass(frozen=True)
@@ -62,3 +65,91 @@ def planar(file: Path, time_ns: np.ndarray, values: Mapping[str, np.ndarray], wa
                   np.stack([values["velocity_x"], values["velocity_y"], zero]),
                   np.stack([zero, zero, values["yaw_rate"]]), np.stack([*acceleration, unknown]), (0.0, 0.0, 0.0),
                   time_ns, None, warnings, absolute)
+
+
+NEAR_NS = 100_000_000  # two wheels are compared at instants between samples no further apart
+
+# The axle that is not steered shows the car's own speed; then the other one, then what the car makes of both.
+_SPEEDS = (("wheel_speed_rear_left", "wheel_speed_rear_right"), ("wheel_speed_front_left", "wheel_speed_front_right"),
+           ("vehicle_speed",))
+SPEEDS = tuple(name for names in _SPEEDS for name in names)
+
+
+def car_speed(speeds: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Series | None:
+    """Speed of the car by its wheels [m/s]: mean of the rear ones, else of the front ones, else its own speed signal.
+
+    speeds: name (wheel_speed_rear_left ..., vehicle_speed) -> (time [ns], rising; values [m/s]).
+    """
+    for names in _SPEEDS:
+        if all(name in speeds and np.isfinite(speeds[name][1]).any() for name in names):
+            time_ns = speeds[names[0]][0]
+            return series(time_ns, np.mean([interpolate(*_finite(*speeds[name]), time_ns, NEAR_NS) for name in names],
+                                           axis=0))
+    return None
+
+
+def series(time_ns: np.ndarray, values: np.ndarray) -> Series | None:
+    """What is known of a signal, where its time rises; None for nothing."""
+    time_ns, values = _finite(np.asarray(time_ns, np.int64), values)
+    if not len(time_ns):
+        return None
+    newer = np.diff(np.maximum.accumulate(time_ns), prepend=time_ns[:1] - 1) > 0
+    return Series(time_ns[newer], values[newer])
+
+
+def mostly_known(values: np.ndarray | None) -> bool:
+    """Whether a channel that may miss samples is of use: it is there, and at least half of it is."""
+    return values is not None and len(values) > 0 and bool(np.isfinite(values).mean() >= 0.5)
+
+
+def _finite(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    known = np.isfinite(values)
+    return time_ns[known], values[known]
+
+
+LOST_SHARE = 0.01
+"""Of the rows: with more that are not newer than all before, the clock was set back, and one stretch is used."""
+LAST_STEP = 10.0
+"""Times the median step: a last row further away has a wrong stamp."""
+
+
+def usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list[str]]:
+    """(rows whose time rises strictly, warnings with the share that is not used).
+
+    time_ns: (n,) int64 in the order of the recording. what: of the rows, in the plural. Single rows that are not newer
+    than all before are left out. Where that costs more than LOST_SHARE, the clock was set back while recording: the
+    longest stretch in which it was not is used. A last row with a stamp far from the others is left out.
+    """
+    n = len(time_ns)
+    rows = np.arange(n)
+    newer = np.ones(n, dtype=bool)
+    if n > 1:
+        newer[1:] = time_ns[1:] > np.maximum.accumulate(time_ns)[:-1]
+    lost = n - int(newer.sum())
+    notes = []
+    if lost > max(LOST_SHARE * n, 1):
+        rows = _longest(time_ns)
+        if n - len(rows) <= lost + LOST_SHARE * n:
+            steps = np.diff(time_ns)
+            back = steps[steps < 0] * 1e-9
+            notes.append(f"the clock was set back {len(back)} times, first by {-back[0]:.3f} s: "
+                         f"{share(n - len(rows), n, what)} are not used; split the recording to use them")
+        else:
+            rows = np.flatnonzero(newer)
+    elif lost:
+        rows = rows[newer]
+    if not notes and lost:
+        notes.append(f"{share(lost, n, what)} are not newer than all before; they were left out")
+    steps = np.diff(time_ns[rows])
+    if len(rows) > 10 and steps[-1] > LAST_STEP * np.median(steps):
+        notes.append(f"the last of {n} {what} is {steps[-1] * 1e-9:.3f} s after the one before; it was left out")
+        rows = rows[:-1]
+    return rows, notes
+
+
+def _longest(time_ns: np.ndarray) -> np.ndarray:
+    """Rows of the longest stretch without a step back, of it those that rise."""
+    edges = np.concatenate(([0], np.flatnonzero(np.diff(time_ns) < 0) + 1, [len(time_ns)]))
+    longest = int(np.argmax(np.diff(edges)))
+    rows = np.arange(edges[longest], edges[longest + 1])
+    return rows[np.diff(time_ns[rows], prepend=time_ns[rows[0]] - 1) > 0]

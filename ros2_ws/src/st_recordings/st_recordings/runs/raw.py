@@ -1,7 +1,8 @@
-"""INS recording and CAN logs as the instruments wrote them: decoded, and their two clocks aligned."""
+"""INS recording and CAN logs as the instruments wrote them: decoded, and their two clocks aligned (`st align`)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,15 +12,18 @@ from st_core.errors import StCoreError
 from st_core.log import OPTIONAL_INS_SIGNALS, DriveLog
 from st_core.vehicle import VehicleParameters
 
-from ..plain_json import finite
+from ..output import finite
+from . import csv
+from .can_formats import EXTENSIONS
 from .can_logs import CanLog, read_can_logs
 from .can_signals import CanSignals, Signal, decode_signals, load_signal_table, steering_of
 from .clocks import INS_ON_CAN, align_clocks
 from .errors import RunError, check_readable, share
-from .extras import SPEEDS, car_speed, mostly_known, series
 from .frames import empty
-from .ins_log import InsLog
+from .ins_log import SPEEDS, InsLog, Motion, car_speed, mostly_known, series
+from .readers import READERS
 from .run_types import LoadedRun, ReadSettings, RunSource, signal_files
+from .sources import find_runs
 
 
 @dataclass(frozen=True)
@@ -149,3 +153,58 @@ def latency_in_words(source: RunSource, settings: ReadSettings) -> str:
     latency, deviation = clock_settings(source, settings)["latency"]
     given = settings.ins_can_latency or source.settings.get("ins_can_latency")
     return f"{latency * 1e3:g} ± {deviation * 1e3:g} ms, {'given' if given else 'assumed'}"
+
+
+@dataclass(frozen=True)
+class Pair:
+    """dbc: by which the CAN frames were decoded. shared: the signals the alignment rests on, or by which it can be
+    looked at. latency: of INS frames, in words."""
+
+    name: str
+    dbc: Path
+    motion: Motion
+    can: CanLog
+    signals: CanSignals
+    alignment: Alignment
+    shared: list[SharedSignal]
+    latency: str
+    warnings: tuple[str, ...]
+
+
+def read_pair(files: Sequence[Path], settings: ReadSettings) -> Pair:
+    """files: one INS recording (NCOM, or CSV with speed and yaw) and CAN logs, or a folder or run.yaml that names them.
+
+    No steering is needed. Raises RunError.
+    """
+    source = _source(files)
+    if source.kind == "csv":
+        motion, warnings = csv.read_motion(source.where, source.settings.get("layout"))
+    else:
+        read_ins = READERS[source.kind].read_ins
+        assert read_ins is not None  # only such kinds have CAN logs beside them
+        ins = read_ins(source, settings)
+        motion, warnings = ins.motion, ins.warnings
+    can = read_can_logs(source.can)
+    dbc, table = signal_files(source, settings)
+    signals = decode_signals(can.frames, load_signal_table(dbc, table))
+    alignment, shared = align_clocks(motion, signals, **clock_settings(source, settings))
+    return Pair(source.name, dbc, motion, can, signals, alignment, shared, latency_in_words(source, settings),
+                (*warnings, *can.warnings))
+
+
+def _source(files: Sequence[Path]) -> RunSource:
+    """CSV and CAN logs are a pair here only: elsewhere a CSV is a whole drive."""
+    tables = [f for f in files if f.suffix.lower() == ".csv"]
+    logs = [f for f in files if f.suffix.lower() in EXTENSIONS]
+    if len(tables) == 1 and len(logs) == len(files) - 1 and logs:
+        return RunSource(tables[0].stem, "csv", (tables[0],), tuple(logs))
+    runs = find_runs(files)
+    for run in runs:
+        if run.problem is not None:
+            raise run.problem
+    raw = [run for run in runs if run.can]
+    if len(raw) != 1:
+        what = "no pair" if not raw else f"more than one pair ({', '.join(run.name for run in raw)})"
+        raise RunError(", ".join(map(str, files)), f"{what} of an INS recording and CAN logs is in there",
+                       "give one .ncom (or CSV) and its CAN logs")
+    return raw[0]

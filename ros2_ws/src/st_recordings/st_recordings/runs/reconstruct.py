@@ -1,25 +1,29 @@
-"""Odometry and steering reconstructed from the raw packets and frames of a recording, as the bridges publish them."""
+"""What a bag holds besides odometry and steering: both reconstructed from raw packets and frames, as the bridges
+publish them, and further channels for the checks, read only where their layout is constant.
+"""
 
 import math
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from canedge_bridge.decode import SteeringCalibration
+from oxts_bridge import file_decoder, packet_time
 from oxts_bridge.motion import FIRST_FIX, GIVEN, Origin, reconstruct_odometry
+from oxts_bridge.ncom import NcomError
 from rosbags.typesys.store import Typestore
-from st_core.checks import Series
+from st_core.checks import AuxiliaryData, InsQuality, Series
 from st_core.errors import StCoreError
 from st_core.vehicle import VehicleParameters
 
-from .bag_storage import Storage, Topic
+from .bag_storage import Storage, Topic, parameters, text_of
+from .cdr import CAN_FRAMES, INS_ON_CAN, INS_STATUS, NCOM, WHEEL_FIELDS, WHEEL_SPEEDS, Layouts
 from .errors import RunError
-from .extras import SPEEDS, car_speed, series
-from .messages import CAN_FRAMES, NCOM
-from .recorded_texts import parameters, text_of
+from .ins_log import SPEEDS, car_speed, series
+from .ncom import ins_quality, to_body
 
 ORIGIN = "ins/origin"
 RECONSTRUCTED = " (reconstructed)"  # behind the name of the topic that it was computed from
@@ -134,7 +138,7 @@ class Reconstruction:
     @cached_property
     def _signals(self) -> Any:
         from .can_signals import decode_signals  # the CAN libraries: a second that other bags need not wait for
-        from .recorded_frames import read_frames
+        from .frames import read_frames
 
         table = self._table
         try:
@@ -143,3 +147,90 @@ class Reconstruction:
             raise RunError(self._path, f"its raw CAN frames are damaged: {error}",
                            "repair the bag with `st recover`") from None
         return decode_signals(frames, table)
+
+
+_FIELDS = {WHEEL_SPEEDS: ("header.stamp", *WHEEL_FIELDS.values(), "valid"), INS_ON_CAN: ("header.stamp", "velocity_x"),
+           NCOM: ("raw_packet",)}
+_STATUS = ("header.stamp", "navigation_status", "position_mode", "position_accuracy_north", "position_accuracy_east",
+           "heading_accuracy")
+
+
+def extra_fields(topics: Sequence[Topic]) -> dict[Topic, tuple[str, ...]]:
+    """The topics that are read, one of a type, and their fields. Packets only if no other topic has their content."""
+    of_type = {topic.type_name: topic for topic in topics if topic.count}
+    fields_of = {of_type[name]: fields for name, fields in _FIELDS.items() if name in of_type}
+    if NCOM in of_type and INS_ON_CAN in of_type and INS_STATUS in of_type:
+        fields_of.pop(of_type[NCOM])
+    return fields_of
+
+
+def bag_extras(storage: Storage, topics: Sequence[Topic], columns: Mapping[Topic, Mapping[str, np.ndarray]],
+               stamps: Mapping[str, np.ndarray], missing: Mapping[str, int], store: Typestore,
+               again: Reconstruction) -> AuxiliaryData:
+    """columns: of the topics of `extra_fields` that could be read. stamps, missing: of odometry and steering. again: of
+    the same recording, for the speeds where no topic has them.
+    """
+    by_type = {topic.type_name: found for topic, found in columns.items()}
+    status = next((topic for topic in topics if topic.type_name == INS_STATUS and topic.count), None)
+    quality = _status(storage, status, store) if status else None
+    wheels = _wheels(by_type[WHEEL_SPEEDS]) if WHEEL_SPEEDS in by_type else None
+    ins_speed = _ins_on_can(by_type[INS_ON_CAN]) if INS_ON_CAN in by_type else None
+    if WHEEL_SPEEDS not in by_type and again.bus_is_described:
+        wheels, ins_speed = again.speeds()
+    if NCOM in by_type and (quality is None or ins_speed is None):
+        of_packets = _packets(by_type[NCOM]["raw_packet"])
+        quality, ins_speed = quality or of_packets[0], ins_speed or of_packets[1]
+    return AuxiliaryData(stamps, {name: count for name, count in missing.items() if count},
+                  wheels, ins_speed, quality)
+
+
+def _wheels(columns: Mapping[str, np.ndarray]) -> Series | None:
+    speeds = {}
+    for name, field in WHEEL_FIELDS.items():
+        here = columns["valid"].astype(bool) & np.isfinite(columns[field])
+        found = series(columns["header.stamp"][here], columns[field][here])
+        if found is not None:
+            speeds[name] = found.time_ns, found.values
+    return car_speed(speeds)
+
+
+def _ins_on_can(columns: Mapping[str, np.ndarray]) -> Series | None:
+    return series(columns["header.stamp"], columns["velocity_x"])
+
+
+def _packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
+    """Quality, and forward speed of the packets themselves."""
+    try:
+        columns = file_decoder.decode_file(np.ascontiguousarray(raw, np.uint8).tobytes())
+    except NcomError:
+        return None, None
+    timed = np.flatnonzero((columns.kind == file_decoder.REGULAR) & (columns.order == packet_time.NEW)
+                           & (columns.utc_ns != file_decoder.UNKNOWN_TIME))
+    newer = np.diff(np.maximum.accumulate(columns.utc_ns[timed]), prepend=columns.utc_ns[timed][:1] - 1) > 0
+    rows = timed[newer]
+    if not len(rows):
+        return None, None
+    north, east, down = columns.velocity_ned[:, rows]
+    forward = to_body(np.stack([east, north, -down]), np.pi / 2 - columns.heading[rows], -columns.pitch[rows],
+                      columns.roll[rows])[0]
+    fix = ~columns.approximate[rows]
+    return ins_quality(columns, rows), series(columns.utc_ns[rows][fix], forward[fix])
+
+
+def _status(storage: Storage, topic: Topic, store: Typestore) -> InsQuality | None:
+    """About one message a second, with texts of all lengths."""
+    layouts = Layouts(store, topic.type_name)
+    rows = []
+    try:
+        for data in storage.messages(topic.name):
+            layout = layouts.of(data)
+            rows.append([layout.value(data, field) for field in _STATUS])
+    except Exception:  # rosbags raises whatever struct and numpy raise; the extras are optional
+        return None
+    if not rows:
+        return None
+    time_ns = np.array([row[0] for row in rows], np.int64)
+    values = np.array([row[1:] for row in rows], float)
+    newer = np.diff(np.maximum.accumulate(time_ns), prepend=time_ns[0] - 1) > 0
+    time_ns, (status, mode, north, east, heading) = time_ns[newer], values[newer].T
+    return InsQuality(time_ns, status, mode, np.hypot(north, east), heading)

@@ -11,11 +11,10 @@ from st_core.errors import ConfigurationError, StCoreError
 
 from .can_formats import EXTENSIONS as CAN_EXTENSIONS
 from .can_formats import is_can_log
-from .columns import COLUMNS, Layout
+from .columns import COLUMNS, UNITS, Layout, unit_named
 from .errors import RunError
 from .readers import READERS, reader_of
 from .run_types import Label, RunSource
-from .units import UNITS, unit_named
 
 RUN_FILE = "run.yaml"
 RUN_SUFFIX = ".run.yaml"

@@ -10,10 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .columns import COLUMNS, Layout, Place, find_columns
+from .columns import COLUMNS, UNITS, Layout, Place, find_columns, plain, unit_named
 from .csv_table import Table, table_of, text_of
 from .errors import RunError, check_readable
-from .units import UNITS, plain, unit_named
 
 _SECTION = re.compile(r"^\[([^\]]*)\][ \t]*\n", re.MULTILINE)
 _CREATED = re.compile(r"created on (\d{1,2})/(\d{1,2})/(\d{4})", re.IGNORECASE)

@@ -14,15 +14,13 @@ from st_core.vehicle import VehicleParameters
 from ..mcap import BagWriter
 from ..results import versions
 from .bag import definitions
-from .cdr import typestore
-from .covariance import Covariances
+from .cdr import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS, typestore
 from .errors import RunError
 from .load import check_common_time, hashes, treated
-from .messages import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS
 from .ncom import NcomLog
 from .raw import RawRun, about_alignment, as_drive, latency_in_words, read_raw, steering_times
 from .readers.ncom import read_ins
-from .rows import Messages, Serialiser, in_time_order
+from .rows import Covariances, Messages, Serialiser, in_time_order
 from .run_types import LoadedRun, ReadSettings, RunSource
 
 TOPICS = {"/ins/odometry": ODOMETRY, "/ins/ncom": NCOM, "/vehicle/steering": STEERING,

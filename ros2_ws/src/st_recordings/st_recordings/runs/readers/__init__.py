@@ -5,8 +5,76 @@ A file registers one `Reader`. What is slow to load it imports when it reads: mo
 
 import importlib
 import pkgutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
 
-from ._base import READERS, Reader, reader_of, register
+from st_core.vehicle import VehicleParameters
+
+from ..ins_log import InsLog
+from ..run_types import LoadedRun, ReadSettings, RunSource
+
+
+def _always(path: Path) -> bool:
+    return True
+
+
+def _never(path: Path) -> bool:
+    return False
+
+
+@dataclass(frozen=True)
+class Reader:
+    """One kind of recording.
+
+    kind: its name. key: names its file in a run.yaml. extensions: of its files, lower case. read: the whole drive of a
+    run; raises RunError for what cannot be used. read_ins: the INS alone, where the steering is in CAN logs beside it.
+    is_folder: whether a folder is one recording. holds_drive: a quick look into one that nobody named, found in a
+    folder; True where it cannot be decided. lacks_steering: whether a recording is an INS alone, so that CAN logs
+    beside it belong to it; None for a kind that never has a steering angle. scales_yaw: whether `read` applies a
+    corrected scale of yaw itself.
+    """
+
+    kind: str
+    key: str
+    extensions: tuple[str, ...]
+    read: Callable[[RunSource, VehicleParameters | None, ReadSettings], LoadedRun]
+    read_ins: Callable[[RunSource, ReadSettings], InsLog] | None = None
+    is_folder: Callable[[Path], bool] | None = None
+    holds_drive: Callable[[Path], bool] = _always
+    lacks_steering: Callable[[Path], bool] | None = _never
+    scales_yaw: bool = False
+
+    @property
+    def needs_can(self) -> bool:
+        """Whether a recording of this kind needs CAN logs for a drive."""
+        return self.lacks_steering is None
+
+    def is_ins_only(self, path: Path) -> bool:
+        return self.lacks_steering is None or self.lacks_steering(path)
+
+    def takes(self, path: Path) -> bool:
+        if path.is_dir():
+            return self.is_folder is not None and self.is_folder(path)
+        return path.suffix.lower() in self.extensions
+
+
+READERS: dict[str, Reader] = {}
+
+
+def register(reader: Reader) -> Reader:
+    """Add a kind of recording. Raises ValueError for a name that is taken."""
+    if reader.kind in READERS:
+        raise ValueError(f"{reader.kind}: two readers have this name")
+    READERS[reader.kind] = reader
+    return reader
+
+
+def reader_of(path: Path, key: str | None = None) -> Reader | None:
+    """The reader of a file or folder; with a key of a run.yaml, the best match among those of the key."""
+    named = [reader for reader in READERS.values() if key in (None, reader.key)]
+    return next((reader for reader in named if reader.takes(path)), named[0] if key else None)
+
 
 for _module in sorted(info.name for info in pkgutil.iter_modules(__path__)):
     if not _module.startswith("_"):

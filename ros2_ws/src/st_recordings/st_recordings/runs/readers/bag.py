@@ -8,8 +8,8 @@ from st_core.vehicle import VehicleParameters
 from .. import bag
 from ..bag_storage import EXTENSIONS
 from ..ins_log import InsLog
+from ..readers import Reader, register
 from ..run_types import Label, LoadedRun, ReadSettings, RunSource
-from ._base import Reader, register
 
 
 def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:

@@ -9,8 +9,8 @@ from .. import csv
 from ..columns import Layout
 from ..csv_table import read_table
 from ..ins_log import InsLog
+from ..readers import Reader, register
 from ..run_types import LoadedRun, ReadSettings, RunSource
-from ._base import Reader, register
 
 
 def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:

@@ -3,8 +3,8 @@
 from st_core.vehicle import VehicleParameters
 
 from ..ins_log import InsLog
+from ..readers import Reader, register
 from ..run_types import LoadedRun, ReadSettings, RunSource
-from ._base import Reader, register
 
 
 def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:

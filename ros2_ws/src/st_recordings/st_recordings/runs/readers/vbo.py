@@ -7,8 +7,8 @@ from st_core.vehicle import VehicleParameters
 
 from ..columns import Layout
 from ..ins_log import InsLog
+from ..readers import Reader, register
 from ..run_types import LoadedRun, ReadSettings, RunSource
-from ._base import Reader, register
 
 
 def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
