@@ -12,7 +12,7 @@ from oxts_bridge import file_decoder
 from rosbags.highlevel import AnyReader
 from st_cli.cli import app
 from st_core.vehicle import VehicleParameters
-from st_recordings.definitions import type_hash
+from st_recordings.bag_metadata import type_hash
 from st_recordings.runs import RunError, find_runs, read
 from st_recordings.runs.bag import definitions
 from st_recordings.runs.can_logs import read_can_logs

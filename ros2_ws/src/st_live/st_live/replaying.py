@@ -17,8 +17,8 @@ from st_recordings.runs import ReadSettings
 from st_recordings.runs.bag import read_bag, was_cut
 from st_recordings.runs.cdr import ODOMETRY, STEERING
 from st_recordings.runs.errors import RunError
-from st_recordings.runs.external_topics import SteeringField
 from st_recordings.runs.reconstruct import RECONSTRUCTED
+from st_recordings.runs.run_types import SteeringField
 
 from .configuration import REPLAY_NODES, TRUNCATED, add_bands, replay_parameters
 from .node import Monitor

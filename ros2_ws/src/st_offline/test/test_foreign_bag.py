@@ -14,7 +14,7 @@ from st_recordings.runs import ReadSettings, find_runs, read
 from st_recordings.runs.bag import definitions, read_bag
 from st_recordings.runs.cdr import ODOMETRY, typestore
 from st_recordings.runs.errors import RunError
-from st_recordings.runs.external_topics import SteeringField
+from st_recordings.runs.run_types import SteeringField
 
 STORE = typestore(definitions())
 START_NS = 1_700_000_000_000_000_000

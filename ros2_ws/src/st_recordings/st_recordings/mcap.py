@@ -1,6 +1,6 @@
 """Writes a bag: a directory NAME/ with NAME_0.mcap and metadata.yaml, as `ros2 bag record` of ROS 2 Jazzy makes it.
 
-No ROS import; message definitions come from the installed interface packages (definitions.py) or from the caller.
+No ROS import; message definitions come from the installed interface packages (bag_metadata.py) or from the caller.
 `recover` (recovery.py) repairs a bag whose writer was killed.
 """
 
@@ -19,7 +19,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Header, MessageIndex, Schema
 
-from . import definitions
+from . import bag_metadata
 from .bag_metadata import BagFile, BagInformation, Qos, Topic, qos_text, short_entries
 from .mcap_contents import MAGIC, Contents
 from .recovery import RecoveryError, RecoveryReport, recover
@@ -53,8 +53,8 @@ class BagWriter:
             directory: must not exist, or be empty; nothing is ever overwritten.
             records: MCAP metadata records, name -> {key: text}; short one-line texts also go to `custom_data` of
                 metadata.yaml as "name.key".
-            synced: each chunk is brought to the disk as soon as it is written, by a thread of its own: a loss of power
-                costs the last second. For recordings made live; a file that can be made again needs it not.
+            synced: each chunk is brought to the disk as soon as it is written, by a separate thread: a loss of power
+                costs the last second. For live recordings.
 
         Raises:
             OSError: cannot be created, or (FileExistsError) holds something already.
@@ -74,7 +74,7 @@ class BagWriter:
         self._contents = Contents()
         self._compressor = zstandard.ZstdCompressor()
         self._start_chunk()
-        # The file first: of two that begin at one moment only one can make it, and the other has touched nothing.
+        # The file first: of two writers starting at one moment only one can create it; the other has changed nothing.
         self._file = _WholeWrites(self.path)
         self._information().save(self.directory)
         header = RecordBuilder()
@@ -85,7 +85,8 @@ class BagWriter:
             self._contents.append_metadata(self._file, name, dict(entries))
         self._next_flush = self._next_look = time.monotonic() + FLUSH_PERIOD
         if synced:
-            self._file.keep_synced((self.directory, self.directory.parent))
+            self._file.syncer = Syncer(self._file.descriptor, (self.directory, self.directory.parent))
+            self._file.syncer.wake()
 
     @property
     def message_count(self) -> int:
@@ -103,8 +104,8 @@ class BagWriter:
 
         definition, type_hash: default to those of the installed package; raises UnknownTypeError where there is none.
         """
-        definition = definition or definitions.definition(type_name)
-        type_hash = type_hash or definitions.type_hash(type_name)
+        definition = definition or bag_metadata.definition(type_name)
+        type_hash = type_hash or bag_metadata.type_hash(type_name)
         new: list[Schema | Channel] = []
         if type_name not in self._schemas:
             number = self._schemas[type_name] = len(self._schemas) + 1
@@ -127,10 +128,9 @@ class BagWriter:
         if self.closed or self.error:
             self.lost += 1
             return
-        index = self._messages.get(topic)
-        if index is None:
-            index = self._messages[topic] = MessageIndex(topic, [])
-        index.records.append((log_time_ns, self._chunk.count))
+        if topic not in self._messages:
+            self._messages[topic] = MessageIndex(topic, [])
+        self._messages[topic].records.append((log_time_ns, self._chunk.count))
         publish_time_ns = log_time_ns if publish_time_ns is None else publish_time_ns
         length = _MESSAGE_HEAD + len(data)
         self._chunk.write(_MESSAGE_RECORD.pack(Opcode.MESSAGE, length, topic, 0, log_time_ns, publish_time_ns))
@@ -144,10 +144,8 @@ class BagWriter:
             self.flush()
 
     def flush_when_due(self) -> None:
-        """Call this at least twice a second: it hands the messages of the last FLUSH_PERIOD to the operating system,
-        and looks whether the file is still where it was made.
-
-        From then on they survive the end of this process; the loss of power as soon as the disk has them (`synced`).
+        """To be called at least twice a second: writes the messages of the last FLUSH_PERIOD, which then survive the
+        end of this process, and checks that the file is still found under its name.
         """
         now = time.monotonic()
         if now >= self._next_flush:
@@ -202,14 +200,14 @@ class BagWriter:
         self._information().save(self.directory)
 
     def _leave(self) -> None:
-        """Closes a file that was taken from where it was made."""
+        """Closes a file that was renamed or deleted."""
         self.moved = True
         folder = self._file.folder()
         state = "deleted" if folder is None else f"renamed to {folder}"
         self.error = f"recording stopped: {self.directory} was {state}"
         if folder is None:
             self.lost += self.message_count
-        with contextlib.suppress(OSError):  # of the rest `recover` makes what there is to make
+        with contextlib.suppress(OSError):  # `recover` repairs what is missing
             if self._messages:
                 self._write_chunk()
             self._contents.finish(self._file)
@@ -219,7 +217,7 @@ class BagWriter:
         self._file.close()
 
     def _stop(self, error: OSError) -> None:
-        """Closes the bag at its last whole chunk, giving up further chunks until index and metadata.yaml find room."""
+        """Closes the bag at its last whole chunk, dropping further chunks until index and metadata.yaml fit."""
         self.error = f"recording stopped: {error.strerror or error} ({self.path})"
         written = self.message_count
         length = max(self._header_length, self._contents.end_offset())
@@ -227,46 +225,36 @@ class BagWriter:
             try:
                 self._file.cut(length)
                 self._contents.drop_after(length)
-                self._recount()
+                counts, times = self._contents.counts(), self._contents.times()
+                for channel_id, topic in enumerate(self._topics, start=1):
+                    topic.count = counts[channel_id]
+                self._bag_file = BagFile(self.path.name, counts.total(), *times)
                 self._finish()
                 break
-            except OSError as again:
+            except OSError as failed:
                 last = self._contents.last_chunk_offset()
-                if last is None or again.errno not in NO_ROOM:
-                    self._leave_without_index(length, again)
+                if last is None or failed.errno not in NO_ROOM:
+                    self.error += (f"; its index could not be written either ({failed.strerror}): repair the bag with "
+                                   "`recover`")
+                    with contextlib.suppress(OSError):
+                        self._file.cut(length)
                     break
                 length = last
         self.lost += written - self.message_count
         self._file.close()
-
-    def _leave_without_index(self, length: int, error: OSError) -> None:
-        self.error += f"; its index could not be written either ({error.strerror}): repair the bag with `recover`"
-        with contextlib.suppress(OSError):
-            self._file.cut(length)
-
-    def _recount(self) -> None:
-        counts = self._contents.counts()
-        for channel_id, topic in enumerate(self._topics, start=1):
-            topic.count = counts[channel_id]
-        start_ns, end_ns = self._contents.times()
-        self._bag_file = BagFile(self.path.name, counts.total(), start_ns, end_ns)
 
 
 class _WholeWrites:
     """The file of a bag: unbuffered, so that an error comes from the call that caused it, and locked."""
 
     def __init__(self, path: Path):
-        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
+        self.descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
         # Held until the process ends, however it ends: `recover` refuses a bag that is still being written.
         # Some network and USB file systems know no locks; the recording matters more.
         with contextlib.suppress(OSError):
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(self.descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._length = 0
         self.syncer: Syncer | None = None
-
-    def keep_synced(self, folders: Sequence[Path]) -> None:
-        self.syncer = Syncer(self._descriptor, folders)
-        self.syncer.wake()
 
     def wake(self) -> None:
         if self.syncer:
@@ -275,7 +263,7 @@ class _WholeWrites:
     def write(self, data: bytes) -> int:
         view = memoryview(data)
         while view:
-            written = os.write(self._descriptor, view)
+            written = os.write(self.descriptor, view)
             self._length += written
             view = view[written:]
         return len(data)
@@ -284,26 +272,26 @@ class _WholeWrites:
         return self._length
 
     def cut(self, length: int) -> None:
-        os.ftruncate(self._descriptor, length)
-        os.lseek(self._descriptor, length, os.SEEK_SET)
+        os.ftruncate(self.descriptor, length)
+        os.lseek(self.descriptor, length, os.SEEK_SET)
         self._length = length
 
     def is_at(self, path: Path) -> bool:
-        """Whether it is this file that is found there."""
+        """Whether this file is found under the path."""
         try:
-            return os.path.samestat(os.stat(path), os.fstat(self._descriptor))
+            return os.path.samestat(os.stat(path), os.fstat(self.descriptor))
         except OSError:
             return False
 
     def folder(self) -> Path | None:
-        """Where the file is now, None where it is nowhere."""
-        path = Path(os.readlink(f"/proc/self/fd/{self._descriptor}"))
+        """Folder of the file now, None for a deleted one."""
+        path = Path(os.readlink(f"/proc/self/fd/{self.descriptor}"))
         return path.parent if self.is_at(path) else None
 
     def sync(self) -> None:
-        os.fsync(self._descriptor)
+        os.fsync(self.descriptor)
 
     def close(self) -> None:
         if self.syncer:
             self.syncer.stop()
-        os.close(self._descriptor)
+        os.close(self.descriptor)

@@ -55,12 +55,19 @@ class WritableStream(Protocol):
     def tell(self) -> int: ...
 
 
+def _serialised(*records: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    return builder.end()
+
+
 class DamagedError(ValueError):
     """A record is whole in length but not in content."""
 
 
 def read_records(stream: BinaryIO, size: int, offset: int = len(MAGIC)) -> Iterator[Record]:
-    """The whole records of a file of `size` bytes from `offset` on; ends without a word where the file is cut."""
+    """The whole records of a file of `size` bytes from `offset` on; stops silently at truncation."""
     stream.seek(offset)
     while offset + _HEAD.size <= size:
         opcode, length = _HEAD.unpack(stream.read(_HEAD.size))
@@ -88,7 +95,7 @@ class Contents:
         self.channels: dict[int, Channel] = {}
         self.metadata: dict[str, dict[str, str]] = {}
         self._chunks: deque[_ChunkEntry] = deque()  # the newest
-        # Older chunks as they will stand in the index: a long recording has tens of thousands.
+        # Index entries of older chunks, serialised: a long recording has tens of thousands.
         self._settled_indexes = bytearray()
         self._settled_count = 0
         self._settled_messages: Counter[int] = Counter()  # in older chunks, or in none; by channel
@@ -110,15 +117,15 @@ class Contents:
         return (min(times), max(times)) if times else (0, 0)
 
     def add(self, record: Record, offset: int) -> None:
-        """Takes in one record of the data section; `offset`: where it lies in the file the index is for.
+        """Adds one record of the data section, at `offset` of the file to be indexed.
 
-        Raises DamagedError where the content cannot be right; nothing is taken in then.
+        Raises DamagedError for invalid content, which is not added.
         """
         try:
             self._add(record, offset)
         except DamagedError:
             raise
-        except Exception as error:  # a decoder may meet any bytes here and answer with any exception
+        except Exception as error:  # decoders raise any exception for arbitrary bytes
             raise DamagedError(f"{type(error).__name__}: {error}") from error
 
     def _add(self, record: Record, offset: int) -> None:
@@ -129,7 +136,7 @@ class Contents:
         elif record.opcode == Opcode.MESSAGE_INDEX:
             channel_id = MessageIndex.read(stream).channel_id
             if not self._chunks or channel_id not in self._chunks[-1].counts:
-                raise DamagedError(f"index of channel {channel_id}, which the chunk before does not hold")
+                raise DamagedError(f"index of channel {channel_id}, which is not in the chunk before it")
             self._add_message_index(self._chunks[-1], channel_id, offset, length)
         elif record.opcode == Opcode.SCHEMA:
             schema = Schema.read(stream)
@@ -204,7 +211,7 @@ class Contents:
         entry.index.message_index_length += length
 
     def append_chunk(self, stream: WritableStream, chunk: Chunk, messages: dict[int, MessageIndex]) -> None:
-        """Writes a new chunk with its message indexes; on OSError nothing is taken in."""
+        """Writes a new chunk with its message indexes; on OSError nothing is added."""
         builder = RecordBuilder()
         chunk.write(builder)
         offset, length = stream.tell(), builder.count
@@ -220,55 +227,43 @@ class Contents:
 
     def append_definitions(self, stream: WritableStream, records: Sequence[Schema | Channel]) -> None:
         """Writes schemas and channels."""
-        builder = RecordBuilder()
-        for record in records:
-            record.write(builder)
-        stream.write(builder.end())
+        stream.write(_serialised(*records))
         self._definitions_end = stream.tell()
         self.schemas.update({r.id: r for r in records if isinstance(r, Schema)})
         self.channels.update({r.id: r for r in records if isinstance(r, Channel)})
 
     def append_metadata(self, stream: WritableStream, name: str, entries: dict[str, str]) -> None:
-        builder = RecordBuilder()
-        Metadata(name=name, metadata=entries).write(builder)
-        index = MetadataIndex(offset=stream.tell(), length=builder.count, name=name)
-        stream.write(builder.end())
+        offset, data = stream.tell(), _serialised(Metadata(name=name, metadata=entries))
+        stream.write(data)
         self.metadata[name] = entries
-        self._metadata_indexes.append(index)
+        self._metadata_indexes.append(MetadataIndex(offset=offset, length=len(data), name=name))
 
     def drop_after(self, length: int) -> None:
-        """Forgets what lies beyond the first `length` bytes of the file; of chunks the newest DROPPABLE_CHUNKS only."""
+        """Drops what lies beyond the first `length` bytes of the file; of chunks the newest DROPPABLE_CHUNKS only."""
         while self._chunks and self._chunks[-1].index.chunk_start_offset >= length:
             self._chunks.pop()
         self._definitions_end = min(self._definitions_end, length)
         self._metadata_indexes = [i for i in self._metadata_indexes if i.offset < length]
 
     def end_offset(self) -> int:
-        """Where the newest record that was appended ends; 0 without any."""
+        """End of the newest record that was appended; 0 without any."""
         last = [self._chunks[-1].index] if self._chunks else []
         ends = [i.chunk_start_offset + i.chunk_length + i.message_index_length for i in last]
         return max([self._definitions_end, *ends, *(i.offset + i.length for i in self._metadata_indexes)])
 
     def last_chunk_offset(self) -> int | None:
-        """Where the newest chunk starts; None without one that can be dropped."""
+        """Start of the newest chunk; None without one that can be dropped."""
         return self._chunks[-1].index.chunk_start_offset if self._chunks else None
 
     def finish(self, stream: WritableStream) -> None:
         """Appends what is missing after the last record: index of the last chunk, end of data, summary, footer."""
-        if self._chunks:
-            self._complete_last_index(stream)
-        end = RecordBuilder()
-        DataEnd(0).write(end)
-        stream.write(end.end())
+        for last in list(self._chunks)[-1:]:
+            for channel_id in last.messages.keys() - last.index.message_index_offsets.keys():
+                data = _serialised(last.messages[channel_id])
+                self._add_message_index(last, channel_id, stream.tell(), len(data))
+                stream.write(data)
+        stream.write(_serialised(DataEnd(0)))
         stream.write(self._summary(stream.tell()) + MAGIC)
-
-    def _complete_last_index(self, stream: WritableStream) -> None:
-        last = self._chunks[-1]
-        for channel_id in last.messages.keys() - last.index.message_index_offsets.keys():
-            builder = RecordBuilder()
-            last.messages[channel_id].write(builder)
-            self._add_message_index(last, channel_id, stream.tell(), builder.count)
-            stream.write(builder.end())
 
     def _summary(self, summary_start: int) -> bytes:
         counts, (start_ns, end_ns) = self.counts(), self.times()
@@ -296,19 +291,10 @@ class Contents:
             if builder.count > group_start:
                 offsets.append(SummaryOffset(opcode, summary_start + group_start, builder.count - group_start))
         offset_start = summary_start + builder.count
-        for offset in offsets:
-            offset.write(builder)
-        summary = builder.end()
-        footer = RecordBuilder()
+        summary = builder.end() + _serialised(*offsets)
         crc = zlib.crc32(struct.pack("<BQQQ", Opcode.FOOTER, 20, summary_start, offset_start), zlib.crc32(summary))
-        Footer(summary_start=summary_start, summary_offset_start=offset_start, summary_crc=crc).write(footer)
-        return summary + footer.end()
-
-
-def _serialised(record: McapRecord) -> bytes:
-    builder = RecordBuilder()
-    record.write(builder)
-    return builder.end()
+        return summary + _serialised(Footer(summary_start=summary_start, summary_offset_start=offset_start,
+                                            summary_crc=crc))
 
 
 def _attachment_index(stream: ReadDataStream, offset: int, length: int) -> AttachmentIndex:

@@ -14,7 +14,7 @@ from .paths import config
 from .runs import RunError
 from .runs.bag import definitions, open_bag
 from .runs.bag_storage import parameters, text_of
-from .runs.cdr import Layout, Layouts, typestore
+from .runs.cdr import field_of, typestore
 
 PREDICTION, ERROR = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
 PLANNED = "st_msgs/msg/PlannedPrediction"
@@ -116,13 +116,12 @@ def _read(bag: Path, type_name: str, more: Sequence[str], progress: Progress | N
     rows: dict[str, dict[int, list[np.ndarray]]] = {}
     steps: dict[str, set[float]] = {}
     hashes: dict[str, set[str]] = {}
-    for layout, data in _messages([bag], type_name, progress):
-        states = np.stack([layout.value(data, k) for k in STATE], axis=-1)
-        model = layout.example.model
-        arrays = [states, *(layout.value(data, name) for name in more)]
-        rows.setdefault(model, {})[layout.value(data, "header.stamp")] = arrays
-        steps.setdefault(model, set()).add(float(layout.value(data, "step")))
-        hashes.setdefault(model, set()).add(layout.example.configuration_hash)
+    for message in _messages([bag], type_name, progress):
+        states = np.stack([getattr(message, name) for name in STATE], axis=-1)
+        arrays = [states, *(getattr(message, name) for name in more)]
+        rows.setdefault(message.model, {})[field_of(message, "header.stamp")] = arrays
+        steps.setdefault(message.model, set()).add(float(message.step))
+        hashes.setdefault(message.model, set()).add(message.configuration_hash)
     found = {}
     for model, entries in rows.items():
         if len(steps[model]) > 1 or len({len(arrays[0]) for arrays in entries.values()}) > 1:
@@ -136,12 +135,11 @@ def _read(bag: Path, type_name: str, more: Sequence[str], progress: Progress | N
 def read_scores(bags: Sequence[Path], progress: Progress | None = None) -> dict[tuple[str, str], Scores]:
     """By model and mode, of all the bags together; one start scored twice is kept once."""
     rows: dict[tuple[str, str], dict[int, tuple[np.ndarray, bool, bool, bool]]] = {}
-    for layout, data in _messages(bags, ERROR, progress):
-        errors = np.stack([layout.value(data, k) for k in ("longitudinal", "lateral", "yaw")], axis=-1)
-        example, start_ns = layout.example, layout.value(data, "header.stamp")
-        reason = example.incomplete_reason
-        entry = errors, bool(layout.value(data, "complete")), THE_END in reason, A_JUMP in reason
-        rows.setdefault((example.model, example.mode), {})[start_ns] = entry
+    for message in _messages(bags, ERROR, progress):
+        errors = np.stack([message.longitudinal, message.lateral, message.yaw], axis=-1)
+        reason = message.incomplete_reason
+        entry = errors, bool(message.complete), THE_END in reason, A_JUMP in reason
+        rows.setdefault((message.model, message.mode), {})[field_of(message, "header.stamp")] = entry
     found = {}
     for key, entries in rows.items():
         ordered = [entries[start] for start in sorted(entries)]
@@ -150,13 +148,14 @@ def read_scores(bags: Sequence[Path], progress: Progress | None = None) -> dict[
     return found
 
 
-def _messages(bags: Sequence[Path], type_name: str, progress: Progress | None) -> Iterator[tuple[Layout, bytes]]:
+def _messages(bags: Sequence[Path], type_name: str, progress: Progress | None) -> Iterator[Any]:
+    store = typestore(definitions())
     for bag in bags:
-        storage, layouts = open_bag(bag), Layouts(typestore(definitions()), type_name)
+        storage = open_bag(bag)
         topics = [t for t in storage.topics() if t.type_name == type_name and t.count]
         total = sum(t.count for t in topics)
         messages = chain.from_iterable(storage.messages(t.name) for t in topics)
         for done, data in enumerate(messages, 1):
-            yield layouts.of(data), data
+            yield store.deserialize_cdr(data, type_name)
             if progress and (done % 500 == 0 or done == total):
                 progress(done, total)

@@ -5,7 +5,7 @@ import json
 import math
 import platform
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -17,7 +17,7 @@ from .output import finite
 from .paths import source_version
 from .runs.bag import definitions, numbers, open_bag
 from .runs.bag_storage import Storage
-from .runs.cdr import Layouts, typestore
+from .runs.cdr import field_of, typestore
 
 MODES = ("forecast", "hindsight")
 SEGMENTS = 6  # predictions drawn on the map
@@ -127,17 +127,21 @@ def _ticks(bag: Storage) -> dict[str, Any]:
 def _scores(errors: Storage) -> tuple[dict[tuple[str, str], MeanErrors], str]:
     """(scores, the configuration hash of the last one)."""
     rows: dict[tuple[str, str], list[tuple[int, bool, float, float, float]]] = {}
-    layouts, configuration = Layouts(typestore(definitions()), ERROR), ""
-    for data in errors.messages(ERRORS):
-        layout = layouts.of(data)
-        configuration = layout.example.configuration_hash
-        row = tuple(layout.value(data, field) for field in _MEAN_FIELDS)
-        rows.setdefault((layout.example.model, layout.example.mode), []).append(row)
+    configuration = ""
+    for message in _messages(errors):
+        configuration = message.configuration_hash
+        row: Any = tuple(field_of(message, name) for name in _MEAN_FIELDS)
+        rows.setdefault((message.model, message.mode), []).append(row)
     scores = {}
     for key, entries in rows.items():
         start_ns, complete, *means = zip(*sorted(entries), strict=True)
         scores[key] = MeanErrors(np.array(start_ns, np.int64), np.array(complete), *(np.array(m) for m in means))
     return scores, configuration
+
+
+def _messages(errors: Storage) -> Iterator[Any]:
+    store = typestore(definitions())
+    return (store.deserialize_cdr(data, ERROR) for data in errors.messages(ERRORS))
 
 
 def _spread_starts(scores: dict[tuple[str, str], MeanErrors]) -> set[int]:
@@ -150,13 +154,12 @@ def _spread_starts(scores: dict[tuple[str, str], MeanErrors]) -> set[int]:
 
 
 def _segments(errors: Storage, starts: set[int]) -> dict[tuple[str, int], Segment]:
-    layouts, segments = Layouts(typestore(definitions()), ERROR), {}
-    for data in errors.messages(ERRORS) if starts else ():
-        layout = layouts.of(data)
-        start_ns = layout.value(data, "header.stamp")
-        if start_ns in starts and layout.example.mode == "hindsight":
-            horizon, longitudinal, lateral = (layout.value(data, k) for k in ("horizon", "longitudinal", "lateral"))
-            segments[layout.example.model, start_ns] = Segment(start_ns + horizon * 1e9, longitudinal, lateral)
+    segments = {}
+    for message in _messages(errors) if starts else ():
+        start_ns = field_of(message, "header.stamp")
+        if start_ns in starts and message.mode == "hindsight":
+            segments[message.model, start_ns] = Segment(start_ns + message.horizon * 1e9, message.longitudinal,
+                                                        message.lateral)
     return segments
 
 

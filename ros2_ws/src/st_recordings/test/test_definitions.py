@@ -6,7 +6,7 @@ pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from st_recordings.definitions import SEPARATOR, UnknownTypeError, definition, type_hash
+from st_recordings.bag_metadata import SEPARATOR, UnknownTypeError, definition, type_hash
 
 pytestmark = pytest.mark.ros
 STANDARD = [

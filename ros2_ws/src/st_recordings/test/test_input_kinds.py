@@ -20,7 +20,7 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.runs import ReadSettings, RunError, find_runs, read
 from st_recordings.runs.bag import definitions
 from st_recordings.runs.cdr import typestore
-from st_recordings.runs.external_topics import SteeringField
+from st_recordings.runs.run_types import SteeringField
 from support import shared
 
 CAR = VehicleParameters.from_yaml(LEAF.read_text(), "leaf")

@@ -10,7 +10,7 @@ import pytest
 from st_recordings.mcap import BagWriter
 from st_recordings.results import SEGMENTS, read_results, summarise, write_summary
 from st_recordings.runs.bag import definitions
-from st_recordings.runs.cdr import Layouts, typestore
+from st_recordings.runs.cdr import typestore
 from st_recordings.runs.errors import RunError
 
 STORE = typestore(definitions())
@@ -122,19 +122,6 @@ def test_track(run_folder: Path) -> None:
     np.testing.assert_array_equal(track.time_ns, T0 + np.arange(1000) * 10**7)
     np.testing.assert_allclose(track.x, 0.03 * np.arange(1000))
     np.testing.assert_allclose(track.yaw, 0.001 * np.arange(1000), atol=1e-12)
-
-
-def test_layouts_read_what_rosbags_reads() -> None:
-    layouts = Layouts(STORE, ERROR)
-    for k in (LOST, 3, LOST + 1, LOST):
-        for model in ("linear", "kinematic"):
-            data = score(model, "hindsight", k)
-            layout, wanted = layouts.of(data), STORE.deserialize_cdr(data, ERROR)
-            assert layout.example.incomplete_reason == wanted.incomplete_reason
-            assert layout.value(data, "header.stamp") == wanted.header.stamp.sec * 10**9 + wanted.header.stamp.nanosec
-            assert layout.value(data, "complete") == wanted.complete
-            np.testing.assert_array_equal(layout.value(data, "lateral"), wanted.lateral)
-            np.testing.assert_array_equal(layout.value(data, "yaw_mean"), wanted.yaw_mean)
 
 
 def test_recording_that_was_cut_is_named(run_folder: Path) -> None:

@@ -14,7 +14,7 @@ from st_recordings.paths import config
 if TYPE_CHECKING:
     from st_core.vehicle import VehicleParameters
     from st_recordings.runs import ReadSettings
-    from st_recordings.runs.external_topics import SteeringField
+    from st_recordings.runs.run_types import SteeringField
 
 
 def _sign(value: int | None) -> int | None:
@@ -140,7 +140,7 @@ class ReadOptions:
     @property
     def steering(self) -> "SteeringField | None":
         """Where the steering angle is in a bag of another make or a table; None where no option names it."""
-        from st_recordings.runs.external_topics import SteeringField
+        from st_recordings.runs.run_types import SteeringField
 
         if self.steering_topic is None and self.steering_field is None:
             return None

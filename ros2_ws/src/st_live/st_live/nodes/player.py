@@ -28,8 +28,9 @@ from rosgraph_msgs.msg import Clock
 from st_msgs.msg import Prediction, PredictionError, Steering
 from st_recordings.runs.bag import definitions
 from st_recordings.runs.cdr import typestore
-from st_recordings.runs.external_topics import SteeringField, steering_value
-from st_recordings.runs.external_topics import stamp_of as instant_of
+from st_recordings.runs.reconstruct import stamp_of as instant_of
+from st_recordings.runs.reconstruct import steering_value
+from st_recordings.runs.run_types import SteeringField
 from st_ros import spin
 from st_ros.polling import PolledSubscription, message_class, wait_for_any
 from st_ros.stamps import from_nanoseconds

@@ -14,7 +14,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
-from st_recordings.definitions import UnknownTypeError, definition
+from st_recordings.bag_metadata import UnknownTypeError, definition
 from st_ros.polling import PolledSubscription, message_class
 
 # Topics for viewers; raw packets and frames are not relayed.

@@ -23,11 +23,19 @@ from .bag_storage import (
     open_storage,
     storage_files,
 )
-from .cdr import CAN_FRAMES, DAMAGE, NCOM, ODOMETRY, STEERING, summary_of, typestore, with_definitions
+from .cdr import CAN_FRAMES, DAMAGE, NCOM, ODOMETRY, STEERING, field_of, summary_of, typestore, with_definitions
 from .errors import RunError, check_readable, share
-from .external_topics import SteeringField, steering_columns, steering_topic, unknown
 from .ins_log import InsLog, planar, usable_rows
-from .reconstruct import RECONSTRUCTED, Reconstruction, bag_extras, extra_fields
+from .reconstruct import (
+    RECONSTRUCTED,
+    Reconstruction,
+    bag_extras,
+    extra_fields,
+    steering_columns,
+    steering_topic,
+    unknown,
+)
+from .run_types import SteeringField
 
 OURS = {"recording", "configuration"}  # records that recorder and evaluator begin with
 CLOSING = "rosbag2"  # the metadata record that a recorder writes when it ends a recording
@@ -273,14 +281,8 @@ def _one_by_one(path: Path, storage: Storage, topic: Topic, fields: Sequence[str
         except Exception as error:  # rosbags raises whatever struct and numpy raise
             raise RunError(path, f"a message of {topic.name} is damaged ({type(error).__name__})",
                            "record it again, or repair the bag with `st recover`") from None
-        rows.append([_value(message, field) for field in fields])
+        rows.append([field_of(message, field) for field in fields])
     return {field: np.array([row[k] for row in rows]) for k, field in enumerate(fields)}
-
-
-def _value(message: Any, path: str) -> Any:
-    for part in path.split("."):
-        message = getattr(message, part)
-    return message.sec * 1_000_000_000 + message.nanosec if path.endswith("stamp") else message
 
 
 def _odometry_rows(odometry: Mapping[str, np.ndarray]) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, int],

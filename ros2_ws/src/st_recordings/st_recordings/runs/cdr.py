@@ -39,7 +39,6 @@ WHEEL_FIELDS = {"wheel_speed_front_left": "front_left", "wheel_speed_front_right
 
 _DTYPE = {"float64": "<f8", "float32": "<f4", "int64": "<i8", "uint64": "<u8", "int32": "<i4", "uint32": "<u4",
           "int16": "<i2", "uint16": "<u2", "int8": "i1", "uint8": "u1", "byte": "u1", "char": "u1", "bool": "?"}
-_STAMP = struct.Struct("<iI")
 _ENCAPSULATION = 4  # bytes before the body; alignment counts from behind them
 
 
@@ -108,8 +107,6 @@ class Layout:
     def __init__(self, store: Typestore, type_name: str, example: Any):
         """Raises ValueError for a type with wide texts, which no message of ours has."""
         self._store = store
-        self.type_name = type_name
-        self.example = example
         self.template = np.frombuffer(bytes(store.serialize_cdr(example, type_name)), np.uint8)
         self.fields: dict[str, Field] = {}
         end = self._walk(type_name, example, "", 0) + _ENCAPSULATION
@@ -119,8 +116,6 @@ class Layout:
         self._fixed[: _ENCAPSULATION] = self._fixed[end:] = False
         for field in self.fields.values():
             self._fixed[field.offset : field.offset + field.width] = False
-        edges = np.flatnonzero(np.diff(self._fixed, prepend=False, append=False)).reshape(-1, 2).tolist()
-        self._spans = [(begin, end, self.template[begin:end].tobytes()) for begin, end in edges]
 
     def __len__(self) -> int:
         return len(self.template)
@@ -188,42 +183,12 @@ class Layout:
         """Whether the messages at `starts` have the example's texts and sequence lengths, and so this layout."""
         return all((buffer[starts + k] == self.template[k]).all() for k in np.nonzero(self._fixed)[0])
 
-    def fits_one(self, data: bytes) -> bool:
-        """As `fits`, of one message."""
-        return self.fits_in(len(data)) and all(data[begin:end] == text for begin, end, text in self._spans)
 
-    def value(self, data: bytes, path: str) -> Any:
-        """One field of one message: a number, or a row of them (a view of `data`); a time in ns."""
-        field = self.fields.get(path)
-        if field is None:  # a sequence of length 0
-            return np.empty(0)
-        if path.endswith("stamp"):
-            sec, nanosec = _STAMP.unpack_from(data, field.offset)
-            return sec * 1_000_000_000 + nanosec
-        values = np.frombuffer(data, field.dtype, field.count, field.offset)
-        return values if field.count > 1 else values[0]
-
-
-class Layouts:
-    """The layouts of one type whose messages differ in texts and sequence lengths: one for each combination met."""
-
-    MAXIMUM = 64  # of one length, looked through for each message; the oldest gives way
-
-    def __init__(self, store: Typestore, type_name: str):
-        self._store = store
-        self._type_name = type_name
-        self._known: dict[int, list[Layout]] = {}
-
-    def of(self, data: bytes) -> Layout:
-        """Raises what rosbags raises for a damaged message."""
-        known = self._known.setdefault(len(data), [])
-        for layout in known:
-            if layout.fits_one(data):
-                return layout
-        layout = Layout(self._store, self._type_name, self._store.deserialize_cdr(data, self._type_name))
-        known.insert(0, layout)
-        del known[self.MAXIMUM :]
-        return layout
+def field_of(message: Any, path: str) -> Any:
+    """One field of a deserialised message by its path; a time in ns."""
+    for part in path.split("."):
+        message = getattr(message, part)
+    return message.sec * 1_000_000_000 + message.nanosec if path.endswith("stamp") else message
 
 
 def _aligned(at: int, size: int) -> int:

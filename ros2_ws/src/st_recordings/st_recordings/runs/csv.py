@@ -13,9 +13,9 @@ from st_core.vehicle import VehicleParameters
 from .columns import Layout, doubtful_steering, find_columns
 from .csv_table import Table, header_of, known, read_table
 from .errors import RunError, share
-from .external_topics import SteeringField
 from .ins_log import SPEEDS, InsLog, Motion, car_speed, mostly_known, planar
 from .ncom import enu
+from .run_types import SteeringField
 
 MOTION = ("velocity_x", "yaw_rate")
 ROAD, WHEEL, COMPASS = "road_wheel_angle", "steering_wheel_angle", "compass_heading"

@@ -1,9 +1,10 @@
 """A run before and after it is read, and how it is to be read."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from st_core.checks import AuxiliaryData
 from st_core.clock_types import Alignment, none_needed
@@ -11,7 +12,28 @@ from st_core.log import DriveLog
 
 from ..paths import config
 from .errors import RunError
-from .external_topics import SteeringField
+
+
+@dataclass(frozen=True)
+class SteeringField:
+    """Where the steering angle is, in which unit and with which sign.
+
+    topic: of a bag, "" for a table. field: path in its messages, as "drive.steering_angle"; column of a table.
+    quantity: road (mean of the front wheels) or wheel (the hand wheel, offset not removed). unit: rad or deg; None for
+    that in the heading of the column of a table, rad in a bag.
+    sign: 1 where the number is positive to the left, -1 where to the right.
+    """
+
+    topic: str
+    field: str = "data"
+    quantity: Literal["road", "wheel"] = "road"
+    unit: Literal["rad", "deg"] | None = None
+    sign: int = 1
+
+    @property
+    def scale(self) -> float:
+        """What the number is multiplied with to be in rad, left +."""
+        return self.sign * (math.pi / 180.0 if self.unit == "deg" else 1.0)
 
 
 @dataclass(frozen=True)

@@ -15,24 +15,15 @@ from ..ins_log import InsLog
 from ..run_types import LoadedRun, ReadSettings, RunSource
 
 
-def _always(path: Path) -> bool:
-    return True
-
-
-def _never(path: Path) -> bool:
-    return False
-
-
 @dataclass(frozen=True)
 class Reader:
     """One kind of recording.
 
-    kind: its name. key: names its file in a run.yaml. extensions: of its files, lower case. read: the whole drive of a
-    run; raises RunError for what cannot be used. read_ins: the INS alone, where the steering is in CAN logs beside it.
-    is_folder: whether a folder is one recording. holds_drive: a quick look into one that nobody named, found in a
-    folder; True where it cannot be decided. lacks_steering: whether a recording is an INS alone, so that CAN logs
-    beside it belong to it; None for a kind that never has a steering angle. scales_yaw: whether `read` applies a
-    corrected scale of yaw itself.
+    kind: its name. key: of its file in a run.yaml. extensions: of its files, lower case. read: reads the whole drive of
+    a run; raises RunError. read_ins: reads the INS alone, if the steering is in CAN logs. is_folder: whether a folder
+    is one recording. holds_drive: quick test of a file found in a folder; True if undecided. lacks_steering: whether a
+    recording is an INS alone, to which CAN logs belong; None for a kind that never has a steering angle. scales_yaw:
+    whether `read` itself applies a corrected scale of yaw.
     """
 
     kind: str
@@ -41,8 +32,8 @@ class Reader:
     read: Callable[[RunSource, VehicleParameters | None, ReadSettings], LoadedRun]
     read_ins: Callable[[RunSource, ReadSettings], InsLog] | None = None
     is_folder: Callable[[Path], bool] | None = None
-    holds_drive: Callable[[Path], bool] = _always
-    lacks_steering: Callable[[Path], bool] | None = _never
+    holds_drive: Callable[[Path], bool] = lambda path: True
+    lacks_steering: Callable[[Path], bool] | None = lambda path: False
     scales_yaw: bool = False
 
     @property

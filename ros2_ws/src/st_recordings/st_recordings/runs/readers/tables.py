@@ -1,0 +1,40 @@
+"""CSV and Racelogic VBOX files: a whole drive in one table, or its INS part with the CAN logs of the same drive."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from st_core.corrections import Correction
+from st_core.vehicle import VehicleParameters
+
+from .. import csv
+from ..columns import Layout
+from ..csv_table import Table, read_table
+from ..ins_log import InsLog
+from ..run_types import LoadedRun, ReadSettings, RunSource
+from . import Reader, register
+
+
+def _register(kind: str, table_of: Callable[[Path, Layout], Table], **more: Callable[[Path], bool]) -> None:
+    def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
+        yaw = source.settings.get("correct", {}).get("yaw", Correction())
+        layout = csv.with_steering(source.settings.get("layout") or Layout(), settings.steering)
+        drive = csv.drive_of(table_of(source.where, layout), vehicle, yaw.scale, settings.steering)
+        about = {"reader": kind, "columns": dict(drive.columns)}
+        return LoadedRun(replace(drive.log, name=source.name), about, source.labels, drive.warnings,
+                         auxiliary=drive.auxiliary)
+
+    def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
+        return csv.ins_of(table_of(source.where, source.settings.get("layout") or Layout()))
+
+    register(Reader(kind, kind, (f".{kind}",), read, read_ins, scales_yaw=True, **more))
+
+
+def _read_vbo(file: Path, layout: Layout) -> Table:
+    from ..vbo import read_vbo
+
+    return read_vbo(file, layout)
+
+
+_register("csv", read_table, holds_drive=csv.has_drive_columns, lacks_steering=csv.lacks_steering)
+_register("vbo", _read_vbo)
