@@ -9,7 +9,7 @@ from pathlib import Path
 
 from _drawn_bands import drawn_bands
 from st_core.vehicle import VehicleParameters
-from st_live.configuration import add_bands, live_parameters
+from st_live.configuration import add_files, live_parameters
 from st_live.node import Monitor
 from st_live.session import NODES
 from st_live.suite import Suite, claimed_domain
@@ -37,7 +37,7 @@ def running_suite(duration: float, ncom_rate: int = 250, can_rate: str = "full")
             file = folder / "bands.yaml"
             vehicle = VehicleParameters.from_yaml(car.vehicle.read_text(), str(car.vehicle))
             file.write_text(drawn_bands(vehicle).to_yaml(), encoding="utf-8")
-            parameters = add_bands(parameters, file)
+            parameters = add_files(parameters, file, None)
         with Suite(folder, parameters, domain, "ST_BENCH_REALTIME" in os.environ) as suite:
             for package, executable in nodes:
                 suite.start_node(package, executable)

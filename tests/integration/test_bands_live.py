@@ -56,7 +56,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     st("calibrate", base / "known", "--vehicle", LEAF, "--output", base / "bands.yaml")
     for name, seconds, offset in (("same", 25.0, 0.0), ("off", 65.0, 0.5)):
         st("demo", "--drive", road(base / f"{name}.csv", seconds, 20, offset), "--bands", base / "bands.yaml",
-           "--output", base / name)
+           "--no-adaptive", "--output", base / name)
     return base
 
 

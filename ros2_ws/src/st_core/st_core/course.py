@@ -8,8 +8,9 @@ slow and fast laps would fit neither. Checked by: test_course.py.
 
 import hashlib
 import json
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -34,6 +35,8 @@ PAUSE_SPEED = 0.5
 """m/s. Slower parts are left out: curvature is not defined in standstill."""
 MIN_LENGTH = 20.0
 """m of a part of a pass; shorter ones lead nowhere within a horizon."""
+MAX_ORIGIN_DISTANCE = 5000.0
+"""m between two origins of the map at one place: beyond it the axes differ by more than 1 mrad at latitude 50."""
 SCHEMA = 1
 POINTS = "\npoints: |\n"
 COLUMNS = ("x", "y", "direction", "curvature", "speed")
@@ -98,6 +101,17 @@ class Course:
         """The course without the passes of recordings with these sha256: a run is never predicted from itself."""
         known = set(digests)
         return Course(tuple(one for one in self.passes if not known & set(one.digests)), self.origin)
+
+    def moved(self, east: float, north: float) -> "Course":
+        """The course in a map frame from which its own origin is so many metres east and north; axes stay parallel.
+
+        Raises StCoreError, one line, beyond MAX_ORIGIN_DISTANCE.
+        """
+        if (distance := math.hypot(east, north)) > MAX_ORIGIN_DISTANCE:
+            raise StCoreError(f"it is of another place: the map origins are {distance / 1000.0:.1f} km apart "
+                              f"(limit {MAX_ORIGIN_DISTANCE / 1000.0:g} km)")
+        offset = np.array([east, north, 0.0, 0.0, 0.0])
+        return replace(self, passes=tuple(replace(one, points=one.points + offset) for one in self.passes))
 
     def to_yaml(self) -> str:
         """A file that `from_yaml` reads back, to the centimetre: a header, then the points of all passes as rows."""

@@ -12,7 +12,7 @@ from .alignment import DERIVATIVE, YAW, MeasurementHistory
 from .filtering import NANOSECOND
 from .model_view import ModelView
 from .models import MODELS, Model, get_model
-from .prediction import PredictionSettings, predict
+from .prediction import PredictionSettings, Runner, predict
 from .timeseries import TimeSeries
 from .types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState
 from .vehicle import VehicleParameters
@@ -74,15 +74,19 @@ def make_score(model: str, mode: Mode, start_ns: int, step: float, errors: Seque
 
 @dataclass
 class _Pending:
-    start: VehicleState
+    """hindsight: its start; None: it is not scored."""
+
     model: str
-    issued: Mapping[Mode, Trajectory]
+    mode: Mode
+    issued: Trajectory
+    hindsight: VehicleState | None = None
 
 
 class Evaluator:
     """Scores every prediction once its horizon has passed in the measurements.
 
-    span [s]: how much measurement is kept; at least two horizons. models: further ones, of model files.
+    span [s]: how much measurement is kept; at least two horizons. models: further ones, of model files. runners: for
+    some models, by name, something faster than `predict` for predictions of these settings (see compiled.py).
     Memory is bounded: by the span, and by MAXIMUM_PENDING predictions waiting (the oldest then end incomplete).
     """
 
@@ -91,8 +95,8 @@ class Evaluator:
     MAXIMUM_PENDING = 3000
 
     def __init__(self, vehicle: VehicleParameters, settings: PredictionSettings | None = None, span: float = 30.0,
-                 models: Sequence[Model] = ()):
-        self.vehicle = vehicle
+                 models: Sequence[Model] = (), runners: Mapping[str, Runner] | None = None):
+        self.vehicle, self._runners = vehicle, runners or {}
         self.settings = settings or PredictionSettings()
         span = ModelView.span(models, max(span, 2.0 * self.settings.horizon + self.PATIENCE))
         self._span_ns = round(span / NANOSECOND)
@@ -130,12 +134,18 @@ class Evaluator:
         return self._views[model]
 
     def add_prediction(self, model: str, start_ns: int, start: VehicleState, inputs: ControlInput,
-                       trajectory: Trajectory, others: Mapping[Mode, Trajectory] | None = None) -> None:
-        """Take an issued prediction: start state (CG), held inputs and trajectory; others: of plan and course."""
+                       trajectory: Trajectory) -> None:
+        """Take an issued forecast: start state (CG), held inputs and trajectory; hindsight is scored with it."""
         del inputs  # the forecast is scored as issued; hindsight takes the measured ones
-        issued: dict[Mode, Trajectory] = {"forecast": trajectory, **(others or {})}
-        key = (start_ns, len(trajectory.states) - 1, trajectory.step)
-        self._waiting.setdefault(key, []).append(_Pending(start, model, issued))
+        self._add(start_ns, _Pending(model, "forecast", trajectory, start))
+
+    def add_trajectory(self, model: str, mode: Mode, start_ns: int, trajectory: Trajectory) -> None:
+        """Take an issued prediction with inputs of a plan or course."""
+        self._add(start_ns, _Pending(model, mode, trajectory))
+
+    def _add(self, start_ns: int, pending: _Pending) -> None:
+        key = (start_ns, len(pending.issued.states) - 1, pending.issued.step)
+        self._waiting.setdefault(key, []).append(pending)
         if self.pending > self.MAXIMUM_PENDING:
             self._give_up([min(self._waiting)], f"more than {self.MAXIMUM_PENDING} predictions waiting")
 
@@ -167,7 +177,8 @@ class Evaluator:
             start_ns, steps, step = key
             nothing = [np.full(steps + 1, math.nan)] * 3
             for pending in self._waiting.pop(key):
-                for mode in (*pending.issued, "hindsight"):
+                modes: tuple[Mode, ...] = (pending.mode, "hindsight") if pending.hindsight else (pending.mode,)
+                for mode in modes:
                     self._overtaken.append(make_score(pending.model, mode, start_ns, step, nothing, reason))
         # The scores wait for `poll`, bounded like their predictions, as it may never be called.
         del self._overtaken[:-2 * self.MAXIMUM_PENDING]
@@ -189,11 +200,14 @@ class Evaluator:
         scores = []
         for pending in group:
             view = self.view(pending.model)
-            known = inputs if view.plain else view.measured(times)
-            again = predict(view.model, self.vehicle, pending.start, known, steps * step, step)
             ways: list[tuple[Mode, Trajectory, np.ndarray, str]] = [
-                *((mode, issued, unbroken, jump or no_position) for mode, issued in pending.issued.items()),
-                ("hindsight", again, unbroken & scorable, jump or no_inputs)]
+                (pending.mode, pending.issued, unbroken, jump or no_position)]
+            if pending.hindsight:
+                known = inputs if view.plain else view.measured(times)
+                runner = self._runners.get(pending.model)
+                again = (runner(pending.hindsight, known) if runner
+                         else predict(view.model, self.vehicle, pending.hindsight, known, steps * step, step))
+                ways.append(("hindsight", again, unbroken & scorable, jump or no_inputs))
             for mode, trajectory, scored, reason in ways:
                 shown = view.shown(trajectory)
                 errors = [np.where(scored, e, math.nan) for e in pose_errors(shown.x, shown.y, shown.yaw, *measured)]

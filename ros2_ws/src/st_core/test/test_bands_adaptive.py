@@ -4,9 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from st_core.bands import AdaptiveBand, Band
-from st_core.bands.adaptive import GAIN, MAX_FACTOR, MIN_FACTOR, START_GAIN
+from st_core.bands import AdaptiveBand, AdaptiveBands, Band
+from st_core.bands.adaptive import GAIN, MAX_FACTOR, MIN_FACTOR, START_GAIN, WARM_UP
 from st_core.bands.scale import Scale, features, knots_of
+from st_core.evaluation import make_score
 
 TIME = 0.5 * np.arange(1, 11)
 STEP = 100_000_000
@@ -72,3 +73,28 @@ def test_a_level_that_the_runs_did_not_support_starts_in_proportion():
     few = band()
     few.factors.pop(0.9)
     assert AdaptiveBand(TIME, few).factors == {0.5: 2.0, 0.9: pytest.approx(2.0 * 3.0 / 1.6)}
+
+
+def test_bands_of_a_run_without_a_file_are_stated_after_the_warm_up_and_then_cover():
+    starts, errors = drive(600, lambda t: 1.0 + 3.0 * (t > 300.0))
+    bands = AdaptiveBands(TIME, ["linear"], ["forecast", "course"])
+    stated, inside = [], []
+    waiting = {}
+    for start, one in zip(starts.tolist(), errors, strict=True):
+        ended = start - round(TIME[-1] * 1e9)
+        if ended in waiting:
+            path, widths = waiting.pop(ended)
+            whole = np.concatenate([np.zeros((1, 3)), path])
+            bands.observe(make_score("linear", "forecast", ended, TIME[1] - TIME[0], whole.T))
+            if widths is not None:
+                inside.append((np.abs(path) <= widths).all())
+        found, reason = bands.issue(start, (10.0, 0.0, 0.0, 0.0), ("forecast", "course"))
+        assert found <= {("linear", "forecast")} and not reason  # no course was scored
+        stated.append(bool(found))
+        # Small angles: the frame of the prediction is that of the measurement.
+        waiting[start] = one * (1.0, 1.0, 1.0e-3), bands.stated["linear"]["forecast", 0.9][1:].copy() if found else None
+    seconds = (starts - starts[0]) * 1e-9
+    assert not any(np.array(stated)[seconds < WARM_UP + 4.0]) and all(np.array(stated)[seconds > WARM_UP + 7.0])
+    n, kept = bands.counts["linear", "forecast"]
+    assert n == len(inside) and kept[0.9] == pytest.approx(sum(inside), abs=0.01 * n)
+    assert np.mean(inside) == pytest.approx(0.9, abs=0.03) and kept[0.5] < kept[0.9]

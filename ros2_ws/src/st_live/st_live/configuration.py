@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from st_core.bands import Bands
+from st_core.course import Course
 from st_core.effects import load_folder
 from st_core.errors import StCoreError
 from st_core.log_evaluation import EvaluationSettings
@@ -85,8 +86,8 @@ def replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfigurati
     replayed = {"vehicle_file": str(vehicle), "use_sim_time": True}
     before = {node: recorded.nodes.get(node, {}) for node in ("predictor", "evaluator")}
     merged = merge(config("nodes.yaml"), {
-        # The bands file of the recorded run may have moved or changed; `add_bands` sets it for this run.
-        "predictor": {**before["predictor"], **replayed, "bands_file": ""},
+        # The files of the recorded run may have moved or changed; `add_files` sets them for this run.
+        "predictor": {**before["predictor"], **replayed, "bands_file": "", "course_file": ""},
         "evaluator": {**before["evaluator"], **replayed, "output_directory": str(folder / "errors")},
         "recorder": {"use_sim_time": True, "output_directory": str(folder / "bag"),
                      "configuration_files": [str(vehicle), str(folder / "parameters.yaml")]},
@@ -131,15 +132,34 @@ def load_model(model: Path | None, effects: Path | None, car: VehicleParameters,
     return file.model()
 
 
-def add_bands(parameters: Parameters, bands: Path | None) -> dict[str, dict[str, Any]]:
-    """The parameters with a bands file for the predictor, unchanged without one.
+def add_files(parameters: Parameters, bands: Path | None, course: Path | None,
+              adaptive: bool | None = None) -> dict[str, dict[str, Any]]:
+    """The parameters with a bands file and a course for the predictor; without one its own stays.
 
-    Raises SuiteError, one line, for a file that cannot be read or is of another car, model or configuration.
+    adaptive: whether bands follow the errors of the run; None: as it is. Raises SuiteError, one line, for a file that
+    cannot be read, and for bands of another car, model or configuration.
     """
     copy = {node: {**values} for node, values in parameters.items()}
-    if bands is None:
-        return copy
     predictor, recorder = copy["predictor"], copy["recorder"]
+    if adaptive is not None:
+        predictor["adaptive_bands"] = adaptive
+    if bands:
+        _check_bands(bands, predictor)
+    if course:
+        try:
+            Course.from_yaml(course.read_text(encoding="utf-8"), str(course))
+        except (OSError, UnicodeDecodeError) as error:
+            raise SuiteError(f"--course {course}: cannot be read: {error}") from None
+        except StCoreError as error:
+            raise SuiteError(f"--course {error}") from None
+    for name, file in (("bands_file", bands), ("course_file", course)):
+        if file:
+            predictor[name] = str(file.absolute())
+            recorder["configuration_files"] = [*recorder["configuration_files"], str(file.absolute())]
+    return copy
+
+
+def _check_bands(bands: Path, predictor: Mapping[str, Any]) -> None:
     try:
         file = Bands.from_yaml(bands.read_text(encoding="utf-8"), str(bands))
         vehicle = Path(predictor["vehicle_file"])
@@ -153,9 +173,6 @@ def add_bands(parameters: Parameters, bands: Path | None) -> dict[str, dict[str,
         file.check(car, _model_hashes(predictor), EvaluationSettings(PredictionSettings(**settings)))
     except StCoreError as error:
         raise SuiteError(f"--bands {bands}: {error}") from None
-    predictor["bands_file"] = str(bands.absolute())
-    recorder["configuration_files"] = [*recorder["configuration_files"], str(bands.absolute())]
-    return copy
 
 
 def _model_hashes(predictor: Mapping[str, Any]) -> dict[str, str]:

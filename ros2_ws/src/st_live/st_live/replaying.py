@@ -15,12 +15,13 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.recorded import configuration_of
 from st_recordings.runs import ReadSettings
 from st_recordings.runs.bag import read_bag, was_cut
+from st_recordings.runs.bag_storage import text_of
 from st_recordings.runs.cdr import ODOMETRY, STEERING
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.reconstruct import RECONSTRUCTED
 from st_recordings.runs.run_types import SteeringField
 
-from .configuration import REPLAY_NODES, TRUNCATED, add_bands, replay_parameters
+from .configuration import REPLAY_NODES, TRUNCATED, add_files, replay_parameters
 from .node import Monitor
 from .session import START_TIMEOUT, Outcome
 from .suite import Child, Suite, SuiteError, chosen_domain_id, claimed_domain
@@ -31,13 +32,13 @@ PROGRESS_PERIOD = 0.2  # s
 
 
 def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, console: Console,
-               view: LiveView | None = None, bands: Path | None = None,
-               settings: ReadSettings | None = None) -> tuple[Outcome, str]:
+               view: LiveView | None = None, bands: Path | None = None, course: Path | None = None,
+               adaptive: bool | None = None, settings: ReadSettings | None = None) -> tuple[Outcome, str]:
     """(Outcome, name of the vehicle) of a replay with the configuration of the recording.
 
     The recordings of the nodes are folder/bag and folder/errors. vehicle: file instead of the recorded one. rate: times
-    as fast as recorded; 0: as fast as the nodes follow. settings: topics of external recordings. Raises
-    RunError, SuiteError and ConfigurationError.
+    as fast as recorded; 0: as fast as the nodes follow. course: instead of the recorded one. adaptive: as of
+    `add_files`. settings: topics of external recordings. Raises RunError, SuiteError and ConfigurationError.
     """
     steering, odometry = (settings.steering, settings.odometry) if settings else (None, None)
     drive = read_bag(bag, steering=steering, odometry=odometry)
@@ -50,7 +51,11 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
     car, recorded, _ = configuration_of(drive.records, vehicle)
     file = folder / "vehicle.yaml"
     file.write_text(car.to_yaml())
-    parameters = add_bands(replay_parameters(folder, file, recorded), bands)
+    text = text_of(drive.records, str(recorded.nodes.get("predictor", {}).get("course_file", "")))
+    if course is None and text is not None:
+        course = folder / "course.yaml"
+        course.write_text(text)
+    parameters = add_files(replay_parameters(folder, file, recorded), bands, course, adaptive)
     if "map_frame" not in recorded.nodes.get("predictor", {}):
         for node in ("predictor", "evaluator"):  # the odometry of external recordings may be in another frame
             parameters[node]["map_frame"] = drive.frame

@@ -105,7 +105,7 @@ def error_table(summary: dict[str, Any], title: str) -> Table:
     table.add_column("longitudinal, m\nmean | max | RMSE", justify="right", no_wrap=True)
     table.add_column("lateral, m\nmean | max | RMSE", justify="right", no_wrap=True)
     models = summary["models"]
-    for mode in ("hindsight", "forecast", "plan"):
+    for mode in ("hindsight", "forecast", "course", "plan"):
         for model, modes in models.items():
             if mode not in modes:
                 continue

@@ -37,7 +37,7 @@ from st_recordings.runs.bag import read_bag, was_cut
 from .configuration import TRUNCATED, recordings_of
 from .suite import SuiteError
 
-PLAN: Mode = "plan"
+OTHER_MODES: tuple[Mode, ...] = ("plan", "course")
 SETTINGS = ("horizon", "step", "minimum_speed", "stale_after", "maximum_gap", "filter_cutoff")
 # The filter of the forward acceleration starts with the first sample each node receives, which differs between nodes.
 # After this many time constants 2e-9 of that difference remains.
@@ -54,7 +54,7 @@ class Comparison:
     left incomplete; n_disagree: other scores complete on one side only, jumps of the position excepted. start: position
     at the start alone, which separates a different state from a different prediction [m]. n_settling: predictions, with
     their scores, that are not compared, see `settled`. at_ns: start of the largest difference. n_planned, planned:
-    predictions with planned inputs, and their position [m].
+    predictions with inputs of a plan or course, and their position [m].
     """
 
     model: str
@@ -108,7 +108,8 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     drive = read_bag(bag, steering=read.steering, odometry=read.odometry) if read else read_bag(bag)
     car, recorded, source = configuration_of(drive.records, vehicle)
     settings = _settings(recorded)
-    scores, planned = read_scores(score_bags, progress), read_planned(bag, progress)
+    scores = read_scores(score_bags, progress)
+    others = {mode: read_planned(bag, mode, progress) for mode in OTHER_MODES}
     signals = LogSignals(drive.log, settings.maximum_gap, settings.filter_cutoff)
     truncated = [TRUNCATED.format(one, "compared") for one in dict.fromkeys((bag, *score_bags)) if was_cut(one)]
     comparisons, warnings = [], [*drive.warnings, *truncated]
@@ -118,9 +119,9 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
         except ConfigurationError:
             warnings.append(f"predictions of {name} are not compared: the library has no model of this name")
             continue
-        of_model = {mode: scores[name, mode] for mode in (*MODES, PLAN) if (name, mode) in scores}
-        comparisons.append(_compare(model, car, signals, live, planned.get(name), of_model, settings.filter_cutoff,
-                                    progress))
+        of_model = {mode: scores[name, mode] for mode in (*MODES, *OTHER_MODES) if (name, mode) in scores}
+        planned = {mode: found[name] for mode, found in others.items() if name in found}
+        comparisons.append(_compare(model, car, signals, live, planned, of_model, settings.filter_cutoff, progress))
     expected = configuration_hash(car, settings)
     same = all(live.hashes == {expected} for live in predictions.values())
     return Verification(comparisons, f"{car.name}, from {source}", same, tuple(warnings))
@@ -148,7 +149,7 @@ def settled(starts_ns: np.ndarray, ins_time_ns: np.ndarray, cutoff: float) -> np
 
 
 def _compare(model: Model, car: VehicleParameters, signals: LogSignals, live: Predictions,
-             planned: PlannedPredictions | None, scores: Mapping[Mode, Scores], cutoff: float,
+             planned: Mapping[Mode, PlannedPredictions], scores: Mapping[Mode, Scores], cutoff: float,
              progress: Progress | None) -> Comparison:
     horizon = live.step * (live.states.shape[1] - 1)
     settings = EvaluationSettings(PredictionSettings(horizon=horizon, step=live.step, minimum_speed=0.0))
@@ -156,10 +157,10 @@ def _compare(model: Model, car: VehicleParameters, signals: LogSignals, live: Pr
     kept = settled(live.starts_ns, signals.log.ins_time_ns, cutoff)
     result.n_settling = int((~kept).sum())
     starts_ns, live_states = live.starts_ns[kept], live.states[kept]
-    ahead: dict[Mode, Ahead] = {PLAN: planned.inputs_at} if planned else {}
-    if PLAN in scores:  # the inputs of a plan that the recorder missed are not known
-        scores = {**scores, PLAN: scores[PLAN].at(planned.starts_ns)} if planned else {
-            mode: one for mode, one in scores.items() if mode != PLAN}
+    ahead: dict[Mode, Ahead] = {mode: found.inputs_at for mode, found in planned.items()}
+    # The inputs of a prediction that the recorder missed are not known.
+    scores = {mode: one.at(planned[mode].starts_ns) if mode in planned else one for mode, one in scores.items()
+              if mode in MODES or mode in planned}
     for rows, block in evaluate_blocks([model], car, signals, starts_ns, settings, ahead):
         computed, recorded = block.trajectories[model.name, "forecast"], live_states[rows]
         known = np.isfinite(computed).all(axis=(1, 2)) & np.isfinite(recorded).all(axis=(1, 2))
@@ -172,8 +173,8 @@ def _compare(model: Model, car: VehicleParameters, signals: LogSignals, live: Pr
             result.position = max(result.position, float(distance.max()))
             result.start = max(result.start, float(distance[:, 0].max()))
             result.yaw = max(result.yaw, float(np.abs(difference[..., 4]).max()))
-        if planned:
-            _compare_planned(result, planned, starts_ns[rows], block.trajectories[model.name, PLAN])
+        for mode, found in planned.items():
+            _compare_planned(result, found, starts_ns[rows], block.trajectories[model.name, mode])
         for mode, scored in scores.items():
             _compare_scores(result, mode, scored, starts_ns[rows], block.errors[model.name, mode])
         if progress:
@@ -269,9 +270,9 @@ def _conclusion(found: Verification, tolerance: float, console: Console) -> int:
     passed = found.largest <= tolerance and not disagree
     if n_planned := sum(c.n_planned for c in found.comparisons):
         largest = max(c.planned for c in found.comparisons)
-        n_scores = sum(c.n_scores.get(PLAN, 0) for c in found.comparisons)
-        console.print(f"{n_planned} predictions and {n_scores} scores with planned inputs are among them, largest "
-                      f"difference of a path {largest * 1000:.3g} mm", highlight=False, soft_wrap=True)
+        n_scores = sum(c.n_scores.get(mode, 0) for c in found.comparisons for mode in OTHER_MODES)
+        console.print(f"{n_planned} predictions and {n_scores} scores with inputs of a plan or course are among them, "
+                      f"largest difference of a path {largest * 1000:.3g} mm", highlight=False, soft_wrap=True)
     verdict = "[green]live equals offline[/green]" if passed else "[red]live differs from offline[/red]"
     worst = max(found.comparisons, key=lambda c: c.position)
     where = ""

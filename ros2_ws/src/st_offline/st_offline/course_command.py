@@ -1,5 +1,6 @@
 """`st course build`: read the runs, keep the way of each with its speed and curvature, write one file."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from st_core.errors import ConfigurationError, StCoreError
 from st_core.vehicle import VehicleParameters
 from st_recordings.output import OutputError
 from st_recordings.runs import ReadSettings, RunError, find_runs, read
+from st_recordings.runs.ncom import origin_offset
 
 from .terminal import line
 
@@ -21,13 +23,18 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: Read
     """
     if output.exists():
         raise OutputError(f"{output} exists: name another --output (nothing is ever overwritten)")
-    passes: list[Pass] = []
+    passes: list[Pass] = []  # in the map frame of the first run with a known origin
+    origin: tuple[float, float] | None = None
     failed = 0
     for source in find_runs(runs):
         try:
             with console.status(escape(source.name)):
                 run = read(source, vehicle, reading)
-                found = passes_of(run.log, list(run.provenance["files"].values()))
+                found: Sequence[Pass] = passes_of(run.log, list(run.provenance["files"].values()))
+                if "origin" in run.provenance:
+                    latitude, longitude = map(math.degrees, run.provenance["origin"][:2])
+                    origin = origin or (latitude, longitude)
+                    found = Course(tuple(found)).moved(*origin_offset(origin, latitude, longitude)).passes
         except (RunError, StCoreError) as error:
             failed += 1
             line(f"[red]{escape(source.name)}: {escape(' '.join(str(error).split()))}[/red]", console)
@@ -40,7 +47,7 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: Read
         raise ConfigurationError("no run can be used for a course")
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
-        output.write_text(Course(tuple(passes)).to_yaml(), encoding="utf-8")
+        output.write_text(Course(tuple(passes), origin).to_yaml(), encoding="utf-8")
     except OSError as error:
         raise OutputError(f"{output}: cannot be written: {error.strerror}") from None
     line(f"{escape(str(output))}: course of {len({one.recording for one in passes})} drives", console)

@@ -128,7 +128,8 @@ def generate_launch_description():
         argument("can_channel", "channel of that interface", "can0"),
         argument("ncom_port", "UDP port the INS sends NCOM to", "3000"),
         argument("ncom_address", "local address to listen on", "0.0.0.0"),
-        argument("bands", "bands.yaml of st calibrate; empty: predictions without bands", ""),
+        argument("bands", "bands.yaml of st calibrate; empty: bands without calibration", ""),
+        argument("course", "course.yaml of st course build for this place; empty: none", ""),
         argument("output", "folder of the recordings, must not exist", f"runs/{datetime.now(UTC):%Y%m%d-%H%M%S}"),
         argument("bridges", "false: another source publishes odometry and steering", "true"),
         argument("markers", "true: car, errors and names as markers for RViz and Foxglove", "true"),
@@ -150,6 +151,7 @@ def generate_launch_description():
         suite_node(
             "st_predictor", "predictor",
             text("predictor", "vehicle_file", VEHICLE), text("predictor", "bands_file", LaunchConfiguration("bands")),
+            text("predictor", "course_file", LaunchConfiguration("course")),
         ),
         suite_node("st_predictor", "markers", text("markers", "vehicle_file", VEHICLE), **drawn),
         suite_node("st_predictor", "identifier", text("identifier", "vehicle_file", VEHICLE), **tracked),

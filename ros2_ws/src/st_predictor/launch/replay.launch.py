@@ -25,7 +25,8 @@ ARGUMENTS = {
                                       "vehicle.yaml"]), "vehicle file"),
     "bag": (None, "bag directory to play"),
     "speed": ("1.0", "times as fast as it was recorded"),
-    "bands": ("", "bands.yaml of st calibrate; empty: predictions without bands"),
+    "bands": ("", "bands.yaml of st calibrate; empty: bands without calibration"),
+    "course": ("", "course.yaml of st course build for this place; empty: none"),
     "output": (f"runs/replay-{datetime.now(UTC):%Y%m%d-%H%M%S}", "folder of the new recordings, must not exist"),
 }
 
@@ -36,7 +37,7 @@ def generate_launch_description():
         PythonLaunchDescriptionSource(str(Path(__file__).with_name("car.launch.py"))),
         launch_arguments={
             "config_dir": value["config_dir"], "vehicle": value["vehicle"], "bands": value["bands"],
-            "output": value["output"],
+            "course": value["course"], "output": value["output"],
             "bridges": "false", "use_sim_time": "true",
         }.items(),
     )

@@ -25,7 +25,8 @@ ARGUMENTS = {
     "ncom_rate": ("100", "NCOM packets per second: 100 or 250"),
     "can_channel": ("239.74.163.2", "multicast group on the loopback interface"),
     "identify": ("false", "true: track steering and stiffness while driving"),
-    "bands": ("", "bands.yaml of st calibrate; empty: predictions without bands"),
+    "bands": ("", "bands.yaml of st calibrate; empty: bands without calibration"),
+    "course": ("", "course.yaml of st course build for this place; empty: none"),
     "output": (f"runs/sim-{datetime.now(UTC):%Y%m%d-%H%M%S}", "folder of the recordings, must not exist"),
 }
 
@@ -36,7 +37,7 @@ def generate_launch_description():
         PythonLaunchDescriptionSource(str(Path(__file__).with_name("car.launch.py"))),
         launch_arguments={
             "config_dir": value["config_dir"], "vehicle": value["vehicle"], "output": value["output"],
-            "identify": value["identify"], "bands": value["bands"],
+            "identify": value["identify"], "bands": value["bands"], "course": value["course"],
             "ncom_port": value["ncom_port"], "ncom_address": "127.0.0.1",
             "can_interface": "udp_multicast", "can_channel": value["can_channel"],
         }.items(),

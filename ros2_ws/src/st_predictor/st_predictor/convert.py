@@ -12,7 +12,7 @@ from nav_msgs.msg import Path as PathMessage
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 from st_core.evaluation import ErrorStatistics as Statistics
-from st_core.evaluation import Score
+from st_core.evaluation import Mode, Score
 from st_core.frames import cg_to_ins_position
 from st_core.planned_inputs import PlannedInputs
 from st_core.prediction import Start
@@ -33,6 +33,7 @@ QUATERNION_TOLERANCE = 0.01
 # rmw's own value for "never"; rclpy turns it into this many nanoseconds or more.
 _NEVER_NS = 9_223_372_036 * 1_000_000_000
 # None in a workspace that was built before these messages existed: plans are off there.
+OTHER_MODES: tuple[Mode, ...] = ("plan", "course")  # inputs over the horizon other than held ones
 PLAN, PLANNED = (message_class(f"st_msgs/msg/{name}") for name in ("InputPlan", "PlannedPrediction"))
 
 
@@ -114,8 +115,9 @@ def planned_inputs(message: "InputPlan", base_frame: str, vehicle: VehicleParame
 
 def planned_message(start: Start, model: str, plan_ns: int, inputs: InputSequence, trajectory: Trajectory,
                     vehicle: VehicleParameters, map_frame: str, configuration_hash: str) -> "PlannedPrediction":
-    """The message without issued_at and compute_time. plan_ns: stamp of the plan; inputs: on the half-step grid."""
-    assert PLANNED is not None  # without it no plan is received
+    """The message without issued_at and compute_time. plan_ns: stamp of the plan, 0 for a course; inputs: on the
+    half-step grid."""
+    assert PLANNED is not None
     message = PLANNED(
         model=model, step=trajectory.step, configuration_hash=configuration_hash, plan_stamp=from_nanoseconds(plan_ns),
         cg_to_ins_x=float(vehicle.cg_to_ins_x), cg_to_ins_y=float(vehicle.cg_to_ins_y),

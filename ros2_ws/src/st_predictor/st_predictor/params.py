@@ -7,6 +7,7 @@ from typing import TypeVar
 
 from st_core import errors as core_errors
 from st_core.bands import Bands
+from st_core.course import Course
 from st_core.effects import load_folder
 from st_core.model_file import ModelFile
 from st_core.prediction import PredictionSettings
@@ -22,6 +23,9 @@ _VEHICLE_FILE = Parameter("vehicle_file", "", "vehicle parameters, a file of con
 _MODEL_FILE = Parameter("model_file", "", "model.yaml of a further model, named augmented; empty: none")
 _EFFECTS_DIRECTORY = Parameter("effects_directory", "", "folder of own effects that model_file uses; empty: none")
 _BANDS_FILE = Parameter("bands_file", "", "bands.yaml of st calibrate for this car, models and settings; empty: none")
+_COURSE_FILE = Parameter("course_file", "", "course.yaml of st course build for this place; empty: none")
+_ADAPTIVE = Parameter("adaptive_bands", True, "bands follow the errors of this run; without bands_file there are bands "
+                      "after two minutes of driving; false: only those of bands_file, as calibrated")
 _MAP_FRAME = Parameter("map_frame", "map", "frame the odometry must be in; odometry in another one is refused")
 _MAXIMUM_GAP = Parameter(
     "maximum_gap", _DEFAULTS.maximum_gap, "nothing is interpolated between samples further apart", "s", 0.001, 10.0)
@@ -34,6 +38,8 @@ PREDICTOR = (
     _MODEL_FILE,
     _EFFECTS_DIRECTORY,
     _BANDS_FILE,
+    _ADAPTIVE,
+    _COURSE_FILE,
     Parameter("horizon", _DEFAULTS.horizon, "how far ahead; a whole number of steps", "s", 0.01, 60.0),
     Parameter("step", _DEFAULTS.step, "of integration and of the published points", "s", 0.001, 1.0),
     Parameter("rate", 10.0, "ticks per second, on the node's clock", "Hz", 0.1, 100.0),
@@ -115,6 +121,11 @@ def load_model(values: SimpleNamespace, vehicle: VehicleParameters) -> ModelFile
 def load_bands(values: SimpleNamespace) -> Bands | None:
     """The bands of the parameter `bands_file`, None without one. Raises ConfigurationError naming the file."""
     return _read(values, "bands_file", Bands.from_yaml) if values.bands_file else None
+
+
+def load_course(values: SimpleNamespace) -> Course | None:
+    """The course of the parameter `course_file`, None without one. Raises ConfigurationError naming the file."""
+    return _read(values, "course_file", Course.from_yaml) if values.course_file else None
 
 
 def _read(values: SimpleNamespace, parameter: str, parse: Callable[[str, str], T]) -> T:

@@ -36,13 +36,14 @@ class Predictions:
 
 @dataclass(frozen=True, eq=False)
 class PlannedPredictions(Predictions):
-    """With planned inputs (n, 2 * points - 1) on the half-step grid: road wheel angle [rad], velocity_x_dot [m/s^2]."""
+    """With inputs of a plan or course (n, 2 * points - 1) on the half-step grid: road wheel angle [rad], velocity_x_dot
+    [m/s^2]."""
 
     road_wheel_angle: np.ndarray
     velocity_x_dot: np.ndarray
 
     def inputs_at(self, starts_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The inputs of each start (n,) [ns]; NaN for a start without a plan."""
+        """The inputs of each start (n,) [ns]; NaN for a start without."""
         place = np.searchsorted(self.starts_ns, starts_ns).clip(max=len(self.starts_ns) - 1)
         known = (self.starts_ns[place] == starts_ns)[:, None]
         return (np.where(known, self.road_wheel_angle[place], np.nan),
@@ -105,18 +106,19 @@ def read_predictions(bag: Path, progress: Progress | None = None) -> dict[str, P
             for model, (starts, states, step, hashes) in _read(bag, PREDICTION, (), progress).items()}
 
 
-def read_planned(bag: Path, progress: Progress | None = None) -> dict[str, PlannedPredictions]:
-    """Predictions with planned inputs by model, as `read_predictions`."""
+def read_planned(bag: Path, mode: str, progress: Progress | None = None) -> dict[str, PlannedPredictions]:
+    """Predictions of mode plan or course by model, as `read_predictions`."""
     return {model: PlannedPredictions(*columns) for model, columns in
-            _read(bag, PLANNED, ("road_wheel_angle", "velocity_x_dot"), progress).items()}
+            _read(bag, PLANNED, ("road_wheel_angle", "velocity_x_dot"), progress, f"/{mode}").items()}
 
 
-def _read(bag: Path, type_name: str, more: Sequence[str], progress: Progress | None) -> dict[str, list[Any]]:
-    """By model: [starts_ns, states, step, hashes, *arrays of the fields `more`]."""
+def _read(bag: Path, type_name: str, more: Sequence[str], progress: Progress | None,
+          topic: str = "") -> dict[str, list[Any]]:
+    """By model: [starts_ns, states, step, hashes, *arrays of the fields `more`]. topic: end of the names."""
     rows: dict[str, dict[int, list[np.ndarray]]] = {}
     steps: dict[str, set[float]] = {}
     hashes: dict[str, set[str]] = {}
-    for message in _messages([bag], type_name, progress):
+    for message in _messages([bag], type_name, progress, topic):
         states = np.stack([getattr(message, name) for name in STATE], axis=-1)
         arrays = [states, *(getattr(message, name) for name in more)]
         rows.setdefault(message.model, {})[field_of(message, "header.stamp")] = arrays
@@ -148,11 +150,11 @@ def read_scores(bags: Sequence[Path], progress: Progress | None = None) -> dict[
     return found
 
 
-def _messages(bags: Sequence[Path], type_name: str, progress: Progress | None) -> Iterator[Any]:
+def _messages(bags: Sequence[Path], type_name: str, progress: Progress | None, topic: str = "") -> Iterator[Any]:
     store = typestore(definitions())
     for bag in bags:
         storage = open_bag(bag)
-        topics = [t for t in storage.topics() if t.type_name == type_name and t.count]
+        topics = [t for t in storage.topics() if t.type_name == type_name and t.count and t.name.endswith(topic)]
         total = sum(t.count for t in topics)
         messages = chain.from_iterable(storage.messages(t.name) for t in topics)
         for done, data in enumerate(messages, 1):

@@ -60,7 +60,7 @@ class Segment:
 
 
 SUMMARY, TYPE = "/evaluator/summary", "st_msgs/msg/ErrorSummary"
-QUESTIONS = {"forecast": "forecast", "hindsight": "model"}
+QUESTIONS = {"forecast": "forecast", "hindsight": "model", "course": "course", "plan": "plan"}
 
 
 class BandCounts(Protocol):

@@ -34,6 +34,8 @@ def demo(
     model: shared.FourthModel = None,
     effects: shared.EffectsOfModel = None,
     bands: shared.BandsFile = None,
+    adaptive: shared.Adaptive = None,
+    course: shared.CourseFile = None,
     record: shared.Record = "needed",
     view: shared.View = False,
     view_address: shared.ViewAddress = None,
@@ -43,7 +45,7 @@ def demo(
     """Drive the virtual Leaf, or a recorded drive, through bridges and nodes; show how well each model predicts."""
     # Imported when it runs: the drawing and ROS libraries take a second that `st --help` need not wait.
     from st_live.configuration import (
-        add_bands,
+        add_files,
         live_parameters,
         model_parameters,
         vehicle_file,
@@ -71,8 +73,9 @@ def demo(
         further = model_parameters(model, effects, car.vehicle)
         page = LiveView(view, view_address, view_save)
         folder = new_folder(output, f"demo-{what}")
-        parameters = add_bands(
-            live_parameters(folder, car.vehicle, car.bridge_parameters(), further, record == "all"), bands)
+        parameters = add_files(
+            live_parameters(folder, car.vehicle, car.bridge_parameters(), further, record == "all"), bands, course,
+            adaptive)
         outcome = run(folder, parameters, what, duration, car.start, console, page)
     source = "recorded drive" if drive else "virtual Leaf"
     about = {"what": what, "source": source, "vehicle": vehicle_name(car.vehicle), "seed": seed}

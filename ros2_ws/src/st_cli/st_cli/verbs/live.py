@@ -27,6 +27,8 @@ def live(
         False, "--realtime", help="Real-time scheduling for bridges and predictor; permission: docs/manual/live.md."
     ),
     bands: shared.BandsFile = None,
+    adaptive: shared.Adaptive = None,
+    course: shared.CourseFile = None,
     record: shared.Record = "needed",
     view: shared.View = False,
     view_address: shared.ViewAddress = None,
@@ -36,7 +38,7 @@ def live(
     """Listen to the RT3000 and the car's CAN bus; predict, score and record until Ctrl-C."""
     # Imported when it runs, see demo.py.
     from st_live.configuration import (
-        add_bands,
+        add_files,
         bridge_parameters,
         live_parameters,
         model_parameters,
@@ -59,7 +61,8 @@ def live(
         page = LiveView(view, view_address, view_save)
         folder = new_folder(output, "live")
         bridges = bridge_parameters(vehicle, ins, bus | named.steering, named.dbc, named.signals)
-        parameters = add_bands(live_parameters(folder, vehicle, bridges, further, record == "all"), bands)
+        parameters = add_files(live_parameters(folder, vehicle, bridges, further, record == "all"), bands, course,
+                               adaptive)
         if named.vehicle is None:
             shared.report_default_car("live", vehicle)
         outcome = run(folder, parameters, "live", duration, None, console, page, supervised=True,

@@ -14,6 +14,8 @@ def replay(
     fast: bool = typer.Option(False, "--fast", help="As fast as predictor and evaluator follow."),
     force: bool = typer.Option(False, "--force", help="Also where `st check` finds an error in the recording."),
     bands: shared.BandsFile = None,
+    adaptive: shared.Adaptive = None,
+    course: shared.CourseFile = None,
     view: shared.View = False,
     view_address: shared.ViewAddress = None,
     view_save: shared.ViewSave = None,
@@ -41,7 +43,8 @@ def replay(
         print_findings(bag.name, findings, console)
         shared.report_default_car_of_bag("replay", bag, vehicle)
         folder = new_folder(output, f"replay-{bag.stem}")
-        outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console, page, bands, read)
+        outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console, page, bands, course, adaptive,
+                                   read)
     about = {"what": f"replay of {bag.name}", "source": str(bag), "vehicle": name,
              "findings": documents(findings)}
     status = conclude(folder, outcome, about, console)

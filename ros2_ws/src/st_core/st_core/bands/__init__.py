@@ -12,7 +12,7 @@ from .conditions import CONDITIONS, CalibrationDomain, activity_instants, condit
 from .conformal import conformal_factors, highest_level, runs_needed
 from .coverage import Coverage, Coverages
 from .file import Bands
-from .live import LiveBands, conditions_now
+from .live import AdaptiveBands, LiveBands, conditions_now
 from .samples import NotFiniteError, RunSamples, run_samples, to_predicted_frame, together
 
 __all__ = [
@@ -20,6 +20,7 @@ __all__ = [
            "LEVELS",
            "RELIABILITY",
            "AdaptiveBand",
+           "AdaptiveBands",
            "Band",
            "Bands",
            "CalibrationDomain",
@@ -29,7 +30,6 @@ __all__ = [
            "NotFiniteError",
            "RunSamples",
            "activity_instants",
-           "adapted",
            "calibrate",
            "conditions",
            "conditions_at",

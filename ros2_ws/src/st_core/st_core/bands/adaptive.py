@@ -38,6 +38,8 @@ SCALE_FORGETTING = 120.0
 """s: two minutes of driving show most of what a driver does on a road."""
 DEFAULT_SCALE = (0.3, 0.3, 0.02)
 """m, m, rad at 1 s ahead, growing with the square of the time: a first guess that the first horizons replace."""
+WARM_UP = 120.0
+"""s of scored driving before a band without a calibration is stated: the first factors and scale are guesses."""
 LONGEST_WEIGHT = 1.0
 """s. After a pause one window is no more evidence than a second of driving."""
 
@@ -59,6 +61,15 @@ class AdaptiveBand:
         self._open: deque[tuple[int, np.ndarray]] = deque()
 
     @property
+    def is_calibrated(self) -> bool:
+        return self._band is not None
+
+    @property
+    def learning(self) -> float:
+        """Scored driving [s] that is missing until the band may be stated; 0 with a calibration."""
+        return 0.0 if self._band else max(WARM_UP - self._elapsed, 0.0)
+
+    @property
     def factors(self) -> dict[float, float]:
         """By level; a higher level is never narrower."""
         values = np.maximum.accumulate([math.exp(one) for one in self._logs.values()])
@@ -75,6 +86,8 @@ class AdaptiveBand:
         """
         own = self.scale(condition) if scale is None else scale
         factors = self.factors
+        if self._issued and start_ns <= self._issued[-1][0]:  # time has jumped back: their scores never arrive
+            self._issued.clear()
         self._issued.append((start_ns, own, factors))
         if len(self._issued) > 10_000:  # scores that never arrive
             self._issued.popleft()

@@ -66,8 +66,10 @@ class Coverage:
 class Coverages:
     """Bands that were published with predictions, until the score of their horizon arrives.
 
-    Memory is bounded where every prediction gets its two scores, as of `Evaluator`.
+    At most MAXIMUM_WAITING are kept; those of predictions that never arrived are dropped.
     """
+
+    MAXIMUM_WAITING = 10_000
 
     def __init__(self) -> None:
         self.by_question: dict[Question, Coverage] = {}
@@ -77,6 +79,8 @@ class Coverages:
         """Half-widths published with a prediction."""
         for (mode, level), widths in stated.items():
             self._waiting.setdefault((model, mode, start_ns), {})[level] = widths
+        while len(self._waiting) > self.MAXIMUM_WAITING:
+            del self._waiting[next(iter(self._waiting))]
 
     def add(self, score: Score) -> None:
         """A score of a prediction; incomplete ones are ignored."""

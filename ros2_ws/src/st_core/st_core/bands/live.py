@@ -6,15 +6,19 @@ then is how many different operations there are: they take a few hundred microse
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import product
 
 import numpy as np
 
 from ..alignment import DERIVATIVE, VELOCITY_X, YAW_RATE, MeasurementHistory
+from ..evaluation import Score
 from ..log_evaluation import MODES
 from ..timeseries import TimeSeries
+from .adaptive import AdaptiveBand
 from .calibration import LEVELS
 from .conditions import activity_instants, magnitudes, steering_activity
 from .file import Bands
+from .samples import Question, to_predicted_frame
 from .scale import features_of_one, floor_at, interpolation
 
 Stated = dict[tuple[str, float], np.ndarray]
@@ -57,6 +61,7 @@ class LiveBands:
     def __init__(self, bands: Bands, models: Iterable[str]):
         self._seen = bands.seen
         questions = [(model, mode) for model in models for mode in MODES if (model, mode) in bands.bands]
+        self._row: dict[Question, int] = {question: row for row, question in enumerate(questions)}
         chosen = [bands.bands[question] for question in questions]
         self.levels = tuple(level for level in LEVELS if all(level in band.factors for band in chosen))
         scale = chosen[0].scale
@@ -86,5 +91,70 @@ class LiveBands:
         scale = np.exp(logs.reshape(-1, len(self._between)) @ self._between)
         scale += self._floor
         np.sqrt(scale, out=scale)
+        self._scale = scale
         np.multiply(self._factors, scale.astype(np.float32), out=self._ahead)
         return True
+
+    def scale_of(self, question: Question) -> np.ndarray | None:
+        """(points, 3) along, across [m] and yaw [rad] of the last update; None for a question without calibration."""
+        row = self._row.get(question)
+        return None if row is None else self._scale[3 * row:3 * row + 3].T
+
+
+class AdaptiveBands:
+    """Bands of all models and modes of a run, each corrected by its scores (`adaptive.AdaptiveBand`).
+
+    time: (points,) ahead, without the start [s]. bands: the calibrated ones of forecast and hindsight; None: learnt
+    from the scores alone, as those of plan and course always are, and stated after `adaptive.WARM_UP`.
+
+    stated: as in `LiveBands`. counts: scored windows and, by level, those with the whole path inside, by question.
+    """
+
+    def __init__(self, time: np.ndarray, models: Sequence[str], modes: Sequence[str] = MODES,
+                 bands: Bands | None = None):
+        self._calibrated = None if bands is None else LiveBands(bands, models)
+        known = {} if bands is None else bands.bands
+        self._bands = {question: AdaptiveBand(time, known.get(question)) for question in product(models, modes)}
+        self.stated: Mapping[str, Stated] = {
+            model: {(mode, level): np.zeros((len(time) + 1, 3), np.float32) for mode in modes for level in LEVELS}
+            for model in models}
+        self.counts: dict[Question, tuple[int, dict[float, int]]] = {}
+        self._since: dict[Question, int] = {}  # start of the first prediction with a band [ns]
+
+    @property
+    def learning(self) -> float:
+        """Scored driving [s] that is missing until the first band of a forecast may be stated."""
+        return min(band.learning for (_, mode), band in self._bands.items() if mode == "forecast")
+
+    def issue(self, start_ns: int, condition: Sequence[float], modes: Iterable[str]) -> tuple[set[Question], str]:
+        """Update `stated` for predictions of these modes that start now [ns], under conditions as `conditions_now`.
+
+        Returns the questions with a band, and the reason, in one line, why calibrated ones have none.
+        """
+        reason = ""
+        if self._calibrated and not self._calibrated(condition):
+            reason = self._calibrated.why_not(condition)
+        found: set[Question] = set()
+        for model, stated in self.stated.items():
+            for mode in modes:
+                question = model, mode
+                scale = self._calibrated.scale_of(question) if self._calibrated and not reason else None
+                band = self._bands[question]
+                if reason and band.is_calibrated:
+                    continue
+                widths = band.issue(start_ns, np.empty(0), scale)
+                if not band.learning:
+                    found.add(question)
+                    self._since.setdefault(question, start_ns)
+                    for level, one in widths.items():
+                        stated[mode, level][1:] = one
+        return found, reason
+
+    def observe(self, score: Score) -> None:
+        """The score of an earlier prediction; those of a question arrive in order of time."""
+        errors = to_predicted_frame(np.stack([score.longitudinal, score.lateral, score.yaw], axis=-1))[1:]
+        question = score.model, score.mode
+        inside = self._bands[question].observe(score.start_ns, errors)
+        if inside and score.start_ns >= self._since.get(question, math.inf):
+            n, kept = self.counts.get(question, (0, {}))
+            self.counts[question] = n + 1, {level: kept.get(level, 0) + one for level, one in inside.items()}

@@ -31,7 +31,7 @@ from ..view.passenger import MODELS, TOPICS, PassengerFrames
 
 PERIOD = 0.1  # s between frames
 TYPES = {"status": PredictorStatus, "ins_status": InsStatus, "odometry": Odometry, "steering": Steering,
-         "prediction": Prediction, "planned": convert.PLANNED, "error": PredictionError,
+         "prediction": Prediction, "plan": convert.PLANNED, "course": convert.PLANNED, "error": PredictionError,
          "diagnostics": DiagnosticArray}
 # Messages kept of a topic: a few of the frequent ones; scores of one instant arrive together.
 DEPTH = {"error": 200, "diagnostics": 50}

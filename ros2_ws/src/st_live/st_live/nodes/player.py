@@ -21,7 +21,7 @@ import rclpy
 from builtin_interfaces.msg import Time
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
@@ -41,7 +41,9 @@ DEPTH = 1000
 DISCOVERY_TIMEOUT = 15.0  # s
 STATUS_PERIOD = 0.5  # s
 SUBSCRIBERS = 3  # predictor, evaluator, recorder
-PLAN, PLAN_SUBSCRIBERS = "/plan/inputs", 2  # predictor, recorder
+PLAN, ORIGIN = "/plan/inputs", "/ins/origin"
+FEWER_SUBSCRIBERS = {PLAN: 2, ORIGIN: 1}  # predictor, recorder; recorder alone without a course
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # At rate 0: longest wait of the clock for predictor and evaluator [s]; shorter after a wait without an answer
 # (standstill, no inputs).
 TIMEOUT, SHORT_TIMEOUT = 2.0, 0.005
@@ -161,18 +163,20 @@ class Player:
         for connection in connections:
             if connection.msgtype == "st_msgs/msg/InputPlan":
                 self._played[connection.topic] = PLAN
+            elif connection.topic.endswith(ORIGIN) and connection.msgtype == "sensor_msgs/msg/NavSatFix":
+                self._played[connection.topic] = ORIGIN
             if connection.topic in self._played and connection.topic not in publishers:
                 translated = self._translator and connection.topic == self._steering
                 message_type = Steering if translated else message_class(connection.msgtype)
-                publishers[connection.topic] = self._node.create_publisher(
-                    message_type, self._played[connection.topic], QoSProfile(depth=DEPTH))
+                name = self._played[connection.topic]
+                qos = LATCHED if name == ORIGIN else QoSProfile(depth=DEPTH)
+                publishers[connection.topic] = self._node.create_publisher(message_type, name, qos)
         return publishers
 
     def _wait_for_subscribers(self, publishers: Sequence[Publisher]) -> bool:
         """Whether recorder, predictor and evaluator have subscribed to odometry, steering and clock in time."""
         end = time.monotonic() + DISCOVERY_TIMEOUT
-        needed = {p: PLAN_SUBSCRIBERS if p.topic_name.endswith(PLAN) else SUBSCRIBERS
-                  for p in (*publishers, self._clock)}
+        needed = {p: FEWER_SUBSCRIBERS.get(p.topic_name, SUBSCRIBERS) for p in (*publishers, self._clock)}
         while any(p.get_subscription_count() < count for p, count in needed.items()):
             if time.monotonic() > end or self.stop:
                 return False

@@ -13,7 +13,6 @@ from st_core.frames import cg_to_ins_position, map_to_body
 from st_core.types import InsSample
 from st_core.vehicle import VehicleParameters
 from st_predictor import convert
-from st_predictor.map_drawing import BAND_MODE
 
 MODELS = ("kinematic", "linear", "nonlinear", "augmented")
 TRACK_SPAN, TRACK_STEP = 20.0, 0.2  # s of measured track shown, and between its points
@@ -23,11 +22,12 @@ DIAGNOSTICS_TIMEOUT = 3.0  # s; every node publishes its diagnostics once a seco
 BAND_LEVEL = 0.9
 LEVELS = ("ok", "warning", "error", "error")  # of diagnostic_msgs; stale counts as an error
 # Topic -> method that takes its messages.
+INPUTS = {"forecast": "held", "course": "remembered", "plan": "planned"}  # by mode, the preferred last
 TOPICS = {
     "predictor/status": "status", "ins/status": "ins_status", "ins/odometry": "odometry",
     "vehicle/steering": "steering",
     **{f"predictor/{model}/prediction": "prediction" for model in MODELS},
-    **{f"predictor/{model}/plan": "planned" for model in MODELS},
+    **{f"predictor/{model}/{mode}": mode for mode in convert.OTHER_MODES for model in MODELS},
     "evaluator/errors": "error", "/diagnostics": "diagnostics",
 }
 
@@ -43,9 +43,9 @@ class PassengerFrames:
         self._reason = ""
         self._mode: tuple[str, float] = ("", 0.0)
         self._track: deque[tuple[float, float, float]] = deque()  # (measured s, x, y)
-        # By inputs (held, planned) and model.
-        self._predictions: dict[str, dict[str, tuple[float, Any]]] = {"held": {}, "planned": {}}
-        self._errors: dict[str, dict[str, dict[str, float]]] = {"held": {}, "planned": {}}
+        # By mode and model.
+        self._predictions: dict[str, dict[str, tuple[float, Any]]] = {mode: {} for mode in INPUTS}
+        self._errors: dict[str, dict[str, dict[str, float]]] = {mode: {} for mode in INPUTS}
         self._health: dict[str, tuple[float, int, str]] = {}
         self._takers: dict[str, Callable[[Any, float], None]] = {
             name: getattr(self, f"_{name}") for name in set(TOPICS.values())}
@@ -61,7 +61,9 @@ class PassengerFrames:
         frame: dict[str, Any] = {
             "received": self._received and round(self._received, 4), "light": light, "text": text, "mode": mode,
             "mode_age": round(now - mode_time, 1), "reason": self._reason,
-            "errors": self._errors["held"] | (self._errors["planned"] if self._has_plan(now) else {}),
+            "errors": {model: error for mode, of_model in self._errors.items() if mode == "forecast" or any(
+                now - at < STALE_PREDICTION for at, _ in self._predictions[mode].values())
+                for model, error in of_model.items()},
             "steering": self._angle and round(self._angle, 4),
         }
         if sample is None:
@@ -72,23 +74,22 @@ class PassengerFrames:
             "pose": [round(value, 3) for value in pose], "speed": round(sample.velocity_x, 2),
             "lateral_acceleration": round(sample.velocity_x * sample.yaw_rate, 2),
             "track": _in_car(track[:, 0], track[:, 1], pose),
-            "paths": {model: self._path(message, pose, inputs) for inputs, of_model in self._predictions.items()
+            "paths": {model: self._path(message, pose, mode) for mode, of_model in self._predictions.items()
                       for model, (at, message) in of_model.items() if now - at < STALE_PREDICTION},
         }
-
-    def _has_plan(self, now: float) -> bool:
-        return any(now - at < STALE_PREDICTION for at, _ in self._predictions["planned"].values())
 
     def _cg_position(self, sample: InsSample) -> tuple[float, float]:
         x, y = cg_to_ins_position(sample.x, sample.y, sample.yaw, -self._car.cg_to_ins_x, -self._car.cg_to_ins_y)
         return float(x), float(y)
 
-    def _path(self, message: Any, pose: tuple[float, float, float], inputs: str) -> dict[str, Any]:
+    def _path(self, message: Any, pose: tuple[float, float, float], mode: str) -> dict[str, Any]:
         x, y, yaw = (np.asarray(column)[::PATH_STRIDE] for column in (message.x, message.y, message.yaw))
-        path: dict[str, Any] = {"points": _in_car(x, y, pose), "step": PATH_STRIDE * message.step, "inputs": inputs,
-                                "yaw": np.round(yaw - pose[2], 3).tolist()}
-        bands = message.bands if inputs == "held" else ()
-        band = next((b for b in bands if b.mode == BAND_MODE and abs(b.level - BAND_LEVEL) < 1e-6), None)
+        path: dict[str, Any] = {"points": _in_car(x, y, pose), "step": PATH_STRIDE * message.step,
+                                "inputs": INPUTS[mode], "yaw": np.round(yaw - pose[2], 3).tolist()}
+        # All bands of a start are in its forecast.
+        _, forecast = self._predictions["forecast"].get(message.model, (0.0, None))
+        bands = forecast.bands if forecast and forecast.header.stamp == message.header.stamp else ()
+        band = next((b for b in bands if b.mode == mode and abs(b.level - BAND_LEVEL) < 1e-6), None)
         if band is not None:
             path["band"] = np.round(np.asarray(band.across, float)[::PATH_STRIDE], 2).tolist()
         return path
@@ -129,19 +130,21 @@ class PassengerFrames:
     def _status(self, message: Any, now: float) -> None:
         self._reason = message.reason
 
-    def _prediction(self, message: Any, now: float, inputs: str = "held") -> None:
+    def _prediction(self, message: Any, now: float, mode: str = "forecast") -> None:
         columns = np.array([message.x, message.y, message.yaw])
         if columns.shape[1] > 1 and np.isfinite(columns).all():
-            self._predictions[inputs][message.model] = now, message
+            self._predictions[mode][message.model] = now, message
 
-    def _planned(self, message: Any, now: float) -> None:
-        self._prediction(message, now, "planned")
+    def _plan(self, message: Any, now: float) -> None:
+        self._prediction(message, now, "plan")
+
+    def _course(self, message: Any, now: float) -> None:
+        self._prediction(message, now, "course")
 
     def _error(self, message: Any, now: float) -> None:
         """Errors [m] at the end of the horizon [s] that has just passed."""
-        inputs = {"forecast": "held", "plan": "planned"}.get(message.mode)
-        if message.complete and inputs:
-            self._errors[inputs][message.model] = {
+        if message.complete and message.mode in INPUTS:
+            self._errors[message.mode][message.model] = {
                 "longitudinal": round(message.longitudinal[-1], 2), "lateral": round(message.lateral[-1], 2),
                 "horizon": round(message.horizon[-1], 2)}
 

@@ -2,63 +2,105 @@
 
 import math
 from array import array
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 
 import numpy as np
 from st_core.alignment import MeasurementHistory
-from st_core.bands import Coverages, LiveBands, conditions_now
+from st_core.bands import AdaptiveBands, Coverages, LiveBands, conditions_now
 from st_core.bands.live import Stated
-from st_core.log_evaluation import EvaluationSettings
-from st_core.prediction import PredictionSettings
+from st_core.evaluation import Evaluator, Mode
+from st_core.log_evaluation import MODES, EvaluationSettings
+from st_core.models import Model
+from st_core.prediction import PredictionSettings, Runner, Start
+from st_core.types import InsSample, Trajectory, VehicleState
 from st_core.vehicle import VehicleParameters
 from st_msgs.msg import Band, ErrorStatistics, Prediction
 from st_ros import diagnostics
 from st_ros.diagnostics import Check
 
 from .. import params
+from ..convert import OTHER_MODES
 
 AXES = ("along", "across", "yaw")
 
 
 class PredictionBands:
-    """What the predictor states around its paths; nothing where no file is given.
+    """What the predictor states around its paths: bands of a file, corrected by the scores of this run or not.
 
-    models: hash of the model file by model, "" for one of the paper's. Raises ConfigurationError for a file of
-    another car, model or configuration.
+    models: hash of the model file by model, "" for one of the paper's. further, runners: as of `Evaluator`. Raises
+    ConfigurationError for a file of another car, model or configuration.
     """
 
     def __init__(self, values: SimpleNamespace, vehicle: VehicleParameters, models: Mapping[str, str],
-                 settings: PredictionSettings):
-        self._live: LiveBands | None = None
-        self._missing = ""
+                 settings: PredictionSettings, further: Sequence[Model], runners: Mapping[str, Runner]):
+        self._missing, self._text = "", ""
+        self._fixed: LiveBands | None = None
+        self._adaptive: AdaptiveBands | None = None
         file = params.load_bands(values)
         if file is not None:
             place = f"bands_file: {values.bands_file}: "
             params.checked(values, lambda: file.check(vehicle, models, EvaluationSettings(settings)), place)
-            self._live = LiveBands(file, models)
-            self._messages = BandMessages(self._live.stated)
-            levels = " and ".join(f"{100 * level:g} %" for level in self._live.levels)
-            self._text = f"{levels}, learnt from {file.runs} runs"
+            self._text = f"learnt from {file.runs} runs"
+        if values.adaptive_bands:
+            time = settings.step * np.arange(1, settings.steps + 1)
+            self._adaptive = AdaptiveBands(time, list(models), (*MODES, *OTHER_MODES), file)
+            self._messages = BandMessages(self._adaptive.stated)
+            self._scorer = Evaluator(vehicle, settings, 0.0, further, runners)
+        elif file is not None:
+            self._fixed = LiveBands(file, models)
+            self._messages = BandMessages(self._fixed.stated)
 
-    def at(self, history: MeasurementHistory, time_ns: int) -> Mapping[str, list[Band]]:
-        """By model, for predictions that start at an instant [ns]; empty without a band. Valid until the next call."""
-        if self._live is None:
+    def add_ins(self, sample: InsSample) -> None:
+        """Measurements by which earlier predictions are scored."""
+        if self._adaptive:
+            self._scorer.add_ins(sample)
+
+    def add_steering(self, time_ns: int, road_wheel_angle: float) -> None:
+        if self._adaptive:
+            self._scorer.add_steering(time_ns, road_wheel_angle)
+
+    def at(self, history: MeasurementHistory, time_ns: int, modes: Sequence[Mode]) -> Mapping[str, list[Band]]:
+        """By model, for predictions with these modes that start at an instant [ns]; empty without a band. Valid until
+        the next call."""
+        if self._adaptive:
+            found, self._missing = self._adaptive.issue(time_ns, conditions_now(history, time_ns), modes)
+            return {model: [band for band in bands if (model, band.mode) in found]
+                    for model, bands in (self._messages.fill() if found else {}).items()}
+        if self._fixed is None:
             return {}
         condition = conditions_now(history, time_ns)
-        if self._live(condition):
-            self._missing = ""
-            return self._messages.fill()
-        self._missing = self._live.why_not(condition)
-        return {}
+        self._missing = "" if self._fixed(condition) else self._fixed.why_not(condition)
+        return {} if self._missing else self._messages.fill()
+
+    def observe(self, start: Start, issued: Mapping[str, Mapping[Mode, Trajectory]]) -> None:
+        """Score the predictions that have ended, and keep those issued now, by model and mode, until they have."""
+        if self._adaptive is None:
+            return
+        for score in self._scorer.poll():
+            self._adaptive.observe(score)
+        for model, by_mode in issued.items():
+            forecast = by_mode["forecast"]
+            self._scorer.add_prediction(model, start.time_ns, VehicleState(*forecast.states[0].tolist()), start.inputs,
+                                        forecast)
+            for mode in by_mode.keys() & OTHER_MODES:
+                self._scorer.add_trajectory(model, mode, start.time_ns, by_mode[mode])
 
     def check(self) -> Check:
         """For the diagnostics."""
-        if self._live is None:
-            return Check("bands", diagnostics.OK, "off (bands_file is empty)")
         if self._missing:
             return Check("bands", diagnostics.WARN, f"no band: {self._missing}")
-        return Check("bands", diagnostics.OK, self._text)
+        if self._fixed:
+            levels = " and ".join(f"{100 * level:g} %" for level in self._fixed.levels)
+            return Check("bands", diagnostics.OK, f"{levels}, {self._text}")
+        if self._adaptive is None:
+            return Check("bands", diagnostics.OK, "off (bands_file is empty, adaptive_bands is false)")
+        values = {f"{model} {mode} {100 * level:g} %": f"{inside / n:.3f} of {n}"
+                  for (model, mode), (n, kept) in self._adaptive.counts.items() for level, inside in kept.items()}
+        if (seconds := self._adaptive.learning) > 0.0:
+            return Check("bands", diagnostics.OK, "adaptive, learning: no band yet", {"driving required [s]": seconds})
+        text = f"adaptive, {self._text or 'learnt from the errors of this run'}"
+        return Check("bands", diagnostics.OK, text, values)
 
 
 class BandMessages:

@@ -2,7 +2,6 @@
 consistency of the measurements."""
 
 import time
-from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +10,9 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from st_core.bands import Coverages
-from st_core.evaluation import ErrorStatistics, Evaluator, Mode, Score
+from st_core.evaluation import ErrorStatistics, Evaluator, Score
 from st_core.models import get_model
 from st_core.prediction import predict
-from st_core.types import Trajectory
 from st_msgs.msg import ErrorSummary, Prediction, PredictionError
 from st_recordings.mcap import BagWriter, Qos
 from st_ros import diagnostics, parameters, spin
@@ -36,7 +34,7 @@ LEVELS = {"warning": diagnostics.WARN, "error": diagnostics.ERROR}
 SPAN = 65.0
 # At the end of a run the scores of the last horizon of every model and mode are published at once.
 ERROR_DEPTH = 1000
-MAX_UNPAIRED = 10  # predictions with planned inputs kept for a forecast that has not arrived
+QUEUE_DEPTH = 500  # waiting predictions per topic: 50 s at 10 Hz, 5 s of a fast replay
 # Two computers may round differently; another vehicle file differs by centimetres within a second [SI].
 SAME_TRAJECTORY = 1.0e-6
 
@@ -57,20 +55,19 @@ class EvaluatorNode(Node):
                               self._publish_diagnostics)
         self._statistics = {(model, mode): ErrorStatistics() for model in self._models for mode in MODES}
         self._coverages = Coverages()
-        self._hashes: dict[tuple[str, int], str] = {}  # of the predictions waiting, by model and start
+        self._hashes: dict[tuple[str, str, int], str] = {}  # of the predictions waiting, by model, mode and start
         self._other_configuration: dict[tuple[str, str], bool] = {}  # by hash and model
         self._refused = ""
         self._bag, self._bag_topics = self._open_bag(values, settings)
+        qos = QoSProfile(depth=QUEUE_DEPTH)
         self._predictions = {
-            model: PolledSubscription(self, Prediction, f"predictor/{model}/prediction", QoSProfile(depth=500))
+            model: PolledSubscription(self, Prediction, f"predictor/{model}/prediction", qos)
             for model in self._models
         }
-        self._plans = {
-            model: PolledSubscription(self, convert.PLANNED, f"predictor/{model}/plan", QoSProfile(depth=500))
-            for model in self._models if convert.PLANNED
+        self._others = {
+            (mode, model): PolledSubscription(self, convert.PLANNED, f"predictor/{model}/{mode}", qos)
+            for mode in convert.OTHER_MODES for model in self._models if convert.PLANNED
         }
-        self._waiting: dict[str, list[Prediction]] = {model: [] for model in self._models}
-        self._planned: dict[str, dict[int, Trajectory]] = {model: {} for model in self._models}
         error_qos = QoSProfile(depth=ERROR_DEPTH)
         self._error_publisher = self.create_publisher(PredictionError, "evaluator/errors", error_qos)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -105,27 +102,22 @@ class EvaluatorNode(Node):
     def _work(self) -> None:
         self._inputs.drain()
         for model, subscription in self._predictions.items():
-            # The plan of a start is published before its forecast, but may arrive after it, by less than one period.
-            planned = self._planned[model] | dict(self._take_planned(model))
-            for message in self._waiting[model]:
-                self._add(model, message, planned)
-            self._planned[model] = dict(list(planned.items())[-MAX_UNPAIRED:])
-            self._waiting[model] = [message for message, _, _ in subscription.take()]
+            for message, _, _ in subscription.take(QUEUE_DEPTH):
+                self._add(model, message)
+        for (mode, model), subscription in self._others.items():
+            for message, _, _ in subscription.take(QUEUE_DEPTH):
+                content = convert.read_trajectory(message)
+                if isinstance(content, str):
+                    self._refused = f"prediction on predictor/{model}/{mode} refused: {content}"
+                else:
+                    self._hashes[model, mode, content[0]] = message.configuration_hash
+                    self._core.add_trajectory(model, mode, *content)
         self._publish_scores(self._core.poll())
         if self._bag:
             self._bag.flush_when_due()
         self._consistency.poll(self._core.history, time.monotonic())
 
-    def _take_planned(self, model: str) -> Iterator[tuple[int, Trajectory]]:
-        """(start [ns], trajectory) of the waiting predictions with planned inputs."""
-        for message, _, _ in self._plans[model].take() if model in self._plans else ():
-            content = convert.read_trajectory(message)
-            if isinstance(content, str):
-                self._refused = f"prediction on predictor/{model}/plan refused: {content}"
-            else:
-                yield content
-
-    def _add(self, model: str, message: Prediction, planned: Mapping[int, Trajectory]) -> None:
+    def _add(self, model: str, message: Prediction) -> None:
         content = convert.read_prediction(message)
         if message.model != model or message.header.frame_id != self._map_frame:
             content = f"it is of model {message.model!r} in frame {message.header.frame_id!r}"
@@ -143,20 +135,18 @@ class EvaluatorNode(Node):
             # A model with a memory of the steering predicts from more than the held inputs.
             self._other_configuration[key] = not view.has_memory and not np.allclose(
                 predicted.states, trajectory.states, rtol=0.0, atol=SAME_TRAJECTORY, equal_nan=True)
-        self._hashes[model, start_ns] = message.configuration_hash
+        self._hashes |= dict.fromkeys(((model, mode, start_ns) for mode in MODES), message.configuration_hash)
         self._coverages.expect(model, start_ns, read_bands(message))
-        others: dict[Mode, Trajectory] = {"plan": planned[start_ns]} if start_ns in planned else {}
-        self._core.add_prediction(model, start_ns, start, inputs, trajectory, others)
+        self._core.add_prediction(model, start_ns, start, inputs, trajectory)
 
     def _publish_scores(self, scores: list[Score]) -> None:
         for score in scores:
             self._statistics.setdefault((score.model, score.mode), ErrorStatistics()).add(score)
             self._coverages.add(score)
-            message = convert.error_message(score, self._map_frame, self._hashes.get((score.model, score.start_ns), ""))
+            key = score.model, score.mode, score.start_ns
+            message = convert.error_message(score, self._map_frame, self._hashes.pop(key, ""))
             self._error_publisher.publish(message)
             self._record("errors", message)
-        for score in scores:
-            self._hashes.pop((score.model, score.start_ns), None)
 
     def _publish_summary(self) -> None:
         message = ErrorSummary(pending=self._core.pending)
@@ -199,7 +189,6 @@ class EvaluatorNode(Node):
 
     def close(self) -> None:
         self._work()
-        self._work()  # forecasts wait one period for their plans
         self._publish_scores(self._core.flush())
         self._publish_summary()
         if self._bag:

@@ -12,23 +12,28 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from st_core.compiled import compile_models
+from st_core.evaluation import Mode
 from st_core.filtering import NANOSECOND
 from st_core.models import get_model
 from st_core.prediction import Predictor, Skip, Start, configuration_hash
-from st_core.types import InputSequence
+from st_core.types import InputSequence, InsSample, Trajectory
 from st_msgs.msg import Prediction, PredictorStatus
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
 
 from .. import convert, params
 from ..ticks import TickCounter
+from ._ahead import CourseInput, PlanInput
 from ._bands import PredictionBands
 from ._inputs import Inputs
-from ._plan import PlanInput
 
 # Inputs are taken this often between ticks, so that a tick finds only a few milliseconds of them waiting [s].
 DRAIN_PERIOD = 0.02
 STATUS_PERIOD = 1.0
+# Messages that wait for a slow reader. After a reader was stopped, Fast DDS resends all of them: live with 50, half a
+# megabyte per topic, a recorder stopped for 3 s received no prediction for a minute and a half, with 10 for 3 s.
+# A fast replay makes 100 predictions a second: a recorder delayed by 0.5 s lost 50 of 590 with 10, none with 1000.
+LIVE_DEPTH, REPLAY_DEPTH = 10, 1000
 # Longest wait for samples as a share of the period, so that the next tick is not late.
 WAITING_SHARE = 0.5
 # A jump of the position stays a warning for this long [s].
@@ -44,10 +49,10 @@ class PredictorNode(Node):
         self._vehicle = params.load_vehicle(values)
         backend = self._make_core(values)
         self._map_frame = values.map_frame
-        self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering,
-                              self._publish_diagnostics)
+        self._inputs = Inputs(self, values.map_frame, self._add_ins, self._add_steering, self._publish_diagnostics)
         self._plan = PlanInput(self, values.plan_frame, self._vehicle)
         settings = self._core.settings
+        self._course = CourseInput(self, params.load_course(values), self._vehicle, settings.horizon, settings.step)
         self._path = convert.PathBuilder(values.map_frame, settings.steps + 1)
         self._make_publishers()
         self._counter = TickCounter()
@@ -83,22 +88,29 @@ class PredictorNode(Node):
         if file:
             self._hash[found[-1].name] = configuration_hash(self._vehicle, settings, file.hash)
         own = {found[-1].name: file.hash} if file else {}
-        self._bands = PredictionBands(values, self._vehicle, {m: own.get(m, "") for m in self._core.models}, settings)
+        hashes = {m: own.get(m, "") for m in self._core.models}
+        self._bands = PredictionBands(values, self._vehicle, hashes, settings, found, runners)
         return backend or "on Python floats"
 
     def _make_publishers(self) -> None:
-        # After a reader was stopped, Fast DDS resends the whole queue. With 50, half a megabyte per topic, a recorder
-        # stopped for 3 s received no prediction for a minute and a half; with 10 it did after 3 s.
-        qos = QoSProfile(depth=10)
+        qos = QoSProfile(depth=REPLAY_DEPTH if self.get_parameter("use_sim_time").value else LIVE_DEPTH)
         self._outputs: dict[str, tuple[Publisher, Publisher]] = {
             model: (self.create_publisher(PathMessage, f"predictor/{model}/path", qos),
                     self.create_publisher(Prediction, f"predictor/{model}/prediction", qos))
             for model in self._core.models
         }
-        self._plan_outputs = {model: self.create_publisher(convert.PLANNED, f"predictor/{model}/plan", qos)
-                              for model in self._core.models if convert.PLANNED}
+        self._other_outputs = {(mode, model): self.create_publisher(convert.PLANNED, f"predictor/{model}/{mode}", qos)
+                               for mode in convert.OTHER_MODES for model in self._core.models if convert.PLANNED}
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._status_publisher = self.create_publisher(PredictorStatus, "predictor/status", latched)
+
+    def _add_ins(self, sample: InsSample) -> bool:
+        self._bands.add_ins(sample)
+        return self._core.add_ins(sample)
+
+    def _add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
+        self._bands.add_steering(time_ns, road_wheel_angle)
+        return self._core.add_steering(time_ns, road_wheel_angle)
 
     def _tick(self) -> None:
         period_ns = round(self._period / NANOSECOND)
@@ -133,13 +145,16 @@ class PredictorNode(Node):
 
     def _predict(self, start: Start) -> None:
         self._plan.drain()
-        before = self._plan.problem
-        # Before the forecasts: the evaluator takes both of a start together.
+        before = bool(self._plan.problem), self._course.used
+        issued: dict[str, dict[Mode, Trajectory]] = {model: {} for model in self._outputs}
+        ahead: dict[Mode, InputSequence] = {}
         if planned := self._plan.at(self._core, start):
-            self._publish_planned(start, *planned)
-        if bool(before) != bool(self._plan.problem):
-            self._publish_diagnostics()
-        paths, bands = [], self._bands.at(self._core.history, start.time_ns)
+            ahead["plan"] = planned[0]
+        if (remembered := self._course.at(self._core, start)) is not None:
+            ahead["course"] = remembered
+        for mode, inputs in ahead.items():
+            self._publish_other(start, mode, inputs, planned[1] if planned and mode == "plan" else 0, issued)
+        paths, bands = [], self._bands.at(self._core.history, start.time_ns, ("forecast", "hindsight", *ahead))
         for model, (path_publisher, prediction_publisher) in self._outputs.items():
             began = time.perf_counter()
             trajectory = self._core.run(start, model)
@@ -149,10 +164,11 @@ class PredictorNode(Node):
                 start, model, trajectory, car, self._map_frame, self._hash[model])
             message.compute_time = compute_time
             message.bands = bands.get(model, [])
-            issued = self.get_clock().now()
-            message.issued_at = issued.to_msg()
+            now = self.get_clock().now()
+            message.issued_at = now.to_msg()
             prediction_publisher.publish(message)
-            self._state_ages.append((issued.nanoseconds - start.time_ns) * NANOSECOND)
+            self._state_ages.append((now.nanoseconds - start.time_ns) * NANOSECOND)
+            issued[model]["forecast"] = trajectory
             paths.append((model, path_publisher, trajectory, car))
         # A planner reads predictions, a viewer paths: filling one takes longer than all models together.
         for model, path_publisher, trajectory, car in paths:
@@ -162,9 +178,14 @@ class PredictorNode(Node):
             else:
                 # Viewers cannot draw it; the evaluator counts it as incomplete.
                 self._not_finite.add(model)
+        self._bands.observe(start, issued)
+        if before != (bool(self._plan.problem), self._course.used):
+            self._publish_diagnostics()
 
-    def _publish_planned(self, start: Start, inputs: InputSequence, plan_ns: int) -> None:
-        for model, publisher in self._plan_outputs.items():
+    def _publish_other(self, start: Start, mode: Mode, inputs: InputSequence, plan_ns: int,
+                       issued: dict[str, dict[Mode, Trajectory]]) -> None:
+        """Predictions of all models with the inputs of a plan or course, added to `issued`."""
+        for model in self._outputs if convert.PLANNED else ():
             began = time.perf_counter()
             own = self._core.model_inputs(model, inputs)
             trajectory = self._core.run(start, model, own)
@@ -173,7 +194,8 @@ class PredictorNode(Node):
                                               self._map_frame, self._hash[model])
             message.compute_time = compute_time
             message.issued_at = self.get_clock().now().to_msg()
-            publisher.publish(message)
+            self._other_outputs[mode, model].publish(message)
+            issued[model][mode] = trajectory
 
     def _publish_status(self) -> None:
         ages, self._state_ages = self._state_ages, []
@@ -211,6 +233,7 @@ class PredictorNode(Node):
             self._steering_check(),
             self._bands.check(),
             self._plan.check(),
+            self._course.check(),
             *self._inputs.checks(),
         ]
 

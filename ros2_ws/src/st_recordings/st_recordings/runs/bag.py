@@ -1,5 +1,6 @@
 """rosbag2 recordings (directories, bare .mcap and .db3 files): odometry and steering of any recorder, as a drive."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -52,7 +53,7 @@ class BagDrive:
     """topics: type -> topic that was read. records: its metadata records, name -> {key: text}.
 
     auxiliary: what else is in it, for checks. frame: frame_id of the first odometry. unknown: "topic (type)" of what is
-    neither read nor of the suite.
+    neither read nor of the suite. origin: of the map frame where it is recorded: latitude, longitude [rad], height [m].
     """
 
     log: DriveLog
@@ -62,6 +63,7 @@ class BagDrive:
     auxiliary: AuxiliaryData = field(default_factory=AuxiliaryData)
     frame: str = ""
     unknown: tuple[str, ...] = ()
+    origin: tuple[float, float, float] | None = None
 
 
 def definitions() -> Path:
@@ -132,8 +134,11 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     if has_odometry:
         first: Any = store.deserialize_cdr(next(storage.messages(topics[ODOMETRY])), ODOMETRY)
         frame = first.header.frame_id
+    origin = again.origin()
+    if origin is not None:
+        origin = math.radians(origin[0]), math.radians(origin[1]), origin[2]
     return BagDrive(log, topics, records, tuple(f"{path}: {note}" for note in (*notes, *more)), extras, frame,
-                    passed_over)
+                    passed_over, origin)
 
 
 def read_odometry(path: Path, odometry: str | None = None) -> InsLog:

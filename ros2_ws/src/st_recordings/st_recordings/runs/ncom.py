@@ -92,6 +92,13 @@ def enu(origin: tuple[float, float, float], latitude: np.ndarray, longitude: np.
     return np.stack([-s_lon * dx + c_lon * dy, -s_lat * outward + c_lat * dz, c_lat * outward + s_lat * dz])
 
 
+def origin_offset(origin: tuple[float, float], latitude: float, longitude: float) -> tuple[float, float]:
+    """East, north [m] of the point latitude, longitude from an origin, all [deg], at height 0."""
+    first, other = np.radians(origin), np.radians([[latitude], [longitude]])
+    east, north, _ = enu((float(first[0]), float(first[1]), 0.0), other[0], other[1], np.zeros(1))[:, 0].tolist()
+    return east, north
+
+
 def ecef(latitude: np.ndarray, longitude: np.ndarray, altitude: np.ndarray) -> np.ndarray:
     """(3, n) earth-centred x, y, z [m]; latitude, longitude [rad], altitude [m] taken as ellipsoidal."""
     normal = SEMI_MAJOR_AXIS / np.sqrt(1 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2)

@@ -26,7 +26,7 @@ from .ins_log import SPEEDS, car_speed, series
 from .ncom import ins_quality, to_body
 from .run_types import SteeringField
 
-ORIGIN = "ins/origin"
+ORIGIN, FIX = "ins/origin", "sensor_msgs/msg/NavSatFix"
 RECONSTRUCTED = " (reconstructed)"  # behind the name of the topic that it was computed from
 
 
@@ -74,11 +74,17 @@ class Reconstruction:
         return {"header.stamp": np.array(stamps, np.int64),
                 **{name: np.array(column) for name, column in zip(names, chosen, strict=True)}}
 
+    def origin(self) -> tuple[float, float, float] | None:
+        """Recorded origin of the map frame: latitude, longitude [deg], altitude [m]."""
+        topic = next((t for t in self._topics if t.name.endswith(ORIGIN) and t.type_name == FIX and t.count), None)
+        if topic is None:
+            return None
+        fix: Any = self._store.deserialize_cdr(next(self._storage.messages(topic.name)), topic.type_name)
+        return fix.latitude, fix.longitude, fix.altitude
+
     def _origin(self, bridge: Mapping[str, Any]) -> Origin:
-        origin = next((t for t in self._topics if t.name.endswith(ORIGIN) and t.count), None)
-        if origin is not None:
-            fix: Any = self._store.deserialize_cdr(next(self._storage.messages(origin.name)), origin.type_name)
-            return Origin(GIVEN, (fix.latitude, fix.longitude, fix.altitude))
+        if (recorded := self.origin()) is not None:
+            return Origin(GIVEN, recorded)
         source = bridge.get("origin_source", FIRST_FIX)
         latitude, longitude, altitude = (float(bridge.get(f"origin_{name}", math.nan))
                                          for name in ("latitude", "longitude", "altitude"))

@@ -18,6 +18,8 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
     drive = bag.read_bag(source.where, source.name, steering, settings.odometry, splits)
     recorded = {name: dict(record) for name, record in drive.records.items()}
     about = {"reader": "bag", "topics": dict(drive.topics), "recorded": recorded}
+    if drive.origin is not None:
+        about["origin"] = list(drive.origin)
     labels = source.labels or _recorded_labels(drive.records)
     return LoadedRun(drive.log, about, labels, drive.warnings, auxiliary=drive.auxiliary)
 

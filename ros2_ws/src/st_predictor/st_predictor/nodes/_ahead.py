@@ -1,0 +1,139 @@
+"""Inputs over the horizon other than held ones: the newest plan of a motion planner, and a remembered course."""
+
+import time
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import NavSatFix
+from st_core.course import Course
+from st_core.course_tracker import CourseForecast, CourseTracker, Own
+from st_core.errors import StCoreError
+from st_core.planned_inputs import PlannedInputs
+from st_core.prediction import Predictor, Start
+from st_core.types import InputSequence
+from st_core.vehicle import VehicleParameters
+from st_recordings.runs.ncom import origin_offset
+from st_ros import diagnostics
+from st_ros.diagnostics import Check
+from st_ros.polling import PolledSubscription
+
+from .. import convert
+
+QUEUE_DEPTH = 10  # only the newest plan is used
+# Without a plan for this long the planner has ended and its absence is not a warning any more [s].
+FORGET_AFTER = 10.0
+
+
+class PlanInput:
+    """Subscribes to plan/inputs. A plan that cannot be used is refused with its reason; forecasts then hold inputs."""
+
+    def __init__(self, node: Node, frame: str, vehicle: VehicleParameters):
+        self._subscription = None
+        if convert.PLAN:
+            self._subscription = PolledSubscription(node, convert.PLAN, "plan/inputs", QoSProfile(depth=QUEUE_DEPTH))
+        self._frame, self._vehicle = frame, vehicle
+        self._plan: PlannedInputs | str | None = None
+        self._received_at = float("-inf")
+        self._problem = ""
+        self._counts = {"received": 0, "used": 0, "refused": 0}
+
+    def drain(self) -> None:
+        """Take the waiting messages."""
+        for message, _, _ in self._subscription.take(QUEUE_DEPTH) if self._subscription else ():
+            self._counts["received"] += 1
+            self._plan = convert.planned_inputs(message, self._frame, self._vehicle)
+            self._received_at = time.monotonic()
+
+    def at(self, core: Predictor, start: Start) -> tuple[InputSequence, int] | None:
+        """(inputs over the horizon, stamp of the plan [ns]) for a start; None without a plan that can be used."""
+        if self._plan is None:
+            return None
+        inputs = self._plan if isinstance(self._plan, str) else core.planned(self._plan, start)
+        if isinstance(inputs, str):
+            self._problem = inputs
+            self._counts["refused"] += 1
+            if time.monotonic() - self._received_at > FORGET_AFTER:
+                self._plan, self._problem = None, ""
+            return None
+        assert isinstance(self._plan, PlannedInputs)
+        self._problem = ""
+        self._counts["used"] += 1
+        return inputs, self._plan.issued_ns
+
+    @property
+    def problem(self) -> str:
+        """Why the newest plan is not used; empty while it is used, and without one."""
+        return self._problem
+
+    def check(self) -> Check:
+        if self._subscription is None:
+            return Check("plan", diagnostics.OK, "off: st_msgs was built without InputPlan; build the workspace")
+        if self._plan is None:
+            return Check("plan", diagnostics.OK, f"none on {self._subscription.topic}: inputs are held", self._counts)
+        if self._problem:
+            return Check("plan", diagnostics.WARN, f"refused, inputs are held: {self._problem}", self._counts)
+        return Check("plan", diagnostics.OK, "used", self._counts)
+
+
+class CourseInput:
+    """Follows the car along the course of the parameter `course_file`; nothing without one.
+
+    Where both origins of the map are known, the course is moved into the frame of this run (ins/origin); a course of
+    another place is not used. `CourseTracker` returns to held inputs gradually.
+    """
+
+    def __init__(self, node: Node, course: Course | None, vehicle: VehicleParameters, horizon: float, step: float):
+        self._course, self._tracker = course, None
+        self._forecast = CourseForecast(None, reason="no start yet")
+        self._elsewhere = ""
+        self._counts = {"used": 0, "held": 0}
+        if course is None:
+            return
+        self._tracker = CourseTracker(_prepared(course), vehicle, horizon, step)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        node.create_subscription(NavSatFix, "ins/origin", self._move, latched)
+
+    def _move(self, message: NavSatFix) -> None:
+        assert self._course is not None and self._tracker is not None
+        if self._course.origin is None:
+            return
+        try:
+            offset = origin_offset((message.latitude, message.longitude), *self._course.origin)
+            self._tracker.course, self._elsewhere = _prepared(self._course.moved(*offset)), ""
+        except StCoreError as error:
+            self._elsewhere = str(error)
+        self._tracker.restart()
+
+    def at(self, core: Predictor, start: Start) -> InputSequence | None:
+        """Inputs over the horizon for a start; None where the course is not used."""
+        if self._tracker is None or self._elsewhere:
+            return None
+        sample = core.history.ins_at(start.time_ns)
+        assert sample is not None  # known at every start
+        self._forecast = self._tracker.update(
+            Own(*sample, float(start.inputs.velocity_x_dot), float(start.inputs.road_wheel_angle)))
+        self._counts["held" if self._forecast.inputs is None else "used"] += 1
+        return self._forecast.inputs
+
+    @property
+    def used(self) -> bool:
+        """Whether the newest start has inputs of the course."""
+        return self._forecast.inputs is not None
+
+    def check(self) -> Check:
+        forecast = self._forecast
+        if self._tracker is None:
+            return Check("course", diagnostics.OK, "off (course_file is empty)")
+        if self._elsewhere:
+            return Check("course", diagnostics.WARN, f"not used, inputs are held: {self._elsewhere}", self._counts)
+        if forecast.inputs is None:
+            return Check("course", diagnostics.OK, f"inputs are held: {forecast.reason}", self._counts)
+        shares = {"share of curvature": forecast.curvature_share, "share of speed": forecast.speed_share}
+        text = ", ".join(f"{name} {share:.0%}" for name, share in shares.items())
+        return Check("course", diagnostics.OK, f"used, {text}; the others are held inputs", self._counts | shares)
+
+
+def _prepared(course: Course) -> Course:
+    """The course with its search tree, so that no tick has to wait for it."""
+    course.near(*course.passes[0].points[0, :3].tolist())
+    return course
