@@ -1,6 +1,7 @@
 """`./st test` and `./st shell`."""
 
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -34,8 +35,15 @@ def test(
         raise typer.Exit(max(statuses))
 
 
+NO_ROS2 = (
+    "The command ros2 is not installed here, as no ROS 2 is sourced. In its place: ./st demo and live (ros2 launch), "
+    "replay (ros2 bag play), view and foxglove (rviz2, ros2 topic), or rclpy in python.")
+
+
 def shell(context: typer.Context) -> None:
     """Open a shell with everything sourced (or run one command in it: ./st shell -- python)."""
+    if (not context.args or context.args[0] == "ros2") and shutil.which("ros2") is None:
+        typer.echo(NO_ROS2, err=True)
     if context.args:
         _become(context.args)
     shell = os.environ.get("SHELL", "/bin/bash")

@@ -10,9 +10,13 @@ import numpy as np
 import pytest
 from st_cli.cli import app
 from st_core.augmented import augment
+from st_core.bands import Bands, CalibrationDomain, RunSamples, calibrate, conditions
+from st_core.bands.file import configuration_of
 from st_core.integrate import rk4_step
+from st_core.log_evaluation import EvaluationSettings
 from st_core.model_file import ModelFile, Provenance
 from st_core.models import MODELS
+from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
 from support import ROOT
 from typer.testing import CliRunner
@@ -99,6 +103,29 @@ def test_what_the_description_says(tmp_path, augmented):
     assert sorted(said["files"]) == sorted(f.name for f in out.iterdir() if f.suffix == ".casadi")
     readme = (out / "README.md").read_text()
     assert "augmented_step.casadi" in readme and "Not in the equations: steering_delay" in readme
+
+
+def test_bands_are_written_as_functions_of_state_and_inputs(tmp_path):
+    draw = np.random.default_rng(1)
+    time = 0.5 * np.arange(1, 11)
+    runs = [RunSamples(f"run {k}", draw.uniform(0.0, (26.0, 8.0, 6.0, 1.0), (400, 4)),
+                       {("linear", "hindsight"): 0.1 * draw.standard_normal((400, 1, 3)) * time[:, None]})
+            for k in range(10)]
+    settings, question = EvaluationSettings(PredictionSettings(step=0.5)), ("linear", "hindsight")
+    bands = Bands(vehicle().name, vehicle().hash, settings.as_dict(), {"drawn": "0" * 64}, len(runs),
+                  CalibrationDomain.of([one.conditions for one in runs]), {question: calibrate(runs, question, time)},
+                  {"linear": configuration_of(vehicle(), settings.as_dict(), "")})
+    file, out = tmp_path / "bands.yaml", tmp_path / "out"
+    file.write_text(bands.to_yaml())
+    assert run("linear", "--bands", file, "--output", out).exit_code == 0
+    ins_v_x = STATE[2] - STATE[5] * vehicle().cg_to_ins_y
+    here = conditions(np.array([ins_v_x]), np.array([STATE[5]]), np.array([INPUTS[1]]), np.array([0.02]))
+    for level, name in ((0.5, "50"), (0.9, "90")):
+        written = casadi.Function.load(str(out / f"linear_band_hindsight_{name}.casadi"))
+        np.testing.assert_allclose(np.array(written(STATE, INPUTS, 0.02)),
+                                   bands.half_widths("linear", "hindsight", here, level)[0, 1:], rtol=1e-9)
+    refused = run("kinematic", "--bands", file, "--output", tmp_path / "other")
+    assert refused.exit_code == 2 and "bands: none of kinematic, only of linear" in refused.output
 
 
 @pytest.mark.parametrize(("arguments", "message"), [

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from typing import Any
 
 from st_core.vehicle import VehicleParameters
 
@@ -17,7 +18,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
     splits = source.files if len(source.files) > 1 else ()
     drive = bag.read_bag(source.where, source.name, steering, settings.odometry, splits)
     recorded = {name: dict(record) for name, record in drive.records.items()}
-    about = {"reader": "bag", "topics": dict(drive.topics), "recorded": recorded}
+    about: dict[str, Any] = {"reader": "bag", "topics": dict(drive.topics), "recorded": recorded}
     if drive.origin is not None:
         about["origin"] = list(drive.origin)
     labels = source.labels or _recorded_labels(drive.records)

@@ -1,0 +1,71 @@
+"""A remembered course and adaptive bands, live: the virtual Leaf on S6, then again with the first drive as course."""
+
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from st_recordings.paths import project_root
+from st_recordings.recorded import read_scores
+
+MODELS = ("kinematic", "linear", "nonlinear")
+SECONDS, LATER = 60.0, 420.0  # of the first and the second drive
+PAGE = project_root() / "docs" / "measurements" / "live_results.md"
+BEGIN, END = "<!-- st bench course -->", "<!-- end of st bench course -->"
+
+
+def run() -> dict:
+    """Rows by model, also written into the page of the live results."""
+    with tempfile.TemporaryDirectory(prefix="st-bench-course-") as name:
+        folder = Path(name)
+        course = folder / "course.yaml"
+        _st("demo", "--duration", SECONDS, "--output", folder / "first")
+        _st("course", "build", folder / "first" / "bag", "-o", course)
+        _st("demo", "--duration", LATER, "--seed", 5, "--course", course, "--output", folder / "second")
+        rows = measured(folder / "second")
+    write(rows)
+    return {"rows": rows}
+
+
+def measured(run: Path) -> dict[str, dict]:
+    """Mean distance at the end of the horizon [m] over the starts with a course, and coverage of whole paths."""
+    scores = read_scores([run / "errors"])
+    summary = json.loads((run / "summary.json").read_text())["models"]
+    rows = {}
+    for model in MODELS:
+        ends = {}
+        for mode in ("forecast", "course", "hindsight"):
+            one = scores[model, mode]
+            ends[mode] = dict(zip(one.starts_ns[one.complete].tolist(),
+                                  np.hypot(*one.errors[one.complete, -1, :2].T).tolist(), strict=True))
+        common = sorted(set.intersection(*map(set, ends.values())))
+        held, remembered, hindsight = (float(np.mean([one[start] for start in common])) for one in ends.values())
+        rows[model] = {
+            "starts": len(common), "held, m": held, "course, m": remembered, "ratio": remembered / held,
+            "hindsight, m": hindsight,
+            **{f"{mode}, inside 90 \\| 50 %": " \\| ".join(f"{100.0 * summary[model][mode]['bands'][level]:.0f}"
+                                                         for level in ("0.9", "0.5"))
+               for mode in ("forecast", "hindsight", "course")},
+        }
+    return rows
+
+
+def write(rows: dict[str, dict]) -> None:
+    """The table between BEGIN and END of the page."""
+    columns = list(next(iter(rows.values())))
+    lines = ["| model | " + " | ".join(columns) + " |", "|---|" + "---|" * len(columns)]
+    lines += [f"| {model} | " + " | ".join(f"{v:.2f}" if isinstance(v, float) else str(v) for v in row.values()) + " |"
+              for model, row in rows.items()]
+    before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
+    after = rest.partition(END)[2]
+    PAGE.write_text(f"{before}{BEGIN}\n" + "\n".join(lines) + f"\n{END}{after}", encoding="utf-8")
+
+
+def _st(*arguments: object) -> None:
+    subprocess.run([sys.executable, "-m", "st_cli", *map(str, arguments)], check=True, stdout=subprocess.DEVNULL)
+
+
+if __name__ == "__main__":
+    print(run())
