@@ -9,11 +9,10 @@ from pathlib import Path
 
 from _drawn_bands import drawn_bands
 from st_core.vehicle import VehicleParameters
-from st_live.configuration import add_files, live_parameters
+from st_live.configuration import VirtualCar, add_files, live_parameters
 from st_live.node import Monitor
 from st_live.session import NODES
 from st_live.suite import Suite, claimed_domain
-from st_live.virtual_car import VirtualCar
 from st_recordings.paths import config
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import psutil
 from rich.console import Console
+from st_live.page import LiveView
 from st_live.suite import Suite
-from st_live.view.live import LiveView
 from st_recordings.paths import config
 
 SETTLE = 3.0  # s from its start until it receives every topic

@@ -16,7 +16,7 @@ CALLS = {"eval", "exec", "compile", "__import__", "os.system", "os.popen", "yaml
 ALL_ADDRESSES = {"ros2_ws/src/st_cli/st_cli/verbs/live.py", "ros2_ws/src/st_predictor/launch/car.launch.py",
                  "ros2_ws/src/oxts_bridge/oxts_bridge/settings.py",
                  # Named for the passenger's page; the default is 127.0.0.1.
-                 "ros2_ws/src/st_cli/st_cli/verbs/_options.py", "ros2_ws/src/st_live/st_live/view/live.py"}
+                 "ros2_ws/src/st_cli/st_cli/verbs/_options.py", "ros2_ws/src/st_live/st_live/page.py"}
 
 
 def sources() -> list[Path]:

@@ -9,9 +9,8 @@ from pathlib import Path
 
 from st_live.configuration import bridge_parameters, live_parameters
 from st_live.node import Monitor
-from st_live.session import NODES, STOP_ORDER
+from st_live.session import NODES, STOP_ORDER, Supervisor
 from st_live.suite import Suite, claimed_domain, free_udp_port
-from st_live.supervision import Supervisor
 from st_recordings.paths import config
 
 from .car import Car, Circle, Drive

@@ -6,7 +6,7 @@ setup(
     name=package_name,
     version="0.2.0",
     packages=find_packages(exclude=["test"]),
-    package_data={"": ["py.typed", "view/passenger.html"]},
+    package_data={"": ["py.typed", "passenger.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/st_live"]),
         ("share/st_live", ["package.xml"]),

@@ -1,6 +1,9 @@
-"""Parameters of the nodes of a run: config/nodes.yaml, the car, the bus, a further model and bands, checked first."""
+"""Parameters of the nodes of a run: config/nodes.yaml, car, bus, a further model, bands and course, checked first; and
+the virtual Leaf on a free UDP port and CAN group of the loopback interface."""
 
-from collections.abc import Mapping
+import json
+import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +17,17 @@ from st_core.models import MODELS, Model
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
 from st_recordings.car import read_vehicle
-from st_recordings.paths import config
+from st_recordings.paths import config, project_root
 from st_recordings.recorded import RecordedConfiguration
 from st_recordings.runs.bag import is_bag
+from st_sim.run import check
+from st_sim.settings import SimulationError
 
-from .suite import Parameters, SuiteError, merge
+from .suite import Parameters, Suite, SuiteError, find_executable, free_udp_port, merge
 
 REPLAY_NODES = ("recorder", "evaluator", "predictor")  # in the order of their start: subscribers first
 TRUNCATED = "{} is truncated: its recorder was killed; what came after is not {}"
+LEAF_TIMEOUT = 20.0  # s until the virtual Leaf sends
 
 
 def vehicle_file(given: Path | None) -> Path:
@@ -189,3 +195,48 @@ def recordings_of(path: Path) -> tuple[Path, list[Path]]:
     bag = path / "bag" if path.is_dir() and not is_bag(path) and is_bag(path / "bag") else path
     errors = bag.parent / "errors"
     return bag, [errors] if is_bag(errors) and errors.is_dir() else [bag]
+
+
+class VirtualCar:
+    """The virtual Leaf and the bridge parameters for its interfaces.
+
+    vehicle: file of bridges and nodes. options: of the command virtual_leaf, without those of the interfaces.
+    simulated: vehicle file of the simulated car itself, by default the same. Raises SuiteError for refused options.
+    """
+
+    def __init__(self, vehicle: Path, options: Sequence[str], simulated: Path | None = None):
+        self.vehicle = vehicle
+        self.port = free_udp_port()
+        self.channel = f"239.74.163.2:{self.port}"
+        interfaces = {
+            "--vehicle": simulated or self.vehicle,
+            "--config": project_root() / "config",
+            "--ncom-port": self.port,
+            "--can-interface": "udp_multicast",
+            "--can-channel": self.channel,
+        }
+        self._arguments = [*options, *(str(word) for pair in interfaces.items() for word in pair)]
+        try:
+            check(self._arguments)
+        except SimulationError as error:
+            raise SuiteError(str(error)) from None
+
+    def bridge_parameters(self) -> dict[str, dict[str, Any]]:
+        # config/nodes.yaml may describe the sensor of a real car; this one is that of the signal table.
+        bus = {"interface": "udp_multicast", "channel": self.channel, "steering_sign": 1, "steering_latency": 0.0}
+        return bridge_parameters(self.vehicle, {"udp_port": self.port, "bind_address": "127.0.0.1"}, bus)
+
+    def start(self, suite: Suite) -> float:
+        """Start it and wait until it sends; returns the duration of the drive [s].
+
+        Raises SuiteError with its last output if it does not send.
+        """
+        arguments = [*self._arguments, "--output", str(suite.folder / "truth")]
+        leaf = suite.start("virtual_leaf", [find_executable("st_sim", "virtual_leaf"), *arguments])
+        end = time.monotonic() + LEAF_TIMEOUT
+        while time.monotonic() < end and leaf.process.poll() is None:
+            for line in leaf.log.read_text().splitlines():
+                if '"sending"' in line:
+                    return json.loads(line)["duration"]
+            time.sleep(0.05)
+        raise SuiteError(leaf.last_lines() or "the virtual Leaf did not start")

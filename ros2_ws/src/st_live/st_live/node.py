@@ -1,6 +1,8 @@
-"""Node of the command itself: receives statistics, tick counts and diagnostics, publishes /diagnostics_agg."""
+"""Node of the command itself: receives statistics, tick counts and diagnostics, publishes /diagnostics_agg; and the
+terminal during a run."""
 
 import contextlib
+import math
 import threading
 import time
 from collections.abc import Iterable
@@ -11,14 +13,20 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rich.console import Group, RenderableType
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
 from st_core.palette import MODEL_COLOUR
 from st_msgs.msg import ErrorSummary, Prediction, PredictorStatus
+from st_recordings.results import band_lines
 from st_ros.polling import PolledSubscription
 
 AGGREGATE_PERIOD = 1.0  # s between messages on /diagnostics_agg
 PREDICTION_PERIOD = 0.25  # s between reads of the newest prediction
 STATUS_TIMEOUT = 5.0  # s without an update before a status is silent
 STALE = 3
+LEVELS = ("ok", "warning", "error", "stale")
 
 
 @dataclass(frozen=True)
@@ -148,3 +156,79 @@ class Monitor:
     def _update_health(self, news: dict[str, Status]) -> None:
         with self._lock:  # called by its own thread and by that of the caller
             self.state = replace(self.state, health={**self.state.health, **news})
+
+
+def progress_view(state: SuiteState, elapsed: float, duration: float | None, title: str) -> RenderableType:
+    """The screen during a run. elapsed, duration in s; duration None: until stopped."""
+    line = Table.grid(padding=(0, 1))
+    if duration:
+        bar = ProgressBar(total=duration, completed=min(elapsed, duration), width=40)
+        line.add_row(title, bar, f"{elapsed:4.0f} / {duration:.0f} s")
+    else:
+        line.add_row(title, f"{elapsed:4.0f} s", "(Ctrl-C ends it)")
+    return Group(line, motion(state), running_errors(state), *bands(state), ticks(state), health(state))
+
+
+def motion(state: SuiteState) -> Text:
+    """Motion of the car at the start of the newest prediction."""
+    p = state.prediction
+    if p is None or not len(p.velocity_x):
+        return Text("no prediction yet", style="dim")
+    side = "left" if p.road_wheel_angle > 0 else "right"
+    return Text(f"{p.velocity_x[0]:.1f} m/s, wheels {abs(math.degrees(p.road_wheel_angle)):.1f} deg {side}, "
+                f"v_x r {p.velocity_x[0] * p.yaw_rate[0]:+.1f} m/s², {p.model} took {p.compute_time * 1e3:.1f} ms")
+
+
+def running_errors(state: SuiteState) -> RenderableType:
+    """Mean | max | RMSE over the horizon means so far, one row per model and mode."""
+    statistics = state.summary.statistics if state.summary else []
+    if not any(s.n_starts for s in statistics):
+        return Text("waiting for the first complete horizon", style="dim")
+    table = Table(box=None, padding=(0, 1))
+    for column in ("model", "mode", "starts", "longitudinal, m\nmean | max | RMSE", "lateral, m\nmean | max | RMSE"):
+        table.add_column(column, justify="left" if column in ("model", "mode") else "right", no_wrap=True)
+    for s in statistics:
+        table.add_row(
+            Text(s.model, style=MODEL_COLOUR.get(s.model, "")),
+            s.mode,
+            str(s.n_starts),
+            _triple(s.longitudinal_mean, s.longitudinal_max, s.longitudinal_rmse),
+            _triple(s.lateral_mean, s.lateral_max, s.lateral_rmse),
+        )
+    return table
+
+
+def bands(state: SuiteState) -> list[Text]:
+    """Coverage of the published bands; empty without bands."""
+    return [Text(line) for line in band_lines(state.summary.statistics if state.summary else [])]
+
+
+def ticks(state: SuiteState) -> Text:
+    t = state.ticks
+    if t is None:
+        return Text("predictor: no status yet", style="dim")
+    skipped = t.skipped_stale + t.skipped_overrun + t.skipped_slow
+    text = Text(f"ticks {t.due}, predicted {t.predicted}, skipped {skipped}")
+    if t.state_age > 0.0:
+        text.append(f", from a state {t.state_age * 1e3:.0f} ms old")
+    if t.reason:
+        text.append(f"  ({t.reason})", style="yellow")
+    return text
+
+
+def health(state: SuiteState) -> Text:
+    """Every status that is not ok, worst first; one line when all are."""
+    now = time.monotonic()
+    text = Text()
+    for status in sorted(state.health.values(), key=lambda s: (-s.level, s.name)):
+        silent = status.is_silent(now)
+        if status.level == 0 and not silent:
+            continue
+        level = "silent" if silent else LEVELS[min(status.level, 3)]
+        style = "red" if status.level >= 2 or silent else "yellow"
+        text.append(f"{level}: {status.name}: {status.message}\n", style=style)
+    return text if text else Text("all nodes OK" if state.health else "", style="green")
+
+
+def _triple(*values: float) -> str:
+    return " | ".join("-" if math.isnan(v) else f"{v:5.2f}" for v in values)

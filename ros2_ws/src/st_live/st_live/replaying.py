@@ -23,9 +23,9 @@ from st_recordings.runs.run_types import SteeringField
 
 from .configuration import REPLAY_NODES, TRUNCATED, add_files, replay_parameters
 from .node import Monitor
+from .page import LiveView
 from .session import START_TIMEOUT, Outcome
 from .suite import Child, Suite, SuiteError, chosen_domain_id, claimed_domain
-from .view.live import LiveView
 
 SETTLING_TIME = 1.0  # s after the last message, for the last predictions to reach evaluator and recorder
 PROGRESS_PERIOD = 0.2  # s

@@ -12,13 +12,15 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from rich.console import Console
 from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE, RC
 from st_recordings.results import Results, band_lines, read_results, summarise, write_summary
 from st_recordings.runs.errors import RunError
 
 from .session import Outcome
-from .terminal import error_table, finding
 
+STATISTICS = ("mean", "max", "rmse")
 INPUTS_OF_MODE = {"hindsight": "measured inputs", "forecast": "inputs held"}
 
 
@@ -131,3 +133,49 @@ def _draw_errors(axes: Axes, results: Results, mode: str, quantity: str) -> None
         breaks = np.nonzero(np.diff(time) > 1.0)[0] + 1  # no line across starts without score
         axes.plot(np.insert(time, breaks, np.nan), np.insert(value, breaks, np.nan), color=MODEL_COLOUR[model],
                   ls=MODEL_LINE[model])
+
+
+def error_table(summary: dict[str, Any], title: str) -> Table:
+    """Mean | max | RMSE as in the paper, the smallest of each column and mode in bold.
+
+    summary: as in summary.json; errors in m over the horizon means.
+    """
+    table = Table(title=title, title_justify="left", title_style="bold", box=None, padding=(0, 1))
+    table.add_column("mode", no_wrap=True)
+    table.add_column("model", no_wrap=True)
+    table.add_column("starts", justify="right", no_wrap=True)
+    table.add_column("longitudinal, m\nmean | max | RMSE", justify="right", no_wrap=True)
+    table.add_column("lateral, m\nmean | max | RMSE", justify="right", no_wrap=True)
+    models = summary["models"]
+    for mode in ("hindsight", "forecast", "course", "plan"):
+        for model, modes in models.items():
+            if mode not in modes:
+                continue
+            row = modes[mode]
+            cells = [_cell(models, mode, axis, row) for axis in ("longitudinal", "lateral")]
+            table.add_row(mode, Text(model, style=MODEL_COLOUR.get(model, "")), str(row["n_starts"]), *cells)
+        table.add_section()
+    return table
+
+
+def _cell(models: dict[str, Any], mode: str, axis: str, row: dict[str, Any]) -> Text:
+    text = Text()
+    for i, statistic in enumerate(STATISTICS):
+        value = row[axis][statistic]
+        if value is None:
+            text.append(" | -" if i else "-")
+            continue
+        others = [m[mode][axis][statistic] for m in models.values() if mode in m]
+        best = abs(value) <= min(abs(v) for v in others if v is not None) + 5e-4
+        text.append(" | " if i else "")
+        text.append(f"{value:.3f}", style="bold" if best else "")
+    return text
+
+
+def finding(summary: dict[str, Any]) -> str:
+    """One sentence for a title: the lateral RMSE in hindsight, best model first."""
+    lateral = {m: v["hindsight"]["lateral"]["rmse"] for m, v in summary["models"].items()}
+    known = sorted((value, model) for model, value in lateral.items() if value is not None)
+    if not known:
+        return "no complete horizon"
+    return "in hindsight, lateral RMSE " + ", ".join(f"{model} {value:.2f} m" for value, model in known)

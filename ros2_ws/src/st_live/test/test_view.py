@@ -19,13 +19,11 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nav_msgs.msg import Odometry
 from st_core.palette import LABEL_AT, MODEL_COLOUR, label_index, rgb
 from st_core.vehicle import VehicleParameters
+from st_live.nodes.passenger import PassengerFrames
+from st_live.page import PAGE, LiveView, PageServer, check_new_rerun_file
+from st_live.recorded_view import error_text, grid, heading_up, north_up
+from st_live.rerun_server import POLICY
 from st_live.suite import SuiteError
-from st_live.view.live import LiveView, check_new_rerun_file
-from st_live.view.page_server import PAGE, PageServer
-from st_live.view.passenger import PassengerFrames
-from st_live.view.recorded import error_text
-from st_live.view.rerun_scene import grid, heading_up, north_up
-from st_live.view.rerun_server import POLICY
 from st_msgs.msg import Band, ErrorStatistics, InsStatus, Prediction, PredictionError, Steering
 from st_predictor.map_drawing import GHOST_AGES, GHOST_TOLERANCE, History, car_outline, ribbon
 from st_predictor.map_drawing import Path as PredictedPath

@@ -1,8 +1,8 @@
 """The virtual Leaf and the nodes may use different vehicle files."""
 
 import pytest
+from st_live.configuration import VirtualCar
 from st_live.suite import SuiteError
-from st_live.virtual_car import VirtualCar
 from support import ROOT
 
 LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"

@@ -1,7 +1,7 @@
 """Which messages of several publishers are accepted, by their numbers; over DDS in test_publishers.py."""
 
 import pytest
-from st_predictor.publisher_lock import SILENCE_TIMEOUT, PublisherLock
+from st_predictor.nodes._inputs import SILENCE_TIMEOUT, PublisherLock
 
 OURS, OTHER = "/oxts_bridge", "/intruder"
 

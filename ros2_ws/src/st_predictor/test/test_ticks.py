@@ -2,7 +2,7 @@
 
 from hypothesis import given
 from hypothesis import strategies as st
-from st_predictor.ticks import TickCounter
+from st_predictor.nodes.predictor import TickCounter
 
 PERIOD = 100_000_000
 

@@ -45,17 +45,17 @@ def demo(
     """Drive the virtual Leaf, or a recorded drive, through bridges and nodes; show how well each model predicts."""
     # Imported when it runs: the drawing and ROS libraries take a second that `st --help` need not wait.
     from st_live.configuration import (
+        VirtualCar,
         add_files,
         live_parameters,
         model_parameters,
         vehicle_file,
         vehicle_name,
     )
+    from st_live.page import LiveView
     from st_live.report import conclude
     from st_live.session import run
     from st_live.suite import SuiteError
-    from st_live.view.live import LiveView
-    from st_live.virtual_car import VirtualCar
     from st_recordings.output import new_folder
 
     console = Console()

@@ -45,10 +45,10 @@ def live(
         vehicle_file,
         vehicle_name,
     )
+    from st_live.page import LiveView
     from st_live.report import conclude
     from st_live.session import run
     from st_live.suite import SuiteError
-    from st_live.view.live import LiveView
     from st_recordings.output import new_folder
 
     console = Console()

@@ -26,10 +26,10 @@ def replay(
     # Imported when it runs: the ROS libraries take a second that `st --help` need not wait.
     from rich.console import Console
     from st_live.configuration import recordings_of
+    from st_live.page import LiveView
     from st_live.replaying import replay_bag
     from st_live.report import conclude
     from st_live.suite import SuiteError
-    from st_live.view.live import LiveView
     from st_offline.checking.check_report import documents, print_findings
     from st_offline.checking.gate import passed_bag
     from st_recordings.output import new_folder

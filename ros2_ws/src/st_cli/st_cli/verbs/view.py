@@ -22,9 +22,9 @@ def view(
     import tempfile
 
     from rich.console import Console
+    from st_live.page import check_new_rerun_file
+    from st_live.rerun_server import RecordingView, check_rerun
     from st_live.suite import SuiteError
-    from st_live.view.live import check_new_rerun_file
-    from st_live.view.rerun_server import RecordingView, check_rerun
 
     # SIGTERM ends it as Ctrl-C does, so that server and temporary folder are removed.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -36,7 +36,7 @@ def view(
             check_new_rerun_file("--save", save)
         file = recording
         if recording.suffix != ".rrd":
-            from st_live.view.recorded import draw
+            from st_live.recorded_view import draw
 
             report_default_car_of_bag("view", recording, vehicle)
             file = save or Path(name, "view.rrd")

@@ -26,7 +26,7 @@ from urllib.parse import quote
 from rich.console import Console
 from st_ros.scheduling import lower
 
-from ..suite import VIEW_NICE, Child, Processes, SuiteError
+from .suite import VIEW_NICE, Child, Processes, SuiteError
 
 LOOPBACK = "127.0.0.1"
 READY_TIMEOUT = 20.0  # s
@@ -122,7 +122,7 @@ class RecordingView:
         atexit.register(self._processes.stop, timeout=STOP_TIMEOUT)
         page, source = free_ports(2)
         self._server = self._processes.start("view_server", [
-            sys.executable, "-m", "st_live.view.rerun_server", str(file.absolute()), "--settings",
+            sys.executable, "-m", "st_live.rerun_server", str(file.absolute()), "--settings",
             str(folder / "settings"), "--page-port", str(page), "--source-port", str(source)])
         self._wait_until_ready(self._server, (page, source))
         self.url = f"http://{LOOPBACK}:{page}/?url={quote(f'http://{LOOPBACK}:{page}{RECORDING}', safe='')}"

@@ -1,1 +1,0 @@
-"""Views of the suite: the passenger's page during a run, Rerun for recordings."""
