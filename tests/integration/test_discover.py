@@ -171,7 +171,7 @@ def test_page_loads_nothing(command):
     assert len(text.encode()) < 5_000_000 and 2 <= text.count("<figure>") <= 6 and "<script" not in text
     assert not re.findall(r'(?:src|href)="(?!#|data:)[^"]+"|url\((?!#)|@import', text)
     assert "prefers-color-scheme: dark" in text and "steering ratio" in text
-    for name in ("waterfall", "axle_curves", "agreement", "gap", "map"):
+    for name in ("waterfall", "axle_curves", "agreement", "map"):
         assert (base / "out" / "figures" / f"{name}.png").stat().st_size > 1000
 
 

@@ -11,6 +11,7 @@ from answers import discovery, fitted
 from drives import weave, write_drive
 from st_cli.verbs.discover import spread
 from st_core.augmented import augment
+from st_core.checks import Finding, Severity
 from st_core.discovery import DiscoverySettings
 from st_core.discovery.result import BoundEffect, Candidate, Change, ForceCurve, NotTestable, Step, Value
 from st_core.discovery.where import survey
@@ -18,7 +19,7 @@ from st_core.vehicle import VehicleParameters
 from st_offline.discovery import drives, quantities, report_text
 from st_offline.discovery.discovery_report import document, show, write_page
 from st_offline.discovery.drives import Request, cached_answer, keep_answer, read_drive
-from st_offline.discovery.figures import Scene, agreement, axle_curves, bound, gap, maps, waterfall
+from st_offline.discovery.figures import Scene, agreement, axle_curves, maps, waterfall
 from st_offline.discovery.relation_report import RelationReport, Table
 from st_offline.discovery.vehicle_update import VehicleUpdate, update_vehicle
 from st_offline.evaluation.drawing import Place
@@ -63,8 +64,9 @@ def test_names_not_told_apart_stand_together(logs):
 
 def test_what_cannot_be_seen_is_told_with_its_size_parameters_of_the_car_first(logs):
     blind = tuple(NotTestable(name, "") for name in ("drag", "friction", "heading_misalignment", "steering_ratio"))
-    (text,) = [t for t in report_text.blind(replace(discovery(logs, (), 1.0), not_testable=blind)) if "cannot" in t]
-    assert text == "cannot be seen: friction of 40 %, steering ratio of 6 %, heading misalignment of 0.458°, drag"
+    text = report_text.not_visible(replace(discovery(logs, (), 1.0), not_testable=blind))
+    assert text == ("these drives cannot show: friction of 40 %, steering ratio of 6 %, heading misalignment of "
+                    "0.458°, drag")
 
 
 def test_what_makes_the_position_worse_is_told_by_what_it_is_for(logs):
@@ -76,7 +78,7 @@ def test_a_file_that_holds_one_of_two_names_says_so(logs):
     found = discovery(logs, (("yaw_inertia", {"factor": 0.86}, 0.5),), 1.7, alternatives={"yaw_inertia": ("mass",)})
     mended = VehicleUpdate(CAR, "", found.model, ("yaw_inertia",), {"yaw_inertia": (1.0, 0.86, 0.8, 0.9)}, {})
     told = report_text.to_do(found, mended)
-    assert any("holds the first of yaw inertia × 0.860 or mass × 1.02; these drives do not tell" in t for t in told)
+    assert any("contains the first of yaw inertia × 0.860 or mass × 1.02; these drives do not separ" in t for t in told)
 
 
 def test_changes_of_the_vehicle_file_have_their_unit():
@@ -92,7 +94,7 @@ def test_what_is_kept_is_told_by_all_its_names(logs):
 
 
 @pytest.mark.parametrize(("outcome", "said"), [
-    ("none", "nothing is missing with certainty"), ("not_testable", "show too little"),
+    ("none", "nothing is missing with certainty"), ("not_testable", "too little excitation"),
     ("unknown", "something is missing that no known effect explains")])
 def test_without_a_name(logs, outcome, said):
     assert said in report_text.title(discovery(logs, (), 1.72, outcome=outcome))
@@ -110,17 +112,17 @@ def test_what_remains_unexplained_is_told_beside_the_names(logs):
 
 def test_what_is_bound_is_told_and_not_named(logs):
     found = discovery(logs, (), 1.72, bound=(tied(logs),), outcome="bound")
-    assert report_text.title(found).endswith("something like crosswind (0.090 m), tied to run; nothing is named")
-    (text,) = dict(report_text.verdict(found, None))["not named"]
-    assert "no property of the car" in text and "other: -1.00 ± 0.39" in text
+    assert report_text.title(found).endswith("something like crosswind (0.090 m), varies with run; nothing is named")
+    (text,) = dict(report_text.details(found, None))["varying, not named"]
+    assert "not a property of the car" in text and "other: -1.00 ± 0.39" in text
 
 
 def test_first_lines_name_runs_and_references_with_seconds(logs):
-    lines = report_text.verdict(discovery(logs, STEPS, 1.72, reference=[replace(logs[0], name="healthy")]), None)
+    lines = report_text.details(discovery(logs, STEPS, 1.72, reference=[replace(logs[0], name="healthy")]), None)
     assert [question for question, _ in lines[:2]] == ["suspect", "reference"]
     assert lines[0][1] == ["2 runs, 40 s at 2 sites (overlapping tracks are one site): <b>weave 20 s, other 20 s"]
     assert lines[1][1] == ["1 run, 20 s: healthy 20 s"]
-    answers_by_question = dict(report_text.verdict(discovery(logs, STEPS, 1.72), None))
+    answers_by_question = dict(report_text.details(discovery(logs, STEPS, 1.72), None))
     assert "starts from the vehicle file" in answers_by_question["reference"][0]
 
 
@@ -129,7 +131,7 @@ def test_what_replaces_another_inherits_its_metres():
         return Step(effect, action, "physics", {}, Change(before, after, (0.0, 1.0), "m"), {}, {}, instead)
     steps = [step("mass", 2.0, 1.5), step("friction", 1.5, 1.0), step("yaw_inertia", 1.0, 0.8, "exchanged", "mass"),
              step("friction", 0.8, 0.9, "removed")]
-    found = report_text.taken(steps)
+    found = report_text.reductions(steps)
     assert found == pytest.approx({"yaw_inertia": 0.7, "": 0.4}) and sum(found.values()) == pytest.approx(2.0 - 0.9)
     assert [report_text.step_name(s) for s in steps[2:]] == ["yaw inertia instead of mass", "− friction"]
 
@@ -152,7 +154,7 @@ def test_every_figure_is_drawn_where_there_is_something_to_draw(logs, tmp_path):
     curve = ForceCurve("front", slip, *(tuple(9e4 * factor * s for s in slip) for factor in (0.8, 0.75, 0.85, 1.0)),
                        (0.1,) * 10)
     full = replace(full, axle_curves=(curve,))
-    for make in (waterfall, agreement, bound, gap, axle_curves):
+    for make in (waterfall, agreement, axle_curves):
         drawn = make(scene(full, logs, tmp_path))
         assert drawn.svg.startswith("<svg") and (tmp_path / f"{drawn.key}.png").stat().st_size > 5000
         assert make(scene(empty, logs)) is None
@@ -169,10 +171,24 @@ def test_figures_of_the_driving_are_drawn_from_surveys(tmp_path):
     assert drawn.key == "map" and "with what was found" in drawn.svg
 
 
-@pytest.mark.parametrize("to", ["run", "site", "time", "condition", "place at east 10 m, north 5 m, "])
-def test_bound_to_anything_can_be_drawn(logs, to):
-    drawn = bound(scene(discovery(logs, (), 1.0, bound=(tied(logs, to),)), logs))
-    assert drawn.title.startswith(f"Tied to {to}")
+def test_a_negative_delay_is_named_before_anything_else_is_done(logs):
+    found = discovery(logs, (("steering_delay", {"time": -0.06}, 0.5),), 1.7)
+    assert "steering delay is negative (-0.060 s): the reaction would prec" in report_text.to_do(found, None)[0]
+    later = discovery(logs, (("steering_delay", {"time": 0.06}, 0.5),), 1.7)
+    assert not any("precede" in text for text in report_text.to_do(later, None))
+
+
+@pytest.mark.parametrize(("number", "decimals", "shown"), [
+    (-0.0004, 1, "-0.0004"), (0.04, 0, "0.04"), (-0.0, 1, "0"), (0.0, 2, "0"), (1.26, 1, "1.3"), (-0.26, 1, "-0.3")])
+def test_a_small_number_is_never_rounded_to_zero_and_zero_has_no_sign(number, decimals, shown):
+    assert quantities.decimal(number, decimals) == shown
+
+
+def test_errors_of_the_recordings_come_before_the_answer_is_used(logs):
+    wrong = Finding("x_scale", Severity.WARNING, ("x",), "x is 0.97 times the integrated velocity", effect=1.1)
+    lines = dict(report_text.summary(discovery(logs, STEPS, 1.72), None, {"a": [wrong], "b": [wrong]}))
+    assert "velocity (a, b, shifts the position after 5 s by about 1.1 m). These are errors" in lines["recordings"]
+    assert "recordings" not in dict(report_text.summary(discovery(logs, STEPS, 1.72), None, {"a": []}))
 
 
 def test_page_and_terminal_hold_the_answer_and_no_markup_of_a_name(logs, drive, tmp_path, capsys):
@@ -191,7 +207,7 @@ def test_page_and_terminal_hold_the_answer_and_no_markup_of_a_name(logs, drive, 
     assert "2.5 % are asked for" in text and not re.findall(r'(?:src|href)="(?!#|data:)[^"]+"', text)
     show(found, mended, [], {"report.html": page}, True, Console(width=300))
     said = capsys.readouterr().out
-    order = [said.index(text) for text in ("suspect: 2 runs", "5 s position error 1.72 m", "effect", "what to do")]
+    order = [said.index(text) for text in ("suspect: 2 runs", "5 s position error 1.72 m", "effect", "to do")]
     assert order == sorted(order)
     assert len(said.splitlines()) <= 25 and "--fresh repeats the search" in said
     for effect in found.effects:

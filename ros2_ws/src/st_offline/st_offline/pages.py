@@ -1,4 +1,4 @@
-"""Shared parts of the report pages: style, colours, the table of findings. Nothing is loaded, every name is escaped."""
+"""Report pages: one template for all of them. Nothing is loaded, every name is escaped."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -7,22 +7,20 @@ import jinja2
 from markupsafe import Markup
 from st_core.palette import MODEL_COLOUR
 
-from .checking import check_report as checking_words
-from .checking.check_report import findings_in
+from .checking import check_report
 
-# The house colours are made for white paper; these are lighter twins for a dark page.
+# The colours of the models are made for white paper; these are lighter ones for a dark page.
 DARK = {"kinematic": "#6cb4ee", "linear": "#ffa657", "nonlinear": "#d08be0", "augmented": "#3fd0a4"}
-_HERE = Path(__file__).parent
 
 
-def template(folder: str, name: str, **filters: Callable) -> jinja2.Template:
-    """A template in a folder of this package; it may include those of evaluation/ and checking/.
+def template(name: str, **filters: Callable) -> jinja2.Template:
+    """A template by its path in this package; it extends page.jinja and imports macros.jinja.
 
-    filters: further ones of it; `drawing`, which inserts an SVG unescaped, is always available.
+    filters: in addition to `drawing`, an SVG unescaped, and `cells`, the values of a row.
     """
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader([_HERE / one for one in (folder, "evaluation", "checking")]), autoescape=True,
-        undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters.update(drawing=Markup, **filters)
-    environment.globals.update(checking=checking_words, findings_in=findings_in, colours=MODEL_COLOUR, dark=DARK)
+    environment = jinja2.Environment(loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True,
+                                     undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment.filters.update(drawing=Markup, cells=lambda row: list(row.values()), **filters)
+    environment.globals.update(checking=check_report, findings_in=check_report.findings_in, colours=MODEL_COLOUR,
+                               dark=DARK)
     return environment.get_template(name)

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 import yaml
 from st_core.checks import Advice, Channel, Checked, Finding, Identity, Severity
+from st_core.clock_types import Alignment, Verdict
 from st_core.vehicle import VehicleParameters
 from st_offline.checking import check_report as words
-from st_offline.checking.check_page import title, write_page
+from st_offline.checking.check_page import summary, title, write_page
 from st_offline.checking.check_report import (
     CheckedRun,
     FailedRun,
@@ -20,9 +21,11 @@ from st_offline.checking.check_report import (
     print_findings,
     show,
 )
+from st_offline.checking.gate import Refused
 from st_offline.checking.run_corrections import run_yaml, with_corrections
 from st_recordings.output import OutputError
 from st_recordings.runs import ReadSettings, RunSource
+from st_recordings.runs.raw import about_alignment
 from support import ROOT
 
 HOSTILE = "<script>alert(1)</script> & [bold]x"
@@ -108,11 +111,42 @@ def test_the_gravest_comes_first():
 def test_the_terminal_holds_everything_and_obeys_no_name():
     console = Lines()
     show(run(HOSTILE), console)
-    print_findings(HOSTILE, ALL, console)
     text = console.file.getvalue()
     for one in ALL:
-        assert text.count(one.text) == 2 and one.name in text and text.count(one.advice.line) == 2
+        assert one.text in text and one.name in text and one.advice.line in text
     assert HOSTILE in text and "in the vehicle file: cg_to_ins_x" in text and "3.0 to 3.2 s" in text
+
+
+def test_other_verbs_print_each_finding_once_with_its_runs():
+    console = Lines()
+    print_findings({HOSTILE: ALL, "second": (replace(JUMPS, effect=2.0), COARSE)}, console)
+    text = console.file.getvalue()
+    assert text.count(JUMPS.text) == 1 and f"{HOSTILE}, second: warning: {JUMPS.text} (largest of 2) | shifts" in text
+    assert "about 2 m" in text and text.count(DEGREES.text) == 1 and DEGREES.advice.line in text
+    assert COARSE.text not in text and "2 notes of the checks" in text
+
+
+def test_an_opposite_steering_sign_comes_first_with_what_to_type():
+    sign = Finding("steering_sign", Severity.ERROR, ("road_wheel_angle",), "is -1 times the angle", -1.0, "1")
+    console = Lines()
+    show(replace(run("drive", (DEGREES, sign)), where="logs/drive.csv"), console)
+    first = console.file.getvalue().splitlines()[0]
+    assert "opposite sign" in first and "--steering-sign -1" in first
+    assert "`st check logs/drive.csv --propose-correction run.yaml`" in first
+    assert "opposite sign" in str(Refused("a.csv", [sign])) and "opposite" not in str(Refused("a.csv", [DEGREES]))
+    assert summary([run("drive", (sign,))])[1].startswith("The steering angle has the opposite sign")
+
+
+@pytest.mark.parametrize(("method", "text"), [
+    ("none", ""), ("by hand", "steering clock: +0.430 s relative to INS, set by hand"),
+    ("shared signals", "steering clock: +0.430 s relative to INS, found from the data (by shared signals, ± 1.2 ms, "
+     "good)")])
+def test_the_clock_of_the_steering_is_stated(method, text):
+    alignment = about_alignment(Alignment(0, -430_000_000, 0.0, 0.0012, 0.1, method, Verdict.GOOD))
+    assert words.clock(alignment) == text
+    console = Lines()
+    show(replace(run(), alignment=alignment), console)
+    assert (text in console.file.getvalue()) and ("steering clock" in console.file.getvalue()) is bool(text)
 
 
 def test_findings_survive_json():

@@ -13,8 +13,9 @@ def check(
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/check-<time>."),
     json: Path | None = typer.Option(None, "--json", help="File of the numbers; default check.json in that folder.",
                                      dir_okay=False),
-    propose_cure: Path | None = typer.Option(
-        None, help="Write a run.yaml that corrects the findings; for a single run.", dir_okay=False
+    propose_correction: Path | None = typer.Option(
+        None, "--propose-correction", "--propose-cure", dir_okay=False,
+        help="Write a run.yaml that corrects the findings; for a single run."
     ),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
@@ -30,6 +31,6 @@ def check(
     with shared.refusals("check"):
         vehicle, read = read_options.resolve()
         parameters, file = shared.load_vehicle_or_default(vehicle)
-        job = Job(runs, parameters, str(file), vehicle is not None, read, output, json, propose_cure)
+        job = Job(runs, parameters, str(file), vehicle is not None, read, output, json, propose_correction)
         status = run_command(job, Console(), lambda file: shared.report_default_car("check", file))
     raise typer.Exit(status)

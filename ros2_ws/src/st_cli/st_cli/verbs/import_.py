@@ -72,7 +72,7 @@ def _import_one(source, parameters, folder: Path, settings, force: bool, console
     seconds = time.perf_counter() - began
     for warning in done.warnings:
         console.print(f"[yellow]{warning}[/yellow]", highlight=False, soft_wrap=True)
-    print_findings(source.name, done.findings, console)
+    print_findings({source.name: done.findings}, console)
     alignment = done.run.alignment
     text = sentence(alignment, done.run.can.start_ns, absolute=True)
     if done.run.shared:

@@ -40,7 +40,7 @@ def replay(
         bag, _ = recordings_of(bag)
         page = LiveView(view, view_address, view_save)
         findings = passed_bag(bag, vehicle, force, read)
-        print_findings(bag.name, findings, console)
+        print_findings({bag.name: findings}, console)
         shared.report_default_car_of_bag("replay", bag, vehicle)
         folder = new_folder(output, f"replay-{bag.stem}")
         outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console, page, bands, course, adaptive,

@@ -34,6 +34,6 @@ def verify(
         vehicle, read = read_options.resolve()
         report_default_car_of_bag("verify", bag, vehicle)
         console = Console()
-        print_findings(bag.name, passed_bag(recordings_of(bag)[0], vehicle, force, read), console)
+        print_findings({bag.name: passed_bag(recordings_of(bag)[0], vehicle, force, read)}, console)
         status = verify_command(bag, vehicle, tolerance, replayed, output, console, read)
     raise typer.Exit(status)

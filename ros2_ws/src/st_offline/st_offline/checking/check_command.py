@@ -13,6 +13,7 @@ from st_recordings.output import as_text, new_folder
 from st_recordings.recorded import configuration_of
 from st_recordings.runs import ReadSettings, RunSource, find_runs, read
 from st_recordings.runs.bag import records_of
+from st_recordings.runs.raw import about_alignment
 
 from ..terminal import list_files, progress_bars
 from .check_page import write_page
@@ -48,8 +49,8 @@ def run_command(job: Job, console: Console, report_vehicle: Callable[[str], None
     if job.correction_file is not None:
         check_name(job.correction_file)
         if len(sources) != 1:
-            raise ConfigurationError(f"--propose-cure: {len(sources)} runs were given, and a run.yaml describes one: "
-                                     "name it")
+            raise ConfigurationError(f"--propose-correction: {len(sources)} runs were given, and a run.yaml describes "
+                                     "one: name it")
     folder = new_folder(job.output, "check", create=False)
     runs = check_all(sources, job, console)
     good = [run for run in runs if isinstance(run, CheckedRun)]
@@ -91,7 +92,8 @@ def check_run(source: RunSource, job: Job) -> CheckedRun | FailedRun:
         checked = checked_log(run.log, car, run.auxiliary, MODELS)
     except PROBLEMS as error:
         return FailedRun(source.name, in_words(error, source))
-    return CheckedRun(source.name, checked, car, car_from, run.log.duration, run.warnings, run.provenance["files"])
+    return CheckedRun(source.name, checked, car, car_from, run.log.duration, run.warnings, run.provenance["files"],
+                      about_alignment(run.alignment), str(source.where))
 
 
 def write(good: Sequence[CheckedRun], failed: Sequence[FailedRun], folder: Path, json: Path | None,

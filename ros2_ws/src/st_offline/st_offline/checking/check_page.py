@@ -1,6 +1,7 @@
 """The page of `st check`: what is wrong, what to do, and each comparison as a figure."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from st_core.checks import Checked, Finding, Identity, Severity
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 
 from ..evaluation.drawing import BAD, TEXT, WARN, WIDTH, Drawn, Place, broken, finish, style, thinned
-from ..evaluation.evaluation_report import BUDGET
+from ..evaluation.evaluation_report import MAX_FIGURES
 from ..evaluation.work import slug
 from ..pages import template
 from . import check_report as words
@@ -25,7 +26,7 @@ DERIVED_COLOUR = MODEL_COLOUR["kinematic"]
 
 def panel(identity: Identity, checked: Checked, place: Place) -> Drawn:
     """The figure of one identity; the stretches of the findings that rest on it are shaded."""
-    findings = resting_on(identity, checked)
+    findings = sorted((one for one in checked.findings if one.name in identity.findings), key=words.gravity)
     with style():
         figure, (upper, lower) = plt.subplots(2, 1, figsize=(WIDTH, HEIGHT), sharex=True, height_ratios=(3, 2))
         time = np.asarray(identity.time, float)
@@ -44,12 +45,9 @@ def panel(identity: Identity, checked: Checked, place: Place) -> Drawn:
         figure.align_ylabels()
         figure.legend(loc="outside lower left", ncols=2)
         key = f"identity-{identity.name}"
-        return finish(figure, place, key, panel_title(identity, findings), panel_caption(identity, findings))
-
-
-def resting_on(identity: Identity, checked: Checked) -> list[Finding]:
-    """The findings that rest on an identity, the gravest first."""
-    return sorted((one for one in checked.findings if one.name in identity.findings), key=words.gravity)
+        shaded = ", shaded where a finding has its stretches" if any(one.where for one in findings) else ""
+        caption = f"Grey: {identity.measured_label}; blue: {identity.derived_label}; below, grey minus blue{shaded}."
+        return finish(figure, place, key, panel_title(identity, findings), caption)
 
 
 def panel_title(identity: Identity, findings: Sequence[Finding]) -> str:
@@ -59,11 +57,6 @@ def panel_title(identity: Identity, findings: Sequence[Finding]) -> str:
         return f"{what}: {findings[0].text}"
     size = f"{residual_rms(identity):.2g} {words.unit(identity.unit)}".strip()
     return f"{what}: no finding; they differ by {size} (root mean square)"
-
-
-def panel_caption(identity: Identity, findings: Sequence[Finding]) -> str:
-    shaded = ", shaded where a finding has its stretches" if any(one.where for one in findings) else ""
-    return f"Grey: {identity.measured_label}; blue: {identity.derived_label}; below, grey minus blue{shaded}."
 
 
 def _shade(panels: Sequence[plt.Axes], findings: Sequence[Finding]) -> None:
@@ -88,23 +81,42 @@ def title(good: Sequence[CheckedRun]) -> str:
     return sentence[0].upper() + sentence[1:]
 
 
+def summary(good: Sequence[CheckedRun]) -> list[str]:
+    """What the findings mean, what to do, and what belongs to the car: at most three sentences."""
+    findings = [one for run in good for one in run.checked.findings]
+    gravest = min(findings, key=words.gravity, default=None)
+    if gravest is None or gravest.severity is Severity.NOTE:
+        return ["Nothing has to be corrected: every command can use these runs."]
+    sizes = [one.effect for one in findings if one.severity is not Severity.NOTE and one.effect is not None]
+    size = f", by up to {max(sizes):.2g} m after 5 s" if sizes and gravest.severity is Severity.WARNING else ""
+    refused = ": every command refuses such a run without --force" if gravest.severity is Severity.ERROR else ""
+    meaning = words.MEANING[gravest.severity]
+    sign = next(filter(None, (words.opposite_sign(run.checked.findings, run.where) for run in good)), "")
+    correct = (f"Correct: `st check {good[0].where if len(good) == 1 else 'RUN'} --propose-correction run.yaml` writes "
+               "the corrections into a run.yaml; use that instead of the recording.")
+    clocks = "; ".join(f"{run.name}: {text}" for run in good if (text := words.clock(run.alignment)))
+    return [f"{meaning[0].upper()}{meaning[1:]}{size}{refused}.", f"{sign[0].upper()}{sign[1:]}." if sign else correct,
+            *([f"{clocks}."] if clocks else [])]
+
+
 def write_page(file: Path, good: Sequence[CheckedRun], failed: Sequence[FailedRun], content: dict[str, Any]) -> None:
     """content: of check.json."""
-    text = template("checking", "check.html.jinja").render(
-        title=title(good), runs=good, failed=failed, content=content, figures=_within_budget(good))
+    text = template("checking/check.html.jinja").render(
+        title=title(good), summary=summary(good), runs=good, content=content, figures=_figures(good),
+        problems={run.name: run.problem for run in failed},
+        groups=words.by_name({run.name: run.checked.findings for run in good}))
     file.write_text(text, encoding="utf-8")
 
 
-def _within_budget(runs: Sequence[CheckedRun]) -> dict[str, list[Drawn]]:
-    """The panels of each run: all, as long as there is room on the page; then those with findings; then none."""
-    room = BUDGET
-    shown: dict[str, list[Drawn]] = {run.name: [] for run in runs}
+def _figures(runs: Sequence[CheckedRun]) -> list[Drawn]:
+    """At most MAX_FIGURES comparisons, those with the gravest findings first."""
+    ranked: list[tuple[int, float, int, CheckedRun, Identity]] = []
     for run in runs:
         for identity in run.checked.identities:
-            concerned = any(one.name in identity.findings for one in run.checked.findings)
-            if room < (0 if concerned else BUDGET // 2):
-                continue
-            drawn = panel(identity, run.checked, Place(None, (), f"{slug(run.name)}-"))
-            room -= len(drawn.svg.encode())
-            shown[run.name].append(drawn)
-    return shown
+            concerned = [one for one in run.checked.findings if one.name in identity.findings]
+            gravest = min(map(words.gravity, concerned), default=len(words.GRAVITY))
+            ranked.append((gravest, -max((one.effect or 0.0 for one in concerned), default=0.0), len(ranked), run,
+                           identity))
+    return [replace(drawn, title=f"{run.name}: {drawn.title}" if len(runs) > 1 else drawn.title)
+            for *_, run, identity in sorted(ranked)[:MAX_FIGURES]
+            for drawn in [panel(identity, run.checked, Place(None, (), f"{slug(run.name)}-"))]]

@@ -1,8 +1,8 @@
 """Findings of `st check` in words, on the terminal, as plain values, and check.json (docs/manual/checks.md)."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
@@ -10,9 +10,11 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from st_core.checks import SCHEMA, Advice, Checked, Finding, Identity, Severity, across_runs
+from st_core.clock_types import none_needed
 from st_core.vehicle import VehicleParameters
 from st_recordings.output import finite
 from st_recordings.results import versions
+from st_recordings.runs.raw import about_alignment
 
 from ..terminal import line, report_problem
 
@@ -40,7 +42,7 @@ def counts(findings: Sequence[Finding]) -> str:
 
 
 def verdict(checked: Checked) -> str:
-    """One one_line on a run: how many findings, and what they mean for an evaluation."""
+    """One line on a run: how many findings, and what they mean for an evaluation."""
     if not checked.findings:
         count = len(checked.identities)
         compared = f"in {count} comparison{'' if count == 1 else 's'}" if count else "but there was nothing to compare"
@@ -119,18 +121,32 @@ def correction(found: Advice | None) -> str:
     return f"{PLACE[found.kind]}{found.line}" if found else ""
 
 
-def one_line(finding: Finding) -> str:
-    """Everything in one one_line, for verbs that speak of other things."""
-    parts = [f"{finding.severity.value}: {finding.text}", where(finding), effect(finding)]
-    text = " | ".join(part for part in parts if part)
-    if finding.advice is None:
-        return text
-    return f"{text} | {'correction' if PLACE[finding.advice.kind] else 'advice'}: {correction(finding.advice)}"
+def opposite_sign(findings: Iterable[Finding], source: str = "RUN") -> str:
+    """What to type where the steering angle counts the other way; empty where it does not."""
+    if not any(one.name == "steering_sign" for one in findings):
+        return ""
+    return ("the steering angle has the opposite sign (left is positive). Logs of a CAN bus: add --steering-sign -1 (1 "
+            "if car.yaml has -1). A table: add --steering-field COLUMN --steering-sign -1, or write a run.yaml with "
+            f"`st check {source} --propose-correction run.yaml` and use it instead")
+
+
+def clock(alignment: Mapping[str, Any]) -> str:
+    """Sentence on the clock of the steering by `about_alignment`; empty where both are on one clock."""
+    if alignment["method"] == "none":
+        return ""
+    # INS minus other clock; the other one runs ahead where that is negative.
+    ahead = -alignment["offset_s"]
+    origin = "set by hand" if alignment["method"] == "by hand" else (
+        f"found from the data (by {alignment['method']}, ± {1e3 * (alignment['offset_deviation_s'] or 0.0):.1f} ms, "
+        f"{alignment['verdict']})")
+    return f"steering clock: {ahead:+.3f} s relative to INS, {origin}"
 
 
 @dataclass(frozen=True)
 class CheckedRun:
-    """One run of `st check`. vehicle_from: file or recording. warnings: of the reading, with what was corrected."""
+    """One run of `st check`. vehicle_from: file or recording. warnings: of the reading, with what was corrected.
+    alignment: of `about_alignment`. where: file or folder, as typed.
+    """
 
     name: str
     checked: Checked
@@ -139,6 +155,8 @@ class CheckedRun:
     duration: float
     warnings: tuple[str, ...]
     files: Mapping[str, str]
+    alignment: Mapping[str, Any] = field(default_factory=lambda: about_alignment(none_needed()))
+    where: str = "RUN"
 
 
 @dataclass(frozen=True)
@@ -188,7 +206,7 @@ def _run(run: CheckedRun) -> dict[str, Any]:
         "verdict": verdict(run.checked), "vehicle": run.vehicle_from, "duration": run.duration,
         **finite(run.checked.as_dict()),
         "identities": [finite(_identity(one)) for one in run.checked.identities],
-        "warnings": list(run.warnings), "files": dict(run.files),
+        "warnings": list(run.warnings), "files": dict(run.files), "alignment": finite(dict(run.alignment)),
     }
 
 
@@ -208,29 +226,25 @@ STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "dim"
 
 
 def show(run: CheckedRun | FailedRun, console: Console) -> None:
-    """The verdict in a line, then what was found."""
+    """Print the verdict, the clock, and each finding with its correction."""
     if isinstance(run, FailedRun):
         report_problem(run.name, run.problem, console)
         return
-    line(f"[bold]{escape(run.name)}[/bold]: [{_colour(run.checked)}]{escape(verdict(run.checked))}[/]  "
+    gravest = min((GRAVITY.index(one.severity) for one in run.checked.findings), default=GRAVITY.index(Severity.NOTE))
+    colour = "green" if GRAVITY[gravest] is Severity.NOTE else STYLE[GRAVITY[gravest]]
+    if hint := opposite_sign(run.checked.findings, run.where):
+        line(f"[bold red]{escape(run.name)}: {escape(hint)}[/]", console)
+    line(f"[bold]{escape(run.name)}[/bold]: [{colour}]{escape(verdict(run.checked))}[/]  "
          f"[dim]{run.duration:.0f} s, {escape(run.vehicle.name)} from {escape(run.vehicle_from)}[/dim]", console)
+    if text := clock(run.alignment):
+        line(f"  {escape(text)}", console)
     for finding in run.checked.findings:
-        _show_finding(finding, console)
-
-
-def _colour(checked: Checked) -> str:
-    gravest = min((GRAVITY.index(one.severity) for one in checked.findings), default=None)
-    return "green" if gravest is None or GRAVITY[gravest] is Severity.NOTE else STYLE[GRAVITY[gravest]]
-
-
-def _show_finding(finding: Finding, console: Console) -> None:
-    line(f"  [{STYLE[finding.severity]}]{finding.severity.value}[/] [bold]{escape(finding.name)}[/bold]: "
-         f"{escape(finding.text)}", console)
-    about = [where(finding), effect(finding)]
-    line(f"    [dim]{escape('; '.join(filter(None, about)))}[/dim]", console)
-    if finding.advice:
-        place = PLACE[finding.advice.kind]
-        line(f"    {f'correction, {place}' if place else 'advice: '}{escape(finding.advice.line)}", console)
+        line(f"  [{STYLE[finding.severity]}]{finding.severity.value}[/] [bold]{escape(finding.name)}[/bold]: "
+             f"{escape(finding.text)}", console)
+        line(f"    [dim]{escape('; '.join(filter(None, (where(finding), effect(finding)))))}[/dim]", console)
+        if finding.advice:
+            line(f"    {'correction, ' if PLACE[finding.advice.kind] else 'advice: '}"
+                 f"{escape(correction(finding.advice))}", console)
 
 
 def show_together(runs: Sequence[Checked], console: Console) -> None:
@@ -242,7 +256,32 @@ def show_together(runs: Sequence[Checked], console: Console) -> None:
         line(f"  {escape(one.text)}", console)
 
 
-def print_findings(name: str, findings: Sequence[Finding], console: Console) -> None:
-    """Prints the findings of a run, one line each, for verbs other than `st check`."""
-    for finding in findings:
-        line(f"[{STYLE[finding.severity]}]{escape(name)}: {escape(one_line(finding))}[/]", console)
+def by_name(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, list[str]]]:
+    """Each finding once, the gravest and largest first: that of the run with the largest effect, and all its runs."""
+    found: dict[str, list[tuple[Finding, str]]] = {}
+    for name, findings in runs.items():
+        for one in findings:
+            found.setdefault(one.name, []).append((one, name))
+
+    def order(one: Finding) -> tuple[int, float]:
+        unknown = math.inf if one.severity is Severity.ERROR else 0.0
+        return gravity(one), -(unknown if one.effect is None else one.effect)
+
+    groups = [(min((one for one, _ in group), key=order), [name for _, name in group]) for group in found.values()]
+    return sorted(groups, key=lambda group: order(group[0]))
+
+
+def print_findings(runs: Mapping[str, Sequence[Finding]], console: Console) -> None:
+    """Print each error and warning of the runs once, and how many notes there are; for verbs other than `st check`."""
+    notes = 0
+    for finding, names in by_name(runs):
+        if finding.severity is Severity.NOTE:
+            notes += len(names)
+            continue
+        parts = [finding.text, effect(finding), correction(finding.advice)] if len(names) == 1 else [
+            f"{finding.text} (largest of {len(names)})", effect(finding), "corrections: st check"]
+        line(f"{escape(', '.join(dict.fromkeys(names)))}: [{STYLE[finding.severity]}]{finding.severity.value}: "
+             f"{escape(' | '.join(filter(None, parts)))}[/]", console)
+    if notes:
+        line(f"[dim]{notes} note{'' if notes == 1 else 's'} of the checks, harmless here: st check lists them[/dim]",
+             console)

@@ -30,7 +30,8 @@ class Refused(RunError):
     def __init__(self, where: Path | str, findings: Sequence[Finding]):
         self.findings = tuple(findings)
         errors = "; ".join(f"{one.name}: {one.text}" for one in findings if one.severity is Severity.ERROR)
-        super().__init__(where, errors, ADVICE)
+        sign = words.opposite_sign(findings, str(where))
+        super().__init__(where, f"{sign}; {errors}" if sign else errors, ADVICE)
 
     def __reduce__(self):  # errors travel between processes by their arguments
         return Refused, (self.path, self.findings)

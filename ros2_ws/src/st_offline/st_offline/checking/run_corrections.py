@@ -1,4 +1,4 @@
-"""The run.yaml with the corrections of a check, as `st check --propose-cure` writes it."""
+"""The run.yaml with the corrections of a check, as `st check --propose-correction` writes it."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -24,9 +24,9 @@ HEAD = "# Proposed by st check. Every verb that reads it lists the corrections.\
 def check_name(file: Path) -> None:
     """Raises OutputError for a file that no verb would read, or that is there already."""
     if file.name != RUN_FILE and not file.name.endswith(RUN_SUFFIX):
-        raise OutputError(f"--propose-cure {file}: name it run.yaml or NAME.run.yaml, or no verb reads it as a run")
+        raise OutputError(f"--propose-correction {file}: name it run.yaml or NAME.run.yaml, else no verb reads it")
     if file.exists():
-        raise OutputError(f"--propose-cure {file}: exists; choose another name (existing files are not overwritten)")
+        raise OutputError(f"--propose-correction {file}: exists; choose another name (no file is overwritten)")
 
 
 def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: ReadSettings) -> str:

@@ -26,7 +26,7 @@ from ..evaluation.drawing import Drawn, Place, check_formats
 from ..terminal import progress_bars
 from .discovery_report import document, model_file, show, write_page
 from .drives import Drive, Request, answer_key, cache_folder, cached_answer, keep_answer, read_drives
-from .figures import Scene, agreement, axle_curves, bound, gap, maps, relation_figure, waterfall
+from .figures import Scene, agreement, axle_curves, maps, relation_figure, waterfall
 from .relation_files import relation_document, write_files
 from .relation_report import CommandLine, RelationReport, relation_report
 from .vehicle_update import VehicleUpdate, update_vehicle
@@ -189,7 +189,7 @@ def draw(found: Discovery, request: Request, place: Place) -> list[Drawn]:
         return survey(suspect, model, request.vehicle, settings, reference, noise, found.acceleration_gain)
 
     scene = Scene(found, suspect, request.vehicle, look(found.base), look(found.model) if found.model else None, place)
-    makers = (waterfall, axle_curves, agreement, bound, gap, maps)
+    makers = (waterfall, axle_curves, agreement, maps)
     return [figure for make in makers if (figure := make(scene))]
 
 

@@ -1,6 +1,5 @@
 """Results of a discovery: discovery.json (docs/manual/discovery.md), model.yaml, page and terminal summary."""
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
@@ -26,7 +25,8 @@ from .relation_report import RelationReport
 from .vehicle_update import VehicleUpdate
 
 SCHEMA = 2
-VERDICTS = ("stated", "alternative", "bound")  # first in the table of all effects
+VERDICTS = ("stated", "alternative", "bound")  # first in the table of effects
+MAX_CANDIDATES = 12  # rows of a table; discovery.json has all
 
 
 def document(found: Discovery, request: Request, update: VehicleUpdate | None,
@@ -115,15 +115,40 @@ def _inside(values: Mapping[str, float], parameters: Mapping[str, FittedParamete
 def write_page(file: Path, found: Discovery, update: VehicleUpdate | None, content: dict[str, Any],
                figures: Sequence[Drawn], law: RelationReport | None = None) -> None:
     """content: of discovery.json. law: of the relation proposed beyond the library."""
-    about = content["provenance"]
+    about, plain = content["provenance"], quantities.plain
     refused = {name: {"findings": findings} for name, findings in about["refused"].items()}
+    recordings = {**refused, **about["runs"], **about["reference"]}
+    text = template("discovery/discovery.html.jinja", plain=plain, channel=quantities.channel).render(
+        title=report_text.title(found), found=found, content=content, figures=figures, words=report_text, law=law,
+        summary=report_text.summary(found, update, {name: findings_in(run) for name, run in recordings.items()}),
+        details=report_text.details(found, update), recordings=recordings, **_tables(found, content))
+    file.write_text(text, encoding="utf-8")
+
+
+def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Sequence[str]]]:
+    """Rows of the tables of the page."""
+    plain, size, metres = quantities.plain, quantities.size, quantities.metres
+    changes = content["mended"]["vehicle.yaml"]["changes"]
     order = {verdict: place for place, verdict in enumerate(VERDICTS)}
     ranked = sorted(found.candidates, key=lambda c: (order.get(c.verdict, len(order)), -c.gain))
-    text = template("discovery", "discovery.html.jinja", plain=quantities.plain, channel=quantities.channel).render(
-        title=report_text.title(found), found=found, update=update, verdict=report_text.verdict(found, update),
-        content=content, figures=figures, candidates=ranked, words=report_text, law=law,
-        quantities=quantities, size=quantities.size, recordings={**refused, **about["runs"], **about["reference"]})
-    file.write_text(text, encoding="utf-8")
+    return {
+        "named": [(plain(e.name), quantities.values(e.name, e.parameters), ", ".join(map(plain, e.alternatives)) or "-",
+                   report_text.share_of(e.name, found.steps)) for e in found.effects],
+        "changes": [(key, f"{one['before']:.5g}", f"{one['after']:.5g}",
+                     f"{one['interval'][0]:.5g} to {one['interval'][1]:.5g}") for key, one in changes.items()],
+        "channels": [(quantities.channel(name), size(g.base, g.unit), size(g.augmented, g.unit),
+                      f"{size(g.interval[0], g.unit)} to {size(g.interval[1], g.unit)}", size(g.floor, g.unit),
+                      f"{g.worst_run}: {size(g.worst, g.unit)}" if g.worst_run else "", ", ".join(g.worse_runs) or "-")
+                     for name, g in found.gap.items()],
+        "parts": [(one.part, f"{metres(one.last)}, {100 * one.share_last:.0f} %",
+                   f"{metres(one.first)}, {100 * one.share_first:.0f} %", f"{100 * one.loss_last:.0f} %",
+                   f"{100 * one.loss_first:.0f} %") for one in found.budget],
+        "candidates": [(plain(c.name), quantities.fitted(c.name, c.parameters), f"{100 * c.gain:.1f}", c.verdict, c.why)
+                       for c in ranked[:MAX_CANDIDATES]],
+        "combinations": [(f"{c.name}, {c.unit}", f"{c.value:.4g}", f"{c.interval[0]:.4g} to {c.interval[1]:.4g}",
+                          f"{c.file:.4g}") for c in found.combinations],
+        "pairs": [(f"{plain(p.first)} or {plain(p.second)}", f"{p.cosine:.3f}", f"{p.strength:.1f}")
+                  for p in found.separability[:MAX_CANDIDATES]]}
 
 
 WHAT = {"report.html": "one page, with all figures", "discovery.json": "every number, docs/manual/discovery.md",
@@ -132,7 +157,6 @@ WHAT = {"report.html": "one page, with all figures", "discovery.json": "every nu
         "proposed.yaml": "a model with it: --model, together with --effects and the vehicle file as it was given",
         "model.yaml": "corrections with no entry in a vehicle file: --model of st demo, st live, st evaluate"}
 MAX_ADVICE = 3  # sentences; the page has all
-MAX_NAMES = 4  # of effects that these drives cannot show
 
 
 def show(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Drive], files: Mapping[str, Path],
@@ -149,13 +173,12 @@ def show(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Dr
         console.print(f"[bold]{escape(law.headline)}[/bold]", highlight=False)
     if found.effects:
         console.print(values_table(found))
-    for question, text in (("residual", report_text.left(found)), ("not separable", not_separable(found)),
-                           ("not visible in these drives", not_visible(found)),
-                           *(("what to do", advice) for advice in report_text.to_do(found, update)[:MAX_ADVICE]),
-                           ("next drive", report_text.following(found)), ("recordings", findings(recordings)),
+    about = {drive.name: findings_in(drive.about) for drive in recordings}
+    advice = report_text.to_do(found, update)[1:MAX_ADVICE]
+    for question, text in (*report_text.summary(found, update, about),
+                           *(("to do", text) for text in advice),
                            *(("warning", text) for text in found.warnings)):
-        if text:
-            _print(question, text, console)
+        _print(question, text, console)
     for what, command in law.commands if law is not None else ():  # not wrapped: they are copied
         console.print(f"[bold]{escape(what)}[/bold]: {escape(command)}", soft_wrap=True, highlight=False)
     for drive in recordings:
@@ -181,26 +204,3 @@ def values_table(found: Discovery) -> Table:
             table.add_row(escape(name), escape(prefix + quantities.value(fitted)), escape(reduced))
             name = reduced = ""
     return table
-
-
-def not_separable(found: Discovery) -> str:
-    """Effects that explain the drives equally well, or that only act as a pair; empty without any."""
-    plain = quantities.plain
-    return "; ".join([*(" or ".join(map(plain, (e.name, *e.alternatives))) for e in found.effects if e.alternatives),
-                      *(f"{plain(e.name)} with {', '.join(map(plain, e.joint))} (they cancel)"
-                        for e in found.effects if e.joint)])
-
-
-def not_visible(found: Discovery) -> str:
-    """The first effects that these drives cannot show, vehicle parameters first, and the number of the others."""
-    ranked = sorted(found.not_testable, key=lambda n: report_text.rank(n.name))
-    more = len(ranked) - MAX_NAMES
-    names = ", ".join(quantities.plain(n.name) for n in ranked[:MAX_NAMES])
-    return f"{names} and {more} more" if more > 0 else names
-
-
-def findings(recordings: Sequence[Drive]) -> str:
-    """Number of findings by severity in the recordings; empty without any."""
-    count = Counter(one.severity.value for drive in recordings for one in findings_in(drive.about))
-    numbers = ", ".join(f"{number} {severity}{'s' if number > 1 else ''}" for severity, number in count.items())
-    return f"{numbers}; listed in the report and by st check" if numbers else ""

@@ -32,7 +32,7 @@ from st_recordings.runs.run_types import signal_files
 from ..checking.check_report import documents, findings_in
 from ..checking.gate import PROBLEMS, Refused, checked_log, in_words, refuse
 
-DRIVE_FORMAT = 3  # of what is kept; another number makes older files useless
+DRIVE_FORMAT = 3  # of a cached drive; files of another number are not used
 
 
 @dataclass(frozen=True)
@@ -198,7 +198,7 @@ class Request:
     own_effects: Mapping[str, str] = field(default_factory=dict)
 
 
-ANSWER_FORMAT = 2  # of what is cached_answer; another number makes older files useless
+ANSWER_FORMAT = 2  # of a cached answer; files of another number are not used
 
 
 def answer_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle: VehicleParameters, base: Model,

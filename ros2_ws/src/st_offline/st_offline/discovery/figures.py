@@ -1,6 +1,5 @@
 """Figures of a discovery: error by step, axle forces, shares by part of the driving, errors on the map, relation."""
 
-import re
 import textwrap
 from collections import Counter
 from collections.abc import Sequence
@@ -8,13 +7,11 @@ from dataclasses import dataclass
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.colors import Normalize
-from matplotlib.gridspec import GridSpec
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from st_core.channels import UNITS, WORDS
+from st_core.channels import UNITS
 from st_core.discovery import Discovery
-from st_core.discovery.result import BoundEffect, FoundEffect, Value
+from st_core.discovery.result import Value
 from st_core.discovery.where import Survey
 from st_core.log import DriveLog
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
@@ -50,17 +47,12 @@ class Scene:
     def channel(self) -> str:
         return report_text.worst_channel(self.found, list(self.before.samples.squares))
 
-    def handles(self, marker: str = "o") -> list[Line2D]:
-        base = Line2D([], [], color=self.colour, marker=marker, ls="", label=f"{self.found.base.base.name} model")
-        return [base] + ([Line2D([], [], color=AFTER, marker=marker, ls="", label="with what was found")]
-                         if self.after else [])
-
 
 def waterfall(scene: Scene) -> Drawn | None:
     """Held-out 5 s position error from the base model to the last step."""
     steps = scene.found.steps
     if not steps or not all(np.isfinite((s.position_5s.base, s.position_5s.augmented)).all() for s in steps):
-        return None  # without the position there is no such error
+        return None  # without the position no such error exists
     floor = scene.found.gap["position_5s"].floor if "position_5s" in scene.found.gap else 0.0
     with style():
         figure, axes = plt.subplots(figsize=(WIDTH, 1.2 + 0.36 * (len(steps) + 2)))
@@ -76,7 +68,7 @@ def waterfall(scene: Scene) -> Drawn | None:
             ends = [before - edge for edge in step.position_5s.interval]
             axes.plot(ends, [row, row], color=TEXT, lw=1.0)
             change = f"{after - before:+.2f} m".replace("-", "−")
-            small = abs(after - before) < report_text.LEAST and report_text.other_channel(step)
+            small = abs(after - before) < report_text.MIN_CHANGE and report_text.other_channel(step)
             _label(axes, max(before, after, *ends), row, small or change)
             rows.append(f"{report_text.step_name(step)}  {quantities.short_values(step.parameters)}")
         axes.plot([last, last], [len(steps) + 0.31, len(steps) + 0.69], color=TEXT, lw=0.6, alpha=0.5)
@@ -88,13 +80,13 @@ def waterfall(scene: Scene) -> Drawn | None:
                  xlabel="mean position error after 5 s on held-out driving, m")
         rises = any(s.position_5s.augmented > s.position_5s.base for s in steps)
         handles = [Patch(color=scene.colour, label=f"{scene.found.base.base.name} model"),
-                   Patch(color=AFTER, label="with what was found"), Patch(color=AFTER, alpha=0.65, label="taken away"),
-                   *([Patch(color=BAD, alpha=0.65, label="made worse")] if rises else []),
+                   Patch(color=AFTER, label="with what was found"), Patch(color=AFTER, alpha=0.65, label="reduction"),
+                   *([Patch(color=BAD, alpha=0.65, label="increase")] if rises else []),
                    Line2D([], [], color=MEASURED_COLOUR, ls="--", label="noise alone")]
         figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
-        caption = ("One effect more in each row, all values fitted anew; every error is on driving its values were not "
-                   "fitted to. Line: 95 % of the change.")
-        return finish(figure, scene.place, "waterfall", report_text.title(scene.found), caption)
+        caption = ("Each row adds one effect and refits all values; errors are of driving the values were not fitted "
+                   "to. Line: 95 % interval of the change.")
+        return finish(figure, scene.place, "waterfall", "Error of each step of the search", caption)
 
 
 def _label(axes: plt.Axes, x: float, row: int, text: str) -> None:
@@ -128,50 +120,6 @@ def axle_curves(scene: Scene) -> Drawn | None:
                       "of the vehicle file may change.")
 
 
-def gap(scene: Scene) -> Drawn | None:
-    """Held-out error of each channel, base = 100 %."""
-    entries = [(n, scene.found.gap[n]) for n in WORDS if n in scene.found.gap and scene.found.gap[n].base > 0]
-    if not entries:
-        return None
-    with style():
-        figure, axes = plt.subplots(figsize=(WIDTH, 1.2 + 0.42 * len(entries)))
-        for row, (_, one) in enumerate(entries):
-            percent = 100.0 / one.base
-            shown = percent * one.augmented if scene.found.model else 100.0
-            axes.plot([100, shown], [row, row], color=TEXT, lw=0.7, alpha=0.5, zorder=1)
-            axes.plot(100, row, "o", ms=8, color=scene.colour, zorder=2)
-            if scene.found.model:
-                ends = [percent * (one.base - edge) for edge in one.interval]
-                axes.plot(ends, [row, row], color=AFTER, lw=3, alpha=0.4, solid_capstyle="butt", zorder=2)
-                axes.plot(shown, row, "o", ms=8, color=AFTER, zorder=3)
-            if one.floor > 0.0:
-                axes.plot(percent * one.floor, row, "|", ms=14, mew=2, color=MEASURED_COLOUR, zorder=3)
-            text = quantities.size(one.base, one.unit)
-            if scene.found.model:
-                text += f" → {quantities.size(one.augmented, one.unit)}"
-            axes.annotate(text, (1.01, row), xycoords=("axes fraction", "data"), va="center", fontsize=8)
-        axes.set_yticks(range(len(entries)), [quantities.channel(n) for n, _ in entries])
-        axes.set_ylim(len(entries) - 0.5, -0.5)
-        axes.set_xlim(left=0)
-        axes.set_xlabel("error on held-out driving, % of the base model's")
-        floor = Line2D([], [], color=MEASURED_COLOUR, marker="|", ms=12, mew=2, ls="", label="noise alone")
-        figure.legend(handles=[*scene.handles(), floor], loc="outside lower left", ncols=3)
-        caption = ("Root mean square errors of predictions from measured starts, of the position after 5 s the mean, "
-                   "on driving the values were not fitted to. Band: 95 % interval of the change.")
-        return finish(figure, scene.place, "gap", _gap_title(scene.found), caption)
-
-
-def _gap_title(found: Discovery) -> str:
-    if not found.model:
-        return "Error of the base model on held-out driving"
-    certain = report_text.significantly_changed(found.gap)
-    if not certain:
-        return "No held-out error surely changes with what was found"
-    first = certain[0]
-    return (f"{len(certain)} of {len(found.gap)} held-out errors surely change, most that of the "
-            f"{quantities.channel(first)}: {report_text.before_and_after(found.gap[first])}")
-
-
 def maps(scene: Scene) -> Drawn | None:
     """The track of one run, coloured by the error of the most affected channel, before and after."""
     run, levels = _worst_run(scene)
@@ -201,14 +149,13 @@ def maps(scene: Scene) -> Drawn | None:
         panels[0][0].set_ylabel("north, m")
         bar = figure.colorbar(points, ax=list(panels[0]))
         bar.set_label(f"{quantities.channel(scene.channel)} error, {quantities.shown_unit(unit)}")
-        title = f"{log.name}: where on the track the {quantities.channel(scene.channel)} is missed"
+        title = f"{log.name}: where on the track the {quantities.channel(scene.channel)} is wrong"
         return finish(figure, scene.place, "map", title, "Every point is one prediction, coloured by its error; the "
                       "same colours on both sides.")
 
 
 def _worst_run(scene: Scene) -> tuple[int | None, np.ndarray]:
-    """The run whose error in the channel is largest, of those whose track is no line if there are any, and the errors
-    of all its predictions [SI]."""
+    """The run with the largest error in the channel, tracks that are not straight first, and its errors [SI]."""
     samples = scene.before.samples
     squares = samples.squares.get(scene.channel)
     if squares is None or not len(squares):
@@ -226,16 +173,13 @@ def _flatness(log: DriveLog) -> float:
     return float(min(width, height) / max(width, height, 1e-9))
 
 
-MOST_SITES = 4
 MOST_PANELS = 6
 MOST_ROWS = 14  # of a level
 WIDEST = 3.0  # share; intervals beyond are cut off
-NEAR = 75.0  # m, from the track: places of another site are not drawn here
-PLACE = re.compile(r"east (-?[\d.]+) m, north (-?[\d.]+) m")
 
 
 def agreement(scene: Scene) -> Drawn | None:
-    """What each part of the driving shows of each effect: 1 is the value stated, 0 none of it."""
+    """Share of each effect in each part of the driving: 1 is the value stated, 0 none of it."""
     effects = [e for e in scene.found.effects if any(e.agreement.values())]
     if not effects:
         return None
@@ -265,114 +209,29 @@ def agreement(scene: Scene) -> Drawn | None:
                 axes.axhline(row - 0.5, color=TEXT, lw=0.5)
         panels[0][0].set_yticks(range(len(labels)), [where for _, where in labels], fontsize=7)
         panels[0][0].set_ylim(len(labels) - 0.5, -0.5)
-        caption = ("Point: share of the value stated that each part of the driving shows by itself, the other effects "
-                   "held. Bar: 95 %, filled where that leaves out zero. Solid line: just that value; dotted: none of "
-                   "it. A property of the car is the same everywhere.")
-        return finish(figure, scene.place, "agreement", _agreed(effects), caption)
-
-
-def _agreed(effects: Sequence[FoundEffect]) -> str:
-    """Which effects show in every run, and which do not."""
-    by_name = {quantities.plain(e.name): e.agreement["run"] for e in effects if e.agreement.get("run")}
-    counts = {name: (report_text.showing(shares), len(shares)) for name, shares in by_name.items()}
-    every = [name for name, (shown, of) in counts.items() if shown == of]
-    some = [f"{name} in {shown} of {of}" for name, (shown, of) in counts.items() if shown < of]
-    sentences = [f"in every run that can tell by itself: {', '.join(every)}"] if every else []
-    sentences += [f"{', '.join(some)} runs that can tell"] if some else []
-    text = "; ".join(sentences) or "what each part of the driving shows by itself"
-    return text[0].upper() + text[1:]
+        caption = ("Point: share of the value stated, fitted to one part of the driving with the other effects held. "
+                   "Bar: 95 % interval, filled where it excludes zero. Solid line: the value; dotted: zero. A property "
+                   "of the car is the same everywhere.")
+        return finish(figure, scene.place, "agreement", "Share of each effect by part of the driving", caption)
 
 
 def _shares(axes: plt.Axes, shares: Sequence[tuple[int, Value]]) -> None:
     axes.axvline(0.0, color=TEXT, lw=0.8, ls=":")
     axes.axvline(1.0, color=TEXT, lw=0.8)
     for row, one in shares:
-        low, high = one.share - report_text.SURE * one.deviation, one.share + report_text.SURE * one.deviation
+        low, high = one.share - report_text.Z95 * one.deviation, one.share + report_text.Z95 * one.deviation
         clear = low > 0.0 or high < 0.0
         axes.plot(np.clip([low, high], -WIDEST, WIDEST), [row, row], color=AFTER, lw=1.2)
         axes.plot(np.clip(one.share, -WIDEST, WIDEST), row, "o", ms=4.5, color=AFTER, mfc=AFTER if clear else "none")
-    ends = [v.share + side * report_text.SURE * v.deviation for _, v in shares for side in (-1.0, 1.0)]
+    ends = [v.share + side * report_text.Z95 * v.deviation for _, v in shares for side in (-1.0, 1.0)]
     axes.set_xlim(max(min([-0.2, *ends]), -WIDEST) - 0.05, min(max([1.2, *ends]), WIDEST) + 0.05)
-
-
-def bound(scene: Scene) -> Drawn | None:
-    """What is tied to run, site, time, place or condition: its shares, and where on the map."""
-    if not scene.found.bound:
-        return None
-    one = max(scene.found.bound, key=lambda b: b.position_5s)
-    groups = _sites(scene)
-    shown = _map_levels(scene, one)
-    count = len(groups) if shown else 0
-    with style():
-        sentences = report_text.clearest(one.values, MOST_ROWS)
-        height = max(2.6 if count else 0.0, 1.2 + 0.2 * len(sentences))
-        figure = plt.figure(figsize=(WIDTH, height))
-        grid = GridSpec(1, 1 + count, figure, width_ratios=[1.2, *[1.0] * count])
-        axes = figure.add_subplot(grid[0])
-        _shares(axes, list(enumerate(sentences)))
-        axes.set_yticks(range(len(sentences)), [v.where for v in sentences], fontsize=7)
-        axes.set(ylim=(len(sentences) - 0.5, -0.5), xlabel="share")
-        if count:
-            _maps(figure, [figure.add_subplot(grid[k + 1]) for k in range(count)], groups, shown, scene)
-        title = (f"Tied to {one.to}, and not named: something like {quantities.plain(one.resembles)} "
-                 f"({quantities.metres(one.position_5s)} after 5 s)")
-        others = [quantities.plain(b.resembles) for b in scene.found.bound if b is not one]
-        caption = ("Share of the fitted value that each part shows, the clearest ones; a property of the car would be "
-                   "the same in all.") + (f" Not drawn: {', '.join(others)}." if others else "")
-        return finish(figure, scene.place, "bound", title, caption)
-
-
-def _sites(scene: Scene) -> list[list[int]]:
-    """Numbers of the runs by site, the largest sites first."""
-    sites = {run.name: run.site for run in scene.found.runs}
-    groups: dict[int, list[int]] = {}
-    for number, log in enumerate(scene.runs):
-        groups.setdefault(sites.get(log.name, 0), []).append(number)
-    return sorted(groups.values(), key=lambda g: -sum(scene.runs[n].duration for n in g))[:MOST_SITES]
-
-
-def _map_levels(scene: Scene, one: BoundEffect) -> dict:
-    """Share by run name, or by (east, north); empty where it is tied to neither."""
-    places = {(float(m[1]), float(m[2])): v.share for v in one.values if (m := PLACE.search(v.where))}
-    if places:
-        return places
-    sites = {run.name: run.site for run in scene.found.runs}
-    shares = {v.where: v.share for v in one.values}
-    if one.to == "run":
-        return {name: shares[name] for name in sites if name in shares}
-    first = min(sites.values(), default=1)
-    numbers = {int(m[0]) - 1 + first: share for where, share in shares.items() if (m := re.search(r"\d+", where))}
-    return {name: numbers[site] for name, site in sites.items() if site in numbers} if one.to == "site" else {}
-
-
-def _maps(figure: plt.Figure, panels: Sequence[plt.Axes], groups: Sequence[Sequence[int]], shown: dict,
-          scene: Scene) -> None:
-    colours = plt.get_cmap("cividis")
-    scale = Normalize(min(0.0, *shown.values()), max(1.0, *shown.values()))
-    for axes, group in zip(panels, groups, strict=True):
-        for number in group:
-            log = scene.runs[number]
-            every = max(1, len(log.x) // 600)
-            known = log.name in shown
-            axes.plot(log.x[::every], log.y[::every], lw=1.8 if known else 0.7,
-                      color=colours(scale(shown[log.name])) if known else MEASURED_COLOUR)
-        x, y = (np.concatenate([getattr(scene.runs[n], axis) for n in group]) for axis in ("x", "y"))
-        near = [(e, n, s) for (e, n), s in ((k, v) for k, v in shown.items() if isinstance(k, tuple))
-                if np.hypot(x - e, y - n).min() < NEAR]
-        if near:
-            east, north, share = np.array(near).T
-            axes.scatter(east, north, c=share, cmap=colours, norm=scale, s=26, zorder=3)
-        axes.set_aspect("equal", adjustable="datalim")
-        axes.set_xlabel("east, m")
-    panels[0].set_ylabel("north, m")
-    figure.colorbar(plt.cm.ScalarMappable(scale, colours), ax=list(panels), label="share", pad=0.02)
 
 
 def relation_figure(one: Relation, place: Place) -> Drawn:
     """Curve and 95 % band above, share of the driving below; angles in degrees, shares in per cent."""
     c = one.candidate
     (up, unit), (across, across_unit) = shown(c.unit), shown(QUANTITIES[c.quantity])
-    at, value, band = across * one.at, up * one.value, up * report_text.SURE * one.deviation
+    at, value, band = across * one.at, up * one.value, up * report_text.Z95 * one.deviation
     with style():
         figure, (curve, driven) = plt.subplots(2, 1, figsize=(WIDTH, 3.6), sharex=True, height_ratios=(3.0, 1.0))
         curve.axhline(0.0, color=TEXT, lw=0.8, ls=":")
@@ -397,8 +256,8 @@ def relation_figure(one: Relation, place: Place) -> Drawn:
         first = f"As a formula: {one.formulas[0].text}, {units}. " if one.formulas else ""
         caption = (f"{first}Dotted, zero: the model without the relation. Fitted by simulation together with all that "
                    "was found; constant beyond the driven range. Grey: sparsely driven; there the curve is "
-                   "interpolated, and its interval holds only if the true relation is as smooth. The other figures do "
-                   "not contain the relation.")
+                   "interpolated, with an interval for a relation as smooth. The other figures do not contain the "
+                   "relation.")
         return finish(figure, place, "law", title, caption)
 
 

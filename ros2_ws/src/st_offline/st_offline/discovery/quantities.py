@@ -38,7 +38,7 @@ def with_unit(number: str, unit: str) -> str:
 
 
 def size(value: float, unit: str) -> str:
-    """A number of a channel as a reader wants it."""
+    """A number of a channel, angles in degrees."""
     return with_unit(f"{value * factor(unit):.3g}", unit)
 
 
@@ -57,7 +57,8 @@ def digits(p: FittedParameter) -> int:
 def decimal(number: float, decimals: int) -> str:
     """A number with these decimals, with an exponent where they are many."""
     if decimals <= MOST_DECIMALS:
-        return f"{number:.{decimals}f}"
+        text = f"{number:.{decimals}f}"
+        return text if float(text) else f"{number + 0.0:.1g}"  # neither "-0.0" nor "x 0" for a small number
     significant = decimals + math.floor(math.log10(abs(number) or 10.0**-decimals)) + 1
     return f"{number:.{max(significant, 1)}g}"
 

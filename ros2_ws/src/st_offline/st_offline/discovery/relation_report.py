@@ -122,14 +122,14 @@ def _uncertainty(one: Relation) -> list[str]:
     lines = [f"driven: {quantities.quantity(c)} from {across * c.low:.3g} to {across * c.high:.3g} {across_unit}"
              "; the curve is constant beyond",
              f"widest interval at {across * one.at[widest]:.3g} {across_unit}: {up * one.value[widest]:.2g} ± "
-             f"{up * report_text.SURE * one.deviation[widest]:.2g} {unit} (95 %)"]
+             f"{up * report_text.Z95 * one.deviation[widest]:.2g} {unit} (95 %)"]
     if one.drives.thin:
         mirrored = ", to either side" if c.parity == ODD else ""
         lines.append(f"sparsely driven: {_ranges(one, one.drives.thin)}{mirrored}. There the curve is interpolated, "
                      "and its interval holds only if the true relation is as smooth")
     absent = one.shares.absent() if one.shares.p_equal < P_DIFFERENT else []
     if absent:
-        shares = ", ".join(f"{name} {share:.1f} ± {report_text.SURE * deviation:.1f}" for name, (share, deviation) in
+        shares = ", ".join(f"{name} {share:.1f} ± {report_text.Z95 * deviation:.1f}" for name, (share, deviation) in
                            one.shares.by_run.items())
         lines.append(f"varies between runs: nearly absent in {', '.join(absent)} (its size by run, 95 %: {shares})")
     return lines
@@ -235,8 +235,8 @@ def next_drive_sentences(one: Relation) -> list[str]:
     if precise is not None:
         up, unit = shown(c.unit)
         lines.append(f"for a narrower interval: {_manoeuvre(precise, lines)}. The widest 95 % interval then falls from "
-                     f"± {up * report_text.SURE * one.deviation.max():.2g} to ± "
-                     f"{up * report_text.SURE * precise.deviation.max():.2g} {unit}")
+                     f"± {up * report_text.Z95 * one.deviation.max():.2g} to ± "
+                     f"{up * report_text.Z95 * precise.deviation.max():.2g} {unit}")
     return [*lines, *_sparse(one, lines)]
 
 

@@ -16,7 +16,7 @@ from st_recordings.runs import RunError, RunSource, find_runs
 
 from ..bands.bands_report import HOW_TO_GET, adaptive_table, bands_table, finished_shares, shares_table
 from ..bands.scoring import pooled_sums
-from ..checking.check_report import findings_in, print_findings
+from ..checking.check_report import clock, findings_in, print_findings
 from ..terminal import line, list_files, progress_bars, report_problem
 from .drawing import check_formats
 from .evaluation_report import Choices, finding, settings_in_words, write_results
@@ -62,8 +62,10 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
         from .advice import advise  # half a second of libraries, needed for advice only
 
         advise([s for s, report in zip(sources, found, strict=True) if not report.problem], task, tolerance, console)
-    for report in found:
-        print_findings(report.name, findings_in(report.about), console)
+    for report in good:
+        if text := clock(report.about["alignment"]):
+            line(f"{escape(report.name)}: {escape(text)}", console)
+    print_findings({report.name: findings_in(report.about) for report in found}, console)
     list_files({files[key]: what for key, what in FILE_DESCRIPTIONS.items()}, console)
     failed = [report for report in found if report.problem]
     for report in failed:

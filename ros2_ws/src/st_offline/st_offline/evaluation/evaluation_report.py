@@ -1,6 +1,7 @@
 """evaluation.json, and the folder of results around it. The schema: docs/manual/evaluation.md."""
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -10,12 +11,14 @@ from typing import Any
 import matplotlib.pyplot as plt
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
+from st_core.checks import Severity
 from st_core.palette import MODEL_COLOUR
 from st_core.vehicle import VehicleParameters
 from st_recordings.results import versions
 
 from ..bands.bands_report import adaptive_rows, band_figures, band_rows, finished_shares, share_figures, share_rows
 from ..bands.scoring import finished, finished_adaptive, pooled_sums
+from ..checking.check_report import by_name, clock, effect, findings_in
 from ..pages import template
 from . import tables
 from .drawing import TEXT, WIDTH, Drawn, Place, finish, style
@@ -159,10 +162,10 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
     of_run = _of_first_run(good, leading, MAX_FIGURES - len(leading) - len(of_bands))
     modes = list(dict.fromkeys(mode for of_model in content["all_runs"].values() for mode in of_model))
     pooled_bands = content.get("bands_all_runs", {})
-    text = template("evaluation", "page.html.jinja").render(
-        title=title, reports=good, failed=[r for r in reports if r.problem], content=content, settings=settings,
-        about={r.name: r.about for r in reports}, minutes=sum(r.about["duration"] for r in good) / 60.0,
-        horizon=content["settings"]["horizon"], leading=leading, band_figures=of_bands,
+    text = template("evaluation/page.html.jinja").render(
+        title=title, summary=summary(good, over, content["settings"]["horizon"]), reports=good, content=content,
+        problems={r.name: r.problem for r in reports if r.problem}, settings=settings,
+        about={r.name: r.about for r in reports}, leading=leading, band_figures=of_bands,
         band_rows=band_rows(pooled_bands or None),
         adaptive_rows=adaptive_rows(content.get("adaptive_bands_all_runs")),
         share_rows=share_rows(pooled_bands.get("shares", {})),
@@ -216,23 +219,29 @@ def overview(reports: Sequence[RunReport], over: str, place: Place) -> Drawn | N
         caption = "Hindsight: measured inputs over the horizon."
         if len(chosen) < len(reports):
             caption += f" The {MOST_RUNS} of {len(reports)} runs with the largest lateral error."
-        return finish(figure, place, "overview", finding(reports, over), caption)
+        return finish(figure, place, "overview", "RMSE of each run and model", caption)
 
 
 def finding(reports: Sequence[RunReport], over: str) -> str:
-    """Lateral RMSE of one run, best model first; of several, in how many each model has the smallest, to the cm."""
-    sizes = [{m: shown(values(r.models, m, "hindsight", "lateral", over)["rmse"]) for m in r.models} for r in reports]
-    if len(reports) == 1:
-        ranked = sorted(sizes[0].items(), key=lambda item: _number(item[1]))
-        return f"{reports[0].name}: lateral RMSE " + ", ".join(f"{model} {size} m" for model, size in ranked)
-    wins = dict.fromkeys((m for r in reports for m in r.models), 0)
-    for size in sizes:
-        for model in (m for m in size if size[m] == min(size.values(), key=_number)):
-            wins[model] += 1
-    counts = ", ".join(f"{model} in {count}" for model, count in wins.items())
-    ties = ", ties counted for each" if sum(wins.values()) > len(reports) else ""
-    return f"Smallest lateral RMSE of {len(reports)} runs: {counts}{ties}"
+    """Lateral RMSE in hindsight of each model over all runs, the smallest first."""
+    models = pooled([r.models for r in reports])
+    sizes = [(values(models, m, "hindsight", "lateral", over)["rmse"], m) for m in models]
+    ranked = sorted((size, m) for size, m in sizes if size is not None)
+    name = reports[0].name if len(reports) == 1 else f"{len(reports)} runs"
+    return f"{name}: lateral RMSE " + ", ".join(f"{model} {shown(size)} m" for size, model in ranked)
 
 
-def _number(text: str) -> float:
-    return float("inf") if text == "-" else float(text)
+def summary(reports: Sequence[RunReport], over: str, horizon: float) -> list[str]:
+    """What the errors are of, what the checks found, and on which clock the steering was: at most three sentences."""
+    models = pooled([r.models for r in reports])
+    best = min(models, key=lambda m: values(models, m, "hindsight", "lateral", over)["rmse"] or math.inf)
+    held = shown(values(models, best, "forecast", "lateral", over)["rmse"])
+    minutes = sum(r.about["duration"] for r in reports) / 60.0
+    groups = [(one, names) for one, names in by_name({r.name: findings_in(r.about) for r in reports})
+              if one.severity is not Severity.NOTE]
+    biased = "; ".join(f"{one.name} in {', '.join(names)} ({effect(one) or one.text})" for one, names in groups)
+    clocks = "; ".join(f"{r.name}: {text}" for r in reports if (text := clock(r.about["alignment"])))
+    return [f"{minutes:.1f} minutes, predictions of {horizon:g} s. With the measured inputs (hindsight) the error is "
+            f"the model's; with the inputs of the start held (forecast) it includes the driver: {best} {held} m.",
+            f"The recordings bias this: {biased}." if biased else "The checks found no error and no warning.",
+            *([f"{clocks}."] if clocks else [])]

@@ -21,6 +21,7 @@ from st_core.models import Model, get_model
 from st_core.stability import StepTooLongWarning
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
+from st_recordings.runs.raw import about_alignment
 
 from ..bands.bands_report import intervals_of, share_sums
 from ..bands.scoring import AdaptiveScorer, Scorer
@@ -151,8 +152,7 @@ def _about(run: LoadedRun, evaluation: LogEvaluation) -> dict[str, Any]:
         "duration": run.log.duration, "overlap": run.log.overlap, "n_predictions": len(evaluation.starts_ns),
         "skipped": evaluation.skipped, "incomplete": evaluation.incomplete,
         "labels": "given" if run.labels else "detected",
-        "alignment": {"verdict": run.alignment.verdict.value, "method": run.alignment.method,
-                      "reasons": list(run.alignment.reasons)},
+        "alignment": about_alignment(run.alignment),
         "warnings": list(run.warnings), "provenance": dict(run.provenance),
     }
 

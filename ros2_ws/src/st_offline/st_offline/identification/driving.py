@@ -259,7 +259,7 @@ def experiment(name: str, what: str, needs: str, compute: Callable[..., Identifi
         return (replace(found, what=name, rejected=(*given.failed, *found.rejected),
                         warnings=(*found.warnings, *given.warnings), findings=given.findings),)
 
-    return Experiment(name, what, f"{RECORDINGS}; {needs}", identify, draw)
+    return Experiment(name, what, f"{RECORDINGS}; {needs}", identify, draw, drives=True)
 
 
 def stiffness(logs: Sequence[DriveLog], vehicle, base: Model) -> Identification:

@@ -39,7 +39,7 @@ class Experiment:
     """name: as on the command line. what: one line. files: what is to be given.
 
     identify: reads the files and computes; several outcomes where one call does several experiments.
-    draw: the figure of an outcome of this experiment.
+    draw: the figure of an outcome of this experiment. drives: the files are recordings of drives.
     Both raise StCoreError or RunError, one line for the user.
     """
 
@@ -49,6 +49,7 @@ class Experiment:
     identify: Callable[[Sequence[Path], Setup], tuple[Identification, ...]]
     draw: Callable[[Identification, Place], Drawn] | None = None
     files_needed: bool = True
+    drives: bool = False
 
 
 HEADS = ("parameter", "value", "±", "95 % interval", "unit", "in the file", "status")
@@ -76,8 +77,8 @@ def number(value: float, spread: float) -> str:
         return "unknown"
     if not math.isfinite(spread) or spread <= 0.0:
         return f"{value:.5g}"
-    decimals = max(0, 1 - math.floor(math.log10(spread)))
-    return f"{value:.{min(decimals, 12)}f}"
+    decimals = min(1 - math.floor(math.log10(spread)), 12)
+    return f"{round(value, decimals):.{max(decimals, 0)}f}"
 
 
 TO_SI = {"kg": 1.0, "n": 1.0, "kn": 1000.0, "m": 1.0, "mm": 0.001, "rad": 1.0, "deg": math.pi / 180.0}
@@ -162,8 +163,8 @@ def _number(file: Path, title: str, row: int, cell: str) -> float:
     try:
         value = float(cell)
     except ValueError:
-        raise RunError(file, f"row {row}: {title} is {cell[:40]!r}, not a row_number", "decimal point, no unit in the "
+        raise RunError(file, f"row {row}: {title} is {cell[:40]!r}, not a number", "decimal point, no unit in the "
                        "cell") from None
     if not math.isfinite(value):
-        raise RunError(file, f"row {row}: {title} is {cell}", "every row_number must be finite")
+        raise RunError(file, f"row {row}: {title} is {cell}", "every number must be finite")
     return value

@@ -15,12 +15,13 @@ from st_core.checks import Finding
 from st_core.errors import ConfigurationError
 from st_core.handling import objections
 from st_core.identification.apply import against_file, apply, stale_scales, value_of
-from st_core.identification.result import Identification, IdentificationError, quantity
+from st_core.identification.result import Coverage, Identification, IdentificationError, quantity
 from st_core.provenance import Provenance
 from st_core.vehicle import TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, VehicleParameters
 from st_core.yaml_text import number, quoted
 from st_recordings.output import as_text, new_folder
 from st_recordings.results import versions
+from st_recordings.runs import find_runs
 from st_recordings.runs.load import file_hashes
 
 from ..checking.check_report import documents, print_findings
@@ -89,15 +90,14 @@ def _compared(found: Identification, vehicle: VehicleParameters) -> Identificati
 
 def show(found: Sequence[Identification], vehicle: VehicleParameters, stale: Sequence[str], console: Console) -> None:
     """Table and verdicts in the terminal."""
-    for name, findings in checked(found).items():
-        print_findings(name, findings, console)
+    print_findings(checked(found), console)
     for one in found:
-        table = Table(title=one.what, title_justify="left", box=None, padding=(0, 1))
-        for head in HEADS:
-            table.add_column(head, overflow="fold", no_wrap=head in ("parameter", "status"))
-        for estimate, cells in zip(one.estimates, rows(one, vehicle), strict=True):
-            *values, status = map(escape, cells)
-            table.add_row(*values, f"[{STATUS_STYLE[estimate.status]}]{status}[/]")
+        table = Table("parameter", "value", "95 % interval", "file", "status", title=one.what, title_justify="left",
+                      box=None, padding=(0, 2, 0, 0))
+        for estimate, (name, value, _, interval, unit, before, status) in zip(one.estimates, rows(one, vehicle),
+                                                                              strict=True):
+            table.add_row(escape(f"{name}{'' if unit == '1' else f', {unit}'}"), value, interval, before,
+                          f"[{STATUS_STYLE[estimate.status]}]{status}[/]")
         console.print(table)
         for estimate in one.estimates:
             words = f"{estimate.parameter}: {estimate.verdict}"
@@ -122,8 +122,15 @@ def about(job: Job, now: datetime) -> dict[str, Any]:
     return {
         "created": now.isoformat(timespec="seconds"), "experiment": job.experiment.name,
         "vehicle": {"name": job.setup.vehicle.name, "file": job.vehicle_file, "hash": job.setup.vehicle.hash},
-        "files": file_hashes(job.files), "versions": versions(),
+        "files": file_hashes(_data(job)), "versions": versions(),
     }
+
+
+def _data(job: Job) -> list[Path]:
+    """The files that were read; of folders of drives only the recordings."""
+    if not job.experiment.drives:
+        return list(job.files)
+    return [file for source in find_runs(job.files) for file in (*source.files, *source.can)]
 
 
 def write(job: Job, found: Sequence[Identification], car: VehicleParameters, facts: dict[str, Any]) -> dict[str, Path]:
@@ -189,9 +196,19 @@ def details(found: Identification) -> dict[str, Any]:
 def page(found: Sequence[Identification], figures: Sequence[Drawn | None], vehicle: VehicleParameters,
          facts: dict[str, Any]) -> str:
     """report.html: one file that loads nothing."""
-    names = list(dict.fromkeys(e.parameter for one in found for e in one.estimates))
-    title = f"{vehicle.name}: {', '.join(names)}"
-    return template("identification", "page.html.jinja").render(
-        title=title, found=list(zip(found, figures, strict=True)), about=facts,
+    values = [f"{name.replace('_', ' ')} {value} ({status})" for one in found
+              for name, value, _, _, _, _, status in rows(one, vehicle)]
+
+    def excitation(c: Coverage) -> tuple[list[str], list[list[str]]]:
+        return [f"from, {c.unit}", *(f"{edge:.4g}" for edge in c.edges[:-1])], [["samples", *map(str, c.counts)]]
+
+    def correlation(one: Identification) -> tuple[list[str], list[list[str]]]:
+        names = [estimate.parameter for estimate in one.estimates]
+        assert one.correlation is not None  # else not shown
+        return ["correlation", *names], [[name, *(f"{x:+.2f}" for x in row[:len(names)])]
+                                         for name, row in zip(names, one.correlation, strict=False)]
+
+    return template("identification/page.html.jinja").render(
+        title=f"{vehicle.name}: {', '.join(values)}", found=list(zip(found, figures, strict=True)), about=facts,
         recordings={name: {"findings": documents(findings)} for name, findings in checked(found).items()},
-        heads=HEADS, rows=lambda one: rows(one, vehicle))
+        heads=HEADS, rows=lambda one: rows(one, vehicle), excitation=excitation, correlation=correlation)
