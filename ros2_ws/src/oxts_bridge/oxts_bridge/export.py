@@ -53,8 +53,10 @@ def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Pa
         file.write(",".join(names) + "\n")
         for start in range(0, len(columns), _ROWS_AT_ONCE):
             rows = slice(start, start + _ROWS_AT_ONCE)
-            texts = [_texts(table[name][rows]) for name in names]
-            file.writelines(",".join(row) + "\n" for row in zip(*texts, strict=True))
+            # Shortest digits that read back as the same number; NaN becomes empty.
+            texts = (map(str, table[name][rows].tolist()) for name in names)
+            cells = [["" if text == "nan" else text for text in column] for column in texts]
+            file.writelines(",".join(row) + "\n" for row in zip(*cells, strict=True))
     if status_path is not None:
         with Path(status_path).open("w", encoding="ascii", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")
@@ -68,18 +70,20 @@ def _table(columns: Columns, settings: Settings) -> dict[str, np.ndarray]:
     n = len(columns)
     in_series = (columns.gps_ns != UNKNOWN_TIME) & (columns.kind != TRIGGER)
     gps_ms = np.where(in_series, columns.gps_ns // 1_000_000, 0)
-    degrees = np.degrees
+    degrees, out_type = np.degrees, np.array(KINDS, "<U8")[columns.kind]
+    for i in np.flatnonzero(columns.kind == TRIGGER):
+        out_type[i] = TRIGGER_NAMES[int(columns.channel[i])]
     heading = degrees(columns.heading)
     navigation = (columns.kind != EMPTY) & (columns.kind != STATUS) & (columns.navigation_status > 1)
     quality = np.where(navigation, np.where(columns.approximate, "approx", "valid"), "")
     return {
         "pkt": np.arange(n),
         "start_offset": columns.offset,
-        "out_type": _out_types(columns),
+        "out_type": out_type,
         "nav_mode": columns.navigation_status,
         "channel": columns.channel,
         "time": float_seconds(columns),
-        "week": _optional(gps_ms // WEEK_MS, in_series),
+        "week": np.where(in_series, (gps_ms // WEEK_MS).astype(str), ""),
         "tow": np.where(in_series, gps_ms % WEEK_MS / 1e3, np.nan),
         "quality": quality,
         **dict(zip(("Ax", "Ay", "Az"), columns.acceleration, strict=True)),
@@ -93,24 +97,6 @@ def _table(columns: Columns, settings: Settings) -> dict[str, np.ndarray]:
         "Roll": degrees(columns.roll),
         **derive(columns, settings),
     }
-
-
-def _optional(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    return np.where(valid, values.astype(str), "")
-
-
-def _out_types(columns: Columns) -> np.ndarray:
-    names = np.array(KINDS, "<U8")[columns.kind]
-    for i in np.flatnonzero(columns.kind == TRIGGER):
-        names[i] = TRIGGER_NAMES[int(columns.channel[i])]
-    return names
-
-
-def _texts(column: np.ndarray) -> list[str]:
-    """Shortest digits that read back as the same number; NaN becomes empty."""
-    if column.dtype.kind == "f":
-        return ["" if value != value else repr(value) for value in column.tolist()]  # noqa: PLR0124 - NaN, 50 million times
-    return [str(value) for value in column.tolist()]
 
 
 def _read_status(columns: Columns) -> tuple[list[Change], Settings]:

@@ -122,20 +122,26 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
     status, channel = raw[:, STATUS_AT].copy(), raw[:, ncom.CHANNEL_AT].copy()
     milliseconds = np.ndarray((n,), "<u2", buffer, ncom.MILLISECONDS_AT, (PACKET_SIZE,)).astype(np.int64)
     has_status = _HAS_STATUS[status]
-    minutes = _channel_0_minutes(buffer, n, channel, has_status)
-    gps_ns, order, jumps = _times(raw, status, milliseconds, minutes)
+    sent = np.ndarray((n,), "<i4", buffer, ncom.BATCH_S_AT, (PACKET_SIZE,)).astype(np.int64)
+    valid = (channel == 0) & has_status & (sent >= FIRST_MINUTE) & (sent <= LAST_MINUTE)
+    gps_ns, order, jumps = _times(raw, status, milliseconds, np.where(valid, sent, -1))
     kind = _KIND[status]
+    # UTC offsets apply from the packet that carries them on.
+    offsets = _UTC_OFFSET[raw[:, BATCH_S.stop - 1]]
+    carry = np.flatnonzero(_HAS_MINUTE[status] & (channel == UTC_CHANNEL) & (offsets != _NO_OFFSET))
     _trigger_times(raw, kind, gps_ns, order)
     _count(counters, raw, status, channel, has_status, order)
     heading, pitch, roll = _i24(buffer, n, ncom.ANGLES_AT, ncom.ANGLE_UNIT)
 
+    with np.errstate(invalid="ignore"):  # private or empty packets may hold signalling NaN
+        altitude = np.ndarray((n,), "<f4", buffer, ncom.ALTITUDE_AT, (PACKET_SIZE,)).astype(np.float64)
     columns = Columns(
         offset=offset,
         raw=raw,
         kind=kind,
         order=order,
         gps_ns=gps_ns,
-        utc_ns=utc_times(gps_ns, UNKNOWN_TIME, *_utc_offsets(raw, status, channel)),
+        utc_ns=utc_times(gps_ns, UNKNOWN_TIME, carry, offsets[carry]),
         milliseconds=milliseconds,
         navigation_status=status,
         channel=channel,
@@ -143,7 +149,7 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
         angular_rate=_i24(buffer, n, ncom.ANGULAR_RATE_AT, ncom.ANGULAR_RATE_UNIT),
         latitude=np.ndarray((n,), "<f8", buffer, ncom.LATITUDE_AT, (PACKET_SIZE,)).copy(),
         longitude=np.ndarray((n,), "<f8", buffer, ncom.LONGITUDE_AT, (PACKET_SIZE,)).copy(),
-        altitude=_altitude(buffer, n),
+        altitude=altitude,
         velocity_ned=_i24(buffer, n, ncom.VELOCITY_AT, ncom.VELOCITY_UNIT),
         heading=heading,
         pitch=pitch,
@@ -196,19 +202,6 @@ def _i24(buffer: memoryview, n: int, at: int, unit: float) -> np.ndarray:
     return values
 
 
-def _altitude(buffer: memoryview, n: int) -> np.ndarray:
-    with np.errstate(invalid="ignore"):  # private or empty packets may hold signalling NaN
-        return np.ndarray((n,), "<f4", buffer, ncom.ALTITUDE_AT, (PACKET_SIZE,)).astype(np.float64)
-
-
-def _channel_0_minutes(buffer: memoryview, n: int, channel: np.ndarray, has_status: np.ndarray) -> np.ndarray:
-    minutes = np.full(n, -1, np.int64)
-    zero = np.flatnonzero((channel == 0) & has_status)
-    sent = np.ndarray((n,), "<i4", buffer, ncom.BATCH_S_AT, (PACKET_SIZE,))[zero]
-    minutes[zero] = np.where((sent >= FIRST_MINUTE) & (sent <= LAST_MINUTE), sent, -1)
-    return minutes
-
-
 def _trigger_times(raw: np.ndarray, kind: np.ndarray, gps_ns: np.ndarray, order: np.ndarray) -> None:
     before = b""
     for i in np.flatnonzero(kind == TRIGGER):
@@ -220,13 +213,6 @@ def _trigger_times(raw: np.ndarray, kind: np.ndarray, gps_ns: np.ndarray, order:
             gps_ns[i] = time
             order[i] = DUPLICATE if packet == before else NEW
         before = packet
-
-
-def _utc_offsets(raw: np.ndarray, status: np.ndarray, channel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(packet index, offset [s]) of every valid UTC offset."""
-    offset = _UTC_OFFSET[raw[:, BATCH_S.stop - 1]]
-    where = np.flatnonzero(_HAS_MINUTE[status] & (channel == UTC_CHANNEL) & (offset != _NO_OFFSET))
-    return where, offset[where]
 
 
 def _count(

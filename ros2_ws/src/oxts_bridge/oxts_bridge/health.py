@@ -79,16 +79,13 @@ class StreamStatistics:
         self._window = [0, 0, 0, 0]
         return Window(packets, packets / (covered * 1e-9) if covered else 0.0, gaps, longest * 1e-9)
 
-    def newest_minus_host(self) -> float | None:
-        """Time of the newest packet minus its receive time [s]."""
-        return self._offsets[-1] * 1e-9 if self._offsets else None
-
-    def stamp_minus_host(self) -> tuple[float, float] | None:
-        """Median and 1st percentile of packet time minus receive time [s]; negative: the packet is older."""
-        offsets = sorted(self._offsets.copy())
+    def stamp_minus_host(self) -> tuple[float, float, float] | None:
+        """Median, 1st percentile and newest value of packet time minus receive time [s]; negative: it is older."""
+        offsets = list(self._offsets.copy())
         if not offsets:
             return None
-        return median(offsets) * 1e-9, offsets[len(offsets) // 100] * 1e-9
+        newest, ordered = offsets[-1], sorted(offsets)
+        return median(ordered) * 1e-9, ordered[len(ordered) // 100] * 1e-9, newest * 1e-9
 
 
 class Health:
@@ -252,10 +249,9 @@ class Health:
             "UTC offset [s]": "leap-second table" if offset is None else offset,
         }
         figures = self._statistics.stamp_minus_host() if self._live else None
-        newest = self._statistics.newest_minus_host()
-        if figures is None or newest is None:
+        if figures is None:
             return Check("time", OK, "not compared with the host's clock" if not self._live else "no time yet", values)
-        middle, worst = figures
+        middle, worst, newest = figures
         values |= {"stamp minus host, median [s]": middle, "stamp minus host, 99 % above [s]": worst}
         if abs(newest) > ANOTHER_TIME:
             apart = f"{newest / DAY:+.1f} days" if abs(newest) > DAY else f"{newest:+.0f} s"

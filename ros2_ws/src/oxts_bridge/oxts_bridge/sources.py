@@ -127,7 +127,8 @@ class UdpSource:
                     self._set_trouble("")
                     self._receive(sock)
             except OSError as error:
-                self._set_trouble(self._explain(error))
+                self._set_trouble(f"cannot listen on {self._address} port {self._port}: {error.strerror or error}; "
+                                  "retrying every second")
                 self._stop.wait(RETRY_PERIOD)
 
     def _open(self) -> socket.socket:
@@ -156,7 +157,11 @@ class UdpSource:
     def _process(self, data: bytes, received_ns: int, sender: tuple[str, int]) -> None:
         self.status.datagrams += 1
         if sender != self._in_use and not self._accepts(sender[0], data):
-            self._ignore(*sender)
+            rival = self._in_use is not None and sender[0] == self._in_use[0]
+            self.status.rivals += rival
+            name, others = f"{sender[0]} port {sender[1]}" if rival else sender[0], self.status.others
+            if name in others or len(others) < _MAX_SENDERS_COUNTED:
+                others[name] = others.get(name, 0) + 1
         elif self._on_data(data, received_ns, True):
             self._last_packet_at = time.monotonic()
             self._in_use, self.status.sender = sender, sender[0]
@@ -169,23 +174,11 @@ class UdpSource:
             return True
         return self._in_use is not None and address == self._in_use[0] and self._continues(data)
 
-    def _ignore(self, address: str, port: int) -> None:
-        status = self.status
-        rival = self._in_use is not None and address == self._in_use[0]
-        status.rivals += rival
-        name = f"{address} port {port}" if rival else address
-        if name in status.others or len(status.others) < _MAX_SENDERS_COUNTED:
-            status.others[name] = status.others.get(name, 0) + 1
-
     def _set_trouble(self, trouble: str) -> None:
         changed, self.status.trouble = trouble != self.status.trouble, trouble
         self._tried.set()
         if changed:
             self._on_change()
-
-    def _explain(self, error: OSError) -> str:
-        reason = error.strerror or error
-        return f"cannot listen on {self._address} port {self._port}: {reason}; retrying every second"
 
 
 def _kernel_time(control: list[tuple[int, int, bytes]]) -> int:
