@@ -9,7 +9,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import NoReturn
 
@@ -20,12 +20,11 @@ from .car import Car, read_car
 from .drive import RecordedDrive
 from .files import LogFile, Mf4File, TruthFile, make_folder
 from .ncom_wire import NcomWire, Origin
-from .plant import Truth
 from .scenarios import SCENARIOS, load
 from .sensors import Ins, SteeringSensor
 from .settings import SETTINGS, SimulationError, overrides, resolve
 from .simulation import SimulatedCar
-from .stream import Kind, Source, Stream, Wires, send
+from .stream import Report, Source, Stream, Wires, send
 
 DEFAULT_DURATION = 60.0
 START_GRID_NS = 20_000_000
@@ -44,7 +43,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         options = _parser().parse_args(arguments)
         if options.list:
-            _print_lists()
+            for name, (_, meaning) in SCENARIOS.items():
+                print(f"{name:28} {meaning}")
+            for s in SETTINGS.values():
+                print(f"{s.name:28} {s.group}: {s.meaning} [{s.unit}], null {s.null:g}, {s.low:g} to {s.high:g}")
         elif options.to_files:
             _to_files(options, stop)
         else:
@@ -75,11 +77,11 @@ class _Stop:
         for number in (signal.SIGINT, signal.SIGTERM):
             # ValueError: not in the main thread (tests, embedding programs), which receives no signals.
             with contextlib.suppress(ValueError):
-                signal.signal(number, self._on_signal)
+                signal.signal(number, self._receive)
                 # The interpreter removes handlers before it exits; a signal would then turn success into failure.
                 atexit.register(signal.signal, number, signal.SIG_IGN)
 
-    def _on_signal(self, *_: object) -> None:
+    def _receive(self, *_: object) -> None:
         self._received = True
 
     def __call__(self) -> bool:
@@ -115,24 +117,20 @@ class _Run:
 
 
 def _bus(options: argparse.Namespace) -> tuple[Path, Path]:
-    """DBC and signal table of the Leaf, also for other cars: in the folder of the vehicle file, else in a config."""
-    folder = options.vehicle.resolve().parent
-    tables = [(config / "can" / "leaf_ze0.dbc", config / "can" / "leaf_ze0.yaml") for config in _configs(options)]
+    """DBC and signal table of the Leaf, also for other cars: in the folder of the vehicle file, else in the given
+    config folder, else in those of the vehicle file, of the checkout and of the current folders."""
+    folder, configs = options.vehicle.resolve().parent, [options.config]
+    if not options.config:
+        checkout, here = os.environ.get("ST_ENVIRONMENT"), Path.cwd()
+        roots = [*([Path(checkout)] if checkout else []), here, *here.parents]
+        configs = [options.vehicle.absolute().parent.parent, *(root / "config" for root in roots)]
+    tables = [(config / "can" / "leaf_ze0.dbc", config / "can" / "leaf_ze0.yaml") for config in configs]
     for dbc, signals in ((folder / "can.dbc", folder / "signals.yaml"), *tables):
         usable = dbc.exists() and signals.exists() and (options.config is None or dbc.is_relative_to(options.config))
         if usable and f"{STEERING_MESSAGE}:" in signals.read_text(encoding="utf-8"):
             return dbc, signals
     raise SimulationError(f"--config {options.config or 'is missing'}: can/leaf_ze0.dbc and can/leaf_ze0.yaml, the CAN "
                           "tables of the virtual car, are in config/ of the project; give that folder")
-
-
-def _configs(options: argparse.Namespace) -> list[Path]:
-    """The given folder; else that of the vehicle file, then those of the checkout and of the current folders."""
-    if options.config:
-        return [options.config]
-    checkout, here = os.environ.get("ST_ENVIRONMENT"), Path.cwd()
-    roots = [*([Path(checkout)] if checkout else []), here, *here.parents]
-    return [options.vehicle.absolute().parent.parent, *(root / "config" for root in roots)]
 
 
 def _prepare(options: argparse.Namespace) -> _Run:
@@ -197,25 +195,20 @@ def _live(options: argparse.Namespace, stop: Callable[[], bool]) -> None:
         now_ns, monotonic = time.time_ns(), time.monotonic()
         start_ns = -(-(now_ns + LEAD_NS) // START_GRID_NS) * START_GRID_NS
         started = monotonic + (start_ns - now_ns) / 1e9
-        record_truth: Callable[[Truth], None] = _discard
         truth = None
         if options.output:
             truth = TruthFile(make_folder("--output", options.output) / "truth.mcap", start_ns, run.settings, run.about)
             resources.callback(truth.close)
-            record_truth = truth.write
         outputs = run.stream(options, start_ns).outputs(run.duration)
-        _raise_priority()
+        # Priority over ordinary processes, if permitted, to keep the deadlines.
+        with contextlib.suppress(PermissionError):
+            os.setpriority(os.PRIO_PROCESS, 0, -10)
         time.sleep(max(0.0, started - time.monotonic()))
         _report(state="sending", start_ns=start_ns, duration=run.duration)
-        report = send(outputs, wires, record_truth, started, stop)
+        send(outputs, wires.send_ncom, wires.send_frame, truth.write if truth else None, stop, wires.report,
+             started)
     faults = {"fault": truth.fault} if truth and truth.fault else {}
-    _report(state="done", **report.as_dict(), **faults)
-
-
-def _raise_priority() -> None:
-    """Run with priority over ordinary processes, if permitted, to keep the deadlines."""
-    with contextlib.suppress(PermissionError):
-        os.setpriority(os.PRIO_PROCESS, 0, -10)
+    _report(state="done", **asdict(wires.report), **faults)
 
 
 def _to_files(options: argparse.Namespace, stop: Callable[[], bool]) -> None:
@@ -231,38 +224,17 @@ def _to_files(options: argparse.Namespace, stop: Callable[[], bool]) -> None:
         files.callback(frames.close)
         truth = TruthFile(folder / "truth.mcap", start_ns, run.settings, run.about)
         files.callback(truth.close)
-        written = 0.0
-        for output in run.stream(options, start_ns).outputs(run.duration):
-            if stop():
-                break
-            if output.kind is Kind.NCOM:
-                ncom.write(output.payload)
-            elif output.kind is Kind.CAN:
-                frames.write(start_ns + round((output.due * (1 + drift) + offset) * 1e9), output.payload)
-            else:
-                truth.write(output.payload)
-            written = output.due
+        written = send(
+            run.stream(options, start_ns).outputs(run.duration), ncom.write,
+            lambda frame, due: frames.write(start_ns + round((due * (1 + drift) + offset) * 1e9), frame),
+            truth.write, stop, Report())
     _report(state="done", duration=round(written, 3), seconds=round(time.monotonic() - began, 3))
-
-
-def _discard(truth: Truth) -> None:
-    pass
 
 
 def _report(**values: object) -> None:
     """Print one line of JSON; a closed pipe is ignored."""
     with contextlib.suppress(BrokenPipeError):
         print(json.dumps(values), flush=True)
-
-
-def _print_lists() -> None:
-    for name, (_, meaning) in SCENARIOS.items():
-        print(f"{name:28} {meaning}")
-    for setting in SETTINGS.values():
-        print(
-            f"{setting.name:28} {setting.group}: {setting.meaning} [{setting.unit}], null {setting.null:g}, "
-            f"{setting.low:g} to {setting.high:g}"
-        )
 
 
 class _Parser(argparse.ArgumentParser):
@@ -285,7 +257,7 @@ def _parser() -> argparse.ArgumentParser:
         help="folder with can/leaf_ze0.dbc and .yaml; default: the one --vehicle is in, else that of the checkout",
     )
     parser.add_argument("--duration", type=float, metavar="S", help="default 60 s, a recorded drive to its end")
-    parser.add_argument("--seed", type=_seed, default=0, help="of everything random")
+    parser.add_argument("--seed", type=_within(0, 2**31 - 1), default=0, help="of everything random")
     parser.add_argument("--plant", help="ideal, realistic (default) or FILE.yaml with {preset: ..., name: value}")
     parser.add_argument(
         "--effect", nargs="+", action="extend", default=[], metavar="NAME=VALUE", help="settings on top; see --list"
@@ -293,7 +265,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--origin", default=DEFAULT_ORIGIN, metavar="LAT,LON,HEIGHT", help="of the map [deg, deg, m]")
     parser.add_argument("--startup", action="store_true", help="begin with the start-up of the unit instead of locked")
     parser.add_argument("--ncom-host", default="127.0.0.1")
-    parser.add_argument("--ncom-port", type=_port, default=3000)
+    parser.add_argument("--ncom-port", type=_within(1, 65535), default=3000)
     parser.add_argument("--ncom-rate", type=int, choices=(100, 250), default=100)
     parser.add_argument("--can-interface", default="udp_multicast")
     parser.add_argument("--can-channel", default="239.74.163.2")
@@ -315,18 +287,16 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _seed(text: str) -> int:
-    value = int(text)
-    if not 0 <= value < 2**31:
-        raise argparse.ArgumentTypeError(f"{value} is not within 0 to {2**31 - 1}")
-    return value
+def _within(low: int, high: int) -> Callable[[str], int]:
+    """Type of an option: a whole number in a range."""
 
+    def convert(text: str) -> int:
+        if not low <= int(text) <= high:
+            raise argparse.ArgumentTypeError(f"{int(text)} is not within {low} to {high}")
+        return int(text)
 
-def _port(text: str) -> int:
-    value = int(text)
-    if not 1 <= value <= 65535:
-        raise argparse.ArgumentTypeError(f"{value} is not within 1 to 65535")
-    return value
+    convert.__name__ = "int"  # in argparse's message about a text that is not a number
+    return convert
 
 
 if __name__ == "__main__":

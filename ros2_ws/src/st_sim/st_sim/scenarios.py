@@ -10,10 +10,11 @@ from functools import partial
 from pathlib import Path as FilePath
 from typing import Any, Protocol
 
+from canedge_bridge.table_reader import read_document
 from st_core.manoeuvres import CATALOGUE, Lines, Manoeuvre
 
 from .path import Path, Piece, SpeedProfile, lane_shift, straight, turn
-from .settings import SimulationError, read_document
+from .settings import SimulationError
 
 Hands = Callable[[float], float]
 """Wheelbase of the car [m] -> road-wheel angle [rad, left +]."""
@@ -115,10 +116,8 @@ class OpenLoopPlan:
         return self._manoeuvre.speed
 
     def demand(self, time: float, distance: float, speed: float) -> Demand:
-        return Demand(self._manoeuvre.speed, 0.0, partial(self._hands, time) if time >= 0 else "path")
-
-    def _hands(self, time: float, wheelbase: float) -> float:
-        return float(self._manoeuvre.steering(time, wheelbase))
+        hands = partial(self._manoeuvre.steering, time)
+        return Demand(self._manoeuvre.speed, 0.0, (lambda wheelbase: float(hands(wheelbase))) if time >= 0 else "path")
 
 
 def plan_of(manoeuvre: Manoeuvre) -> Plan:
@@ -211,7 +210,7 @@ def load(name: str) -> Plan:
 
 
 def _from_file(file: FilePath) -> Plan:
-    document = read_document(file)
+    document = read_document(file, SimulationError)
     try:
         pieces = [piece for row in document["road"] for piece in _pieces(row)]
         if not pieces:

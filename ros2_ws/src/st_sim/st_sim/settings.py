@@ -8,26 +8,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
-from st_core import plain_yaml
-from st_core.errors import ConfigurationError
+from canedge_bridge.table_reader import read_document
 
 Settings = Mapping[str, float]
 
 
 class SimulationError(ValueError):
     """A wrong argument or file, in one line that names file or option, key and limit."""
-
-
-def read_document(path: Path) -> Any:
-    """Content of a YAML file of plain values. Raises SimulationError naming the file."""
-    try:
-        return plain_yaml.load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SimulationError(f"{path}: cannot be read: {error.strerror}") from None
-    except (ConfigurationError, UnicodeDecodeError) as error:
-        raise SimulationError(f"{path}: {error}") from None
 
 
 @dataclass(frozen=True)
@@ -109,7 +97,7 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType({row[0]: Setting(*row) for ro
 IDEAL: Settings = MappingProxyType({s.name: s.null for s in SETTINGS.values()})
 
 # Chosen so that the prediction errors of the paper's three models are those of the real car (test_pattern.py). Front
-# tyres are stiffer than in the file, whose axle stiffness includes compliance, roll steer and load transfer.
+# tyres are stiffer than in the file: its axle stiffness includes compliance, roll steer and load transfer.
 REALISTIC: Settings = MappingProxyType(
     {
         **IDEAL,
@@ -165,7 +153,7 @@ def overrides(settings: Settings) -> dict[str, float]:
 def _from_file(path: Path) -> dict[str, float]:
     if not path.is_file():
         raise SimulationError(f"--plant {path}: neither {' nor '.join(PRESETS)} nor a readable file")
-    document = read_document(path)
+    document = read_document(path, SimulationError)
     if not isinstance(document, dict):
         raise SimulationError(f"{path}: not a mapping of settings to values")
     preset = document.pop("preset", "ideal")

@@ -4,7 +4,7 @@ import heapq
 import socket
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, NamedTuple, Protocol
 
@@ -164,9 +164,6 @@ class Report:
     late: int = 0
     worst_delay: float = 0.0
 
-    def as_dict(self) -> dict[str, float]:
-        return asdict(self)
-
 
 class Wires:
     """UDP socket and CAN bus. Raises SimulationError naming the option that does not work."""
@@ -192,7 +189,7 @@ class Wires:
             # No receiver or a full buffer: not detected by a real unit either.
             pass
 
-    def send_frame(self, frame: Frame) -> None:
+    def send_frame(self, frame: Frame, due: float) -> None:
         try:
             self._bus.send(frame.message)
             self.report.can_frames += 1
@@ -206,32 +203,37 @@ class Wires:
 
 def send(
     outputs: Iterable[Output],
-    wires: Wires,
-    record_truth: Callable[[Truth], None],
-    started: float,
+    send_ncom: Callable[[bytes], object],
+    send_frame: Callable[[Frame, float], object],
+    record_truth: Callable[[Truth], None] | None,
     stopped: Callable[[], bool],
-) -> Report:
+    report: Report,
+    started: float | None = None,
+) -> float:
     """Send outputs at absolute deadlines, late ones at once; ends with the outputs or when stopped() is true.
 
-    started: monotonic time of the start of the drive [s].
+    started: monotonic time of the start of the drive [s]; None: without deadlines, as fast as possible. Returns the
+    time of the last output [s since the start].
     """
-    report = wires.report
+    due = 0.0
     for output in outputs:
-        deadline = started + output.due
+        deadline = time.monotonic() if started is None else started + output.due
         wait = deadline - time.monotonic()
         # Frames of one instant are sent together; a packet is never sent before its time of measurement.
         if wait > (0.0 if output.kind is Kind.NCOM else EARLY):
             time.sleep(wait)
         if stopped():
             break
-        if output.kind is Kind.NCOM:
-            wires.send_ncom(output.payload)
-        elif output.kind is Kind.CAN:
-            wires.send_frame(output.payload)
-        else:
-            record_truth(output.payload)
+        due = output.due
+        if output.kind is Kind.TRUTH:
+            if record_truth is not None:
+                record_truth(output.payload)
             continue
+        if output.kind is Kind.NCOM:
+            send_ncom(output.payload)
+        else:
+            send_frame(output.payload, due)
         delay = time.monotonic() - deadline
         report.worst_delay = max(report.worst_delay, delay)
         report.late += delay > LATE
-    return report
+    return due
