@@ -14,14 +14,14 @@ class TableError(ValueError):
     """A DBC or signal table that cannot be used. Its text is the one line a user sees."""
 
 
-def read_document(path: Path, refusal: type[ValueError] = TableError) -> Any:
-    """The content of a YAML file of plain values. Raises `refusal` naming the file."""
+def read_document(path: Path) -> Any:
+    """The content of a YAML file of plain values. Raises TableError naming the file."""
     try:
         return plain_yaml.load(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise refusal(f"{path}: cannot be read: {error.strerror}") from None
+        raise TableError(f"{path}: cannot be read: {error.strerror}") from None
     except (ConfigurationError, UnicodeDecodeError) as error:
-        raise refusal(f"{path}: invalid YAML: {error}") from None
+        raise TableError(f"{path}: invalid YAML: {error}") from None
 
 
 def words(error: object, limit: int = 300) -> str:

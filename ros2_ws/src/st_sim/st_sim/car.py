@@ -9,9 +9,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from canedge_bridge.table_reader import read_document
-
-from .settings import SimulationError
+from .settings import SimulationError, read_document
 
 GRAVITY = 9.81
 """m/s^2, as in st_core."""
@@ -69,7 +67,7 @@ _TYRE_KEYS = tuple(one.name for one in fields(Tyre) if one.name != "lambda_ky")
 def read_car(file: str | Path) -> Car:
     """The car of a vehicle file. Raises SimulationError, one line naming file and key."""
     path = Path(file)
-    document = read_document(path, SimulationError)
+    document = read_document(path)
     if not isinstance(document, Mapping):
         raise SimulationError(f"{path}: not a mapping of keys to values")
     values = {key: _number(document, key, path, "") for key in _CAR_KEYS}

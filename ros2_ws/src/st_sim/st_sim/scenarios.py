@@ -10,11 +10,10 @@ from functools import partial
 from pathlib import Path as FilePath
 from typing import Any, Protocol
 
-from canedge_bridge.table_reader import read_document
 from st_core.manoeuvres import CATALOGUE, Lines, Manoeuvre
 
 from .path import Path, Piece, SpeedProfile, lane_shift, straight, turn
-from .settings import SimulationError
+from .settings import SimulationError, read_document
 
 Hands = Callable[[float], float]
 """Wheelbase of the car [m] -> road-wheel angle [rad, left +]."""
@@ -210,7 +209,7 @@ def load(name: str) -> Plan:
 
 
 def _from_file(file: FilePath) -> Plan:
-    document = read_document(file, SimulationError)
+    document = read_document(file)
     try:
         pieces = [piece for row in document["road"] for piece in _pieces(row)]
         if not pieces:

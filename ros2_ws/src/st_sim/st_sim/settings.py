@@ -8,14 +8,26 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
-from canedge_bridge.table_reader import read_document
+from st_core import plain_yaml
+from st_core.errors import ConfigurationError
 
 Settings = Mapping[str, float]
 
 
 class SimulationError(ValueError):
     """A wrong argument or file, in one line that names file or option, key and limit."""
+
+
+def read_document(path: Path) -> Any:
+    """Content of a YAML file of plain values. Raises SimulationError naming the file."""
+    try:
+        return plain_yaml.load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SimulationError(f"{path}: cannot be read: {error.strerror}") from None
+    except (ConfigurationError, UnicodeDecodeError) as error:
+        raise SimulationError(f"{path}: {error}") from None
 
 
 @dataclass(frozen=True)
@@ -153,7 +165,7 @@ def overrides(settings: Settings) -> dict[str, float]:
 def _from_file(path: Path) -> dict[str, float]:
     if not path.is_file():
         raise SimulationError(f"--plant {path}: neither {' nor '.join(PRESETS)} nor a readable file")
-    document = read_document(path, SimulationError)
+    document = read_document(path)
     if not isinstance(document, dict):
         raise SimulationError(f"{path}: not a mapping of settings to values")
     preset = document.pop("preset", "ideal")
