@@ -98,7 +98,7 @@ def test_wrong_options_are_one_line(drive, tmp_path, arguments, said):
 def test_no_recording_and_a_broken_one(drive, tmp_path):
     broken = tmp_path / "broken.csv"
     broken.write_text(drive.read_text().replace("yaw_rate", "something"))
-    for path, said in ((tmp_path / "none.csv", "there is no such file"), (broken, "broken.csv")):
+    for path, said in ((tmp_path / "none.csv", "the file does not exist"), (broken, "broken.csv")):
         result = discover(path, "--output", tmp_path / "o")
         assert result.exit_code == 2 and "no run can be used: " in result.output and said in result.output
 
@@ -114,7 +114,7 @@ def test_rows_without_a_number_are_left_out_and_said(drive, tmp_path):
         drive.write_text("\n".join([first, *(",".join(row) for row in cells)]) + "\n")
     with_nan(slice(100, 150))
     read = read_drive(find_runs([drive])[0], car(LEAF), ReadSettings(), None)
-    assert "yaw_rate (column yaw_rate): 50 of 400 rows (12 %) hold no number" in read.about["warnings"][0]
+    assert "yaw_rate (column yaw_rate): 50 of 400 rows (12 %) have no number" in read.about["warnings"][0]
     with_nan(slice(None))
     result = discover(drive, "--output", tmp_path / "o")
     assert result.exit_code == 2 and "fewer than two usable rows" in result.output

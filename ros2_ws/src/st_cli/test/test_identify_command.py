@@ -173,7 +173,7 @@ def test_other_wrong_arguments(tmp_path):
     result = st("identify", "weight", tmp_path)
     assert result.exit_code == 2 and "no experiment 'weight'; there are scales" in result.output
     result = st("identify", "scales", tmp_path / "none.csv", "--output", tmp_path / "out")
-    assert result.exit_code == 2 and "there is no such file" in result.output
+    assert result.exit_code == 2 and "the file does not exist" in result.output
     result = st("identify", "scales", "--output", tmp_path / "out")
     assert result.exit_code == 2 and "scales: " in result.output
     (tmp_path / "full").mkdir()

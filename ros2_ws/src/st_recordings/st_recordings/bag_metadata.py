@@ -206,7 +206,7 @@ def type_hash(type_name: str) -> str:
     for entry in document["type_hashes"]:
         if entry["type_name"] == type_name:
             return str(entry["hash_string"])
-    raise UnknownTypeError(f"message type {type_name}: its description file holds no hash")
+    raise UnknownTypeError(f"message type {type_name}: its description file has no hash")
 
 
 def _short(type_name: str) -> str:

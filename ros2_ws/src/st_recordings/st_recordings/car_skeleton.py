@@ -80,7 +80,7 @@ BU_: CAR RT LOGGER
 // BO_ 37 MyCar_Steering: 8 CAR
 //  SG_ SteerAngle : 0|16@1- (0.1,0) [-3276.8|3276.7] "deg" LOGGER
 // start bit | length @ 1: low byte first, 0: high byte first; - signed, + unsigned; (factor,offset) [least|greatest].
-// A multiplexed signal (m0 beside a selector M) is read from the frames that carry it.
+// A multiplexed signal (m0 with a selector M) is read from the frames that carry it.
 // If the OxTS RT sends on the same bus, append its messages: cat rt.dbc >> can.dbc
 """
 CAR = """\
@@ -102,7 +102,9 @@ def write_skeleton(folder: Path) -> list[Path]:
 
     Raises RunError for a folder that is not empty, or cannot be written.
     """
-    texts = {"vehicle.yaml": _vehicle(), "signals.yaml": _signals(), "can.dbc": DBC, "rt.dbc": _rt(), "car.yaml": CAR}
+    blocks = re.split(r"\n(?=\S)", _leaf("can.dbc"))
+    rt = "\n" + "".join(f"{block.rstrip()}\n\n" for block in blocks if re.match(r"BO_ \d+ RT_", block))
+    texts = {"vehicle.yaml": _vehicle(), "signals.yaml": _signals(), "can.dbc": DBC, "rt.dbc": rt, "car.yaml": CAR}
     try:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise RunError(folder, "is there already, and nothing is overwritten", "name a new folder")
@@ -270,6 +272,3 @@ def _signals() -> str:
     return head + SIGNALS + rest[rest.index("  # The INS on CAN"):]
 
 
-def _rt() -> str:
-    blocks = re.split(r"\n(?=\S)", _leaf("can.dbc"))
-    return "\n" + "".join(f"{block.rstrip()}\n\n" for block in blocks if re.match(r"BO_ \d+ RT_", block))

@@ -1,7 +1,7 @@
 """Writes a bag: a directory NAME/ with NAME_0.mcap and metadata.yaml, as `ros2 bag record` of ROS 2 Jazzy makes it.
 
 No ROS import; message definitions come from the installed interface packages (bag_metadata.py) or from the caller.
-`recover` (recovery.py) repairs a bag whose writer was killed.
+`recover` (recovery.py) repairs a bag after its writer was killed.
 """
 
 import contextlib
@@ -40,9 +40,9 @@ _MESSAGE_HEAD = 22  # of which inside the record
 class BagWriter:
     """One bag being written.
 
-    A full or failing disk does not raise: the bag ends at its last whole chunk, is closed there, `error` says why, and
-    later messages are counted in `lost`. Where the file is no longer found under its name (its directory was renamed or
-    deleted) it is closed whole wherever it is now, `error` says so and `moved` is set.
+    A full or failing disk does not raise: the bag is closed at its last whole chunk, `error` has the reason, and
+    later messages are counted in `lost`. A file that was renamed or deleted is closed whole, `error` reports it and
+    `moved` is set.
     """
 
     def __init__(self, directory: Path | str, records: Mapping[str, Mapping[str, str]] | None = None,
@@ -53,11 +53,11 @@ class BagWriter:
             directory: must not exist, or be empty; nothing is ever overwritten.
             records: MCAP metadata records, name -> {key: text}; short one-line texts also go to `custom_data` of
                 metadata.yaml as "name.key".
-            synced: each chunk is brought to the disk as soon as it is written, by a separate thread: a loss of power
+            synced: each chunk is brought to the disk at once, by a separate thread: a loss of power
                 costs the last second. For live recordings.
 
         Raises:
-            OSError: cannot be created, or (FileExistsError) holds something already.
+            OSError: cannot be created, or (FileExistsError) is not empty.
         """
         self.directory = Path(directory).absolute()
         self.error = ""
@@ -67,7 +67,7 @@ class BagWriter:
         self._topics: list[Topic] = []
         self._schemas: dict[str, int] = {}
         if self.directory.is_dir() and any(self.directory.iterdir()):
-            raise FileExistsError(f"{self.directory} holds files already and is not overwritten; name another one")
+            raise FileExistsError(f"{self.directory} has files already and is not overwritten; name another one")
         self.directory.mkdir(parents=True, exist_ok=True)
         self.path = self.directory / f"{self.directory.name}_0.mcap"
         self._bag_file = BagFile(self.path.name)
@@ -102,7 +102,7 @@ class BagWriter:
     ) -> int:
         """Announces a topic of type "pkg/msg/Type" and returns its id for `write`.
 
-        definition, type_hash: default to those of the installed package; raises UnknownTypeError where there is none.
+        definition, type_hash: default to those of the installed package; raises UnknownTypeError without one.
         """
         definition = definition or bag_metadata.definition(type_name)
         type_hash = type_hash or bag_metadata.type_hash(type_name)

@@ -16,7 +16,7 @@ class OutputError(OSError):
 
 
 def new_folder(given: Path | None, name: str, create: bool = True) -> Path:
-    """The folder given, or runs/<name>-<time>; never one that already holds something. Raises OutputError."""
+    """The folder given, or runs/<name>-<time>; never one with files in it. Raises OutputError."""
     folder = given or Path("runs") / f"{name}-{datetime.now(UTC):%Y%m%d-%H%M%S}"
     try:
         if folder.exists() and (folder.is_file() or any(folder.iterdir())):
@@ -26,7 +26,7 @@ def new_folder(given: Path | None, name: str, create: bool = True) -> Path:
             folder.mkdir(parents=True, exist_ok=True)
             if (free := shutil.disk_usage(folder).free) < LEAST_ROOM:
                 raise OutputError(f"{folder}: its disk is full ({free / 1e6:.1f} MB left, {LEAST_ROOM / 1e6:.0f} MB "
-                                  "wanted): free some room, or name another --output")
+                                  "required): free some room, or name another --output")
     except OutputError:
         raise
     except OSError as error:

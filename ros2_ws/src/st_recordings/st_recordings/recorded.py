@@ -19,7 +19,7 @@ from .runs.cdr import field_of, typestore
 PREDICTION, ERROR = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
 PLANNED = "st_msgs/msg/PlannedPrediction"
 STATE = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
-A_JUMP = "position jumps"  # likewise (alignment.MeasurementHistory)
+A_JUMP = "position jumps"  # in the same reason (alignment.MeasurementHistory)
 THE_END = ": ends "  # in the evaluator's reason when a signal has no later sample (timeseries.TimeSeries.why_unknown)
 Progress = Callable[[int, int], None]
 
@@ -72,7 +72,7 @@ class Scores:
 
 @dataclass(frozen=True)
 class RecordedConfiguration:
-    """Configuration that a recording was made with, as far as it is in it; else None.
+    """Configuration of a recording; None for what it does not include.
 
     vehicle: text of the vehicle file. nodes: parameters by node.
     """

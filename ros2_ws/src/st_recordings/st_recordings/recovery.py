@@ -1,7 +1,7 @@
 """Repairs a bag or an MCAP file that was cut by a crash, a kill or a full disk.
 
 Every whole chunk is kept byte for byte; what is missing behind it (indexes, summary, footer, metadata.yaml) is
-rebuilt. The original stays beside the repaired file as NAME.mcap.cut. A bag that needs no repair is left alone.
+rebuilt. The original is kept as NAME.mcap.cut. A bag that needs no repair is left alone.
 """
 
 import contextlib
@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
+from itertools import count
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -40,7 +41,7 @@ class FileReport:
     """What was found in one file. messages, bytes: kept; lost_bytes: cut or damaged, not kept."""
 
     path: Path
-    whole: bool = False  # has a good end and no damage: left as it is
+    whole: bool = False  # has a good end and no damage: unchanged
     messages: int = 0
     kept_bytes: int = 0
     lost_bytes: int = 0
@@ -72,7 +73,7 @@ class RecoveryReport:
         lines = []
         for found in self.files:
             seconds = (found.end_ns - found.start_ns) / 1e9
-            state = "whole, left as it is" if found.whole else f"repaired, {found.lost_bytes} bytes could not be kept"
+            state = "whole, unchanged" if found.whole else f"repaired, {found.lost_bytes} bytes could not be kept"
             damage = f", {found.damaged_records} damaged records left out" if found.damaged_records else ""
             original = f", the original is {found.original.name}" if found.original else ""
             span = f"{found.messages} messages over {seconds:.1f} s"
@@ -113,7 +114,7 @@ def recover(path: Path | str, output: Path | str | None = None) -> RecoveryRepor
 def _recover_directory(source: Path, target: Path) -> RecoveryReport:
     files = sorted(source.glob("*.mcap"), key=_number)
     if not files:
-        raise RecoveryError(f"{source} holds no .mcap file")
+        raise RecoveryError(f"{source} has no .mcap file")
     report = RecoveryReport(target)
     if target != source:
         target.mkdir(parents=True)
@@ -228,26 +229,15 @@ def _write_repaired(stream: BinaryIO, size: int, source: Path, target: Path, fou
     except OSError:
         temporary.unlink(missing_ok=True)
         raise
-    _put_in_place(source, target, temporary, found)
-    return contents
-
-
-def _put_in_place(source: Path, target: Path, temporary: Path, found: FileReport) -> None:
     if target == source:
-        found.original = _free_name(source)
+        names = (source.with_name(f"{source.name}.cut{number if number > 1 else ''}") for number in count(1))
+        found.original = next(name for name in names if not name.exists())
         try:
             os.link(source, found.original)  # so that NAME.mcap exists at every moment
         except OSError:
             source.rename(found.original)  # no hard links on this file system
     temporary.replace(target)
-
-
-def _free_name(source: Path) -> Path:
-    for number in range(1, 1000):
-        name = source.with_name(f"{source.name}.cut{number if number > 1 else ''}")
-        if not name.exists():
-            return name
-    raise RecoveryError(f"{source}: too many .cut files in its folder")
+    return contents
 
 
 def _topic_counts(contents: list[Contents]) -> dict[str, int]:

@@ -181,7 +181,7 @@ def summarise(results: Results, about: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_summary(path: Path, summary: dict[str, Any]) -> None:
-    """Whole or not at all: on a full disk there is no empty file that looks like a result."""
+    """Writes the file whole or, on a full disk, not at all."""
     part = path.with_name(f"{path.name}.part")
     try:
         part.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n")

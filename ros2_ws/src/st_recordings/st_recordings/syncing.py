@@ -14,12 +14,12 @@ class Syncer:
     """fdatasync of one file in a thread of its own, after each `wake`.
 
     error: of the disk, empty without one. It stays: data refused once may be missing, whatever the
-    system says afterwards. longest: the slowest so far [s].
+    system reports afterwards. longest: the slowest so far [s].
     """
 
     def __init__(self, descriptor: int, folders: Sequence[Path]):
-        """folders: whose lists of files are brought to the disk once, with the first data: a file nobody can find by
-        its name is lost too.
+        """folders: brought to the disk once, with the first data: a file without its directory entry is
+        lost too.
         """
         # One of its own: the writer's may be closed, and its number given to another file, at any moment.
         self._descriptor = os.dup(descriptor)
@@ -49,7 +49,7 @@ class Syncer:
         return time.monotonic() - min(waiting) if waiting else 0.0
 
     def stop(self) -> None:
-        """Returns when the file is no longer used; what was not synced stays so."""
+        """Returns when the thread has ended; what was not synced stays so."""
         with self._condition:
             self._stopped = True
             self._condition.notify()

@@ -179,8 +179,8 @@ def test_a_log_under_the_wrong_extension_is_read_as_what_it_is(tmp_path: Path) -
     [
         ("empty.MF4", b"", "the file is empty"),
         ("text.MF4", b"time,value\n1,2\n", "this is not an MF4 file"),
-        ("noise.log", bytes(range(256)) * 10, "this is no CAN log that can be read"),
-        ("packets.asc", b"\xe7" + bytes(71), "this is no CAN log that can be read"),
+        ("noise.log", bytes(range(256)) * 10, "this is not a CAN log of a known format"),
+        ("packets.asc", b"\xe7" + bytes(71), "this is not a CAN log of a known format"),
         ("nothing.log", b"(1.0) can0 002#nonsense\n", "no whole frame is in it"),
     ],
 )
@@ -201,7 +201,7 @@ def test_a_cut_text_log_is_read_up_to_there(tmp_path: Path) -> None:
 
 def test_an_mf4_without_can_frames(tmp_path: Path) -> None:
     file = write_layout_2(tmp_path / "quiet.MF4", START_NS, [])
-    with pytest.raises(RunError, match=r"quiet\.MF4: the log holds no CAN frames"):
+    with pytest.raises(RunError, match=r"quiet\.MF4: no CAN frames are in the log"):
         read_can_logs([file])
 
 

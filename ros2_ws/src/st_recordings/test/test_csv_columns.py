@@ -214,7 +214,7 @@ def test_a_channel_of_a_lower_rate_has_lost_nothing(tmp_path: Path) -> None:
     drive = read_csv(spoilt(write(tmp_path / "d.csv", names), {**sparse, (6, len(names) - 1): ""}), LEAF)
     assert (len(drive.log.x), len(drive.log.steering_wheel_angle)) == (N, N // 2 - 1)
     assert drive.auxiliary.missing == {"steering_wheel_angle": 1}
-    assert "1 of 60 rows (1.7 %) hold no number" in drive.warnings[0]
+    assert "1 of 60 rows (1.7 %) have no number" in drive.warnings[0]
 
 
 def test_a_hole_in_an_acceleration_costs_nothing_else(tmp_path: Path) -> None:
@@ -222,7 +222,7 @@ def test_a_hole_in_an_acceleration_costs_nothing_else(tmp_path: Path) -> None:
     assert np.isnan(drive.log.acceleration_y).sum() == 10
     assert_whole(drive.log, but=("acceleration_y",))
     assert drive.auxiliary.missing == {"acceleration_y": 10}
-    assert "10 of 60 rows (17 %) hold no number; it is not known there" in drive.warnings[0]
+    assert "10 of 60 rows (17 %) have no number; it is not known there" in drive.warnings[0]
 
 
 def test_a_channel_that_is_mostly_bad_is_said(tmp_path: Path) -> None:
@@ -231,12 +231,12 @@ def test_a_channel_that_is_mostly_bad_is_said(tmp_path: Path) -> None:
                   {(k, column): "n/a" for k in range(40) for column in (2, 7, 10)})
     drive = read_csv(file, LEAF)
     said = "\n".join(drive.warnings)
-    assert "y (column y): 40 of 60 rows (67 %) hold no number, more than half; these samples of the INS were" in said
-    assert "acceleration_x (column ax): 40 of 60 rows (67 %) hold no number, more than half; it is not used" in said
-    assert "steering_wheel_angle (column swa) holds no number in more than half of the rows; it is not used" in said
+    assert "y (column y): 40 of 60 rows (67 %) have no number, more than half; these samples of the INS were" in said
+    assert "acceleration_x (column ax): 40 of 60 rows (67 %) have no number, more than half; it is not used" in said
+    assert "steering_wheel_angle (column swa) has no number in more than half of the rows; it is not used" in said
     assert drive.log.acceleration_x is None and drive.log.steering_wheel_angle is None
     assert (len(drive.log.x), len(drive.log.road_wheel_angle)) == (20, N)
-    with pytest.raises(RunError, match="fewer than two usable rows are in it: y holds no number in 59 of 60"):
+    with pytest.raises(RunError, match="fewer than two usable rows are in it: y has no number in 59 of 60"):
         read_csv(spoilt(file, {(k, 2): "n/a" for k in range(59)}))
 
 
@@ -248,7 +248,7 @@ def test_rows_without_a_time_and_out_of_order_are_counted_and_handed_on(tmp_path
     stamps = drive.auxiliary.stamps["INS"]
     assert len(stamps) == N - 2 and (np.diff(stamps) == 0).sum() == 1 and (np.diff(stamps) < 0).sum() == 1
     assert any("2 of 58 rows (3.4 %) are not newer than all before" in w for w in drive.warnings)
-    assert any("time (column t): 2 of 60 rows (3.3 %) hold no number; these rows" in w for w in drive.warnings)
+    assert any("time (column t): 2 of 60 rows (3.3 %) have no number; these rows" in w for w in drive.warnings)
 
 
 def test_times_that_are_no_seconds_ask_for_their_unit(tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ def test_rows_that_cannot_be_used_are_left_out_and_counted(tmp_path: Path) -> No
     assert [w.split(": ", 1)[1] for w in warnings] == [
         "the last row is cut; it was left out",
         "1 of 100 rows (1 %) are not newer than all before; they were left out",
-        "velocity_x (column vx): 1 of 100 rows (1 %) hold no number; these samples of the INS were left out",
+        "velocity_x (column vx): 1 of 100 rows (1 %) have no number; these samples of the INS were left out",
     ]
 
 

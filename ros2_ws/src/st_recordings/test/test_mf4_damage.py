@@ -52,21 +52,21 @@ def damaged(tmp_path: Path, place: str, layout: str, value: object) -> Path:
         ("byte", "<I", 2**32 - 1, "ends at byte 4294967297 of a record"),
         ("bits", "<I", 80, "has 80 bits from bit 0 of its byte on"),
         ("bit", "<B", 9, "has 11 bits from bit 9 of its byte on"),
-        ("data type", "<B", 10, "the ID of its frames is no whole number"),
+        ("data type", "<B", 10, "the ID of its frames is not an integer"),
         ("name", "<16s", b"CAN_DataFrame.II", "its frames have no ID"),
         ("composition", "<Q", 0, "its frames have no ID"),
         ("size", "<I", 2**30, "has records of 1073741824 bytes"),
         ("flags", "<H", 7, "have channels and no fixed length"),
         ("size of identifiers", "<B", 3, "has record identifiers of 3 bytes"),
         ("next data group", "<Q", 64, "its index leads to byte 64 twice"),
-        ("next channel", "<Q", 0, "the log holds no CAN frames"),
+        ("next channel", "<Q", 0, "no CAN frames are in the log"),
         ("next channel", "<Q", 2**63, "its index points to byte 9223372036854775808"),
         ("kind", "<B", 0, "its frames have no time"),
-        ("type of time", "<B", 15, "is the time and no real number"),
-        ("factor", "<d", math.nan, "makes no times of its numbers"),
-        ("factor", "<d", 1e307, "the times of its frames are no times"),
-        ("factor", "<d", 1e200, "the times of its frames are no times"),
-        ("times", "<d", -1e12, "the times of its frames are no times"),
+        ("type of time", "<B", 15, "is the time and not a real number"),
+        ("factor", "<d", math.nan, "gives invalid times"),
+        ("factor", "<d", 1e307, "the times of its frames are invalid"),
+        ("factor", "<d", 1e200, "the times of its frames are invalid"),
+        ("times", "<d", -1e12, "the times of its frames are invalid"),
     ],
 )
 def test_a_damaged_description_is_one_sentence(tmp_path, capfd, place, layout, value, what):
@@ -106,5 +106,5 @@ def test_a_frame_whose_payload_is_nowhere(tmp_path, offset):
     struct.pack_into("<Q", content, records + 1 + 14, offset)
     file = tmp_path / "log.MF4"
     file.write_bytes(content)
-    with pytest.raises(RunError, match="payloads are not where its frames say"):
+    with pytest.raises(RunError, match="payloads are not at the places given in its frames"):
         read_mf4(file)

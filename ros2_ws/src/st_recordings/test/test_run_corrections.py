@@ -79,7 +79,7 @@ def test_what_was_corrected_is_said_everywhere(tmp_path: Path) -> None:
     run = loaded(tmp_path, "correct: {yaw_rate: {scale: 0.01745}}\nleave_out: [[2, 3.5]]")
     phrases = ("yaw_rate x 0.01745", "INS left out from 2 to 3.5 s")
     assert run.auxiliary.corrected == phrases and run.provenance["corrected"] == list(phrases)
-    assert any(w.endswith("corrected as its run.yaml says: " + "; ".join(phrases)) for w in run.warnings)
+    assert any(w.endswith("corrected by its run.yaml: " + "; ".join(phrases)) for w in run.warnings)
     plain = loaded(tmp_path, "")
     assert plain.auxiliary.corrected == () and not plain.warnings and "corrected" not in plain.provenance
     assert plain.provenance["columns"]["velocity_x"] == "vx [m/s, assumed]"
@@ -98,8 +98,8 @@ def test_labels_stay_with_what_they_name(tmp_path: Path) -> None:
     ("columns: {yaw: 3}", "columns: yaw: 3 is not the name of a column"),
     ("columns: {yaw: course}", r"columns: yaw: drive\.csv has no column 'course'; it has t, x, y"),
     ("units: {speed: km/h}", "units: speed is not known"),
-    ("units: {yaw: m}", "units: yaw: 'm' is no unit of angle; known are rad, deg, mrad"),
-    ("units: {yaw: 57.3}", "units: yaw: '57.3' is no unit of angle"),
+    ("units: {yaw: m}", "units: yaw: 'm' is not a unit of angle; known are rad, deg, mrad"),
+    ("units: {yaw: 57.3}", "units: yaw: '57.3' is not a unit of angle"),
     ("correct: {speed: {scale: 2}}", "correct: speed is not known; known are x, y, position"),
     ("correct: {yaw: 2}", "correct: yaw: expected a mapping; known keys are scale, add, earlier"),
     ("correct: {yaw: {factor: 2}}", "correct: yaw: factor is not known; known are scale, add, earlier"),

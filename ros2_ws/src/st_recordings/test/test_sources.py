@@ -62,9 +62,9 @@ def test_what_has_no_partner_says_so(tmp_path: Path) -> None:
     assert len(runs) == 2
     assert all("give them the same name, or list the files of each run" in str(run.problem) for run in runs)
     alone = find_runs(touch(tmp_path / "alone", "d.log"))
-    assert "there is no INS recording (.ncom, CSV, bag) for this CAN log" in str(alone[0].problem)
+    assert "no INS recording (.ncom, CSV, bag) belongs to this CAN log" in str(alone[0].problem)
     lonely = find_runs(touch(tmp_path / "lonely", "e.ncom"))
-    assert "there is no CAN log with the same stem" in str(lonely[0].problem)
+    assert "no CAN log has the same stem" in str(lonely[0].problem)
 
 
 def test_a_folder_of_everything(tmp_path: Path) -> None:
@@ -87,8 +87,8 @@ def test_a_folder_of_everything(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("path", "message"),
     [
-        ("nowhere.ncom", "there is no such file or folder; looked for in /"),
-        ("note.txt", r"there is no such file or folder; looked for in .*, did you mean notes\.txt\?"),
+        ("nowhere.ncom", "the file or folder does not exist; looked for in /"),
+        ("note.txt", r"the file or folder does not exist; looked for in .*, did you mean notes\.txt\?"),
         ("notes.txt", r"the extension \.txt is not one of a recording; known are .*\.ncom"),
         ("folder", "no recording is in this folder"),
     ],

@@ -4,7 +4,7 @@
         try:
             run = read(source, vehicle)
         except RunError as error:
-            ...            # one sentence for the user; the rest of the batch goes on
+            ...            # one sentence for the user; the batch continues
 """
 
 from .errors import RunError

@@ -76,7 +76,7 @@ def is_bag(path: Path) -> bool:
     return (path / "metadata.yaml").is_file() if path.is_dir() else path.suffix.lower() in EXTENSIONS
 
 
-def holds_odometry(path: Path) -> bool:
+def has_odometry(path: Path) -> bool:
     """A look at the list of topics, for folders with all kinds of recordings; True where it cannot be decided."""
     if path.is_dir() and (path / "metadata.yaml").is_file():
         try:
@@ -100,7 +100,7 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
 
     steering: where the steering angle is in a recording of another make; default st_msgs/Steering. odometry: its
     topic, where several are of type nav_msgs/Odometry. splits: files of one recording in order; default those of path.
-    Raises RunError for what is no bag, was not closed, or lacks one of the two.
+    Raises RunError for a file that is not a bag, was not closed, or lacks one of the two.
     """
     storage, records = open_bag(path, splits), records_of(path)
     topics_there = storage.topics()
@@ -146,15 +146,14 @@ def read_odometry(path: Path, odometry: str | None = None) -> InsLog:
     storage = open_bag(path)
     store = _store_of(storage, storage.topics(), None)
     topic = _odometry_topic(path, storage.topics(), odometry)
-    columns = storage.columns({topic: _ODOMETRY_FIELDS}, store).get(topic.name) or _one_by_one(
-        path, storage, topic, _ODOMETRY_FIELDS, store)
+    columns = _numbers(path, storage, topic, _ODOMETRY_FIELDS, store)
     notes = _set_stamps(storage, {ODOMETRY: topic.name}, {ODOMETRY: columns})
     ins_ns, values, _, more = _odometry_rows(columns)
     return planar(path, ins_ns, values, tuple(f"{path}: {note}" for note in (*notes, *more)))
 
 
 def lacks_steering(path: Path) -> bool:
-    """Whether a bag holds odometry and no steering topic of the suite: its steering may be in a CAN log."""
+    """Whether a bag has odometry and no steering topic of the suite: its steering may be in a CAN log."""
     try:
         types = {t.type_name for t in open_bag(path).topics() if t.count}
     except RunError:
@@ -228,11 +227,11 @@ def open_bag(path: Path, splits: Sequence[Path] = ()) -> Storage:
 def numbers(path: Path, storage: Storage, topic: str, fields: Sequence[str]) -> dict[str, np.ndarray] | None:
     """Numbers of all messages of a topic (cdr.Layout), None where there are none. Raises RunError."""
     found = next((t for t in storage.topics() if t.name == topic and t.count), None)
-    return _numbers(path, storage, found, fields) if found else None
+    return _numbers(path, storage, found, fields, typestore(definitions())) if found else None
 
 
-def _numbers(path: Path, storage: Storage, topic: Topic, fields: Sequence[str]) -> dict[str, np.ndarray]:
-    store = typestore(definitions())
+def _numbers(path: Path, storage: Storage, topic: Topic, fields: Sequence[str],
+             store: Typestore) -> dict[str, np.ndarray]:
     return storage.columns({topic: fields}, store).get(topic.name) or _one_by_one(path, storage, topic, fields, store)
 
 
@@ -266,7 +265,7 @@ def _topic(path: Path, topics: Sequence[Topic], type_name: str) -> Topic:
     found = [t for t in topics if t.type_name == type_name and t.count]
     if not found:
         what = ", ".join(sorted(f"{t.name} ({t.type_name})" for t in topics if t.count))[:300] or "no messages"
-        other = ", or name the topic that holds the angle with --steering-topic" if type_name == STEERING else ""
+        other = ", or name the topic with the angle by --steering-topic" if type_name == STEERING else ""
         raise RunError(path, f"no message of type {type_name} is in it; it has {what}",
                        f"record the topic {PREFERRED[type_name]} too{other}")
     preferred = [t for t in found if t.name.endswith(PREFERRED[type_name])] or found
@@ -333,6 +332,6 @@ def _rising(time_ns: np.ndarray, good: np.ndarray, what: str) -> tuple[np.ndarra
     notes = []
     if (lost := len(time) - len(rows)):
         why = "a usable value" if (time[good] != 0).all() else "a usable value or a stamp"
-        notes.append(f"{share(lost, len(time), what)} hold no {why.removeprefix('a ')}; they were left out")
+        notes.append(f"{share(lost, len(time), what)} have no {why.removeprefix('a ')}; they were left out")
     kept, more = usable_rows(time[rows], what)
     return time[rows[kept]], rows[kept], [*notes, *more]

@@ -1,7 +1,7 @@
 """The storages of rosbag2 behind one small interface: which topics there are, and the bytes of one of them.
 
 MCAP and sqlite3 are read here, because a library that looks at every definition in a bag stops at the first foreign
-one it does not understand; what else rosbag2 can write (compressed files and messages) goes through rosbags.
+one it does not understand; what else rosbag2 can write (compressed files and messages) is read by rosbags.
 """
 
 import re
@@ -49,10 +49,10 @@ class Storage(Protocol):
         """(log time [ns], message), in the order of the file."""
 
     def columns(self, fields: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
-        """Some numbers of all messages (cdr.Layout) by topic, without the topics whose messages differ in layout."""
+        """Some numbers of all messages (cdr.Layout) by topic, without topics of varying layout."""
 
     def definitions(self) -> dict[str, tuple[str, str]]:
-        """Type -> (ros2msg or ros2idl, definition), as far as the recording holds them."""
+        """Type -> (ros2msg or ros2idl, definition), as far as they are in the recording."""
 
 
 def open_storage(path: Path, files: Sequence[Path], store: Typestore) -> Storage:
@@ -127,7 +127,7 @@ class Mcap:
                 stream.seek(-min(8, file.stat().st_size), 2)
                 tail = stream.read(8)
             if head != MCAP_MAGIC:
-                raise RunError(file, "cannot be read as a bag (not MCAP)", "give it the extension of what it is")
+                raise RunError(file, "cannot be read as a bag (not MCAP)", "correct its extension")
             summary = summary_of(file)
             if summary is None and tail != MCAP_MAGIC:
                 raise RunError(file, "cannot be read as a bag (it was not closed)", NOT_CLOSED)

@@ -92,7 +92,8 @@ def _read_one(file: Path) -> tuple[Frames, int, bool, Sequence[str]]:
         if file.suffix.lower() in MF4_EXTENSIONS:
             read_mf4(file)  # raises the reason why it is not a valid MF4
         known = ", ".join(["MF4", *(f.name for f in FORMATS)])
-        raise RunError(file, f"this is no CAN log that can be read ({known})", "take it off the list, or convert it")
+        raise RunError(file, f"this is not a CAN log of a known format ({known})",
+                       "remove it from the command, or convert it")
     notes = []
     if file.suffix.lower() not in found.extensions:
         notes.append(f"is a {found.name} log under the extension {file.suffix or '(none)'}; read as what it is")
@@ -112,7 +113,7 @@ def _through_python_can(file: Path, kind: Format) -> tuple[Frames, list[str]]:
         what = f"cannot be read as a {kind.name} log ({_short(error)})"
         raise RunError(file, what, "copy or export it again") from None
     if not parts:
-        what = f"no whole frame is in it ({'; '.join(found.notes)})" if found.notes else "the log holds no frames"
+        what = f"no whole frame is in it ({'; '.join(found.notes)})" if found.notes else "no frames are in the log"
         raise RunError(file, what, "copy or export it again")
     frames, steps = continued(in_file_order(parts))
     return joined([frames]), found.notes + set_back(steps)
@@ -135,7 +136,7 @@ def _columns(messages: Sequence[can.Message]) -> Frames:
 
 
 def _bus(channel: Any) -> int:
-    """Number of a bus as in MF4, from 1: can0 -> 1, channel 0 -> 1; 0 where there is none."""
+    """Number of a bus as in MF4, from 1: can0 -> 1, channel 0 -> 1; 0 if unknown."""
     if isinstance(channel, int):
         return (channel + 1) % 256
     digits = "".join(itertools.takewhile(str.isdigit, reversed(str(channel or ""))))[::-1]

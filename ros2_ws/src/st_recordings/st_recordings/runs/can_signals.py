@@ -20,7 +20,7 @@ class Signal:
     """One signal of the table as one message carries it: SI, sign as in the table.
 
     time_ns: when the frame was logged, strictly increasing. valid: False where a counter or checksum set to `warn` was
-    wrong. rows: the frames it came from, places in Frames.
+    wrong. rows: of its frames in Frames.
     """
 
     name: str
@@ -154,7 +154,7 @@ def check_frames(spec: MessageSpec, payload: np.ndarray, time_ns: np.ndarray,
 def plausible(signal: SignalSpec, spec: MessageSpec, time_ns: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Per frame: in range, within reach, and not isolated among implausible ones (canedge_bridge.decode.Plausibility).
 
-    Unlike the live decoder this knows the frames that follow: the first ones after a bad stretch are used too.
+    Unlike the live decoder it uses the frames that follow: the first ones after a bad stretch are accepted too.
     """
     physical = values / signal.factor
     in_range = (physical >= signal.minimum) & (physical <= signal.maximum)

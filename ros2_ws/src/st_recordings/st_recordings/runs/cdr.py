@@ -1,8 +1,8 @@
 """Many ROS messages of one type at once: columns to serialised bytes (CDR) and back, without a Python object each,
 straight out of the chunks of an MCAP file.
 
-A message whose texts and sequence lengths are the same in all instances is a fixed row of bytes. Where each number lies
-in it follows from the definition and one example, so it follows a changed definition.
+Messages with the same texts and sequence lengths are rows of bytes of one layout. The place of each number follows from
+the definition and one example.
 """
 
 import os

@@ -20,7 +20,7 @@ INS_ON_CAN = (0.002, 0.002)
 WHEEL_SPEED = (0.015, 0.015)
 STEERING_LEAD = (-0.06, 0.06)
 
-NO_INS_FRAMES = "the log holds no INS frames that the DBC describes (RT_..., rt.dbc of `st car new`)"
+NO_INS_FRAMES = "the log has no INS frames that the DBC describes (RT_..., rt.dbc of `st car new`)"
 
 # Least standard deviation with information [m/s, rad/s, rad, 1/m].
 SMALLEST = {"speed": 0.3, "rate": 0.01, "angle": 0.05, "curvature": 0.001}
@@ -137,7 +137,7 @@ def align_clocks(ins: Motion, can: CanSignals, offset: float | None = None, sear
     elif ins.absolute and (frames := _time_frames(can)) is not None:
         result = _checked_time_frame(frames, pairs if not warning else [], latency)
     elif not pairs:
-        return refused("the CAN log holds no signal that the INS recording has too; give the offset by hand"), pairs
+        return refused("the CAN log and the INS recording have no signal in common; give the offset by hand"), pairs
     else:
         result = align(pairs, search=search)
         if result.ambiguous and search is None and ins.absolute:
@@ -172,7 +172,9 @@ def _checked_time_frame(frames: Signal, pairs: list[SharedSignal], latency: tupl
         return result
     # Near the time frame's own answer: on a proving ground the same lap fits many times.
     offset = result.offset_at_ns(result.at_ns) * 1e-9
-    check = align(_one_of_each(pairs), search=(offset - CHECKED_WITHIN, offset + CHECKED_WITHIN))
+    # The first message of velocity, yaw rate and yaw; a second one of the same confirms nothing.
+    firsts = list({pair.name.partition(" (")[0]: pair for pair in reversed(pairs)}.values())[::-1]
+    check = align(firsts, search=(offset - CHECKED_WITHIN, offset + CHECKED_WITHIN))
     if check.verdict is Verdict.REFUSED:
         return result.doubted(f"the shared signals do not confirm it: {check.reasons[-1]}")
     difference = (check.offset_at_ns(check.at_ns) - result.offset_at_ns(check.at_ns)) * 1e-9
@@ -180,11 +182,6 @@ def _checked_time_frame(frames: Signal, pairs: list[SharedSignal], latency: tupl
     if abs(difference) > METHODS_DIFFER:
         return result.doubted(f"the shared signals put the offset {difference * 1e3:+.0f} ms away")
     return result
-
-
-def _one_of_each(pairs: list[SharedSignal]) -> list[SharedSignal]:
-    """The first message of velocity, yaw rate and yaw; a second one of the same confirms nothing."""
-    return list({pair.name.partition(" (")[0]: pair for pair in reversed(pairs)}.values())[::-1]
 
 
 def _time_frames(can: CanSignals) -> Signal | None:

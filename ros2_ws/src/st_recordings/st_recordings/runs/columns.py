@@ -48,16 +48,6 @@ def unit_named(kind: str, text: str) -> str | None:
     return _KNOWN[kind].get(plain(text))
 
 
-def kind_of(unit: str) -> str:
-    """The kind of quantity an SI unit is of."""
-    return next(kind for kind, units in UNITS.items() if unit in units)
-
-
-def factor(kind: str, unit: str) -> float:
-    """SI value of one of this unit."""
-    return UNITS[kind][unit][0]
-
-
 @dataclass(frozen=True)
 class Channel:
     """kind: of quantity, a key of UNITS. names: of columns, the first that is there is taken. meaning: for the user.
@@ -83,13 +73,13 @@ COLUMNS: Mapping[str, Channel] = {
     "y": Channel("length", "position of the INS point, north or along the map's y", _words(
         "y pos_y position_y y_pos y_position py north northing n_pos y_north y_enu y_map local_y utm_y utm_n "
         "utm_northing pose_y pose_position_y pose_pose_position_y")),
-    "latitude": Channel("latitude or longitude", "north +; with the longitude, read where there is no x and y", _words(
+    "latitude": Channel("latitude or longitude", "north +; with the longitude, read if x and y are missing", _words(
         "latitude lat gps_latitude gps_lat latitude_deg")),
     "longitude": Channel("latitude or longitude", "east +; origin of the map is the first row", _words(
         "longitude long lon lng gps_longitude gps_long gps_lon")),
     "yaw": Channel("angle", "from east (the map's x), counter-clockwise", _words(
         "yaw yaw_angle yaw_iso yaw_enu heading_enu psi psi_iso theta phi")),
-    "compass_heading": Channel("angle", "clockwise from north; read where there is no yaw: yaw = 90° - heading", _words(
+    "compass_heading": Channel("angle", "clockwise from north; read if yaw is missing: yaw = 90° - heading", _words(
         "compass_heading heading heading_angle angle_heading heading_ned heading_north heading_true true_heading "
         "compass azimuth yaw_ned")),
     "velocity_x": Channel("speed", "forward, body axes, at the INS point", _words(
@@ -128,8 +118,8 @@ COLUMNS: Mapping[str, Channel] = {
         "wheel_speed_rear_right wheel_speed_rr ws_rr v_rr rear_right_wheel_speed")),
     "vehicle_speed": Channel("speed", "the car's own speed signal, or of all wheels; for checks", _words(
         "vehicle_speed car_speed can_speed speed_can abs_speed odometer_speed wheel_speed wheel_speeds")),
-    **{name: Channel(kind_of(about.unit), about.recorded, (name,)) for name, about in CHANNELS.items()
-       if about.recorded},
+    **{name: Channel(next(kind for kind, units in UNITS.items() if about.unit in units), about.recorded, (name,))
+       for name, about in CHANNELS.items() if about.recorded},
 }
 """The one table of columns; docs/csv_columns.md is made from it (test_csv_columns.py)."""
 
@@ -164,7 +154,7 @@ class Place:
 
     @property
     def factor(self) -> float:
-        return factor(self.kind, self.unit)
+        return UNITS[self.kind][self.unit][0]
 
 
 def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, Place]:
@@ -180,7 +170,8 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
         # A name without a column may be a channel: {x: y, y: x} exchanges the axes.
         taken = found.get(named) if named not in names else None
         number = taken[1].column if taken else _number_of(file, names, named, channel, layout)
-        places[channel] = _place(number, names[number], channel, _unit_in(names[number], COLUMNS[channel].kind))
+        stated = (unit_named(COLUMNS[channel].kind, unit) for base, unit in _splits(names[number]) if unit and base)
+        places[channel] = _place(number, names[number], channel, next(filter(None, stated), None))
     if "compass_heading" in layout.columns and "yaw" not in layout.columns:
         places.pop("yaw", None)
     for channel, unit in layout.units.items():
@@ -221,10 +212,6 @@ def _meanings(name: str) -> list[tuple[str, int, str | None]]:
             elif known := unit_named(COLUMNS[channel].kind, unit):
                 meanings.append((channel, rank, known))
     return meanings[:1]
-
-
-def _unit_in(name: str, kind: str) -> str | None:
-    return next((known for base, unit in _splits(name) if unit and base and (known := unit_named(kind, unit))), None)
 
 
 def _splits(name: str) -> list[tuple[str, str]]:

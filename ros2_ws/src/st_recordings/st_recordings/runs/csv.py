@@ -79,8 +79,9 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
     ins = table.used & known(columns, INS_SIGNALS)
     steered = table.used & known(columns, used)
     if min(ins.sum(), steered.sum()) < 2:
-        raise RunError(file, f"fewer than two usable rows are in it{_blame(missing, table)}",
-                       "remove it from the command")
+        worst = max(missing, key=lambda name: missing[name], default="")
+        why = f": {worst} has no number in {missing[worst]} of {len(table.time_ns) + table.timeless}" if worst else ""
+        raise RunError(file, f"fewer than two usable rows are in it{why}", "remove it from the command")
     values = {name: columns[name][ins] for name in INS_SIGNALS}
     values["yaw"] = np.unwrap(yaw_scale * values["yaw"])
     values |= {name: columns[name][ins] for name in OPTIONAL_INS_SIGNALS if mostly_known(columns.get(name))}
@@ -90,7 +91,8 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
     except StCoreError as error:
         raise RunError(file, str(error)) from None
     speeds = {name: (table.time_ns[table.used], columns[name][table.used]) for name in SPEEDS if name in columns}
-    extras = AuxiliaryData({"INS": _judged_stamps(table)}, missing, car_speed(speeds))
+    first, last = np.flatnonzero(table.used)[[0, -1]]  # of the stretch that is used
+    extras = AuxiliaryData({"INS": table.time_ns[first : last + 1]}, missing, car_speed(speeds))
     taken = {channel: f"{place.name} [{place.unit}{'' if place.stated else ', assumed'}]"
              for channel, place in table.places.items()}
     return CsvDrive(log, taken, extras, tuple(notes))
@@ -118,12 +120,12 @@ def read_motion(file: Path, layout: Layout | None = None) -> tuple[Motion, tuple
     columns = dict(table.columns)
     if "yaw" not in columns and COMPASS in columns:
         columns["yaw"] = np.pi / 2 - columns[COMPASS]
-    used = tuple(name for name in (*MOTION, "yaw") if name in MOTION or _any_known(columns, name))
+    used = (*MOTION, "yaw") if "yaw" in columns and np.isfinite(columns["yaw"]).any() else MOTION
     rows = table.used & known(columns, used)
     if rows.sum() < 2:
         raise RunError(file, "fewer than two usable rows are in it", "remove it from the command")
     if (lost := int((table.used & ~rows).sum())):
-        notes.append(f"{file}: {share(lost, len(rows), 'rows')} hold no number somewhere; they were left out")
+        notes.append(f"{file}: {share(lost, len(rows), 'rows')} have no number somewhere; they were left out")
     values = {name: columns[name][rows] for name in used}
     return Motion(table.time_ns[rows], values["velocity_x"], values["yaw_rate"], values.get("yaw"),
                   table.absolute), tuple(notes)
@@ -161,7 +163,7 @@ def _check_columns(table: Table, needed: tuple[str, ...], can: str = "") -> None
     doubtful = doubtful_steering(table.names)
     if ROAD in needed and ROAD not in table.places and WHEEL not in table.places:
         raise RunError(table.file, f"column {doubtful} may be of the steering wheel or of the road wheels",
-                       f"say which: --steering-field {doubtful} --steering-is wheel (or road); or in a run.yaml, as "
+                       f"declare it: --steering-field {doubtful} --steering-is wheel (or road); or in a run.yaml, as "
                        f"columns: {{{WHEEL}: {doubtful}}} or {{{ROAD}: {doubtful}}}")
 
 
@@ -208,12 +210,6 @@ def _spread_held_positions(table: Table, columns: dict[str, np.ndarray], notes: 
                  "Hz; they were interpolated between")
 
 
-def _judged_stamps(table: Table) -> np.ndarray:
-    """Stamps of the stretch that is used: what was left out of the others is a warning of its own."""
-    rows = np.flatnonzero(table.used)
-    return table.time_ns[rows[0] : rows[-1] + 1] if len(rows) else table.time_ns
-
-
 def _steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehicleParameters | None,
               steering: SteeringField | None, notes: list[str]) -> tuple[str, ...]:
     """The steering channels that are used; the road wheel angle is added where only the hand wheel is there."""
@@ -228,7 +224,7 @@ def _steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehiclePara
         columns[ROAD] = vehicle.road_wheel_angle(columns[WHEEL])
         return (WHEEL,)
     if WHEEL in columns and _lost_samples(columns[WHEEL]) > 0.5 * len(columns[WHEEL]):
-        notes.append(f"{table.file}: {WHEEL} (column {table.places[WHEEL].name}) holds no number in more than half of "
+        notes.append(f"{table.file}: {WHEEL} (column {table.places[WHEEL].name}) has no number in more than half of "
                      "the rows; it is not used, the road wheel angle is")
         return (ROAD,)
     return (ROAD, WHEEL) if WHEEL in columns else (ROAD,)
@@ -250,7 +246,7 @@ def _missing(table: Table, columns: Mapping[str, np.ndarray], steering: tuple[st
                    ("it is not used" if half else "it is not known there") if name in OPTIONAL_INS_SIGNALS else
                    f"these samples of the {'steering' if name in steering else 'INS'} were left out")
         column = f" (column {place.name})" if place else ""
-        notes.append(f"{table.file}: {name}{column}: {share(count, total, 'rows')} hold no number"
+        notes.append(f"{table.file}: {name}{column}: {share(count, total, 'rows')} have no number"
                      f"{', more than half' if half else ''}; {follows}")
     return lost if ROAD in steering else {ROAD if name == WHEEL else name: count for name, count in lost.items()}
 
@@ -266,12 +262,3 @@ def _lost_samples(column: np.ndarray) -> int:
     return round((known[-1] - known[0]) / step) + 1 - len(known) if regular else len(column) - len(known)
 
 
-def _blame(missing: Mapping[str, int], table: Table) -> str:
-    if not missing:
-        return ""
-    worst = max(missing, key=lambda name: missing[name])
-    return f": {worst} holds no number in {missing[worst]} of {len(table.time_ns) + table.timeless}"
-
-
-def _any_known(columns: Mapping[str, np.ndarray], name: str) -> bool:
-    return name in columns and bool(np.isfinite(columns[name]).any())

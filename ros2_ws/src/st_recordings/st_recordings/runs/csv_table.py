@@ -18,16 +18,17 @@ HEADER_WITHIN = 60  # lines; exports of loggers have some lines of their own bef
 MISSING = frozenset(("", "-", "--", "nan", "na", "n/a", "#n/a", "#na", "null", "none", "inf", "-inf", "+inf", "nil"))
 _GROUPS = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+") for mark in ",."}
 _GROUPED_CELL = re.compile(r"(?:^|[;\t])\s*[+-]?[1-9]\d{0,2}(?:,\d{3})+\s*(?=[;\t\r\n]|$)", re.MULTILINE)
+_NUMERIC = re.compile(r'[\s"]*[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?[\s"]*')
 _SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # how a spreadsheet marks its delimiter
 _SPACES = re.compile(r"(?<=\d)[\u00a0\u202f\u2009'](?=\d{3}(?!\d))")
 
 
 @dataclass(frozen=True)
 class Table:
-    """names: of all columns. places: of the channels. columns: channel -> values in SI, NaN where there is no number.
+    """names: of all columns. places: of the channels. columns: channel -> values in SI, NaN for a missing number.
 
     time_ns: of all rows that have a time, in the order of the file; rows without one are left out and counted in
-    `timeless`. used: of these rows, those whose time rises (times.usable_rows). warnings name the file.
+    `timeless`. used: of these rows, those with rising time (ins_log.usable_rows). warnings name the file.
     """
 
     file: Path
@@ -62,7 +63,7 @@ def _decoded(file: Path, size: int) -> str:
         return raw.decode("utf-8-sig", "strict" if size < 0 else "ignore")
     except UnicodeDecodeError:
         if b"\0" in raw[:4096] or sum(byte > 0x7F for byte in raw[:4096]) > 0.3 * len(raw[:4096]):
-            raise RunError(file, "this is not a text file", "give it the extension of what it is") from None
+            raise RunError(file, "this is not a text file", "correct its extension") from None
         return raw.decode("cp1252", "replace")
 
 
@@ -105,7 +106,7 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
     seconds = columns.pop("t")
     timed = np.abs(seconds) <= LATEST
     if not timed.any() and np.isfinite(seconds).any():
-        raise RunError(file, f"times like {np.nanmax(np.abs(seconds)):.3g} in column {places['t'].name} are no "
+        raise RunError(file, f"times like {np.nanmax(np.abs(seconds)):.3g} in column {places['t'].name} are not in "
                        f"{places['t'].unit}", "declare their unit in a run.yaml, as units: {t: ns}")
     # Microseconds: what decimal seconds since 1970 still carry as a float.
     time_ns = np.round(seconds[timed] * 1e6).astype(np.int64) * 1000
@@ -143,7 +144,7 @@ def _with_unit_row(file: Path, places: dict[str, Place], body: str, delimiter: s
     """Places with the units of a row below the names, and the rest of the body.
 
     A first row without any number is a row of units, unless its cells only mark missing values. Raises
-    RunError for a cell that is no unit of its channel, as a unit in brackets behind a name would not be one either.
+    RunError for a cell that is not a unit of its channel.
     """
     first, _, rest = body.partition("\n")
     cells = [cell.strip(' \r"') for cell in first.split(delimiter)]
@@ -158,7 +159,7 @@ def _with_unit_row(file: Path, places: dict[str, Place], body: str, delimiter: s
         kind = COLUMNS[channel].kind
         unit = unit_named(kind, text)
         if unit is None:
-            raise RunError(file, f"unit row: {text[:40]!r} of column {places[channel].name} is no unit of {kind}",
+            raise RunError(file, f"unit row: {text[:40]!r} of column {places[channel].name} is not a unit of {kind}",
                            f"known are {', '.join(UNITS[kind])}; or set it in a run.yaml, as units: {{{channel}: ...}}")
         found[channel] = replace(places[channel], unit=unit, stated=True)
     return found, rest
@@ -183,7 +184,8 @@ def _with_points(file: Path, body: str, delimiter: str) -> str:
     marks = {"," if cell.rfind(",") > cell.rfind(".") else "." for cell in commas & points}
     for mark, with_it, other in ((",", commas, "."), (".", points, ",")):
         single = {cell for cell in with_it if other not in cell}
-        if any(cell.count(mark) == 1 and not _GROUPS[mark].fullmatch(cell) and _is_number(cell) for cell in single):
+        if any(cell.count(mark) == 1 and not _GROUPS[mark].fullmatch(cell) and
+               np.isfinite(_number(cell.replace(",", "."))) for cell in single):
             marks.add(mark)
         elif any(cell.count(mark) > 1 for cell in single if _GROUPS[mark].fullmatch(cell)):
             marks.add(other)
@@ -196,8 +198,9 @@ def _with_points(file: Path, body: str, delimiter: str) -> str:
         return "\n".join(delimiter.join(cell.replace(",", ".") for cell in row) for row in table)
     decimal = next(iter(marks), ",")
     separator = "." if decimal == "," else ","
-    return "\n".join(delimiter.join(cell.replace(separator, "").replace(decimal, ".") if _looks_numeric(cell) else cell
-                                    for cell in row) for row in table)
+    return "\n".join(
+        delimiter.join(cell.replace(separator, "").replace(decimal, ".") if _NUMERIC.fullmatch(cell) else cell
+                       for cell in row) for row in table)
 
 
 def _cells(file: Path, lines: Iterable[str], delimiter: str) -> list[list[str]]:
@@ -205,14 +208,6 @@ def _cells(file: Path, lines: Iterable[str], delimiter: str) -> list[list[str]]:
         return list(csv.reader(lines, delimiter=delimiter, skipinitialspace=delimiter == " "))
     except csv.Error as error:
         raise RunError(file, f"a row cannot be read ({error})", "correct or remove that row") from None
-
-
-def _looks_numeric(cell: str) -> bool:
-    return bool(re.fullmatch(r'[\s"]*[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?[\s"]*', cell))
-
-
-def _is_number(cell: str) -> bool:
-    return np.isfinite(_number(cell.replace(",", ".")))
 
 
 def _rows(file: Path, body: str, delimiter: str, width: int, warnings: list[str]) -> np.ndarray:

@@ -26,9 +26,9 @@ def check_readable(path: Path) -> None:
     """Raises RunError for a file that is missing, empty or not to be opened."""
     try:
         if not path.is_file():
-            raise RunError(path, "there is no such file" if not path.exists() else "this is a folder, not a file")
+            raise RunError(path, "the file does not exist" if not path.exists() else "this is a folder, not a file")
         with path.open("rb") as stream:
             if not stream.read(1):
-                raise RunError(path, "the file is empty", "it holds no recording: take it off the list")
+                raise RunError(path, "the file is empty", "remove it from the command")
     except OSError as error:
         raise RunError(path, f"cannot be read: {error.strerror}") from None

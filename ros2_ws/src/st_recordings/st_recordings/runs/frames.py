@@ -125,8 +125,8 @@ _TEXT = 12  # where the length of frame_id lies
 def read_frames(messages: Iterable[bytes]) -> Frames:
     """Frames in order of arrival. Raises ValueError for a message that is none, or is damaged.
 
-    The k-th frame of all messages is read at once: a frame says how long it is, so within a message one follows from
-    the one before.
+    The k-th frame of all messages is read at once: each frame has its length, so within a message its place
+    follows from the one before.
     """
     parts = list(messages)
     firsts, counts = zip(*map(_first, parts), strict=True) if parts else ((), ())

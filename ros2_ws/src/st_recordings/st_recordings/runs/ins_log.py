@@ -114,7 +114,7 @@ LAST_STEP = 10.0
 
 
 def usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list[str]]:
-    """(rows whose time rises strictly, warnings with the share that is not used).
+    """(rows of strictly rising time, warnings with the share that is not used).
 
     time_ns: (n,) int64 in the order of the recording. what: of the rows, in the plural. Single rows that are not newer
     than all before are left out. Where that costs more than LOST_SHARE, the clock was set back while recording: the

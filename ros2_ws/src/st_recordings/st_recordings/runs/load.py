@@ -35,7 +35,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
         raise source.problem
     # Hashing does not hold the interpreter; it is done when the rest is.
     with ThreadPoolExecutor(1) as pool:
-        digests = pool.submit(hashes, source)
+        digests = pool.submit(file_hashes, (*source.files, *source.can))
         loaded = _read(source, vehicle, settings)
     start_ns = int(loaded.log.ins_time_ns[0]) if len(loaded.log.ins_time_ns) else 0
     log, implausible = plausible(loaded.log, start_ns)
@@ -65,13 +65,6 @@ def _read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSe
     return reader.read(source, vehicle, settings)
 
 
-def _left_to_correct(source: RunSource) -> dict[str, Correction]:
-    corrections = dict(source.settings.get("correct", {}))
-    if "yaw" in corrections and READERS[source.kind].scales_yaw:
-        corrections["yaw"] = replace(corrections["yaw"], scale=1.0)
-    return corrections
-
-
 def treated(source: RunSource, run: LoadedRun, vehicle: VehicleParameters | None) -> LoadedRun:
     """The run as its run.yaml corrects it. Labels stay with what they name, though the first samples may go.
 
@@ -82,15 +75,18 @@ def treated(source: RunSource, run: LoadedRun, vehicle: VehicleParameters | None
                *(f"INS left out from {start:g} to {end:g} s" for start, end in left_out))
     if not phrases:
         return run
+    corrections: dict[str, Correction] = dict(source.settings.get("correct", {}))
+    if "yaw" in corrections and READERS[source.kind].scales_yaw:
+        corrections["yaw"] = replace(corrections["yaw"], scale=1.0)
     try:
-        log = corrected(run.log, _left_to_correct(source), vehicle, left_out)
+        log = corrected(run.log, corrections, vehicle, left_out)
     except StCoreError as error:
         raise RunError(source.where, str(error)) from None
     cut = (int(log.ins_time_ns[0]) - int(run.log.ins_time_ns[0])) * 1e-9 if len(log.ins_time_ns) else 0.0
     labels = tuple(replace(label, start=label.start - cut, end=label.end - cut) for label in run.labels)
     return replace(
         run, log=log, labels=labels, provenance={**run.provenance, "corrected": list(phrases)},
-        warnings=(*run.warnings, f"{source.where}: corrected as its run.yaml says: {'; '.join(phrases)}"),
+        warnings=(*run.warnings, f"{source.where}: corrected by its run.yaml: {'; '.join(phrases)}"),
         auxiliary=replace(run.auxiliary, corrected=phrases))
 
 
@@ -102,11 +98,6 @@ def check_common_time(source: RunSource, ins_ns: np.ndarray, steering_ns: np.nda
     if min(ins_ns[-1], steering_ns[-1]) <= max(ins_ns[0], steering_ns[0]):
         raise RunError(source.where, "INS and steering were not recorded at the same time",
                        "check that the files belong to one drive (and the offset, if it was given by hand)")
-
-
-def hashes(source: RunSource) -> dict[str, str]:
-    """Path -> SHA-256 of every file of a run."""
-    return file_hashes((*source.files, *source.can))
 
 
 def file_hashes(paths: Iterable[Path]) -> dict[str, str]:

@@ -39,7 +39,7 @@ class _Block(NamedTuple):
 def damage(data: Buffer) -> str:
     """What is missing or wrong in the blocks that lead to the frames; empty where nothing is.
 
-    asammdf does not validate these, in C either: a channel beside its record ends the process, a record of a gigabyte
+    asammdf does not validate these, in C either: a channel outside its record ends the process, a record of a gigabyte
     is allocated, links in a circle are followed for ever. Names, comments and sources may be cut off: not needed.
     The data block of a file that was never finalised has no length, so its end is not looked at.
     """
@@ -82,7 +82,7 @@ class _Walk:
         name = bytes(self._data[at : at + 4])
         if name not in names:
             expected = " or ".join(n[2:].decode() for n in names)
-            raise Damage(f"there is no block at byte {at}, or another one than {expected}")
+            raise Damage(f"a block {expected} is missing at byte {at}")
         length, count = struct.unpack_from("<QQ", self._data, at + 8)
         end, content_at = at + length, at + _HEADER + 8 * count
         if name == b"##DT" and self._unfinished and not _HEADER <= length <= self._size - at:
@@ -90,7 +90,7 @@ class _Walk:
         if end > self._size:
             raise Damage(f"the block at byte {at} ends at {end}, the file at {self._size}")
         if count < links or content_at + content > end:
-            raise Damage(f"the block at byte {at} is too short for what it holds")
+            raise Damage(f"the block at byte {at} is too short for its content")
         return _Block(at, name, struct.unpack_from(f"<{count}Q", self._data, at + _HEADER), content_at, end)
 
     def _chain(self, at: int, name: bytes) -> None:
@@ -124,7 +124,7 @@ class _Walk:
         block = self._block(at, (b"##CG",), links=6, content=32)
         record, count, flags, _, _, size, invalid = _channel_group(self._data, at)
         if flags & _REMOTE_MASTER or len(block.links) != 6 or block.end != block.content + 32:
-            raise Damage(f"the block at byte {at} describes records in a way that no CAN logger does")
+            raise Damage(f"the block at byte {at} describes records unlike any CAN logger")
         if flags & _VARIABLE_LENGTH_GROUP:
             if block.links[1]:
                 raise Damage(f"the records of the block at byte {at} have channels and no fixed length")
@@ -142,7 +142,7 @@ class _Walk:
                 continue
             block = self._block(at, (b"##CN",), links=8, content=72)
             if block.end != block.content + 72:
-                raise Damage(f"the block at byte {at} is too long for what it holds")
+                raise Damage(f"the block at byte {at} is too long for its content")
             self._channel(block, size, invalid)
             waiting.append(block.links[0])
             if part := block.links[1]:
@@ -164,12 +164,12 @@ class _Walk:
             raise Damage(f"the channel at byte {block.at} has its invalidation bit outside the record")
         if kind == _VALUE_ELSEWHERE:
             if bits not in (32, 64) or bit or data_type not in _TEXTS_AND_BYTES:
-                raise Damage(f"the channel at byte {block.at} has its values elsewhere and does not say where")
+                raise Damage(f"the channel at byte {block.at} has its values elsewhere, at an unknown place")
             if self._data[block.links[5] : block.links[5] + 4] != b"##CG":  # its group is in the chain of groups
                 self._records(block.links[5], b"SD")
         if kind == _MASTER:
             if data_type not in _REALS:
-                raise Damage(f"the channel at byte {block.at} is the time and no real number")
+                raise Damage(f"the channel at byte {block.at} is the time and not a real number")
             if block.links[4]:
                 self._conversion_of_time(block.links[4])
 
@@ -179,11 +179,11 @@ class _Walk:
         block = self._block(at, (b"##CC",), links=4, content=24)
         kind, _, _, _, values = struct.unpack_from("<BBHHH", self._data, block.content)
         if kind not in _LINEAR or (kind and (values != 2 or block.content + 40 > block.end)):
-            raise Damage(f"the block at byte {at} makes no times of its numbers")
+            raise Damage(f"the block at byte {at} gives invalid times")
         if kind:
             offset, factor = struct.unpack_from("<2d", self._data, block.content + 24)
             if not math.isfinite(offset) or not 0 < factor < math.inf:
-                raise Damage(f"the block at byte {at} makes no times of its numbers ({offset:g} + {factor:g} x)")
+                raise Damage(f"the block at byte {at} gives invalid times ({offset:g} + {factor:g} x)")
 
     def _records(self, at: int, kind: bytes) -> int:
         """Bytes of records at a link: a block of them, packed or not, or a list of such blocks."""
@@ -209,7 +209,7 @@ class _Walk:
 
     def _unpacked(self, block: _Block, kind: bytes) -> int:
         if block.content + 24 > block.end:
-            raise Damage(f"the block at byte {block.at} is too short for what it holds")
+            raise Damage(f"the block at byte {block.at} is too short for its content")
         what, way, columns, unpacked, packed = struct.unpack_from("<2sBxIQQ", self._data, block.content)
         if what != kind or way > _MOST_WAYS or (way % 2 and not columns):
             raise Damage(f"the block at byte {block.at} is not packed in a known way")

@@ -65,19 +65,19 @@ def refuse_makers_container(path: Path) -> None:
 def read_mf4(path: Path) -> Mf4:
     """All CAN frames of one file, in order of time.
 
-    A file that ends in the middle of a record (the usual end of a log when the ignition goes off) is read up to there,
-    with a warning. Raises RunError for what is no MF4 log, holds no CAN frames, or is cut so that its index is gone.
+    A file that ends in the middle of a record (usual when the ignition is switched off) is read up to there,
+    with a warning. Raises RunError for a file that is not MF4, has no CAN frames, or is cut in its index.
     """
     check_readable(path)
     refuse_makers_container(path)
     if _head(path)[:4] not in (b"MDF ", b"UnFi"):
         raise RunError(path, "this is not an MF4 file (no MDF mark at its start)",
-                       "give it the extension of what it is, or take it off the list")
+                       "correct its extension, or remove it from the command")
     warnings: list[str] = []
     with _opened(path, warnings) as log:
         start_ns = int(log.header.start_time.timestamp()) * 10**9 + int(log.header.abs_time) % 10**9
         if not 0 <= start_ns < LATEST_START * 10**9:
-            raise Damage("the start of its session is no time")
+            raise Damage("the start of its session is not a time")
         parts = []
         steps: list[float] = []
         for group in range(len(log.groups)):
@@ -87,7 +87,7 @@ def read_mf4(path: Path) -> Mf4:
                 steps += found
                 parts.append(part)
     if not parts:
-        raise RunError(path, "the log holds no CAN frames", "check that the logger was on the right bus")
+        raise RunError(path, "no CAN frames are in the log", "check that the logger was on the right bus")
     warnings += set_back(steps)
     return Mf4(joined(parts), start_ns, tuple(warnings))
 
@@ -149,7 +149,7 @@ def _open_whole(path: Path, warnings: list[str]) -> Any:
     log = MDF(io.BytesIO(content[:end]), **AS_IT_IS)
     if not all(_is_whole(log, group) for group in range(len(log.groups))):
         log.close()
-        raise Damage("payloads are not where its frames say")
+        raise Damage("payloads are not at the places given in its frames")
     return log
 
 
@@ -162,7 +162,7 @@ def _is_whole(log: Any, group: int) -> bool:
     """Whether every frame of a group has its payload: in layout 1 the two are written one after the other.
 
     asammdf looks for payloads wherever the frames point to and makes room for the longest it takes for one: terabytes,
-    for one wrong byte. So both are looked at before; there is no public way to get at them.
+    for one wrong byte. So both are checked before, through private functions of asammdf.
     """
     if _frame_channel(log, group) is None or not log.groups[group].channel_group.cycles_nr:
         return True
@@ -198,7 +198,7 @@ def _group_frames(log: Any, group: int, start_ns: int) -> Iterator[Frames]:
         raise Damage("its frames have no time")
     count = content.channel_group.cycles_nr
     for first in range(0, count, PIECE):
-        # Not more than there are: asammdf makes room for all it is asked for. Times out of range are found below.
+        # Not more than there are: asammdf allocates the requested number. Times out of range are found below.
         with np.errstate(all="ignore"):
             signal = log.get(name, group=group, raw=True, ignore_invalidation_bits=True, record_offset=first,
                              record_count=min(PIECE, count - first))
@@ -225,7 +225,7 @@ def _frames(name: str, signal: Any, bus: int, start_ns: int, channels: Mapping[s
             return np.full(n, default, np.uint8)
         column = rows[members[short]]
         if column.ndim != 1 or column.dtype.kind not in "bui":
-            raise Damage(f"the {short} of its frames is no whole number")
+            raise Damage(f"the {short} of its frames is not an integer")
         return column
 
     identifier = member("ID").astype(np.uint32)
@@ -258,7 +258,7 @@ def _lengths(stored: np.ndarray, channel: Any) -> np.ndarray:
         return FD_LENGTHS[stored & 15] if channel.bit_count <= 4 else stored
     length = np.asarray(channel.conversion.convert(stored.astype(np.int64)))
     if length.dtype.kind not in "biuf" or not ((length >= 0) & (length <= MOST_BYTES)).all():
-        raise Damage("the lengths of its frames are no lengths")
+        raise Damage("the lengths of its frames are invalid")
     return length
 
 
@@ -267,14 +267,14 @@ def _nanoseconds(seconds: np.ndarray, n: int) -> np.ndarray:
         raise Damage("its frames have no time each")
     # NaN is not within, either.
     if not (np.abs(seconds) < LONGEST_SESSION).all():
-        raise Damage("the times of its frames are no times")
+        raise Damage("the times of its frames are invalid")
     return np.round(seconds * 1e9).astype(np.int64)
 
 
 def _payload(column: np.ndarray) -> np.ndarray:
     """(n, 8) bytes, (n, 64) where there may be more."""
     if column.ndim != 2 or column.dtype != np.uint8:
-        raise Damage("the DataBytes of its frames are no bytes")
+        raise Damage("the DataBytes of its frames are not bytes")
     if column.shape[1] not in (8, 64):
         width = 8 if column.shape[1] < 8 else 64
         column = np.pad(column[:, :width], ((0, 0), (0, max(width - column.shape[1], 0))))

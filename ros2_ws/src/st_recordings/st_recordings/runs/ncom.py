@@ -27,24 +27,26 @@ def read_ncom(file: Path, origin: tuple[float, float, float] | None = None) -> N
     """Decode a file.
 
     origin: of the map frame, latitude, longitude [rad], altitude [m]; default the first fix.
-    Raises RunError for what holds no NCOM, no fix or no time.
+    Raises RunError for a file without NCOM packets, fix or time.
     """
     check_readable(file)
     try:
         columns = file_decoder.decode_file(file)
     except NcomError as error:
         what = str(error).removeprefix(f"{file}: ")
-        raise RunError(file, what, "take it off the list, or give the right file") from None
+        raise RunError(file, what, "remove it from the command, or give the right file") from None
     warnings = _damage(columns, file)
     regular = (columns.kind == file_decoder.REGULAR) & (columns.order == packet_time.NEW)
     fix = regular & ~columns.approximate & np.isfinite(columns.latitude) & np.isfinite(columns.velocity_ned).all(axis=0)
     fix &= np.isfinite(columns.heading) & np.isfinite(columns.angular_rate).all(axis=0)
     if not fix.any():
-        raise RunError(file, f"no packet has a fix; navigation status: {_statuses(columns)}",
+        counts = zip(*(a.tolist() for a in np.unique(columns.navigation_status, return_counts=True)), strict=True)
+        statuses = ", ".join(f"{status} ({BY_STATUS[status].text}) in {count}" for status, count in counts)
+        raise RunError(file, f"no packet has a fix; navigation status: {statuses}",
                        "record with the unit locked (status 4), or post-process the raw data")
     timed = fix & (columns.utc_ns != file_decoder.UNKNOWN_TIME)
     if not timed.any():
-        raise RunError(file, "no packet says what minute it is (status channel 0 is missing)",
+        raise RunError(file, "no packet has the GPS minute (status channel 0 is missing)",
                        "record for more than a few seconds; the unit sends it every 200 packets")
     found = np.flatnonzero(timed)
     used, notes = usable_rows(columns.utc_ns[found], "packets")
@@ -117,11 +119,6 @@ def _damage(columns: file_decoder.Columns, file: Path) -> list[str]:
     if counters.duplicates:
         lost.append(f"{counters.duplicates} packets are there twice")
     return [f"{file}: {', '.join(lost)}; they were left out"] if lost else []
-
-
-def _statuses(columns: file_decoder.Columns) -> str:
-    values, counts = np.unique(columns.navigation_status, return_counts=True)
-    return ", ".join(f"{v} ({BY_STATUS[v].text}) in {n}" for v, n in zip(values.tolist(), counts.tolist(), strict=True))
 
 
 ACCURACIES = {3: ("EastAcc", "NorthAcc", "AltAcc"), 4: ("VeAcc", "VnAcc", "VdAcc"),

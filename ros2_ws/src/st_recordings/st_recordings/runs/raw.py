@@ -83,7 +83,7 @@ def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
     ins = run.ins
     accelerations = dict(zip(OPTIONAL_INS_SIGNALS, ins.acceleration, strict=False))
     missing = {name: int(np.isnan(values).sum()) for name, values in accelerations.items()}
-    warnings += [f"{source.where}: {name}: {share(count, len(ins.time_ns), 'samples')} hold no value; "
+    warnings += [f"{source.where}: {name}: {share(count, len(ins.time_ns), 'samples')} have no value; "
                  f"it is not {'known there' if mostly_known(accelerations[name]) else 'used'}"
                  for name, count in missing.items() if 0 < count < len(ins.time_ns)]
     missing["road_wheel_angle"] = int((~run.steering.valid).sum())
@@ -181,7 +181,7 @@ def read_pair(files: Sequence[Path], settings: ReadSettings) -> Pair:
         motion, warnings = csv.read_motion(source.where, source.settings.get("layout"))
     else:
         read_ins = READERS[source.kind].read_ins
-        assert read_ins is not None  # only such kinds have CAN logs beside them
+        assert read_ins is not None  # only such kinds have CAN logs
         ins = read_ins(source, settings)
         motion, warnings = ins.motion, ins.warnings
     can = read_can_logs(source.can)

@@ -1,4 +1,4 @@
-"""What a bag holds besides odometry and steering: both reconstructed from raw packets and frames, as the bridges
+"""Odometry and steering of a bag without such topics: both reconstructed from raw packets and frames, as the bridges
 publish them, and further channels for the checks, read only where their layout is constant.
 """
 
@@ -134,7 +134,7 @@ class Reconstruction:
         from .can_signals import load_signal_table
 
         if not self.bus_is_described:
-            raise RunError(self._path, "it holds raw CAN frames, but not the DBC and table to decode them with",
+            raise RunError(self._path, "it has raw CAN frames, but not the DBC and table to decode them with",
                            "record vehicle/steering too")
         with tempfile.TemporaryDirectory() as folder:
             files = Path(folder, "can.dbc"), Path(folder, "signals.yaml")
@@ -262,7 +262,7 @@ def steering_topic(where: Any, topics: list[Topic], steering: SteeringField, sto
                        "name one of them")
     if found.type_name not in store.fielddefs:
         raise RunError(where, f"--steering-topic: the type {found.type_name} of {found.name} is not known, and the bag "
-                       "holds no definition of it", "record it as MCAP, which holds definitions")
+                       "has no definition of it", "record it as MCAP, which includes definitions")
     return found
 
 

@@ -37,7 +37,7 @@ class Covariances:
         yaw, pitch, roll = (a[rows] for a in (ins.yaw, ins.pitch, ins.roll))
         pose, twist = np.zeros((len(packets), 6, 6)), np.zeros((len(packets), 6, 6))
         position, known = self._at(3, packets)
-        pose[:, :3, :3] = _diagonal(position, known)
+        pose[:, :3, :3] = np.where(known[:, None], position**2, UNKNOWN_VARIANCE)[:, :, None] * np.eye(3)
         angles, known = self._at(5, packets)
         turn = _rotation(yaw, np.zeros_like(yaw), np.zeros_like(yaw))
         pose[:, 3:, 3:] = _turned(angles, known, np.swapaxes(turn, 1, 2))
@@ -51,11 +51,6 @@ class Covariances:
         found = held(*self._held[channel], packets)
         known = np.isfinite(found).all(axis=1)
         return np.where(known[:, None], found, 0.0), known
-
-
-def _diagonal(deviation: np.ndarray, known: np.ndarray) -> np.ndarray:
-    variance = np.where(known[:, None], deviation**2, UNKNOWN_VARIANCE)
-    return variance[:, :, None] * np.eye(3)
 
 
 def _turned(deviation: np.ndarray, known: np.ndarray, rotation: np.ndarray) -> np.ndarray:
@@ -187,7 +182,8 @@ class Serialiser:
         starts = np.concatenate(([0], np.cumsum(padded)))
         cuts = np.nonzero(np.diff(time_ns // CAN_PERIOD_NS, prepend=-1))[0]
         ends = np.append(cuts[1:], n)
-        head = self._can_head(bus_name)
+        example = self._message(CAN_FRAMES, header=self._header(bus_name), frames=[])
+        head = bytearray(self._store.serialize_cdr(example, CAN_FRAMES))  # with header and number of frames
         data = bytearray()
         edges = [0]
         for first, last, at in zip(cuts.tolist(), ends.tolist(), time_ns[cuts].tolist(), strict=True):
@@ -200,11 +196,6 @@ class Serialiser:
             data += body[starts[first] : starts[last] - spare].tobytes()
             edges.append(len(data))
         return Messages("/can/frames", CAN_FRAMES, time_ns[cuts], memoryview(bytes(data)), np.array(edges, np.int64))
-
-    def _can_head(self, bus_name: str) -> bytearray:
-        """Encapsulation, header and the number of frames."""
-        example = self._message(CAN_FRAMES, header=self._header(bus_name), frames=[])
-        return bytearray(self._store.serialize_cdr(example, CAN_FRAMES))
 
 
 def quaternion(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -61,7 +61,9 @@ def read_run_file(path: Path) -> RunSource:
         settings["ins_can_latency"] = _latency(path, content["ins_can_latency"])
     settings |= _reading(path, content, keys[0])
     default = path.parent.name if path.name == RUN_FILE else path.name.removesuffix(RUN_SUFFIX)
-    name = _plain_name(path, content.get("name", default))
+    name = str(content.get("name", default))  # results are stored under it
+    if not name.isprintable() or name in ("", ".", "..") or "/" in name or "\\" in name:
+        raise RunError(path, f"name: {name[:100]!r} cannot be the name of a folder", "leave out slashes")
     return RunSource(name, reader.kind, (file,), tuple(logs), _labels(path, content.get("labels", [])), settings)
 
 
@@ -71,7 +73,7 @@ def _matching(path: Path, text: str) -> list[Path]:
     try:
         return sorted(path.parent.glob(text))
     except (ValueError, NotImplementedError, OSError) as error:
-        raise RunError(path, f"can: {text[:100]!r} is no pattern ({error})",
+        raise RunError(path, f"can: {text[:100]!r} is not a pattern ({error})",
                        "patterns are relative to the run file; * is a part of a name, **/ are folders") from None
 
 
@@ -83,14 +85,6 @@ def _latency(path: Path, value: Any) -> tuple[float, float]:
     except (TypeError, ValueError):
         pass
     raise RunError(path, f"ins_can_latency: {value!r} is not [latency, standard deviation] in seconds, each 0 to 1")
-
-
-def _plain_name(path: Path, value: Any) -> str:
-    """A name that can be the name of a folder: results are stored under it. Raises RunError."""
-    name = str(value)
-    if not name.isprintable() or name in ("", ".", "..") or "/" in name or "\\" in name:
-        raise RunError(path, f"name: {name[:100]!r} cannot be the name of a folder", "leave out slashes")
-    return name
 
 
 def _existing(path: Path, key: str, text: Any) -> Path:
@@ -150,7 +144,7 @@ def _units(path: Path, value: Any) -> dict[str, str]:
         kind = COLUMNS[channel].kind
         unit = unit_named(kind, text) if isinstance(text, str) else None
         if unit is None:
-            raise RunError(path, f"units: {channel}: {str(text)[:40]!r} is no unit of {kind}",
+            raise RunError(path, f"units: {channel}: {str(text)[:40]!r} is not a unit of {kind}",
                            f"known are {', '.join(UNITS[kind])}")
         units[channel] = unit
     return units

@@ -47,7 +47,7 @@ class Label:
 
 @dataclass(frozen=True)
 class RunSource:
-    """The files of one run. kind: that of its reader ("bag", "ncom", "csv", "vbo"), or "" where there is a `problem`.
+    """The files of one run. kind: that of its reader ("bag", "ncom", "csv", "vbo"), or "" with a `problem`.
 
     settings: from run.yaml: offset [s], ins_can_latency (value and deviation [s]), dbc, signals (paths), layout
     (columns.Layout), correct (channel -> Correction), leave_out ((start, end) [s]). where: the file or folder to name

@@ -29,7 +29,7 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
     """The runs in files and folders, in order of name; an entry that cannot be a run carries its `problem`.
 
     Files given one by one that belong together (one INS recording and CAN logs, or the splits of a bag) are one run.
-    In a folder, searched through all its levels, files that are no recording are ignored, and so are bags without
+    In a folder, searched through all its levels, other files are ignored, and so are bags without
     odometry.
     """
     runs: list[RunSource] = []
@@ -38,7 +38,7 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
         if not path.exists():
             around = path.absolute().parent
             others = [other.name for other in around.iterdir()] if around.is_dir() else []
-            runs.append(_failed(path, RunError(path, "there is no such file or folder", f"looked for in {around}"
+            runs.append(_failed(path, RunError(path, "the file or folder does not exist", f"looked for in {around}"
                                                f"{yaml_text.nearest(path.name, others)}")))
         elif path.is_dir() and reader_of(path) is None:
             found = _in_folder(path)
@@ -78,14 +78,14 @@ def _in_folder(folder: Path) -> list[RunSource]:
         reader = reader_of(path)
         if path in taken and not path.is_dir():
             continue
-        if reader is None or reader.needs_can or reader.holds_drive(path) or reader.is_ins_only(path) or (
+        if reader is None or reader.needs_can or reader.has_drive(path) or reader.is_ins_only(path) or (
                 reader.kind == "csv" and any(map(is_can_log, _logs_of(path, files)))):
             loose.append(path)
     return runs + _from_files(loose, given=False)
 
 
 def _from_files(files: Sequence[Path], given: bool) -> list[RunSource]:
-    """Runs out of loose files. given: the user named each of them, so one that is no recording is a problem."""
+    """Runs out of loose files. given: the user named each of them, so any other file is a problem."""
     runs: list[RunSource] = []
     readers = {f: reader for f in files if (reader := reader_of(f)) is not None}
     logs = [f for f in files if f not in readers and f.suffix.lower() in CAN_EXTENSIONS and (given or is_can_log(f))]
@@ -104,7 +104,7 @@ def _from_files(files: Sequence[Path], given: bool) -> list[RunSource]:
         same = _logs_of(file, logs)
         # A table with a CAN log of the same name and columns that are not recognised is an INS recording as well.
         if not reader.needs_can and not (logs and reader.is_ins_only(file)) and (
-                reader.kind != "csv" or not same or reader.holds_drive(file)):
+                reader.kind != "csv" or not same or reader.has_drive(file)):
             runs.append(_alone(file, reader))
             continue
         if given and not same and not logs and reader.needs_can:
@@ -126,7 +126,7 @@ def _unmatched(rest: Sequence[Path], readers: dict[Path, Reader], logs: Sequence
         if not readers[file].needs_can:
             yield _alone(file, readers[file])  # the error of its reader names what is missing in it
             continue
-        several = "several INS recordings and CAN logs are here" if logs else "there is no CAN log with the same stem"
+        several = "several INS recordings and CAN logs are here" if logs else "no CAN log has the same stem"
         yield _failed(file, RunError(file, f"no CAN log belongs to it: {several}",
                                      "give them the same name, or list the files of each run in a run.yaml"))
     for session in dict.fromkeys(session_of(f)[0] for f in logs) if not rest else ():
@@ -135,7 +135,7 @@ def _unmatched(rest: Sequence[Path], readers: dict[Path, Reader], logs: Sequence
         advice = "give both, or list the files of the run in a run.yaml"
         if tables:
             advice += f"; it can name columns that are not recognised in {tables[0]}, as columns: {{x: NAME, ...}}"
-        yield _failed(file, RunError(file, "there is no INS recording (.ncom, CSV, bag) for this CAN log", advice))
+        yield _failed(file, RunError(file, "no INS recording (.ncom, CSV, bag) belongs to this CAN log", advice))
 
 
 def _logs_of(file: Path, files: Sequence[Path]) -> list[Path]:

@@ -32,14 +32,15 @@ def read_vbo(file: Path, layout: Layout) -> Table:
     """A file as a table of the drive's channels (csv.drive_of). Raises RunError.
 
     GNSS gives the course over ground. Where the file has no heading of two antennas, yaw is that course, the lateral
-    velocity is zero and the yaw rate, without a channel for it, is the derivative of the course: a warning says so.
+    velocity is zero and the yaw rate, without a channel for it, is the derivative of the course, with a warning.
     """
     check_readable(file)
     text = text_of(file)
-    sections = _sections(text)
+    parts = _SECTION.split(text)
+    sections = {name.strip().lower(): content for name, content in zip(parts[1::2], parts[2::2], strict=True)}
     if not {"column names", "data"} <= sections.keys():
-        raise RunError(file, "this is no VBO file: sections [column names] and [data] are missing",
-                       "give it the extension of what it is")
+        raise RunError(file, "this is not a VBO file: sections [column names] and [data] are missing",
+                       "correct its extension")
     names = sections["column names"].split()
     places = _places(file, names, sections, layout)
     warnings: list[str] = []
@@ -54,13 +55,8 @@ def read_vbo(file: Path, layout: Layout) -> Table:
     return _with_motion(table, names, warnings)
 
 
-def _sections(text: str) -> dict[str, str]:
-    parts = _SECTION.split(text)
-    return {name.strip().lower(): content for name, content in zip(parts[1::2], parts[2::2], strict=True)}
-
-
 def _places(file: Path, names: list[str], sections: dict[str, str], layout: Layout) -> dict[str, Place]:
-    """Channels of the columns: the standard ones, then those whose names CSV files have as well."""
+    """Channels of the columns: the standard ones, then those with the names of CSV columns."""
     units = _units(names, sections)
     found = find_columns(file, names, Layout(layout.columns, {}, layout.source))
     places = {}

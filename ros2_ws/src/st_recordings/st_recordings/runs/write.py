@@ -16,7 +16,7 @@ from ..results import versions
 from .bag import definitions
 from .cdr import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS, typestore
 from .errors import RunError
-from .load import check_common_time, hashes, treated
+from .load import check_common_time, file_hashes, treated
 from .ncom import NcomLog
 from .raw import RawRun, about_alignment, as_drive, latency_in_words, read_raw, steering_times
 from .readers.ncom import read_ins
@@ -52,7 +52,7 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
     """
     if source.problem is None and source.kind != "ncom":
         raise RunError(source.where, f"import writes NCOM packets and CAN frames, this is a run of kind {source.kind}",
-                       "evaluate, check, identify and discover read it as it is")
+                       "evaluate, check, identify and discover read it directly")
     run = read_raw(source, settings, read_ins)
     drive = treated(source, as_drive(source, vehicle, settings, run), vehicle)
     check_common_time(source, drive.log.ins_time_ns, drive.log.steering_time_ns)
@@ -79,8 +79,8 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
         raise RunError(directory, writer.error, "make room and import again")
     warnings = list(drive.warnings)
     if drive.auxiliary.corrected:
-        warnings.append(f"{directory}: holds what was recorded, nothing corrected; what its run.yaml corrects goes "
-                        "into a run.yaml of the bag (bag: ...) too")
+        warnings.append(f"{directory}: has the data as recorded; repeat the corrections of its run.yaml in a "
+                        "run.yaml of the bag (bag: ...)")
     return Imported(directory, counts, (blocks.end_ns - blocks.start_ns) * 1e-9, run, tuple(warnings), findings)
 
 
@@ -154,6 +154,6 @@ def _records(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
             "labels": json.dumps([[entry.name, entry.start, entry.end] for entry in source.labels]),
         },
         "alignment": alignment,
-        "files_sha256": hashes(source),
+        "files_sha256": file_hashes((*source.files, *source.can)),
         "versions": versions(),
     }

@@ -21,7 +21,7 @@ class Reader:
 
     kind: its name. key: of its file in a run.yaml. extensions: of its files, lower case. read: reads the whole drive of
     a run; raises RunError. read_ins: reads the INS alone, if the steering is in CAN logs. is_folder: whether a folder
-    is one recording. holds_drive: quick test of a file found in a folder; True if undecided. lacks_steering: whether a
+    is one recording. has_drive: quick test of a file found in a folder; True if undecided. lacks_steering: whether a
     recording is an INS alone, to which CAN logs belong; None for a kind that never has a steering angle. scales_yaw:
     whether `read` itself applies a corrected scale of yaw.
     """
@@ -32,7 +32,7 @@ class Reader:
     read: Callable[[RunSource, VehicleParameters | None, ReadSettings], LoadedRun]
     read_ins: Callable[[RunSource, ReadSettings], InsLog] | None = None
     is_folder: Callable[[Path], bool] | None = None
-    holds_drive: Callable[[Path], bool] = lambda path: True
+    has_drive: Callable[[Path], bool] = lambda path: True
     lacks_steering: Callable[[Path], bool] | None = lambda path: False
     scales_yaw: bool = False
 

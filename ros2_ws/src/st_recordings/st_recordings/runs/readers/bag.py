@@ -1,7 +1,6 @@
 """rosbag2 recordings: folders, and bare files of one."""
 
 import json
-from collections.abc import Mapping
 from typing import Any
 
 from st_core.vehicle import VehicleParameters
@@ -21,7 +20,8 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
     about: dict[str, Any] = {"reader": "bag", "topics": dict(drive.topics), "recorded": recorded}
     if drive.origin is not None:
         about["origin"] = list(drive.origin)
-    labels = source.labels or _recorded_labels(drive.records)
+    imported = json.loads(drive.records.get("import", {}).get("labels", "[]"))
+    labels = source.labels or tuple(Label(*entry) for entry in imported)
     return LoadedRun(drive.log, about, labels, drive.warnings, auxiliary=drive.auxiliary)
 
 
@@ -29,10 +29,5 @@ def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
     return bag.read_odometry(source.where, settings.odometry)
 
 
-def _recorded_labels(records: Mapping[str, Mapping[str, str]]) -> tuple[Label, ...]:
-    """Labels of an imported run."""
-    return tuple(Label(*entry) for entry in json.loads(records.get("import", {}).get("labels", "[]")))
-
-
-register(Reader("bag", "bag", EXTENSIONS, read, read_ins, is_folder=bag.is_bag, holds_drive=bag.holds_odometry,
+register(Reader("bag", "bag", EXTENSIONS, read, read_ins, is_folder=bag.is_bag, has_drive=bag.has_odometry,
                 lacks_steering=bag.lacks_steering))

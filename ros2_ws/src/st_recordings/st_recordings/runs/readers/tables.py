@@ -36,5 +36,5 @@ def _read_vbo(file: Path, layout: Layout) -> Table:
     return read_vbo(file, layout)
 
 
-_register("csv", read_table, holds_drive=csv.has_drive_columns, lacks_steering=csv.lacks_steering)
+_register("csv", read_table, has_drive=csv.has_drive_columns, lacks_steering=csv.lacks_steering)
 _register("vbo", _read_vbo)
