@@ -35,7 +35,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
         raise source.problem
     # Hashing does not hold the interpreter; it is done when the rest is.
     with ThreadPoolExecutor(1) as pool:
-        digests = pool.submit(file_hashes, (*source.files, *source.can))
+        digests = pool.submit(hashes, source)
         loaded = _read(source, vehicle, settings)
     start_ns = int(loaded.log.ins_time_ns[0]) if len(loaded.log.ins_time_ns) else 0
     log, implausible = plausible(loaded.log, start_ns)
@@ -98,6 +98,11 @@ def check_common_time(source: RunSource, ins_ns: np.ndarray, steering_ns: np.nda
     if min(ins_ns[-1], steering_ns[-1]) <= max(ins_ns[0], steering_ns[0]):
         raise RunError(source.where, "INS and steering were not recorded at the same time",
                        "check that the files belong to one drive (and the offset, if it was given by hand)")
+
+
+def hashes(source: RunSource) -> dict[str, str]:
+    """Path -> SHA-256 of every file of a run."""
+    return file_hashes((*source.files, *source.can))
 
 
 def file_hashes(paths: Iterable[Path]) -> dict[str, str]:

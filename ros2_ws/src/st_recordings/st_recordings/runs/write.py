@@ -16,7 +16,7 @@ from ..results import versions
 from .bag import definitions
 from .cdr import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS, typestore
 from .errors import RunError
-from .load import check_common_time, file_hashes, treated
+from .load import check_common_time, hashes, treated
 from .ncom import NcomLog
 from .raw import RawRun, about_alignment, as_drive, latency_in_words, read_raw, steering_times
 from .readers.ncom import read_ins
@@ -154,6 +154,6 @@ def _records(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
             "labels": json.dumps([[entry.name, entry.start, entry.end] for entry in source.labels]),
         },
         "alignment": alignment,
-        "files_sha256": file_hashes((*source.files, *source.can)),
+        "files_sha256": hashes(source),
         "versions": versions(),
     }
