@@ -79,7 +79,7 @@ def test_only_packets_with_a_fix_and_a_time(tmp_path: Path) -> None:
         (b"MDF     4.11    " + bytes(200), "no NCOM packet .* an MDF log"),
         (packets([0.1 * k for k in range(50)], status=2),
          r"no packet has a fix; navigation status: 2 \(initialising\) in 50"),
-        (packets([0.1 * k for k in range(50)], minutes=False), "no packet says what minute it is"),
+        (packets([0.1 * k for k in range(50)], minutes=False), "no packet has the GPS minute"),
     ],
 )
 def test_files_that_cannot_be_used(tmp_path: Path, content: bytes, message: str) -> None:
