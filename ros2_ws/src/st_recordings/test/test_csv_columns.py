@@ -64,7 +64,10 @@ def test_no_name_means_two_channels() -> None:
     assert len(names) == len(set(names)) and not columns.AMBIGUOUS & set(names)
 
 
-@pytest.mark.parametrize("channel", [c for c in COLUMNS if c not in ("latitude", "longitude")])
+DERIVED = {"latitude", "longitude", "velocity_east", "velocity_north", *(f"orientation_{axis}" for axis in "xyzw")}
+
+
+@pytest.mark.parametrize("channel", [c for c in COLUMNS if c not in DERIVED])
 def test_every_name_and_unit_of_a_channel(tmp_path: Path, channel: str) -> None:
     names = {**PLAIN, **{c: c for c in (*columns_of_wheels(channel), channel)}}
     names = {c: n for c, n in names.items() if c == channel or (c, channel) not in REPLACED}
@@ -196,7 +199,7 @@ def test_a_hole_in_an_ins_channel_costs_ins_samples_only(tmp_path: Path, channel
     assert drive.auxiliary.missing == {channel: len(BAD)}
     assert len(drive.auxiliary.stamps["INS"]) == N
     (warning,) = drive.warnings
-    assert warning.endswith(f"d.csv: {channel} (column {PLAIN[channel]}): {len(BAD)} of {N} rows (12 %) hold no "
+    assert warning.endswith(f"d.csv: {channel} (column {PLAIN[channel]}): {len(BAD)} of {N} rows (12 %) have no "
                             "number; these samples of the INS were left out")
 
 
@@ -251,15 +254,57 @@ def test_rows_without_a_time_and_out_of_order_are_counted_and_handed_on(tmp_path
     assert any("time (column t): 2 of 60 rows (3.3 %) have no number; these rows" in w for w in drive.warnings)
 
 
-def test_times_that_are_no_seconds_ask_for_their_unit(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("factor", "unit"), [(10**9, "ns"), (10**6, "us"), (10**3, "ms"), (1, "s")])
+def test_the_unit_of_times_since_1970_follows_from_their_size(tmp_path: Path, factor: int, unit: str) -> None:
+    file = write(tmp_path / "d.csv", PLAIN)
+    head, *lines = file.read_text().splitlines()
+    rows = [f"{(1_700_000_000_000 + 20 * k) * factor / 1000:.{2 if factor == 1 else 0}f},{line.partition(',')[2]}"
+            for k, line in enumerate(lines)]
+    file.write_text("\n".join([head, *rows]))
+    drive = read_csv(file)
+    assert_whole(drive.log)
+    assert drive.log.ins_time_ns[0] == 1_700_000_000_000_000_000
+    assert any(f"taken as {unit} since 1970" in warning for warning in drive.warnings) == (factor > 1)
+
+
+@pytest.mark.parametrize(("stamp", "start"), [
+    ("2026-05-04T23:59:59.{:03d}Z", 1_777_939_199), ("2026-05-04 23:59:59.{:03d}", 1_777_939_199),
+    ("04.05.2026 23:59:59.{:03d}", 1_777_939_199), ("2026-05-05T01:59:59.{:03d}+02:00", 1_777_939_199),
+    ("23:59:59.{:03d}", 86_399),
+])
+def test_times_as_text(tmp_path: Path, stamp: str, start: int) -> None:
+    file = write(tmp_path / "d.csv", PLAIN)
+    head, *lines = file.read_text().splitlines()
+    texts = [stamp.format(20 * k) if k < 50 else
+             stamp.format(20 * k - 1000).replace("23:59:59", "00:00:00").replace("01:59:59", "02:00:00")
+             .replace("-05-04", "-05-05").replace("04.05", "05.05") for k in range(len(lines))]
+    file.write_text("\n".join([head, *(f"{t},{line.partition(',')[2]}" for t, line in zip(texts, lines, strict=True))]))
+    drive = read_csv(file)
+    assert_whole(drive.log)
+    assert drive.log.ins_time_ns[0] == start * 10**9 and drive.warnings == ()
+
+
+def test_quaternion_and_velocities_to_the_east_and_north(tmp_path: Path) -> None:
+    plain_drive = write(tmp_path / "d.csv", PLAIN)
+    expected = read_csv(plain_drive).log
+    yaw, vx, vy = expected.yaw, expected.velocity_x, expected.velocity_y
+    c, s = np.cos(yaw), np.sin(yaw)
+    head, *lines = plain_drive.read_text().splitlines()
+    keep = [k for k, name in enumerate(head.split(",")) if name not in (PLAIN["yaw"], PLAIN["velocity_x"],
+                                                                        PLAIN["velocity_y"])]
+    rows = np.column_stack([np.array([line.split(",") for line in lines], float)[:, keep], np.sin(yaw / 2),
+                            np.cos(yaw / 2), 0 * yaw, 0 * yaw, c * vx - s * vy, s * vx + c * vy])
+    names = [*(head.split(",")[k] for k in keep), "qz", "qw", "qx", "qy", "vel_east", "vel_north"]
+    np.savetxt(tmp_path / "q.csv", rows, "%.12f", ",", header=",".join(names), comments="")
+    assert_whole(read_csv(tmp_path / "q.csv").log)
+
+
+def test_a_declared_unit_of_time(tmp_path: Path) -> None:
     file = write(tmp_path / "d.csv", PLAIN)
     lines = file.read_text().splitlines()
     rows = [f"{1_700_000_000_000_000_000 + 20_000_000 * k},{line.partition(',')[2]}" for k, line in
             enumerate(lines[1:])]
     file.write_text("\n".join([lines[0], *rows]))
-    with pytest.raises(RunError, match=r"times like 1\.7e\+18 in column t are no s; declare their unit in a run.yaml, "
-                       r"as units: \{t: ns\}"):
-        read_csv(file)
     log = read_csv(file, layout=Layout(units={"t": "ns"})).log
     assert_whole(log)
     assert log.ins_time_ns[0] == 1_700_000_000_000_000_000

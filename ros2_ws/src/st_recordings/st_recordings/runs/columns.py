@@ -12,7 +12,7 @@ from .errors import RunError
 
 # Kind of quantity -> unit -> (factor to SI, other ways to write it). The first is the default.
 UNITS: Mapping[str, Mapping[str, tuple[float, tuple[str, ...]]]] = {
-    "time": {"s": (1.0, ("sec", "secs", "second", "seconds")),
+    "time": {"s": (1.0, ("sec", "secs", "second", "seconds", "utc")),
              "ms": (1e-3, ("msec", "millis", "milliseconds")),
              "us": (1e-6, ("µs", "usec", "micros", "microseconds")),
              "ns": (1e-9, ("nsec", "nanos", "nanoseconds"))},
@@ -26,9 +26,10 @@ UNITS: Mapping[str, Mapping[str, tuple[float, tuple[str, ...]]]] = {
               "km/h": (1 / 3.6, ("kph", "kmh", "kmph", "km per h")),
               "mph": (0.44704, ("mi/h",)), "kn": (1852 / 3600, ("kt", "kts", "knot", "knots")),
               "ft/s": (0.3048, ("fps",)), "cm/s": (1e-2, ()), "mm/s": (1e-3, ())},
-    "angular rate": {"rad/s": (1.0, ("radps", "rps", "rad per s", "rad per sec", "rad s-1")),
+    "angular rate": {"rad/s": (1.0, ("radps", "rps", "rad per s", "rad per sec", "rad s-1", "1/s")),
                      "deg/s": (math.pi / 180, ("°/s", "dps", "degps", "deg per s", "deg per sec", "deg s-1")),
                      "mrad/s": (1e-3, ())},
+    "ratio": {"1": (1.0, ())},
     "acceleration": {"m/s^2": (1.0, ("m/s2", "m/s²", "m/s/s", "mps2", "ms2", "m s-2", "m per s2", "m per s 2")),
                      "g": (9.80665, ("g0", "gs")), "ft/s^2": (0.3048, ("ft/s2",))},
 }
@@ -66,7 +67,8 @@ def _words(text: str) -> tuple[str, ...]:
 
 COLUMNS: Mapping[str, Channel] = {
     "t": Channel("time", "time", _words(
-        "t time t_rt timestamp stamp elapsed elapsed_time unix_time utc_time gps_time")),
+        "t time t_rt timestamp stamp elapsed elapsed_time unix_time utc_time gps_time gps_tow tow gps_seconds "
+        "time_of_week")),
     "x": Channel("length", "position of the INS point, east or along the map's x", _words(
         "x pos_x position_x x_pos x_position px east easting e_pos x_east x_enu x_map local_x utm_x utm_e utm_easting "
         "pose_x pose_position_x pose_pose_position_x")),
@@ -74,22 +76,30 @@ COLUMNS: Mapping[str, Channel] = {
         "y pos_y position_y y_pos y_position py north northing n_pos y_north y_enu y_map local_y utm_y utm_n "
         "utm_northing pose_y pose_position_y pose_pose_position_y")),
     "latitude": Channel("latitude or longitude", "north +; with the longitude, read if x and y are missing", _words(
-        "latitude lat gps_latitude gps_lat latitude_deg")),
+        "latitude lat gps_latitude gps_lat latitude_deg pos_lat")),
     "longitude": Channel("latitude or longitude", "east +; origin of the map is the first row", _words(
-        "longitude long lon lng gps_longitude gps_long gps_lon")),
+        "longitude long lon lng gps_longitude gps_long gps_lon pos_lon")),
     "yaw": Channel("angle", "from east (the map's x), counter-clockwise", _words(
         "yaw yaw_angle yaw_iso yaw_enu heading_enu psi psi_iso theta phi")),
     "compass_heading": Channel("angle", "clockwise from north; read if yaw is missing: yaw = 90° - heading", _words(
         "compass_heading heading heading_angle angle_heading heading_ned heading_north heading_true true_heading "
         "compass azimuth yaw_ned")),
+    **{f"orientation_{axis}": Channel("ratio", "quaternion of body in map axes, read if yaw is missing", _words(
+        f"orientation_{axis} q{axis} quat_{axis} pose_orientation_{axis} pose_pose_orientation_{axis}"))
+       for axis in "xyzw"},
     "velocity_x": Channel("speed", "forward, body axes, at the INS point", _words(
         "velocity_x vx vel_x velocity_forward vel_forward v_forward forward_velocity forward_vel vel_fwd v_fwd "
         "velocity_longitudinal longitudinal_velocity v_longitudinal v_long vel_long v_lon vel_lon long_vel "
-        "speed_forward forward_speed longitudinal_speed twist_linear_x twist_twist_linear_x linear_velocity_x "
-        "speed velocity vel v ground_speed speed_over_ground")),
+        "long_velocity speed_forward forward_speed longitudinal_speed twist_linear_x twist_twist_linear_x "
+        "linear_velocity_x speed velocity vel v ground_speed speed_over_ground")),
     "velocity_y": Channel("speed", "to the left, body axes, at the INS point", _words(
         "velocity_y vy vel_y velocity_lateral vel_lateral v_lateral lateral_velocity lateral_vel v_lat vel_lat "
-        "lat_vel velocity_left vel_left lateral_speed twist_linear_y twist_twist_linear_y linear_velocity_y")),
+        "lat_vel lat_velocity velocity_left vel_left lateral_speed twist_linear_y twist_twist_linear_y "
+        "linear_velocity_y")),
+    "velocity_east": Channel("speed", "with the velocity to the north and yaw, read if velocity_y is missing", _words(
+        "velocity_east vel_east v_east east_velocity velocity_e ve")),
+    "velocity_north": Channel("speed", "as before", _words(
+        "velocity_north vel_north v_north north_velocity velocity_n vn")),
     "yaw_rate": Channel("angular rate", "left turn +", _words(
         "yaw_rate yaw_rate_iso yaw_velocity yaw_vel yaw_speed yaw_dot psi_dot psi_p d_psi r wz omega_z omega "
         "angular_velocity_z angular_rate_z angular_z rate_z gyro_z gyr_z twist_angular_z twist_twist_angular_z")),
@@ -204,7 +214,7 @@ def _number_of(file: Path, names: Sequence[str], named: str, channel: str, layou
 def _meanings(name: str) -> list[tuple[str, int, str | None]]:
     """(channel, rank among its names, unit stated) of every channel a column may be."""
     meanings: list[tuple[str, int, str | None]] = []
-    for base, unit in _splits(name):
+    for base, unit in _splits(name.lstrip("%# ").removeprefix("field.")):  # of `rostopic echo -p`
         if plain(base) in _CHANNEL_OF:
             channel, rank = _CHANNEL_OF[plain(base)]
             if not unit:

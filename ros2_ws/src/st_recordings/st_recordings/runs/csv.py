@@ -21,6 +21,7 @@ MOTION = ("velocity_x", "yaw_rate")
 ROAD, WHEEL, COMPASS = "road_wheel_angle", "steering_wheel_angle", "compass_heading"
 ADVICE = ("name the columns as in docs/csv_columns.md, or write a {stem}.run.yaml with the lines `csv: {name}`{can} "
           "and `columns: {{{channel}: NAME, ...}}`")
+QUATERNION = {f"orientation_{axis}" for axis in "xyzw"}
 HELD_SHARE = 0.3
 """Of the rows in which the car moves by several steps of the position's resolution and the position stays the same:
 with more, the position is slower than the rows."""
@@ -146,7 +147,8 @@ def lacks_steering(file: Path) -> bool:
 
 def _lacking(places: Iterable[str], names: Iterable[str], needed: Iterable[str]) -> list[str]:
     found = set(places)
-    found |= ({"yaw"} if COMPASS in found else set()) | ({ROAD} if WHEEL in found else set())
+    found |= ({"yaw"} if COMPASS in found or found >= QUATERNION else set()) | ({ROAD} if WHEEL in found else set())
+    found |= {"velocity_x", "velocity_y"} if found >= {"velocity_east", "velocity_north"} else set()
     found |= {"x", "y"} if {"latitude", "longitude"} <= found else set()
     if doubtful_steering(list(names)):
         found.add(ROAD)
@@ -168,10 +170,18 @@ def _check_columns(table: Table, needed: tuple[str, ...], can: str = "") -> None
 
 
 def _with_derived(table: Table, notes: list[str]) -> dict[str, np.ndarray]:
-    """The columns with yaw of a compass heading, x and y of latitude and longitude, and positions at every row."""
+    """The columns with yaw of a compass heading or quaternion, velocities along the body axes of those to the east and
+    north, x and y of latitude and longitude, and positions at every row."""
     columns = dict(table.columns)
-    if "yaw" not in columns:
+    if "yaw" not in columns and COMPASS in columns:
         columns["yaw"] = np.pi / 2 - columns[COMPASS]
+    elif "yaw" not in columns:
+        x, y, z, w = (columns[f"orientation_{axis}"] for axis in "xyzw")
+        columns["yaw"] = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    if "velocity_y" not in columns:
+        c, s, (east, north) = np.cos(columns["yaw"]), np.sin(columns["yaw"]), (
+            columns[f"velocity_{axis}"] for axis in ("east", "north"))
+        columns["velocity_x"], columns["velocity_y"] = c * east + s * north, c * north - s * east
     if not {"x", "y"} <= columns.keys():
         latitude, longitude = columns["latitude"], columns["longitude"]
         found = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude) & table.used)

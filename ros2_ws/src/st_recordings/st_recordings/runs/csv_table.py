@@ -5,6 +5,7 @@ import io
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from datetime import date
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,11 @@ MISSING = frozenset(("", "-", "--", "nan", "na", "n/a", "#n/a", "#na", "null", "
 _GROUPS = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+") for mark in ",."}
 _GROUPED_CELL = re.compile(r"(?:^|[;\t])\s*[+-]?[1-9]\d{0,2}(?:,\d{3})+\s*(?=[;\t\r\n]|$)", re.MULTILINE)
 _NUMERIC = re.compile(r'[\s"]*[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?[\s"]*')
+# 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.2026 10:11:12,5, 10:11:12.5; the date 05/04/2026 is ambiguous.
+_STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4})|\d\d?/\d\d?/\d{4})[T ] *)?"
+                    r"(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?) *(?:Z|UTC|([+-])(\d\d):?(\d\d))?")
+_DAY = 86400.0
+_EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
 _SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # how a spreadsheet marks its delimiter
 _SPACES = re.compile(r"(?<=\d)[\u00a0\u202f\u2009'](?=\d{3}(?!\d))")
 
@@ -59,6 +65,8 @@ def _decoded(file: Path, size: int) -> str:
         raw = stream.read(size)
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return raw.decode("utf-16", "replace")
+    if len(raw) > 1 and not any(raw[1:200:2]) and all(raw[:200:2]):  # as some loggers write it, without its mark
+        return raw.decode("utf-16-le", "replace")
     try:
         return raw.decode("utf-8-sig", "strict" if size < 0 else "ignore")
     except UnicodeDecodeError:
@@ -88,6 +96,8 @@ def read_table(file: Path, layout: Layout) -> Table:
             warnings.append(f"{file}: the header is in line {at + 1}; the {at} before it were skipped")
     header, _, body = text.partition("\n")
     names, delimiter = _parted(header)
+    if delimiter == " ":
+        body = "\n".join(" ".join(line.split()) for line in body.split("\n"))
     return table_of(file, names, body, delimiter, layout, warnings)
 
 
@@ -97,7 +107,12 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
     if places is None:
         places = find_columns(file, names, layout)
         places, body = _with_unit_row(file, places, body, delimiter, layout)
-    rows = _rows(file, _with_points(file, body, delimiter), delimiter, len(names), warnings)
+    body = _with_points(file, body, delimiter)
+    if "t" in places and places["t"].name not in layout.units:
+        body = _with_seconds(body, delimiter, places["t"].column)
+    rows = _rows(file, body, delimiter, len(names), warnings)
+    if "t" in places:
+        places = {**places, "t": _with_epoch_unit(file, rows, places["t"], warnings)}
     with np.errstate(over="ignore"):
         columns = {channel: rows[:, place.column] * place.factor for channel, place in places.items()}
     columns = {channel: np.where(np.isfinite(values), values, np.nan) for channel, values in columns.items()}
@@ -107,7 +122,7 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
     timed = np.abs(seconds) <= LATEST
     if not timed.any() and np.isfinite(seconds).any():
         raise RunError(file, f"times like {np.nanmax(np.abs(seconds)):.3g} in column {places['t'].name} are not in "
-                       f"{places['t'].unit}", "declare their unit in a run.yaml, as units: {t: ns}")
+                       f"{places['t'].unit}", "declare their unit in a run.yaml, as units: {t: us}")
     # Microseconds: what decimal seconds since 1970 still carry as a float.
     time_ns = np.round(seconds[timed] * 1e6).astype(np.int64) * 1000
     kept, notes = usable_rows(time_ns, "rows") if len(time_ns) else (np.empty(0, np.int64), [])
@@ -131,7 +146,9 @@ def _header_line(lines: list[str], layout: Layout | None = None) -> int:
 
 def _parted(header: str) -> tuple[list[str], str]:
     """(names, delimiter)."""
-    delimiter = next((mark for mark in (";", "\t", "|") if mark in header), ",")
+    delimiter = next((mark for mark in (";", "\t", "|", ",") if mark in header), ",")
+    if delimiter not in header and len(header.split()) > 2:
+        return header.split(), " "
     try:
         names = next(csv.reader([header.strip("\r\n")], delimiter=delimiter, skipinitialspace=True), [])
     except csv.Error:
@@ -163,6 +180,52 @@ def _with_unit_row(file: Path, places: dict[str, Place], body: str, delimiter: s
                            f"known are {', '.join(UNITS[kind])}; or set it in a run.yaml, as units: {{{channel}: ...}}")
         found[channel] = replace(places[channel], unit=unit, stated=True)
     return found, rest
+
+
+def _with_seconds(body: str, delimiter: str, column: int) -> str:
+    """The rows with seconds in place of dates and times of day, taken as UTC where they give no zone."""
+    rows = [line.split(delimiter) for line in body.split("\n")]
+    first = next((row[column] for row in rows if len(row) > column and row[column].strip(' \r"')), "")
+    if not _STAMP.fullmatch(first.strip(' \r"')):
+        return body
+    days, before = 0.0, 0.0  # a time of day continues over midnight
+    for row in rows:
+        if len(row) <= column or not "".join(row).strip():
+            continue
+        match = _STAMP.fullmatch(row[column].strip(' \r"'))
+        if match is None:
+            row[column] = "nan"
+            continue
+        year, month, day, day_2, month_2, year_2, hour, minute, second, sign, hours, minutes = match.groups()
+        seconds = int(hour) * 3600 + int(minute) * 60 + float(second.replace(",", "."))
+        try:
+            if year or year_2:
+                dated = date(int(year or year_2), int(month or month_2), int(day or day_2))
+                seconds += (dated - date(1970, 1, 1)).days * _DAY
+        except ValueError:
+            row[column] = "nan"
+            continue
+        if sign:
+            seconds -= float(f"{sign}1") * (int(hours) * 3600 + int(minutes) * 60)
+        if not (year or year_2) and before - seconds > _DAY / 2:
+            days += _DAY
+        before = seconds
+        row[column] = f"{days + seconds:.6f}"
+    return "\n".join(map(delimiter.join, rows))
+
+
+def _with_epoch_unit(file: Path, rows: np.ndarray, place: Place, warnings: list[str]) -> Place:
+    """The place of the time with its unit, if that follows from times since 1970."""
+    times = np.abs(rows[:, place.column])
+    times = times[np.isfinite(times)]
+    if place.stated or not len(times) or np.median(times) <= LATEST:
+        return place
+    for unit in ("ms", "us", "ns"):
+        found = replace(place, unit=unit)
+        if _EPOCH[0] <= np.median(times) * found.factor <= _EPOCH[1]:
+            warnings.append(f"{file}: times of column {place.name} are taken as {unit} since 1970")
+            return found
+    return place
 
 
 def _with_points(file: Path, body: str, delimiter: str) -> str:
