@@ -163,6 +163,31 @@ def test_formats_of_python_can(tmp_path: Path, extension: str) -> None:
         assert np.array_equal(found.bus, [f.bus for f in frames])
 
 
+DATE = "date Mon May 4 10:11:12.000 am 2026\n"
+ASC = "  1  2             Rx   d 3 01 02 03\n"
+
+
+@pytest.mark.parametrize(("name", "lines"), [
+    ("a.log", [f" (1436509052.{k}00000)  can0  002   [3]  01 02 03\n" for k in range(3)]),
+    ("a.log", [f" (2015-07-10 06:17:32.{k}00000)  can0  RX - -  002   [3]  01 02 03   '...'\n" for k in range(3)]),
+    ("a.asc", [DATE, "base hex  timestamps absolute\n", *(f"   {k / 10:.6f}{ASC}" for k in range(3))]),
+    ("a.asc", [DATE, "base hex  timestamps relative\n", *(f"   {0.1 * (k > 0):.6f}{ASC}" for k in range(3))]),
+    ("a.asc", [DATE, "base hex  timestamps absolute\n", *(f"   0,{k}00000{ASC}" for k in range(3))]),
+])
+def test_variants_of_text_logs(tmp_path: Path, name: str, lines: list[str]) -> None:
+    (tmp_path / name).write_text("".join(lines))
+    frames = read_can_logs([tmp_path / name]).frames
+    assert np.diff(frames.time_ns).tolist() == [10**8, 10**8] and frames.id.tolist() == [2, 2, 2]
+    assert frames.payload[:, :4].tolist() == [[1, 2, 3, 0]] * 3
+    assert name != "a.log" or frames.time_ns[0] == 1_436_509_052_000_000_000
+
+
+def test_candump_without_times_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.log").write_text("  can0  002   [3]  01 02 03\n" * 3)
+    with pytest.raises(RunError, match=r"this output of candump has no time stamps; record with candump -l"):
+        read_can_logs([tmp_path / "a.log"])
+
+
 def test_a_log_under_the_wrong_extension_is_read_as_what_it_is(tmp_path: Path) -> None:
     content = "(1700000000.000000) can0 002#1D000007B0\n(1700000000.010000) can0 002#1D000007B1\n"
     file = tmp_path / "drive.asc"

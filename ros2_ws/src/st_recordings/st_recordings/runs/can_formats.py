@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -19,13 +20,20 @@ _MONTHS = {"jan": 1, "gen": 1, "feb": 2, "fév": 2, "fev": 2, "mar": 3, "mär": 
            "may": 5, "mai": 5, "mag": 5, "maj": 5, "jun": 6, "giu": 6, "jul": 7, "lug": 7, "aug": 8, "aoû": 8, "ago": 8,
            "sep": 9, "set": 9, "oct": 10, "okt": 10, "ott": 10, "out": 10, "nov": 11, "dec": 12, "dez": 12, "déc": 12,
            "dic": 12, "juin": 6, "juil": 7}
+# A line of candump without -l: " (1436509052.249713)  can0  RX - -  044   [8]  2A 36"; stamps of -t a, -t z or -t A.
+_SCREEN = re.compile(r"\s*\((?:(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+)|(\d+\.\d+))\)\s+(\S+)\s+"
+                     r"(?:(RX|TX)\s+\S+\s+\S+\s+)?"
+                     r"([0-9A-F]{3}|[0-9A-F]{8})\s+\[(\d+)\]\s*((?:[0-9A-F]{2}\s*)*|remote request\s*)(?:'.*')?\s*$")
+TIMELESS = re.compile(rb"^\s+\S+\s+[0-9A-F]{3,8}\s+\[\d+\]\s", re.MULTILINE)
+"""candump on the screen without -t."""
+_ASC_STAMP = re.compile(r"\s*(\d+)[.,](\d+)(?=\s)")
 _ENGLISH = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 
 
 class Lines:
     """The lines of a text log in any encoding, as the file object that python-can reads from.
 
-    position: number of the last line read. `unread` puts one in front of the rest.
+    position: number of the last line read. last: its text. `unread` puts a line in front of the others.
     """
 
     def __init__(self, file: Path, change: Callable[[str], str] = str):
@@ -33,20 +41,22 @@ class Lines:
         head = self._stream.read(2)
         self._codec = "utf-16-le" if head == _UTF16[0] else "utf-16-be" if head == _UTF16[1] else ""
         self._stream.seek(len(head) if self._codec else 0)
-        self.position = 0
+        self.position, self.last = 0, ""
 
     def __iter__(self) -> "Lines":
         return self
 
     def __next__(self) -> str:
         if self._front:
-            return self._front.pop()
+            self.last = self._front.pop()
+            return self.last
         self.position += 1
         line = self._line()
         if not line:
             self.position -= 1
             raise StopIteration
-        return self._change(line)
+        self.last = self._change(line)
+        return self.last
 
     def _line(self) -> str:
         raw = self._stream.readline()
@@ -97,11 +107,14 @@ def _io(name: str) -> Any:
     return import_module(f"can.io.{name}")
 
 
-def _by_line(make: Callable[[Lines, Found], Any], change: Callable[[str], str] = str,
+def _by_line(make: Callable[[Lines, Found], Any], change: Callable[[], Callable[[str], str]] = lambda: str,
              restart: str = "") -> Callable[[Path, Found], Iterator[Any]]:
-    """A reader of text that continues behind a line it cannot read. restart: a line its header parser may consume."""
+    """A reader of text that continues behind a line it cannot read.
+
+    change: makes the function that changes each line of one file. restart: a line its header parser may consume.
+    """
     def messages(file: Path, found: Found) -> Iterator[Any]:
-        lines = Lines(file, change)
+        lines = Lines(file, change())
         try:
             reader = make(lines, found)
             going = iter(reader)
@@ -124,14 +137,28 @@ def _by_line(make: Callable[[Lines, Found], Any], change: Callable[[str], str] =
     return messages
 
 
-def _candump(lines: Lines, found: Found) -> Any:
-    return _io("canutils").CanutilsLogReader(lines)
+def _candump_line(line: str) -> str:
+    """A line as candump prints it on the screen in the form of its log (-l)."""
+    match = _SCREEN.match(line)
+    if match is None:
+        return line
+    clock, stamp, channel, direction, identifier, length, data = match.groups()
+    if clock:
+        stamp = f"{datetime.fromisoformat(clock).replace(tzinfo=UTC).timestamp():.6f}"
+    data = "R" if data.startswith("remote") else "".join(data.split())
+    kind = "##0" if len(length) > 1 else "#"  # two digits for CAN FD
+    return f"({stamp}) {channel} {identifier}{kind}{data}{' T' if direction == 'TX' else ''}\n"
 
 
 def _asc(lines: Lines, found: Found) -> Any:
     base: Any = _io("asc").ASCReader
 
     class Reader(base):
+        def _extract_header(self) -> None:
+            super()._extract_header()
+            if _ASC_STAMP.match(lines.last):  # a header without its last line; the first frame was read in its place
+                lines.unread(lines.last)
+
         def _datetime_to_timestamp(self, text: str) -> float:
             try:
                 return super()._datetime_to_timestamp(text)
@@ -144,11 +171,28 @@ def _asc(lines: Lines, found: Found) -> Any:
     return Reader(lines, relative_timestamp=False)
 
 
-def _asc_line(line: str) -> str:
-    """Dates in the form python-can reads: month in English, no am or pm behind a 24-hour clock."""
-    match = _WEEKDAY_MONTH.match(line)
-    if match is None:
-        return line
+class _AscLines:
+    """Lines in the form python-can reads: times since the start, months in English, 24-hour clock without am or pm."""
+
+    def __init__(self) -> None:
+        self._relative, self._seconds = False, 0.0
+
+    def __call__(self, line: str) -> str:
+        if stamp := _ASC_STAMP.match(line):
+            seconds = float(".".join(stamp.groups()))
+            self._seconds = seconds + (self._seconds if self._relative else 0.0)
+            return f"{self._seconds:.6f}{line[stamp.end():]}"
+        if line.lower().startswith("base "):
+            self._relative = "timestamps relative" in line.lower()
+        match = _WEEKDAY_MONTH.match(line)
+        if match is None:
+            return line
+        if match[1].lower().startswith("begin"):
+            self._seconds = 0.0
+        return _english_date(match)
+
+
+def _english_date(match: re.Match[str]) -> str:
     key, month, rest = match.groups()
     name = month.lower().rstrip(".")
     number = _MONTHS.get(name[:4]) or _MONTHS.get(name[:3])
@@ -212,7 +256,8 @@ def _blf(file: Path, found: Found) -> Iterator[Any]:
 
 def _is_candump(head: bytes) -> bool:
     lines = head.replace(b"\0", b"").splitlines()[:20]
-    return any(re.match(rb"\W*\(\d+\.\d+\) \S+ [0-9A-Fa-f]+#", line) for line in lines)
+    return any(re.match(rb"\W*\(\d+\.\d+\) \S+ [0-9A-Fa-f]+#", line) or _SCREEN.match(line.decode("latin-1"))
+               for line in lines)
 
 
 def _is_trc(head: bytes) -> bool:
@@ -226,8 +271,9 @@ def _is_asc(head: bytes) -> bool:
 
 
 FORMATS = (
-    Format("candump", (".log", ".candump"), _is_candump, _by_line(_candump)),
-    Format("Vector ASC", (".asc",), _is_asc, _by_line(_asc, _asc_line, "\n")),
+    Format("candump", (".log", ".candump"), _is_candump,
+           _by_line(lambda lines, found: _io("canutils").CanutilsLogReader(lines), lambda: _candump_line)),
+    Format("Vector ASC", (".asc",), _is_asc, _by_line(_asc, _AscLines, "\n")),
     Format("Vector BLF", (".blf",), lambda head: head.startswith(b"LOGG"), _blf),
     Format("PEAK trace", (".trc",), _is_trc, _by_line(_trc)),
 )

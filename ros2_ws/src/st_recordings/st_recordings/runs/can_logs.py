@@ -9,7 +9,7 @@ from typing import Any
 import can
 import numpy as np
 
-from .can_formats import FORMATS, MF4_EXTENSIONS, Format, Found
+from .can_formats import FORMATS, MF4_EXTENSIONS, TIMELESS, Format, Found
 from .errors import RunError, check_readable
 from .frames import (
     ERROR,
@@ -91,6 +91,8 @@ def _read_one(file: Path) -> tuple[Frames, int, bool, Sequence[str]]:
     if found is None:
         if file.suffix.lower() in MF4_EXTENSIONS:
             read_mf4(file)  # raises the reason why it is not a valid MF4
+        if TIMELESS.search(head):
+            raise RunError(file, "this output of candump has no time stamps", "record with candump -l")
         known = ", ".join(["MF4", *(f.name for f in FORMATS)])
         raise RunError(file, f"this is not a CAN log of a known format ({known})",
                        "remove it from the command, or convert it")
