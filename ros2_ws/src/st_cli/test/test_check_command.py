@@ -64,7 +64,7 @@ def test_it_names_the_wrong_unit_and_exits_with_1(checked):
     assert first["text"] in result.output and first["cure"]["line"] in result.output
     assert run["verdict"] in result.output and "an evaluation would be meaningless" in run["verdict"]
     assert not names(content["runs"]["rfs_turn_a"]["findings"], "error")
-    assert list(content["failed"]) == ["nothing.csv"] and "the file does not exist" in result.output
+    assert list(content["failed"]) == ["nothing.csv"] and "the file or folder does not exist" in result.output
     for name in ("report.html", "check.json"):
         assert str(folder / name) in result.output
 

@@ -139,7 +139,7 @@ def test_unusable_messages_are_left_out_and_counted(tmp_path: Path) -> None:
     messages[55] = messages[54]
     drive = read_bag(write_ours(tmp_path / "drive", {**OURS, ("/vehicle/steering", STEERING): messages}))
     assert len(drive.log.steering_time_ns) == N - 51
-    assert any(f"50 of {N} steering messages (10 %) hold no usable value" in w for w in drive.warnings)
+    assert any(f"50 of {N} steering messages (10 %) have no usable value" in w for w in drive.warnings)
     assert drive.auxiliary.missing == {"road_wheel_angle": 50} and len(drive.auxiliary.stamps["steering"]) == N
     assert any("steering messages (0.22 %) are not newer" in w for w in drive.warnings)
 
