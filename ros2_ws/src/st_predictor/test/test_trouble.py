@@ -246,7 +246,7 @@ REFUSED = [
     ("predictor", [], "vehicle_file: not given"),
     ("predictor", ["horizont:=5.0"], "unknown parameter horizont; known are"),
     ("predictor", ["rate:=1000.0"], "rate: 1000.0 is outside 0.1 to 100 Hz"),
-    ("predictor", ["rate:=fast"], "rate: 'fast' is a str, float wanted"),
+    ("predictor", ["rate:=fast"], "rate: 'fast' is a str, not float"),
     ("predictor", [f"vehicle_file:={LEAF}", "horizon:=5.01"], "horizon: 5.01 s is not a whole number of steps"),
     ("predictor", [f"vehicle_file:={LEAF}", "models:=[linear, cubic]"], "unknown model 'cubic'; known are"),
     ("evaluator", [f"vehicle_file:={LEAF}", f"output_directory:={ROOT}"], "holds files already"),

@@ -36,10 +36,15 @@ class Diagnostics:
     def publish(self) -> None:
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
-        for check in (*self._collect(), _scheduling_check()):
+        now = scheduling.own()
+        values = {"policy": now.policy, "priority": now.priority, "nice": now.nice}
+        if now.autogroup is not None:
+            values["autogroup"] = now.autogroup
+        for check in (*self._collect(), Check("scheduling", OK, now.text, values)):
             status = DiagnosticStatus(name=f"{self._node.get_name()}: {check.name}", message=check.message,
                                       hardware_id=self._hardware_id, level=bytes([check.level]))
-            status.values = [KeyValue(key=str(k), value=_text(v)) for k, v in check.values.items()]
+            status.values = [KeyValue(key=str(k), value=f"{v:.6g}" if isinstance(v, float) else str(v))
+                             for k, v in check.values.items()]
             message.status.append(status)
             self._log_change(check)
         self._publisher.publish(message)
@@ -56,13 +61,3 @@ class Diagnostics:
             self._node.get_logger().warning(line)
         else:
             self._node.get_logger().error(line)
-
-
-def _scheduling_check() -> Check:
-    got = scheduling.own()
-    values = {"policy": got.policy, "priority": got.priority, "nice": got.nice}
-    return Check("scheduling", OK, got.text, values if got.autogroup is None else values | {"autogroup": got.autogroup})
-
-
-def _text(value: Any) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)

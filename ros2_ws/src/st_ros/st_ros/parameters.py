@@ -1,6 +1,7 @@
 """Node parameters declared once: type, default, unit, range. A wrong name, type or value stops the start-up."""
 
 import math
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -23,7 +24,7 @@ class Parameter:
     """One node parameter.
 
     name: as in the YAML file. default: its type is the parameter's type; a float takes an integer too.
-    unit: SI, or as the suffix of the name says. minimum, maximum: inclusive. choices: allowed values.
+    unit: SI, or that of the suffix of the name. minimum, maximum: inclusive. choices: allowed values.
     """
 
     name: str
@@ -51,7 +52,7 @@ class Parameter:
                 raise ConfigurationError(f"{self.name}: {value!r} is not a list")
             return [str(v) for v in value] if all(isinstance(d, str) for d in self.default) else list(value)
         if not isinstance(value, expected) or (isinstance(value, bool) and expected is not bool):
-            raise ConfigurationError(f"{self.name}: {value!r} is a {type(value).__name__}, {expected.__name__} wanted")
+            raise ConfigurationError(f"{self.name}: {value!r} is a {type(value).__name__}, not {expected.__name__}")
         if self.choices and value not in self.choices:
             raise ConfigurationError(f"{self.name}: {value!r} is not {self.limit()}")
         numeric = isinstance(value, int | float) and not isinstance(value, bool)
@@ -69,7 +70,9 @@ def declare(node: Node, parameters: Sequence[Parameter]) -> SimpleNamespace:
     override of an undeclared parameter.
     """
     overrides = dict(node._parameter_overrides)
-    origin = _origin(node)
+    arguments = list(getattr(node.context, "_cli_args", None) or sys.argv)
+    files = [arguments[i + 1] for i, word in enumerate(arguments[:-1]) if word == "--params-file"]
+    origin = f"{files[-1]}: " if files else ""
     known = {p.name for p in parameters}
     for name in overrides:
         if name not in known and name not in BUILT_IN and not name.startswith("qos_overrides."):
@@ -90,17 +93,3 @@ def declare(node: Node, parameters: Sequence[Parameter]) -> SimpleNamespace:
         node.declare_parameter(parameter.name, value if value != [] else [""], descriptor)
         setattr(values, parameter.name, value)
     return values
-
-
-def _origin(node: Node) -> str:
-    arguments = list(getattr(node.context, "_cli_args", None) or _process_arguments())
-    files = [arguments[i + 1] for i, word in enumerate(arguments[:-1]) if word == "--params-file"]
-    return f"{files[-1]}: " if files else ""
-
-
-def _process_arguments() -> list[str]:
-    import sys
-
-    return sys.argv
-
-

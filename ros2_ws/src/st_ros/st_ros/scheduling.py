@@ -22,7 +22,7 @@ _TRIES, _PAUSE = 5, 0.11
 @dataclass(frozen=True)
 class Scheduling:
     """policy: in words. priority: of the real-time policies, else 0. autogroup: nice value of the session's group,
-    None where there are no autogroups; with them it counts between sessions, `nice` within one."""
+    None without autogroups; with them it counts between sessions, `nice` within one."""
 
     policy: str
     priority: int
