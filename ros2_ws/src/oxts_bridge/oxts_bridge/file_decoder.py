@@ -12,7 +12,7 @@ from . import ncom
 from .channel_table import TRIGGER_CHANNELS
 from .channels import UTC_CHANNEL, known, trigger_nanoseconds, utc_offset
 from .ncom import BATCH_S, BY_STATUS, PACKET_SIZE, STATUS_AT, Counters, NcomError, is_valid_position, next_packet
-from .packet_time import DUPLICATE, FIRST_MINUTE, LAST_MINUTE, LATE, NEW, packet_times, utc_times
+from .packet_time import DUPLICATE, FIRST_MINUTE, LAST_MINUTE, LATE, MINUTE_MS, NEW, packet_times, utc_times
 
 KINDS = ("empty", "regular", "status", "trigger")
 EMPTY, REGULAR, STATUS, TRIGGER = range(4)
@@ -135,6 +135,7 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
 
     with np.errstate(invalid="ignore"):  # private or empty packets may hold signalling NaN
         altitude = np.ndarray((n,), "<f4", buffer, ncom.ALTITUDE_AT, (PACKET_SIZE,)).astype(np.float64)
+    counters.impossible_times = int((_HAS_TIME[status] & (milliseconds >= MINUTE_MS)).sum())
     columns = Columns(
         offset=offset,
         raw=raw,
@@ -168,7 +169,7 @@ def _times(
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """GPS time [ns] and order of every packet of the series, and the number of time jumps."""
     gps_ns, order = np.full(len(raw), UNKNOWN_TIME), np.zeros(len(raw), np.int8)
-    timed = np.flatnonzero(_HAS_TIME[status])
+    timed = np.flatnonzero(_HAS_TIME[status] & (milliseconds < MINUTE_MS))
     hints = np.flatnonzero((status == ncom.STATUS_ONLY) & (minutes >= 0))
     gps_ms, order[timed], jumps = packet_times(
         milliseconds[timed],

@@ -92,7 +92,8 @@ class Health:
     """Diagnostic checks from the counts of parser, status and source.
 
     Set by the node: navigation_status; last_packet_at: time of receipt on the monotonic clock [s]; minute_from_host;
-    failures: packets that could not be published.
+    failures: packets that could not be published. incomplete: packets with a fix by their navigation status, but with
+    position, velocity, angles or rates marked invalid: no odometry.
     """
 
     def __init__(
@@ -111,10 +112,11 @@ class Health:
         self.last_packet_at = _NEVER
         self.minute_from_host = False
         self.failures = 0
+        self.incomplete = 0
         self._best_mode: int | None = None
         self._parser, self._status, self._origin, self._statistics = parser, status, origin, statistics
         self._source, self._live, self._ellipsoidal, self._silence_after = source, live, ellipsoidal, silence_after
-        self._before = (0, 0, 0, 0, 0)
+        self._before: dict[str, int] = {}
         self._rivals_before = 0
 
     def checks(self) -> list[Check]:
@@ -148,21 +150,24 @@ class Health:
     def _stream(self, source: SourceStatus) -> Check:
         window, counters = self._statistics.take(), self._parser.counters
         age = time.monotonic() - self.last_packet_at
-        faults = (counters.checksum_errors, counters.skipped_bytes, counters.late, self._statistics.gaps,
-                  counters.impossible_positions)
-        new = [now - before for now, before in zip(faults, self._before, strict=True)]
+        faults = {
+            "checksum errors": counters.checksum_errors,
+            "skipped bytes": counters.skipped_bytes,
+            "late": counters.late,
+            "gaps": self._statistics.gaps,
+            "impossible positions": counters.impossible_positions,
+            "impossible times": counters.impossible_times,
+            "packets without a complete solution": self.incomplete,
+        }
+        new = {name: count - self._before.get(name, 0) for name, count in faults.items()}
         self._before = faults
         values = {
             "rate [Hz]": window.rate,
-            "gaps": self._statistics.gaps,
             "longest step [s]": window.longest,
             "packets": counters.packets,
-            "checksum errors": counters.checksum_errors,
+            **faults,
             "inner checksum warnings": counters.inner_checksum_warnings,
-            "skipped bytes": counters.skipped_bytes,
-            "late": counters.late,
             "duplicates": counters.duplicates,
-            "impossible positions": counters.impossible_positions,
             "triggers": counters.triggers,
             "reserved navigation status": counters.unknown_statuses,
             "unknown channels": counters.unknown_channels,
@@ -174,8 +179,7 @@ class Health:
             return Check("stream", ERROR, "no NCOM packet yet", values)
         if age > self._silence_after:
             return Check("stream", ERROR, f"no packet for {age:.1f} s", values)
-        names = ("checksum errors", "skipped bytes", "late packets", "gaps", "impossible positions")
-        trouble = [f"{count} {name}" for count, name in zip(new, names, strict=True) if count > 0]
+        trouble = [f"{count} {'late packets' if name == 'late' else name}" for name, count in new.items() if count > 0]
         if trouble:
             return Check("stream", WARN, ", ".join(trouble) + " since the last report", values)
         return Check("stream", OK, f"{window.rate:.0f} packets/s", values)

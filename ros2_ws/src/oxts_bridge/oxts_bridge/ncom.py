@@ -92,7 +92,7 @@ class Packet:
     """Values of one packet in the frames of the wire: navigation NED, vehicle FRD (x forward, y right, z down).
     NaN = invalid.
 
-    milliseconds: into the GPS minute, 0..59999 (larger numbers are kept as sent).
+    milliseconds: into the GPS minute, 0..59999; larger numbers are kept as sent and are no valid time.
     acceleration: specific force x, y, z [m/s^2], about -9.81 on z at rest, |a| <= 838.8607.
     angular_rate: x, y, z [rad/s] relative to inertial space, |w| <= 83.88607.
     navigation_status: 0..255, see RULES.
@@ -215,6 +215,7 @@ class Counters:
     unknown_channels: int = 0
     structure_b: int = 0  # vendor-internal, dropped
     triggers: int = 0
+    impossible_times: int = 0  # milliseconds of the minute above 59999: the packet has no time
     impossible_positions: int = 0  # NaN or out of range although the navigation status declares a position: masked
 
 

@@ -146,6 +146,7 @@ class OxtsBridge(LifecycleNode):
             return
         in_series = received.kind == "regular" and received.order == NEW
         motion = motion_of(received)
+        self._health.incomplete += in_series and motion is None and received.rule.navigation == "valid"
         position = self._position(publishers, received_ns, motion)
         if (event := self._events.event(received)) is not None:
             where = (position, motion) if event.complete else (None, None)

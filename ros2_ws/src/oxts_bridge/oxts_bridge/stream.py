@@ -7,7 +7,7 @@ from . import channels, ncom
 from .channel_table import TRIGGER_CHANNELS
 from .fields import Value
 from .ncom import NAN, PACKET_SIZE, Counters, Packet, Rule
-from .packet_time import DUPLICATE, LAST_MINUTE, LATE, NEW, SAME, GpsClock, host_minute, unix_nanoseconds
+from .packet_time import DUPLICATE, LAST_MINUTE, LATE, MINUTE_MS, NEW, SAME, GpsClock, host_minute, unix_nanoseconds
 
 _NO_VECTOR = (NAN, NAN, NAN)
 _NO_FIELDS: Mapping[str, Value] = {}
@@ -101,7 +101,9 @@ class NcomParser:
         order = NEW
         gps_ns: int | None = None
         fields, minute = self._status_channel(packet, status) if rule.status else (_NO_FIELDS, None)
-        if rule.time:
+        if rule.time and packet.milliseconds >= MINUTE_MS:
+            counters.impossible_times += 1
+        elif rule.time:
             gps_ns, order = self._step(packet, raw, minute, received_ns)
         elif kind == "trigger":
             gps_ns, order = self._trigger(packet, raw)

@@ -352,3 +352,12 @@ def test_lifecycle(rig, drive):
     rig.messages("ins/odometry", count + 10)
     assert change_state(rig, deactivate) and change_state(rig, cleanup) and change_state(rig, configure)
     assert change_state(rig, cleanup) and change_state(rig, shutdown)
+
+
+def test_a_fix_without_heading_is_reported_and_the_other_topics_continue(rig, packet):
+    """One antenna before the heading is found, or a unit that marks single values invalid."""
+    rig = rig()
+    rig.send(packet(START, 0), *(packet(START + 10 * i, 3, heading=math.nan) for i in range(1, 20)))
+    assert len(rig.messages("ins/imu", 20)) == 20 and len(rig.messages("ins/odometry", 1)) == 1
+    rig.spin(lambda: "packets without a complete solution" in rig.check("stream")[2])
+    assert rig.check("stream")[2]["packets without a complete solution"] == "19"

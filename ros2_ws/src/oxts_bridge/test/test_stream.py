@@ -284,3 +284,58 @@ def test_positions_that_cannot_be_are_masked_and_counted(packet, latitude):
     received = parser.feed(packet(START, latitude=latitude) + packet(START + 4))
     assert [isnan(one.packet.latitude) for one in received] == [True, False]
     assert parser.counters.impossible_positions == 1
+
+
+@pytest.mark.parametrize("milliseconds", [60_000, 65_535])
+def test_a_packet_with_impossible_milliseconds_has_no_time_and_leaves_the_clock_alone(drive, milliseconds):
+    packets = drive(30)
+    packets[12] = ncom.encode(replace(ncom.decode(packets[12]), milliseconds=milliseconds))
+    parser = NcomParser()
+    received = parser.feed(b"".join(packets))
+    times = [None if i == 12 else (START + 4 * i) * 1_000_000 for i in range(30)]
+    assert [r.gps_ns for r in received] == times and all(r.fresh for r in received)
+    columns = decode_file(b"".join(packets))
+    assert columns.gps_ns.tolist() == [UNKNOWN_TIME if time is None else time for time in times]
+    assert columns.counters == parser.counters and parser.counters.impossible_times == 1
+    assert (parser.counters.late, parser.time_jumps, columns.time_jumps) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("channel", [82, 83, 84, 86, 92, 96, 255])
+def test_channels_without_a_published_layout_are_counted_and_leave_the_packet_valid(packet, channel):
+    """Channels of other products (xNAV) and of later firmware."""
+    parser = NcomParser()
+    received = parser.feed(packet(START, 0) + packet(START + 4, channel, batch_s=bytes(range(8))))
+    assert received[1].fields == {} and received[1].gps_ns == (START + 4) * 1_000_000
+    assert received[1].packet.latitude == received[0].packet.latitude
+    assert parser.counters.unknown_channels == 1
+
+
+def test_several_packets_in_a_datagram_and_one_over_several(drive):
+    packets = drive(40)
+    stream = b"".join(packets)
+    for size in (1, 71, 72, 73, 144, 500, 1472):  # serial bytes, file chunks, full datagrams
+        parser = NcomParser()
+        received = [r for at in range(0, len(stream), size) for r in parser.feed(stream[at : at + size])]
+        assert [r.raw for r in received] == packets and parser.counters.skipped_bytes == 0
+        assert [r.gps_ns for r in received] == [(START + 4 * i) * 1_000_000 for i in range(40)]
+
+
+@pytest.mark.parametrize(("at", "accepted"), [(22, True), (61, True), (71, False)])
+def test_only_the_last_checksum_decides(drive, at, accepted):
+    packets = drive(3)
+    wrong = bytearray(packets[1])
+    wrong[at] ^= 0x55
+    data = bytes(wrong) if at == 71 else reseal(bytes(wrong))
+    parser = NcomParser()
+    received = parser.feed(packets[0] + data + packets[2])
+    assert len(received) == 2 + accepted and received[-1].raw == packets[2]
+    counters = parser.counters
+    assert (counters.checksum_errors, counters.inner_checksum_warnings) == (int(not accepted), int(accepted))
+
+
+def test_week_roll_over_in_stream_and_file(drive):
+    """GPS week 2382 to 2383 without channel 0 near it, and the seconds of the week fall by 604800."""
+    packets = drive(60, 10_080 * 2383 * 60_000 - 100, every=50)
+    received = NcomParser().feed(b"".join(packets))
+    times = [(10_080 * 2383 * 60_000 - 100 + 4 * i) * 1_000_000 for i in range(60)]
+    assert [r.gps_ns for r in received] == times == decode_file(b"".join(packets)).gps_ns.tolist()
