@@ -135,7 +135,7 @@ def test_a_reference_of_another_car_is_refused(drive, tmp_path):
         digest = {"files": {file: file}, "vehicle": car_name}
         return replace(read, name=file, about={**read.about, **digest})
     leaf, genesis, unknown = of("Leaf", "a.csv"), of("Genesis", "b.csv"), of("", "c.csv")
-    with pytest.raises(ConfigurationError, match=r"--reference b\.csv is of 'Genesis', a\.csv of 'Leaf', as"):
+    with pytest.raises(ConfigurationError, match=r"--reference b\.csv was recorded with 'Genesis', a\.csv"):
         _refuse_twice([leaf], [unknown, genesis])
     _refuse_twice([leaf, unknown], [of("Leaf", "d.csv"), of("", "e.csv")])
 

@@ -116,21 +116,20 @@ def _read(request: Request, progress: Progress) -> tuple[list[Drive], list[Drive
 
 
 def _refuse_twice(suspect: Sequence[Drive], reference: Sequence[Drive]) -> None:
-    """Raises ConfigurationError for a drive on both lists, and for a reference that says it is of another car."""
+    """Raises ConfigurationError for a drive on both lists, and for a reference recorded with another car."""
     mine = {digest for d in suspect if d.log is not None for digest in d.about["files"].values()}
     cars = {d.about["vehicle"]: d.name for d in suspect if d.log is not None and d.about["vehicle"]}
     for drive in (d for d in reference if d.log is not None):
         if mine & set(drive.about["files"].values()):
-            raise ConfigurationError(f"{drive.name} is given as a run and as --reference: what is suspect cannot be "
-                                     "the healthy car; take it off one of the lists")
+            raise ConfigurationError(f"{drive.name} is given as a run and as --reference: remove it from one list")
         if drive.about["vehicle"] and cars and drive.about["vehicle"] not in cars:
             car, name = next(iter(cars.items()))
-            raise ConfigurationError(f"--reference {drive.name} is of {drive.about['vehicle']!r}, {name} of {car!r}, "
-                                     "as their recordings say: a reference is the same car while it was healthy")
+            raise ConfigurationError(f"--reference {drive.name} was recorded with {drive.about['vehicle']!r}, {name} "
+                                     f"with {car!r}: a reference is a drive of the same car without the fault")
 
 
 def _named_apart(suspect: Sequence[Drive], reference: Sequence[Drive]) -> list[Drive]:
-    """A healthy drive of the same name as a run gets another: results speak of runs by name."""
+    """The reference drives, renamed where a run has the same name: results identify runs by name."""
     taken = {d.name for d in suspect}
     renamed = []
     for drive in reference:

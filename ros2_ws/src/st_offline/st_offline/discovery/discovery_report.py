@@ -74,7 +74,7 @@ def model_file(found: Discovery, request: Request, update: VehicleUpdate) -> Mod
     intervals: dict[tuple[str, str], Interval] = {}
     for one in found.effects:
         for name, p in one.parameters.items():
-            assert found.named is not None  # it holds the effects
+            assert found.named is not None  # it contains the effects
             total = found.named.values[one.name][name]
             low, high = (total + edge - p.value for edge in p.interval)
             intervals[one.name, name] = (min(low, total), max(high, total))

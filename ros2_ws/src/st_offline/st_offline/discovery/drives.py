@@ -39,8 +39,8 @@ DRIVE_FORMAT = 3  # of a cached drive; files of another number are not used
 class Drive:
     """One run as it was read, or the reason why it cannot be used (then log is None).
 
-    about: for the report; its findings are there for a run that was refused as well. Its estimates are those of the
-    checks, its vehicle the name of the car that a recording says it is of, "" where it does not.
+    about: for the report, with the findings also of a refused run, the estimates of the checks, and as vehicle the name
+    of the car in a recording, "" without one.
     """
 
     name: str
@@ -51,9 +51,8 @@ class Drive:
 
 def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settings: ReadSettings, jobs: int,
                 cache: Path | None, done: Callable[[], None], force: bool = False) -> list[Drive]:
-    """Every run, in the order of the sources. jobs: processes side by side. cache: folder of what is kept; None: no.
-
-    force: whether runs are used of which the checks say that it means nothing.
+    """Every run, in the order of the sources. jobs: parallel processes. cache: folder of the cached drives, or None.
+    force: also use runs with an error in the checks.
     """
     if jobs <= 1 or len(sources) < 2:
         drives = []
@@ -62,7 +61,7 @@ def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settin
             done()
         return drives
     with ProcessPoolExecutor(min(jobs, len(sources))) as pool:
-        # What is no recording at all is answered here: its error does not travel between processes.
+        # A source with a problem is handled here: its error cannot be pickled.
         futures = {number: pool.submit(read_drive, source, vehicle, settings, cache, force)
                    for number, source in enumerate(sources) if source.problem is None}
         for _ in as_completed(futures.values()):
@@ -73,7 +72,7 @@ def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settin
 
 def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, cache: Path | None,
                force: bool = False) -> Drive:
-    """One run, from what is kept of it where its files are still the same. What is wrong becomes its `problem`."""
+    """One run, from the cache where its files are the same. An error of its files becomes its `problem`."""
     try:
         if source.problem is not None:
             raise source.problem
@@ -100,7 +99,7 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
 
 
 def cache_folder(name: str = "drives") -> Path | None:
-    """Where drives, or answers, are kept between starts; None where there is no home."""
+    """Folder of cached drives or answers; None without a home directory."""
     try:
         return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "single_track" / name
     except RuntimeError:
@@ -108,19 +107,19 @@ def cache_folder(name: str = "drives") -> Path | None:
 
 
 def name_of(content: Any) -> str:
-    """A file name for everything that what is kept depends on."""
+    """A file name by the hash of everything a cached result depends on."""
     return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()[:32]
 
 
 @remembered
 def code_of(package: ModuleType) -> str:
-    """Of the code of a package: what another version found is not believed."""
+    """Hash of the code of a package, so that results of another version are not used."""
     files = sorted(file for folder in package.__path__ for file in Path(folder).rglob("*.py"))
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 
 def put(file: Path, write: Callable[[Path], object]) -> None:
-    """Written beside and moved into place, so that a start cut short leaves nothing half. A full disk is no reason."""
+    """Write a temporary file and move it into place; a failure, as of a full disk, is ignored."""
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         temporary = file.with_name(f".{file.stem}.{os.getpid()}{file.suffix}")
@@ -138,7 +137,7 @@ def _recorded_vehicle(source: RunSource, run: LoadedRun) -> str:
 
 
 def _key(source: RunSource, files: dict[str, str], vehicle: VehicleParameters, settings: ReadSettings) -> str:
-    """Of everything the drive depends on: contents, not paths, except that its name is kept in it."""
+    """Cache name of a drive: of its contents and settings, not its paths."""
     tables = signal_files(source, settings) if source.can else ()
     table = [hashlib.sha256(f.read_bytes()).hexdigest() for f in tables]
     options = {k: v for k, v in asdict(settings).items() if k not in ("dbc", "signals")}
@@ -203,7 +202,7 @@ ANSWER_FORMAT = 2  # of a cached answer; files of another number are not used
 
 def answer_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle: VehicleParameters, base: Model,
         settings: DiscoverySettings, effects: Mapping[str, str], identities: Mapping[str, Sequence[float]]) -> str:
-    """Of everything an answer depends on, the code included."""
+    """Cache name of an answer: of all its inputs, the code included."""
     values = base.values if isinstance(base, AugmentedModel) else {}
     content = [ANSWER_FORMAT, code_of(st_core), [_digest(log) for log in runs], [_digest(log) for log in reference],
                vehicle.hash, sorted((name, one.uncertainty) for name, one in vehicle.provenance.items()),
@@ -213,14 +212,14 @@ def answer_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle:
 
 
 def keep_answer(file: Path, found: Discovery) -> None:
-    """Into the file that `cached_answer` reads; nothing where it cannot be written."""
+    """Write an answer for `cached_answer`."""
     models = {name: getattr(found, name) for name in MODELS}
     content = found.document() | {name: model and _model(model) for name, model in models.items()}
     put(file, lambda temporary: temporary.write_text(json.dumps(content), encoding="utf-8"))
 
 
 def cached_answer(file: Path) -> Discovery | None:
-    """The answer in a file of `keep_answer`; None where there is none, or a damaged one."""
+    """The answer in a file of `keep_answer`; None for a missing or damaged one."""
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
         hints = get_type_hints(Discovery)
@@ -232,7 +231,7 @@ def cached_answer(file: Path) -> Discovery | None:
 
 
 def restored(kind: Any, value: Any) -> Any:
-    """What `Discovery.document` made lists and dicts of, as dataclasses, tuples and mappings of the type `kind`."""
+    """Lists and dicts of `Discovery.document` as dataclasses, tuples and mappings of the type `kind`."""
     origin, inner = get_origin(kind), get_args(kind)
     if isinstance(kind, type) and is_dataclass(kind):
         hints = get_type_hints(kind)

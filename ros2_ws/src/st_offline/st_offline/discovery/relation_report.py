@@ -126,7 +126,7 @@ def _uncertainty(one: Relation) -> list[str]:
     if one.drives.thin:
         mirrored = ", to either side" if c.parity == ODD else ""
         lines.append(f"sparsely driven: {_ranges(one, one.drives.thin)}{mirrored}. There the curve is interpolated, "
-                     "and its interval holds only if the true relation is as smooth")
+                     "with an interval for a relation as smooth")
     absent = one.shares.absent() if one.shares.p_equal < P_DIFFERENT else []
     if absent:
         shares = ", ".join(f"{name} {share:.1f} ± {report_text.Z95 * deviation:.1f}" for name, (share, deviation) in
@@ -154,7 +154,7 @@ def _files(one: Relation, corrected: bool) -> list[str]:
     lines = [f"with the relation: the original vehicle file, proposed.yaml and effects/{name_of(one)}.py"]
     if corrected:
         lines += ["without the relation: vehicle.yaml and model.yaml",
-                  "never proposed.yaml with vehicle.yaml: it holds the corrections of the vehicle file itself, "
+                  "never proposed.yaml with vehicle.yaml: it contains the corrections of the vehicle file itself, "
                   "refitted with the relation, which would count twice; it is refused"]
     return lines
 

@@ -160,7 +160,7 @@ def what(found: Discovery) -> list[str]:
 
 
 def condition_of(found: Discovery, effect: FoundEffect) -> str:
-    """The vehicle file's quantity on which a value depends, as stiffness and inertia on the mass; empty without one."""
+    """Quantity of the vehicle file on which a value depends, as stiffness and inertia on the mass; empty without one."""
     key = EFFECTS[effect.name].ratio_to if effect.name in EFFECTS else ""
     known = next((a for a in found.assumed if a.key == key), None)
     return f", if the {key} is {known.value:.4g} ± {known.deviation:.2g} {known.unit}" if known else ""
@@ -177,7 +177,7 @@ def varying(one: BoundEffect) -> str:
 
 
 def significant(entries: Sequence[Value]) -> int:
-    """Number of parts of the driving whose own share of an effect is significantly above zero (95 %)."""
+    """Number of parts of the driving with a share of the effect significantly above zero (95 %)."""
     return sum(v.share - Z95 * v.deviation > 0.0 for v in entries)
 
 

@@ -1,4 +1,4 @@
-"""The user's vehicle file with what was named in it; everything else stays in the model file."""
+"""The user's vehicle file with the named effects; everything else stays in the model file."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -39,13 +39,12 @@ Values = Mapping[str, Mapping[str, float]]
 
 @dataclass(frozen=True)
 class VehicleUpdate:
-    """vehicle: as `text` says, the content of vehicle.yaml; the user's own, and "", where it is not written.
+    """vehicle, text: the updated car, content of vehicle.yaml; the original and "" where that is not written.
 
-    model: on that vehicle, the rest of what predicts best; effects in the file at null or, where they predict better
-    with another value, at what that adds. folded: effects the file holds. changes: (before, after, low, high) by key of
-    the file, SI. kept: (before, after) by key, for each effect that a vehicle file could hold but not so that these
-    drives are predicted as before. error: (original, updated) mean position error after 5 s of the bare base model with
-    each vehicle file, each drive with values found without it [m]; NaN without drives. objections: to the updated car.
+    model: for that vehicle, the other effects; those in the file at null or at what still improves the prediction.
+    folded: effects in the file. changes: (before, after, low, high) by key, SI. kept: (before, after) by key for each
+    effect with such keys whose folding would change the predictions. error: (original, updated) mean position error
+    after 5 s of the base model with each file, each drive with the values found without it [m]. objections: to the car.
     """
 
     vehicle: VehicleParameters
@@ -59,8 +58,8 @@ class VehicleUpdate:
 
 
 def update_vehicle(found: Discovery, request: Request) -> VehicleUpdate | None:
-    """The vehicle file with what was named, `folded_update`, where it predicts the drives better by itself than the
-    original, each drive with the values found without it; else the original. None where no model was found."""
+    """`folded_update` if it alone predicts held-out drives better than the original file, else the original; None
+    without a model."""
     update = folded_update(found, request)
     if update is None or not update.text or not update.error[1] > update.error[0]:
         return update
@@ -68,12 +67,11 @@ def update_vehicle(found: Discovery, request: Request) -> VehicleUpdate | None:
 
 
 def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
-    """The vehicle file with what was named, better or not; None where no model was found.
+    """The vehicle file with the named effects, better or not; None without a model.
 
-    Each named effect that a vehicle file can hold is folded in, in the order in which they act, if prediction of the
-    drives stays what it was. It does not where the recordings hold the angle of the road wheels, which no ratio or
-    offset of a vehicle file touches, or where what acts before it does not commute (play in the steering). What is not
-    named, minor or effective, is no reason to change the vehicle file.
+    Each named effect with an entry in a vehicle file is folded in, in the order in which they act, if the predictions
+    stay the same. They do not where the recordings contain the angle of the road wheels, or where an effect before it
+    does not commute (play in the steering). Minor and effective corrections never change the vehicle file.
     """
     if found.model is None or found.named is None:
         return None
@@ -126,7 +124,7 @@ def _held_out_error(found: Discovery, vehicle: VehicleParameters, folded: Sequen
         values = {**found.named.values, **found.left_out.get(drive.name, {})}
         try:
             car = fold(vehicle, folded, values)
-        except StCoreError:  # fitted without this drive it is no car
+        except StCoreError:  # the values without this drive are outside the limits of a vehicle file
             return 0.0, math.inf
         before, after = (np.hypot(*_errors(found.base, one, [drive])[0][:, :2].T) for one in (vehicle, car))
         there = np.isfinite(before) & np.isfinite(after)
@@ -136,8 +134,8 @@ def _held_out_error(found: Discovery, vehicle: VehicleParameters, folded: Sequen
 
 def _remaining(found: Discovery, car: VehicleParameters, folded: Sequence[type[Effect]], drives: Sequence[DriveLog],
                vehicle: VehicleParameters) -> AugmentedModel:
-    """What predicts on the updated vehicle as the whole model does on the original; without effective corrections where
-    that cannot be had."""
+    """Model for the updated vehicle with the predictions of the whole model; without effective corrections if those
+    differ."""
     assert found.model is not None and found.named is not None
     values: dict[str, dict[str, float]] = {}
     for effect in folded:
@@ -160,7 +158,7 @@ def _changes(vehicle: VehicleParameters, other: VehicleParameters) -> dict[str, 
 
 def changed(vehicle: VehicleParameters, effect: type[Effect], values: Mapping[str, float]
             ) -> dict[str, tuple[float, float]]:
-    """(before, after) of every key of a vehicle file that could hold an effect; nothing for one that none can hold."""
+    """(before, after) of every key of a vehicle file for an effect; empty without one."""
     if not effect.fold:
         return {}
     try:
@@ -171,7 +169,7 @@ def changed(vehicle: VehicleParameters, effect: type[Effect], values: Mapping[st
 
 
 def fold(vehicle: VehicleParameters, effects: Iterable[type[Effect]], values: Values) -> VehicleParameters:
-    """The vehicle with these effects in its parameters. Raises ConfigurationError where that is no car."""
+    """The vehicle with these effects in its parameters. Raises ConfigurationError outside the limits of the file."""
     for effect in effects:
         assert effect.fold is not None  # others are not folded
         vehicle = effect.fold(vehicle, effect.Theta(**values[effect.name], car=()))
@@ -184,7 +182,7 @@ def without(model: AugmentedModel, effects: Iterable[type[Effect]]) -> Augmented
 
 
 def _errors(model: AugmentedModel, vehicle: VehicleParameters, drives: Sequence[DriveLog]) -> list[np.ndarray]:
-    """Errors (starts, 3) at the end of the horizon, by drive; the steering is computed as a reader would."""
+    """Errors (starts, 3) at the end of the horizon, by drive, with the steering by the vehicle's ratio and offset."""
     found = []
     for drive in drives:
         log = drive
@@ -205,7 +203,7 @@ def _alike(errors: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> bool:
 def _interval(found: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
               key: str) -> tuple[float, float]:
     """95 % of a key of the file: the intervals of the effects in it, taken as independent."""
-    assert found.named is not None  # it holds the effects
+    assert found.named is not None  # it contains the effects
     values = {name: dict(entry) for name, entry in found.named.values.items()}
     centre = value_of(fold(vehicle, folded, values), key)
     below = above = 0.0
@@ -226,17 +224,17 @@ def _interval(found: Discovery, vehicle: VehicleParameters, folded: Sequence[typ
 def _source(found: Discovery, folded: Sequence[type[Effect]]) -> tuple[str, Provenance]:
     runs = [run for run in found.runs if run.role == "suspect"]
     date = f"{datetime.now(UTC):%Y-%m-%d}"
-    whence = f"{len(runs)} run{'' if len(runs) == 1 else 's'}, {sum(run.seconds for run in runs):.0f} s"
+    source = f"{len(runs)} run{'' if len(runs) == 1 else 's'}, {sum(run.seconds for run in runs):.0f} s"
     about = Provenance(None, "st discover", ", ".join(run.name for run in runs), date)
-    return f"st discover, {date}, {whence}: {', '.join(e.name for e in folded)}", about
+    return f"st discover, {date}, {source}: {', '.join(e.name for e in folded)}", about
 
 
 def updated_text(request: Request, car: VehicleParameters, changes: Mapping[str, tuple[float, ...]], source: str,
                 about: Provenance) -> str:
-    """The user's vehicle file with these keys written anew; all else in it, comments included, stays as it is.
+    """The user's vehicle file with these keys replaced; everything else, comments included, is unchanged.
 
-    A lambda_ky that the file leaves to be derived is written only where it would come out otherwise. Where the file
-    cannot be edited so that it reads as `car`, it is written as a whole.
+    A derived lambda_ky is written only where it would be derived differently. A file that cannot be edited so that it
+    reads as `car` is written as a whole.
     """
     def written(text: str, keys: Iterable[str]) -> str:
         return edited(text, {key: _entry(changes[key], source, about) for key in keys})
@@ -273,7 +271,7 @@ def _entry(change: Sequence[float], source: str, about: Provenance) -> Callable[
 
 
 def edited(text: str, entries: Mapping[str, Callable[[str, float], str]]) -> str:
-    """A vehicle file with these entries, "mass" or "tyre_front.p_dy1", in place of its own, or put in where missing."""
+    """A vehicle file with these entries, "mass" or "tyre_front.p_dy1", replaced or inserted."""
     root = yaml.compose(text, Loader=yaml.SafeLoader)
     changes = [_change(root, key, words) for key, words in entries.items()]
     for start, end, new in sorted(changes, reverse=True):
@@ -282,7 +280,7 @@ def edited(text: str, entries: Mapping[str, Callable[[str, float], str]]) -> str
 
 
 def _change(root: yaml.Node, key: str, words: Callable[[str, float], str]) -> tuple[int, int, str]:
-    """(start, end, what is to stand there instead) of one entry."""
+    """(start, end, replacement) of one entry."""
     tyre, _, name = key.rpartition(".")
     section, known = _child(root, tyre) if tyre else root, quantity(key)
     assert isinstance(section, yaml.MappingNode) and known is not None  # it was read as a vehicle file

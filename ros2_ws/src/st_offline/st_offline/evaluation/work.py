@@ -39,15 +39,10 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Task:
-    """What is to be done with every run. models: by name, or (file name, content) of a model.yaml.
-
-    starts: times [s] to look at closely, () for a choice.
-
-    folder: gets runs/<name>/ with starts.csv and figures; None: nothing is written. formats: of the figures.
-    force: whether runs with errors in the checks are evaluated. bands: (file name, content) of a
-    bands.yaml to be tested. course: likewise, of a course.yaml. adaptive: whether
-    adaptive bands are tested. effects: folder of own effects
-    the model files use.
+    """Settings of an evaluation. models: by name, or (file name, content) of a model.yaml. starts: times drawn in
+    detail [s], () for a choice. folder: of the results; None: nothing is written. formats: of the figures. force:
+    evaluate runs with errors in the checks. bands, course: (file name, content). adaptive: test adaptive bands.
+    effects: folder of own effects of the model files.
     """
 
     vehicle: VehicleParameters
