@@ -49,7 +49,7 @@ PLAIN = [
 
 def drives(folder: Path) -> list[Drive]:
     # By force: some of the hidden effects are faults of a sensor, which the checks refuse and discovery must name too.
-    read = read_drives(find_runs([folder]), CAR, ReadSettings(), 1, None, lambda: None, force=True)
+    read = read_drives(find_runs([folder]), CAR, ReadSettings(), 1, lambda: None, force=True)
     assert not [d.problem for d in read if d.problem]
     return read
 

@@ -28,7 +28,7 @@ def answered(tmp_path_factory):
     truth = write(Case("new_user", "hatchback", {"ratio": RATIO}, guess, {}, drives, seed=3), folder)
     file = folder / "car" / "vehicle.yaml"
     vehicle = read_vehicle(file)
-    read = read_drives(find_runs([folder / "drives"]), vehicle, ReadSettings(), 1, None, lambda: None)
+    read = read_drives(find_runs([folder / "drives"]), vehicle, ReadSettings(), 1, lambda: None)
     request = Request("nonlinear", vehicle, str(file), file.read_text(), DiscoverySettings(), drives=read)
     found = discover([d.log for d in read], vehicle, settings=request.settings, identities=measured(read))
     return truth, found, update_vehicle(found, request)

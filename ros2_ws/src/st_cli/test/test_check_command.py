@@ -205,8 +205,8 @@ def test_discover_leaves_a_meaningless_run_out(wrong, tmp_path):
     car = VehicleParameters.from_yaml(CAR.read_text())
     sources = find_runs([wrong, DRIVE])
     for _ in range(2):  # the second time from what is kept
-        bad, good = read_drives(sources, car, ReadSettings(), 1, tmp_path / "kept", lambda: None)
+        bad, good = read_drives(sources, car, ReadSettings(), 1, lambda: None)
         assert bad.log is None and "yaw_rate_scale" in bad.problem and good.log is not None and not good.problem
         assert names(bad.about["findings"], "error") == {"yaw_rate_scale"} and good.about["findings"]
-    (forced,) = read_drives(sources[:1], car, ReadSettings(), 1, tmp_path / "kept", lambda: None, force=True)
+    (forced,) = read_drives(sources[:1], car, ReadSettings(), 1, lambda: None, force=True)
     assert forced.log is not None and names(forced.about["findings"], "error") == {"yaw_rate_scale"}

@@ -35,7 +35,7 @@ STEPS = (("steering_ratio", {"factor": 0.894}, 0.72), ("heading_misalignment", {
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory):
     file = write_drive(tmp_path_factory.mktemp("drive") / "<b>weave.csv", weave(20.0))
-    return read_drive(find_runs([file])[0], CAR, ReadSettings(), None, force=True)
+    return read_drive(find_runs([file])[0], CAR, ReadSettings(), force=True)
 
 
 @pytest.fixture(scope="module")
@@ -162,7 +162,7 @@ def test_every_figure_is_drawn_where_there_is_something_to_draw(logs, tmp_path):
 
 def test_figures_of_the_driving_are_drawn_from_surveys(tmp_path):
     files = [write_drive(tmp_path / f"{speed}.csv", weave(90.0, speed)) for speed in (7.0, 9.0)]
-    long = [read_drive(source, CAR, ReadSettings(), None, force=True).log for source in find_runs(files)]
+    long = [read_drive(source, CAR, ReadSettings(), force=True).log for source in find_runs(files)]
     found, settings = discovery(long, STEPS[:1], 1.72), DiscoverySettings(channels=("yaw_rate", "position"))
     before, after = (survey(long, model, CAR, settings, noise={"yaw_rate": 0.002, "position": 0.05})
                      for model in (found.base, found.model))

@@ -1,4 +1,4 @@
-"""What st discover takes in: drives kept between starts, model files, and what it refuses in one line."""
+"""Inputs of st discover: drives, model files, and what it refuses in one line."""
 
 import json
 from dataclasses import replace
@@ -15,9 +15,8 @@ from st_core.vehicle import VehicleParameters
 from st_live.configuration import model_parameters
 from st_live.suite import SuiteError
 from st_offline.discovery.discover_command import _refuse_twice, measured
-from st_offline.discovery.drives import _key, read_drive, read_drives
+from st_offline.discovery.drives import read_drive, read_drives
 from st_recordings.runs import ReadSettings, find_runs
-from st_recordings.runs.load import hashes
 from support import ROOT
 from typer.testing import CliRunner
 
@@ -45,37 +44,10 @@ def same(a: DriveLog, b: DriveLog) -> bool:
         "acceleration_y"))
 
 
-def test_a_drive_is_read_once(drive, tmp_path):
-    kept, (source,) = tmp_path / "kept", find_runs([drive])
-    first = read_drive(source, car(LEAF), ReadSettings(), kept)
-    (file,) = kept.iterdir()
-    stamp = file.stat().st_mtime_ns
-    again = read_drive(source, car(LEAF), ReadSettings(), kept)
-    assert same(first.log, again.log) and first.about == again.about and file.stat().st_mtime_ns == stamp
-
-
-def test_what_is_kept_is_of_these_bytes_this_car_and_these_settings(drive, tmp_path):
-    kept = tmp_path / "kept"
-    for vehicle, settings in ((LEAF, ReadSettings()), (GENESIS, ReadSettings()), (LEAF, ReadSettings(offset=0.1))):
-        read_drive(find_runs([drive])[0], car(vehicle), settings, kept)
-    assert len(list(kept.iterdir())) == 3
-    write_drive(drive, weave(9.0))
-    assert read_drive(find_runs([drive])[0], car(LEAF), ReadSettings(), kept).log.duration > 8.5
-
-
-def test_a_damaged_file_is_read_anew(drive, tmp_path):
-    kept, (source,) = tmp_path / "kept", find_runs([drive])
-    first = read_drive(source, car(LEAF), ReadSettings(), kept)
-    (file,) = kept.iterdir()
-    for content in (b"", b"PK not a zip", file.read_bytes()[:400]):
-        file.write_bytes(content)
-        assert same(read_drive(source, car(LEAF), ReadSettings(), kept).log, first.log)
-
-
 def test_side_by_side_is_the_same(drive, tmp_path):
     other = write_drive(tmp_path / "other.csv", weave(7.0))
     sources, ticks = find_runs([drive, other, tmp_path / "none.csv"]), []
-    alone, parallel = (read_drives(sources, car(LEAF), ReadSettings(), jobs, None, lambda: ticks.append(1))
+    alone, parallel = (read_drives(sources, car(LEAF), ReadSettings(), jobs, lambda: ticks.append(1))
                        for jobs in (1, 2))
     assert [d.problem != "" for d in parallel] == [d.problem != "" for d in alone] and len(ticks) == 5
     for a, b in zip(alone, parallel, strict=True):
@@ -113,7 +85,7 @@ def test_rows_without_a_number_are_left_out_and_said(drive, tmp_path):
             row[column] = "nan"
         drive.write_text("\n".join([first, *(",".join(row) for row in cells)]) + "\n")
     with_nan(slice(100, 150))
-    read = read_drive(find_runs([drive])[0], car(LEAF), ReadSettings(), None)
+    read = read_drive(find_runs([drive])[0], car(LEAF), ReadSettings())
     assert "yaw_rate (column yaw_rate): 50 of 400 rows (12 %) have no number" in read.about["warnings"][0]
     with_nan(slice(None))
     result = discover(drive, "--output", tmp_path / "o")
@@ -131,7 +103,7 @@ def test_a_drive_cannot_be_its_own_reference(drive, tmp_path):
 def test_a_reference_of_another_car_is_refused(drive, tmp_path):
     """Recordings of the suite carry their vehicle file; its name says which car it is."""
     def of(car_name, file):
-        read = read_drive(find_runs([write_drive(tmp_path / file, weave(9.0))])[0], car(LEAF), ReadSettings(), None)
+        read = read_drive(find_runs([write_drive(tmp_path / file, weave(9.0))])[0], car(LEAF), ReadSettings())
         digest = {"files": {file: file}, "vehicle": car_name}
         return replace(read, name=file, about={**read.about, **digest})
     leaf, genesis, unknown = of("Leaf", "a.csv"), of("Genesis", "b.csv"), of("", "c.csv")
@@ -153,7 +125,7 @@ def test_references_are_listed_and_runs_must_be_left(drive, tmp_path):
 
 def test_what_the_checks_measured_is_pooled_over_the_runs(tmp_path):
     files = [write_drive(tmp_path / f"{seconds:.0f}.csv", weave(seconds)) for seconds in (30.0, 40.0)]
-    one, two = read_drives(find_runs(files), car(LEAF), ReadSettings(), 1, None, lambda: None)
+    one, two = read_drives(find_runs(files), car(LEAF), ReadSettings(), 1, lambda: None)
     alone, both = measured([one]), measured([one, two])
     assert alone["yaw_rate_bias"] == tuple(one.about["estimates"]["yaw_rate_bias"])
     value, low, high = both["yaw_rate_bias"]
@@ -199,18 +171,6 @@ def test_a_run_too_short_says_what_is_needed(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     result = discover(write_drive(tmp_path / "short.csv", weave(3.0)), "--output", tmp_path / "o")
     assert result.exit_code == 2 and "no run is long enough: a run needs 7 s" in result.output
-
-
-def test_what_a_run_file_says_is_part_of_what_is_kept(drive, tmp_path):
-    keys = set()
-    for text in ("", "units: {yaw: deg}\n", "columns: {yaw: x}\n", "correct: {yaw: {scale: 2}}\n",
-                 "correct: {yaw: {scale: 3}}\n", "leave_out: [[1, 2]]\n"):
-        for folder in (tmp_path, tmp_path / "elsewhere"):
-            run_file = write_drive(folder / "drive.csv", weave(8.0)).with_name("run.yaml")
-            run_file.write_text("name: drive\ncsv: drive.csv\n" + text)
-            (source,) = find_runs([run_file])
-            keys.add(_key(source, {"": hashes(source)[str(source.where)]}, car(LEAF), ReadSettings()))
-    assert len(keys) == 6
 
 
 def answer(tmp_path, *rows, change=str):

@@ -34,7 +34,7 @@ FOLDED = sorted(name for name, effect in EFFECTS.items() if effect.fold is not N
 def driven(tmp_path_factory) -> Drive:
     """A drive whose steering wheel was recorded."""
     file = write_drive(tmp_path_factory.mktemp("drive") / "weave.csv", weave(20.0))
-    drive = read_drive(find_runs([file])[0], CAR, ReadSettings(), None, force=True)
+    drive = read_drive(find_runs([file])[0], CAR, ReadSettings(), force=True)
     wheel = CAR.steering_wheel_angle(drive.log.road_wheel_angle)
     return replace(drive, log=replace(drive.log, steering_wheel_angle=wheel))
 

@@ -70,7 +70,7 @@ def discover(
     figures: str = typer.Option("png", help="Formats of the figure files: png, pdf; an empty text for none."),
     report: bool = typer.Option(True, help="Draw figures and report; otherwise write numbers, model and vehicle only."),
     force: bool = typer.Option(False, "--force", help="Also use runs in which `st check` finds an error."),
-    fresh: bool = typer.Option(False, "--fresh", help="Read and search again; use nothing from an earlier call."),
+    fresh: bool = typer.Option(False, "--fresh", help="Search again, also if the same inputs have a cached answer."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
     """Find what is missing from vehicle file, sensors and model, write it into new files, show the error it removes.

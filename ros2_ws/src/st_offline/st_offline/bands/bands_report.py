@@ -24,56 +24,29 @@ QUESTIONS = {"hindsight": "model (inputs as they were)", "forecast": "forecast (
 
 
 def band_figures(content: dict[str, Any] | None, place: Place) -> list[Drawn]:
-    """Of a finished document; none where no start had a band."""
+    """Reliability diagram of a finished document; none where no start had a band."""
     models = {} if content is None else {
         model: modes for model, modes in content["models"].items() if any(one["starts"] for one in modes.values())}
     if not models:
         return []
+    stated = [(abs(one["coverage"]["0.9"] - 0.9), f"{100 * one['coverage']['0.9']:.0f} %, {model}, {mode}")
+              for model, modes in models.items() for mode, one in modes.items() if one["coverage"].get("0.9")]
+    worst = max(stated)[1] if stated else "not stated"
     with style():
-        return [_reliability(models, place), _sharpness(models, place)]
-
-
-def _reliability(models: dict[str, Any], place: Place) -> Drawn:
-    figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 4.2), sharey=True)
-    for axes, (mode, words) in zip(panels, QUESTIONS.items(), strict=True):
-        axes.plot([0, 100], [0, 100], color=MEASURED_COLOUR, lw=0.8)
-        for model, modes in models.items():
-            points = {float(level): share for level, share in modes[mode]["reliability"].items() if share is not None}
-            axes.plot([100 * level for level in points], [100 * share for share in points.values()], marker="o", ms=3,
-                      color=MODEL_COLOUR.get(model, TEXT), ls=MODEL_LINE.get(model, "solid"))
-        axes.set(title=words, xlabel="stated, %", xlim=(0, 100), ylim=(0, 100))
-    panels[0].set_ylabel("whole paths inside, %")
-    _legend(figure, models)
-    worst = max((abs(one["coverage"]["0.9"] - 0.9), f"{100 * one['coverage']['0.9']:.0f} %, {model}, {mode}")
-                for model, modes in models.items() for mode, one in modes.items() if one["coverage"].get("0.9"))[1] \
-        if any(one["coverage"].get("0.9") for modes in models.values() for one in modes.values()) else "not stated"
-    return finish(figure, place, "bands_reliability", f"Reliability of the bands; farthest from 90 %: {worst}",
-                  "Grey: as stated. Below it the band covers less than stated.")
-
-
-def _sharpness(models: dict[str, Any], place: Place) -> Drawn:
-    figure, panels = plt.subplots(2, 2, figsize=(WIDTH, 5.0), sharex=True)
-    for column, (mode, words) in enumerate(QUESTIONS.items()):
-        for axes, axis, name in zip(panels[:, column], ("longitudinal", "lateral"), ("along", "across"), strict=True):
+        figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 4.2), sharey=True)
+        for axes, (mode, title) in zip(panels, QUESTIONS.items(), strict=True):
+            axes.plot([0, 100], [0, 100], color=MEASURED_COLOUR, lw=0.8)
             for model, modes in models.items():
-                for level, width in (("0.5", 0.7), ("0.9", 1.6)):
-                    seconds = modes[mode]["half_width"].get(level, {})
-                    axes.plot([0.0, *map(float, seconds)], [0.0, *(one[axis] or 0.0 for one in seconds.values())],
-                              color=MODEL_COLOUR.get(model, TEXT), ls=MODEL_LINE.get(model, "solid"), lw=width)
-            axes.set_ylim(bottom=0)
-            axes.set_ylabel(f"half-width {name}, m")
-        panels[0, column].set_title(words)
-        panels[1, column].set_xlabel("time ahead, s")
-    _legend(figure, models, [Line2D([], [], color=TEXT, lw=1.6, label="90 %"),
-                             Line2D([], [], color=TEXT, lw=0.7, label="50 %")])
-    return finish(figure, place, "bands_sharpness", "How wide the bands are, on average over the starts",
-                  "Thick: 90 %; thin: 50 %. The whole path lies inside, along, across and in heading at once.")
-
-
-def _legend(figure: plt.Figure, models: dict[str, Any], more: Sequence[Line2D] = ()) -> None:
-    handles = [Line2D([], [], color=MODEL_COLOUR.get(m, TEXT), ls=MODEL_LINE.get(m, "solid"), label=m) for m in models]
-    figure.legend(handles=[*handles, *more], loc="outside lower left", ncols=6)
-
+                points = {float(level): s for level, s in modes[mode]["reliability"].items() if s is not None}
+                axes.plot([100 * level for level in points], [100 * share for share in points.values()], marker="o",
+                          ms=3, color=MODEL_COLOUR.get(model, TEXT), ls=MODEL_LINE.get(model, "solid"))
+            axes.set(title=title, xlabel="stated, %", xlim=(0, 100), ylim=(0, 100))
+        panels[0].set_ylabel("whole paths inside, %")
+        handles = [Line2D([], [], color=MODEL_COLOUR.get(m, TEXT), ls=MODEL_LINE.get(m, "solid"), label=m)
+                   for m in models]
+        figure.legend(handles=handles, loc="outside lower left", ncols=6)
+        return [finish(figure, place, "bands_reliability", f"Reliability of the bands; farthest from 90 %: {worst}",
+                       "Grey: as stated. Below it the band covers less than stated.")]
 
 
 HOW_TO_GET = ("[dim]bands: none given; `st calibrate RUN… --vehicle FILE --output bands.yaml` learns them from "

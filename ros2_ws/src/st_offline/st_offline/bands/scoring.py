@@ -169,7 +169,6 @@ def _label(name: str, place: int) -> str:
     return f"{edges[place]:g} to {edges[place + 1]:g} {unit}"
 
 
-
 def pooled_sums(entries: Sequence[Sums]) -> Sums:
     """Several nested sums added, key by key; lists joined."""
     total: Sums = {}

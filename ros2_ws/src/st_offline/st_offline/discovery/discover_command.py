@@ -103,8 +103,7 @@ def _read(request: Request, progress: Progress) -> tuple[list[Drive], list[Drive
     if not sources:
         raise ConfigurationError("no recording found")
     bar = progress.add_task("reading the runs", total=len(sources) + len(healthy))
-    cache = cache_folder() if request.cached else None
-    drives = read_drives([*sources, *healthy], request.vehicle, request.read, request.jobs, cache,
+    drives = read_drives([*sources, *healthy], request.vehicle, request.read, request.jobs,
                          lambda: progress.advance(bar), request.force)
     suspect, reference = drives[:len(sources)], drives[len(sources):]
     if not _logs(suspect):
@@ -152,7 +151,7 @@ def _answer(request: Request, base: Model, progress: Progress) -> tuple[Discover
 
     logs, reference, identities = _logs(request.drives), _logs(request.healthy), measured(request.drives)
     name = answer_key(logs, reference, request.vehicle, base, request.settings, request.own_effects, identities)
-    folder = cache_folder("answers") if request.cached else None
+    folder = cache_folder() if request.cached else None
     file = folder / f"{name}.json" if folder else None
     found = cached_answer(file) if file else None
     if found is not None:

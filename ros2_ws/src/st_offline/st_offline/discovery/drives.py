@@ -1,21 +1,18 @@
-"""Inputs of a discovery: options, drives as read, and the caches of drives and answers."""
+"""Inputs of a discovery: options, drives as read, and the cache of answers."""
 
 import hashlib
 import json
 import os
-import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
-from functools import cache as remembered
 from itertools import repeat
 from pathlib import Path
-from types import ModuleType, NoneType
+from types import NoneType
 from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 import st_core
-from st_core import checks
 from st_core.augmented import AugmentedModel, augment
 from st_core.discovery import Discovery, DiscoverySettings
 from st_core.discovery.result import MODELS
@@ -25,14 +22,13 @@ from st_core.models import Model
 from st_core.vehicle import VehicleParameters
 from st_recordings.output import finite
 from st_recordings.recorded import recorded_configuration
-from st_recordings.runs import LoadedRun, ReadSettings, RunSource, read
-from st_recordings.runs.load import hashes, report
-from st_recordings.runs.run_types import signal_files
+from st_recordings.runs import ReadSettings, RunSource, read
+from st_recordings.runs.load import hashes
 
-from ..checking.check_report import documents, findings_in
+from ..checking.check_report import documents
 from ..checking.gate import PROBLEMS, Refused, checked_log, in_words, refuse
 
-DRIVE_FORMAT = 3  # of a cached drive; files of another number are not used
+ANSWER_FORMAT = 2  # of a cached answer; files of another number are not used
 
 
 @dataclass(frozen=True)
@@ -47,120 +43,6 @@ class Drive:
     log: DriveLog | None
     about: dict[str, Any]
     problem: str = ""
-
-
-def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settings: ReadSettings, jobs: int,
-                cache: Path | None, done: Callable[[], None], force: bool = False) -> list[Drive]:
-    """Every run, in the order of the sources. jobs: parallel processes. cache: folder of the cached drives, or None.
-    force: also use runs with an error in the checks.
-    """
-    if jobs <= 1 or len(sources) < 2:
-        drives = []
-        for source in sources:
-            drives.append(read_drive(source, vehicle, settings, cache, force))
-            done()
-        return drives
-    with ProcessPoolExecutor(min(jobs, len(sources))) as pool:
-        # A source with a problem is handled here: its error cannot be pickled.
-        futures = {number: pool.submit(read_drive, source, vehicle, settings, cache, force)
-                   for number, source in enumerate(sources) if source.problem is None}
-        for _ in as_completed(futures.values()):
-            done()
-        return [futures[number].result() if number in futures else read_drive(source, vehicle, settings, None)
-                for number, source in enumerate(sources)]
-
-
-def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, cache: Path | None,
-               force: bool = False) -> Drive:
-    """One run, from the cache where its files are the same. An error of its files becomes its `problem`."""
-    try:
-        if source.problem is not None:
-            raise source.problem
-        files = hashes(source)
-        kept = cache / f"{_key(source, files, vehicle, settings)}.npz" if cache else None
-        drive = _restored(kept) if kept else None
-        if drive is None:
-            run = read(source, vehicle, settings)
-            checked = checked_log(run.log, vehicle, run.auxiliary)
-            about = {"files": files, "duration_s": run.log.duration, "alignment": run.alignment.verdict.value,
-                     "warnings": list(run.warnings), "findings": documents(checked.findings),
-                     "estimates": finite(checked.estimates), "vehicle": _recorded_vehicle(source, run)}
-            drive = Drive(source.name, run.log, about)
-            if kept:
-                _keep(kept, drive)
-        else:
-            report(drive.about["warnings"])
-        refuse(source.where, findings_in(drive.about), force)
-        return drive
-    except Refused as error:
-        return Drive(source.name, None, {"findings": documents(error.findings)}, str(error))
-    except PROBLEMS as error:
-        return Drive(source.name, None, {}, in_words(error, source))
-
-
-def cache_folder(name: str = "drives") -> Path | None:
-    """Folder of cached drives or answers; None without a home directory."""
-    try:
-        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "single_track" / name
-    except RuntimeError:
-        return None
-
-
-def name_of(content: Any) -> str:
-    """A file name by the hash of everything a cached result depends on."""
-    return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()[:32]
-
-
-@remembered
-def code_of(package: ModuleType) -> str:
-    """Hash of the code of a package, so that results of another version are not used."""
-    files = sorted(file for folder in package.__path__ for file in Path(folder).rglob("*.py"))
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
-
-
-def put(file: Path, write: Callable[[Path], object]) -> None:
-    """Write a temporary file and move it into place; a failure, as of a full disk, is ignored."""
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        temporary = file.with_name(f".{file.stem}.{os.getpid()}{file.suffix}")
-        write(temporary)
-        temporary.replace(file)
-    except OSError:
-        return
-
-
-def _recorded_vehicle(source: RunSource, run: LoadedRun) -> str:
-    if source.kind != "bag":
-        return ""
-    text = recorded_configuration(run.provenance["recorded"]).vehicle
-    return "" if text is None else VehicleParameters.from_yaml(text, "the vehicle in the recording").name
-
-
-def _key(source: RunSource, files: dict[str, str], vehicle: VehicleParameters, settings: ReadSettings) -> str:
-    """Cache name of a drive: of its contents and settings, not its paths."""
-    tables = signal_files(source, settings) if source.can else ()
-    table = [hashlib.sha256(f.read_bytes()).hexdigest() for f in tables]
-    options = {k: v for k, v in asdict(settings).items() if k not in ("dbc", "signals")}
-    content = [DRIVE_FORMAT, code_of(checks), source.name, source.kind, sorted(files.values()), table, vehicle.hash,
-               options, {k: v for k, v in source.settings.items() if k not in ("dbc", "signals")}]
-    return name_of(content)
-
-
-def _keep(file: Path, drive: Drive) -> None:
-    arrays = {f.name: getattr(drive.log, f.name) for f in fields(DriveLog)
-              if isinstance(getattr(drive.log, f.name), np.ndarray)}
-    about = json.dumps({"name": drive.name, **drive.about})
-    put(file, lambda temporary: np.savez(temporary, about=about, **arrays))
-
-
-def _restored(file: Path) -> Drive | None:
-    try:
-        with np.load(file, allow_pickle=False) as kept:
-            about = json.loads(str(kept["about"]))
-            name = about.pop("name")
-            return Drive(name, DriveLog(name, **{k: kept[k] for k in kept.files if k != "about"}), about)
-    except (OSError, ValueError, KeyError, TypeError, StCoreError, zipfile.BadZipFile, EOFError):
-        return None
 
 
 @dataclass(frozen=True)
@@ -197,25 +79,83 @@ class Request:
     own_effects: Mapping[str, str] = field(default_factory=dict)
 
 
-ANSWER_FORMAT = 2  # of a cached answer; files of another number are not used
+def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settings: ReadSettings, jobs: int,
+                done: Callable[[], None], force: bool = False) -> list[Drive]:
+    """Every run, in the order of the sources. jobs: parallel processes. force: also use runs with an error in the
+    checks.
+    """
+    if jobs <= 1 or len(sources) < 2:
+        drives = []
+        for source in sources:
+            drives.append(read_drive(source, vehicle, settings, force))
+            done()
+        return drives
+    with ProcessPoolExecutor(min(jobs, len(sources))) as pool:
+        # A source with a problem is handled here: its error cannot be pickled.
+        futures = {number: pool.submit(read_drive, source, vehicle, settings, force)
+                   for number, source in enumerate(sources) if source.problem is None}
+        for _ in as_completed(futures.values()):
+            done()
+        return [futures[number].result() if number in futures else read_drive(source, vehicle, settings)
+                for number, source in enumerate(sources)]
+
+
+def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, force: bool = False) -> Drive:
+    """One run. An error of its files becomes its `problem`."""
+    try:
+        if source.problem is not None:
+            raise source.problem
+        run = read(source, vehicle, settings)
+        checked = checked_log(run.log, vehicle, run.auxiliary)
+        text = recorded_configuration(run.provenance["recorded"]).vehicle if source.kind == "bag" else None
+        car = "" if text is None else VehicleParameters.from_yaml(text, "the vehicle in the recording").name
+        about = {"files": hashes(source), "duration_s": run.log.duration, "alignment": run.alignment.verdict.value,
+                 "warnings": list(run.warnings), "findings": documents(checked.findings),
+                 "estimates": finite(checked.estimates), "vehicle": car}
+        refuse(source.where, checked.findings, force)
+        return Drive(source.name, run.log, about)
+    except Refused as error:
+        return Drive(source.name, None, {"findings": documents(error.findings)}, str(error))
+    except PROBLEMS as error:
+        return Drive(source.name, None, {}, in_words(error, source))
+
+
+def cache_folder() -> Path | None:
+    """Folder of cached answers; None without a home directory."""
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "single_track" / "answers"
+    except RuntimeError:
+        return None
 
 
 def answer_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle: VehicleParameters, base: Model,
-        settings: DiscoverySettings, effects: Mapping[str, str], identities: Mapping[str, Sequence[float]]) -> str:
+               settings: DiscoverySettings, effects: Mapping[str, str],
+               identities: Mapping[str, Sequence[float]]) -> str:
     """Cache name of an answer: of all its inputs, the code included."""
     values = base.values if isinstance(base, AugmentedModel) else {}
-    content = [ANSWER_FORMAT, code_of(st_core), [_digest(log) for log in runs], [_digest(log) for log in reference],
+    files = sorted(file for folder in st_core.__path__ for file in Path(folder).rglob("*.py"))
+    code = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+    content = [ANSWER_FORMAT, code, [_digest(log) for log in runs], [_digest(log) for log in reference],
                vehicle.hash, sorted((name, one.uncertainty) for name, one in vehicle.provenance.items()),
                _base(base), {effect: dict(entry) for effect, entry in values.items()}, asdict(settings),
                sorted(effects.items()), sorted((name, list(value)) for name, value in identities.items())]
-    return name_of(content)
+    return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()[:32]
 
 
 def keep_answer(file: Path, found: Discovery) -> None:
-    """Write an answer for `cached_answer`."""
+    """Write an answer for `cached_answer`, in one step; a failure, as of a full disk, is ignored."""
+    def parts(model: AugmentedModel) -> list[Any]:
+        return [_base(model), {effect: dict(values) for effect, values in model.values.items()}]
+
     models = {name: getattr(found, name) for name in MODELS}
-    content = found.document() | {name: model and _model(model) for name, model in models.items()}
-    put(file, lambda temporary: temporary.write_text(json.dumps(content), encoding="utf-8"))
+    content = found.document() | {name: model and parts(model) for name, model in models.items()}
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        temporary = file.with_name(f".{file.stem}.{os.getpid()}{file.suffix}")
+        temporary.write_text(json.dumps(content), encoding="utf-8")
+        temporary.replace(file)
+    except OSError:
+        return
 
 
 def cached_answer(file: Path) -> Discovery | None:
@@ -247,10 +187,6 @@ def restored(kind: Any, value: Any) -> Any:
 
 def _base(model: Model) -> str:
     return model.base.name if isinstance(model, AugmentedModel) else model.name
-
-
-def _model(model: AugmentedModel) -> list[Any]:
-    return [_base(model), {effect: dict(values) for effect, values in model.values.items()}]
 
 
 def _digest(log: DriveLog) -> str:

@@ -160,7 +160,7 @@ def what(found: Discovery) -> list[str]:
 
 
 def condition_of(found: Discovery, effect: FoundEffect) -> str:
-    """Quantity of the vehicle file on which a value depends, as stiffness and inertia on the mass; empty without one."""
+    """Quantity of the vehicle file on which a value depends, as stiffness on the mass; empty without one."""
     key = EFFECTS[effect.name].ratio_to if effect.name in EFFECTS else ""
     known = next((a for a in found.assumed if a.key == key), None)
     return f", if the {key} is {known.value:.4g} ± {known.deviation:.2g} {known.unit}" if known else ""

@@ -1,6 +1,7 @@
 """`st evaluate --advise`: processor time and accuracy of each model at three steps on the same runs."""
 
 import csv
+import itertools
 import math
 import time
 import warnings
@@ -36,10 +37,8 @@ from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
 from ..evaluation.work import Task, load_models
 from ..terminal import line, list_files, rows_table
 
-ROUNDS, LEAST = 5, 0.02
-"""Turns, and seconds of processor time of each."""
-BATCHED = 960
-"""Starts of a batch: 20 groups of the compiled lanes."""
+ROUNDS, LEAST = 5, 0.02  # turns, and seconds of processor time of each
+BATCHED = 960  # starts of a batch: 20 groups of the compiled lanes
 
 Call = Callable[[], object]
 CallKey = tuple[str, float, str]
@@ -96,13 +95,10 @@ def in_turns(calls: Mapping[CallKey, tuple[Call, int]]) -> dict[CallKey, float]:
     return {key: float(np.median(values)) for key, values in taken.items()}
 
 
-ACROSS = 1
-"""Of along, across, yaw."""
+ACROSS = 1  # of along, across, yaw
 LEVELS = (0.9, 0.5)
-SHARE = 0.9
-"""Of starts that a model which is good enough keeps within the tolerance."""
-ENOUGH = 100
-"""Minimum starts in a speed bin for a result: ten seconds of driving."""
+SHARE = 0.9  # of the starts within the tolerance
+ENOUGH = 100  # starts in a speed bin: ten seconds of driving
 
 
 @dataclass(frozen=True)
@@ -145,13 +141,12 @@ def model_accuracy(runs: Sequence[RunSamples], model: str, settings: EvaluationS
     return Accuracy(tuple(seconds), tuple(rms.tolist()), level, width, within)
 
 
-
 Key = tuple[str, float]
 """Model, step [s]."""
 
 
 def processor_time(cost: Cost) -> float:
-    """Processor time that counts in a choice [s]: one prediction, compiled where the model can be."""
+    """Processor time of one prediction [s], compiled where the model can be."""
     return cost.floats if cost.compiled is None else cost.compiled
 
 
@@ -168,14 +163,8 @@ def cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
             for low in speeds}
 
 
-def speed_label(low: float) -> str:
-    """Of a lower edge [m/s]."""
-    high = dict(zip(SPEED, (*SPEED[1:], math.inf), strict=True))[low]
-    return f"{low:g} to {high:g} m/s" if math.isfinite(high) else f"above {low:g} m/s"
-
-
-MULTIPLES = (1, 2, 4)
-"""Of the integration step of the task."""
+MULTIPLES = (1, 2, 4)  # of the integration step of the task
+MARKERS = ("o", "s", "^", "D", "v")
 
 
 @dataclass(frozen=True)
@@ -234,7 +223,13 @@ def measure(sources: Sequence[RunSource], task: Task, tolerance: float) -> Advic
                 longest = signals
             for step, one in settings.items():
                 for model in models:
-                    _collect(model, signals, one, task, samples.setdefault((model.name, step), []), unusable)
+                    try:
+                        found = run_samples([model], task.vehicle, signals, one)
+                        samples.setdefault((model.name, step), []).append(found)
+                    except NotFiniteError as error:
+                        unusable[model.name, step] = f"{log.name}: {error}"
+                    except StCoreError:  # no start with a whole horizon: true of every model and step
+                        continue
         if longest is None:
             raise ConfigurationError("--advise: no run is as long as the horizon; give longer ones")
         cost = costs(models, task.vehicle, longest, settings)
@@ -261,21 +256,6 @@ def steps(settings: EvaluationSettings) -> list[EvaluationSettings]:
     return found
 
 
-def _collect(model: Model, signals: LogSignals, settings: EvaluationSettings, task: Task, found: list[RunSamples],
-             unusable: dict[Key, str]) -> None:
-    try:
-        found.append(run_samples([model], task.vehicle, signals, settings))
-    except NotFiniteError as error:
-        unusable[model.name, settings.prediction.step] = f"{signals.log.name}: {error}"
-    except StCoreError:
-        # No start with a whole horizon: true of every model and step.
-        return
-
-
-
-MARKERS = ("o", "s", "^", "D", "v")
-
-
 def rows(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy]) -> list[dict[str, str]]:
     """One row for each model and step; columns by their titles. Costs also as multiples of the least of the column."""
     least = {kind: min(v for v in (getattr(one, kind) for one in costs.values()) if v is not None)
@@ -295,7 +275,9 @@ def rows(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy]) -> list[
 
 def choice_rows(chosen: Mapping[float, tuple[Key | None, ...]]) -> list[dict[str, str]]:
     """One row for each speed, one column for each second ahead."""
-    return [{"speed": speed_label(low)} | {f"{k + 1} s": "none" if key is None else f"{key[0]}, {key[1]:g} s"
+    high = {low: f"{low:g} to {above:g} m/s" for low, above in itertools.pairwise(SPEED)}
+    return [{"speed": high.get(low, f"above {low:g} m/s")}
+            | {f"{k + 1} s": "none" if key is None else f"{key[0]}, {key[1]:g} s"
                                            for k, key in enumerate(keys)} for low, keys in chosen.items()]
 
 

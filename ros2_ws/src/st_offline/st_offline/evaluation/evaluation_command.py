@@ -112,7 +112,6 @@ def _times(reports: Sequence[RunReport], wall: float) -> str:
     return f"[dim]{runs}, {hours:.2f} h of driving in {wall:.1f} s ({spent})[/dim]"
 
 
-
 MEMORY_PER_WORKER = "1500MB"  # a worker that needs more is restarted, and its run has failed
 
 

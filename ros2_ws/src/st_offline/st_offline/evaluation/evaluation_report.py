@@ -152,7 +152,6 @@ def _readable(content: dict[str, Any]) -> str:
     return "{\n " + ",\n ".join(lines) + "\n}\n"
 
 
-
 def write_page(file: Path, title: str, reports: Sequence[RunReport], content: dict[str, Any],
                settings: dict[str, str], overview: Drawn | None, bands: Sequence[Drawn], over: str) -> None:
     """content: of evaluation.json. bands: figures of the tested bands, the most important first."""

@@ -251,9 +251,6 @@ def ranking(evaluation: LogEvaluation, axis: str) -> str:
     return text + (f" ({ratio:.1f} times)" if len(values) > 1 and ratio > 1.15 else "")
 
 
-
-
-
 def slip(drawing: Drawing) -> Drawn | None:
     """Predicted slip angles and lateral forces of both axles; grey: slip angles from the measured motion."""
     models = [m for m in drawing.models if m.axles is not None and not m.extra_states and not m.signals]

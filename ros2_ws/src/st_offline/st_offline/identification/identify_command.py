@@ -17,7 +17,7 @@ from st_core.handling import objections
 from st_core.identification.apply import against_file, apply, stale_scales, value_of
 from st_core.identification.result import Coverage, Identification, IdentificationError, quantity
 from st_core.provenance import Provenance
-from st_core.vehicle import TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, VehicleParameters
+from st_core.vehicle import VehicleParameters
 from st_core.yaml_text import number, quoted
 from st_recordings.output import as_text, new_folder
 from st_recordings.results import versions
@@ -25,7 +25,7 @@ from st_recordings.runs import find_runs
 from st_recordings.runs.load import file_hashes
 
 from ..checking.check_report import documents, print_findings
-from ..discovery.vehicle_update import edited
+from ..discovery.vehicle_update import KEYS, edited
 from ..evaluation.drawing import Drawn, Place
 from ..pages import template
 from ..terminal import line, list_files
@@ -37,8 +37,6 @@ EXPERIMENTS: dict[str, Experiment] = {
     one.name: one for one in (SCALES, CG_HEIGHT, STEERING_RATIO, TYRE, *DRIVING, LAMBDA)}
 """All experiments of `st identify`, in the order they are best done."""
 FORMATS = ("png", "pdf")
-KEYS = (*VEHICLE_QUANTITIES, *(f"{tyre}.{key}" for tyre in TYRES for key in TYRE_QUANTITIES))
-"""Of the numbers of a vehicle file."""
 STATUS_STYLE = {"identified": "green", "doubtful": "yellow", "unidentifiable": "red"}
 
 

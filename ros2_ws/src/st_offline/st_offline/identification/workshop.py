@@ -269,27 +269,8 @@ def draw_tyre(found: Identification, place: Place) -> Drawn:
                       "Points: measured. Lines: Magic Formula. Bars: 95 % interval of the stiffness at zero slip.")
 
 
-def draw_lambda(found: Identification, place: Place) -> Drawn:
-    """Both scales with their intervals."""
-    with style():
-        figure, axes = plt.subplots(figsize=(0.6 * WIDTH, 1.8))
-        for row, estimate in enumerate(found.estimates):
-            axes.plot(estimate.interval95, [row, row], color=MODEL_COLOUR["nonlinear"], lw=3, solid_capstyle="butt",
-                      alpha=0.4)
-            axes.plot(estimate.value, row, "o", ms=4, color=MODEL_COLOUR["nonlinear"])
-        axes.axvline(1.0, color=TEXT, lw=0.8, ls="--")
-        axes.set_yticks(range(len(found.estimates)), [e.parameter.removesuffix(".lambda_ky") for e in found.estimates])
-        axes.set_ylim(len(found.estimates) - 0.5, -0.5)
-        axes.grid(axis="y", visible=False)
-        axes.set(xlim=(0.0, None), xlabel="stiffness of the axle over that of its two tyres")
-        values = ", ".join(f"{e.parameter.removesuffix('.lambda_ky').replace('tyre_', '')} "
-                           f"{e.value:.3f}" for e in found.estimates)
-        return finish(figure, place, "lambda", f"Stiffness scale: {values}",
-                      "Bars: 95 % interval. At 1 the axle is as stiff as its tyres on the flat plank.")
-
-
 TYRE = Experiment("tyre", "Magic Formula parameters from flat-plank tables",
                   "CSV: tyre (front or rear), load_n, slip_angle_deg, lateral_force_n", identify_tyre, draw_tyre)
 LAMBDA = Experiment("lambda", "stiffness scale of the Magic Formula from the axle's stiffness",
-                    "none, or the flat-plank tables for the uncertainty of the tyre", identify_lambda, draw_lambda,
+                    "none, or the flat-plank tables for the uncertainty of the tyre", identify_lambda,
                     files_needed=False)
