@@ -3,7 +3,6 @@
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
@@ -28,16 +27,6 @@ GAP_STEPS = 1.75
 _OFFSETS = 1000  # four seconds at 250 Hz
 
 
-@dataclass
-class Window:
-    """Statistics since the previous take(): packets, mean rate [1/s], gaps and the longest step [s]."""
-
-    packets: int
-    rate: float
-    gaps: int
-    longest: float
-
-
 class StreamStatistics:
     """Rate, gaps and delay of the fresh timed packets of the series (no triggers, no late packets)."""
 
@@ -46,7 +35,7 @@ class StreamStatistics:
         self._typical_ns = 0
         self._last_gps_ns: int | None = None
         self._offsets: deque[int] = deque(maxlen=_OFFSETS)
-        self._window = [0, 0, 0, 0]  # packets, ns covered, gaps, longest step
+        self._steps, self._covered_ns, self._longest_ns = 0, 0, 0  # since take()
 
     def add(self, received: Received) -> None:
         if received.gps_ns is None:
@@ -60,24 +49,23 @@ class StreamStatistics:
             self._offsets.append(received.utc_ns - received.received_ns)
 
     def _step(self, step: int) -> None:
-        window = self._window
-        window[0] += 1
-        window[1] += step
-        window[3] = max(window[3], step)
+        self._steps += 1
+        self._covered_ns += step
+        self._longest_ns = max(self._longest_ns, step)
         if not self._typical_ns:
             self._typical_ns = step
         elif step > GAP_STEPS * self._typical_ns:
-            window[2] += 1
             self.gaps += 1
             # Slow adaptation: a changed rate becomes typical, a lost packet has little effect.
             self._typical_ns += min(step - self._typical_ns, self._typical_ns) // 64
         else:
             self._typical_ns += (step - self._typical_ns) // 64
 
-    def take(self) -> Window:
-        packets, covered, gaps, longest = self._window
-        self._window = [0, 0, 0, 0]
-        return Window(packets, packets / (covered * 1e-9) if covered else 0.0, gaps, longest * 1e-9)
+    def take(self) -> tuple[float, float]:
+        """Mean rate [1/s] and longest step [s] since the previous call."""
+        rate = self._steps / (self._covered_ns * 1e-9) if self._covered_ns else 0.0
+        longest, self._steps, self._covered_ns, self._longest_ns = self._longest_ns * 1e-9, 0, 0, 0
+        return rate, longest
 
     def stamp_minus_host(self) -> tuple[float, float, float] | None:
         """Median, 1st percentile and newest value of packet time minus receive time [s]; negative: it is older."""
@@ -148,7 +136,7 @@ class Health:
         return Check("source", OK, f"{source.name}" + (f" from {source.sender}" if source.sender else ""), values)
 
     def _stream(self, source: SourceStatus) -> Check:
-        window, counters = self._statistics.take(), self._parser.counters
+        (rate, longest), counters = self._statistics.take(), self._parser.counters
         age = time.monotonic() - self.last_packet_at
         faults = {
             "checksum errors": counters.checksum_errors,
@@ -162,8 +150,8 @@ class Health:
         new = {name: count - self._before.get(name, 0) for name, count in faults.items()}
         self._before = faults
         values = {
-            "rate [Hz]": window.rate,
-            "longest step [s]": window.longest,
+            "rate [Hz]": rate,
+            "longest step [s]": longest,
             "packets": counters.packets,
             **faults,
             "inner checksum warnings": counters.inner_checksum_warnings,
@@ -182,7 +170,7 @@ class Health:
         trouble = [f"{count} {'late packets' if name == 'late' else name}" for name, count in new.items() if count > 0]
         if trouble:
             return Check("stream", WARN, ", ".join(trouble) + " since the last report", values)
-        return Check("stream", OK, f"{window.rate:.0f} packets/s", values)
+        return Check("stream", OK, f"{rate:.0f} packets/s", values)
 
     def _solution(self) -> Check:
         if self.navigation_status is None:

@@ -18,6 +18,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import atan, atan2, cos, sin
+from typing import NamedTuple
 
 from .car import Car
 from .dynamics import (
@@ -54,22 +55,19 @@ DRIVE = 4
 """Gear code on CAN; 1 P, 2 R, 3 N."""
 
 
-@dataclass(slots=True)
-class Forces:
+class Forces(NamedTuple):
     """Forces, loads and accelerations at one instant, per wheel (FL, FR, RL, RR) and of the body; SI."""
 
-    acceleration_x: float = 0.0
-    acceleration_y: float = 0.0
-    yaw_acceleration: float = 0.0
-    velocity_x_dot: float = 0.0
-    velocity_y_dot: float = 0.0
-    velocity_z: float = 0.0
-    road_wheel_angle: float = 0.0
-    lateral: tuple[float, ...] = (0.0,) * 4
-    longitudinal: tuple[float, ...] = (0.0,) * 4
-    load: tuple[float, ...] = (0.0,) * 4
-    slip_angle: tuple[float, ...] = (0.0,) * 4
-    wheel_speed: tuple[float, ...] = (0.0,) * 4
+    acceleration_x: float
+    acceleration_y: float
+    yaw_acceleration: float
+    velocity_z: float
+    road_wheel_angle: float
+    lateral: tuple[float, ...]
+    longitudinal: tuple[float, ...]
+    load: tuple[float, ...]
+    slip_angle: tuple[float, ...]
+    wheel_speed: tuple[float, ...]
 
 
 @dataclass(slots=True)
@@ -127,7 +125,7 @@ class Plant:
         self.car, self.settings, self.time_step = car, settings, step
         self.environment = Environment(settings, step, seed)
         self.state: tuple[float, ...] = (0.0,) * 16
-        self.forces = Forces()
+        self.forces: Forces
         self.parked = False
         self.here = self.environment.at(0.0, 0.0, 0.0)
         s = settings
@@ -190,27 +188,26 @@ class Plant:
         self.state = self._at_rest(s) if self.parked else s
 
     def observe(self, drive_force: float) -> Forces:
-        """Forces and accelerations at the present state, also kept in `forces`. At rest nothing accelerates."""
-        s, f, here = self.state, self.forces, self.here
-        rates, wheels = derivative(s, s[RACK], drive_force, here, self.constants)
-        f.velocity_z, f.velocity_x_dot = rates[Z], rates[VX]
-        f.velocity_y_dot, f.yaw_acceleration = rates[VY], rates[YAW_RATE]
-        f.acceleration_x = f.velocity_x_dot - s[YAW_RATE] * s[VY]
-        f.acceleration_y = f.velocity_y_dot + s[YAW_RATE] * s[VX]
-        f.road_wheel_angle, f.lateral, f.longitudinal, f.load, slid, rolled = wheels
-        f.slip_angle = tuple(
-            [atan2(across, max(abs(along), LOWEST_SLIP_SPEED)) for across, along in zip(slid, rolled, strict=True)]
+        """Forces and accelerations at the present state, also stored in `forces`. At rest nothing accelerates."""
+        s, moving = self.state, not self.parked
+        rates, wheels = derivative(s, s[RACK], drive_force, self.here, self.constants)
+        road_wheel_angle, lateral, longitudinal, load, slid, rolled = wheels
+        slip = [atan2(across, max(abs(along), LOWEST_SLIP_SPEED)) for across, along in zip(slid, rolled, strict=True)]
+        speeds = [along * (1 + self._wheel_slip * pull / pressed)
+                  for along, pull, pressed in zip(rolled, longitudinal, load, strict=True)]
+        self.forces = Forces(
+            acceleration_x=rates[VX] - s[YAW_RATE] * s[VY] if moving else 0.0,
+            acceleration_y=rates[VY] + s[YAW_RATE] * s[VX] if moving else 0.0,
+            yaw_acceleration=rates[YAW_RATE] if moving else 0.0,
+            velocity_z=rates[Z] if moving else 0.0,
+            road_wheel_angle=road_wheel_angle,
+            lateral=lateral,
+            longitudinal=longitudinal,
+            load=load,
+            slip_angle=tuple(slip),
+            wheel_speed=tuple(speeds),
         )
-        f.wheel_speed = tuple(
-            [
-                along * (1 + self._wheel_slip * pull / load)
-                for along, pull, load in zip(rolled, f.longitudinal, f.load, strict=True)
-            ]
-        )
-        if self.parked:
-            f.acceleration_x = f.acceleration_y = f.yaw_acceleration = 0.0
-            f.velocity_x_dot = f.velocity_y_dot = f.velocity_z = 0.0
-        return f
+        return self.forces
 
     def _at_rest(self, s: Sequence[float]) -> tuple[float, ...]:
         """State at rest with brakes applied: no velocity, no slip; roll and pitch decay."""
