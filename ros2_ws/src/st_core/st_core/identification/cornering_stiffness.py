@@ -4,14 +4,19 @@
 
 from the force and moment balance of the single-track car, a_y at the CG; slip angles from the velocity at each axle.
 The stiffness is the slope of force over slip. Samples that are slow, near-straight or beyond |a_y| = 4 m/s^2 are left
-out, and those with |alpha| > 2 deg in the regression of their axle. The slope is an average over that range: a tyre
-that begins to saturate within it gives less than its stiffness at small slip, and noise of the slip angle draws the
-slope towards zero as well. Source: paper, section on parameter identification. Checked by:
-test_identification_driving.py, test_axle_curve.py.
+out, and those with |alpha| > 2 deg in the regression of their axle. The slope is the secant over that range: a tyre
+that begins to saturate within it gives less than its stiffness at zero slip, and noise of the slip angle draws the
+slope towards zero as well. `AxleRegression.model_error` is the standard uncertainty of the secant as stiffness at zero
+slip, from the regression over the lower half of the slip:
+
+    C(a) = C_0 - s a,    u = sqrt(max((C_low - C)^2 - u_d^2, 0)) a / (a - a_low) / sqrt(3)
+
+a: mean |alpha| weighted by alpha^2; u_d^2 = u_low^2 - u^2 (Hausman, 1978). Source: paper, section on parameter
+identification. Checked by: test_identification_driving.py, test_axle_curve.py, test_stiffness_model_error.py.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -38,6 +43,9 @@ AXLES = ("front", "rear")
 METHOD = "regression of axle force on slip angle (paper)"
 FEWEST = 500
 """Least samples of an axle for a regression."""
+LARGEST_RANGE_RATIO = 0.8
+"""Mean slip or acceleration of the lower range over that of all driving beyond which the difference of the two shows no
+trend: extrapolated to zero it would be multiplied by more than 5."""
 LARGEST_RELATIVE = 0.1
 """Standard uncertainty over stiffness from which on it is doubtful."""
 
@@ -111,6 +119,7 @@ class AxleRegression:
 
     samples: all slip and force pairs above the minimum speed. coverage: excitation by signal. reasons: why the value is
     refused, whole sentences, empty for one that may be used. basis: samples and blocks it rests on, in words.
+    model_error [N/rad]: as stiffness at zero slip, see the module; NaN where the samples do not show it.
     """
 
     axle: str
@@ -121,10 +130,22 @@ class AxleRegression:
     coverage: tuple[Coverage, ...]
     reasons: tuple[str, ...]
     basis: str
+    model_error: float = float("nan")
 
     @property
     def usable(self) -> bool:
         return not self.reasons
+
+    @property
+    def uncertainty(self) -> float:
+        """Standard uncertainty as stiffness at zero slip [N/rad], as far as the samples show it."""
+        return float(np.hypot(self.standard_error, np.nan_to_num(self.model_error)))
+
+    @property
+    def interval_at_zero_slip(self) -> tuple[float, float]:
+        """95 % interval of `uncertainty`, with the degrees of freedom of interval95 [N/rad]."""
+        half = 0.5 * (self.interval95[1] - self.interval95[0]) * self.uncertainty / max(self.standard_error, 1e-300)
+        return self.stiffness - half, self.stiffness + half
 
 
 def axle_forces(samples: RunSamples, vehicle: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
@@ -172,7 +193,7 @@ def _regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters, setting
             f"too few samples: {count} of the {one.axle} axle pass (speed, bend, |a_y|, slip angle below "
             f"{np.rad2deg(settings.maximum_slip):g} deg), {FEWEST} are needed; check offset and lever arm too"])]
         found.append((one, thin, _slope(one, settings.through_origin) if count >= 10 else None))
-    front, rear = (_result(one, slope, covered, thin) for one, thin, slope in found)
+    front, rear = (_result(one, slope, covered, thin, settings.through_origin) for one, thin, slope in found)
     return (front, rear), _correlation([slope for _, _, slope in found]), tuple(r for rows in rejected for r in rows)
 
 
@@ -187,6 +208,19 @@ def _slope(samples: AxleSamples, through_origin: bool) -> tuple[float, Spread, d
                                              strict=True))
 
 
+def _model_error(samples: AxleSamples, slope: tuple[float, Spread, Any], through_origin: bool) -> float:
+    """See the module; NaN for too few samples or one size of slip."""
+    size = np.abs(samples.slip - samples._line()[1])
+    low = replace(samples, used=samples.used & (size <= 0.5 * np.quantile(size[samples.used], 0.995)))
+    mean, mean_low = (float((size[one.used] ** 3).sum() / (size[one.used] ** 2).sum()) if one.used.any() else np.inf
+                      for one in (samples, low))
+    if low.used.sum() < FEWEST or mean_low > LARGEST_RANGE_RATIO * mean:
+        return float("nan")
+    value, spread, _ = _slope(low, through_origin)
+    chance = max(float(spread.covariance[0, 0] - slope[1].covariance[0, 0]), 0.0)
+    return float(np.sqrt(max((value - slope[0]) ** 2 - chance, 0.0)) * mean / (mean - mean_low) / np.sqrt(3.0))
+
+
 def _correlation(slopes: Sequence) -> np.ndarray:
     """Of the two stiffnesses, by what each block does to both; the identity where one is missing."""
     if any(s is None for s in slopes):
@@ -197,7 +231,7 @@ def _correlation(slopes: Sequence) -> np.ndarray:
 
 
 def _result(samples: AxleSamples, slope: tuple[float, Spread, Any] | None, covered: tuple[Coverage, ...],
-            reasons: Sequence[str]) -> AxleRegression:
+            reasons: Sequence[str], through_origin: bool) -> AxleRegression:
     nan = float("nan")
     failed = (samples.axle, nan, nan, (nan, nan), samples, covered)
     if slope is None:
@@ -211,7 +245,8 @@ def _result(samples: AxleSamples, slope: tuple[float, Spread, Any] | None, cover
                f"{value:.0f} +/- {error:.0f} N/rad; offset or sign of the steering, misalignment or lever "
                "arm of the INS may be wrong, or the drive has too little sideslip")
         return AxleRegression(*failed, (*reasons, why), basis)
-    return AxleRegression(samples.axle, value, error, interval, samples, covered, tuple(reasons), basis)
+    return AxleRegression(samples.axle, value, error, interval, samples, covered, tuple(reasons), basis,
+                          _model_error(samples, slope, through_origin))
 
 
 def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters,
@@ -232,8 +267,9 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters,
         if int(one.samples.used.sum()) < FEWEST:
             raise IdentificationError("; ".join(one.reasons))
     names = tuple(run.name for run in runs)
-    estimates = tuple(Estimate(f"cornering_stiffness_{one.axle}", one.stiffness, "N/rad", one.standard_error,
-                               one.interval95, METHOD, names, _verdict(one), _status(one)) for one in regressions)
+    estimates = tuple(Estimate(f"cornering_stiffness_{one.axle}", one.stiffness, "N/rad", one.uncertainty,
+                               one.interval_at_zero_slip, METHOD, names, _verdict(one), _status(one))
+                      for one in regressions)
     figure = {f"{key}_{one.axle}": getattr(one.samples, key)[one.samples.used]
               for one in regressions for key in ("slip", "force", "run_of")}
     return Identification("stiffness", estimates, names, rejected, correlation, regressions[0].coverage,
@@ -274,12 +310,15 @@ def _axle(runs: Sequence[RunSamples], masks: Sequence[np.ndarray], vehicle: Vehi
 def _status(one: AxleRegression) -> Status:
     if not one.usable:
         return "unidentifiable"
-    return "identified" if one.standard_error < LARGEST_RELATIVE * one.stiffness else "doubtful"
+    return "identified" if one.uncertainty < LARGEST_RELATIVE * one.stiffness else "doubtful"
 
 
 def _verdict(one: AxleRegression) -> str:
     if one.reasons:
         text = "; ".join(one.reasons)
         return f"{text[0].upper()}{text[1:]}."
-    return (f"{one.stiffness:.0f} N/rad +/- {100 * one.standard_error / one.stiffness:.1f} % from {one.basis}. "
-            "Average slope up to 2 deg of slip, compliance and roll steer included.")
+    slip = np.rad2deg(np.quantile(np.abs(one.samples.slip[one.samples.used]), 0.995))
+    model_error = (f"model error +/- {100 * one.model_error / one.stiffness:.1f} % included"
+                   if np.isfinite(one.model_error) else "its change with the slip range is not known")
+    return (f"{one.stiffness:.0f} N/rad +/- {100 * one.uncertainty / one.stiffness:.1f} % from {one.basis}. "
+            f"Secant over slip angles up to {slip:.1f} deg, compliance and roll steer included; {model_error}.")

@@ -126,7 +126,10 @@ class _GatedWindows(Windows):
                          & (np.abs(speed * rate) <= settings.maximum_acceleration)).all(axis=1)
             weight = np.square(speed * rate)[self.used]
             curvature = np.square(rate / speed)[self.used]
-        self.curvature_square = float(np.average(curvature, weights=weight)) if weight.sum() > 0.0 else 0.0
+        driven = weight.sum() > 0.0
+        self.curvature_square = float(np.average(curvature, weights=weight)) if driven else 0.0
+        self.peaks = np.sqrt(weight.max(axis=1))
+        self.acceleration = float(np.average(np.sqrt(weight), weights=weight)) if driven else 0.0
 
     @cached_property
     def known(self) -> np.ndarray:
@@ -140,7 +143,8 @@ class DrivingFit:
     derivative of the loss in these numbers.
 
     residuals: (n, c) predicted minus measured, columns as `columns` [SI], with run_of (n,) and time (n,) [s].
-    windows: by run, (used, all). curvature_square: mean of curvature^2 [1/m^2], weighted by lateral acceleration^2.
+    windows: by run, (used, all). curvature_square, acceleration: means of curvature^2 [1/m^2] and |v_x r| [m/s^2],
+    weighted by (v_x r)^2. peaks: (used,) largest |v_x r| of each window [m/s^2].
     """
 
     names: tuple[str, ...]
@@ -155,6 +159,8 @@ class DrivingFit:
     time: np.ndarray
     windows: Mapping[str, tuple[int, int]]
     curvature_square: float
+    acceleration: float
+    peaks: np.ndarray
 
     @property
     def number(self) -> int:
@@ -247,7 +253,7 @@ def _result(problem: Problem, windows: _GatedWindows, vector: np.ndarray, effect
     return DrivingFit(
         tuple(names), values, group.spread(own @ change.T), tuple(n for n in names if FREE[n].effect in stopped),
         change, whole, residuals, windows.columns, np.repeat(windows.run[used], points),
-        np.repeat(windows.seconds[used], points), counts, windows.curvature_square)
+        np.repeat(windows.seconds[used], points), counts, windows.curvature_square, windows.acceleration, windows.peaks)
 
 
 def check_names(names: Sequence[str]) -> None:

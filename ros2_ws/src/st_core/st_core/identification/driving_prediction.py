@@ -2,7 +2,9 @@
 
 The offset of the steering and the misalignment of the INS are always fitted in addition, which would
 otherwise pass for tyres. Stiffness: with the nonlinear model it is the slope at small slip at the static load, and the
-tyre's curve is that of the vehicle file; with the linear one it is the slope that predicts best over the slips driven.
+tyre's curve is that of the vehicle file; with the linear one it is the secant that predicts best over the slips driven.
+A tyre of another curve gives another value for another range of slip. The interval includes that: the fit is repeated
+on the windows of small lateral acceleration, and the difference extrapolated to zero slip (`slip_range_uncertainty`).
 
 Steering ratio, where no turntables are at hand:
 
@@ -31,6 +33,7 @@ from ..handling import objections
 from ..log import DriveLog
 from ..models import Model, get_model
 from ..vehicle import VehicleParameters
+from .cornering_stiffness import LARGEST_RANGE_RATIO, slip_angles
 from .driving_fit import DELAY, FREE, MISALIGNMENT, RELAXATION, DrivingFit, DrivingFitSettings, fit_driving
 from .result import (
     ACCELERATION_EDGES,
@@ -38,6 +41,7 @@ from .result import (
     Coverage,
     Estimate,
     Identification,
+    IdentificationError,
     Status,
     contradiction,
     correlation_of,
@@ -76,8 +80,52 @@ def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
     require(covered, "Drive bends to both sides, at two speeds or more, with 1 to 4 m/s^2 across.")
     fit = fit_driving(logs, vehicle, names, base, settings)
     method = f"multi-step prediction, {described(base)}"
-    result = estimates_of("stiffness", vehicle, fit, method, (*STIFFNESSES, *also), covered)
-    return replace(result, warnings=(*noticed, *result.warnings))
+    systematic = slip_range_uncertainty(logs, vehicle, base, settings, fit)
+    result = estimates_of("stiffness", vehicle, fit, method, (*STIFFNESSES, *also), covered, systematic)
+    kind = "Secant" if get_model(base).name.startswith("linear") else "Slope at zero slip of the file's tyre curve"
+    estimates = []
+    for one, slip in zip(result.estimates, driven_slip(logs, vehicle, settings), strict=False):
+        share = 100.0 * systematic.get(one.parameter, 0.0) / max(abs(one.value), 1e-300)
+        model_error = (f"the value changes with the slip range, model error +/- {share:.1f} % included" if systematic
+                       else "its change with the slip range is not known: drive small and large lateral accelerations")
+        estimates.append(replace(one, verdict=f"{one.verdict} {kind} over slip angles up to {np.rad2deg(slip):.1f} "
+                                              f"deg; {model_error}."))
+    return replace(result, estimates=(*estimates, *result.estimates[len(STIFFNESSES):]),
+                   warnings=(*noticed, *result.warnings))
+
+
+def slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model,
+                           settings: DrivingFitSettings, fit: DrivingFit) -> dict[str, float]:
+    """Standard uncertainty of the stiffnesses [N/rad] as slopes at zero slip, when the tyre's curve is not the model's.
+
+        C(a) = C_0 - s a,    u = sqrt(max((C_low - C)^2 - u_d^2, 0)) a / (a - a_low) / sqrt(3)
+
+    a: mean |v_x r| weighted by its square; low: the windows up to the median of the peaks. A secant of a brush tyre
+    falls linearly with the slip to first order. u_d^2 = u_low^2 - u^2, what chance alone would make of the difference
+    (Hausman, Specification tests in econometrics, 1978); rectangular distribution (GUM 4.3.7). Empty where the drives
+    do not separate the two ranges. Checked by: test_stiffness_model_error.py.
+    """
+    try:
+        low = fit_driving(logs, vehicle, fit.names, base, replace(
+            settings, maximum_acceleration=float(np.median(fit.peaks)), fewest_windows=settings.fewest_windows // 2))
+    except IdentificationError:
+        return {}
+    if low.acceleration > LARGEST_RANGE_RATIO * fit.acceleration:
+        return {}
+    reach = fit.acceleration / (fit.acceleration - low.acceleration) / np.sqrt(3.0)
+    chance = np.maximum(np.diag(low.spread.covariance) - np.diag(fit.spread.covariance), 0.0)
+    size = np.sqrt(np.maximum(np.square(low.values - fit.values) - chance, 0.0))
+    return {name: float(reach * size[fit.names.index(name)]) for name in STIFFNESSES}
+
+
+def driven_slip(logs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DrivingFitSettings) -> np.ndarray:
+    """0.995 quantile of the slip angle of (front, rear) axle [rad] at the settings' speeds and accelerations."""
+    driven = []
+    for run in (run_samples(log, vehicle) for log in logs):
+        used = ((run.velocity_x >= settings.minimum_speed)
+                & (np.abs(run.velocity_x * run.yaw_rate) <= settings.maximum_acceleration))
+        driven.append(np.abs(slip_angles(run, vehicle))[:, used])
+    return np.quantile(np.concatenate(driven, axis=1), 0.995, axis=1)
 
 
 def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
@@ -137,10 +185,10 @@ def estimates_of(what: str, vehicle: VehicleParameters, fit: DrivingFit, method:
     uncertainties the drives cannot show, added to theirs."""
     spread = fit.spread
     share = single_track_share(vehicle, fit)
-    extra = {n: share * v for n, v in zip(fit.names, fit.values, strict=True)
-             if n.startswith("cornering_stiffness")} | dict(systematic or {})
+    extra = [np.hypot((systematic or {}).get(n, 0.0), share * v if n in STIFFNESSES else 0.0)
+             for n, v in zip(fit.names, fit.values, strict=True)]
     # Independent of the drives, so added to the variances alone.
-    covariance = spread.covariance + np.diag([extra.get(name, 0.0) ** 2 for name in fit.names])
+    covariance = spread.covariance + np.diag(np.square(extra))
     chosen = [fit.names.index(name) for name in reported]
     uncertainty = np.sqrt(np.diag(covariance))
     runs = tuple(name for name, (used, _) in fit.windows.items() if used)
