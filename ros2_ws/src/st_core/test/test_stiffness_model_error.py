@@ -1,4 +1,4 @@
-"""Intervals of the cornering stiffness hold the slope at zero slip of tyres whose curve is not that of the vehicle file.
+"""Intervals of the cornering stiffness hold the slope at zero slip of tyres of another curve than the vehicle file's.
 
 The car is written here: two axles of brush tyres with parabolic pressure (Pacejka, Tire and Vehicle Dynamics, ch. 3).
 """
