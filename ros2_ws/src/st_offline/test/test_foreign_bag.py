@@ -20,9 +20,10 @@ STORE = typestore(definitions())
 START_NS = 1_700_000_000_000_000_000
 N, STEP_NS = 400, 10_000_000
 FLOAT, STAMPED, TEXT = "std_msgs/msg/Float64", "geometry_msgs/msg/Vector3Stamped", "std_msgs/msg/String"
+JOINTS = "sensor_msgs/msg/JointState"
 
 
-def make(name: str, **values: Any) -> Any:
+def make(name: str, /, **values: Any) -> Any:
     return STORE.types[name](**values)
 
 
@@ -50,7 +51,7 @@ def angle(k: int) -> float:
 def bag(folder: Path, storage: StoragePlugin = StoragePlugin.MCAP) -> Path:
     """Odometry in a frame odom, the angle without a stamp and with one 30 ms before it was recorded, a text."""
     with Writer(folder, version=9, storage_plugin=storage) as writer:
-        names = {"/odom": ODOMETRY, "/steering_angle": FLOAT, "/rack": STAMPED, "/notes": TEXT}
+        names = {"/odom": ODOMETRY, "/steering_angle": FLOAT, "/rack": STAMPED, "/notes": TEXT, "/joints": JOINTS}
         made = {topic: writer.add_connection(topic, name, typestore=STORE) for topic, name in names.items()}
         for k in range(N):
             now = START_NS + k * STEP_NS
@@ -59,6 +60,9 @@ def bag(folder: Path, storage: StoragePlugin = StoragePlugin.MCAP) -> Path:
             for topic, message in (("/odom", odometry(now, 0.1 * k)), ("/rack", stamped),
                                    ("/steering_angle", make(FLOAT, data=angle(k))), ("/notes", make(TEXT, data="x"))):
                 writer.write(made[topic], now, bytes(STORE.serialize_cdr(message, names[topic])))
+            joints = make(JOINTS, header=header(now, ""), name=["left", "right"], position=np.array([9.0, angle(k)]),
+                          velocity=np.zeros(2), effort=np.zeros(2))
+            writer.write(made["/joints"], now, bytes(STORE.serialize_cdr(joints, JOINTS)))
     return folder
 
 
@@ -70,10 +74,12 @@ def test_a_number_of_any_topic_is_the_steering(tmp_path, storage):
     np.testing.assert_array_equal(drive.log.road_wheel_angle, expected)
     np.testing.assert_array_equal(drive.log.steering_time_ns, START_NS + np.arange(N) * STEP_NS)  # when it was recorded
     assert drive.frame == "odom" and drive.topics["st_msgs/msg/Steering"] == "/steering_angle"
-    assert sorted(drive.unknown) == [f"/notes ({TEXT})", f"/rack ({STAMPED})"]
+    assert sorted(drive.unknown) == [f"/joints ({JOINTS})", f"/notes ({TEXT})", f"/rack ({STAMPED})"]
     drive = read_bag(folder, steering=SteeringField("/rack", "vector.y"))
     np.testing.assert_array_equal(drive.log.road_wheel_angle, expected)
     np.testing.assert_array_equal(drive.log.steering_time_ns, START_NS + np.arange(N) * STEP_NS - 30_000_000)  # stamp
+    drive = read_bag(folder, steering=SteeringField("/joints", "position.1"))
+    np.testing.assert_array_equal(drive.log.road_wheel_angle, expected)
 
 
 def test_the_hand_wheel_becomes_the_road_wheels_by_the_vehicle_file(tmp_path):
@@ -88,11 +94,13 @@ def test_the_hand_wheel_becomes_the_road_wheels_by_the_vehicle_file(tmp_path):
 
 
 @pytest.mark.parametrize(("topic", "field", "said"), [
-    ("/angle", "data", "no message of /angle is in it; it has /notes, /odom, /rack, /steering_angle"),
+    ("/angle", "data", "no message of /angle is in it; it has /joints, /notes, /odom, /rack, /steering_angle"),
     ("/rack", "data", "no 'data'; it has header, vector"),
     ("/rack", "vector.y.z", "no 'z'; nothing is below it"),
     ("/rack", "vector", "is not a number"),
     ("/notes", "data", "is not a number"),
+    ("/joints", "position", "'position' of /joints is a list of 2; add the place in it, as position.0"),
+    ("/joints", "position.2", "no '2'; nothing is below it"),
 ])
 def test_what_is_no_angle_is_refused_by_name(tmp_path, topic, field, said):
     folder = bag(tmp_path / "drive")

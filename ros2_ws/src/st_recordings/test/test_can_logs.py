@@ -7,6 +7,7 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
+from asammdf import MDF, Signal
 from mdf_files import LogFrame, write_layout_2
 from st_recordings.runs.can_logs import read_can_logs
 from st_recordings.runs.errors import RunError
@@ -228,6 +229,18 @@ def test_an_mf4_without_can_frames(tmp_path: Path) -> None:
     file = write_layout_2(tmp_path / "quiet.MF4", START_NS, [])
     with pytest.raises(RunError, match=r"quiet\.MF4: no CAN frames are in the log"):
         read_can_logs([file])
+
+
+@pytest.mark.parametrize(("version", "message"), [
+    ("4.10", "no CAN frames are in the log, but signals already decoded: SteeringWheelAngle; .*CSV"),
+    ("3.30", r"this is MDF version 3.30, and only version 4 is read; convert it with asammdf"),
+])
+def test_mdf_of_decoded_signals(tmp_path: Path, version: str, message: str) -> None:
+    with MDF(version=version) as log:
+        log.append([Signal(np.sin(np.arange(9.0)), np.arange(9.0), name="SteeringWheelAngle", unit="deg")])
+        file = log.save(tmp_path / "decoded.mf4")
+    with pytest.raises(RunError, match=message):
+        read_can_logs([Path(file)])
 
 
 def test_long_frames_are_kept(tmp_path: Path) -> None:

@@ -272,6 +272,7 @@ def _topic(path: Path, topics: Sequence[Topic], type_name: str) -> Topic:
     if len(preferred) > 1:
         names = ", ".join(sorted(t.name for t in preferred))
         raise RunError(path, f"several topics are of type {type_name}: {names}",
+                       "name one of them with --odometry-topic" if type_name == ODOMETRY else
                        f"leave one of them, or name one .../{PREFERRED[type_name]}")
     return preferred[0]
 

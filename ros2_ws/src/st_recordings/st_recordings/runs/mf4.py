@@ -73,7 +73,11 @@ def read_mf4(path: Path) -> Mf4:
     if _head(path)[:4] not in (b"MDF ", b"UnFi"):
         raise RunError(path, "this is not an MF4 file (no MDF mark at its start)",
                        "correct its extension, or remove it from the command")
+    if (version := _head(path)[8:12])[:2] != b"4.":
+        raise RunError(path, f"this is MDF version {version.decode('latin-1').strip()}, and only version 4 is read",
+                       "convert it with asammdf")
     warnings: list[str] = []
+    signals: list[str] = []
     with _opened(path, warnings) as log:
         start_ns = int(log.header.start_time.timestamp()) * 10**9 + int(log.header.abs_time) % 10**9
         if not 0 <= start_ns < LATEST_START * 10**9:
@@ -81,11 +85,16 @@ def read_mf4(path: Path) -> Mf4:
         parts = []
         steps: list[float] = []
         for group in range(len(log.groups)):
+            if _frame_channel(log, group) is None:
+                signals += [c.name for c in log.groups[group].channels if c.channel_type not in _TIMES]
             pieces = list(_group_frames(log, group, start_ns))
             if pieces:
                 part, found = continued(in_file_order(pieces))
                 steps += found
                 parts.append(part)
+    if not parts and signals:
+        raise RunError(path, f"no CAN frames are in the log, but signals already decoded: {', '.join(signals)[:200]}",
+                       "give the log with the raw frames, or export the signals as CSV (asammdf) and give that")
     if not parts:
         raise RunError(path, "no CAN frames are in the log", "check that the logger was on the right bus")
     warnings += set_back(steps)

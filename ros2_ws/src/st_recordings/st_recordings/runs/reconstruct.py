@@ -274,15 +274,25 @@ def steering_value(where: Any, message: Any, steering: SteeringField) -> float:
     value = message
     for part in steering.field.split("."):
         fields = [name for name in getattr(value, "__dataclass_fields__", {}) if not name.startswith("__")]
+        if part.isdigit() and _is_list(value) and int(part) < len(value):
+            value = value[int(part)]
+            continue
         if part not in fields:
             has = f"no {part!r}; it has {', '.join(fields)}" if fields else f"no {part!r}; nothing is below it"
             raise RunError(where, f"--steering-field: {steering.field!r} is not in {steering.topic}: {has}",
                            "give the path to one number, as drive.steering_angle")
         value = getattr(value, part)
+    if _is_list(value):
+        raise RunError(where, f"--steering-field: {steering.field!r} of {steering.topic} is a list of {len(value)}",
+                       f"add the place in it, as {steering.field}.0")
     if isinstance(value, bool | str) or not isinstance(value, int | float | np.number):
         raise RunError(where, f"--steering-field: {steering.field!r} of {steering.topic} is not a number",
                        "give the path to one number, as drive.steering_angle")
     return steering.scale * float(value)
+
+
+def _is_list(value: Any) -> bool:
+    return hasattr(value, "__getitem__") and hasattr(value, "__len__") and not isinstance(value, str | bytes)
 
 
 def stamp_of(message: Any, log_ns: int) -> int:
