@@ -9,7 +9,7 @@ from pathlib import Path
 
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import config, project_root
-from st_recordings.runs.csv import read_drive
+from st_recordings.runs.csv import read_csv
 
 from .recording import Recording
 from .virtual import drive_name, virtual_drive
@@ -46,7 +46,7 @@ def load(name: str, set_: str) -> Recording:
 
 
 def real_drive(file: Path) -> Recording:
-    return Recording(read_drive(file)[0], genesis(), True)
+    return Recording(read_csv(file).log, genesis(), True)
 
 
 @lru_cache

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
-from st_recordings.runs.csv import read_drive
+from st_recordings.runs.csv import read_csv
 
 from .._mounting import moved, turned
 from .cases import seed_of
@@ -115,4 +115,4 @@ def recorded(folder: Path) -> tuple[DriveLog, ...]:
     files = sorted(folder.glob("*.csv"))
     if not files:
         raise FileNotFoundError(f"{folder}: the recorded drives are not there")
-    return tuple(read_drive(file)[0] for file in files)
+    return tuple(read_csv(file).log for file in files)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from st_recordings.runs.csv import has_drive_columns, read_drive, read_motion
+from st_recordings.runs.csv import has_drive_columns, read_csv, read_motion
 from st_recordings.runs.errors import RunError
 from support import EXAMPLES, KEPT
 
@@ -22,7 +22,8 @@ def write(folder: Path, lines: list[str], end: str = "\n", name: str = "drive.cs
 
 
 def test_a_real_drive() -> None:
-    log, warnings = read_drive(EXAMPLES / "rfs_turn_a.csv")
+    drive = read_csv(EXAMPLES / "rfs_turn_a.csv")
+    log, warnings = drive.log, drive.warnings
     assert (len(log.ins_time_ns), log.duration) == (2026, pytest.approx(40.51, abs=1e-6))
     assert not warnings
     assert log.steering_wheel_angle is None
@@ -44,7 +45,8 @@ def test_rows_that_cannot_be_used_are_left_out_and_counted(tmp_path: Path) -> No
     lines = rows(100)
     lines[50] = lines[49]  # twice
     lines[60] = lines[60].replace("10,0,0.01", ",0,0.01")  # a hole
-    log, warnings = read_drive(write(tmp_path, [HEADER, *lines, "2.0"], end=""))
+    drive = read_csv(write(tmp_path, [HEADER, *lines, "2.0"], end=""))
+    log, warnings = drive.log, drive.warnings
     assert len(log.ins_time_ns) == 98
     assert [w.split(": ", 1)[1] for w in warnings] == [
         "the last row is cut; it was left out",
@@ -57,7 +59,7 @@ def test_semicolons_and_other_column_orders(tmp_path: Path) -> None:
     names = HEADER.split(",")
     order = [3, 0, 9, 1, 2, 4, 5, 6, 7, 8]
     lines = [";".join(np.array(line.split(","))[order]) for line in [HEADER, *rows(20)]]
-    log, _ = read_drive(write(tmp_path, lines))
+    log = read_csv(write(tmp_path, lines)).log
     assert names[3] == "yaw"
     assert (log.yaw == 0.1).all()
     assert (log.road_wheel_angle == 0.002).all()
@@ -76,11 +78,11 @@ def test_semicolons_and_other_column_orders(tmp_path: Path) -> None:
 )
 def test_files_that_cannot_be_used(tmp_path: Path, lines: list[str], message: str) -> None:
     with pytest.raises(RunError, match=rf"drive\.csv: {message}"):
-        read_drive(write(tmp_path, lines))
+        read_csv(write(tmp_path, lines))
 
 
 def test_a_binary_file_called_csv(tmp_path: Path) -> None:
     file = tmp_path / "drive.csv"
     file.write_bytes(b"\xe7\xff\x80" * 100)
     with pytest.raises(RunError, match="this is not a text file"):
-        read_drive(file)
+        read_csv(file)

@@ -40,12 +40,6 @@ class CsvDrive:
     warnings: tuple[str, ...]
 
 
-def read_drive(file: Path) -> tuple[DriveLog, tuple[str, ...]]:
-    """A drive that needs no vehicle file, and warnings; see `read_csv`."""
-    drive = read_csv(file)
-    return drive.log, drive.warnings
-
-
 def read_csv(file: Path, vehicle: VehicleParameters | None = None, layout: Layout | None = None,
              yaw_scale: float = 1.0, steering: SteeringField | None = None) -> CsvDrive:
     """A drive with INS and steering columns; see `drive_of`. Raises RunError."""

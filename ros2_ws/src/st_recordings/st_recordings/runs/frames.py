@@ -42,13 +42,14 @@ def empty() -> Frames:
                   np.zeros(0, np.uint8), np.zeros(0, np.uint8))
 
 
-def in_file_order(parts: Sequence[Frames]) -> Frames:
-    """All frames, one part behind the other, whatever their times."""
-    if len(parts) == 1:
+def in_file_order(parts: Sequence[Frames], order: np.ndarray | slice = slice(None)) -> Frames:
+    """All frames, one part behind the other, whatever their times; then in the given order."""
+    if len(parts) == 1 and isinstance(order, slice):
         return parts[0]
     width = max(p.payload.shape[1] for p in parts)
     parts = [replace(p, payload=_widened(p.payload, width)) for p in parts]
-    return Frames(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Frames)})
+    # Column by column: never more than one of them is there a third time.
+    return Frames(**{f.name: np.concatenate([getattr(p, f.name) for p in parts])[order] for f in fields(Frames)})
 
 
 def joined(parts: Sequence[Frames]) -> Frames:
@@ -56,15 +57,9 @@ def joined(parts: Sequence[Frames]) -> Frames:
     parts = [p for p in parts if len(p)]
     if not parts:
         return empty()
-    width = max(p.payload.shape[1] for p in parts)
-    parts = [replace(p, payload=_widened(p.payload, width)) for p in parts]
     time_ns = np.concatenate([p.time_ns for p in parts])
-    sorted_already = not (time_ns[1:] < time_ns[:-1]).any()
-    if sorted_already and len(parts) == 1:
-        return parts[0]
-    order = slice(None) if sorted_already else np.argsort(time_ns, kind="stable")
-    # Column by column: never more than one of them is there a third time.
-    return Frames(**{f.name: np.concatenate([getattr(p, f.name) for p in parts])[order] for f in fields(Frames)})
+    rising = not (time_ns[1:] < time_ns[:-1]).any()
+    return in_file_order(parts, slice(None) if rising else np.argsort(time_ns, kind="stable"))
 
 
 def _widened(payload: np.ndarray, width: int) -> np.ndarray:

@@ -6,6 +6,7 @@ Source: ASAM MDF 4.1; checked on a real CANedge2 file cut at every byte of a str
 import math
 import mmap
 import struct
+from dataclasses import dataclass
 from typing import NamedTuple
 
 Buffer = bytes | mmap.mmap
@@ -15,7 +16,6 @@ _COUNTERS_OPEN, _LENGTH_OPEN, _LIST_OPEN = 1, 4, 16  # flags of an unfinalised f
 _MOST_INFLATED = 1032  # deflate cannot pack tighter
 _MOST_WAYS = 5  # to pack records: three, each with the columns put together first or not (odd)
 _LONGEST_RECORD = 65536  # bytes; a CAN FD frame has some 90
-_MOST_CHANNELS = 10_000  # of a group; more are links in a circle
 _VARIABLE_LENGTH_GROUP, _BUS_EVENT, _REMOTE_MASTER = 1, 2, 8  # flags of a channel group
 _VALUE_ELSEWHERE, _MASTER, _VIRTUAL = 1, 2, (3, 6)  # types of a channel
 _NUMBERS, _REALS = range(4), range(6)  # data types: integers, and with them what has a point
@@ -36,22 +36,30 @@ class _Block(NamedTuple):
     end: int
 
 
-def damage(data: Buffer) -> str:
-    """What is missing or wrong in the blocks that lead to the frames; empty where nothing is.
+@dataclass
+class Layout:
+    """Records of an unsorted data group: their start, bytes of an identifier, identifier -> (size, whether its payload is
+    elsewhere), identifiers of such payloads."""
+
+    start: int
+    id_size: int
+    fixed: dict[int, tuple[int, bool]]
+    variable: set[int]
+
+
+def check_blocks(data: Buffer) -> Layout | None:
+    """The layout of the records of an unsorted file. Raises Damage for what is missing or wrong in the blocks that lead
+    to the frames.
 
     asammdf does not validate these, in C either: a channel outside its record ends the process, a record of a gigabyte
     is allocated, links in a circle are followed for ever. Names, comments and sources may be cut off: not needed.
     The data block of a file that was never finalised has no length, so its end is not looked at.
     """
     if len(data) < 64 + 104:
-        return f"it ends after {len(data)} bytes, inside its header"
-    if data[8:10] != b"4.":
-        return "it is not of version 4 of the format"
-    try:
-        _Walk(data).file()
-    except Damage as found:
-        return str(found)
-    return ""
+        raise Damage(f"it ends after {len(data)} bytes, inside its header")
+    walk = _Walk(data)
+    walk.file()
+    return walk.layouts[0]
 
 
 class _Walk:
@@ -63,6 +71,7 @@ class _Walk:
         # asammdf sets right what is open from version 4.10 on.
         self._open = struct.unpack_from("<H", data, 60)[0] if data[8:12] >= b"4.10" else 0
         self._seen: set[int] = set()
+        self.layouts: list[Layout | None] = []  # of the data groups
 
     def file(self) -> None:
         header = self._block(64, (b"##HD",), links=6, content=32)
@@ -71,6 +80,8 @@ class _Walk:
         at = header.links[0]
         while at:
             at = self._data_group(at)
+        if not self.layouts:
+            self.layouts.append(None)
 
     def _block(self, at: int, names: tuple[bytes, ...], links: int = 0, content: int = 0) -> _Block:
         """The block at a place, one of these, with at least so many links and bytes of content."""
@@ -107,35 +118,39 @@ class _Walk:
         id_size = self._data[block.content]
         if id_size not in (0, 1, 2, 4, 8):
             raise Damage(f"the block at byte {at} has record identifiers of {id_size} bytes")
-        claimed, records, group = 0, set(), block.links[1]
+        layout = Layout(block.links[2] + _HEADER, id_size, {}, set())
+        claimed, group = 0, block.links[1]
         while group:
-            group, record, size = self._group(group, id_size)
+            group, size = self._group(group, layout)
             claimed += size
-            if record in records:
-                raise Damage(f"two kinds of records of the block at byte {at} have the identifier {record}")
-            records.add(record)
+        unsorted = id_size and self._data[block.links[2] : block.links[2] + 4] == b"##DT"
+        self.layouts.append(layout if unsorted else None)
         held = self._records(block.links[2], b"DT")
         if claimed > held and not self._open & _COUNTERS_OPEN:
             raise Damage(f"the block at byte {at} claims {claimed} bytes of records and has {held}")
         return block.links[0]
 
-    def _group(self, at: int, id_size: int) -> tuple[int, int, int]:
-        """(where the next one is, identifier of its records, bytes they claim)."""
+    def _group(self, at: int, layout: Layout) -> tuple[int, int]:
+        """(where the next one is, bytes its records claim); adds them to the layout."""
         block = self._block(at, (b"##CG",), links=6, content=32)
-        record, count, flags, _, _, size, invalid = _channel_group(self._data, at)
+        record, count, flags, _, _, size, invalid = struct.unpack_from("<QQHHIII", self._data, block.content)
+        if record in layout.fixed or record in layout.variable:
+            raise Damage(f"two kinds of records of the block before byte {at} have the identifier {record}")
         if flags & _REMOTE_MASTER or len(block.links) != 6 or block.end != block.content + 32:
             raise Damage(f"the block at byte {at} describes records unlike any CAN logger")
         if flags & _VARIABLE_LENGTH_GROUP:
             if block.links[1]:
                 raise Damage(f"the records of the block at byte {at} have channels and no fixed length")
-            return block.links[0], record, 0
+            layout.variable.add(record)
+            return block.links[0], 0
         if size + invalid > _LONGEST_RECORD:
             raise Damage(f"the block at byte {at} has records of {size + invalid} bytes")
-        self._channels(block.links[1], size, invalid, flags)
-        return block.links[0], record, count * (size + invalid + id_size)
+        layout.fixed[record] = size + invalid, self._channels(block.links[1], size, invalid, flags)
+        return block.links[0], count * (size + invalid + layout.id_size)
 
-    def _channels(self, first: int, size: int, invalid: int, group_flags: int) -> None:
-        waiting = [first]
+    def _channels(self, first: int, size: int, invalid: int, group_flags: int) -> bool:
+        """Whether one of them has its values elsewhere."""
+        waiting, elsewhere = [first], False
         while waiting:
             at = waiting.pop()
             if not at:
@@ -144,11 +159,13 @@ class _Walk:
             if block.end != block.content + 72:
                 raise Damage(f"the block at byte {at} is too long for its content")
             self._channel(block, size, invalid)
+            elsewhere |= self._data[block.content] == _VALUE_ELSEWHERE
             waiting.append(block.links[0])
             if part := block.links[1]:
                 if self._data[part : part + 4] == b"##CA" and not group_flags & _BUS_EVENT:
                     continue
                 waiting.append(part)
+        return elsewhere
 
     def _channel(self, block: _Block, size: int, invalid: int) -> None:
         content = struct.unpack_from("<BBBBIIII", self._data, block.content)
@@ -218,86 +235,28 @@ class _Walk:
         return unpacked
 
 
-def end_of_last_frame(data: Buffer) -> int | None:
-    """Where the last whole frame of an unfinalised file ends: behind a record with its whole payload.
+def end_of_last_frame(data: Buffer, layout: Layout) -> int | None:
+    """End of the last whole frame of an unfinalised file: behind a record with its whole payload; None without one.
 
-    Records of an unsorted data group: an identifier, then a fixed number of bytes, or a length and as many bytes.
-    Source: ASAM MDF 4.1; checked on a real file cut at every byte of a stretch. None for a file without such a group.
+    Records are an identifier, then a fixed number of bytes, or a length and as many bytes.
     """
-    try:
-        found = _data_group(data)
-    except (struct.error, IndexError, ValueError, RecursionError):
-        return None
-    if found is None:
-        return None
-    position, id_size, fixed, variable = found
-    end, open_payloads = None, 0
-    while position + id_size <= len(data):
-        record = int.from_bytes(data[position : position + id_size], "little")
-        if record in variable:
-            if position + id_size + 4 > len(data):
+    position, end, open_payloads = layout.start, None, 0
+    while position + layout.id_size <= len(data):
+        record = int.from_bytes(data[position : position + layout.id_size], "little")
+        if record in layout.variable:
+            if position + layout.id_size + 4 > len(data):
                 break
-            size = 4 + struct.unpack_from("<I", data, position + id_size)[0]
+            size = 4 + struct.unpack_from("<I", data, position + layout.id_size)[0]
             change = -1
-        elif record in fixed:
-            size, owns_payload = fixed[record]
+        elif record in layout.fixed:
+            size, owns_payload = layout.fixed[record]
             change = 1 if owns_payload else 0
         else:
             break
-        position += id_size + size
+        position += layout.id_size + size
         if position > len(data):
             break
         open_payloads += change
         if open_payloads <= 0:
             end = position
     return end
-
-
-def _data_group(data: Buffer) -> tuple[int, int, dict[int, tuple[int, bool]], set[int]] | None:
-    """(start of the records, bytes of an identifier, id -> (size, has a payload elsewhere), ids of such payloads)."""
-    group = _links(data, 64)[0]
-    first = _links(data, group)
-    id_size = data[group + 24 + 8 * len(first)]
-    block = first[2]
-    if not id_size or data[block : block + 4] != b"##DT":
-        return None
-    fixed: dict[int, tuple[int, bool]] = {}
-    variable: set[int] = set()
-    at, seen = first[1], set()
-    while at and at not in seen:
-        seen.add(at)
-        links = _links(data, at)
-        record, _, flags, _, _, size, invalid = _channel_group(data, at)
-        if flags & 1:
-            variable.add(record)
-        else:
-            fixed[record] = (size + invalid, _has_payload_elsewhere(data, links[1]))
-        at = links[0]
-    return block + 24, id_size, fixed, variable
-
-
-def _has_payload_elsewhere(data: Buffer, channel: int) -> bool:
-    for _ in range(_MOST_CHANNELS):
-        if not channel:
-            return False
-        links = _links(data, channel)
-        if data[channel + 24 + 8 * len(links)] == 1:  # variable length
-            return True
-        composition = links[1]
-        if composition and data[composition : composition + 4] == b"##CN" and _has_payload_elsewhere(data, composition):
-            return True
-        channel = links[0]
-    raise ValueError("channels without end")
-
-
-def _channel_group(data: Buffer, at: int) -> tuple[int, ...]:
-    """Record id, number of records, flags, two more, bytes of a record, bytes of its invalidation bits."""
-    return struct.unpack_from("<QQHHIII", data, at + 24 + 8 * len(_links(data, at)))
-
-
-def _links(data: Buffer, at: int) -> tuple[int, ...]:
-    """The links of a block; its header is 4 bytes of name, 4 reserved, length, number of links."""
-    if data[at : at + 2] != b"##":
-        raise ValueError("not a block")
-    count = struct.unpack_from("<Q", data, at + 16)[0]
-    return struct.unpack_from(f"<{count}Q", data, at + 24)

@@ -135,9 +135,7 @@ def _open_whole(path: Path, warnings: list[str]) -> Any:
     from asammdf.blocks.mdf_v4 import MDF4
 
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        damage = mdf_blocks.damage(data)
-    if damage:
-        raise Damage(damage)
+        layout = mdf_blocks.check_blocks(data)
     MDF4._file = None  # or its __del__ complains on stderr where its __init__ gave up
     log: Any = None
     try:
@@ -149,11 +147,10 @@ def _open_whole(path: Path, warnings: list[str]) -> Any:
     if log is not None:
         log.close()
     content = path.read_bytes()
-    end = mdf_blocks.end_of_last_frame(content)
+    end = mdf_blocks.end_of_last_frame(content, layout) if layout else None
     if end is None:
         raise Damage("no whole frame is in it")
-    if damage := mdf_blocks.damage(content[:end]):
-        raise Damage(damage)
+    mdf_blocks.check_blocks(content[:end])
     warnings.append(f"the file ends in the middle of a frame ({len(content) - end} bytes dropped)")
     log = MDF(io.BytesIO(content[:end]), **AS_IT_IS)
     if not all(_is_whole(log, group) for group in range(len(log.groups))):
