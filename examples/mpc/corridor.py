@@ -28,8 +28,7 @@ from st_core.models import get_model
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
 from st_offline.model_export import half_width_function
-from st_recordings.output import new_folder
-from st_recordings.paths import config
+from st_recordings.paths import config, new_folder
 from st_sim.car import Car, read_car
 from st_sim.path import straight
 from st_sim.scenarios import RoadPlan

@@ -20,8 +20,7 @@ from drawing import draw_paths, draw_trade_off
 from st_core.errors import StCoreError
 from st_core.vehicle import VehicleParameters
 from st_offline.model_export import load_model
-from st_recordings.output import new_folder
-from st_recordings.paths import config
+from st_recordings.paths import config, new_folder
 from st_sim.car import read_car
 from st_sim.path import lane_shift, straight
 from st_sim.scenarios import Plan, RoadPlan, load

@@ -19,7 +19,7 @@ from st_core.models import Model, get_model
 from st_core.palette import MODEL_COLOUR
 from st_core.prediction import PredictionSettings, configuration_hash
 from st_core.vehicle import VehicleParameters
-from st_recordings.output import new_folder
+from st_recordings.paths import new_folder
 from st_recordings.recorded import (
     PlannedPredictions,
     Predictions,

@@ -9,7 +9,7 @@ from rich.markup import escape
 from st_core.course import SPACING, Course, Pass, passes_of
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.vehicle import VehicleParameters
-from st_recordings.output import OutputError
+from st_recordings.paths import OutputError
 from st_recordings.runs import ReadSettings, RunError, find_runs, read
 from st_recordings.runs.ncom import origin_offset
 

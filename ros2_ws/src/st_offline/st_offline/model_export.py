@@ -18,7 +18,7 @@ from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model, get_model
 from st_core.stability import lowest_stable_speed
 from st_core.vehicle import VehicleParameters
-from st_recordings.output import finite
+from st_recordings.paths import finite
 
 Format = Literal["casadi", "c"]
 STEPS = (0.01, 0.02, 0.05, 0.1)

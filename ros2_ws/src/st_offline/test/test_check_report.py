@@ -23,7 +23,7 @@ from st_offline.checking.check_report import (
 )
 from st_offline.checking.gate import Refused
 from st_offline.checking.run_corrections import run_yaml, with_corrections
-from st_recordings.output import OutputError
+from st_recordings.paths import OutputError
 from st_recordings.runs import ReadSettings, RunSource
 from st_recordings.runs.raw import about_alignment
 from support import ROOT

@@ -1,9 +1,15 @@
-"""Folder of the project's own files (configuration, message definitions), and the version of the software."""
+"""Files of the project (configuration, message definitions) and its version; output of a verb: folder and JSON."""
 
+import json
+import math
 import os
+import shutil
 import subprocess
+from collections.abc import Mapping
+from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 DISTRIBUTION = "single-track-predictor"
 INSTALLED = Path(__file__).parent / "share"  # exists in the wheel only
@@ -38,3 +44,46 @@ def source_version() -> str:
             return metadata.version(DISTRIBUTION)
         except metadata.PackageNotFoundError:
             return "unknown"
+
+
+LEAST_ROOM = 10_000_000  # bytes; less does not hold what the shortest run leaves behind
+
+
+class OutputError(OSError):
+    """A folder that cannot be used; one line for the user."""
+
+
+def new_folder(given: Path | None, name: str, create: bool = True) -> Path:
+    """The folder given, or runs/<name>-<time>; never one with files in it. Raises OutputError."""
+    folder = given or Path("runs") / f"{name}-{datetime.now(UTC):%Y%m%d-%H%M%S}"
+    try:
+        if folder.exists() and (folder.is_file() or any(folder.iterdir())):
+            what = "is a file" if folder.is_file() else "is not empty"
+            raise OutputError(f"{folder} {what}: name another --output (nothing is ever overwritten)")
+        if create:
+            folder.mkdir(parents=True, exist_ok=True)
+            if (free := shutil.disk_usage(folder).free) < LEAST_ROOM:
+                raise OutputError(f"{folder}: its disk is full ({free / 1e6:.1f} MB left, {LEAST_ROOM / 1e6:.0f} MB "
+                                  "required): free some room, or name another --output")
+    except OutputError:
+        raise
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be made: {error.strerror}") from None
+    return folder.absolute()
+
+
+def finite(value: Any) -> Any:
+    """The same with plain Python numbers; what is not finite is null."""
+    if isinstance(value, Mapping):
+        return {str(k): finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(v) for v in value]
+    if isinstance(value, bool | int | str) or value is None:
+        return value
+    number = float(value)
+    return number if math.isfinite(number) else None
+
+
+def as_text(content: Mapping[str, Any]) -> str:
+    """The text of a file, to be read by people too."""
+    return json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"

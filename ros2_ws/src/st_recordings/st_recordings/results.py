@@ -13,8 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from st_core.evaluation import Statistic
 
-from .output import finite
-from .paths import source_version
+from .paths import finite, source_version
 from .runs.bag import definitions, numbers, open_bag
 from .runs.bag_storage import Storage
 from .runs.cdr import field_of, typestore

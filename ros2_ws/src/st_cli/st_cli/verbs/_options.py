@@ -105,7 +105,7 @@ def refusals(verb: str, *more: type[Exception]) -> Iterator[None]:
     """Errors of a verb's inputs become one line and exit status 2. more: errors that only this verb has."""
     # Imported when it runs, see demo.py.
     from st_core.errors import StCoreError
-    from st_recordings.output import OutputError
+    from st_recordings.paths import OutputError
     from st_recordings.runs.errors import RunError
 
     refused: tuple[type[Exception], ...] = (StCoreError, RunError, OutputError, UnicodeDecodeError, *more)

@@ -27,7 +27,7 @@ def align(
     """
     from rich.console import Console
     from st_offline.alignment_figure import alignment_figure
-    from st_recordings.output import new_folder
+    from st_recordings.paths import new_folder
     from st_recordings.runs.raw import about_alignment, read_pair
 
     console = Console()

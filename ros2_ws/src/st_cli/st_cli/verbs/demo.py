@@ -56,7 +56,7 @@ def demo(
     from st_live.report import conclude
     from st_live.session import run
     from st_live.suite import SuiteError
-    from st_recordings.output import new_folder
+    from st_recordings.paths import new_folder
 
     console = Console()
     what = drive.stem if drive else Path(scenario or "S6").stem

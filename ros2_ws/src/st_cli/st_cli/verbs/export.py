@@ -37,7 +37,7 @@ def export(
     """
     from st_core.bands import Bands
     from st_core.effects import load_folder
-    from st_recordings.output import new_folder
+    from st_recordings.paths import new_folder
 
     if importlib.util.find_spec("casadi") is None:
         typer.echo("st export: casadi is not installed: pip install casadi", err=True)

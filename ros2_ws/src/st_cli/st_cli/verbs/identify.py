@@ -32,7 +32,7 @@ def identify(
     from st_live.suite import SuiteError
     from st_offline.identification.experiment import Setup
     from st_offline.identification.identify_command import EXPERIMENTS, Job, run
-    from st_recordings.output import new_folder
+    from st_recordings.paths import new_folder
 
     console = Console()
     if what is None:

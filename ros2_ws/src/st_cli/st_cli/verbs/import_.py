@@ -24,7 +24,7 @@ def import_(
     were not (each with its reason); 2: nothing could be done.
     """
     from rich.console import Console
-    from st_recordings.output import OutputError, new_folder
+    from st_recordings.paths import OutputError, new_folder
     from st_recordings.runs.errors import RunError
     from st_recordings.runs.sources import find_runs
 

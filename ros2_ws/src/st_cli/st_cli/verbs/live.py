@@ -49,7 +49,7 @@ def live(
     from st_live.report import conclude
     from st_live.session import run
     from st_live.suite import SuiteError
-    from st_recordings.output import new_folder
+    from st_recordings.paths import new_folder
 
     console = Console()
     ins = {"udp_port": ncom_port, "bind_address": ncom_address, "sender_filter": ncom_sender}

@@ -32,7 +32,7 @@ def replay(
     from st_live.suite import SuiteError
     from st_offline.checking.check_report import documents, print_findings
     from st_offline.checking.gate import passed_bag
-    from st_recordings.output import new_folder
+    from st_recordings.paths import new_folder
 
     console = Console()
     with shared.refusals("replay", SuiteError):

@@ -9,7 +9,7 @@ from rich.markup import escape
 from st_core.checks import Severity
 from st_core.errors import ConfigurationError
 from st_core.vehicle import VehicleParameters
-from st_recordings.output import as_text, new_folder
+from st_recordings.paths import as_text, new_folder
 from st_recordings.recorded import configuration_of
 from st_recordings.runs import ReadSettings, RunSource, find_runs, read
 from st_recordings.runs.bag import records_of

@@ -12,7 +12,7 @@ from rich.markup import escape
 from st_core.checks import SCHEMA, Advice, Checked, Finding, Identity, Severity, across_runs
 from st_core.clock_types import none_needed
 from st_core.vehicle import VehicleParameters
-from st_recordings.output import finite
+from st_recordings.paths import finite
 from st_recordings.results import versions
 from st_recordings.runs.raw import about_alignment
 

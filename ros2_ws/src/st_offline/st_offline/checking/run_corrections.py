@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 from st_core.checks import Finding, Severity
 from st_core.corrections import Correction
-from st_recordings.output import OutputError
+from st_recordings.paths import OutputError
 from st_recordings.runs import ReadSettings, RunSource
 from st_recordings.runs.errors import printable
 from st_recordings.runs.readers import READERS

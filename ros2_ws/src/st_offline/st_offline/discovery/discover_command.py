@@ -19,7 +19,7 @@ from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model, get_model
 from st_core.relations import RelationSearch, find_relation, indicated
 from st_core.vehicle import VehicleParameters
-from st_recordings.output import as_text, finite, new_folder
+from st_recordings.paths import as_text, finite, new_folder
 from st_recordings.runs import find_runs
 
 from ..evaluation.drawing import Drawn, Place, check_formats

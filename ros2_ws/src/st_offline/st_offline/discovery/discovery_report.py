@@ -12,7 +12,7 @@ from rich.table import Table
 from st_core.discovery import Discovery
 from st_core.discovery.result import FittedParameter
 from st_core.model_file import Interval, ModelFile, Provenance
-from st_recordings.output import finite
+from st_recordings.paths import finite
 from st_recordings.results import versions
 
 from ..checking.check_report import findings_in

@@ -20,7 +20,7 @@ from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.models import Model
 from st_core.vehicle import VehicleParameters
-from st_recordings.output import finite
+from st_recordings.paths import finite
 from st_recordings.recorded import recorded_configuration
 from st_recordings.runs import ReadSettings, RunSource, read
 from st_recordings.runs.load import hashes

@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.progress import Progress as ProgressBars
 from rich.progress import TaskID
 from st_core.errors import ConfigurationError
-from st_recordings.output import new_folder
+from st_recordings.paths import new_folder
 from st_recordings.runs import RunError, RunSource, find_runs
 
 from ..bands.bands_report import HOW_TO_GET, adaptive_table, bands_table, finished_shares, shares_table

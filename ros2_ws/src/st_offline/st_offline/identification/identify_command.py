@@ -19,7 +19,7 @@ from st_core.identification.result import Coverage, Identification, Identificati
 from st_core.provenance import Provenance
 from st_core.vehicle import VehicleParameters
 from st_core.yaml_text import number, quoted
-from st_recordings.output import as_text, new_folder
+from st_recordings.paths import as_text, new_folder
 from st_recordings.results import versions
 from st_recordings.runs import find_runs
 from st_recordings.runs.load import file_hashes

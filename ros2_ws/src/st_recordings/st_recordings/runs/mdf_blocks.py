@@ -38,7 +38,7 @@ class _Block(NamedTuple):
 
 @dataclass
 class Layout:
-    """Records of an unsorted data group: their start, bytes of an identifier, identifier -> (size, whether its payload is
+    """Records of an unsorted data group: their start, bytes of an identifier, identifier -> (size, whether a payload is
     elsewhere), identifiers of such payloads."""
 
     start: int

@@ -12,7 +12,7 @@ from st_core.errors import StCoreError
 from st_core.log import OPTIONAL_INS_SIGNALS, DriveLog
 from st_core.vehicle import VehicleParameters
 
-from ..output import finite
+from ..paths import finite
 from . import csv
 from .can_formats import EXTENSIONS
 from .can_logs import CanLog, read_can_logs
