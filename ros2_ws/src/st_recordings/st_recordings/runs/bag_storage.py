@@ -6,12 +6,13 @@ one it does not understand; what else rosbag2 can write (compressed files and me
 
 import re
 import sqlite3
+from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import yaml
@@ -37,22 +38,36 @@ class Topic:
     count: int
 
 
-class Storage(Protocol):
+class Storage(ABC):
     """One recording, of one or several files."""
 
+    @abstractmethod
     def topics(self) -> list[Topic]: ...
 
-    def messages(self, topic: str) -> Iterator[bytes]:
-        """Serialised messages, in the order of the file."""
-
+    @abstractmethod
     def timed(self, topic: str) -> Iterator[tuple[int, bytes]]:
         """(log time [ns], message), in the order of the file."""
 
-    def columns(self, fields: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
-        """Some numbers of all messages (cdr.Layout) by topic, without topics of varying layout."""
-
+    @abstractmethod
     def definitions(self) -> dict[str, tuple[str, str]]:
         """Type -> (ros2msg or ros2idl, definition), as far as they are in the recording."""
+
+    def messages(self, topic: str) -> Iterator[bytes]:
+        """Serialised messages, in the order of the file."""
+        return (data for _, data in self.timed(topic))
+
+    def columns(self, fields: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
+        """Some numbers of all messages (cdr.Layout) by topic, without topics of varying layout."""
+        found = {}
+        for topic, names in fields.items():
+            rows = [np.frombuffer(data, np.uint8) for data in self.messages(topic.name)]
+            one = _Gathered(topic.type_name, names, store)
+            if rows:
+                sizes = np.array([len(row) for row in rows])
+                one.add(np.concatenate(rows), np.cumsum(sizes) - sizes, sizes)
+            if one.alike and one.parts:
+                found[topic.name] = one.columns()
+        return found
 
 
 def open_storage(path: Path, files: Sequence[Path], store: Typestore) -> Storage:
@@ -118,7 +133,7 @@ def natural(path: Path) -> tuple[list[tuple[bool, int, str]], str]:
     return [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in parts], path.suffix
 
 
-class Mcap:
+class Mcap(Storage):
     def __init__(self, files: Sequence[Path]):
         self._files: list[tuple[Path, Summary | None]] = []
         for file in files:
@@ -198,7 +213,7 @@ class Mcap:
     def columns(self, fields: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
         gathered = {topic.name: _Gathered(topic.type_name, names, store) for topic, names in fields.items()}
         if any(summary is None for _, summary in self._files):
-            return _one_by_one(self, fields, store)
+            return super().columns(fields, store)
         for file, summary in self._files:
             assert summary is not None and summary.statistics is not None  # summary_of
             channels = {number: gathered[channel.topic] for number, channel in summary.channels.items()
@@ -212,7 +227,7 @@ class Mcap:
         return {name: one.columns() for name, one in gathered.items() if one.alike and one.parts}
 
 
-class Sqlite:
+class Sqlite(Storage):
     def __init__(self, files: Sequence[Path]):
         self._files = list(files)
         self.topics()
@@ -233,17 +248,11 @@ class Sqlite:
                 counts[name, type_name] = counts.get((name, type_name), 0) + count
         return [Topic(name, type_name, count) for (name, type_name), count in counts.items()]
 
-    def messages(self, topic: str) -> Iterator[bytes]:
-        return (data for _, data in self.timed(topic))
-
     def timed(self, topic: str) -> Iterator[tuple[int, bytes]]:
         text = ("SELECT messages.timestamp, messages.data FROM messages JOIN topics ON messages.topic_id = topics.id "
                 "WHERE topics.name = ? ORDER BY messages.timestamp")
         for file in self._files:
             yield from self.query(file, text, topic)
-
-    def columns(self, fields: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
-        return _one_by_one(self, fields, store)
 
     def definitions(self) -> dict[str, tuple[str, str]]:
         found: dict[str, tuple[str, str]] = {}
@@ -255,22 +264,7 @@ class Sqlite:
         return found
 
 
-def _one_by_one(storage: Storage, fields: Mapping[Topic, Sequence[str]],
-                store: Typestore) -> dict[str, dict[str, np.ndarray]]:
-    """`Storage.columns` of a storage that hands over messages only."""
-    found = {}
-    for topic, names in fields.items():
-        rows = [np.frombuffer(data, np.uint8) for data in storage.messages(topic.name)]
-        one = _Gathered(topic.type_name, names, store)
-        if rows:
-            sizes = np.array([len(row) for row in rows])
-            one.add(np.concatenate(rows), np.cumsum(sizes) - sizes, sizes)
-        if one.alike and one.parts:
-            found[topic.name] = one.columns()
-    return found
-
-
-class Rosbags:
+class Rosbags(Storage):
     def __init__(self, path: Path, store: Typestore):
         self._path = path
         try:
@@ -282,15 +276,9 @@ class Rosbags:
     def topics(self) -> list[Topic]:
         return [Topic(c.topic, c.msgtype, c.msgcount) for c in self._reader.connections]
 
-    def messages(self, topic: str) -> Iterator[bytes]:
-        return (data for _, data in self.timed(topic))
-
     def timed(self, topic: str) -> Iterator[tuple[int, bytes]]:
         chosen = [c for c in self._reader.connections if c.topic == topic]
         return ((log_ns, bytes(data)) for _, log_ns, data in self._reader.messages(connections=chosen))
-
-    def columns(self, fields: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
-        return {}
 
     def definitions(self) -> dict[str, tuple[str, str]]:
         forms = {1: "ros2msg", 2: "ros2idl"}  # rosbags.interfaces.MessageDefinitionFormat

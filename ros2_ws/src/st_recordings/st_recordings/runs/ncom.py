@@ -131,7 +131,7 @@ def sent(columns: Columns, channel: int, names: tuple[str, ...]) -> tuple[np.nda
     batches = np.ascontiguousarray(columns.raw[index, BATCH_S]).view("<u8").ravel()
     different, which = np.unique(batches, return_inverse=True)
     fields = [decode_channel(channel, batch.tobytes()) for batch in different.astype("<u8")]
-    values = np.array([[_number(field.get(name)) for name in names] for field in fields]).reshape(-1, len(names))
+    values = np.array([[field.get(name) for name in names] for field in fields], float).reshape(-1, len(names))
     return index, values[which]
 
 
@@ -150,7 +150,3 @@ def ins_quality(columns: Columns, packets: np.ndarray) -> InsQuality:
     return InsQuality(columns.utc_ns[packets], columns.navigation_status[packets].astype(float),
                       held(*sent(columns, 0, ("GpsPosMode",)), packets)[:, 0],
                       np.hypot(position[:, 0], position[:, 1]), np.radians(heading))
-
-
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else float(value)

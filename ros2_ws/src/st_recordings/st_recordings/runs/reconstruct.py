@@ -48,7 +48,7 @@ class Reconstruction:
 
     @property
     def bus_is_described(self) -> bool:
-        """Whether the recording carries the DBC and table of its frames."""
+        """Whether the recording includes the DBC and table of its frames."""
         return self.has(CAN_FRAMES) and None not in self._descriptions()
 
     def map_frame(self) -> str:
@@ -181,14 +181,14 @@ def bag_extras(storage: Storage, topics: Sequence[Topic], columns: Mapping[Topic
     status = next((topic for topic in topics if topic.type_name == INS_STATUS and topic.count), None)
     quality = _status(storage, status, store) if status else None
     wheels = _wheels(by_type[WHEEL_SPEEDS]) if WHEEL_SPEEDS in by_type else None
-    ins_speed = _ins_on_can(by_type[INS_ON_CAN]) if INS_ON_CAN in by_type else None
+    on_can = by_type.get(INS_ON_CAN)
+    ins_speed = series(on_can["header.stamp"], on_can["velocity_x"]) if on_can else None
     if WHEEL_SPEEDS not in by_type and again.bus_is_described:
         wheels, ins_speed = again.speeds()
     if NCOM in by_type and (quality is None or ins_speed is None):
         of_packets = _packets(by_type[NCOM]["raw_packet"])
         quality, ins_speed = quality or of_packets[0], ins_speed or of_packets[1]
-    return AuxiliaryData(stamps, {name: count for name, count in missing.items() if count},
-                  wheels, ins_speed, quality)
+    return AuxiliaryData(stamps, {name: count for name, count in missing.items() if count}, wheels, ins_speed, quality)
 
 
 def _wheels(columns: Mapping[str, np.ndarray]) -> Series | None:
@@ -199,10 +199,6 @@ def _wheels(columns: Mapping[str, np.ndarray]) -> Series | None:
         if found is not None:
             speeds[name] = found.time_ns, found.values
     return car_speed(speeds)
-
-
-def _ins_on_can(columns: Mapping[str, np.ndarray]) -> Series | None:
-    return series(columns["header.stamp"], columns["velocity_x"])
 
 
 def _packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
