@@ -204,7 +204,8 @@ class Evaluator:
                 (pending.mode, pending.issued, unbroken, jump or no_position)]
             if pending.hindsight:
                 known = inputs if view.plain else view.measured(times)
-                runner = self._runners.get(pending.model)
+                usual = (steps, step) == (self.settings.steps, self.settings.step)
+                runner = self._runners.get(pending.model) if usual else None
                 again = (runner(pending.hindsight, known) if runner
                          else predict(view.model, self.vehicle, pending.hindsight, known, steps * step, step))
                 ways.append(("hindsight", again, unbroken & scorable, jump or no_inputs))

@@ -12,7 +12,7 @@ import signal
 import struct
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -25,7 +25,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
-from st_msgs.msg import Prediction, PredictionError, Steering
+from st_msgs.msg import Prediction, PredictionError, PredictorStatus, Steering
 from st_recordings.runs.bag import definitions
 from st_recordings.runs.cdr import typestore
 from st_recordings.runs.reconstruct import stamp_of as instant_of
@@ -51,29 +51,31 @@ SCORE_DELAY = 1.0  # s; the clock may be a horizon and this ahead of the newest 
 
 
 class Follower:
-    """Progress of another node: the newest of an instant in each of its messages."""
+    """Progress of another node: the newest of an instant in each of its messages.
 
-    def __init__(self, node: Node, message_type: type, topic: str, instant: Callable[[bytes], int], ahead: float):
-        self._node = node
-        self._subscription = PolledSubscription(node, message_type, topic, QoSProfile(depth=DEPTH), raw=True)
-        self._instant, self._ahead_ns = instant, round(ahead * 1e9)
+    sources: topic -> (type of its messages, function for the instant in one [ns]). ahead: of the clock [s].
+    """
+
+    def __init__(self, node: Node, sources: Mapping[str, tuple[type, Callable[[bytes], int]]], ahead: float):
+        self._node, self._ahead_ns = node, round(ahead * 1e9)
+        self._sources = [(PolledSubscription(node, message_type, topic, QoSProfile(depth=DEPTH), raw=True), instant)
+                         for topic, (message_type, instant) in sources.items()]
         self._newest_ns = 0
         self._answers = True
 
     def wait(self, clock_ns: int) -> None:
         """Until the clock is at most `ahead` after the newest instant, or the timeout."""
         end = time.monotonic() + (TIMEOUT if self._answers else SHORT_TIMEOUT)
+        before = self._newest_ns
         while True:
-            before = self._newest_ns
-            for data, _, _ in self._subscription.take(DEPTH):
-                self._newest_ns = max(self._newest_ns, self._instant(data))
-            self._answers = self._answers or self._newest_ns > before
-            if self._newest_ns >= clock_ns - self._ahead_ns:
+            for subscription, instant in self._sources:
+                for data, _, _ in subscription.take(DEPTH):
+                    self._newest_ns = max(self._newest_ns, instant(data))
+            reached = self._newest_ns >= clock_ns - self._ahead_ns
+            if reached or time.monotonic() > end:
+                self._answers = reached or self._newest_ns > before  # a slow node is waited for again
                 return
-            if time.monotonic() > end:
-                self._answers = False
-                return
-            wait_for_any(self._node, [self._subscription], max(end - time.monotonic(), 0.0))
+            wait_for_any(self._node, [one for one, _ in self._sources], max(end - time.monotonic(), 0.0))
 
 
 def stamp_of(data: bytes) -> int:
@@ -122,10 +124,10 @@ class Player:
         self._node = Node("player")
         self._clock = self._node.create_publisher(Clock, "/clock", QoSProfile(depth=DEPTH))
         self._followers = [] if self._rate > 0 else [
-            # One tick ahead: exactly one prediction is due then.
-            Follower(self._node, Prediction, f"predictor/{options.models[-1]}/prediction", issued_at_of,
-                     1.0 / options.tick_rate),
-            Follower(self._node, PredictionError, "evaluator/errors", stamp_of, options.horizon + SCORE_DELAY),
+            # One tick ahead: exactly one is due then. It ends with a prediction, or with a status where there is none.
+            Follower(self._node, {f"predictor/{options.models[-1]}/prediction": (Prediction, issued_at_of),
+                                  "predictor/status": (PredictorStatus, stamp_of)}, 1.0 / options.tick_rate),
+            Follower(self._node, {"evaluator/errors": (PredictionError, stamp_of)}, options.horizon + SCORE_DELAY),
         ]
         self._reported_at = 0.0
 

@@ -112,8 +112,8 @@ class PredictorNode(Node):
         self._state_ages: list[float] = []  # of the predictions since the last status [s]
         self._period = 1.0 / values.rate
         # In simulated time the clock moves only when the executor runs, and nothing can arrive after an instant.
-        simulated = self.get_parameter("use_sim_time").value
-        self._wait = 0.0 if simulated else min(values.sample_wait, WAITING_SHARE * self._period)
+        self._simulated = self.get_parameter("use_sim_time").value
+        self._wait = 0.0 if self._simulated else min(values.sample_wait, WAITING_SHARE * self._period)
         self.create_timer(DRAIN_PERIOD, self._inputs.drain, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._timer = self.create_timer(self._period, self._tick)
         self.create_timer(STATUS_PERIOD, self._publish_status)
@@ -171,6 +171,8 @@ class PredictorNode(Node):
         self._counter.count(missed, self._skip.kind if self._skip else None)
         if isinstance(start, Start):
             self._predict(start)
+        elif self._simulated:
+            self._publish_status()  # a player of recordings waits for the end of every tick
         if (before and before.kind) != (self._skip and self._skip.kind) or self._jumps != self._core.history.jumps:
             self._jumps = self._core.history.jumps
             self._publish_diagnostics()
