@@ -1,7 +1,6 @@
 """The bytes of an event, as a unit sends them."""
 
-from oxts_bridge.channel_table import TRIGGER_CHANNELS
-from oxts_bridge.channels import encode_channel
+from oxts_bridge.channels import TRIGGER_CHANNELS, encode_channel
 
 
 def encode_trigger(channel: int, gps_nanoseconds: int, count: int) -> bytes:

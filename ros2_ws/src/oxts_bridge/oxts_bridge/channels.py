@@ -1,14 +1,301 @@
-"""Status channels (byte 62 and batch S): 8 bytes to named values and back by channel_table.py; names of GNSS modes.
+"""Status channels (byte 62 and batch S): position, unit and validity of every field; 8 bytes to named values and back.
 
-Source of the modes: ncom.md section 8.
+Field names are the vendor's, as in tests/golden/data/ncom; angles are in degrees as the vendor's tools show them.
+Source: NCOM manual 260702 and the behaviour of the vendor's public decoder; manual=M marks fields only the manual
+knows. Checked by: tests/golden/test_ncom_vectors.py (every channel), test_channels.py (round trips).
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from math import degrees
 
-from .channel_table import LONG_RANGE_CHANNEL, TABLE
-from .fields import Field, Value
+from .fields import Field, Validity, Value, encode_fields
 from .ncom import NcomError
 from .packet_time import LAST_MINUTE
+
+F = Field
+M = True
+LONG_RANGE_CHANNEL = 57
+TRIGGER_CHANNELS = {24: "TrigTime", 43: "Trig2Time", 65: "DigitalOutTime", 79: "Trig3Time", 80: "Trig4Time",
+                    81: "DigitalOut2Time"}
+
+AGE = Validity("b6 < 150", lambda raw, data: data[6] < 150, flag=6)
+ZERO = Validity("b6 = 0", lambda raw, data: data[6] == 0, flag=6)
+NOT_255 = Validity("b6 < 255", lambda raw, data: data[6] < 255, flag=6)
+HIGH_BIT = Validity("bit 7 = 0", lambda raw, data: raw < 0x80, mark=0xFF)
+NOT_NEGATIVE = Validity(">= 0", lambda raw, data: raw >= 0, mark=-1)
+POSITIVE = Validity("> 0", lambda raw, data: raw > 0, mark=0)
+BIT0 = Validity("bit 0 = 1", lambda raw, data: bool(raw & 1), mark=0)
+MINUTE_MS = Validity("< 60000", lambda raw, data: raw < 60000, mark=0xFFFF)
+GPS_MINUTE = Validity(">= 1000", lambda raw, data: raw >= 1000, mark=0)
+OMNISTAR_STATUS = Validity("b4 < 255", lambda raw, data: data[4] < 255, flag=4)
+INVERTED_B6 = Validity("bit 7 of b6 = 0", lambda raw, data: data[6] < 0x80, flag=6, flag_valid=0x7F)
+INVERTED_B7 = Validity("bit 7 of b7 = 0", lambda raw, data: data[7] < 0x80, flag=7, flag_valid=0x7F)
+LONG_RANGE = Validity("b6 < 150 and b7 > 0", lambda raw, data: data[6] < 150 and data[7] != 0, flag=6)
+
+
+def not_(*marks: int) -> Validity:
+    """Valid unless the number is one of the marks; the first is the one that encoders write."""
+    return Validity("not " + ", ".join(map(str, marks)), lambda raw, data: raw not in marks, mark=marks[0])
+
+
+def aged_not(*marks: int) -> Validity:
+    """As not_(), and the age in b6 must be below 150."""
+    return Validity(
+        "b6 < 150 and not " + ", ".join(map(str, marks)),
+        lambda raw, data: data[6] < 150 and raw not in marks,
+        mark=marks[0],
+    )
+
+
+BYTE = not_(0xFF)
+WORD = not_(0xFFFF)
+NIBBLE = not_(0xF)
+
+
+def _b(name: str, at: int, unit: str = "1", scale: float = 1, offset: float = 0, manual: bool = False) -> Field:
+    """One byte, 0xFF = invalid."""
+    return F(name, "u8", at, unit, scale, offset, BYTE, manual=manual)
+
+
+def _w(name: str, at: int, unit: str = "1", scale: float = 1, offset: float = 0, manual: bool = False) -> Field:
+    """Two bytes, 0xFFFF = invalid."""
+    return F(name, "u16", at, unit, scale, offset, WORD, manual=manual)
+
+
+def _xyz(names: Iterable[str], kind: str, scale: float, unit: str, validity: Validity,
+         manual: bool = False) -> list[Field]:
+    """Three two-byte values in a row."""
+    return [F(name, kind, 2 * i, unit, scale, 0, validity, manual=manual) for i, name in enumerate(names)]
+
+
+def _axes(prefix: str, suffix: str = "") -> list[str]:
+    return [f"{prefix}{axis}{suffix}" for axis in "XYZ"]
+
+
+def _lever(prefix: str, manual: bool = False) -> list[Field]:
+    return _xyz(_axes(prefix), "i16", 1e-3, "m", ZERO, manual)
+
+
+def _lever_accuracy(prefix: str, manual: bool = False) -> list[Field]:
+    return _xyz(_axes(prefix, "Acc"), "u16", 1e-4, "m", ZERO, manual)
+
+
+def _angles(prefix: str, manual: bool = False) -> list[Field]:
+    names = [prefix + angle for angle in ("Heading", "Pitch", "Roll")]
+    return _xyz(names, "i16", degrees(1e-4), "deg", ZERO, manual)
+
+
+def _innovations(*names: str, first: int = 0, manual: bool = False) -> list[Field]:
+    """Units of the current accuracy; |value| < 1 is good."""
+    return [F(name, "shifted", first + i, "sigma", 0.1, 0, BIT0, manual=manual) for i, name in enumerate(names)]
+
+
+def _counters(*names: str) -> list[Field]:
+    return [F(name, "u16", 2 * i, cyclic=16) for i, name in enumerate(names)]
+
+
+def _receiver_counters(receiver: str) -> list[Field]:
+    return _counters(*(f"{receiver}.{name}" for name in ("Chars", "Pkts", "CharsSkipped", "OldPkts")))
+
+
+def _receiver_status(receiver: str) -> list[Field]:
+    return [F(f"{receiver}.AntStatus", "bits0+2", 0, validity=not_(3)),
+            F(f"{receiver}.AntPower", "bits2+2", 0, validity=not_(3, 2)),
+            _b(f"{receiver}.CpuUsed", 1, "%"), _b(f"{receiver}.CoreNoise", 2, "%"),
+            _b(f"{receiver}.SerBaud", 3), _b(f"{receiver}.NumSats", 4),
+            _b(f"{receiver}.PosMode", 5), _b(f"{receiver}.CoreTemp", 6, "degC", 1, -70),
+            _b(f"{receiver}.SupplyVolt", 7, "V", 0.1)]
+
+
+def _nibbles(at: int, low: str, high: str) -> list[Field]:
+    return [F(low, "lo4", at, validity=NIBBLE, manual=True), F(high, "hi4", at, validity=NIBBLE, manual=True)]
+
+
+def _trigger(channel: int) -> list[Field]:
+    """Time of the event = minutes * 60 s + ms + fine, in GPS time; see trigger_nanoseconds()."""
+    name = TRIGGER_CHANNELS[channel].removesuffix("Time")
+    return [F(f"{name}Minutes", "i32", 0, "min", validity=POSITIVE), F(f"{name}Milliseconds", "u16", 4, "ms"),
+            F(f"{name}Fine", "i8", 6, "4 us"), F(f"{name}Count", "u8", 7, validity=POSITIVE)]
+
+
+TABLE: dict[int, list[Field]] = {
+    0: [F("GpsMinutes", "i32", 0, "min", validity=GPS_MINUTE), F("GpsNumObs", "u8", 4, validity=HIGH_BIT),
+        F("GpsPosMode", "u8", 5, validity=HIGH_BIT), F("GpsVelMode", "u8", 6, validity=HIGH_BIT),
+        F("GpsAttMode", "u8", 7, validity=HIGH_BIT)],
+    1: _innovations("InnPosX", "InnPosY", "InnPosZ", "InnVelX", "InnVelY", "InnVelZ", "InnPitch", "InnHeading"),
+    2: _receiver_counters("GpsPrimary"),
+    3: [*_xyz(("NorthAcc", "EastAcc", "AltAcc"), "u16", 1e-3, "m", AGE), _b("UmacStatus", 7)],
+    4: [*_xyz(("VnAcc", "VeAcc", "VdAcc"), "u16", 1e-3, "m/s", AGE),
+        F("ProcessingMethod", "u8", 7, validity=POSITIVE, manual=M)],
+    5: _xyz(("HeadingAcc", "PitchAcc", "RollAcc"), "u16", degrees(1e-5), "deg", AGE),
+    6: [*_xyz(("WxBias", "WyBias", "WzBias"), "i16", degrees(5e-6), "deg/s", AGE),
+        *_nibbles(7, "GpsPrimary.NumGpsL1", "GpsPrimary.NumGpsL2")],
+    7: [*_xyz(("AxBias", "AyBias", "AzBias"), "i16", 1e-4, "m/s^2", AGE),
+        *_nibbles(7, "GpsSecondary.NumGpsL1", "GpsSecondary.NumGpsL2")],
+    8: [*_xyz(("WxSf", "WySf", "WzSf"), "i16", 1e-6, "1", AGE),
+        *_nibbles(7, "GpsExternal.NumGpsL1", "GpsExternal.NumGpsL2")],
+    9: [*_xyz(("WxBiasAcc", "WyBiasAcc", "WzBiasAcc"), "u16", degrees(1e-6), "deg/s", AGE),
+        *_nibbles(7, "GpsPrimary.NumGloL1", "GpsPrimary.NumGloL2")],
+    # The manual prints low = L2, high = L1 for channel 10 alone; taken as a misprint, as in channels 9 and 11.
+    10: [*_xyz(("AxBiasAcc", "AyBiasAcc", "AzBiasAcc"), "u16", 1e-5, "m/s^2", AGE),
+         *_nibbles(7, "GpsSecondary.NumGloL1", "GpsSecondary.NumGloL2")],
+    11: [*_xyz(("WxSfAcc", "WySfAcc", "WzSfAcc"), "u16", 1e-6, "1", AGE),
+         *_nibbles(7, "GpsExternal.NumGloL1", "GpsExternal.NumGloL2")],
+    12: _xyz(("GAPx", "GAPy", "GAPz"), "i16", 1e-3, "m", AGE),
+    13: [F("AtH", "i16", 0, "deg", degrees(1e-4), 0, AGE), F("AtP", "i16", 2, "deg", degrees(1e-4), 0, AGE),
+         F("BaseLineLength", "u16", 4, "m", 1e-3, 0, aged_not(0, 0xFFFF)),
+         *_nibbles(7, "HeadNumGpsAvailable", "HeadNumGpsUsed")],
+    14: [*_xyz(("GAPxAcc", "GAPyAcc", "GAPzAcc"), "u16", 1e-4, "m", AGE),
+         *_nibbles(7, "NumGpsUsedInPos", "NumGloUsedInPos")],
+    15: [F("AtHAcc", "u16", 0, "deg", degrees(1e-5), 0, AGE), F("AtPAcc", "u16", 2, "deg", degrees(1e-5), 0, AGE),
+         F("BaseLineLengthAcc", "u16", 4, "m", 1e-4, 0, aged_not(0xFFFF)),
+         *_nibbles(7, "HeadNumGloAvailable", "HeadNumGloUsed")],
+    16: [*_angles("Imu2Veh"), F("TimeUtcOffset", "shifted", 7, "s", 1, 0, BIT0)],
+    17: _receiver_counters("GpsSecondary"),
+    18: [F("ImuChars", "u32", 0), F("ImuPkts", "u16", 4, cyclic=16), F("ImuCharsSkipped", "u16", 6, cyclic=16)],
+    19: [F("DevId", "text8", 0)],
+    20: [F("GpsDiffAge", "i16", 0, "s", 0.01, 0, not_(-1)), F("BaseStationId", "text4", 2)],
+    21: [F("DiskSpace", "i32", 0, "byte", 1024, 0, NOT_NEGATIVE),
+         F("FileSize", "i32", 4, "byte", 1024, 0, NOT_NEGATIVE)],
+    22: [_w("TimeMismatch", 0), _b("ImuTimeDiff", 2, "ms"),
+         _b("ImuTimeMargin", 3, "ms"), _w("ImuLoopTime", 4, "ms"),
+         _w("OpLoopTime", 6, "ms")],
+    23: [_w("BnsLag", 0, "ms"), _w("UpTimeCode", 2),
+         _b("GPSPosReject", 4), _b("GPSVelReject", 5),
+         _b("GPSAttReject", 6), F("PtpStatus", "u8", 7, validity=POSITIVE, manual=M)],
+    24: _trigger(24),
+    25: [F("OldRefX", "i24", 0, "m", 1.2e-3, 0, not_(-0x800000, 0x7FFFFF)),
+         F("OldRefY", "i24", 3, "m", 1.2e-3, 0, not_(-0x800000, 0x7FFFFF)),
+         F("OldRefHeading", "i16", 6, "deg", degrees(1e-4), 0, not_(-0x8000))],
+    26: _lever("RemoteLeverArm"),
+    27: [_b("HeadQuality", 0), _b("HeadSearchType", 1),
+         _b("HeadSearchStatus", 2), _b("HeadSearchReady", 3),
+         _w("HeadSearchInit", 4), _w("HeadSearchNum", 6)],
+    28: [_b("HeadSearchMaster", 0, "PRN", 1, 1), _b("HeadSearchSlave1", 1, "PRN", 1, 1),
+         _b("HeadSearchSlave2", 2, "PRN", 1, 1), _b("HeadSearchSlave3", 3, "PRN", 1, 1),
+         F("HeadSearchTime", "u16", 4, "s"), F("HeadSearchConstr", "u16", 6)],
+    29: [*(F(name, "u8", i, validity=HIGH_BIT) for i, name in enumerate(
+        ("OptionLevel", "OptionVibration", "OptionGpsAcc", "OptionUdp", "OptionSer1", "OptionSer2", "OptionHeading"))),
+        F("OptionHeave", "u8", 7, validity=HIGH_BIT, manual=M)],
+    30: [_b("OsVersion1", 0), _b("OsVersion2", 1), _b("OsVersion3", 2),
+         F("OsScriptId", "digits6", 3, validity=NOT_NEGATIVE), _w("SerialNumber", 6)],
+    31: [_b("ImuType", 0), _b("GpsPrimary.Type", 1),
+         _b("GpsSecondary.Type", 2), _b("InterPcbType", 3),
+         _b("FrontPcbType", 4), _b("InterSwId", 5), _b("HwConfig", 6),
+         *(F(name, f"ibits{bit}+1", 7, validity=INVERTED_B7) for name, bit in (
+             ("PsrDiffEnabled", 0), ("SBASEnabled", 1), ("OmniVBSEnabled", 3), ("OmniHPEnabled", 4),
+             ("L1DiffEnabled", 5), ("L1L2DiffEnabled", 6)))],
+    32: [*_innovations("InnZeroVelX", "InnZeroVelY", "InnZeroVelZ", "InnNoSlipH", "InnHeadingH", "InnWSpeed"),
+         *_innovations("InnClockOffset", "InnClockDrift", first=6, manual=M)],
+    33: _lever("ZeroVelLeverArm"),
+    34: _lever_accuracy("ZeroVelLeverArm"),
+    35: _lever("NoSlipLeverArm"),
+    36: _lever_accuracy("NoSlipLeverArm"),
+    37: [F("HeadingMisAlign", "i16", 0, "deg", degrees(1e-4), 0, NOT_255),
+         F("HeadingMisAlignAcc", "u16", 2, "deg", degrees(1e-5), 0, NOT_255),
+         _b("NumSatsUsedPos", 4, manual=M), _b("NumSatsUsedVel", 5, manual=M),
+         _b("NumSatsUsedAtt", 7, manual=M)],
+    38: [_b("OptionSZVDelay", 0, "s"), _b("OptionSZVPeriod", 1, "s", 0.1),
+         _w("OptionTopSpeed", 2, "m/s", 0.5), _b("OptionInitSpeed", 4, "m/s", 0.1),
+         F("OptionSer3", "u8", 5, validity=HIGH_BIT)],
+    39: [_b("OptionNSDelay", 0, "s", 0.1), _b("OptionNSPeriod", 1, "s", 0.02),
+         _w("OptionNSAngleStd", 2, "deg", degrees(1e-5)), _b("OptionNSHAccel", 4, "m/s^2", 0.04),
+         _b("OptionNSVAccel", 5, "m/s^2", 0.04), _b("OptionNSSpeed", 6, "m/s", 0.1),
+         _b("OptionNSRadius", 7, "m", 0.5)],
+    40: [F("NcomVersion", "u16", 0, validity=POSITIVE, manual=M), _w("OutputLatency", 2, "s", 0.01, manual=M),
+         F("SerialNumber24", "u24", 4, validity=not_(0xFFFFFF), manual=M)],
+    41: [F("OptionSer1Baud", "u8", 0), F("OptionSer2Baud", "u8", 1), F("OptionSer3Baud", "u8", 2),
+         F("OptionCanBaud", "u8", 3),
+         *(F(f"WifiIp{i}", "u8", 3 + i, validity=BYTE, manual=M) for i in (1, 2, 3, 4))],
+    42: [_b("OptionHLDelay", 0, "s"), _b("OptionHLPeriod", 1, "s", 0.1),
+         _w("OptionHLAngleStd", 2, "deg", degrees(1e-5)), _b("OptionStatDelay", 4, "s"),
+         _b("OptionStatSpeed", 5, "m/s", 0.01), F("GnssSources", "u8", 6, validity=HIGH_BIT, manual=M)],
+    43: _trigger(43),
+    44: [_w("WSpeedScale", 0, "pulse/m", 0.1), _w("WSpeedScaleStd", 2, "%", 0.002),
+         _b("OptionWSpeedDelay", 4, "s", 0.1), _b("OptionWSpeedZVDelay", 5, "s", 0.1),
+         _b("OptionWSpeedNoiseStd", 6, "pulse", 0.1), _b("WarmupStatus", 7, manual=M)],
+    45: [F("WSpeedCount", "u32", 0, "pulse"), F("WSpeedMilliseconds", "u16", 4, "ms", validity=MINUTE_MS),
+         _b("WSpeedTimeUnchanged", 6, "s", 0.1), _b("GadStatus", 7, manual=M)],
+    46: _lever("WSpeedLeverArm"),
+    47: _lever_accuracy("WSpeedLeverArm"),
+    # The manual prints 0xFFFF as the invalid undulation, real data and the vendor's decoder use 0x8000.
+    48: [F("Undulation", "i16", 0, "m", 5e-3, 0, not_(-0x8000)), _b("HDOP", 2, "1", 0.1),
+         _b("PDOP", 3, "1", 0.1), _b("OutputDatum", 5, manual=M),
+         _b("DatumEllipsoid", 6, manual=M), _b("DatumEarthFrame", 7, manual=M)],
+    49: [_w("OmniStarFreq", 0, "Hz", 1000, 1.52e9), _b("OmniStarSNR", 2, "dB", 0.2),
+         _b("OmniStarLockTime", 3, "s"),
+         *(F(f"OmniStatus{name}", f"bits{bit}+1", 4, validity=OMNISTAR_STATUS) for bit, name in enumerate((
+             "VbsExpired", "VbsOutOfRegion", "VbsNoRemoteSites", "HpExpired", "HpOutOfRegion", "HpNoRemoteSites",
+             "HpNotConverged", "HpKeyInvalid"))),
+         F("OmniStarSerial", "u24", 5, validity=not_(0xFFFFFF))],
+    50: _counters("CmdChars", "CmdPkts", "CmdCharsSkipped", "CmdErrors"),
+    **{channel: _lever(f"SlipPoint{i}", manual=M) for i, channel in enumerate((51, 52, 53, 54, 68, 69, 70, 71), 1)},
+    55: _receiver_status("GpsPrimary"),
+    56: _receiver_status("GpsSecondary"),
+    57: _xyz(("GAPx", "GAPy", "GAPz"), "i16", 1e-3, "m", LONG_RANGE),  # times b7, see decode_channel()
+    58: _angles("VehicleToOutput", manual=M),
+    59: [F("ImuMissedPkts", "u16", 0, cyclic=16), F("ImuResetCount", "u8", 2, cyclic=8),
+         F("ImuErrorCount", "u8", 3, cyclic=8),
+         _w("ImuCalibrationDay", 4, "day", manual=M),
+         _w("ImuTemperature", 6, "degC", 0.01, -70, manual=M)],
+    60: _angles("Ned2Surf"),
+    61: _receiver_counters("GpsExternal"),
+    62: _receiver_status("GpsExternal"),
+    63: [F("AngAccFiltFreq", "f32", 0, "Hz"), F("AngAccFiltZeta", "f32", 4)],
+    64: [_b("CpuPcbType", 0), _b("GpsExternal.Type", 1),
+         _b("GpsExternal.Format", 2), _b("DualPortRamStatus", 3),
+         F("GpsPrimary.PosRate", "lo4", 4, validity=NIBBLE), F("GpsPrimary.VelRate", "hi4", 4, validity=NIBBLE),
+         F("GpsPrimary.RawRate", "lo4", 5, validity=NIBBLE), F("GpsSecondary.RawRate", "hi4", 5, validity=NIBBLE),
+         # By the vendor's convention, a unit that sends this channel has GPS and no BeiDou; there is no bit for either.
+         F("GnssGpsEnabled", "constant", 6, offset=1), F("GnssBeiDouEnabled", "constant", 6, offset=0),
+         *(F(name, f"ibits{bit}+1", 6, validity=INVERTED_B6) for bit, name in enumerate(
+             ("GnssGlonassEnabled", "GnssGalileoEnabled", "RawRngEnabled", "RawDopEnabled", "RawL1Enabled",
+              "RawL2Enabled", "RawL5Enabled"))),
+         _b("ProductType", 7, manual=M)],
+    65: _trigger(65),
+    66: [F("RefLat", "i32", 0, "deg", 1e-7, 0, not_(-(1 << 31))),
+         F("RefLon", "i32", 4, "deg", 1e-7, 0, not_(-(1 << 31)))],
+    67: [F("RefAlt", "i32", 0, "m", 1e-3, 0, not_(-(1 << 31))),
+         F("RefHeading", "i32", 4, "deg", 1e-7, 0, not_(-(1 << 31)))],
+    72: [*_xyz(("AxSf", "AySf", "AzSf"), "i16", 1e-6, "1", AGE), *_nibbles(7, "DiffNumGpsL1", "DiffNumGpsL2")],
+    73: [*_xyz(("AxSfAcc", "AySfAcc", "AzSfAcc"), "u16", 1e-6, "1", AGE), *_nibbles(7, "DiffNumGloL1", "DiffNumGloL2")],
+    74: [F("LinAccFiltFreq", "f32", 0, "Hz"), F("LinAccFiltZeta", "f32", 4)],
+    75: [_w("FirmwareExpiryDay", 0, "day", manual=M),
+         _b("SupplyVoltage", 2, "V", 0.2, manual=M), _w("ImuRate", 3, "Hz", 0.02, manual=M)],
+    76: [*(F(name, "u16", 2 * i, cyclic=16, manual=M)
+           for i, name in enumerate(("DiffChars", "DiffPkts", "DiffCharsSkipped"))),
+         _b("NtripStatus", 6, manual=M), _b("WifiStatus", 7, manual=M)],
+    77: [_b("DiffFormat", 0, manual=M), _b("DiffType", 1, manual=M),
+         _b("DiffNumStations", 2, manual=M)],
+    78: [F("CanTx", "u16", 0, cyclic=16, manual=M), F("CanRx", "u16", 2, cyclic=16, manual=M),
+         _b("CanTxOkPercent", 4, "%", manual=M), _b("CanRxOkPercent", 5, "%", manual=M),
+         F("CanErrors", "u8", 6, cyclic=8, manual=M), F("CanLastError", "u8", 7, manual=M)],
+    79: _trigger(79),
+    80: _trigger(80),
+    81: _trigger(81),
+    85: [F("KitDevId", "u64", 0, manual=M)],
+    87: [F("JerkFiltType", "lo4", 0, manual=M), F("JerkFiltOrder", "hi4", 0, validity=POSITIVE, manual=M),
+         F("JerkFiltFreq", "f32", 1, "Hz", manual=M), F("JerkFiltWindow", "u24", 5, "ms", manual=M)],
+    88: _innovations("InnVerticalSlip", manual=M),
+    89: [*_lever("VerticalSlipLeverArm", manual=M), F("WifiApStatus", "u8", 7, validity=POSITIVE, manual=M)],
+    90: [*_lever_accuracy("VerticalSlipLeverArm", manual=M), F("WifiRegion", "u8", 7, manual=M)],
+    91: [F("PitchMisalign", "i16", 0, "deg", degrees(1e-4), 0, ZERO, manual=M),
+         F("PitchMisalignAcc", "u16", 2, "deg", degrees(1e-5), 0, ZERO, manual=M)],
+    93: [*_nibbles(1, "NumGalUsedInPos", "NumBdsUsedInPos"), F("NmeaEnabled", "lo4", 2, manual=M),
+         F("PtpEpoch", "hi4", 2, manual=M), F("PpsStatus", "lo4", 3, validity=NIBBLE, manual=M),
+         F("LidarIpLastByte", "u8", 4, manual=M),
+         F("TimingSource", "lo4", 5, validity=NIBBLE, manual=M)],
+    94: [*_nibbles(0, "GpsPrimary.NumGalE1", "GpsPrimary.NumGalE5"),
+         *_nibbles(1, "GpsSecondary.NumGalE1", "GpsSecondary.NumGalE5"),
+         *_nibbles(2, "GpsExternal.NumGalE1", "GpsExternal.NumGalE5"),
+         *_nibbles(3, "GpsPrimary.NumBdsB1", "GpsPrimary.NumBdsB2"),
+         *_nibbles(4, "GpsSecondary.NumBdsB1", "GpsSecondary.NumBdsB2"),
+         *_nibbles(5, "GpsExternal.NumBdsB1", "GpsExternal.NumBdsB2"),
+         *_nibbles(6, "DiffNumGalE1", "DiffNumGalE5"), *_nibbles(7, "DiffNumBdsB1", "DiffNumBdsB2")],
+    95: [F("GadStreamId", "u8", 0, validity=POSITIVE, manual=M), _b("GadRejected", 1, manual=M),
+         *_innovations("GadInn1", "GadInn2", "GadInn3", first=2, manual=M),
+         F("GadTime", "u16", 5, "s", 1e-3, 0, MINUTE_MS, manual=M)],
+}
 
 FIELDS: dict[int, dict[str, Field]] = {
     channel: {field.name: field for field in fields} for channel, fields in TABLE.items()
@@ -45,24 +332,7 @@ def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
             raise NcomError(f"channel {channel} has no field {name}; it has {', '.join(fields)}")
     if channel == LONG_RANGE_CHANNEL:
         return _encode_long_range(values)
-    values = {name: None if value != value else value for name, value in values.items()}  # noqa: PLR0124 - NaN
-    buffer = bytearray(b"\xff" * 8)
-    groups: dict[int, list[Field]] = {}
-    for field in fields.values():
-        if field.validity.flag is not None:
-            groups.setdefault(field.validity.flag, []).append(field)
-    for flag, group in groups.items():
-        given = [values.get(field.name) is not None for field in group]
-        if any(given) and not all(given):
-            raise NcomError(f"channel {channel}: {', '.join(f.name for f in group)} are valid together or not at all")
-        buffer[flag] = group[0].validity.flag_valid if any(given) else 0xFF
-    if any(f.validity.text.startswith("b6 < 150") and values.get(f.name) is not None for f in fields.values()):
-        buffer[6] = 0
-    for field in fields.values():
-        value = values.get(field.name)
-        if value is not None or field.validity.flag is None:
-            field.encode(buffer, value)
-    return bytes(buffer)
+    return encode_fields(channel, fields.values(), values)
 
 
 def trigger_nanoseconds(data: bytes) -> int | None:
@@ -101,34 +371,3 @@ def utc_offset(data: bytes) -> int | None:
 def known(channel: int) -> bool:
     """Whether the layout of a channel is published; other channels are counted and not decoded."""
     return channel in TABLE
-
-
-_POST = ("Doppler", "SPS", "differential", "float", "integer")
-MODES = dict(enumerate((
-    "none", "search", "Doppler", "SPS", "differential", "RTK float", "RTK integer", "SBAS", "OmniSTAR VBS",
-    "OmniSTAR HP", "no data", "blanked", *(f"post-processed {name}" for name in _POST), "OmniSTAR XP", "CDGPS",
-    "not recognised", *(f"gx {name}" for name in _POST), *(f"ix {name}" for name in _POST), "PPP converging", "PPP",
-    "unknown")))
-
-NO_FIX, FIX, SBAS_FIX, GBAS_FIX = -1, 0, 1, 2
-_STATUS = {
-    **dict.fromkeys((3, 13, 21, 26), FIX),
-    **dict.fromkeys((7, 8, 9, 17, 18, 30, 31), SBAS_FIX),
-    **dict.fromkeys((4, 5, 6, 14, 15, 16, 22, 23, 24, 27, 28, 29), GBAS_FIX),
-}
-_QUALITY = {mode: rank for rank, mode in enumerate((0, 1, 2, 3, 7, 4, 5, 6))}
-
-
-def mode_text(mode: int | None) -> str:
-    """Name of a position, velocity or orientation mode; empty before the first, "unknown (n)" without a name."""
-    return "" if mode is None else MODES.get(mode, f"unknown ({mode})")
-
-
-def quality(mode: int | None) -> int:
-    """Rank of a live GNSS mode, none 0 to RTK integer 7; -1 for other modes, which have no order."""
-    return -1 if mode is None else _QUALITY.get(mode, -1)
-
-
-def fix_status(mode: int | None) -> int:
-    """NavSatStatus.status of a position mode. NO_FIX for unknown numbers and before the first."""
-    return NO_FIX if mode is None else _STATUS.get(mode, NO_FIX)

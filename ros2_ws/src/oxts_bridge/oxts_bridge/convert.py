@@ -20,11 +20,10 @@ from st_ros.polling import OnDemandPublisher
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
-from .channels import fix_status, mode_text
 from .fields import Value
 from .geometry import Quaternion, Vector, ellipsoidal_height, flu_from_frd
 from .motion import Accuracy, Motion
-from .ncom import BY_STATUS, Counters
+from .ncom import BY_STATUS, Counters, fix_status, mode_text
 from .status import StatusTracker
 from .stream import Received
 

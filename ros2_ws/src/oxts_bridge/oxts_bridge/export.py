@@ -7,8 +7,7 @@ from typing import TypeAlias
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .channel_table import INVERTED_B6
-from .channels import FIELDS
+from .channels import FIELDS, INVERTED_B6
 from .derived import Settings, derive, float_seconds
 from .fields import Value
 from .file_decoder import EMPTY, KINDS, STATUS, TRIGGER, UNKNOWN_TIME, Columns, decode_file

@@ -2,7 +2,7 @@
 
 import re
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from operator import itemgetter
 from typing import Any, NamedTuple, TypeAlias
@@ -106,7 +106,7 @@ class Field:
         return lambda data: raw * scale + offset if accepts(raw := read(data), data) else None
 
     def encode(self, buffer: bytearray, value: Value) -> None:
-        """Write a value (None: the invalid mark) into the 8 bytes; encode_channel() writes the flags of groups.
+        """Write a value (None: the invalid mark) into the 8 bytes; encode_fields() writes the flags of groups.
 
         A scaled quantity is limited to the range of the format; a count or code that does not fit raises NcomError.
         """
@@ -141,6 +141,28 @@ class Field:
         while not accepts(number, _FLAGS_SET):
             number += 1 if number <= 0 else -1
         return number
+
+
+def encode_fields(channel: int, fields: Collection[Field], values: Mapping[str, Value]) -> bytes:
+    """The 8 bytes of the fields of a channel, see channels.encode_channel()."""
+    values = {name: None if value != value else value for name, value in values.items()}  # noqa: PLR0124 - NaN
+    buffer = bytearray(b"\xff" * 8)
+    groups: dict[int, list[Field]] = {}
+    for field in fields:
+        if field.validity.flag is not None:
+            groups.setdefault(field.validity.flag, []).append(field)
+    for flag, group in groups.items():
+        given = [values.get(field.name) is not None for field in group]
+        if any(given) and not all(given):
+            raise NcomError(f"channel {channel}: {', '.join(f.name for f in group)} are valid together or not at all")
+        buffer[flag] = group[0].validity.flag_valid if any(given) else 0xFF
+    if any(f.validity.text.startswith("b6 < 150") and values.get(f.name) is not None for f in fields):
+        buffer[6] = 0
+    for field in fields:
+        value = values.get(field.name)
+        if value is not None or field.validity.flag is None:
+            field.encode(buffer, value)
+    return bytes(buffer)
 
 
 def _text(data: bytes) -> str | None:

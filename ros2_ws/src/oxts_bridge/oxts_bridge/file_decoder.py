@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from . import ncom
-from .channel_table import TRIGGER_CHANNELS
-from .channels import UTC_CHANNEL, known, trigger_nanoseconds, utc_offset
+from .channels import TRIGGER_CHANNELS, UTC_CHANNEL, known, trigger_nanoseconds, utc_offset
 from .ncom import BATCH_S, BY_STATUS, PACKET_SIZE, STATUS_AT, Counters, NcomError, is_valid_position, next_packet
 from .packet_time import DUPLICATE, FIRST_MINUTE, LAST_MINUTE, LATE, MINUTE_MS, NEW, packet_times, utc_times
 
@@ -122,20 +121,16 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
     status, channel = raw[:, STATUS_AT].copy(), raw[:, ncom.CHANNEL_AT].copy()
     milliseconds = np.ndarray((n,), "<u2", buffer, ncom.MILLISECONDS_AT, (PACKET_SIZE,)).astype(np.int64)
     has_status = _HAS_STATUS[status]
-    sent = np.ndarray((n,), "<i4", buffer, ncom.BATCH_S_AT, (PACKET_SIZE,)).astype(np.int64)
-    valid = (channel == 0) & has_status & (sent >= FIRST_MINUTE) & (sent <= LAST_MINUTE)
-    gps_ns, order, jumps = _times(raw, status, milliseconds, np.where(valid, sent, -1))
-    kind = _KIND[status]
+    gps_ns, order, jumps = _times(raw, status, milliseconds, (channel == 0) & has_status)
+    kind, offsets = _KIND[status], _UTC_OFFSET[raw[:, BATCH_S.stop - 1]]
     # UTC offsets apply from the packet that carries them on.
-    offsets = _UTC_OFFSET[raw[:, BATCH_S.stop - 1]]
     carry = np.flatnonzero(_HAS_MINUTE[status] & (channel == UTC_CHANNEL) & (offsets != _NO_OFFSET))
     _trigger_times(raw, kind, gps_ns, order)
-    _count(counters, raw, status, channel, has_status, order)
+    _count(counters, raw, status, channel, has_status, milliseconds, order)
     heading, pitch, roll = _i24(buffer, n, ncom.ANGLES_AT, ncom.ANGLE_UNIT)
 
     with np.errstate(invalid="ignore"):  # private or empty packets may hold signalling NaN
         altitude = np.ndarray((n,), "<f4", buffer, ncom.ALTITUDE_AT, (PACKET_SIZE,)).astype(np.float64)
-    counters.impossible_times = int((_HAS_TIME[status] & (milliseconds >= MINUTE_MS)).sum())
     columns = Columns(
         offset=offset,
         raw=raw,
@@ -165,10 +160,12 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
 
 
 def _times(
-    raw: np.ndarray, status: np.ndarray, milliseconds: np.ndarray, minutes: np.ndarray
+    raw: np.ndarray, status: np.ndarray, milliseconds: np.ndarray, is_channel_0: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """GPS time [ns] and order of every packet of the series, and the number of time jumps."""
     gps_ns, order = np.full(len(raw), UNKNOWN_TIME), np.zeros(len(raw), np.int8)
+    sent = np.ndarray((len(raw),), "<i4", raw.reshape(-1).data, ncom.BATCH_S_AT, (PACKET_SIZE,)).astype(np.int64)
+    minutes = np.where(is_channel_0 & (sent >= FIRST_MINUTE) & (sent <= LAST_MINUTE), sent, -1)
     timed = np.flatnonzero(_HAS_TIME[status] & (milliseconds < MINUTE_MS))
     hints = np.flatnonzero((status == ncom.STATUS_ONLY) & (minutes >= 0))
     gps_ms, order[timed], jumps = packet_times(
@@ -222,6 +219,7 @@ def _count(
     status: np.ndarray,
     channel: np.ndarray,
     has_status: np.ndarray,
+    milliseconds: np.ndarray,
     order: np.ndarray,
 ) -> None:
     first = np.add.reduce(raw[:, 1:ncom.CHECKSUM_1_AT], axis=1, dtype=np.uint8)
@@ -230,6 +228,7 @@ def _count(
     structure_b = status == ncom.STRUCTURE_B
     counters.structure_b = int(structure_b.sum())
     counters.inner_checksum_warnings = int((wrong & ~structure_b).sum())
+    counters.impossible_times = int((_HAS_TIME[status] & (milliseconds >= MINUTE_MS)).sum())
     counters.unknown_statuses = int((~_IS_KNOWN[status]).sum())
     counters.unknown_channels = int((has_status & ~_KNOWN_CHANNEL[channel]).sum())
     counters.triggers = int((_KIND[status] == TRIGGER).sum())

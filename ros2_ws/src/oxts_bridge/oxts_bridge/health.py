@@ -8,9 +8,8 @@ from typing import Any
 
 from st_ros.diagnostics import ERROR, OK, WARN, Check
 
-from .channels import mode_text, quality
 from .motion import UNIT, Accuracy, Origin
-from .ncom import BLOCKED, BY_STATUS, EXPIRED, LOCKED, LOCKING
+from .ncom import BLOCKED, BY_STATUS, EXPIRED, LOCKED, LOCKING, mode_text, quality
 from .sources import SourceStatus
 from .status import StatusTracker
 from .stream import NcomParser, Received

@@ -1,5 +1,5 @@
-"""The NCOM packet (structure A, 72 bytes, little-endian): physical values, navigation statuses, and the search for
-packets in a byte stream.
+"""The NCOM packet (structure A, 72 bytes, little-endian): physical values, navigation statuses, GNSS modes, and the
+search for packets in a byte stream.
 
     byte  0      sync 0xE7
           1-2    u16 milliseconds into the GPS minute
@@ -85,6 +85,37 @@ BY_STATUS: tuple[Rule, ...] = tuple(RULES.get(n, Rule(f"reserved ({n})", known=F
 # Statuses whose channel 0 sets the GPS minute. Status-only packets are included because files start with them; status 1
 # (raw IMU) is not, because the unit's clock is not set yet.
 MINUTE_STATUSES = frozenset((INITIALISING, LOCKING, LOCKED, STATUS_ONLY))
+
+# Position, velocity and orientation modes of GNSS. Source: ncom.md section 8.
+_POST = ("Doppler", "SPS", "differential", "float", "integer")
+MODES = dict(enumerate((
+    "none", "search", "Doppler", "SPS", "differential", "RTK float", "RTK integer", "SBAS", "OmniSTAR VBS",
+    "OmniSTAR HP", "no data", "blanked", *(f"post-processed {name}" for name in _POST), "OmniSTAR XP", "CDGPS",
+    "not recognised", *(f"gx {name}" for name in _POST), *(f"ix {name}" for name in _POST), "PPP converging", "PPP",
+    "unknown")))
+
+NO_FIX, FIX, SBAS_FIX, GBAS_FIX = -1, 0, 1, 2
+_STATUS = {
+    **dict.fromkeys((3, 13, 21, 26), FIX),
+    **dict.fromkeys((7, 8, 9, 17, 18, 30, 31), SBAS_FIX),
+    **dict.fromkeys((4, 5, 6, 14, 15, 16, 22, 23, 24, 27, 28, 29), GBAS_FIX),
+}
+_QUALITY = {mode: rank for rank, mode in enumerate((0, 1, 2, 3, 7, 4, 5, 6))}
+
+
+def mode_text(mode: int | None) -> str:
+    """Name of a position, velocity or orientation mode; empty before the first, "unknown (n)" without a name."""
+    return "" if mode is None else MODES.get(mode, f"unknown ({mode})")
+
+
+def quality(mode: int | None) -> int:
+    """Rank of a live GNSS mode, none 0 to RTK integer 7; -1 for other modes, which have no order."""
+    return -1 if mode is None else _QUALITY.get(mode, -1)
+
+
+def fix_status(mode: int | None) -> int:
+    """NavSatStatus.status of a position mode. NO_FIX for unknown numbers and before the first."""
+    return NO_FIX if mode is None else _STATUS.get(mode, NO_FIX)
 
 
 @dataclass(slots=True)

@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from math import degrees, isfinite, sqrt
 
-from .channel_table import TRIGGER_CHANNELS
-from .channels import FIELDS, decode_channel, trigger_nanoseconds
+from .channels import FIELDS, TRIGGER_CHANNELS, decode_channel, trigger_nanoseconds
 from .fields import Value
 from .geometry import origin_from_channel_25, wrap_degrees
 from .stream import Received

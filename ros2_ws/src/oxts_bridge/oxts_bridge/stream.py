@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from . import channels, ncom
-from .channel_table import TRIGGER_CHANNELS
+from .channels import TRIGGER_CHANNELS
 from .fields import Value
 from .ncom import NAN, PACKET_SIZE, Counters, Packet, Rule
 from .packet_time import DUPLICATE, LAST_MINUTE, LATE, MINUTE_MS, NEW, SAME, GpsClock, host_minute, unix_nanoseconds

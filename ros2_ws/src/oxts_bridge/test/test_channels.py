@@ -6,9 +6,10 @@ import struct
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from oxts_bridge.channel_table import TABLE, TRIGGER_CHANNELS
 from oxts_bridge.channels import (
     FIELDS,
+    TABLE,
+    TRIGGER_CHANNELS,
     decode_channel,
     encode_channel,
     known,

@@ -3,8 +3,9 @@
 import math
 
 import pytest
-from oxts_bridge.channels import encode_channel, fix_status, mode_text
+from oxts_bridge.channels import encode_channel
 from oxts_bridge.motion import FIRST_FIX, GIVEN, LOCAL_FRAME_TIMEOUT_NS, UNIT, Accuracy, Origin, motion_of
+from oxts_bridge.ncom import fix_status, mode_text
 from oxts_bridge.status import EventLog, StatusTracker
 from oxts_bridge.stream import NcomParser
 from trigger_bytes import encode_trigger
