@@ -46,6 +46,28 @@ def test_a_course_is_built_and_takes_most_of_the_forecast_error(folder, tmp_path
     assert "course" in (tmp_path / "o" / "report.html").read_text()
 
 
+def write_geographic(path, rows, latitude=48.0):
+    """The drive with degrees in place of x and y; its own map begins at its first row."""
+    rows = rows.copy()
+    rows[:, 1], rows[:, 2] = latitude + rows[:, 2] / 111_200.0, 9.0 + rows[:, 1] / 74_600.0
+    np.savetxt(path, rows, delimiter=",", header=COLUMNS.replace("x,y", "latitude,longitude"), comments="", fmt="%.9f")
+
+
+def test_course_and_run_with_other_origins_are_brought_to_one_map(folder, tmp_path):
+    base, _ = folder
+    write_geographic(tmp_path / "old.csv", weave(40.0))
+    write_geographic(tmp_path / "later.csv", weave(40.0)[500:])
+    write_geographic(tmp_path / "elsewhere.csv", weave(24.0), 48.5)
+    assert st("course", "build", tmp_path / "old.csv", "--vehicle", base / "car.yaml", "-o",
+              tmp_path / "course.yaml").exit_code == 0
+    result = st("evaluate", tmp_path / "later.csv", tmp_path / "elsewhere.csv", "--vehicle", base / "car.yaml",
+                "--model", "kinematic", "--course", tmp_path / "course.yaml", "--figures", "", "--output",
+                tmp_path / "o")
+    content = json.loads((tmp_path / "o" / "evaluation.json").read_text())
+    assert rmse(content, "later", "course") < 0.3 * rmse(content, "later", "forecast")
+    assert "elsewhere" not in content["runs"] and "map origins are 55.6 km apart" in " ".join(result.output.split())
+
+
 @pytest.mark.parametrize("kind", ["inputs", "path"])
 def test_planned_columns_give_a_mode_of_their_own(folder, tmp_path, kind):
     base, _ = folder

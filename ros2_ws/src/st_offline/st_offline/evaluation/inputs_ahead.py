@@ -1,12 +1,13 @@
 """Inputs over the horizon of an offline evaluation: planned, in columns of a recording, or of a course."""
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from st_core.course import Course
 from st_core.course_tracker import course_inputs
-from st_core.errors import ConfigurationError
+from st_core.errors import ConfigurationError, StCoreError
 from st_core.evaluation import Mode
 from st_core.log_evaluation import Ahead
 from st_core.log_signals import LogSignals
@@ -15,6 +16,7 @@ from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import LoadedRun, RunError
 from st_recordings.runs.csv_table import header_of
+from st_recordings.runs.ncom import origin_offset
 
 INPUTS = ("planned_road_wheel_angle", "planned_velocity_x_dot")
 """Columns of a CSV, rad left + and m/s^2: what had been planned for the time of the row, before its horizon began."""
@@ -26,7 +28,9 @@ def inputs_ahead(run: LoadedRun, signals: LogSignals, vehicle: VehicleParameters
                  course: Course | None) -> dict[Mode, Ahead]:
     """By mode, plan where the recording has one and course where one is given; see `evaluate_log`.
 
-    Passes of the run itself are left out of the course. Raises RunError for planned columns that are not numbers.
+    Passes of the run itself are left out of the course. A course and a run with known origins are brought to one map;
+    else both must have been recorded in the same one. Raises RunError for planned columns that are not numbers, and for
+    a course of another place.
     """
     found: dict[Mode, Ahead] = {}
     plan = _planned_columns(run.provenance["files"], vehicle)
@@ -34,6 +38,13 @@ def inputs_ahead(run: LoadedRun, signals: LogSignals, vehicle: VehicleParameters
         found["plan"] = recorded_plan(*plan, prediction.steps, prediction.step, prediction.maximum_gap)
     if course is not None:
         others = course.without(list(run.provenance["files"].values()))
+        if course.origin is not None and "origin" in run.provenance:
+            latitude, longitude = map(math.degrees, run.provenance["origin"][:2])
+            try:
+                others = others.moved(*origin_offset((latitude, longitude), *course.origin))
+            except StCoreError as error:
+                raise RunError(Path(run.log.name), f"--course: {error}",
+                               "leave the option out, or evaluate the run with a course of its place") from None
         found["course"] = course_inputs(others, signals, vehicle, prediction.horizon, prediction.step)
     return found
 

@@ -32,12 +32,14 @@ blanks between them are its lower rate, not lost samples."""
 
 @dataclass(frozen=True)
 class CsvDrive:
-    """columns: channel -> column and unit, as they were used."""
+    """columns: channel -> column and unit, as they were used. origin: of the map, latitude, longitude [rad], height
+    [m]; None for a table with x and y."""
 
     log: DriveLog
     columns: Mapping[str, str]
     auxiliary: AuxiliaryData
     warnings: tuple[str, ...]
+    origin: tuple[float, float, float] | None = None
 
 
 def read_csv(file: Path, vehicle: VehicleParameters | None = None, layout: Layout | None = None,
@@ -68,7 +70,7 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
     file = table.file
     _check_columns(table, (*INS_SIGNALS, ROAD))
     notes = list(table.warnings)
-    columns = _with_derived(table, notes)
+    columns, origin = _with_derived(table, notes)
     used = _steering(table, columns, vehicle, steering, notes)
     missing = _missing(table, columns, used, notes)
     ins = table.used & known(columns, INS_SIGNALS)
@@ -90,21 +92,21 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
     extras = AuxiliaryData({"INS": table.time_ns[first : last + 1]}, missing, car_speed(speeds))
     taken = {channel: f"{place.name} [{place.unit}{'' if place.stated else ', assumed'}]"
              for channel, place in table.places.items()}
-    return CsvDrive(log, taken, extras, tuple(notes))
+    return CsvDrive(log, taken, extras, tuple(notes), origin)
 
 
 def ins_of(table: Table) -> InsLog:
     """The INS part of a table, for a run with its steering in a CAN log. Raises RunError."""
     _check_columns(table, INS_SIGNALS, ", `can: [CAN LOGS]`")
     notes = list(table.warnings)
-    columns = _with_derived(table, notes)
+    columns, origin = _with_derived(table, notes)
     rows = table.used & known(columns, INS_SIGNALS)
     if rows.sum() < 2:
         raise RunError(table.file, "fewer than two usable rows are in it", "remove it from the command")
     _missing(table, columns, (), notes)
     values = {name: columns[name][rows] for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS) if name in columns}
     values["yaw"] = np.unwrap(values["yaw"])
-    return planar(table.file, table.time_ns[rows], values, tuple(notes), table.absolute)
+    return planar(table.file, table.time_ns[rows], values, tuple(notes), table.absolute, origin)
 
 
 def read_motion(file: Path, layout: Layout | None = None) -> tuple[Motion, tuple[str, ...]]:
@@ -163,10 +165,13 @@ def _check_columns(table: Table, needed: tuple[str, ...], can: str = "") -> None
                        f"columns: {{{WHEEL}: {doubtful}}} or {{{ROAD}: {doubtful}}}")
 
 
-def _with_derived(table: Table, notes: list[str]) -> dict[str, np.ndarray]:
-    """The columns with yaw of a compass heading or quaternion, velocities along the body axes of those to the east and
-    north, x and y of latitude and longitude, and positions at every row."""
-    columns = dict(table.columns)
+def _with_derived(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray], tuple[float, float, float] | None]:
+    """(columns, origin of the map).
+
+    Columns have yaw of a compass heading or quaternion, velocities along the body axes of those to the east and north,
+    x and y of latitude and longitude, and positions at every row.
+    """
+    columns, origin = dict(table.columns), None
     if "yaw" not in columns and COMPASS in columns:
         columns["yaw"] = np.pi / 2 - columns[COMPASS]
     elif "yaw" not in columns:
@@ -179,10 +184,10 @@ def _with_derived(table: Table, notes: list[str]) -> dict[str, np.ndarray]:
     if not {"x", "y"} <= columns.keys():
         latitude, longitude = columns["latitude"], columns["longitude"]
         found = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude) & table.used)
-        origin = (latitude[found[0]], longitude[found[0]], 0.0) if len(found) else (0.0, 0.0, 0.0)
-        columns["x"], columns["y"], _ = enu(origin, latitude, longitude, np.zeros(len(latitude)))
+        origin = (float(latitude[found[0]]), float(longitude[found[0]]), 0.0) if len(found) else None
+        columns["x"], columns["y"], _ = enu(origin or (0.0, 0.0, 0.0), latitude, longitude, np.zeros(len(latitude)))
     _spread_held_positions(table, columns, notes)
-    return columns
+    return columns, origin
 
 
 def _spread_held_positions(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:

@@ -29,7 +29,8 @@ class InsLog:
     position: (3, n) east, north, up of `origin` [m], INS point. yaw: from east counter-clockwise, unwrapped; pitch:
     nose down +, roll: right side down + [rad] (axes forward, left, up). velocity: (3, n) body axes [m/s]. rate: (3, n)
     body axes [rad/s]. acceleration: (3, n) specific force, body axes [m/s^2]. origin: latitude, longitude [rad],
-    altitude [m]. stamps_ns: times of all that was sent, with a fix or not. quality: as the unit reports it, or None.
+    altitude [m], None for positions that were recorded in metres. stamps_ns: times of all that was sent, with a fix or
+    not. quality: as the unit reports it, or None.
     absolute: whether the times are UTC.
     """
 
@@ -42,7 +43,7 @@ class InsLog:
     velocity: np.ndarray
     rate: np.ndarray
     acceleration: np.ndarray
-    origin: tuple[float, float, float]
+    origin: tuple[float, float, float] | None
     stamps_ns: np.ndarray
     quality: InsQuality | None
     warnings: tuple[str, ...] = ()
@@ -54,7 +55,7 @@ class InsLog:
 
 
 def planar(file: Path, time_ns: np.ndarray, values: Mapping[str, np.ndarray], warnings: tuple[str, ...] = (),
-           absolute: bool = True) -> InsLog:
+           absolute: bool = True, origin: tuple[float, float, float] | None = None) -> InsLog:
     """An INS recording that gives no more than the motion in the plane: attitude and vertical motion are zero.
 
     values: x, y, yaw, velocity_x, velocity_y, yaw_rate, and acceleration_x, acceleration_y where they are known.
@@ -63,7 +64,7 @@ def planar(file: Path, time_ns: np.ndarray, values: Mapping[str, np.ndarray], wa
     acceleration = [values.get(f"acceleration_{axis}", unknown) for axis in "xy"]
     return InsLog(file, time_ns, np.stack([values["x"], values["y"], zero]), values["yaw"], zero, zero,
                   np.stack([values["velocity_x"], values["velocity_y"], zero]),
-                  np.stack([zero, zero, values["yaw_rate"]]), np.stack([*acceleration, unknown]), (0.0, 0.0, 0.0),
+                  np.stack([zero, zero, values["yaw_rate"]]), np.stack([*acceleration, unknown]), origin,
                   time_ns, None, warnings, absolute)
 
 

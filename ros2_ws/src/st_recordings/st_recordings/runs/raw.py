@@ -97,7 +97,7 @@ def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
         )
     except StCoreError as error:
         raise RunError(source.where, str(error)) from None
-    about = {"reader": f"{source.kind} and CAN log", "origin": list(ins.origin),
+    about = {"reader": f"{source.kind} and CAN log", **({"origin": list(ins.origin)} if ins.origin else {}),
              "alignment": about_alignment(run.alignment),
              "settings": {"steering_sign": settings.steering_sign, "steering_latency": settings.steering_latency,
                           "ins_can_latency": latency_in_words(source, settings)}}

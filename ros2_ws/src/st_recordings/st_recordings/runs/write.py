@@ -142,7 +142,7 @@ def _filled(utc_ns: np.ndarray, fix_ns: np.ndarray) -> np.ndarray:
 def _records(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, run: RawRun) -> dict[str, Any]:
     """Metadata records of the bag."""
     alignment = {k: v if isinstance(v, str) else json.dumps(v) for k, v in about_alignment(run.alignment).items()}
-    latitude, longitude, altitude = run.ins.origin
+    latitude, longitude, altitude = run.ins.origin or (0.0, 0.0, 0.0)
     return {
         "import": {
             "name": source.name, "ins": str(source.where), "can": json.dumps([str(f) for f in run.can.files]),

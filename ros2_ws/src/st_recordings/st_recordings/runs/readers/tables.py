@@ -20,7 +20,8 @@ def _register(kind: str, table_of: Callable[[Path, Layout], Table], **more: Call
         yaw = source.settings.get("correct", {}).get("yaw", Correction())
         layout = csv.with_steering(source.settings.get("layout") or Layout(), settings.steering)
         drive = csv.drive_of(table_of(source.where, layout), vehicle, yaw.scale, settings.steering)
-        about = {"reader": kind, "columns": dict(drive.columns)}
+        about = {"reader": kind, "columns": dict(drive.columns)} | (
+            {"origin": list(drive.origin)} if drive.origin else {})
         return LoadedRun(replace(drive.log, name=source.name), about, source.labels, drive.warnings,
                          auxiliary=drive.auxiliary)
 
