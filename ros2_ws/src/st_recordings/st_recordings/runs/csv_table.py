@@ -3,7 +3,7 @@
 import csv
 import io
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
@@ -23,7 +23,7 @@ _NUMERIC = re.compile(r'[\s"]*[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?[\s"]*')
 # 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.2026 10:11:12,5, 10:11:12.5; the date 05/04/2026 is ambiguous.
 _STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4})|\d\d?/\d\d?/\d{4})[T ] *)?"
                     r"(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?) *(?:Z|UTC|([+-])(\d\d):?(\d\d))?")
-_DAY = 86400.0
+DAY = 86400.0
 _EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
 _SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # how a spreadsheet marks its delimiter
 _SPACES = re.compile(r"(?<=\d)[\u00a0\u202f\u2009'](?=\d{3}(?!\d))")
@@ -108,8 +108,11 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
         places = find_columns(file, names, layout)
         places, body = _with_unit_row(file, places, body, delimiter, layout)
     body = _with_points(file, body, delimiter)
-    if "t" in places and places["t"].name not in layout.units:
-        body = _with_seconds(body, delimiter, places["t"].column)
+    if "t" in places:
+        column = places["t"].column
+        first = next((line.split(delimiter)[column:][:1] for line in body.split("\n", 20) if line.strip()), [])
+        if first and _of_stamp(first[0].strip(' \r"')):
+            body = with_seconds(body, delimiter, column, _of_stamp)
     rows = _rows(file, body, delimiter, len(names), warnings)
     if "t" in places:
         places = {**places, "t": _with_epoch_unit(file, rows, places["t"], warnings)}
@@ -182,36 +185,44 @@ def _with_unit_row(file: Path, places: dict[str, Place], body: str, delimiter: s
     return found, rest
 
 
-def _with_seconds(body: str, delimiter: str, column: int) -> str:
-    """The rows with seconds in place of dates and times of day, taken as UTC where they give no zone."""
+def with_seconds(body: str, delimiter: str, column: int, clock: Callable[[str], tuple[float, bool] | None]) -> str:
+    """The rows with seconds in place of times in another form; a time of day continues over midnight.
+
+    clock: of a cell, (seconds, whether they include the day); None for a cell that is not a time.
+    """
     rows = [line.split(delimiter) for line in body.split("\n")]
-    first = next((row[column] for row in rows if len(row) > column and row[column].strip(' \r"')), "")
-    if not _STAMP.fullmatch(first.strip(' \r"')):
-        return body
-    days, before = 0.0, 0.0  # a time of day continues over midnight
+    days, before = 0.0, 0.0
     for row in rows:
         if len(row) <= column or not "".join(row).strip():
             continue
-        match = _STAMP.fullmatch(row[column].strip(' \r"'))
-        if match is None:
+        found = clock(row[column].strip(' \r"'))
+        if found is None:
             row[column] = "nan"
             continue
-        year, month, day, day_2, month_2, year_2, hour, minute, second, sign, hours, minutes = match.groups()
-        seconds = int(hour) * 3600 + int(minute) * 60 + float(second.replace(",", "."))
-        try:
-            if year or year_2:
-                dated = date(int(year or year_2), int(month or month_2), int(day or day_2))
-                seconds += (dated - date(1970, 1, 1)).days * _DAY
-        except ValueError:
-            row[column] = "nan"
-            continue
-        if sign:
-            seconds -= float(f"{sign}1") * (int(hours) * 3600 + int(minutes) * 60)
-        if not (year or year_2) and before - seconds > _DAY / 2:
-            days += _DAY
+        seconds, dated = found
+        if not dated and before - seconds > DAY / 2:
+            days += DAY
         before = seconds
         row[column] = f"{days + seconds:.6f}"
     return "\n".join(map(delimiter.join, rows))
+
+
+def _of_stamp(text: str) -> tuple[float, bool] | None:
+    """Seconds since 1970, or of the day, of a date and time; taken as UTC without a zone."""
+    match = _STAMP.fullmatch(text)
+    if match is None:
+        return None
+    year, month, day, day_2, month_2, year_2, hour, minute, second, sign, hours, minutes = match.groups()
+    seconds = int(hour) * 3600 + int(minute) * 60 + float(second.replace(",", "."))
+    if sign:
+        seconds -= float(f"{sign}1") * (int(hours) * 3600 + int(minutes) * 60)
+    if not (year or year_2):
+        return seconds, False
+    try:
+        dated = date(int(year or year_2), int(month or month_2), int(day or day_2))
+    except ValueError:
+        return None
+    return seconds + (dated - date(1970, 1, 1)).days * DAY, True
 
 
 def _with_epoch_unit(file: Path, rows: np.ndarray, place: Place, warnings: list[str]) -> Place:

@@ -11,12 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from .columns import COLUMNS, UNITS, Layout, Place, find_columns, plain, unit_named
-from .csv_table import Table, table_of, text_of
+from .csv_table import DAY, Table, table_of, text_of, with_seconds
 from .errors import RunError, check_readable
 
 _SECTION = re.compile(r"^\[([^\]]*)\][ \t]*\n", re.MULTILINE)
 _CREATED = re.compile(r"created on (\d{1,2})/(\d{1,2})/(\d{4})", re.IGNORECASE)
-_DAY = 86400.0
 # Standard channels by name in [column names]: what they are here, and their unit.
 _STANDARD = {"lat": ("latitude", "min"), "latitude": ("latitude", "min"), "long": ("longitude", "min"),
              "longitude": ("longitude", "min"), "velocity": ("velocity_x", "km/h"),
@@ -50,7 +49,8 @@ def read_vbo(file: Path, layout: Layout) -> Table:
     place = places.pop("t", None)
     if place is None:
         raise RunError(file, "[column names] has no time", f"it has {', '.join(names)[:200]}")
-    body = _with_seconds(body, place.column, _midnight(text))
+    midnight = _midnight(text)
+    body = with_seconds(body, " ", place.column, lambda cell: _seconds(cell, midnight))
     table = table_of(file, names, body, " ", layout, warnings, {**places, "t": place})
     return _with_motion(table, names, warnings)
 
@@ -105,26 +105,14 @@ def _midnight(text: str) -> float:
         return 0.0
 
 
-def _with_seconds(body: str, column: int, midnight: float) -> str:
-    """The rows with seconds in place of HHMMSS.ss; days go on over midnight."""
-    rows = [line.split(" ") for line in body.split("\n") if line]
-    days, before = 0.0, -1.0
-    for row in rows:
-        if len(row) <= column:
-            continue
-        try:
-            clock = float(row[column])
-        except ValueError:
-            continue
-        seconds = clock // 10000 * 3600 + clock // 100 % 100 * 60 + clock % 100
-        if not 0 <= seconds < _DAY + 1:
-            row[column] = "nan"
-            continue
-        if before - seconds > _DAY / 2:
-            days += _DAY
-        before = seconds
-        row[column] = f"{midnight + days + seconds:.6f}"
-    return "\n".join(map(" ".join, rows))
+def _seconds(text: str, midnight: float) -> tuple[float, bool] | None:
+    """UTC [s] of HHMMSS.ss on a day; the next days are not in it."""
+    try:
+        clock = float(text)
+    except ValueError:
+        return None
+    seconds = clock // 10000 * 3600 + clock // 100 % 100 * 60 + clock % 100
+    return (midnight + seconds, False) if 0 <= seconds < DAY + 1 else None
 
 
 def _with_motion(table: Table, names: list[str], warnings: list[str]) -> Table:
