@@ -27,7 +27,7 @@ SHAPES = ("front_tyre_curve", "rear_tyre_curve", "tyre_load_sensitivity", "front
           "tyre_saturation", "combined_slip", "steered_drive_force")
 """Physics that is in all these cars, in other equations than the library's: without a value to compare."""
 ACCEPTED = {
-    "ratio": ("steering_ratio",), "offset": ("steering_offset",), "load": ("mass", "cg_position"),
+    "ratio": ("steering_ratio",), "offset": ("steering_offset",), "load": ("load", "mass", "cg_position"),
     "lever": ("sensor_lever_arm",), "worn_front": ("front_stiffness", "steering_compliance", "roll_steer"),
     "worn_rear": ("rear_stiffness",), "compliance": ("steering_compliance", "front_stiffness", "roll_steer"),
     "delay": ("steering_delay", "steering_lag"), "gyro_scale": ("yaw_rate_scale",), "gyro_bias": ("yaw_rate_bias",),
@@ -89,6 +89,10 @@ def _values(case: Case, car, file, vehicle: VehicleParameters, curves: dict) -> 
             ("gyro_bias", "yaw_rate_bias", lambda s: s)):
         if name in hidden:
             found[effect] = [value(hidden[name])] * 2
+    if "load" in hidden:
+        # The library's load is over the rear axle: one that moves the CG as far is a little smaller.
+        behind = vehicle.wheelbase - file.numbers.front
+        found["load"] = [(n.mass - hidden["load"]) * -shift / (behind + shift), hidden["load"]]
     if "steering_ratio" in found and car.description == FOUR_WHEELS:
         found["steering_ratio"][0] *= 1 - OUTER_WHEEL * (1 - n.ackermann)
     if "steering_delay" in found and found.get("steering_lag"):

@@ -39,6 +39,11 @@ def test_quantity_an_effect_changes(leaf, base, effect, key, slope):
     assert known.deviations(3.0 * known.deviation / known.slope) == pytest.approx(3.0)
 
 
+def test_a_load_is_on_top_of_what_was_weighed(leaf):
+    space = Space("nonlinear", DiscoverySettings())
+    assert known_quantities(space, leaf)[space.indices("load")[0]] is None
+
+
 def test_linear_base_lacks_all_of_the_height_and_is_not_held_to_none(leaf):
     space = Space("linear", DiscoverySettings())
     known = known_quantities(space, leaf)

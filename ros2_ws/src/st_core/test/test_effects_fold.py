@@ -50,9 +50,9 @@ def assert_folded(model, vehicle: VehicleParameters) -> tuple[VehicleParameters,
 
 def test_what_a_vehicle_file_can_hold():
     assert {name for _, name in FOLDED} == {
-        "cg_position", "friction", "front_stiffness", "front_tyre_curve", "mass", "rear_stiffness", "rear_tyre_curve",
-        "sensor_lever_arm", "steering_offset", "steering_ratio", "tyre_load_sensitivity", "tyre_stiffness",
-        "yaw_inertia"}
+        "cg_position", "friction", "front_stiffness", "front_tyre_curve", "load", "mass", "rear_stiffness",
+        "rear_tyre_curve", "sensor_lever_arm", "steering_offset", "steering_ratio", "tyre_load_sensitivity",
+        "tyre_stiffness", "yaw_inertia"}
 
 
 @pytest.mark.parametrize("share", [0.7, 1.2])

@@ -90,6 +90,15 @@ def test_cg_moves_while_axles_and_ins_stay(leaf):
     assert in_body[0] == pytest.approx(in_body[1])
 
 
+def test_a_load_is_a_point_mass_over_the_rear_axle(leaf):
+    car = augment("linear", {"load": {"mass": 200.0}}).effective_vehicle(leaf)
+    assert car.mass == leaf.mass + 200.0
+    assert car.mass * car.cg_to_front_axle == pytest.approx(leaf.mass * leaf.cg_to_front_axle + 200.0 * leaf.wheelbase)
+    about_front = [v.yaw_inertia + v.mass * v.cg_to_front_axle**2 for v in (car, leaf)]
+    assert about_front[0] == pytest.approx(about_front[1] + 200.0 * leaf.wheelbase**2)
+    assert car.cg_to_front_axle - car.cg_to_ins_x == pytest.approx(leaf.cg_to_front_axle - leaf.cg_to_ins_x)
+
+
 @DYNAMIC
 def test_yaw_inertia_slows_the_turn_in_and_leaves_the_steady_state(leaf, base):
     model = augment(base, {"yaw_inertia": {"factor": 1.25}})

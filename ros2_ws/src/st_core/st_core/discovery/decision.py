@@ -28,7 +28,8 @@ class Checks:
 @dataclass(frozen=True)
 class Rival:
     """Another name in the place of one of the answer, `instead`. share [1]: of that one's gain. worse [1]: chance that
-    it is no worse. less [1]: gain it lacks. evidence, values: its own, there."""
+    it is no worse. less [1]: gain it lacks. evidence, values: its own, there. shared: it takes a part of what that one
+    does and leaves the rest to it."""
 
     name: str
     instead: str
@@ -37,6 +38,7 @@ class Rival:
     less: float
     evidence: Evidence
     values: Mapping[str, float] = field(default_factory=dict)
+    shared: bool = False
 
 
 @dataclass(frozen=True)
@@ -211,7 +213,9 @@ def alternative(rival: Rival, limits: Limits) -> Reason:
     if rival.share < limits.rival or (rival.worse < limits.doubt and not unexplained):
         return Reason("explains less", rival.name, figures, f"{place}, and is no worse with probability "
                       f"{rival.worse:.2g}")
-    if verdict.rule not in (STATED, IRRELEVANT):
+    if rival.shared:
+        place = f"with {rival.instead.replace('_', ' ')} it explains what that does alone"
+    elif verdict.rule not in (STATED, IRRELEVANT):
         return verdict
     return Reason("alternative", rival.name, figures, f"{place}; no worse with probability {rival.worse:.2g}")
 

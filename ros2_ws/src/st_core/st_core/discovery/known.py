@@ -63,7 +63,7 @@ def _known(space: Space, vehicle: VehicleParameters, i: int) -> Known | None:
         # A base model without the quantity in its equations lacks all of it.
         absent = value_of(vehicle, parameter.quantity) if space.model.base.name == "nonlinear" else 0.0
         return _of(vehicle, parameter.quantity, 1.0, absent)
-    if effect.fold is None:
+    if effect.fold is None or effect.on_top:
         return None
     null = {p.name: p.null for p in effect.parameters} | space.values(free.effect, space.null)
     step = NUDGE * free.usual * free.sign

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy import stats
 
-from ..effects import get_effect
+from ..effects import get_effect, twins_of
 from .decision import CHANCE, NULL, STATED, Rival, judge
 from .evidence import Evidence, Scores, chance, evidence, null_by_sensors, screen
 from .fit import Fit, Problem, Slopes
@@ -74,7 +74,27 @@ class Search:
         found = self._settled(self._best([a for a in answers if a]))
         found.order = sorted(found.fit.names, key=lambda n: -found.evidence[n].gain)
         found.near = self._near(found)
+        self._shared(found)
         return found
+
+    def _shared(self, found: Found) -> None:
+        """Rivals that take a part only: with what comes on top of the measured car, a load, values of its twins are
+        nearer to the vehicle file. These count as nearly as good: only stiffness over load acts."""
+        p, names = self.problem, found.fit.names
+        for other in (n for n in p.space.hypotheses if get_effect(n).on_top and n not in names):
+            if p.space.overlaps(other, names) or not names:
+                continue
+            fit = self._more(found.fit, other, found.scores.gains[other][1] if other in found.scores.gains
+                             else found.fit.vector)
+            own = p.space.indices(*(n for n in names if n in twins_of(other)))
+            nearer = own[np.abs(fit.vector - p.start)[own] < np.abs(found.fit.vector - p.start)[own]]
+            for name in {p.space.free[i].effect for i in nearer}:
+                without = found.without.get(name, found.fit)
+                e = self._evidence(without, fit, other, found.scores)
+                found.rivals.setdefault(name, []).append(Rival(
+                    other, name, 1.0, no_worse(fit.held_out - found.fit.held_out), 0.0, e,
+                    p.space.values(other, fit.vector), shared=True))
+                found.near.append((fit.names, fit.vector))
 
     def corrections(self, answer: Fit) -> Fit:
         """What predicts better than an answer of another problem, with all effects of that and more; the answer as it

@@ -150,7 +150,8 @@ class Effect:
     kind: one of EFFECT_KINDS, what it belongs to. slot: one of SLOTS, where it acts. needs: channels without any one
     of which it leaves no trace, or only that of another effect. members: names of the effects it is the sum of.
     combinations: names of COMBINATIONS that it changes. ratio_to: key of the vehicle file; driving shows only the ratio
-    of its quantity to that one. at_peak_force: drives show it only near the largest force of an axle.
+    of its quantity to that one. on_top: what it changes comes on top of what was measured for the vehicle file, so that
+    the uncertainties of the file do not bind it. at_peak_force: drives show it only near the largest force of an axle.
     costly: computes the tyres again; leave it out of a fast model where it is at null.
     order: among the effects at one hook, low acts first. Source of the twins: sensitivity vectors of a single-track
     car, steady circle, step, sweep and limit.
@@ -167,6 +168,7 @@ class Effect:
     members: ClassVar[tuple[str, ...]] = ()
     combinations: ClassVar[tuple[str, ...]] = ()
     ratio_to: ClassVar[str] = ""
+    on_top: ClassVar[bool] = False
     at_peak_force: ClassVar[bool] = False
     applies_to: ClassVar[frozenset[str]] = DYNAMIC
     lifts: ClassVar[tuple[str, str] | None] = None

@@ -1,0 +1,38 @@
+"""Passengers and luggage: a mass over the rear axle, on top of the car that was measured.
+
+    m = m + load,  b = load l_r / m,  l_f = l_f + b,  l_r = l_r - b,  I_z = I_z + m_empty b^2 + load (l_r_empty - b)^2
+
+A load farther forward acts like a smaller one over the rear axle. The tyres of the nonlinear model take the changed
+axle loads; stiffnesses of the linear model stay.
+"""
+
+from dataclasses import replace
+
+from ._base import Effect, Parameter, register
+
+
+@register
+class Load(Effect):
+    name = "load"
+    physics = "m + load, CG and yaw inertia of a mass over the rear axle"
+    excited_by = "cornering with the sideslip measured, at two speeds; weigh the laden car to be sure"
+    kind, slot = "vehicle parameters", "body"
+    twins = ("mass", "cg_position", "rear_stiffness", "tyre_stiffness", "yaw_inertia")
+    combinations = ("front cornering stiffness over mass", "rear cornering stiffness over mass",
+                    "yaw inertia over mass", "understeer gradient K")
+    on_top = True
+    parameters = (
+        Parameter("mass", "kg", null=0.0, initial=150.0, bounds=(0.0, 800.0),
+                  meaning="of the load, as if over the rear axle",
+                  source="payload of passenger cars 400 to 550 kg, of vans 800 kg"),
+    )
+
+    @staticmethod
+    def vehicle(vehicle, theta):
+        mass = vehicle.mass + theta.mass
+        behind = vehicle.cg_to_rear_axle
+        back = theta.mass * behind / mass
+        return replace(
+            vehicle, mass=mass, cg_to_front_axle=vehicle.cg_to_front_axle + back,
+            cg_to_ins_x=vehicle.cg_to_ins_x + back,
+            yaw_inertia=vehicle.yaw_inertia + vehicle.mass * back**2 + theta.mass * (behind - back) ** 2)
