@@ -2,7 +2,6 @@
 the virtual Leaf on a free UDP port and CAN group of the loopback interface."""
 
 import json
-import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,7 @@ from st_sim.settings import SimulationError
 from .suite import Parameters, Suite, SuiteError, find_executable, free_udp_port, merge
 
 REPLAY_NODES = ("recorder", "evaluator", "predictor")  # in the order of their start: subscribers first
-TRUNCATED = "{} is truncated: its recorder was killed; what came after is not {}"
+TRUNCATED = "{} is truncated: its recorder was killed; later data are not {}"
 LEAF_TIMEOUT = 20.0  # s until the virtual Leaf sends
 
 
@@ -105,7 +104,7 @@ def model_parameters(model: Path | None, effects: Path | None, vehicle: Path) ->
     """Parameters of predictor and evaluator for a model file in addition to the three models; empty without one.
 
     effects: folder of own effects of the model file. Raises SuiteError, StCoreError and RunError, one line, for a file
-    that is not a model, or whose values are of another car than the vehicle file.
+    that is not a model, or has values of another car than the vehicle file.
     """
     if model is None and effects is None:
         return {}
@@ -233,10 +232,6 @@ class VirtualCar:
         """
         arguments = [*self._arguments, "--output", str(suite.folder / "truth")]
         leaf = suite.start("virtual_leaf", [find_executable("st_sim", "virtual_leaf"), *arguments])
-        end = time.monotonic() + LEAF_TIMEOUT
-        while time.monotonic() < end and leaf.process.poll() is None:
-            for line in leaf.log.read_text().splitlines():
-                if '"sending"' in line:
-                    return json.loads(line)["duration"]
-            time.sleep(0.05)
+        if line := leaf.wait_for('"sending"', LEAF_TIMEOUT):
+            return json.loads(line)["duration"]
         raise SuiteError(leaf.last_lines() or "the virtual Leaf did not start")

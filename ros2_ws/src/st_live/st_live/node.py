@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -63,8 +64,8 @@ class Monitor:
             context=self._context, domain_id=domain_id, signal_handler_options=rclpy.signals.SignalHandlerOptions.NO
         )
         self._node = Node("st_monitor", context=self._context)
-        self._node.create_subscription(ErrorSummary, "evaluator/summary", self._on_summary, 10)
-        self._node.create_subscription(PredictorStatus, "predictor/status", self._on_ticks, 10)
+        self._node.create_subscription(ErrorSummary, "evaluator/summary", lambda m: self._set(summary=m), 10)
+        self._node.create_subscription(PredictorStatus, "predictor/status", lambda m: self._set(ticks=m), 10)
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         self._predictions = [
@@ -134,19 +135,14 @@ class Monitor:
         with contextlib.suppress(ExternalShutdownException):
             self._executor.spin()
 
-    def _on_summary(self, message: ErrorSummary) -> None:
-        with self._lock:
-            self.state = replace(self.state, summary=message)
-
-    def _on_ticks(self, message: PredictorStatus) -> None:
-        with self._lock:
-            self.state = replace(self.state, ticks=message)
+    def _set(self, **news: Any) -> None:
+        with self._lock:  # called by its own thread and by that of the caller
+            self.state = replace(self.state, **news)
 
     def _read_predictions(self) -> None:
         for subscription in self._predictions:
             for message, _, _ in subscription.take():
-                with self._lock:
-                    self.state = replace(self.state, prediction=message)
+                self._set(prediction=message)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
@@ -154,7 +150,7 @@ class Monitor:
                              for s in message.status})
 
     def _update_health(self, news: dict[str, Status]) -> None:
-        with self._lock:  # called by its own thread and by that of the caller
+        with self._lock:
             self.state = replace(self.state, health={**self.state.health, **news})
 
 

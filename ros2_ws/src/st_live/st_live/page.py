@@ -171,18 +171,14 @@ class LiveView:
         self._server = self._processes.start("passenger", [
             sys.executable, "-m", "st_live.nodes.passenger", "--vehicle", predictor["vehicle_file"], "--map-frame",
             predictor["map_frame"], "--title", title, "--address", self._host, "--port", str(self._port)])
-        self.url = f"http://{_reachable(self._host)}:{self._wait_for_port(self._server)}/"
+        line = self._server.wait_for("serving on ", READY_TIMEOUT)
+        if not line:
+            output = self._server.last_lines() or "the page did not start"
+            raise SuiteError(f"--view: {output} (log: {self._server.log})")
+        self.url = f"http://{_reachable(self._host)}:{line.strip().rpartition(':')[2]}/"
         console.print(f"view: {self.url}", highlight=False, soft_wrap=True)
         if console.is_terminal:
             webbrowser.open(self.url)
-
-    def _wait_for_port(self, server: Child) -> str:
-        end = time.monotonic() + READY_TIMEOUT
-        while time.monotonic() < end and server.process.poll() is None:
-            if (line := server.last_lines(1)).startswith("serving on "):
-                return line.rpartition(":")[2]
-            time.sleep(0.05)
-        raise SuiteError(f"--view: {server.last_lines() or 'the page did not start'} (log: {server.log})")
 
     def finish(self, folder: Path, console: Console) -> None:
         """After the run: end the page, and draw the recording of the run into the file of --view-save."""

@@ -24,7 +24,7 @@ from st_recordings.runs.run_types import SteeringField
 from .configuration import REPLAY_NODES, TRUNCATED, add_files, replay_parameters
 from .node import Monitor
 from .page import LiveView
-from .session import START_TIMEOUT, Outcome
+from .session import Outcome, start_nodes
 from .suite import Child, Suite, SuiteError, chosen_domain_id, claimed_domain
 
 SETTLING_TIME = 1.0  # s after the last message, for the last predictions to reach evaluator and recorder
@@ -86,9 +86,7 @@ def _play(bag: Path, topics: Mapping[str, str], folder: Path, parameters: Mappin
     problem, interrupted = "", False
     predictor = parameters["predictor"]
     with reserved as domain, Suite(folder, parameters, domain) as suite, Monitor(domain) as monitor:
-        for name in REPLAY_NODES:
-            suite.start_node("st_predictor", name)
-        _wait_for_nodes(suite, monitor)
+        start_nodes(suite, monitor, [("st_predictor", name) for name in REPLAY_NODES])
         if view:
             view.open(folder, domain, predictor, bag.name, console)
         player = suite.start("player", [
@@ -106,15 +104,6 @@ def _play(bag: Path, topics: Mapping[str, str], folder: Path, parameters: Mappin
         for name in reversed(REPLAY_NODES):
             statuses.update(suite.stop(name))
     return Outcome(statuses, interrupted, problem)
-
-
-def _wait_for_nodes(suite: Suite, monitor: Monitor) -> None:
-    end = time.monotonic() + START_TIMEOUT
-    while missing := monitor.wait_for_nodes(set(REPLAY_NODES), 0.5):
-        suite.check()
-        if time.monotonic() > end:
-            raise SuiteError(f"not up after {START_TIMEOUT:.0f} s: {', '.join(sorted(missing))} "
-                             f"(logs in {suite.folder / 'logs'})")
 
 
 def _watch(suite: Suite, player: Child, name: str, rate: float, console: Console) -> None:

@@ -157,7 +157,7 @@ def run(
             stop.wait(DISCOVERY_TIME)
             _check_no_other_suite(monitor, domain, allowed=0)
         with Suite(folder, parameters, domain, realtime) as suite:
-            if not _all_up(suite, monitor, stop):
+            if not start_nodes(suite, monitor, NODES, lambda: stop.requested):
                 return Outcome({}, True)
             _check_no_other_suite(monitor, domain, allowed=1)
             text = f"{len(NODES)} nodes up in ROS domain {domain}; output in {folder}"
@@ -190,18 +190,18 @@ def _check_no_other_suite(monitor: Monitor, domain: int, allowed: int) -> None:
                          "set ROS_DOMAIN_ID to another number")
 
 
-def _all_up(suite: Suite, monitor: Monitor, stop: "_StopRequest") -> bool:
-    """Start all nodes and wait for them; False as soon as the run is to stop."""
-    for package, executable in NODES:
+def start_nodes(suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]],
+                stopped: Callable[[], bool] = lambda: False) -> bool:
+    """Start nodes and wait until all are in the graph; False as soon as the run is `stopped`. Raises SuiteError."""
+    for package, executable in nodes:
         suite.start_node(package, executable)
-    names = {executable for _, executable in NODES}
     end = time.monotonic() + START_TIMEOUT
-    while not stop.requested and (missing := monitor.wait_for_nodes(names, 0.5)):
+    while not stopped() and (missing := monitor.wait_for_nodes({executable for _, executable in nodes}, 0.5)):
         suite.check()
         if time.monotonic() > end:
-            names_missing = ", ".join(sorted(missing))
-            raise SuiteError(f"not up after {START_TIMEOUT:.0f} s: {names_missing} (logs in {suite.folder / 'logs'})")
-    return not stop.requested
+            raise SuiteError(f"not up after {START_TIMEOUT:.0f} s: {', '.join(sorted(missing))} "
+                             f"(logs in {suite.folder / 'logs'})")
+    return not stopped()
 
 
 def _watch(

@@ -13,6 +13,7 @@ import shutil
 import signal
 import socket
 import subprocess
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -47,6 +48,16 @@ class Child:
 
     def last_lines(self, count: int = 5) -> str:
         return "\n".join(self.log.read_text(errors="replace").strip().splitlines()[-count:])
+
+    def wait_for(self, text: str, timeout: float) -> str:
+        """The first line of its log with a text; empty if the process ends before, or after `timeout` [s]."""
+        end = time.monotonic() + timeout
+        while time.monotonic() < end and self.process.poll() is None:
+            for line in self.log.read_text(errors="replace").splitlines(keepends=True):
+                if text in line and line.endswith("\n"):
+                    return line
+            time.sleep(0.05)
+        return ""
 
 
 class Processes:

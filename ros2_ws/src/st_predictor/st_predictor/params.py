@@ -43,7 +43,7 @@ PREDICTOR = (
     Parameter("horizon", _DEFAULTS.horizon, "how far ahead; a whole number of steps", "s", 0.01, 60.0),
     Parameter("step", _DEFAULTS.step, "of integration and of the published points", "s", 0.001, 1.0),
     Parameter("rate", 10.0, "ticks per second, on the node's clock", "Hz", 0.1, 100.0),
-    Parameter("sample_wait", 0.015, "a tick waits at most this long for a sample of each input that came after it was "
+    Parameter("sample_wait", 0.015, "a tick waits at most this long for a sample of each input received after it was "
               "due, and half a period at most; not in simulated time; 0: it does not wait", "s", 0.0, 0.1),
     Parameter("compiled", True, "models as machine code where numba is installed; false: on Python floats"),
     Parameter("minimum_speed", _DEFAULTS.minimum_speed, "no prediction below it", "m/s", 0.0, 50.0),

@@ -34,7 +34,7 @@ class PlanInput:
         self._frame, self._vehicle = frame, vehicle
         self._plan: PlannedInputs | str | None = None
         self._received_at = float("-inf")
-        self._problem = ""
+        self.problem = ""  # why the newest plan is not used; empty while it is used, and without one
         self._counts = {"received": 0, "used": 0, "refused": 0}
 
     def drain(self) -> None:
@@ -50,28 +50,23 @@ class PlanInput:
             return None
         inputs = self._plan if isinstance(self._plan, str) else core.planned(self._plan, start)
         if isinstance(inputs, str):
-            self._problem = inputs
+            self.problem = inputs
             self._counts["refused"] += 1
             if time.monotonic() - self._received_at > FORGET_AFTER:
-                self._plan, self._problem = None, ""
+                self._plan, self.problem = None, ""
             return None
         assert isinstance(self._plan, PlannedInputs)
-        self._problem = ""
+        self.problem = ""
         self._counts["used"] += 1
         return inputs, self._plan.issued_ns
-
-    @property
-    def problem(self) -> str:
-        """Why the newest plan is not used; empty while it is used, and without one."""
-        return self._problem
 
     def check(self) -> Check:
         if self._subscription is None:
             return Check("plan", diagnostics.OK, "off: st_msgs was built without InputPlan; build the workspace")
         if self._plan is None:
             return Check("plan", diagnostics.OK, f"none on {self._subscription.topic}: inputs are held", self._counts)
-        if self._problem:
-            return Check("plan", diagnostics.WARN, f"refused, inputs are held: {self._problem}", self._counts)
+        if self.problem:
+            return Check("plan", diagnostics.WARN, f"refused, inputs are held: {self.problem}", self._counts)
         return Check("plan", diagnostics.OK, "used", self._counts)
 
 

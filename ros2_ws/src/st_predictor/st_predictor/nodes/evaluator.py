@@ -51,8 +51,9 @@ class EvaluatorNode(Node):
         self._core = Evaluator(self._vehicle, settings, SPAN, own)
         self._consistency = Consistency(self._vehicle)
         self._map_frame = values.map_frame
+        self._diagnostics = Diagnostics(self, self._vehicle.name, self._checks)
         self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering,
-                              self._publish_diagnostics)
+                              self._diagnostics.publish)
         self._statistics = {(model, mode): ErrorStatistics() for model in self._models for mode in MODES}
         self._coverages = Coverages()
         self._hashes: dict[tuple[str, str, int], str] = {}  # of the predictions waiting, by model, mode and start
@@ -76,7 +77,6 @@ class EvaluatorNode(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(WORK_PERIOD, self._work, clock=steady)
         self.create_timer(SUMMARY_PERIOD, self._publish_summary, clock=steady)
-        self._diagnostics = Diagnostics(self, self._vehicle.name, self._checks)
         self.get_logger().info(f"scores {', '.join(self._models)} with {self._vehicle.name}")
 
     def _open_bag(self, values, settings) -> tuple[BagWriter | None, dict[str, int]]:
@@ -95,9 +95,6 @@ class EvaluatorNode(Node):
         summary = bag.add_topic(self.resolve_topic_name("evaluator/summary"), "st_msgs/msg/ErrorSummary",
                                 (Qos(durability="transient_local", depth=1),))
         return bag, {"errors": errors, "summary": summary}
-
-    def _publish_diagnostics(self) -> None:
-        self._diagnostics.publish()
 
     def _work(self) -> None:
         self._inputs.drain()

@@ -96,7 +96,9 @@ class PredictorNode(Node):
         self._vehicle = params.load_vehicle(values)
         backend = self._make_core(values)
         self._map_frame = values.map_frame
-        self._inputs = Inputs(self, values.map_frame, self._add_ins, self._add_steering, self._publish_diagnostics)
+        self._diagnostics = Diagnostics(self, self._vehicle.name, self._checks)
+        self._inputs = Inputs(self, values.map_frame, self._add_ins, self._add_steering,
+                              self._diagnostics.publish)
         self._plan = PlanInput(self, values.plan_frame, self._vehicle)
         settings = self._core.settings
         self._course = CourseInput(self, params.load_course(values), self._vehicle, settings.horizon, settings.step)
@@ -117,7 +119,6 @@ class PredictorNode(Node):
         self.create_timer(DRAIN_PERIOD, self._inputs.drain, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._timer = self.create_timer(self._period, self._tick)
         self.create_timer(STATUS_PERIOD, self._publish_status)
-        self._diagnostics = Diagnostics(self, self._vehicle.name, self._checks)
         self.get_logger().info(
             f"{', '.join(self._core.models)} of {self._vehicle.name}: {settings.horizon:g} s in steps of "
             f"{settings.step:g} s at {values.rate:g} Hz, "
@@ -175,11 +176,8 @@ class PredictorNode(Node):
             self._publish_status()  # a player of recordings waits for the end of every tick
         if (before and before.kind) != (self._skip and self._skip.kind) or self._jumps != self._core.history.jumps:
             self._jumps = self._core.history.jumps
-            self._publish_diagnostics()
+            self._diagnostics.publish()
         self._slowest_tick = max(self._slowest_tick, time.perf_counter() - began)
-
-    def _publish_diagnostics(self) -> None:
-        self._diagnostics.publish()
 
     def _start(self, now_ns: int) -> Start | Skip:
         start = self._core.start(now_ns)
@@ -229,7 +227,7 @@ class PredictorNode(Node):
                 self._not_finite.add(model)
         self._bands.observe(start, issued)
         if before != (bool(self._plan.problem), self._course.used):
-            self._publish_diagnostics()
+            self._diagnostics.publish()
 
     def _publish_other(self, start: Start, mode: Mode, inputs: InputSequence, plan_ns: int,
                        issued: dict[str, dict[Mode, Trajectory]]) -> None:
