@@ -18,7 +18,7 @@ from .signals import ANGLES, MessageSpec, SignalSpec, SignalTable, load_table
 from .table_reader import TableError
 
 # A signal with more than TOLERATED implausible values among the last WINDOW frames (one second at 100 Hz) is withheld
-# until TOLERATED plausible ones came in a row: the plausible values of a wrong DBC are isolated.
+# until TOLERATED plausible ones in a row: the plausible values of a wrong DBC are isolated.
 WINDOW = 100
 TOLERATED = 10
 
@@ -81,7 +81,7 @@ class Plausibility:
     def accepts(self, si: float, time_ns: int) -> bool:
         """Whether this value [SI] is in range and within the reach of the value before it or of the last accepted one.
 
-        A single outlier so costs itself only, and a true step one frame. Values out of range are no reference.
+        A single outlier thus costs one frame, as does a true step. Values out of range are not compared with.
         """
         value = si / self._spec.factor
         in_range = self._spec.minimum <= value <= self._spec.maximum

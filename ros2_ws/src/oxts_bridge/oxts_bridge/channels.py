@@ -1,8 +1,8 @@
 """Status channels (byte 62 and batch S): position, unit and validity of every field; 8 bytes to named values and back.
 
 Field names are the vendor's, as in tests/golden/data/ncom; angles are in degrees as the vendor's tools show them.
-Source: NCOM manual 260702 and the behaviour of the vendor's public decoder; manual=M marks fields only the manual
-knows. Checked by: tests/golden/test_ncom_vectors.py (every channel), test_channels.py (round trips).
+Source: NCOM manual 260702 and the behaviour of the vendor's public decoder; manual=M marks fields that only the
+manual describes. Checked by: tests/golden/test_ncom_vectors.py (every channel), test_channels.py (round trips).
 """
 
 from collections.abc import Iterable, Mapping
@@ -246,7 +246,7 @@ TABLE: dict[int, list[Field]] = {
          _b("GpsExternal.Format", 2), _b("DualPortRamStatus", 3),
          F("GpsPrimary.PosRate", "lo4", 4, validity=NIBBLE), F("GpsPrimary.VelRate", "hi4", 4, validity=NIBBLE),
          F("GpsPrimary.RawRate", "lo4", 5, validity=NIBBLE), F("GpsSecondary.RawRate", "hi4", 5, validity=NIBBLE),
-         # By the vendor's convention, a unit that sends this channel has GPS and no BeiDou; there is no bit for either.
+         # By the vendor's convention, a unit that sends this channel has GPS but not BeiDou; neither has a bit.
          F("GnssGpsEnabled", "constant", 6, offset=1), F("GnssBeiDouEnabled", "constant", 6, offset=0),
          *(F(name, f"ibits{bit}+1", 6, validity=INVERTED_B6) for bit, name in enumerate(
              ("GnssGlonassEnabled", "GnssGalileoEnabled", "RawRngEnabled", "RawDopEnabled", "RawL1Enabled",

@@ -21,7 +21,7 @@ Change: TypeAlias = tuple[int, int, str, Value]
 TRIGGER_NAMES = {24: "in1down", 43: "in1up", 65: "out1", 79: "in2down", 80: "in2up", 81: "out2"}
 # The vendor's tools write 10 for all robot interface codes without a name.
 _LARGEST_CODE = {"UmacStatus": 10}
-# Fields whose invalid mark means "no new value": the last one stays valid, as in the vendor's tools.
+# In these fields the invalid mark means "no new value": the last one stays valid, as in the vendor's tools.
 _RETAINED = frozenset(
     name
     for fields in FIELDS.values()

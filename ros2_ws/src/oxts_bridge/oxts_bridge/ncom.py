@@ -82,8 +82,8 @@ RULES: dict[int, Rule] = {
     22: Rule("trigger while locked", False, True, "valid", True, "trigger"),
 }
 BY_STATUS: tuple[Rule, ...] = tuple(RULES.get(n, Rule(f"reserved ({n})", known=False)) for n in range(256))
-# Statuses whose channel 0 sets the GPS minute. Status-only packets are included because files start with them; status 1
-# (raw IMU) is not, because the unit's clock is not set yet.
+# Statuses in which channel 0 sets the GPS minute. Status-only packets are included because files start with them; not
+# status 1 (raw IMU), because the unit's clock is not set yet.
 MINUTE_STATUSES = frozenset((INITIALISING, LOCKING, LOCKED, STATUS_ONLY))
 
 # Position, velocity and orientation modes of GNSS. Source: ncom.md section 8.
@@ -123,7 +123,7 @@ class Packet:
     """Values of one packet in the frames of the wire: navigation NED, vehicle FRD (x forward, y right, z down).
     NaN = invalid.
 
-    milliseconds: into the GPS minute, 0..59999; larger numbers are kept as sent and are no valid time.
+    milliseconds: into the GPS minute, 0..59999; larger numbers are kept as sent and give no time.
     acceleration: specific force x, y, z [m/s^2], about -9.81 on z at rest, |a| <= 838.8607.
     angular_rate: x, y, z [rad/s] relative to inertial space, |w| <= 83.88607.
     navigation_status: 0..255, see RULES.

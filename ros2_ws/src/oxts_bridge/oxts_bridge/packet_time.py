@@ -72,7 +72,7 @@ class GpsClock:
         return self.minute is not None and self._unconfirmed is None and self._run == 0
 
     def hint(self, minute: int) -> None:
-        """Set the minute from a status-only packet (whose milliseconds are not valid) if none is known yet."""
+        """Set the minute from a status-only packet (its milliseconds are not valid) if none is known yet."""
         if self.minute is None:
             self.minute = minute
 
@@ -168,7 +168,8 @@ def packet_times(
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """GPS time [ms] (-1 unknown) and order of each timed packet of a file, and the number of time jumps.
 
-    A file without late packets whose sent minutes agree with the count is computed in columns, any other by GpsClock.
+    If no packet is late and all sent minutes agree with the count, the file is computed in columns,
+    otherwise by GpsClock.
 
     ms, minutes: of each timed packet, minutes -1 where it has no channel 0. index: its packet number. hints: (packet
     number, minute) of status-only packets. equal(i, j): whether the bytes of timed packets i and j are the same.

@@ -1,4 +1,4 @@
-"""Parameters of the node: name, default, unit, range. config/nodes.yaml holds the same list."""
+"""Parameters of the node: name, default, unit, range. The same list is in config/nodes.yaml."""
 
 import math
 from pathlib import Path

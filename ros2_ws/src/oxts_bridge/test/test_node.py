@@ -359,5 +359,4 @@ def test_a_fix_without_heading_is_reported_and_the_other_topics_continue(rig, pa
     rig = rig()
     rig.send(packet(START, 0), *(packet(START + 10 * i, 3, heading=math.nan) for i in range(1, 20)))
     assert len(rig.messages("ins/imu", 20)) == 20 and len(rig.messages("ins/odometry", 1)) == 1
-    rig.spin(lambda: "packets without a complete solution" in rig.check("stream")[2])
-    assert rig.check("stream")[2]["packets without a complete solution"] == "19"
+    assert rig.spin(lambda: rig.check("stream")[2].get("packets without a complete solution") == "19")
