@@ -1,0 +1,150 @@
+"""What the answers become at half and twice each number that decides in a discovery.
+
+    python -m bench.strangers.ablation [--cases NAME ...] [--page]
+
+Development cases only. A case is driven and searched once; numbers that act after the search reuse that search. The
+answers are those of the functions, without what `st check` measures of the sensors. One JSON line a case and variant is
+appended to .st/strangers/ablation.jsonl; --page writes the table of all lines there.
+"""
+
+import argparse
+import importlib
+import json
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from copy import copy
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from st_core.discovery import axles, evidence, fit
+from st_core.discovery.levels import levels
+from st_core.discovery.search import Search
+from st_core.discovery.settings import DiscoverySettings
+from st_core.effects import EFFECTS
+from st_recordings.car import read_vehicle
+from st_recordings.paths import project_root
+from st_recordings.runs.csv import read_csv
+
+from .._markers import renew, table
+from . import score
+from .cases import cases
+from .recordings import write
+
+Work = importlib.import_module("st_core.discovery.discover")._Work  # the package exports the function of that name
+PAGE = project_root() / "docs" / "measurements" / "discovery_limits.md"
+LINES = project_root() / ".st" / "strangers" / "ablation.jsonl"
+DIVERSE = ("light_ev_ratio", "suv_worn_rear", "van_lever", "escort_ratio", "saloon_worn_front", "bmw_320i_gyro_bias")
+FACTORS = (0.5, 2.0)
+LIMITS = ("file", "peak", "unexplained_share", "left")
+CONSTANTS = {"UNNAMED": evidence, "TRUSTED": fit, "ACTS": axles, "STEEPEST": axles, "SLOPE_AT": axles, "DRAWS": axles,
+             "GAIN_SPEED": axles}
+SEARCHED = ("file", "TRUSTED")
+"""Numbers that act during the search; all others after it."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Exit status."""
+    parser = argparse.ArgumentParser(prog="python -m bench.strangers.ablation", description=__doc__.splitlines()[0])
+    parser.add_argument("--cases", nargs="*", default=DIVERSE, metavar="NAME", help="development cases to run")
+    parser.add_argument("--page", action="store_true", help=f"write the table of {PAGE.name}")
+    chosen = parser.parse_args(arguments)
+    LINES.parent.mkdir(parents=True, exist_ok=True)
+    for name in chosen.cases:
+        for line in answers(name):
+            with LINES.open("a") as file:
+                file.write(json.dumps(line) + "\n")
+            print(line, flush=True)
+    if chosen.page:
+        lines = [json.loads(line) for line in LINES.read_text().splitlines()]
+        renew(PAGE, "ablation", "\n".join(page_table(lines)) + "\n")
+    return 0
+
+
+def answers(name: str) -> Iterator[dict[str, Any]]:
+    """Counts of one case, as it is and for every variant."""
+    with tempfile.TemporaryDirectory(prefix="st-ablation-") as temporary:
+        folder = Path(temporary)
+        truth = write(cases("development")[name], folder)
+        vehicle = read_vehicle(folder / "car" / "vehicle.yaml")
+        logs = [read_csv(path, vehicle).log for path in sorted((folder / "drives").glob("*.csv"))]
+    work = Work(logs, vehicle, "nonlinear", (), DiscoverySettings(), None, {}, 1)
+    searched = _searched(work)
+    usual = _counts(work, searched, truth)
+    yield {"case": name, "number": "", "factor": 1.0, "changed": False, **usual}
+    for number in (*LIMITS, "model_error", *CONSTANTS):
+        for factor in FACTORS:
+            with _multiplied(work, number, factor) as other:
+                found = _counts(other, _searched(other) if number in SEARCHED else searched, truth)
+            yield {"case": name, "number": number, "factor": factor, "changed": found != usual, **found}
+
+
+@contextmanager
+def _multiplied(work: Any, number: str, factor: float) -> Iterator[Any]:
+    """The work with one number multiplied."""
+    if number in LIMITS:
+        other = copy(work)
+        other.limits = replace(work.limits, **{number: factor * getattr(work.limits, number)})
+        yield other
+        return
+    owners = ([(p, "model_error") for effect in EFFECTS.values() for p in effect.parameters]
+              if number == "model_error" else [(CONSTANTS[number], number)])
+    before = [getattr(*one) for one in owners]
+    try:
+        for (owner, key), value in zip(owners, before, strict=True):
+            object.__setattr__(owner, key, type(value)(factor * value))
+        yield work
+    finally:
+        for (owner, key), value in zip(owners, before, strict=True):
+            object.__setattr__(owner, key, value)
+
+
+def _searched(work: Any) -> tuple[Any, ...]:
+    """Problem, floor of the noise, parts of the driving, the search and what it found."""
+    problem, by_column = work._problem()
+    parts = levels(work.windows)
+    search = Search(problem, work.limits, parts, work.sensors, work.settings.seed)
+    return problem, work._floor(by_column), parts, search, search.run()
+
+
+def _counts(work: Any, searched: tuple[Any, ...], truth: Mapping[str, Any]) -> dict[str, int]:
+    """Counts of statements, hidden errors, values and points of the force curves."""
+    work.problem, floor, parts, search, found = searched
+    names = work._names(search, found, parts, floor)
+    answer = {"effects": [_plain(one) for one in names.stated], "minor": [_plain(one) for one in names.minor],
+              "combinations": [vars(one) for one in names.combinations],
+              "axle_curves": [vars(one) for one in names.curves]}
+    result = {"truth": truth, "answer": answer}
+    stated, hidden = score.statements(result), score.hidden(result)
+    compared = [one["inside"] for one in stated if one["inside"] is not None]
+    inside, points = score.band(result)
+    return {"statements": len(stated), "false": sum(not one["in_car"] for one in stated), "hidden": len(hidden),
+            "named": sum(hidden.values()), "values": len(compared), "inside": sum(compared), "points": points,
+            "in band": inside}
+
+
+def _plain(effect: Any) -> dict[str, Any]:
+    return {"name": effect.name, "alternatives": effect.alternatives, "joint": effect.joint,
+            "parameters": {name: vars(value) for name, value in effect.parameters.items()}}
+
+
+def page_table(lines: Sequence[Mapping[str, Any]]) -> list[str]:
+    """A row for each number and factor: sums over the cases, and in how many of them anything counted here changes."""
+    newest = {(line["case"], line["number"], line["factor"]): line for line in lines}
+    rows = []
+    for number, factor in dict.fromkeys((number, factor) for _, number, factor in newest):
+        mine = [line for key, line in newest.items() if key[1:] == (number, factor)]
+        total = {key: sum(line[key] for line in mine) for key in mine[0] if isinstance(mine[0][key], int)}
+        rows.append({"number": f"`{number}` × {factor:g}" if number else "as they are",
+                     "hidden errors named": f"{total['named']} of {total['hidden']}",
+                     "false statements": f"{total['false']} of {total['statements']}",
+                     "values inside": f"{total['inside']} of {total['values']}",
+                     "points in the band": f"{total['in band']} of {total['points']}",
+                     "cases changed": f"{total['changed']} of {len(mine)}"})
+    return table(rows)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
