@@ -12,9 +12,9 @@ from st_core.augmented import augment
 from st_core.channels import CHANNELS, FURTHER
 from st_core.discovery import DiscoverySettings
 from st_core.discovery.fit import Problem
+from st_core.discovery.following import drive
 from st_core.discovery.loss import Loss
 from st_core.discovery.space import Space
-from st_core.discovery.suggested_drive import drive
 from st_core.log import DriveLog
 from st_core.manoeuvres import CATALOGUE
 from st_core.vehicle import VehicleParameters

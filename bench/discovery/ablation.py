@@ -6,7 +6,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from st_core.discovery.limits import Limits
+from st_core.discovery.settings import Limits
 
 from .run import run_all
 

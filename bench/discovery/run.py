@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from st_core.checks import check, pooled
 from st_core.discovery import Discovery, DiscoverySettings, discover
-from st_core.discovery.limits import Limits
 from st_core.discovery.result import FoundEffect
+from st_core.discovery.settings import Limits
 from st_recordings.paths import source_version
 
 from . import baselines, edits

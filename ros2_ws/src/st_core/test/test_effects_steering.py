@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from st_core.augmented import augment
-from st_core.effects._scan import affine, clamp, scan
+from st_core.effects.steering_backlash import affine, clamp, scan
 from st_core.filtering import NANOSECOND
 from st_core.log import DriveLog
 from st_core.readings import corrected_log, corrected_steering

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings, noise
-from st_core.discovery.suggested_drive import drive
+from st_core.discovery.following import drive
 from st_core.discovery.windows import Windows
 from st_core.identification.run_samples import run_samples
 from st_core.log import DriveLog

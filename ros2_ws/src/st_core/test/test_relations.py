@@ -10,8 +10,8 @@ from discovery_drives import recorded
 from driven import drive
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings, discover
-from st_core.discovery.limits import Limits
 from st_core.discovery.loss import Quadratic
+from st_core.discovery.settings import Limits
 from st_core.effects import EFFECTS, Measured
 from st_core.effects._law import COUNT, Law, curve
 from st_core.errors import ConfigurationError

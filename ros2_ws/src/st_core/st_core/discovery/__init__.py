@@ -2,9 +2,8 @@
 
 from ..channels import CHANNELS
 from .discover import Progress, discover, fit_effects
-from .limits import Limits
 from .result import OUTCOMES, PARTS, Discovery, Outcome
-from .settings import DiscoverySettings
+from .settings import DiscoverySettings, Limits
 
 __all__ = ["CHANNELS", "OUTCOMES", "PARTS", "Discovery", "DiscoverySettings", "Limits", "Outcome", "Progress",
            "discover", "fit_effects"]

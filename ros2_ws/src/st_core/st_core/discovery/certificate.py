@@ -12,9 +12,9 @@ from scipy import stats
 from ..effects import twins_of
 from .evidence import FLIPS, Scores, chance, left_over, score
 from .fit import Fit, Problem
-from .limits import Limits
 from .loss import Quadratic
 from .result import Certificate, Power
+from .settings import Limits
 
 SIZES = (0.25, 0.5, 1.0)  # of the usual size of an effect
 DRAWS = 20  # of each size: a power is known to a tenth

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from .evidence import AgainstFile, Evidence, share_of
-from .limits import Limits
 from .result import Outcome, Reason
+from .settings import Limits
 
 STATED, NEGLIGIBLE, CHANCE, NULL, IRRELEVANT, SENSORS, FILE, BOUND, VARIES, MINOR, FORCES = (
     "stated", "too small", "may be chance", "not significant", "not relevant", "refuted by the sensors",

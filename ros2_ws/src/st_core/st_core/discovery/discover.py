@@ -13,7 +13,7 @@ from ..errors import StCoreError
 from ..log import DriveLog
 from ..models import Model
 from ..vehicle import VehicleParameters
-from . import certificate, noise, waterfall
+from . import certificate, waterfall
 from .axles import Axles
 from .decision import (
     FORCES,
@@ -61,7 +61,7 @@ from .settings import DiscoverySettings
 from .space import Space
 from .varying import Varying, evidence_of, varying
 from .where import where
-from .windows import MARGIN_NS, Windows
+from .windows import MARGIN_NS, Windows, noise_floor
 
 Progress = Callable[[str, int, int], None]
 Sensors = Mapping[str, tuple[float, float, float]]
@@ -234,7 +234,7 @@ class _Work:
     def _problem(self) -> tuple[Problem, dict[str, float]]:
         """What is searched, from the fit to the reference if there is one, and the noise of every column."""
         settings, space = self.settings, self.space
-        start, prior, between, by_column = space.null, None, 0.0, noise.floor(self.windows)
+        start, prior, between, by_column = space.null, None, 0.0, noise_floor(self.windows)
         if self.reference:
             healthy = learn(self.reference, self.vehicle, space, settings, self.threads, self._tick("reference"))
             start, prior, between = healthy.vector, healthy.prior, healthy.gain

@@ -11,9 +11,9 @@ from .decision import CHANCE, NULL, STATED, Rival, judge
 from .evidence import Evidence, Scores, chance, evidence, null_by_sensors, screen
 from .fit import Fit, Problem, Slopes
 from .levels import Level
-from .limits import Limits
 from .loss import Quadratic
 from .result import Reason
+from .settings import Limits
 
 CONTENDERS = 4  # refitted through the simulator in a step
 NEAR = 0.5  # of the best one's gain: contenders below that are not looked at

@@ -1,11 +1,58 @@
-"""Options of a discovery."""
+"""Options of a discovery, and the limits of its decision: every number that decides what is stated.
+
+What the benchmark's scores become at half and twice each limit: docs/measurements/discovery_scores.md.
+"""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 from ..channels import CHANNELS
 from ..errors import ConfigurationError
-from .limits import Limits
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Raises ConfigurationError naming the limit that is not a positive number.
+
+    false_alarm [1]: chance, over the whole library, that drives without any gap make one statement; and, of a law that
+    is proposed, that the predicted path is no better with it.
+    doubt [1]: chance at which a comparison counts as undecided: two names, a value over runs, an interval.
+    relevant [1]: share of the size of the errors an effect must take away to be relevant: of those without it, over all
+    channels, to be kept; of those of the start, in one channel, to be named ...
+    relevant_position [m]: ... or this much of the mean position error after 5 s, over all or in one driving condition.
+    size [1]: ... or, of an effect that the sensors show among themselves, this share of its usual size.
+    negligible [1]: share of the size of the errors below which nothing is looked at, however sure.
+    rival [1]: share of an effect's gain another name must reach to be called an alternative.
+    file [1]: standard deviations of a quantity of the vehicle file beyond which a value is refused as contradicting it.
+    peak [1]: share of the peak force of an axle that must have been driven for a peak to be stated.
+    bound [1]: distance to a bound, as share of the usual size of an effect, below which a value counts as on it.
+    unexplained_share [1]: where more is left than `left` times the noise, share of that an effect must take away to be
+    named, a name be better than another to be stated alone, and a set of effects be worse than the answer for its
+    values not to be in the intervals: a smaller difference may imitate what no effect describes.
+    left [1]: times the noise floor: errors beyond that need an explanation, or are reported as unexplained.
+    shown [1]: share of drawn cases in which a size must be found to be called visible in these drives.
+    most [1]: effects in one answer.
+    """
+
+    false_alarm: float = 0.01
+    doubt: float = 0.05
+    relevant: float = 0.025
+    relevant_position: float = 0.02
+    size: float = 0.5
+    negligible: float = 0.01
+    rival: float = 0.5
+    file: float = 3.0
+    peak: float = 0.8
+    bound: float = 0.05
+    unexplained_share: float = 0.2
+    left: float = 2.0
+    shown: float = 0.8
+    most: int = 16
+
+    def __post_init__(self) -> None:
+        for limit in fields(self):
+            if not getattr(self, limit.name) > 0:
+                raise ConfigurationError(f"limit {limit.name}: {getattr(self, limit.name)!r} is not above 0")
 
 
 @dataclass(frozen=True)

@@ -315,3 +315,11 @@ def _blocks(run: np.ndarray, seconds: np.ndarray, length: float) -> np.ndarray:
     """Number of the block of each window: stretches of `length` seconds of one run."""
     keys = np.stack([run, (seconds // length).astype(int)], axis=1)
     return np.unique(keys, axis=0, return_inverse=True)[1].ravel()
+
+
+def noise_floor(windows: Windows) -> dict[str, float]:
+    """By column, at the end of the horizon, one standard deviation of noise [SI]; see `channels.Channel.noise`."""
+    grid = windows.starts_ns[:, None] + np.round(np.linspace(0.0, windows.time[-1], 101) * 1e9).astype(np.int64)
+    way = float(windows.time[-1]) / 100.0, *windows.measured_at(grid, *INS_SIGNALS)
+    return {column: value for channel in windows.channels
+            for column, value in zip(channel.columns, channel.left(windows.joined, *way), strict=True)}

@@ -1,8 +1,15 @@
 """Physical effects as plug-ins: one file each, found by being in this folder, or in one given to `load_folder`."""
 
+import hashlib
 import importlib
 import pkgutil
+import sys
+from collections.abc import Iterable, Sequence
+from importlib.machinery import FileFinder
+from types import ModuleType
 
+from ..errors import ConfigurationError
+from ..yaml_text import nearest
 from ._base import (
     ANY,
     COMBINATIONS,
@@ -21,7 +28,6 @@ from ._base import (
     source_file,
     twins_of,
 )
-from ._loading import load_file, load_folder
 
 for _module in sorted(info.name for info in pkgutil.iter_modules(__path__)):
     if not _module.startswith("_"):
@@ -30,3 +36,84 @@ for _module in sorted(info.name for info in pkgutil.iter_modules(__path__)):
 __all__ = ["ANY", "COMBINATIONS", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "HOOKS", "SLOTS", "Effect", "Instant",
            "Measured", "Parameter", "applicable", "get_effect", "load_file", "load_folder", "register", "source_file",
            "twins_of"]
+
+
+def load_folder(path: str) -> tuple[str, ...]:
+    """Import every module of a folder (names that begin with _ are helpers) and return the effects registered, sorted.
+
+    A folder loaded before is not read again. Raises ConfigurationError naming the file when there is no such folder, a
+    module fails to import or registers nothing, or a name is taken; nothing of that folder is then registered.
+    """
+    finder, package = _package(path)
+    if package not in sys.modules:
+        names = _modules(finder)
+        if not names:
+            raise ConfigurationError(f"{finder.path}: contains no effect, no file *.py")
+        _load(finder, package, names)
+    return tuple(sorted(name for name, effect in EFFECTS.items() if effect.__module__.startswith(package + ".")))
+
+
+def load_file(folder: str, name: str) -> tuple[type[Effect], ...]:
+    """The effects of one module of a folder, which is imported unless it is, as the library is; the others are left
+    alone. Raises ConfigurationError as `load_folder`."""
+    finder, package = _package(folder)
+
+    def there() -> tuple[type[Effect], ...]:
+        return tuple(e for e in EFFECTS.values() if source_file(e) == f"{finder.path}/{name}.py")
+    if not there():
+        _load(finder, package, [name])
+    return there()
+
+
+def _modules(finder: FileFinder) -> list[str]:
+    found = pkgutil.iter_importer_modules(finder)  # type: ignore[attr-defined]  # public, but not in the stubs
+    return sorted(name for name, _ in found if not name.startswith("_"))
+
+
+def _package(path: str) -> tuple[FileFinder, str]:
+    finder = pkgutil.get_importer(str(path))
+    if not isinstance(finder, FileFinder):
+        raise ConfigurationError(f"{path}: not a folder of effects")
+    # The same folder has the same package name in every process: compiled kernels are cached by it.
+    return finder, "st_effects_" + hashlib.sha256(finder.path.encode()).hexdigest()[:12]
+
+
+def _load(finder: FileFinder, package: str, names: Sequence[str]) -> None:
+    importlib.invalidate_caches()
+    known = set(EFFECTS)
+    root = ModuleType(package)
+    root.__path__ = [finder.path]
+    sys.modules[package] = root
+    try:
+        for name in names:
+            _import(f"{package}.{name}", f"{finder.path}/{name}.py")
+        _check_others(set(EFFECTS) - known, {*EFFECTS, *_modules(finder)}, finder.path)
+    except ConfigurationError:
+        for name in set(EFFECTS) - known:
+            del EFFECTS[name]
+        for name in [m for m in sys.modules if m == package or m.startswith(package + ".")]:
+            del sys.modules[name]
+        raise
+
+
+def _check_others(names: Iterable[str], known: Iterable[str], folder: str) -> None:
+    """Other effects that effects speak of; one in a file of the folder that is not loaded is called as its file is."""
+    for name in sorted(names):
+        for key in ("twins", "members"):
+            for other in getattr(EFFECTS[name], key):
+                if other not in known:
+                    raise ConfigurationError(f"{folder}: effect {name}: {key}: there is no effect {other}"
+                                             f"{nearest(other, known)}")
+
+
+def _import(module: str, file: str) -> None:
+    before = len(EFFECTS)
+    try:
+        importlib.import_module(module)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{file}: {error}") from None
+    except Exception as error:
+        text = " ".join(str(error).split())
+        raise ConfigurationError(f"{file}: cannot be loaded: {type(error).__name__}: {text}") from error
+    if len(EFFECTS) == before:
+        raise ConfigurationError(f"{file}: registers no effect; decorate its class with @register")

@@ -5,7 +5,7 @@ The single-track models of the paper leave it out: their forward acceleration is
 
 from ..ops import tan
 from ._base import Effect, Parameter, register
-from ._drive import axle_drive_forces, drive_of
+from .combined_slip import axle_drive_forces, drive_of
 
 
 @register

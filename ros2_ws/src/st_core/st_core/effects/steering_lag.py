@@ -7,7 +7,7 @@ samples, without another state and without a start value to guess. Settled at th
 import numpy as np
 
 from ._base import ANY, Effect, Parameter, register
-from ._scan import affine, scan
+from .steering_backlash import affine, scan
 
 
 @register

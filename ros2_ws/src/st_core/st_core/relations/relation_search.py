@@ -6,9 +6,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..augmented import AugmentedModel
-from ..discovery.limits import Limits
 from ..discovery.result import Discovery
-from ..discovery.settings import DiscoverySettings
+from ..discovery.settings import DiscoverySettings, Limits
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
 from .candidates import FACTORS, USUAL, Candidate, driven

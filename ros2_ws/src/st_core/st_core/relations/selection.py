@@ -7,7 +7,7 @@ import numpy as np
 from scipy import stats
 
 from ..contract import unsteady
-from ..discovery.limits import Limits
+from ..discovery.settings import Limits
 from ..effects import get_effect
 from ..effects._law import COUNT, HIGHEST
 from ..models import get_model

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from st_core.channels import WORDS
 from st_core.checks import Finding, Severity
 from st_core.discovery.decision import FILE
-from st_core.discovery.limits import Limits
 from st_core.discovery.result import (
     PARTS,
     BoundEffect,
@@ -20,6 +19,7 @@ from st_core.discovery.result import (
     Value,
     WhereStatement,
 )
+from st_core.discovery.settings import Limits
 from st_core.effects import EFFECTS
 from st_core.vehicle import VEHICLE_QUANTITIES
 
