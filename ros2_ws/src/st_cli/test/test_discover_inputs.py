@@ -197,13 +197,13 @@ def test_straight_driving_says_what_it_cannot_show(tmp_path):
     content, said = answer(tmp_path, weave(30.0, curvature=1e-9), weave(30.0, 10.0, 1e-9))
     assert content["outcome"] in ("not_testable", "none") and not content["effects"]
     assert {"friction", "mass", "front_stiffness"} <= {n["name"] for n in content["not_testable"]}
-    assert "straight driving" in said and "two runs: whether runs agree cannot be said" in said
+    assert "straight driving" in said and "two runs: whether runs agree is unknown" in said
 
 
 @pytest.mark.slow
 def test_one_bend_and_one_run_are_said(tmp_path):
     _, said = answer(tmp_path, circle(40.0))
-    assert "bends to one side only" in said and "one run: whether runs agree cannot be said" in said
+    assert "bends to one side only" in said and "one run: whether runs agree is unknown" in said
     assert "suspect: 1 run, 40 s: 0 40 s" in said and "reference: none" in said
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from discovery_drives import COLUMNS, NOISE, linear_problem, recorded
 from scipy import stats
-from st_core.discovery import DiscoverySettings, noise
+from st_core.discovery import DiscoverySettings
 from st_core.discovery.evidence import (
     FLIPS,
     Scores,
@@ -24,7 +24,7 @@ from st_core.discovery.evidence import (
     to_bound,
 )
 from st_core.discovery.levels import KINDS, TIMES, conditions, levels, places, runs, sites
-from st_core.discovery.windows import Windows
+from st_core.discovery.windows import Windows, noise_floor
 
 FEW = ("steering_offset", "mass", "yaw_inertia", "road_bank", "yaw_rate_bias")
 
@@ -308,7 +308,7 @@ def test_conditions_are_halves_by_speed_and_by_how_hard_it_corners():
 def test_noise_is_found_without_a_car(leaf):
     windows = Windows(recorded(leaf, {"steering_offset": {"angle": 0.02}}, 2, ("weave", "slalom", "circle")), leaf,
                       DiscoverySettings())
-    floor = noise.floor(windows)
+    floor = noise_floor(windows)
     assert floor["yaw_rate"] == pytest.approx(NOISE["yaw_rate"], rel=0.1)
     assert floor["velocity_y"] == pytest.approx(NOISE["velocity_y"], rel=0.1)
     assert floor["acceleration_y"] == pytest.approx(NOISE["acceleration_y"], rel=0.1)

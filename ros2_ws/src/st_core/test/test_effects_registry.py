@@ -148,7 +148,7 @@ def test_modules_of_a_folder_may_share_a_helper(tmp_path):
     ({"a.py": BANK_FROM_A_MAP.format(name="twice"), "b.py": BANK_FROM_A_MAP.format(name="twice")},
      r"b\.py: effect twice: registered already, by .*a\.py"),
     ({"a.py": BANK_FROM_A_MAP.format(name="mine").replace("kind,", 'twins = ("road_banc",)\n        kind,')},
-     "effect mine: twins: there is no effect road_banc, did you mean road_bank"),
+     "effect mine: twins: unknown effect road_banc, did you mean road_bank"),
 ])
 def test_what_does_not_load_is_loud_and_leaves_nothing_behind(tmp_path, files, message):
     before = set(EFFECTS)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from st_core.augmented import augment
-from st_core.discovery import DiscoverySettings, noise
+from st_core.discovery import DiscoverySettings
 from st_core.discovery.following import drive
-from st_core.discovery.windows import Windows
+from st_core.discovery.windows import Windows, noise_floor
 from st_core.identification.run_samples import run_samples
 from st_core.log import DriveLog
 from st_core.manoeuvres import CATALOGUE
@@ -58,6 +58,6 @@ def test_windows_are_scored_where_it_is_known(logs, leaf):
 
 
 def test_noise_is_that_of_the_samples_there_are(logs, leaf):
-    whole, holed = (noise.floor(Windows([log], leaf, DiscoverySettings())) for log in logs)
+    whole, holed = (noise_floor(Windows([log], leaf, DiscoverySettings())) for log in logs)
     assert whole["acceleration_y"] == pytest.approx(0.01, rel=0.2)
     assert holed["acceleration_y"] == pytest.approx(whole["acceleration_y"], rel=0.05)

@@ -40,7 +40,7 @@ class Axles:
         self.regressions = self._regressions()
         self.draws: list[AugmentedModel] = []
         if everything is not None:
-            inside = everything.which < len(problem.space) - 1  # the last number is no parameter of the model
+            inside = everything.which < len(problem.space) - 1  # the last number is the gain of the accelerometer
             which = everything.which[inside]
             covariance = np.zeros((len(self.model.vector),) * 2)
             covariance[np.ix_(which, which)] = everything.covariance[np.ix_(inside, inside)] * np.outer(

@@ -85,8 +85,8 @@ def driven(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callable
 
 def _found(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, slopes: np.ndarray, required: float,
            limits: Limits, rng: np.random.Generator) -> list[str]:
-    """Names that would be stated, alone or as a set, on one imitated drive; none if nothing would. asked: gain for each
-    scored error a name is given for."""
+    """Names that would be stated, alone or as a set, on one imitated drive; none if nothing would. required: gain
+    for each scored error a name is given for."""
     signs = rng.choice([-1.0, 1.0], problem.blocks)
     imitated = signs[problem.block][:, None] * rows + change
     q = problem.loss.quadratic(imitated, slopes).summed(problem.block, problem.blocks)

@@ -271,13 +271,12 @@ class _Work:
     def _warn_if_thin(self, problem: Problem) -> None:
         if len(self.runs) < 3:
             self.warnings.append(f"{'two runs' if len(self.runs) == 2 else 'one run'}: whether runs agree "
-                                 "cannot be said; stretches of them are compared instead")
+                                 "is unknown; stretches of them are compared instead")
         if not sites(self.windows).any():
             self.warnings.append("all of it is at one site: what belongs to the place, as its banks and its wind, "
                                  "cannot be separated from what belongs to the car")
         if problem.blocks < 10:
-            self.warnings.append(f"only {problem.blocks} blocks of {self.settings.block:g} s: tests are weak, little "
-                                 "can be said")
+            self.warnings.append(f"only {problem.blocks} blocks of {self.settings.block:g} s: tests are weak")
         rate = self.windows.joined.yaw_rate * self.windows.joined.velocity_x
         turning = np.abs(rate) > 0.5
         if turning.mean() < 0.05:
@@ -475,7 +474,7 @@ def _values(evidence: Evidence) -> dict[str, tuple[Value, ...]]:
 
 
 def crossing(effect: FoundEffect) -> str:
-    """Parameter whose interval crosses a bound that is neither its null, its theoretical value, nor one of a curve."""
+    """Parameter with an interval across a bound other than its null, its theoretical value, or one of a curve."""
     for p in get_effect(effect.name).parameters:
         fitted = effect.parameters.get(p.name)
         if fitted is not None and not p.shape and any(

@@ -231,8 +231,8 @@ def falls(fall: np.ndarray, condition: Level | None) -> tuple[float, float]:
 
 
 def to_bound(problem: Problem, fit: Fit, effect: str) -> float:
-    """Distance of the effect's values to their nearest bounds, in usual sizes. A bound at the null, or at what theory
-    says, is none, nor one of the shape of a curve."""
+    """Distance of the effect's values to their nearest bounds, in usual sizes. Bounds at the null, at the theoretical
+    value or of the shape of a curve do not count."""
     space, nearest = problem.space, np.inf
     for i in space.indices(effect):
         null, shape = next((p.null, p.shape) for p in get_effect(effect).parameters

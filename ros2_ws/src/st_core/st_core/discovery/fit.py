@@ -313,8 +313,8 @@ class Problem:
 
     def leave_out(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, which: np.ndarray,
                   fold: np.ndarray, settled: bool = False) -> tuple[dict[int, np.ndarray], np.ndarray]:
-        """({fold: step of the values fitted without it}, (b,) loss of each block under them, and its part of what the
-        prior says against those). q: by block. settled: the vector is the best there is, whatever more the quadratic
+        """({fold: step of the values fitted without it}, (b,) loss of each block under them, and its part of the
+        cost of the prior). q: by block. settled: the vector is the best there is, whatever more the quadratic
         promises; only what a fold moves it by counts. With a prior a fold moves only what that does not hold.
         """
         names = tuple(names)

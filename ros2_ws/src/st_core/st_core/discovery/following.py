@@ -52,8 +52,8 @@ def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameter
     true = true_readings(model, vehicle, states)
     a_y = np.gradient(true.velocity_y, PERIOD) + true.velocity_x * true.yaw_rate
     kept = slice(2 * lead, None, 2)
-    forces = added_acceleration(model, vehicle, states, wheels[kept], forward[kept])
-    true = true._replace(acceleration_x=0.0 * a_y, acceleration_y=a_y + forces)
+    specific_force = added_acceleration(model, vehicle, states, wheels[kept], forward[kept])
+    true = true._replace(acceleration_x=0.0 * a_y, acceleration_y=a_y + specific_force)
     seen = model.observe(true)
     time_ns = times_ns[kept] - times_ns[2 * lead]
     further = {name: CHANNELS[name].shown(seen, true) for name in FURTHER}
@@ -136,7 +136,7 @@ def separability(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], des
 
 def following(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], driven: Catalogue,
               design: float) -> NextManoeuvre | None:
-    """The manoeuvre with the largest smallest strength over all pairs; None where none reaches TOLD."""
+    """The manoeuvre with the largest smallest strength over all pairs; None where none reaches MIN_SEPARATION."""
     pairs = [(e.name, other) for e in effects for other in e.alternatives]
     if not pairs:
         return None

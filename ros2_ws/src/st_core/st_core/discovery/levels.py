@@ -45,7 +45,7 @@ def runs(windows: Windows) -> Level:
 
 def sites(windows: Windows) -> np.ndarray:
     """(n,) number of the site of each window: runs that share places, or share them with the same run, are of one. The
-    origin of a map may be another at each site, so that nearness alone is no evidence."""
+    origin of a map may be another at each site, so that nearness alone does not count."""
     number = places(windows.driven["x"], windows.driven["y"])[0]
     visited = [set(number[windows.run == run]) for run in range(len(windows.names))]
     site = list(range(len(visited)))

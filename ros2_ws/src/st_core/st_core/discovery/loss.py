@@ -2,7 +2,8 @@
 
 An error r of a channel at a point of the horizon, over the scale s of that channel and point, counts as under Student's
 distribution: rho(z) = (nu + 1) / 2 log(1 + z^2 / nu), z = r / s. The scale is that of the errors themselves and is
-renewed as the model improves, so that no channel is bought by another and small errors matter once large ones are gone.
+renewed as the model improves, so that no channel is bought by another and small errors matter once large ones are
+explained.
 About a point, cost(d) ~ cost - 2 g'd + d'H d, d in usual sizes of the parameters: iteratively reweighted squares.
 Source: Lange, Little, Taylor, Robust statistical modeling using the t distribution, JASA 84 (1989).
 """

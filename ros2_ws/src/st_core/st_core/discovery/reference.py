@@ -95,7 +95,7 @@ def _least(h: np.ndarray, g: np.ndarray, there: np.ndarray, prior: np.ndarray) -
 
 def _design(q: Quadratic, curvature: np.ndarray, windows: Windows) -> np.ndarray:
     """(p,) what the variance of each value is over that of independent windows, 1 at least: the larger of what blocks
-    and what runs say; of a few it is not well known, so that Student's quantile counts."""
+    and what runs show; of a few it is not well known, so that Student's quantile counts."""
     design = np.ones(len(curvature))
     for part in (windows.block, windows.run):
         gradient = q.summed(part).gradient

@@ -71,7 +71,7 @@ class FoundEffect:
     """One effect of the answer. kind: one of PARTS[:4]. alternatives: names the data cannot separate,
     best first.
 
-    joint: other effects of the answer whose part it cancels, so that these values are known only together.
+    joint: other effects of the answer that it cancels, so that these values are known only together.
     position_5s [m]: by how much the mean error after 5 s grows without it (added last). agreement: by level (run,
     site, time, place, condition) what each part of the driving shows of it."""
 
@@ -280,7 +280,7 @@ class Discovery:
     several names; several = more than one effect; bound = sure, but tied to run, place, time or condition; unknown = a
     gap for sure that no effect of the library explains; not_testable = the drives show too little. start: what the
     search began from, "vehicle file" or "reference". minor: sure, but too small to be named; part of the model, so that
-    they do not bend the values of what is. effective: corrections that help to predict and are no property of the car,
+    they do not bend the values of what is. effective: corrections that help to predict, not properties of the car
     whatever their names; part of the model, never of a vehicle file. base: the model of the start; model: what
     predicts best, with all effects, None without any; named: with what is named or minor alone, at the values stated.
     steps: from base to what is named. gap: by channel, and position_5s; gap_named:

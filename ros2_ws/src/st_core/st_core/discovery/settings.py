@@ -15,7 +15,7 @@ class Limits:
     """Raises ConfigurationError naming the limit that is not a positive number.
 
     false_alarm [1]: chance, over the whole library, that drives without any gap make one statement; and, of a law that
-    is proposed, that the predicted path is no better with it.
+    is proposed, that the predicted path does not improve with it.
     doubt [1]: chance at which a comparison counts as undecided: two names, a value over runs, an interval.
     relevant [1]: share of the size of the errors an effect must take away to be relevant: of those without it, over all
     channels, to be kept; of those of the start, in one channel, to be named ...
@@ -64,8 +64,8 @@ class DiscoverySettings:
     predictions. windows: predictions looked at, about; their starts are as far apart as that makes them, `interval` [s]
     at least: closer ones bring next to nothing new over five seconds. block [s]: driving further apart counts as
     independent. effects: names that take part; None: all that apply. limits: of the decision. certify: run the whole
-    search on drives with known effects. where: say where the model misses. noise: one standard deviation by channel, as
-    measured; None: from the data.
+    search on drives with known effects. where: report where the model misses. noise: one standard deviation by channel,
+    as measured; None: from the data.
     """
 
     channels: tuple[str, ...] = tuple(CHANNELS)

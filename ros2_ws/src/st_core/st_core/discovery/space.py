@@ -31,7 +31,7 @@ class Free:
 
 
 class Space:
-    """base: the model discoveries are changes of. more: effects that are in the model and are no hypotheses.
+    """base: the model discoveries are changes of. more: effects of the model that are not searched.
     library: names of the effects to choose from, all that apply if not given.
     hypotheses: names of the effects that take part. null: (p,) the vector of the base; scale, low, high: (p,) usual
     sizes and bounds."""
@@ -97,5 +97,5 @@ def _chosen(takes_part: Sequence[str], settings: DiscoverySettings, known: Seque
     chosen = tuple(n for n in takes_part if (requested is None or n in requested)
                    and set(get_effect(n).needs) <= set(settings.channels))
     if not chosen:
-        raise ConfigurationError("effects: none of those wanted can be tried on this base with these channels")
+        raise ConfigurationError("effects: none of those requested can be tried on this base with these channels")
     return chosen

@@ -34,7 +34,7 @@ class Varying:
 
 
 def varying(problem: Problem, fit: Fit, levels: Mapping[str, Level]) -> list[Varying]:
-    """Most telling first. Levels with half as many parts as blocks, or more, say nothing."""
+    """Largest gain first. Levels with half as many parts as blocks, or more, are left out."""
     q = problem.loss.quadratic(problem.errors.at(fit.vector), problem.everything(fit.vector).values)
     usable = {name: level for name, level in levels.items() if len(np.unique(level[0])) < problem.blocks / 2}
     library = [n for n in problem.space.hypotheses if not get_effect(n).members]

@@ -172,8 +172,8 @@ def left_out(problem: Problem, fit: Fit) -> dict[str, dict[str, dict[str, float]
 
 def budget(problem: Problem, base: Fit, final: Fit, whole: Fit, bound: Fit | None, ends: Ends) -> list[BudgetLine]:
     """Every part added last and added first: of the mean position error after 5 s, and of the loss at the scale of the
-    answer. whole: with effective corrections as well. bound: a fit with what is bound to place, time or condition
-    besides."""
+    answer. whole: with effective corrections as well. bound: a fit with what varies with place, time or condition as
+    well."""
     def size(fit: Fit) -> tuple[float, float]:
         end = ends.of(fit)
         values = end.get("position_5s", np.zeros(1))
@@ -184,7 +184,7 @@ def budget(problem: Problem, base: Fit, final: Fit, whole: Fit, bound: Fit | Non
                           last[1] / max(start[1], 1e-9), first[1] / max(start[1], 1e-9))
 
     def fitted(names: tuple[str, ...]) -> Fit:
-        """The better of two fits, begun at the answer and at the base, whose slopes are others; the base at the worst.
+        """The better of two fits, begun at the answer and at the base, with the slopes of each; the base at the worst.
         """
         near = problem.renewed(problem.fit(names, final.slopes, iterations=3))
         far = problem.renewed(problem.fit(names, problem.everything(base.vector), base.vector, names))

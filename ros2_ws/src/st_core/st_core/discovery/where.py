@@ -34,7 +34,7 @@ from .where_parts import (
 )
 from .windows import STEP, Errors, Windows
 
-SHORT = 1.0  # s; errors of velocity, rate and acceleration over this much say where they arise
+SHORT = 1.0  # s; errors of velocity, rate and acceleration over this much show where they arise
 RESAMPLES = 1000  # of the bootstrap
 MOST_RANGES = 3  # statements about conditions per channel
 SIDED = ("lateral acceleration", "steering angle", "steering rate")
@@ -43,7 +43,7 @@ CONTRAST = 1.15  # a range is reported when it is so many times worse than the c
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """Everything behind the statements, for figures. statements: the most telling first within each channel.
+    """Everything behind the statements, for figures. statements: the largest excess first within each channel.
 
     samples, reference: errors of single predictions. bins: by condition. parts: of runs worse than their rest. places:
     worse than conditions explain.
@@ -94,7 +94,7 @@ def sample(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehiclePara
            gain: float = 0.0) -> Samples:
     """All windows of the runs, see `windows.Windows`.
 
-    Mean square over the first second; of a channel whose errors add up, square at the end of the horizon.
+    Mean square over the first second; of a channel with errors that add up, square at the end of the horizon.
     """
     windows = Windows(runs, vehicle, settings)
     errors = windows.errors(model, gain)

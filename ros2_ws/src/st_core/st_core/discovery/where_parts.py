@@ -299,7 +299,7 @@ def _cusum(rows: np.ndarray) -> np.ndarray:
 
 
 def cells(samples: Samples, channel: str, noise: float) -> list[Cell]:
-    """Places passed at least FEWEST_BLOCKS times (blocks), with p that they are no worse than conditions say."""
+    """Places passed at least FEWEST_BLOCKS times (blocks), with p that conditions explain their errors."""
     left = remainders(samples, samples.squares[channel], noise)
     known = np.isfinite(left) & np.isfinite(samples.x) & np.isfinite(samples.y)
     key = np.stack([np.floor(samples.x[known] / PLACE), np.floor(samples.y[known] / PLACE)], axis=1)

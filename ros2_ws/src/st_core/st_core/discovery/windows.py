@@ -41,7 +41,7 @@ SHARES = (0.1, 0.25, 0.5, 1.0)  # of the horizon: where it is scored
 
 
 class Signals(LogSignals):
-    """A drive whose forward acceleration is the slope of the forward speed over 2 STEP, without delay. Where the last
+    """A drive with the slope of the forward speed over 2 STEP, without delay, as forward acceleration. Where the last
     requested instants lie between the samples is kept: a fit requests the same ones thousands of times."""
 
     def __init__(self, log: DriveLog, maximum_gap: float):
@@ -204,8 +204,8 @@ class Windows:
 
     @cached_property
     def _with_inputs(self) -> np.ndarray:
-        """(n, k) points of a window before the first gap of steering or INS: beyond it no prediction can be made, which
-        says nothing about the model. MARGIN_NS around a gap, as at the ends of a run."""
+        """(n, k) points of a window before the first gap of steering or INS: beyond it no prediction can be made,
+        whatever the model. MARGIN_NS around a gap, as at the ends of a run."""
         until = np.full(len(self), np.iinfo(np.int64).max)
         for time_ns in (self.joined.steering_time_ns, self.joined.ins_time_ns):
             gaps = np.flatnonzero(np.diff(time_ns) > LONGEST_GAP / NANOSECOND)
@@ -242,12 +242,13 @@ class Windows:
             a_y = (after.velocity_y - before.velocity_y) / (2 * STEP) + (
                 turning[0] + 4.0 * turning[1] + turning[2]) / 6.0
             rate = (before.yaw_rate + 4.0 * true.yaw_rate + after.yaw_rate) / 6.0
-            felt = self._felt(model, states[:, self._around[1]])
-            true = true._replace(yaw_rate=rate, acceleration_x=0.0 * a_y, acceleration_y=(1.0 + gain) * (a_y + felt),
+            specific_force = self._specific_force(model, states[:, self._around[1]])
+            true = true._replace(yaw_rate=rate, acceleration_x=0.0 * a_y,
+                                 acceleration_y=(1.0 + gain) * (a_y + specific_force),
                                  yaw_acceleration=(after.yaw_rate - before.yaw_rate) / (2 * STEP))
             return model.observe(true), true
 
-    def _felt(self, model: AugmentedModel, states: np.ndarray) -> np.ndarray | float:
+    def _specific_force(self, model: AugmentedModel, states: np.ndarray) -> np.ndarray | float:
         """What an accelerometer shows on top of the motion [m/s^2]."""
         if not any(e.specific_force for e in model.active):
             return 0.0

@@ -41,7 +41,7 @@ __all__ = ["ANY", "COMBINATIONS", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "HOOKS",
 def load_folder(path: str) -> tuple[str, ...]:
     """Import every module of a folder (names that begin with _ are helpers) and return the effects registered, sorted.
 
-    A folder loaded before is not read again. Raises ConfigurationError naming the file when there is no such folder, a
+    A folder loaded before is not read again. Raises ConfigurationError naming the file for a missing folder, a
     module fails to import or registers nothing, or a name is taken; nothing of that folder is then registered.
     """
     finder, package = _package(path)
@@ -102,7 +102,7 @@ def _check_others(names: Iterable[str], known: Iterable[str], folder: str) -> No
         for key in ("twins", "members"):
             for other in getattr(EFFECTS[name], key):
                 if other not in known:
-                    raise ConfigurationError(f"{folder}: effect {name}: {key}: there is no effect {other}"
+                    raise ConfigurationError(f"{folder}: effect {name}: {key}: unknown effect {other}"
                                              f"{nearest(other, known)}")
 
 

@@ -2,7 +2,7 @@
 
     derivative of the state = (1 - share) kinematic + share dynamic
 
-A share between 0 and 1 has no physical meaning; it lets a fit detect that slip is missing.
+A share between 0 and 1 has no physical meaning; a fit with it detects that slip is missing.
 """
 
 from ..models.linear_tyre import inputs as linear_inputs
