@@ -1,4 +1,4 @@
-"""The `st` command: one function per verb, each in a file of its own under verbs/."""
+"""The `st` command: one function per verb, in the files of verbs/."""
 
 import errno
 import os
@@ -12,24 +12,18 @@ import typer
 from st_live import transport
 
 from .verbs import (
-    align,
     calibrate,
     car,
     check,
-    course,
     demo,
     discover,
     effects,
     evaluate,
     export,
-    foxglove,
     identify,
-    import_,
     live,
-    ncom,
-    recover,
+    raw_logs,
     replay,
-    verify,
     view,
 )
 
@@ -43,19 +37,19 @@ app = typer.Typer(
     epilog="In a checkout also: ./st test, ./st shell, ./st bench, ./st docs.",
 )
 SPECIAL: dict[Callable, dict[str, Any]] = {
-    discover.discover: {"cls": discover.WithReferences}, import_.import_: {"name": "import"}}
-for verb in (demo.demo, live.live, ncom.ncom, car.car, check.check, evaluate.evaluate, calibrate.calibrate,
-             course.course, discover.discover, effects.effects, identify.identify, replay.replay, verify.verify,
-             view.view, foxglove.foxglove, align.align, import_.import_, recover.recover, export.export):
+    discover.discover: {"cls": discover.WithReferences}, raw_logs.import_: {"name": "import"}}
+for verb in (demo.demo, live.live, raw_logs.ncom, car.car, check.check, evaluate.evaluate, calibrate.calibrate,
+             calibrate.course, discover.discover, effects.effects, identify.identify, replay.replay, replay.verify,
+             view.view, view.foxglove, raw_logs.align, raw_logs.import_, raw_logs.recover, export.export):
     app.command(**SPECIAL.get(verb, {}))(verb)
 
 
-# What is no fault of the program: a disk that is full or may not be written to.
+# A disk that is full or may not be written to is not an error of the program.
 NO_PLACE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
 
 def main() -> None:
-    if os.environ.get(transport.RANGE, "LOCALHOST") == "LOCALHOST":  # who sets another chooses who hears the car
+    if os.environ.get(transport.RANGE, "LOCALHOST") == "LOCALHOST":  # another range is a choice of the user
         os.environ.update(transport.loopback(os.environ))
     _place_for_logs()
     try:

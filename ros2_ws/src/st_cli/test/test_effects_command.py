@@ -73,7 +73,7 @@ def test_a_broken_promise_is_said_and_is_an_exit_status(law):
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
-    (("check", "nothing.py"), "nothing.py: no effect file"), (("describe",), "'describe' is neither list nor check")])
+    (("check", "nothing.py"), "nothing.py: no effect file"), (("describe",), "'describe' is not one of")])
 def test_what_is_no_effect_file_is_one_line(arguments, words):
     result = st("effects", *arguments)
     assert result.exit_code == 2 and words in result.output

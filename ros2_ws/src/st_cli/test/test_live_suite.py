@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
 from rich.console import Console
-from st_cli.verbs import demo, live, ncom
+from st_cli.verbs import demo, live, raw_logs
 from st_live import configuration, session, terminal
 from st_live.node import Status, SuiteState
 from st_live.suite import SuiteError, chosen_domain_id, claimed_domain, merge
@@ -131,9 +131,9 @@ def test_a_recording_is_not_overwritten_by_its_own_csv(tmp_path: Path) -> None:
     (tmp_path / "link.csv").symlink_to(recording)
     for options in (["--csv", recording], ["--csv", tmp_path / "link.csv"],
                     ["--csv", tmp_path / "a.csv", "--status", recording]):
-        result = run(ncom.ncom, recording, *options)
+        result = run(raw_logs.ncom, recording, *options)
         assert result.exit_code == 2 and "is the recording itself" in result.stderr
-    assert "name two files" in run(ncom.ncom, recording, "--csv", "a.csv", "--status", "a.csv").stderr
+    assert "name two files" in run(raw_logs.ncom, recording, "--csv", "a.csv", "--status", "a.csv").stderr
     assert recording.read_bytes() == b"\xe7" * 720
 
 

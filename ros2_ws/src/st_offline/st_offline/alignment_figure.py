@@ -1,4 +1,4 @@
-"""The picture of a clock alignment: the signals both recordings hold, before and after, and how sure the result is."""
+"""The figure of a clock alignment: signals of both recordings before and after, correlation and residual lags."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,7 +18,7 @@ MOST_POINTS = 4000  # of a line
 
 
 def alignment_figure(signals: Sequence[SharedSignal], alignment: Alignment, title: str, file: Path) -> None:
-    """Rows: one signal over the whole drive; the liveliest 10 s of another; correlation, and what is left over."""
+    """Rows: one signal over the whole drive; the liveliest 10 s of another; correlation, and residual lags."""
     with plt.rc_context(RC):
         figure, axes = plt.subplots(3, 2, figsize=(11, 8.2), height_ratios=(1, 1, 0.9))
         chosen = _chosen(signals)
@@ -32,18 +32,17 @@ def alignment_figure(signals: Sequence[SharedSignal], alignment: Alignment, titl
 
 
 def _chosen(signals: Sequence[SharedSignal]) -> list[SharedSignal]:
-    """A speed for the overview, a yaw rate for the close-up, or what there is."""
+    """A speed for the overview, a yaw rate for the close-up, else the first signal."""
     plain = [s for s in signals if not s.angle] or list(signals)
     speeds = [s for s in plain if "velocity" in s.name or "speed" in s.name]
     rates = [s for s in plain if "rate" in s.name]
     return [(speeds or plain)[0], (rates or plain)[0]]
 
 
-def _unit(signal: SharedSignal) -> str:
-    for word, unit in (("velocity", "m/s"), ("speed", "m/s"), ("rate", "rad/s"), ("curvature", "1/m, steering scaled")):
-        if word in signal.name:
-            return unit
-    return "rad"
+def _label(signal: SharedSignal) -> str:
+    units = {"velocity": "m/s", "speed": "m/s", "rate": "rad/s", "curvature": "1/m, steering scaled"}
+    unit = next((unit for word, unit in units.items() if word in signal.name), "rad")
+    return f"{signal.name.split(' (')[0]}, {unit}"
 
 
 def _before(signal: SharedSignal) -> tuple[np.ndarray, np.ndarray, str]:
@@ -80,7 +79,7 @@ def _draw_whole(axes: Sequence[plt.Axes], signal: SharedSignal, alignment: Align
     axes[0].set_title(f"Before: {what}")
     _lines(axes[1], reference, signal.reference, other, values)
     axes[1].set_title("After")
-    axes[0].set_ylabel(f"{signal.name.split(' (')[0]}, {_unit(signal)}")
+    axes[0].set_ylabel(_label(signal))
     axes[0].legend(loc="best")
     for ax in axes:
         ax.set_xlabel("s after the first INS measurement")
@@ -97,7 +96,7 @@ def _draw_close_up(axes: Sequence[plt.Axes], signal: SharedSignal, alignment: Al
         _lines(ax, t_reference[mine], signal.reference[mine], t_other[theirs], values[theirs])
         ax.set(xlim=(start, start + CLOSE_UP), xlabel="s after the first INS measurement",
                title=f"The liveliest {CLOSE_UP:.0f} s")
-    axes[0].set_ylabel(f"{signal.name.split(' (')[0]}, {_unit(signal)}")
+    axes[0].set_ylabel(_label(signal))
 
 
 def _lines(ax: plt.Axes, t_reference: np.ndarray, reference: np.ndarray, t_other: np.ndarray,
@@ -134,7 +133,7 @@ def _draw_correlation(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: 
 
 
 def _draw_lags(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: Alignment) -> None:
-    ax.set_title("What is left, in stretches of 30 s by themselves")
+    ax.set_title("Residual lag of each stretch of 30 s")
     lags = residual_lags(signals, alignment)
     if not lags:
         ax.text(0.5, 0.5, "no stretch of 30 s with enough motion", transform=ax.transAxes, ha="center")
@@ -144,4 +143,4 @@ def _draw_lags(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: Alignme
     ax.errorbar(time, [w.lag * 1e3 for w in lags], yerr=[w.deviation * 1e3 for w in lags], fmt="o", ms=3, lw=0.8,
                 color=OTHER_COLOUR)
     reach = max(1.0, 1.2 * max(abs(w.lag) + w.deviation for w in lags) * 1e3)
-    ax.set(ylim=(-reach, reach), xlabel="s from the middle of the common time", ylabel="left of the offset, ms")
+    ax.set(ylim=(-reach, reach), xlabel="s from the middle of the common time", ylabel="residual lag, ms")

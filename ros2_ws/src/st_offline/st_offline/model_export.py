@@ -50,7 +50,16 @@ def export(model: Model, vehicle: VehicleParameters, folder: Path, kind: Format,
     Raises ConfigurationError for a parameter in `free` that is not one, see `casadi_backend.build`.
     """
     symbolic = build(model, vehicle, substeps, free)
-    files = _casadi_files(symbolic, folder) if kind == "casadi" else _c_files(symbolic, folder)
+    if kind == "casadi":
+        files = [folder / f"{function.name()}.casadi" for function in symbolic.functions]
+        for file, function in zip(files, symbolic.functions, strict=True):
+            function.save(str(file))
+    else:
+        generator = casadi.CodeGenerator(symbolic.name, {"with_header": True})
+        for function in symbolic.functions:
+            generator.add(function)
+        generator.generate(f"{folder}/")  # its argument is a prefix of the file name
+        files = [folder / f"{symbolic.name}.c", folder / f"{symbolic.name}.h"]
     description = describe(symbolic, model, vehicle, [f.name for f in files])
     if bands is not None:
         files += _band_files(model, vehicle, bands, folder)
@@ -58,13 +67,6 @@ def export(model: Model, vehicle: VehicleParameters, folder: Path, kind: Format,
     written[-2].write_text(json.dumps(description, indent=2) + "\n", encoding="utf-8")
     written[-1].write_text(_readme(description, kind), encoding="utf-8")
     return written
-
-
-def _casadi_files(symbolic: SymbolicModel, folder: Path) -> list[Path]:
-    files = [folder / f"{function.name()}.casadi" for function in symbolic.functions]
-    for file, function in zip(files, symbolic.functions, strict=True):
-        function.save(str(file))
-    return files
 
 
 def _band_files(model: Model, vehicle: VehicleParameters, bands: Bands, folder: Path) -> list[Path]:
@@ -78,15 +80,6 @@ def _band_files(model: Model, vehicle: VehicleParameters, bands: Bands, folder: 
         files.append(folder / f"{name}.casadi")
         half_width_function(band, level, vehicle, name).save(str(files[-1]))
     return files
-
-
-def _c_files(symbolic: SymbolicModel, folder: Path) -> list[Path]:
-    generator = casadi.CodeGenerator(symbolic.name, {"with_header": True})
-    for function in symbolic.functions:
-        generator.add(function)
-    # The generator takes its second argument as a prefix of the file name.
-    generator.generate(f"{folder}/")
-    return [folder / f"{symbolic.name}.c", folder / f"{symbolic.name}.h"]
 
 
 def describe(symbolic: SymbolicModel, model: Model, vehicle: VehicleParameters, files: list[str]) -> dict[str, Any]:
@@ -106,9 +99,8 @@ def describe(symbolic: SymbolicModel, model: Model, vehicle: VehicleParameters, 
         "substeps": symbolic.substeps,
         "stable_above_m_s": {f"{step:g}": round(lowest_stable_speed(model, vehicle, step / symbolic.substeps), 3)
                              for step in STEPS},
-        "functions": {f.name(): {"arguments": _shapes(f.name_in(), f.size_in), "results": _shapes(f.name_out(),
-                                                                                                  f.size_out)}
-                      for f in symbolic.functions},
+        "functions": {f.name(): {kind: {name: list(size(k)) for k, name in enumerate(names)} for kind, names, size in (
+            ("arguments", f.name_in(), f.size_in), ("results", f.name_out(), f.size_out))} for f in symbolic.functions},
         "files": files,
     }
 
@@ -118,29 +110,23 @@ def _entry(variable: Variable) -> dict[str, Any]:
             "upper": finite(variable.upper)}
 
 
-def _shapes(names: list[str], size) -> dict[str, list[int]]:
-    return {name: list(size(k)) for k, name in enumerate(names)}
-
-
 def _readme(description: dict[str, Any], kind: Format) -> str:
     name, p = description["model"], "p" if description["parameters"] else ""
     step = ", ".join(filter(None, ("x", "u", "h", p)))
     effects = ", ".join(description["effects"]) or "none"
+
+    def listed(kind: str) -> str:
+        return ", ".join(f"{one['name']} [{one['unit']}]" for one in description[kind]) or "none"
+
     lines = [
         f"# {name}: single-track model of {description['vehicle']['name']}",
         "",
         f"Base model {description['base']}; effects: {effects}. st_core {description['version']}, vehicle hash "
         f"{description['vehicle']['hash'][:12]}. SI units. Frame: {description['frame']}.",
         "",
-        *_table("x", description["states"]),
-        *_table("u", description["inputs"]),
-        *(_table("p", description["parameters"]) if p else []),
-        "The model is meant for states and inputs within the bounds; use them, or narrower ones, as constraints.",
-        "",
-        "| function | arguments | results |",
-        "|---|---|---|",
-        *(f"| `{key}` | {_listed(f['arguments'])} | {_listed(f['results'])} |"
-          for key, f in description["functions"].items()),
+        f"States x: {listed('states')}. Inputs u: {listed('inputs')}. Parameters p: {listed('parameters')}. "
+        "Bounds, and the arguments and results of each function, are in model.json; use the bounds, or narrower ones, "
+        "as constraints.",
         "",
         "`dynamics`: time derivative. `step`: classical Runge-Kutta over h [s], inputs held, "
         f"{description['substeps']} part(s). A, B: derivatives by x and by u. `start`: the six states with the "
@@ -163,20 +149,6 @@ def _readme(description: dict[str, Any], kind: Format) -> str:
                   f"{name}_step(arguments, results, iw, w, 0);", "```", "",
                   f"Sizes of the four arrays: `{name}_step_work`.", ""]
     return "\n".join(lines)
-
-
-def _table(symbol: str, entries: list[dict[str, Any]]) -> list[str]:
-    rows = [f"| {k} | {e['name']} | {e['unit']} | {_number(e['lower'])} | {_number(e['upper'])} |"
-            for k, e in enumerate(entries)]
-    return [f"| {symbol} | name | unit | lower | upper |", "|---|---|---|---|---|", *rows, ""]
-
-
-def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:g}"
-
-
-def _listed(shapes: dict[str, list[int]]) -> str:
-    return ", ".join(f"{name} ({rows} x {columns})" for name, (rows, columns) in shapes.items())
 
 
 MAX_LOG = 60.0

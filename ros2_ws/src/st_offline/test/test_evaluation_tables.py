@@ -81,7 +81,7 @@ def test_terminal_shows_every_run_and_escapes_names():
 
 def test_csv_has_one_row_per_run_model_and_mode(tmp_path):
     file = tmp_path / "table.csv"
-    tables.write_csv(file, tables.table_rows([report("S1", PAPER_S1), report("S,2", PAPER_S1)]))
+    tables.write_csv(file, tables.csv_rows([report("S1", PAPER_S1), report("S,2", PAPER_S1)])["table"])
     rows = list(csv.DictReader(file.open()))
     assert len(rows) == 2 * 3 * 2 and {r["run"] for r in rows} == {"S1", "S,2"}
     assert float(rows[0]["lateral_rmse_m"]) == 0.33 and rows[0]["n_starts"] == "7"

@@ -23,12 +23,6 @@ def _sign(value: int | None) -> int | None:
     return value
 
 
-def _record(value: str) -> str:
-    if value not in ("needed", "all"):
-        raise typer.BadParameter(f"{value} is neither needed nor all")
-    return value
-
-
 Runs = Annotated[list[Path], typer.Argument(
     help="Recordings: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.", show_default=False)]
 CarName = Annotated[str | None, typer.Option(
@@ -66,7 +60,7 @@ Adaptive = Annotated[bool | None, typer.Option(
 View = Annotated[bool, typer.Option("--view", help="Show the path ahead and its error live in the browser.")]
 ViewAddress = Annotated[str | None, typer.Option(
     "--view-address", help="HOST or HOST:PORT of this computer for --view; default 127.0.0.1, this computer only. "
-    "0.0.0.0:8080: also a phone in the same network, which anybody there can open.")]
+    "0.0.0.0:8080: open to every device in the same network, as a phone.")]
 ViewSave = Annotated[Path | None, typer.Option(help="After the run, draw it into this file (.rrd), for `st view`.")]
 Offset = Annotated[float | None, typer.Option(
     help="INS minus CAN clock, s, set by hand; default: found from the signals.")]
@@ -80,8 +74,8 @@ SteeringSign = Annotated[int | None, typer.Option(
     callback=_sign, help="1 if the sensor, as decoded by DBC and table, is positive to the left; -1: to the right. "
     "Default that of --car, else 1; live: else that of config/nodes.yaml.")]
 SteeringTopic = Annotated[str | None, typer.Option(
-    "--steering-topic", help="Bags of other recorders: the topic with the steering angle, of any type whose definition "
-    "is in the bag. Default: the one of type st_msgs/Steering.")]
+    "--steering-topic", help="Bags of other recorders: the topic with the steering angle, of any type defined in the "
+    "bag. Default: the one of type st_msgs/Steering.")]
 SteeringPath = Annotated[str | None, typer.Option(
     "--steering-field", help="The number in its messages: data (default), drive.steering_angle, ... Without "
     "--steering-topic: the column of a CSV or VBO.")]
@@ -89,11 +83,11 @@ SteeringIs = Annotated[Literal["road", "wheel"], typer.Option(
     "--steering-is", help="Of that number: road: angle of the front wheels; wheel: of the steering wheel, converted "
     "with ratio and offset of the vehicle file.")]
 SteeringUnit = Annotated[Literal["rad", "deg"] | None, typer.Option(
-    "--steering-unit", help="Of that number; default: rad in a topic, as its header says in a table.")]
+    "--steering-unit", help="Of that number; default: rad in a topic, that of the header in a table.")]
 OdometryTopic = Annotated[str | None, typer.Option(
     "--odometry-topic", help="Bags with several topics of type nav_msgs/Odometry: the one of the INS.")]
-Record = Annotated[str, typer.Option(
-    "--record", callback=_record, help="needed: raw packets and frames, odometry, status, steering, predictions, "
+Record = Annotated[Literal["needed", "all"], typer.Option(
+    "--record", help="needed: raw packets and frames, odometry, status, steering, predictions, "
     "errors, diagnostics. all: also the other topics of the bridges, which can be computed from these.")]
 SteeringLatency = Annotated[float | None, typer.Option(
     help="s, from the motion of the wheel to the frame; default that of --car, else 0; live: else that of "
@@ -198,23 +192,16 @@ def resolve_car(car: str | None, vehicle: Path | None, dbc: Path | None = None, 
 
     Raises RunError for a car that cannot be read.
     """
-    from st_recordings.car import STEERING, car_named
+    from st_recordings.car import STEERING
     from st_recordings.runs import ReadSettings
 
-    steering = {"steering_sign": steering_sign, "steering_latency": steering_latency}
-    given: dict[str, Any] = {name: value for name, value in steering.items() if value is not None}
-    if car is None:
-        return vehicle, ReadSettings(dbc=dbc, signals=signals, **STEERING | given, **others)
-    named = car_named(car)
-    own: dict[str, Any] = {"steering_sign": named.steering_sign, "steering_latency": named.steering_latency}
-    return vehicle or named.vehicle, ReadSettings(dbc=dbc or named.dbc, signals=signals or named.signals, **own | given,
-                                                  **others)
+    named = resolve_live_car(car, vehicle, dbc, signals, steering_sign, steering_latency, complete=False)
+    return named.vehicle, ReadSettings(dbc=named.dbc, signals=named.signals, **STEERING | named.steering, **others)
 
 
 @dataclass(frozen=True)
 class LiveCar:
-    """A car for the live nodes. vehicle, dbc, signals: None where none was named. steering: parameters of
-    canedge_bridge that were given; the others are those of config/nodes.yaml."""
+    """Parts of a car. vehicle, dbc, signals: None where none was named. steering: sign and latency that were given."""
 
     vehicle: Path | None
     dbc: Path | None
@@ -223,8 +210,10 @@ class LiveCar:
 
 
 def resolve_live_car(car: str | None, vehicle: Path | None, dbc: Path | None, signals: Path | None,
-                 steering_sign: int | None, steering_latency: float | None) -> LiveCar:
-    """As `resolve_car`, for a live bus. Raises RunError, also for a car without DBC and signal table."""
+                     steering_sign: int | None, steering_latency: float | None, complete: bool = True) -> LiveCar:
+    """The parts of a car, each replaced by its own option. complete: raises RunError without DBC or signal table; it is
+    also raised for a car that cannot be read.
+    """
     from st_recordings.car import car_named
     from st_recordings.runs.errors import RunError
 
@@ -234,8 +223,8 @@ def resolve_live_car(car: str | None, vehicle: Path | None, dbc: Path | None, si
         return LiveCar(vehicle, dbc, signals, given)
     named = car_named(car)
     for file, option in ((dbc or named.dbc, "--dbc"), (signals or named.signals, "--signals")):
-        if not file.is_file():
-            raise RunError(file, "there is no such file: the bus of this car is not described",
+        if complete and not file.is_file():
+            raise RunError(file, "does not exist, so the bus of this car is not described",
                            f"write it, or name another with {option}")
     own: dict[str, Any] = {"steering_sign": named.steering_sign, "steering_latency": named.steering_latency}
     return LiveCar(vehicle or named.vehicle, dbc or named.dbc, signals or named.signals, own | given)

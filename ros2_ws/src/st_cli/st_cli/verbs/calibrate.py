@@ -1,4 +1,4 @@
-"""`st calibrate`: bands around every prediction, learnt from the errors of recorded drives."""
+"""`st calibrate` and `st course`: bands and courses, learnt from recorded drives."""
 
 from pathlib import Path
 from typing import Literal
@@ -6,7 +6,7 @@ from typing import Literal
 import typer
 
 from . import _options as shared
-from .evaluate import MODELS, car_of, model_named
+from .evaluate import MODELS, task_of
 
 
 @shared.reads_recordings()
@@ -40,20 +40,37 @@ def calibrate(
     """
     # Imported when it runs: the libraries take a second that `st --help` need not wait.
     from rich.console import Console
-    from st_core.log_evaluation import EvaluationSettings
-    from st_core.prediction import PredictionSettings
     from st_offline.bands.calibration_command import Job, run_command
-    from st_offline.evaluation.work import Task
 
     with shared.refusals("calibrate"):
-        prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
-        filtering: Literal["causal", "zero_phase"] = "zero_phase" if acceleration == "zero-phase" else "causal"
-        models = tuple(model_named(name) for name in dict.fromkeys(model))
-        vehicle, reading = read_options.resolve()
-        parameters, car_from = car_of(vehicle, models, effects)
-        task = Task(parameters, models, EvaluationSettings(prediction, acceleration=filtering, inputs=inputs), reading,
-                    force=force, effects=effects)
+        task, vehicle, car_from = task_of(read_options, model, effects, acceleration, inputs,
+                                          (horizon, step, minimum_speed, 0.1), force=force)
         status = run_command(Job(runs, task, output, tuple(sorted(set(level))), together), Console())
     if vehicle is None:
         shared.report_default_car("calibrate", car_from)
+    raise typer.Exit(status)
+
+
+@shared.reads_recordings()
+def course(
+    what: Literal["build"] = typer.Argument(..., help="build.", show_default=False),
+    runs: list[Path] = typer.Argument(
+        ..., help="Recordings of drives at one place: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.",
+        show_default=False
+    ),
+    output: Path = typer.Option(Path("course.yaml"), "--output", "-o", help="File of the course; it must not exist."),
+    read_options: shared.ReadOptions = shared.ReadOptions(),
+) -> None:
+    """Build a course: speed and curvature along the way of recorded drives, laps, both directions and branches.
+
+    Use it with `st evaluate --course`. Exit status: 0 all runs used, 1 some not, 2 no course could be built.
+    """
+    # Imported when it runs: the libraries take a second that `st --help` need not wait.
+    from rich.console import Console
+    from st_offline.course_command import build_course
+
+    with shared.refusals("course"):
+        vehicle, reading = read_options.resolve()
+        parameters, _ = shared.load_vehicle_or_default(vehicle)
+        status = build_course(runs, parameters, reading, output, Console())
     raise typer.Exit(status)

@@ -17,7 +17,7 @@ SCENARIOS = (
 def demo(
     scenario: str | None = typer.Option(None, help=f"Manoeuvre of the virtual Leaf: {SCENARIOS}; default S6."),
     drive: Path | None = typer.Option(None, help="A recorded drive (CSV) instead.", exists=True, dir_okay=False),
-    # No --car: DBC, table and steering on these wires are the virtual Leaf's, those of another car could not be heeded.
+    # No --car: DBC, table and steering on these buses are always those of the virtual Leaf.
     vehicle: Path | None = typer.Option(
         None, help="Vehicle file; default the Leaf's. There is no --car, because the bus is always the Leaf's.",
         exists=True, dir_okay=False

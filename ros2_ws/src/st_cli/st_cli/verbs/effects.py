@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import typer
 
@@ -19,7 +19,7 @@ HOOK_WORDS = {
 
 
 def effects(
-    what: str = typer.Argument("list", help="list, or check."),
+    what: Literal["list", "check"] = typer.Argument("list", help="list, or check."),
     files: list[Path] = typer.Argument(None, help="check: effect files (.py); all of the library without one."),
     car: CarName = None,
     vehicle: VehicleFile = None,
@@ -35,9 +35,6 @@ def effects(
     from rich.console import Console
     from st_core.effects import load_folder
 
-    if what not in ("list", "check"):
-        typer.echo(f"st effects: {what!r} is neither list nor check", err=True)
-        raise typer.Exit(2)
     with refusals("effects", OSError):
         if own is not None:
             load_folder(str(own.absolute()))
@@ -57,7 +54,7 @@ def _listed(console: "Console") -> None:
     from st_core.effects import EFFECTS, twins_of
 
     table = Table(Column("effect", no_wrap=True), "kind", "where", "equation", "acts on", "excited by",
-                  "hard to tell from", "needs", box=None)
+                  "hard to separate from", "needs", box=None)
     for name, effect in sorted(EFFECTS.items(), key=lambda item: (item[1].kind, item[0])):
         hooks = dict.fromkeys(word for hook, word in HOOK_WORDS.items() if getattr(effect, hook))
         inputs = ", ".join((*hooks, *(f"signal {s}" for s in effect.signals)))

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
@@ -10,6 +10,7 @@ from . import _options as shared
 
 if TYPE_CHECKING:
     from st_core.vehicle import VehicleParameters
+    from st_offline.evaluation.work import Task
 
 MODELS = ["kinematic", "linear", "nonlinear"]
 
@@ -59,38 +60,41 @@ def evaluate(
     """
     # Imported when it runs: the drawing libraries take a second that `st --help` need not wait.
     from rich.console import Console
-    from st_core.log_evaluation import EvaluationSettings
-    from st_core.prediction import PredictionSettings
     from st_offline.evaluation.evaluation_command import run_command
-    from st_offline.evaluation.inputs_ahead import load_course
-    from st_offline.evaluation.work import Task, load_bands, load_models
+    from st_offline.evaluation.work import load_bands, load_course, load_models
 
     with shared.refusals("evaluate"):
-        prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
-        filtering: Literal["causal", "zero_phase"] = "zero_phase" if acceleration == "zero-phase" else "causal"
-        settings = EvaluationSettings(prediction, interval, filtering, inputs)
-        models = tuple(model_named(name) for name in dict.fromkeys(model))
-        vehicle, read = read_options.resolve()
-        parameters, car_from = car_of(vehicle, models, effects)
-        task = Task(
-            vehicle=parameters,
-            models=models,
-            settings=settings,
-            read=read,
-            starts=_numbers(at),
-            formats=tuple(form.strip() for form in figures.split(",") if form.strip()),
-            force=force,
-            bands=None if bands is None else (str(bands), bands.read_text(encoding="utf-8")),
-            adaptive=adaptive,
-            course=None if course is None else (str(course), course.read_text(encoding="utf-8")),
-            effects=effects,
-        )
+        task, vehicle, car_from = task_of(
+            read_options, model, effects, acceleration, inputs, (horizon, step, minimum_speed, interval), force=force,
+            starts=_numbers(at), formats=tuple(form.strip() for form in figures.split(",") if form.strip()),
+            bands=None if bands is None else (str(bands), bands.read_text(encoding="utf-8")), adaptive=adaptive,
+            course=None if course is None else (str(course), course.read_text(encoding="utf-8")))
         load_course(task.course)
         load_bands(task, load_models(task))
         status = run_command(runs, task, output, table, car_from, workers, scheduler, Console(), advise)
     if vehicle is None:
         shared.report_default_car("evaluate", car_from)
     raise typer.Exit(status)
+
+
+def task_of(read_options: shared.ReadOptions, model: Sequence[str], effects: Path | None, acceleration: str,
+            inputs: Literal["interpolate", "hold"], times: Sequence[float],
+            **others: Any) -> "tuple[Task, Path | None, str]":
+    """(task, vehicle file that was named, file the car is of). times: horizon, step [s], minimum speed [m/s], interval
+    of the starts [s]. others: of Task.
+    """
+    from st_core.log_evaluation import EvaluationSettings
+    from st_core.prediction import PredictionSettings
+    from st_offline.evaluation.work import Task
+
+    horizon, step, minimum_speed, interval = times
+    prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
+    filtering: Literal["causal", "zero_phase"] = "zero_phase" if acceleration == "zero-phase" else "causal"
+    models = tuple(model_named(name) for name in dict.fromkeys(model))
+    vehicle, read = read_options.resolve()
+    parameters, car_from = car_of(vehicle, models, effects)
+    settings = EvaluationSettings(prediction, interval, filtering, inputs)
+    return Task(parameters, models, settings, read, effects=effects, **others), vehicle, car_from
 
 
 def model_named(name: str) -> str | tuple[str, str]:

@@ -80,7 +80,11 @@ def collect(sources: Sequence[RunSource], task: Task, models: Sequence[Model], r
         try:
             with console.status(escape(source.name)):
                 run = read(source, task.vehicle, task.read)
-                _refuse_again(source, run, recordings)
+                before = {digest: name for name, digest in recordings.items()}
+                for digest in run.provenance["files"].values():
+                    if digest in before:  # a copy adds no evidence
+                        raise RunError(source.where, f"has the same content as {before[digest]}",
+                                       "give every recording once")
                 _refuse_other_car(source, run, task.vehicle)
                 passed(source.where, run.log, task.vehicle, run.auxiliary, task.force, models,
                        task.settings.prediction.step)
@@ -109,14 +113,6 @@ def learn(samples: Sequence[RunSamples], task: Task, models: Sequence[Model], re
               for name, digest in model_hashes(task, models).items()}
     return Bands(task.vehicle.name, task.vehicle.hash, settings, recordings, len(samples),
                  CalibrationDomain.of([one.conditions for one in samples]), found, hashes)
-
-
-def _refuse_again(source: RunSource, run: LoadedRun, recordings: dict[str, str]) -> None:
-    """Raises RunError for a copy of a run: it adds no evidence."""
-    before = {digest: name for name, digest in recordings.items()}
-    for digest in run.provenance["files"].values():
-        if digest in before:
-            raise RunError(source.where, f"has the same content as {before[digest]}", "give every recording once")
 
 
 def _refuse_other_car(source: RunSource, run: LoadedRun, vehicle: VehicleParameters) -> None:

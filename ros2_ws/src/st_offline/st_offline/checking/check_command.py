@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
-from rich.markup import escape
 from st_core.checks import Severity
 from st_core.errors import ConfigurationError
 from st_core.vehicle import VehicleParameters
@@ -72,14 +71,11 @@ def run_command(job: Job, console: Console, report_vehicle: Callable[[str], None
 
 def check_all(sources: Sequence[RunSource], job: Job, console: Console) -> list[CheckedRun | FailedRun]:
     """Every run, in the order of the sources."""
+    runs: list[CheckedRun | FailedRun] = []
     with progress_bars(console) as progress:
-        bar = progress.add_task("", total=len(sources))
-        runs: list[CheckedRun | FailedRun] = []
-        for source in sources:
-            progress.update(bar, description=escape(source.name))
+        for source in progress.track(sources, description="checking"):
             runs.append(check_run(source, job))
-            progress.advance(bar)
-        return runs
+    return runs
 
 
 def check_run(source: RunSource, job: Job) -> CheckedRun | FailedRun:

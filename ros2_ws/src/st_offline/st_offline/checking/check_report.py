@@ -205,14 +205,11 @@ def _run(run: CheckedRun) -> dict[str, Any]:
     return {
         "verdict": verdict(run.checked), "vehicle": run.vehicle_from, "duration": run.duration,
         **finite(run.checked.as_dict()),
-        "identities": [finite(_identity(one)) for one in run.checked.identities],
+        "identities": [finite({"name": one.name, "title": one.title, "unit": one.unit, "samples": len(one.time),
+                               "residual_rms": residual_rms(one), "findings": list(one.findings)})
+                       for one in run.checked.identities],
         "warnings": list(run.warnings), "files": dict(run.files), "alignment": finite(dict(run.alignment)),
     }
-
-
-def _identity(one: Identity) -> dict[str, Any]:
-    return {"name": one.name, "title": one.title, "unit": one.unit, "samples": len(one.time),
-            "residual_rms": residual_rms(one), "findings": list(one.findings)}
 
 
 def residual_rms(one: Identity) -> float:

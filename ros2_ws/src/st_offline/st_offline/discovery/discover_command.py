@@ -57,17 +57,12 @@ def run_command(request: Request, console: Console) -> int:
         if drawn is not None and relations and relations.relation:
             drawn.insert(0, relation_figure(relations.relation, place))
         update = update_vehicle(found, request)
-        report = (relation_report(relations, found, request.vehicle, command_line(request, folder)) if relations
-                  else None)
+        typed = CommandLine([*map(str, request.runs)], request.given, request.given_vehicle, str(folder))
+        report = relation_report(relations, found, request.vehicle, typed) if relations else None
         files = write_results(found, request, update, folder, drawn, seconds, relations, report)
     recordings = (*drives, *healthy)
     show(found, update, recordings, files, earlier, console, report)
     return 1 if any(d.problem for d in recordings) else 0
-
-
-def command_line(request: Request, folder: Path) -> CommandLine:
-    """As it was typed, so that the commands of the answer can be copied."""
-    return CommandLine([*map(str, request.runs)], request.given, request.given_vehicle, str(folder))
 
 
 def own_effects(folder: Path | None) -> dict[str, str]:

@@ -65,33 +65,20 @@ def relation_report(found: RelationSearch, answer: Discovery, vehicle: VehiclePa
                          )] if unseen else []
     if one is None:
         return RelationReport([("proposal", [f"none: {quantities.in_words(found.why, found.tried)}"]), *excluded])
-    groups: Groups = [("proposal", _proposal(one)), ("effect size", _effect_size(one, answer, found.why)),
+    without, with_it = one.position_5s
+    runs = ", ".join(f"{name} ({before:.2f} → {after:.2f} m)" for name, (before, after) in one.much_worse().items())
+    worse, causes = f"WORSE by a quarter or more in {runs}", one.formulas[0].causes if one.formulas else ""
+    proposal = [f"{f'{worse}. ' if runs else ''}{title_of(one)}. A proposal is not established: try it, then keep or "
+                "delete it", *([f"textbook causes: {causes}. These drives do not show the cause"] if causes else [])]
+    headline = (f"PROPOSAL, not established: {title_of(one)}; {without:.2f} m → {with_it:.2f} m (held-out)"
+                f"{f'; {worse}' if runs else ''}")
+    groups: Groups = [("proposal", proposal), ("effect size", _effect_size(one, answer, found.why)),
                       ("formula", _formula(one, vehicle)), ("uncertainty of the curve", _uncertainty(one)),
                       ("alternatives", _alternatives(one)), ("next drive", next_drive_sentences(one)), *excluded,
                       ("files", _files(one, answer.model is not None))]
     filled = [(question, lines) for question, lines in groups if lines]
     tables = [_errors_by_run(one, answer), *_values_with_and_without(one, answer, vehicle)]
-    return RelationReport(filled, tables, _commands(one, typed), _headline(one))
-
-
-def _headline(one: Relation) -> str:
-    without, with_it = one.position_5s
-    worse = _much_worse(one)
-    return (f"PROPOSAL, not established: {title_of(one)}; {without:.2f} m → {with_it:.2f} m (held-out)"
-            f"{f'; {worse}' if worse else ''}")
-
-
-def _much_worse(one: Relation) -> str:
-    """Runs that the relation makes worse by a quarter or more; "" for none."""
-    runs = ", ".join(f"{name} ({before:.2f} → {after:.2f} m)" for name, (before, after) in one.much_worse().items())
-    return f"WORSE by a quarter or more in {runs}" if runs else ""
-
-
-def _proposal(one: Relation) -> list[str]:
-    causes, worse = one.formulas[0].causes if one.formulas else "", _much_worse(one)
-    return [f"{f'{worse}. ' if worse else ''}{title_of(one)}. A proposal is not established: try it, then keep or "
-            "delete it",
-            *([f"textbook causes: {causes}. These drives do not show the cause"] if causes else [])]
+    return RelationReport(filled, tables, _commands(one, typed), headline)
 
 
 def _effect_size(one: Relation, answer: Discovery, why: str) -> list[str]:

@@ -9,7 +9,6 @@ from st_core.discovery.decision import FILE
 from st_core.discovery.result import (
     PARTS,
     BoundEffect,
-    BudgetLine,
     Discovery,
     ForceCurve,
     FoundEffect,
@@ -31,7 +30,6 @@ from .vehicle_update import VehicleUpdate
 MAX_PARTS = 6
 MAX_INVISIBLE = 4  # effects named in a sentence; the table has all
 MIN_CHANGE = 0.005  # m; a step that changes the position by less is described by the channel it changes most
-MAX_CONDITIONS = 2
 MAX_RATIO = 1000.0  # of the expected error: beyond that predictions diverge
 Z95 = 1.96
 SHOWN = Limits().shown
@@ -207,18 +205,6 @@ def certainty(found: Discovery) -> list[str]:
     return lines
 
 
-def budget(lines: Sequence[BudgetLine]) -> str:
-    """The parts of the error, largest first: metres and share of the base's error, added last to added first."""
-    sentences = []
-    for one in sorted(lines, key=lambda b: -max(b.last, b.first)):
-        low, high = sorted((one.last, one.first))
-        shares = sorted((100 * one.share_last, 100 * one.share_first))
-        if high >= MIN_CHANGE:
-            sentences.append(f"{one.part} {metres(high)} ({shares[1]:.0f} %)" if high - low < MIN_CHANGE else
-                             f"{one.part} {metres(low)} to {metres(high)} ({shares[0]:.0f} to {shares[1]:.0f} %)")
-    return "; ".join(sentences)
-
-
 def residual(found: Discovery) -> str:
     """The remaining error, against the noise."""
     gap = found.gap.get("position_5s")
@@ -374,15 +360,8 @@ def details(found: Discovery, update: VehicleUpdate | None) -> list[tuple[str, l
     lines = [*((role, [text]) for role, text in drives(found)), ("what", what(found)), ("certainty", certainty(found)),
              ("what to do", to_do(found, update)), ("properties", properties(found)),
              ("effective corrections", corrections(found)), ("taken from the vehicle file", assumed(found)),
-             ("varying, not named", list(map(varying, found.bound))), ("parts of the error", [budget(found.budget)]),
-             ("largest errors of the base model", largest_errors(found)), ("these drives", [visible(found)])]
+             ("varying, not named", list(map(varying, found.bound))), ("these drives", [visible(found)])]
     return [(question, shown) for question, answer in lines if (shown := [text for text in answer if text])]
-
-
-def largest_errors(found: Discovery) -> list[str]:
-    """Conditions in which the base model is significantly worst."""
-    return [f"{channel(w.channel)} {condition(w)}"
-            for w in sorted(found.where, key=lambda w: -w.interval[0])[:MAX_CONDITIONS]]
 
 
 def condition(w: WhereStatement) -> str:

@@ -73,7 +73,8 @@ def document(reports: Sequence[RunReport], choices: Choices) -> dict[str, Any]:
         "bins": {r.name: r.bins for r in good},
         "bins_all_runs": pooled_bins(good),
         "manoeuvres": {r.name: r.manoeuvres for r in good},
-        "manoeuvres_all_runs": pooled_manoeuvres(good),
+        "manoeuvres_all_runs": sorted(pooled_by([one for r in good for one in r.manoeuvres if _starts(one)], "name"),
+                                      key=lambda entry: -_starts(entry)),
         "about": {r.name: r.about for r in good},
         **_bands(good, choices.task),
         **_adaptive(good, choices.task),
@@ -109,12 +110,6 @@ def pooled_bins(reports: Sequence[RunReport]) -> list[dict[str, Any]]:
                                           lowest if e["low"] is None else e["low"]))
 
 
-def pooled_manoeuvres(reports: Sequence[RunReport]) -> list[dict[str, Any]]:
-    """Parts of the same name of all runs together, the most frequent first; only those that hold a start."""
-    entries = [one for r in reports for one in r.manoeuvres if _starts(one)]
-    return sorted(pooled_by(entries, "name"), key=lambda e: -_starts(e))
-
-
 def _starts(one: dict[str, Any]) -> int:
     return max((modes["hindsight"]["n_starts"] for modes in one["models"].values()), default=0)
 
@@ -127,11 +122,9 @@ def write_results(reports: Sequence[RunReport], choices: Choices, title: str) ->
     content = document(reports, choices)
     files = {"json": folder / "evaluation.json", "page": folder / "report.html", "latex": folder / "table.tex"}
     files["json"].write_text(_readable(content))
-    rows = {"table": tables.table_rows, "seconds": tables.second_rows, "bins": tables.bin_rows,
-            "manoeuvres": tables.manoeuvre_rows}
-    for name, make in rows.items():
+    for name, rows in tables.csv_rows(good).items():
         files[name] = folder / f"{name}.csv"
-        tables.write_csv(files[name], make(good))
+        tables.write_csv(files[name], rows)
     words = settings_in_words(choices)
     about = f"{words['vehicle']}; starts {words['starts']}; horizon {words['horizon']}; {words['measured inputs']}."
     files["latex"].write_text(tables.latex_table(good, choices.over, about))

@@ -54,7 +54,7 @@ def complete_in_all(evaluation: LogEvaluation) -> np.ndarray:
 
 
 def chosen_starts(evaluation: LogEvaluation, times: Sequence[float], count: int = 4) -> np.ndarray:
-    """Rows of the complete starts nearest to the times times [s], or `count` of them spread over the run."""
+    """Rows of the complete starts nearest to the times [s], or `count` of them spread over the run."""
     complete = np.flatnonzero(complete_in_all(evaluation))
     if not len(complete):
         return complete

@@ -122,13 +122,9 @@ def values(models: Models, model: str, mode: str, axis: str, over: str) -> Mappi
 
 def best(models: Models, model: str, mode: str, axis: str, kind: str, over: str) -> bool:
     """Whether no model has a smaller magnitude, to the printed digits; several may share the place, as in the paper."""
-    sizes = {m: _size(values(models, m, mode, axis, over)[kind]) for m in models}
-    known = [s for s in sizes.values() if s is not None]
-    return bool(known) and sizes[model] == min(known)
-
-
-def _size(value: float | None) -> float | None:
-    return None if value is None else round(abs(value), DIGITS)
+    sizes = {m: round(abs(size), DIGITS) for m in models
+             if (size := values(models, m, mode, axis, over)[kind]) is not None}
+    return model in sizes and sizes[model] == min(sizes.values())
 
 
 def shown(value: float | None) -> str:
@@ -226,38 +222,20 @@ def write_csv(file: Path, rows: Iterator[Row]) -> None:
             writer.writerow(row)
 
 
-def table_rows(reports: Sequence[Any]) -> Iterator[Row]:
-    """One row for each run, model and mode."""
-    for report in reports:
-        yield from _model_rows({"run": report.name}, report.models)
-
-
-def bin_rows(reports: Sequence[Any]) -> Iterator[Row]:
-    """One row for each run, bin, model and mode."""
-    for report in reports:
-        for one in report.bins:
-            head = {"run": report.name, "quantity": one["quantity"], "bin": one["label"], "low": one["low"],
-                    "high": one["high"]}
-            yield from _model_rows(head, one["models"])
-
-
-def manoeuvre_rows(reports: Sequence[Any]) -> Iterator[Row]:
-    """One row for each part of each drive, model and mode."""
-    for report in reports:
-        for one in report.manoeuvres:
-            head = {"run": report.name, "manoeuvre": one["name"], "start_s": round(one["start"], 3),
-                    "end_s": round(one["end"], 3), "heading_change_deg": round(one["heading_change_deg"], 2)}
-            yield from _model_rows(head, one["models"])
-
-
-def second_rows(reports: Sequence[Any]) -> Iterator[Row]:
-    """One row for each run, model, mode and second of the horizon."""
-    for report in reports:
-        for model, modes in report.seconds_ahead.items():
-            for mode, seconds in modes.items():
-                for second, entry in seconds.items():
-                    yield {"run": report.name, "model": model, "mode": mode, "horizon_s": second,
-                           **_flat(entry)}
+def csv_rows(reports: Sequence[Any]) -> dict[str, Iterator[Row]]:
+    """Rows by name of the file: for each run, model and mode; also for each second, bin, and part of the drive."""
+    bins = (({"run": r.name, "quantity": one["quantity"], "bin": one["label"], "low": one["low"], "high": one["high"]},
+             one["models"]) for r in reports for one in r.bins)
+    parts = (({"run": r.name, "manoeuvre": one["name"], "start_s": round(one["start"], 3),
+               "end_s": round(one["end"], 3), "heading_change_deg": round(one["heading_change_deg"], 2)}, one["models"])
+             for r in reports for one in r.manoeuvres)
+    return {
+        "table": (row for r in reports for row in _model_rows({"run": r.name}, r.models)),
+        "seconds": ({"run": r.name, "model": model, "mode": mode, "horizon_s": second, **_flat(entry)} for r in reports
+                    for model, modes in r.seconds_ahead.items() for mode, seconds in modes.items()
+                    for second, entry in seconds.items()),
+        "bins": (row for head, models in bins for row in _model_rows(head, models)),
+        "manoeuvres": (row for head, models in parts for row in _model_rows(head, models))}
 
 
 def _model_rows(head: Row, models: Models) -> Iterator[Row]:

@@ -65,7 +65,7 @@ def row(estimate: Estimate, vehicle: VehicleParameters) -> Sequence[str]:
     spread = estimate.standard_uncertainty * factor
     before = ""
     if quantity(estimate.parameter) is not None:
-        before = number(value_of(vehicle, estimate.parameter) * factor, spread)
+        before = f"{value_of(vehicle, estimate.parameter) * factor:.5g}"
     low, high = (number(end * factor, spread) for end in estimate.interval95)
     return (estimate.parameter, number(estimate.value * factor, spread), number(spread, spread), f"{low} to {high}",
             unit, before, estimate.status)

@@ -194,8 +194,8 @@ def details(found: Identification) -> dict[str, Any]:
 def page(found: Sequence[Identification], figures: Sequence[Drawn | None], vehicle: VehicleParameters,
          facts: dict[str, Any]) -> str:
     """report.html: one file that loads nothing."""
-    values = [f"{name.replace('_', ' ')} {value} ({status})" for one in found
-              for name, value, _, _, _, _, status in rows(one, vehicle)]
+    values = [f"{name.replace('_', ' ')} " + (status if status == "unidentifiable" else f"{value} {unit} ({status})")
+              for one in found for name, value, _, _, unit, _, status in rows(one, vehicle)]
 
     def excitation(c: Coverage) -> tuple[list[str], list[list[str]]]:
         return [f"from, {c.unit}", *(f"{edge:.4g}" for edge in c.edges[:-1])], [["samples", *map(str, c.counts)]]

@@ -1,0 +1,224 @@
+"""`st align`, `st import`, `st ncom`, `st recover`: raw logs and bags, before any model."""
+
+import json
+from pathlib import Path
+
+import typer
+
+from . import _options as shared
+
+VERDICT_STYLE = {"good": "green", "doubtful": "yellow", "refused": "red"}
+
+
+@shared.reads_recordings()
+def align(
+    files: list[Path] = typer.Argument(
+        ..., help="INS recording (.ncom, .xcom, or CSV with t, vx, yaw_rate) and CAN logs, a folder, or a run.yaml."
+    ),
+    search: tuple[float, float] | None = typer.Option(
+        None, help="Bounds of the offset in seconds, where the log is known to be nearly right already."
+    ),
+    output: Path | None = typer.Option(None, help="Folder for alignment.json and alignment.png."),
+    read_options: shared.ReadOptions = shared.ReadOptions(),
+) -> None:
+    """Find offset and drift between the clocks of INS and CAN log, report their uncertainty, and draw both signals.
+
+    Exit status 0: good or doubtful (see the reasons). 1: no alignment. 2: files that cannot be read.
+    """
+    from rich.console import Console
+    from st_offline.alignment_figure import alignment_figure
+    from st_recordings.paths import new_folder
+    from st_recordings.runs.raw import about_alignment, read_pair
+
+    console = Console()
+    with shared.refusals("align"):
+        _, settings = read_options.resolve(search=search)
+        with console.status("reading and aligning"):
+            pair = read_pair(files, settings)
+        folder = new_folder(output, f"align-{pair.name}")
+    for warning in pair.warnings:
+        console.print(f"[yellow]{warning}[/yellow]", highlight=False, soft_wrap=True)
+    if read_options.car is None and read_options.dbc is None:
+        shared.report_default_car("align", pair.dbc)
+    alignment = pair.alignment
+    report(pair, console)
+    about = {**about_alignment(alignment), "ins_can_latency": pair.latency}
+    (folder / "alignment.json").write_text(json.dumps(about, indent=2, allow_nan=False) + "\n")
+    console.print(f"  {folder / 'alignment.json'}", highlight=False, soft_wrap=True)
+    if pair.shared and alignment.offset_ns:
+        title = f"{pair.name}: {sentence(alignment, pair.can.start_ns, pair.motion.absolute)}"
+        alignment_figure(pair.shared, alignment, title, folder / "alignment.png")
+        console.print(f"  {folder / 'alignment.png'}  [dim]both signals, before and after[/dim]", highlight=False,
+                      soft_wrap=True)
+    raise typer.Exit(1 if alignment.verdict == "refused" else 0)
+
+
+def sentence(alignment, start_ns: int, absolute: bool) -> str:
+    """Result in one sentence, for a title. start_ns: of the CAN log; absolute: whether INS time is UTC."""
+    offset = (f"offset {_seconds(alignment.offset_at_ns(start_ns))} s" if absolute
+              else f"CAN log starts at INS time {_seconds(alignment.to_reference_ns(start_ns))} s")
+    if alignment.method == "by hand":
+        return f"{offset}, by hand"
+    return (f"{offset} ± {alignment.offset_deviation * 1e3:.1f} ms, drift {alignment.drift_ppm:+.1f} ± "
+            f"{alignment.drift_deviation:.1f} ppm, {alignment.verdict}")
+
+
+def report(pair, console) -> None:
+    """The result in words and numbers."""
+    from rich.table import Table
+
+    alignment = pair.alignment
+    style = VERDICT_STYLE[alignment.verdict]
+    how = {"by hand": "by hand", "none": ""}.get(alignment.method, f"by {alignment.method}")
+    console.print(f"[bold]{pair.name}[/bold]  [{style}]{alignment.verdict}[/{style}] {how}", highlight=False)
+    if alignment.method != "none":
+        start = pair.can.start_ns
+        at = (alignment.at_ns - start) * 1e-9
+        assumed = max((s.latency_uncertainty for s in pair.shared), default=0.0)
+        table = Table(box=None, padding=(0, 2), show_header=False)
+        table.add_row("INS minus CAN clock", f"{_seconds(alignment.offset_at_ns(start))} s", "at the CAN log's start")
+        if not pair.motion.absolute:
+            table.add_row("INS time", f"{_seconds(alignment.to_reference_ns(start))} s", "at the CAN log's start")
+        if alignment.method != "by hand":
+            table.add_row("INS frames on the bus", pair.latency, "after the instant they are true for")
+            table.add_row("INS minus CAN clock", f"{_seconds(alignment.offset_ns)} s",
+                          f"{at:.1f} s later, in the middle of the common time")
+            table.add_row("  deviation there", f"{alignment.offset_deviation * 1e3:.2f} ms",
+                          f"{max(alignment.offset_deviation**2 - assumed**2, 0.0) ** 0.5 * 1e3:.2f} ms without that of "
+                          "the latency assumed for the bus")
+            table.add_row("drift", f"{alignment.drift_ppm:+.2f} ± {alignment.drift_deviation:.2f} ppm",
+                          "INS against CAN clock")
+            table.add_row("common time", f"{alignment.overlap:.1f} s", "")
+        console.print(table)
+    for reason in alignment.reasons:
+        console.print(f"  [{style}]·[/{style}] {reason}", highlight=False, soft_wrap=True)
+    if alignment.signals:
+        table = Table(box=None, padding=(0, 2))
+        table.add_column("signal")
+        for name in ("alone, ms", "correlation", "residual / spread"):
+            table.add_column(name, justify="right")
+        for row in alignment.signals:
+            alone = f"{row.difference * 1e3:+.2f} ± {row.deviation * 1e3:.2f}"
+            table.add_row(row.name, alone, f"{row.correlation:.5f}", f"{row.residual:.4f}")
+        console.print(table)
+
+
+def _seconds(nanoseconds: int) -> str:
+    """All digits down to the microsecond, also of an offset of years, which a float would round."""
+    sign, rest = ("-", -nanoseconds) if nanoseconds < 0 else ("+", nanoseconds)
+    return f"{sign}{rest // 10**9}.{rest % 10**9 // 1000:06d}"
+
+
+@shared.reads_recordings()
+def import_(
+    paths: list[Path] = typer.Argument(..., help="Runs: .ncom with CAN logs, folders of them, run.yaml."),
+    output: Path | None = typer.Option(
+        None, help="Bag directory; with several runs, the folder of their bags. Default runs/import-<name>-<time>."
+    ),
+    search: tuple[float, float] | None = typer.Option(None, help="Bounds of the offset in seconds."),
+    force: bool = typer.Option(False, "--force", help="Write also runs in which `st check` finds an error."),
+    strict: bool = typer.Option(False, "--strict", help="Refuse runs with a doubtful alignment."),
+    read_options: shared.ReadOptions = shared.ReadOptions(),
+) -> None:
+    """Write INS recording and CAN logs as one rosbag2 MCAP: aligned, in one time base, raw packets and frames kept.
+
+    `ros2 bag play` of it drives the live nodes, and every st verb reads it. Exit status 0: all runs written; 1: some
+    were not (each with its reason); 2: nothing could be done.
+    """
+    from rich.console import Console
+    from st_recordings.paths import OutputError, new_folder
+    from st_recordings.runs.errors import RunError
+    from st_recordings.runs.sources import find_runs
+
+    console = Console()
+    with shared.refusals("import"):
+        vehicle, settings = read_options.resolve(search=search, doubtful=not strict)
+        parameters, file = shared.load_vehicle_or_default(vehicle)
+    found = [run for run in find_runs(paths) if run.kind == "ncom" or run.problem is not None]
+    if not found:
+        typer.echo(f"st import: {', '.join(map(str, paths))}: no raw logs (.ncom with CAN logs) are in there", err=True)
+        raise typer.Exit(2)
+    written = 0
+    for run in found:
+        try:
+            given = output / run.name if output and len(found) > 1 else output
+            folder = new_folder(given, f"import-{run.name}", create=False)
+            _import_one(run, parameters, folder, settings, force, console)
+            written += 1
+        except (RunError, OutputError) as error:
+            typer.echo(f"st import: {error}", err=True)
+    if vehicle is None:
+        shared.report_default_car("import", file)
+    if written < len(found):
+        raise typer.Exit(1 if written else 2)
+
+
+def _import_one(source, parameters, folder: Path, settings, force: bool, console) -> None:
+    import time
+
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from st_offline.alignment_figure import alignment_figure
+    from st_offline.checking.check_report import print_findings
+    from st_offline.checking.gate import checked_run
+    from st_recordings.runs.write import import_run
+
+    began = time.perf_counter()
+    with Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=console,
+                  transient=True) as progress:
+        task = progress.add_task(f"{source.name}: reading and aligning", total=None)
+        done = import_run(source, parameters, folder, settings, checked_run(source.where, parameters, force),
+                          lambda share: progress.update(task, description=f"{source.name}: writing", total=1.0,
+                                                        completed=share))
+    seconds = time.perf_counter() - began
+    for warning in done.warnings:
+        console.print(f"[yellow]{warning}[/yellow]", highlight=False, soft_wrap=True)
+    print_findings({source.name: done.findings}, console)
+    alignment = done.run.alignment
+    text = sentence(alignment, done.run.can.start_ns, absolute=True)
+    if done.run.shared:
+        alignment_figure(done.run.shared, alignment, f"{source.name}: {text}", folder / "alignment.png")
+    style = VERDICT_STYLE[alignment.verdict]
+    console.print(f"[bold]{source.name}[/bold]  [{style}]{text}[/{style}]", highlight=False, soft_wrap=True)
+    console.print("  " + ", ".join(f"{topic} {count}" for topic, count in done.counts.items()), highlight=False,
+                  soft_wrap=True)
+    console.print(f"  {folder}  [dim]{done.span:.0f} s of driving in {seconds:.1f} s, {done.span / seconds:.0f} times "
+                  "real time[/dim]", highlight=False, soft_wrap=True)
+
+
+def ncom(
+    file: Path = typer.Argument(..., help="NCOM recording.", exists=True, dir_okay=False),
+    csv: Path = typer.Option(..., "--csv", help="Navigation values, one row per packet."),
+    status: Path | None = typer.Option(None, "--status", help="Status fields, one row per change."),
+) -> None:
+    """Write an NCOM file as CSV: time, acceleration, rates, position, velocity, attitude and what follows from them."""
+    from oxts_bridge.export import write_csv
+
+    for option, path in (("--csv", csv), ("--status", status)):
+        if path is not None and path.exists() and path.samefile(file):
+            typer.echo(f"st ncom: {option} {path} is the recording itself: name another file", err=True)
+            raise typer.Exit(2)
+    if status is not None and status.absolute() == csv.absolute():
+        typer.echo(f"st ncom: --csv and --status are both {csv}: name two files", err=True)
+        raise typer.Exit(2)
+    try:
+        write_csv(file, csv, status)
+    except (OSError, ValueError) as error:
+        typer.echo(f"st ncom: {error}", err=True)
+        raise typer.Exit(2) from None
+
+
+def recover(
+    path: Path = typer.Argument(..., help="A bag directory or an .mcap file that was not closed.", exists=True),
+    output: Path | None = typer.Option(
+        None, "--output", help="Path of the repaired recording; default: in place, the cut file is kept."
+    ),
+) -> None:
+    """Repair a recording cut off by a crash or power loss; complete ones are left as they are."""
+    from st_recordings import mcap
+
+    try:
+        report = mcap.recover(path, output)
+    except (OSError, ValueError) as error:
+        typer.echo(f"st recover: {error}", err=True)
+        raise typer.Exit(2) from None
+    typer.echo(str(report))
