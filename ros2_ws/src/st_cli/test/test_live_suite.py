@@ -15,8 +15,8 @@ pytest.importorskip("st_msgs", reason="needs the built workspace")
 
 from rich.console import Console
 from st_cli.verbs import demo, live, raw_logs
-from st_live import configuration, session, terminal
-from st_live.node import Status, SuiteState
+from st_live import configuration, session
+from st_live.node import Status, SuiteState, progress_view
 from st_live.suite import SuiteError, chosen_domain_id, claimed_domain, merge
 from st_msgs.msg import ErrorStatistics, ErrorSummary, Prediction, PredictorStatus
 
@@ -187,7 +187,7 @@ def test_every_node_has_one_section_in_the_parameter_file() -> None:
 def lines_of(state: SuiteState) -> list[str]:
     console = Console(width=80, force_terminal=True, color_system=None)
     with console.capture() as captured:
-        console.print(terminal.progress_view(state, 12.0, 60.0, "S6"))
+        console.print(progress_view(state, 12.0, 60.0, "S6"))
     return [line.rstrip() for line in captured.get().splitlines()]
 
 
