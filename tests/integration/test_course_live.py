@@ -60,7 +60,7 @@ def test_predictions_and_scores_with_the_course_are_verified(folder: Path, run: 
 
 
 def test_a_file_that_is_no_course_is_refused_in_one_line_before_a_node_starts(folder: Path, tmp_path: Path) -> None:
-    for content, reason in (((folder / "course.yaml").read_text()[:400], "edited or cut off"), ("", "not a course")):
+    for content, reason in (((folder / "course.yaml").read_text()[:-400], "edited or cut off"), ("", "not a course")):
         file = tmp_path / "course.yaml"
         file.write_text(content)
         text = st("demo", "--course", file, "--output", tmp_path / "run", status=2).strip()
