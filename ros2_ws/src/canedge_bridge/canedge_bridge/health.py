@@ -33,7 +33,11 @@ class Health:
         self._rates: dict[str, float] = {}
 
     def checks(self) -> list[Check]:
-        return [self._bus(), self._needed(), self._frames(), self._plausibility()]
+        implausible = self._decoder.implausible_signals()
+        plausibility = Check("plausibility", OK, "decoded signals are possible")
+        if implausible:
+            plausibility = Check("plausibility", ERROR, "; ".join(implausible) + "; the signal is withheld")
+        return [self._bus(), self._needed(), self._frames(), plausibility]
 
     def _bus(self) -> Check:
         status = self._receiver_status()
@@ -98,9 +102,3 @@ class Health:
         if new:
             return Check("frames", WARN, f"{new} bad frames since the last report, {bad} since start", values)
         return Check("frames", OK, f"no bad frame since the last report, {bad} since start", values)
-
-    def _plausibility(self) -> Check:
-        implausible = self._decoder.implausible_signals()
-        if implausible:
-            return Check("plausibility", ERROR, "; ".join(implausible) + "; the signal is withheld")
-        return Check("plausibility", OK, "decoded signals are possible")

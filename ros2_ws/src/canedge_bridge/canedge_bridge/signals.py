@@ -226,7 +226,10 @@ def _message(row: Entry, dbc: DbcMessage, dbc_path: Path) -> MessageSpec:
     _check_layout(dbc, dbc_path)
     rows = row.entry("signals")
     signals = tuple(_signal(rows.entry(name), dbc, _find(dbc, name, dbc_path, row), dbc_path) for name in rows)
-    _check_time_parts(rows, signals)
+    parts = {s.name for s in signals if s.name.startswith("gps_")}
+    if parts and parts not in (set(DATE_TIME_PARTS), set(MILLI_TIME_PARTS)):
+        raise TableError(f"{rows.origin}: {rows.path}: GPS time needs all of {', '.join(MILLI_TIME_PARTS)} "
+                         f"or all of {', '.join(DATE_TIME_PARTS)}")
     counter = row.optional("counter")
     checksum = row.optional("checksum")
     fill = row.optional("fill")
@@ -325,13 +328,6 @@ def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
             f"({spec.dbc.length} bits, {order}, {'signed' if spec.dbc.is_signed else 'unsigned'}, "
             f"factor {spec.dbc.scale:g}) decodes it incorrectly; where the sign has a signal of its own, name it as "
             "sign_signal")
-
-
-def _check_time_parts(rows: Entry, signals: tuple[SignalSpec, ...]) -> None:
-    parts = {s.name for s in signals if s.name.startswith("gps_")}
-    if parts and parts not in (set(DATE_TIME_PARTS), set(MILLI_TIME_PARTS)):
-        raise TableError(f"{rows.origin}: {rows.path}: GPS time needs all of {', '.join(MILLI_TIME_PARTS)} "
-                         f"or all of {', '.join(DATE_TIME_PARTS)}")
 
 
 def _check(entry: Entry, dbc: DbcMessage, dbc_path: Path, row: Entry, with_rule: bool = False) -> CheckSpec:

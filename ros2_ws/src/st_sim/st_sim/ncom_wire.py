@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from oxts_bridge.channels import encode_channel
-from oxts_bridge.ncom import Packet, encode
+from oxts_bridge.ncom import INITIALISING, LOCKED, Packet, encode
 
 from .sensors import ACCURACY, InsReading
 
@@ -21,7 +21,7 @@ UNIX_OF_GPS_EPOCH_NS = 315_964_800_000_000_000
 LEAP_SECONDS_NS = 18_000_000_000
 """GPS is ahead of UTC by 18 s since 2017."""
 
-NOTHING, RAW, INITIALISING, LOCKING, LOCKED = 0, 1, 2, 3, 4
+NOTHING, RAW = 0, 1
 _INVALID = (math.nan, math.nan, math.nan)
 
 

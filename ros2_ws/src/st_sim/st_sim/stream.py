@@ -10,9 +10,10 @@ from typing import Any, NamedTuple, Protocol
 
 import can
 from canedge_bridge.transport import open_bus
+from oxts_bridge.ncom import INITIALISING, LOCKED, LOCKING
 
 from .can_wire import FRAME_TIME, Background, CanWire, Frame
-from .ncom_wire import INITIALISING, LOCKED, LOCKING, NOTHING, RAW, NcomWire
+from .ncom_wire import NOTHING, RAW, NcomWire
 from .plant import Truth
 from .sensors import Ins, Loss, SteeringSensor, read_wheel_speeds
 from .settings import Settings, SimulationError
