@@ -104,9 +104,10 @@ def read_results(folder: Path) -> Results:
 def _track(path: Path, bag: Storage) -> Track:
     point = [f"pose.pose.position.{k}" for k in "xy"]
     turn = [f"pose.pose.orientation.{k}" for k in "wxyz"]
-    values = numbers(path, bag, ODOMETRY, ["header.stamp", *point, *turn])
-    if values is None:
+    topic = next((t for t in bag.topics() if t.name == ODOMETRY and t.count), None)
+    if topic is None:
         return Track(np.empty(0, np.int64), *(np.empty(0),) * 3)
+    values = numbers(path, bag, topic, ["header.stamp", *point, *turn], typestore(definitions()))
     w, i, j, k = (values[name] for name in turn)
     yaw = np.unwrap(np.arctan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k)))
     x, y = (values[name] for name in point)

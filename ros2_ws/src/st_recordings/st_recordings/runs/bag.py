@@ -146,7 +146,7 @@ def read_odometry(path: Path, odometry: str | None = None) -> InsLog:
     storage = open_bag(path)
     store = _store_of(storage, storage.topics(), None)
     topic = _odometry_topic(path, storage.topics(), odometry)
-    columns = _numbers(path, storage, topic, _ODOMETRY_FIELDS, store)
+    columns = numbers(path, storage, topic, _ODOMETRY_FIELDS, store)
     notes = _set_stamps(storage, {ODOMETRY: topic.name}, {ODOMETRY: columns})
     ins_ns, values, _, more = _odometry_rows(columns)
     return planar(path, ins_ns, values, tuple(f"{path}: {note}" for note in (*notes, *more)))
@@ -224,14 +224,9 @@ def open_bag(path: Path, splits: Sequence[Path] = ()) -> Storage:
     return open_storage(path, files, typestore(definitions()))
 
 
-def numbers(path: Path, storage: Storage, topic: str, fields: Sequence[str]) -> dict[str, np.ndarray] | None:
-    """Numbers of all messages of a topic (cdr.Layout), None where there are none. Raises RunError."""
-    found = next((t for t in storage.topics() if t.name == topic and t.count), None)
-    return _numbers(path, storage, found, fields, typestore(definitions())) if found else None
-
-
-def _numbers(path: Path, storage: Storage, topic: Topic, fields: Sequence[str],
-             store: Typestore) -> dict[str, np.ndarray]:
+def numbers(path: Path, storage: Storage, topic: Topic, fields: Sequence[str],
+            store: Typestore) -> dict[str, np.ndarray]:
+    """Numbers of all messages of a topic (cdr.Layout). Raises RunError."""
     return storage.columns({topic: fields}, store).get(topic.name) or _one_by_one(path, storage, topic, fields, store)
 
 

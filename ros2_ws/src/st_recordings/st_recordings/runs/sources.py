@@ -131,7 +131,9 @@ def _unmatched(rest: Sequence[Path], readers: dict[Path, Reader], logs: Sequence
                                      "give them the same name, or list the files of each run in a run.yaml"))
     for session in dict.fromkeys(session_of(f)[0] for f in logs) if not rest else ():
         file = next(f for f in logs if session_of(f)[0] == session)
-        tables = [f.name for f in sorted(file.parent.iterdir()) if f.suffix.lower() == ".csv"]
+        csv = READERS["csv"]
+        tables = [f.name for f in sorted(file.parent.iterdir())
+                  if csv.takes(f) and not (csv.has_drive(f) or csv.is_ins_only(f))]
         advice = "give both, or list the files of the run in a run.yaml"
         if tables:
             advice += f"; it can name columns that are not recognised in {tables[0]}, as columns: {{x: NAME, ...}}"
