@@ -7,9 +7,8 @@ import pytest
 from discovery_drives import linear_problem
 from st_core.discovery.evidence import against_file, covariance
 from st_core.discovery.fit import Problem
-from st_core.discovery.known import Known, known_quantities, prior_deviations
 from st_core.discovery.settings import DiscoverySettings
-from st_core.discovery.space import Space
+from st_core.discovery.space import Known, Space, known_quantities, prior_deviations
 from st_core.provenance import Provenance
 from st_core.vehicle import DEFAULT_UNCERTAINTIES, TYRES
 

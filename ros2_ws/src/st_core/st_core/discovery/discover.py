@@ -35,7 +35,6 @@ from .decision import (
 from .evidence import Evidence, Joint, chance, joint, share_of
 from .fit import Fit, Problem
 from .following import Catalogue, catalogue, following, separability, shows
-from .known import known_quantities
 from .levels import Level, levels, sites
 from .loss import Errors, Loss
 from .reference import learn
@@ -58,7 +57,7 @@ from .result import (
 )
 from .search import Found, Search
 from .settings import DiscoverySettings
-from .space import Space
+from .space import Space, known_quantities
 from .varying import Varying, evidence_of, varying
 from .where import where
 from .windows import MARGIN_NS, Windows, noise_floor

@@ -7,9 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from .known import Quantities, prior_deviations
 from .loss import Loss, Quadratic, rho
-from .space import GAIN
+from .space import GAIN, Quantities, prior_deviations
 
 ITERATIONS, SHARES = 5, (1.0, 0.5, 0.2)  # of a fit; of a step, until the loss falls
 NEAR, MOST_KEPT = 0.25, 4  # usual sizes: slopes of a point so near will do; points remembered

@@ -12,10 +12,9 @@ from ..log import DriveLog
 from ..vehicle import VehicleParameters
 from .evidence import TWO_SIDED, inverse
 from .fit import Problem, freed
-from .known import Quantities, known_quantities
 from .loss import Errors, Loss, Quadratic
 from .settings import DiscoverySettings
-from .space import Space
+from .space import Quantities, Space, known_quantities
 from .windows import Windows
 
 LOOSE = 3.0  # usual sizes: how far from the vehicle file a healthy car may be before its drives are used
