@@ -46,6 +46,8 @@ FAULTS = [
     ("velocity_x_scale", 3.6, times(3.6, "velocity_x")),
     ("velocity_lag", 0.2, delayed(0.2, *VELOCITY)),
     ("velocity_lag", -0.1, delayed(-0.1, *VELOCITY)),
+    ("velocity_x_bias", 0.4, plus(0.4, "velocity_x")),
+    ("velocity_y_bias", -0.5, plus(-0.5, "velocity_y")),
     ("yaw_scale", DEGREE, times(DEGREE, "yaw")),
     ("yaw_offset", 0.02, plus(0.02, "yaw")),
     ("yaw_offset", -0.15, plus(-0.15, "yaw")),
@@ -81,6 +83,7 @@ FORMS = [
     ("position_axes", times(-1.0, "x")), ("position_axes", times(-1.0, "y")),
     ("velocity_x_scale", times(-1.0, "velocity_x")), ("velocity_y_scale", times(-1.0, "velocity_y")),
     ("yaw_convention", compass(DEGREE)), ("yaw_convention", times(-1.0, "yaw")),
+    ("position_axes", lambda log: exchanged()(compass()(log))),
 ]
 
 

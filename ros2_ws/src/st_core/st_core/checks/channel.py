@@ -48,7 +48,7 @@ def judged(found: Agreement | None, expected: Expected, scale_before: float = 1.
     if abs(found.correlation) < expected.correlation:  # noise of either makes the scale and the bias wrong, not the lag
         return ([_lag(found, lag, expected)] if _is_lag(found, lag, expected) else []), (
             {f"{name}_lag": lag} if found.carries_lag else {})
-    factor = _factor(scale.value, expected)
+    factor = None if _diluted(scale, found) else _factor(scale.value, expected)
     if factor is not None:
         findings.append(_gross(scale, factor, expected))
     elif abs(scale.value - 1.0) >= expected.scale and scale.shifted(-1.0).significant and not _diluted(scale, found):

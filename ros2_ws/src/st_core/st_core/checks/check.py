@@ -57,7 +57,11 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
     stuck = sampling.stuck(motion, known)
     motion, coarse = _gross_aligned(sampling.unfrozen(motion, stuck), seed)
     coarse = [unit, *coarse] if unit else coarse
-    findings += stuck + sampling.rounded(motion, stuck)
+    rounded = sampling.rounded(motion, stuck)
+    findings += stuck + rounded
+    rough = {channel for one in rounded for channel in one.channels}  # their rates of change are mostly rounding
+    motion = motion.with_(**{f"acceleration_{axis}": None for axis, needed in (
+        ("x", {"velocity_x"}), ("y", {"velocity_y", "yaw_rate"})) if rough & needed})
     if not any(one.name == "samples_repeated" and {"x", "y"} & set(one.channels) for one in stuck):
         motion, stepping = steps(motion)  # held positions step by nature
         findings += stepping
@@ -66,7 +70,8 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
     motion, fine, estimates, identities = compared
     findings += rate + _once(coarse, fine, estimates)
     hand_wheel = log.steering_wheel_angle is not None
-    for found, more, shown in _with_vehicle(motion, vehicle, hand_wheel, broken, stuck, seed):
+    unusable = rough | {channel for one in stuck if one.name == "channel_frozen" for channel in one.channels}
+    for found, more, shown in _with_vehicle(motion, vehicle, hand_wheel, broken, unusable, seed):
         findings += found
         estimates |= more
         identities += [shown] if shown else []
@@ -89,16 +94,15 @@ def _sensors_at_true_rate(motion: Motion, unit: Finding | None, before: dict[str
 
 
 def _with_vehicle(motion: Motion, vehicle: VehicleParameters | None, hand_wheel: bool, broken: set[str],
-                  stuck: list[Finding], seed: int) -> list[vehicle_relations.Comparison]:
-    """Comparisons of steering, rear axle and lateral acceleration with the vehicle; broken or frozen channels left out.
-    """
+                  unusable: set[str], seed: int) -> list[vehicle_relations.Comparison]:
+    """Comparisons of steering, rear axle and lateral acceleration with the vehicle; broken, frozen or coarse channels
+    left out."""
     if vehicle is None:
         return []
-    frozen = {channel for one in stuck if one.name == "channel_frozen" for channel in one.channels}
     comparisons = []
     if not broken & {*STEERING}:
         comparisons.append(vehicle_relations.steering(motion, vehicle, hand_wheel, seed))
-    if not frozen & {"velocity_y", "yaw_rate"}:  # both are needed to locate the INS
+    if not unusable & {"velocity_y", "yaw_rate"}:  # both are needed to locate the INS
         comparisons.append(vehicle_relations.rear_axle(motion, vehicle, seed))
     return [*comparisons, (vehicle_relations.believable(motion), {}, None)]
 

@@ -9,7 +9,7 @@ sit a metre or two from the point of the velocities; at speed v that looks like 
 import numpy as np
 
 from .channel import Expected, identity, judged
-from .finding import AuxiliaryData, Finding, Identity, Series
+from .finding import Advice, AuxiliaryData, Finding, Identity, Series, Severity
 from .lag import Agreement, agreement
 from .limits import HORIZON, LIMITS
 from .motion import MOVING, Motion
@@ -69,18 +69,30 @@ def accelerations(motion: Motion, seed: int) -> list[Judged]:
     speed = float(np.median(np.abs(motion.velocity_x)))
     lags = {"acceleration_x": ACCELERATION_LAG,
             "acceleration_y": max(ACCELERATION_LAG, LEVER / max(speed, MOVING))}
+    channels = {name: values for name in derivative if (values := getattr(motion, name)) is not None}
+
+    def against(name: str, values: np.ndarray) -> Agreement | None:
+        return agreement(motion.time, derivative[name], motion.time, values, ACCELERATION_CUTOFF, seed)
+    agreements = {name: against(name, values) for name, values in channels.items()}
+    crossed = zip(channels, reversed(channels.values()), strict=True)
+    if len(channels) == 2 and not any(map(_correlates, agreements.values())) and all(
+            _correlates(against(name, values)) for name, values in crossed):
+        text = "acceleration_x and acceleration_y are exchanged (x is forward, y left)"
+        return [([Finding("acceleration_axes", Severity.WARNING, (*channels,), text, advice=Advice(
+            "run.yaml", "columns: {acceleration_x: acceleration_y, acceleration_y: acceleration_x}",
+            {"columns": dict(zip(channels, reversed(channels), strict=True))}))], {}, None)]
     findings = []
-    for name, derived in derivative.items():
-        measured = getattr(motion, name)
-        if measured is None:
-            continue
-        found = agreement(motion.time, derived, motion.time, measured, ACCELERATION_CUTOFF, seed)
+    for name, found in agreements.items():
         expected = Expected(name, "velocity and yaw rate" if name[-1] == "y" else "velocity", "m/s^2", lags[name],
                             ACCELERATION_SCALE, LIMITS.bias_acceleration, (0.0, 0.0, GRAVE_ACCELERATION),
                             factors=FACTORS, why=LEANS)
         title = f"{'lateral' if name[-1] == 'y' else 'forward'} acceleration: sensor against velocity"
         findings.append((*judged(found, expected), identity(found, expected, title)))
     return findings
+
+
+def _correlates(found: Agreement | None) -> bool:
+    return found is not None and abs(found.correlation) >= LIMITS.correlation
 
 
 def speeds(motion: Motion, auxiliary: AuxiliaryData, start_ns: int, time_factor: float, seed: int) -> list[Judged]:

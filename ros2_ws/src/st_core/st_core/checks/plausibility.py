@@ -30,6 +30,7 @@ FEW = 0.01  # share of the samples up to which spikes are a note: the rest of th
 WRAP_LIMIT = 0.3  # of the largest plausible step; smaller wraps are smaller than what a channel can do anyway
 WRAP_SPREAD, WRAP_SYMMETRY = 0.1, 0.2  # of the wrap's size: how far its steps may differ, and its ends be asymmetric
 MOST_WRAPPED = 0.2  # share of the samples; beyond it the true range is not certain
+ONE_WAY = 0.5  # net change of a stretch over the sum of its steps: 1 for a turn in another unit, 0 for noise
 JUMP = 30.0  # times the 90th percentile of all steps; the largest of seventeen real drives is 15
 LEAST = 20  # samples
 MOST_LISTED = 200  # stretches of a finding
@@ -239,10 +240,12 @@ def _sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) -> np.n
     usual = float(np.percentile(count, 98))
     found = []
     zero_step = max(8.0 * channel.usual, 0.0 if usual < 2.0 else 0.3 * channel.limit)
-    for k in np.flatnonzero((count >= SHORTEST_SENTINEL) & (count > PAUSES * usual)):
+    for k in np.flatnonzero(count >= SHORTEST_SENTINEL):
         begin, end = int(first[k]), int(last[k])
         zero = channel.values[begin] == 0.0
-        if zero and not (duration[k] >= SHORTEST_ZERO and moving[begin:end + 1].mean() > 0.5):
+        # A far value is reached by steps that no channel makes; a 0 may be the usual pause of a slow one.
+        if zero and not (count[k] > PAUSES * usual and duration[k] >= SHORTEST_ZERO
+                         and moving[begin:end + 1].mean() > 0.5):
             continue
         enough = channel.step > zero_step if zero and channel.name != "velocity_x" else large
         entered = begin == 0 or channel.split[begin - 1] or enough[begin - 1]
@@ -278,7 +281,9 @@ def _spikes(channel: _Channel, large: np.ndarray) -> np.ndarray:
     dense = np.convolve(large & rough & ~channel.split, np.ones(2 * half + 1), "same") > half
     for first, last in _spans(dense):
         places = first + np.flatnonzero(large[first:last + 1])
-        found += [np.arange(places[0] + 1, places[-1] + 1)] if len(places) else []
+        if len(places) and abs(channel.values[last + 1] - channel.values[first]) < ONE_WAY * channel.step[
+                first:last + 1].sum():
+            found.append(np.arange(places[0] + 1, places[-1] + 1))
     return np.unique(np.concatenate(found))
 
 

@@ -10,6 +10,7 @@ over windows of a second. Its residual is explained by at most a few causes, eac
     position lag T        p(t) = p_true(t - T)                   -T (V2 - V1),  V = R(yaw) v
     velocity lag T        v(t) = v_true(t - T), body axes        +T integral of R(yaw) dv/dt dt
     reference a           p is of a point a ahead                (R(yaw2) - R(yaw1)) (a, 0)
+    velocity bias b       v = v_true + b, one body axis          -integral of R(yaw) b dt
 """
 
 from collections.abc import Mapping
@@ -29,7 +30,12 @@ CLEARLY = 1.1  # ratio of losses from which the scale of one axis is preferred t
 LEAST_GAIN = 0.01  # m; least reduction of the misfit over a second by another sign: RTK noise is 1 cm
 LEAST_ACROSS = 0.02  # m/s root mean square of velocity_y
 SPHERE = 0.005  # a map projected with one radius of the earth is wrong by up to half a per cent per axis
+LEAST_BIAS = 0.05  # m/s; velocities of an INS are known to 0.03
 AXES = {"x_scale", "y_scale"}
+# Causes that look alike on a drive at one speed, of which one is fitted; a bias only where it explains clearly more.
+BIASES = {"velocity_x_bias": {*AXES, "velocity_scale"}, "velocity_y_bias": {"yaw_offset"}}
+TWINS = {"velocity_scale": {*AXES, "velocity_x_bias"}, "yaw_offset": {"velocity_y_bias"}, **BIASES,
+         **{axis: {"velocity_scale", "velocity_x_bias"} for axis in AXES}}
 TEXT = {
     "x_scale": "x is {value:.4f} ± {half:.4f} times the integrated velocity: scaled by the cosine of another latitude?",
     "y_scale": "y is {value:.4f} ± {half:.4f} times the integrated velocity: another earth radius or scale?",
@@ -40,12 +46,15 @@ TEXT = {
     "position_lag": "positions {lag} velocity and yaw by {size:.3f} ± {half:.3f} s",
     "velocity_lag": "velocities {lag} positions and yaw by {size:.3f} ± {half:.3f} s",
     "position_reference": "positions are of a point {size:.2f} ± {half:.2f} m {ahead} the one velocities are of",
+    "velocity_x_bias": "velocity_x is {size:.2f} ± {half:.2f} m/s too {high} for positions, at every speed",
+    "velocity_y_bias": "velocity_y is {size:.2f} ± {half:.2f} m/s too {high} for positions and yaw, at every speed",
 }
-UNIT = {"yaw_offset": "rad", "position_lag": "s", "velocity_lag": "s", "position_reference": "m"}
+UNIT = {"yaw_offset": "rad", "position_lag": "s", "velocity_lag": "s", "position_reference": "m",
+        **dict.fromkeys(BIASES, "m/s")}
 CHANNELS = {"x_scale": ("x",), "y_scale": ("y",), "map_shear": ("x",), "yaw_offset": ("yaw",),
             "velocity_scale": ("velocity_x", "velocity_y"), "position_lag": ("x", "y"),
             "velocity_lag": ("velocity_x", "velocity_y"),
-            "position_reference": ("x", "y")}
+            "position_reference": ("x", "y"), "velocity_x_bias": ("velocity_x",), "velocity_y_bias": ("velocity_y",)}
 
 
 def regression(motion: Motion, seed: int) -> Regression:
@@ -56,6 +65,7 @@ def regression(motion: Motion, seed: int) -> Regression:
     way = [over.change(integral(motion.time, v)) for v in (east, north)]
     faster = [over.change(v) for v in (east, north)]
     turning = [over.change(integral(motion.time, v)) for v in (-north * rate, east * rate)]
+    along = [over.change(integral(motion.time, v)) for v in (cosine, sine)]
     zero = np.zeros(len(over))
     columns = {
         "x_scale": (way[0], zero), "y_scale": (zero, way[1]), "map_shear": (way[1], zero), "velocity_scale": way,
@@ -63,6 +73,7 @@ def regression(motion: Motion, seed: int) -> Regression:
         "position_lag": (-faster[0], -faster[1]),
         "velocity_lag": (faster[0] - turning[0], faster[1] - turning[1]),
         "position_reference": (over.change(cosine), over.change(sine)),
+        "velocity_x_bias": (-along[0], -along[1]), "velocity_y_bias": (along[1], -along[0]),
     }
     measured = np.stack([over.change(motion.x) - way[0], over.change(motion.y) - way[1]], axis=1)
     return Regression(over.time, measured, {name: np.stack(c, axis=1) for name, c in columns.items()}, seed)
@@ -130,16 +141,26 @@ def lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 def _refined(problem: Regression, found: dict[str, Estimate], least: dict[str, float]) -> dict[str, Estimate]:
     """Refined values of the previous causes, and further causes."""
-    free = {name: value for name, value in least.items() if name not in found}
-    if AXES & found.keys():
-        free.pop("velocity_scale", None)
-    if "velocity_scale" in found:
-        free = {name: value for name, value in free.items() if name not in AXES}
-    causes = problem.causes({k: v for k, v in free.items() if k != "velocity_scale"}, tuple(found),
-                            () if "velocity_scale" in found else ("x_scale", "y_scale"))
-    more = _one_scale(problem, causes, tuple(found)) if "velocity_scale" in free else tuple(causes)
+    excluded = {*found, *(twin for name in found for twin in TWINS.get(name, ()))}
+    free = {name: value for name, value in least.items() if name not in excluded}
+    more = _further(problem, {k: v for k, v in free.items() if k not in BIASES}, tuple(found))
+    _, scale, _ = problem.fit((*found, *more))
+    loss = problem.loss((*found, *more), scale)
+    for bias, twins in BIASES.items():
+        if bias in free and twins & {*more}:
+            instead = _further(problem, {k: v for k, v in free.items() if k not in twins and (
+                k == bias or k not in BIASES)}, tuple(found))
+            if bias in instead and CLEARLY * problem.loss((*found, *instead), scale) < loss:
+                more = instead
     finer = problem.estimates((*found, *more))
     return {name: one.shifted(found[name].value) if name in found else one for name, one in finer.items()}
+
+
+def _further(problem: Regression, free: dict[str, float], always: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of further significant causes among those that are free."""
+    causes = problem.causes({k: v for k, v in free.items() if k != "velocity_scale"}, always,
+                            () if "velocity_scale" in always else ("x_scale", "y_scale"))
+    return _one_scale(problem, causes, always) if "velocity_scale" in free else tuple(causes)
 
 
 def _one_scale(problem: Regression, causes: dict[str, Estimate], always: tuple[str, ...]) -> tuple[str, ...]:
@@ -165,8 +186,7 @@ def _all(problem: Regression, found: dict[str, Estimate]) -> dict[str, Estimate]
     """Estimate of each cause, fitted with those found, as value of its finding."""
     findings = {}
     for name in problem.columns:
-        twins = AXES if name == "velocity_scale" else {"velocity_scale"} if name in AXES else set()
-        alongside = tuple(k for k in found if k != name and k not in twins)
+        alongside = tuple(k for k in found if k != name and k not in TWINS.get(name, ()))
         one = problem.estimates((*alongside, name))[name]
         findings[name] = _shown(name, one.shifted(found[name].value) if name in found else one)
     # By which positions would have to be wrong, if velocity is not.
@@ -181,7 +201,7 @@ def _is_wrong(name: str, shown: Estimate) -> bool:
 
 
 def _least(name: str) -> float:
-    return {"s": LIMITS.lag, "m": LIMITS.mounting}.get(UNIT.get(name, "1"), 0.0)
+    return {"s": LIMITS.lag, "m": LIMITS.mounting, "m/s": LEAST_BIAS}.get(UNIT.get(name, "1"), 0.0)
 
 
 def _finding(name: str, one: Estimate, problem: Regression) -> Finding:
@@ -193,7 +213,7 @@ def _finding(name: str, one: Estimate, problem: Regression) -> Finding:
     text = TEXT["sphere" if small else name].format(
         axis=name[0], value=shown.value, size=abs(shown.value), half=half, degrees=np.rad2deg(abs(shown.value)),
         side="left" if more else "right", lag="lag" if more else "lead", ahead="ahead of" if more else "behind",
-        grows="grows" if more else "shrinks")
+        grows="grows" if more else "shrinks", high="high" if more else "low")
     severity = LIMITS.severity(effect)
     if UNIT.get(name) == "s" and abs(one.value) >= LIMITS.grave_lag and severity is Severity.NOTE:
         severity = Severity.WARNING
@@ -216,6 +236,7 @@ def _advice(name: str, value: float) -> Advice:
         "velocity_scale": ("velocity", {"scale": 1.0 / value}), "yaw_offset": ("yaw", {"add": -value}),
         "position_lag": ("position", {"earlier": value}), "velocity_lag": ("velocity", {"earlier": value}),
         "position_reference": ("position", {"ahead": -value}),
+        **{bias: (bias.removesuffix("_bias"), {"add": -value}) for bias in BIASES},
     }[name] if value else ("", {})
     return Advice.correct(channel, **{key: float(f"{number:.5g}") for key, number in entry.items()})
 
@@ -237,6 +258,9 @@ def _corrected(motion: Motion, found: dict[str, Estimate]) -> Motion:
         motion = motion.with_(velocity_x=motion.velocity_x * factor, velocity_y=motion.velocity_y * factor)
     if "yaw_offset" in value:
         motion = motion.with_(yaw=motion.yaw - value["yaw_offset"])
+    for name in BIASES.keys() & value.keys():
+        channel = name.removesuffix("_bias")
+        motion = motion.with_(**{channel: getattr(motion, channel) - value[name]})
     for cause, names in (("position_lag", ("x", "y")), ("velocity_lag", ("velocity_x", "velocity_y"))):
         if cause in value:
             motion = motion.with_(**{n: np.interp(time + value[cause], time, getattr(motion, n)) for n in names})

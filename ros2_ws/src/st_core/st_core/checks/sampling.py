@@ -238,7 +238,8 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, step: fl
         return moved > max(3.0 * step, 0.05 if name == "yaw" else 1.0)
     other, least = TWINS[name]
     rate = other(motion)[inside]
-    return bool(np.percentile(rate, 95) - np.percentile(rate, 5) > least)
+    rounding = 3.0 * step if name in UNIT_OF_TWIN else 0.0
+    return bool(np.percentile(rate, 95) - np.percentile(rate, 5) > max(least, rounding))
 
 
 def _smooth_speed(motion: Motion) -> np.ndarray:
@@ -256,10 +257,12 @@ def _smooth_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
 # Position after 5 s per unit of a wrong start [m], and whether it grows with the speed [s].
 REACH = {"x": (1.0, False), "y": (1.0, False), "yaw": (HORIZON, True), "velocity_x": (HORIZON, False),
          "velocity_y": (LIMITS.settling * HORIZON, False), "yaw_rate": (LIMITS.settling * HORIZON, True)}
+UNIT_OF_TWIN = ("velocity_x", "acceleration_x", "acceleration_y", "yaw_rate")  # channels in the unit of their twin
 # What changes with a channel, whatever the sensor, and by how much it must before the channel is called frozen.
 TWINS: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] = {
     "velocity_x": (_smooth_speed, 0.3), "velocity_y": (lambda m: m.yaw_rate, 0.05),
-    "acceleration_x": (lambda m: m.velocity_x, 0.5), "acceleration_y": (lambda m: m.velocity_x * m.yaw_rate, 0.5),
+    "acceleration_x": (lambda m: _smooth_rate(m.time, m.velocity_x), 0.5),
+    "acceleration_y": (lambda m: m.velocity_x * m.yaw_rate, 0.5),
     "yaw_rate": (lambda m: _smooth_rate(m.time, m.yaw), 0.05),
     "road_wheel_angle": (lambda m: np.where(m.velocity_x > 2.0, m.yaw_rate, 0.0), 0.05),
 }

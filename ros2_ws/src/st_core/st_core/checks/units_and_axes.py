@@ -16,13 +16,15 @@ import numpy as np
 from .finding import Advice, Finding, Severity
 from .limits import LIMITS
 from .motion import Motion, Windows, integral, windows
-from .ratios import LEAST_WAY, LEAST_WINDOWS, near, ratios
+from .ratios import ALIKE, LEAST_WAY, LEAST_WINDOWS, near, ratios
 from .regression import Estimate
 
 LEAST_FOLLOWED, FOLLOWS = 0.2, 0.02  # rad of turning; largest misfit of positions, share of the distance
 ALONG = 0.1  # of the way, and of what yaw leaves: velocities that miss positions by less are those of the map
+GYRO = 0.005  # 1; scale error of a gyroscope or a projection that is in order
 LEAST_RATE = 0.005  # of the time; crystals are wrong by 0.0001, nominal rates by a whole sample
 CLEARLY = 0.8  # factor of the misfit
+TIE = 0.97  # factor of the misfit; closer, velocity_y is too small to show its unit, and has that of velocity_x
 DEGREE, GON = 180.0 / np.pi, 200.0 / np.pi
 ANGLES = {DEGREE: "degrees", GON: "gon", 1000.0: "mrad"}
 SPEEDS = {3.6: "km/h", 2.23694: "mph", 1.94384: "knots"}
@@ -40,7 +42,7 @@ def unit_of(factor: float, table: Mapping[float, Any]) -> float | None:
 def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
     """(motion with units, signs and axes corrected, what was corrected). Its stamps are in seconds: see time_unit."""
     found: list[Finding] = []
-    for step in (_both_turns, _turns, _axes, _way, _of_map, _turned):
+    for step in (_both_turns, _north_east, _turns, _axes, _way, _of_map, _turned):
         motion, finding = step(motion)
         found += [finding] if finding else []
     return motion, _one_yaw(found)
@@ -96,7 +98,7 @@ def nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate]) -> 
     if velocity is None or turn is None or "velocity_scale" not in wrong or turn.shifted(-1.0).covers(0.0):
         return None
     apart = abs(velocity.value - turn.value)
-    if apart > float(np.hypot(velocity.half, turn.half)) or abs(velocity.value - 1.0) < LEAST_RATE:
+    if apart > float(np.hypot(np.hypot(velocity.half, turn.half), GYRO)) or abs(velocity.value - 1.0) < LEAST_RATE:
         return None
     factor = velocity.value
     severity = next(one.severity for one in findings if one.name == "velocity_scale")
@@ -119,9 +121,10 @@ def _both_turns(motion: Motion) -> tuple[Motion, Finding | None]:
     """Yaw, of either sense, and yaw rate in one unit, which the course decides. Here the rate is corrected, then yaw.
     """
     r = ratios(motion)
-    if (_angle(r.rate_course) in ANGLES and near(abs(r.yaw_rate), 1.0, LIMITS.unit)
-            and near(abs(r.yaw_course), abs(r.rate_course), LIMITS.unit)):
-        return _yaw_rate(motion, r.rate_course, "the course of the positions")
+    # A course over one short bend is wrong by ten per cent; yaw and yaw rate decide together.
+    size = _angle(r.rate_course, ALIKE)
+    if size in ANGLES and near(abs(r.yaw_rate), 1.0, LIMITS.unit) and near(abs(r.yaw_course), size, LIMITS.unit):
+        return _yaw_rate(motion, r.rate_course, "the course of the positions", size)
     return motion, None
 
 
@@ -139,6 +142,37 @@ def _turns(motion: Motion) -> tuple[Motion, Finding | None]:
     return _yaw(motion, r.yaw_rate)
 
 
+def _north_east(motion: Motion) -> tuple[Motion, Finding | None]:
+    """Yaw and positions of the other sense than the yaw rate: north and east, if the other channels side with the rate.
+    """
+    r = ratios(motion)
+    if not (near(r.yaw_rate, -1.0, LIMITS.unit) and near(r.yaw_course, 1.0, LIMITS.unit)):
+        return motion, None
+    turn = motion.yaw_rate * motion.velocity_x
+    sides = [_sense(motion.steering_at_ins() * motion.velocity_x, turn)]
+    if motion.acceleration_y is not None:
+        sides.append(_sense(motion.acceleration_y, turn))
+    kept, mirrored = _misfit(motion), _misfit(motion.with_(velocity_y=-motion.velocity_y))
+    sides.append(1 if mirrored < CLEARLY * kept else -1 if kept < CLEARLY * mirrored else 0)
+    if sum(sides) <= 0:
+        return motion, None
+    text = ("x, y and yaw turn the other way than yaw rate and steering: x north, y east, and yaw a compass heading? "
+            "x is east, y north, and yaw from east, counter-clockwise")
+    entry = {"columns": {"x": "y", "y": "x"}, "correct": {"yaw": {"scale": -1.0, "add": np.pi / 2}}}
+    line = f"columns: {{x: y, y: x}}  # and correct: {{yaw: {{scale: -1, add: {np.pi / 2:g}}}}}"
+    return motion.with_(x=motion.y, y=motion.x, yaw=np.pi / 2 - motion.yaw), _error(
+        "position_axes", ("x", "y", "yaw"), text, None, Advice("run.yaml", line, entry))
+
+
+def _sense(values: np.ndarray, turn: np.ndarray) -> int:
+    """1 where values and turn clearly have one sign, -1 where the opposite one, else 0."""
+    known = np.isfinite(values)
+    if known.sum() < 50 or not np.std(values[known]) * np.std(turn[known]) > 0.0:
+        return 0
+    correlation = float(np.corrcoef(values[known], turn[known])[0, 1])
+    return int(np.sign(correlation)) if abs(correlation) >= LIMITS.correlation else 0
+
+
 def _follows(motion: Motion) -> bool:
     """Whether positions follow yaw and velocity, except for a constant rotation and a unit."""
     over = windows(motion.time, 1.0)
@@ -151,8 +185,8 @@ def _follows(motion: Motion) -> bool:
     return _misfit(scaled) < FOLLOWS * float(np.median(way))
 
 
-def _yaw_rate(motion: Motion, factor: float, against: str = "yaw") -> tuple[Motion, Finding]:
-    size = _angle(factor)
+def _yaw_rate(motion: Motion, factor: float, against: str = "yaw", size: float = 0.0) -> tuple[Motion, Finding]:
+    size = size or _angle(factor)
     exact = float(np.copysign(size, factor))
     reason = (f": {ANGLES[size].replace('degrees', 'deg')}/s?" if size in ANGLES else
               ": it counts the other way (left is positive)" if exact == -1.0 else "")
@@ -176,9 +210,9 @@ def _yaw(motion: Motion, factor: float) -> tuple[Motion, Finding]:
     return corrected, _error("yaw_convention", ("yaw",), text, factor, advice)
 
 
-def _angle(factor: float) -> float:
+def _angle(factor: float, within: float = 1.06) -> float:
     """The unit of angles, or 1, that a factor is in size; its own size where it is none."""
-    return min((one for one in (*ANGLES, 1.0) if near(abs(factor), one, 1.06)),
+    return min((one for one in (*ANGLES, 1.0) if near(abs(factor), one, within)),
                key=lambda one: abs(np.log(abs(factor) / one)), default=abs(factor))
 
 
@@ -232,7 +266,7 @@ def _way(motion: Motion) -> tuple[Motion, Finding | None]:
     unit = f": {SPEEDS[speed]}?" if speed else ""
     both = motion.with_(velocity_x=motion.velocity_x / factor, velocity_y=motion.velocity_y / factor)
     forward = motion.with_(velocity_x=motion.velocity_x / factor)
-    alone = _misfit(forward) < 0.8 * _misfit(both)
+    alone = _misfit(forward) < TIE * _misfit(both)
     name, channel = ("velocity_x_scale", "velocity_x") if alone else ("velocity_scale", "velocity")
     channels = ("velocity_x",) if alone else ("velocity_x", "velocity_y")
     text = (f"{' and '.join(channels)} {'is' if alone else 'are'} {1.0 / r.way:.3g} times the rate of change of "
