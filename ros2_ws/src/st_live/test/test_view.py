@@ -24,7 +24,7 @@ from st_live.page import PAGE, LiveView, PageServer, check_new_rerun_file
 from st_live.recorded_view import error_text, grid, heading_up, north_up
 from st_live.rerun_server import POLICY
 from st_live.suite import SuiteError
-from st_msgs.msg import Band, ErrorStatistics, InsStatus, Prediction, PredictionError, Steering
+from st_msgs.msg import Band, ErrorStatistics, InsStatus, PlannedPrediction, Prediction, PredictionError, Steering
 from st_predictor.map_drawing import GHOST_AGES, GHOST_TOLERANCE, History, car_outline, ribbon
 from st_predictor.map_drawing import Path as PredictedPath
 from st_ros.stamps import from_nanoseconds
@@ -195,6 +195,25 @@ def test_a_frame_shows_the_world_from_the_car(driven: PassengerFrames) -> None:
     assert points[-1] == pytest.approx([50.0, 5.0], abs=0.01)  # a bend to the left is left
     assert path["step"] == pytest.approx(0.1) and path["band"][-1] == 2.0 and len(points) == 51
     assert "linear" not in driven.frame(54.5)["paths"]  # an old prediction is not drawn
+
+
+def test_a_course_replaces_held_inputs_while_it_is_used(driven: PassengerFrames) -> None:
+    held = driven._predictions["forecast"]["linear"][1]
+    held.bands = [Band(mode=mode, level=0.9, along=[0.0] * len(held.x), across=[width] * len(held.x),
+                       yaw=[0.0] * len(held.x)) for mode, width in (("forecast", 2.0), ("course", 1.0))]
+    course = PlannedPrediction(model="linear", step=0.05, x=held.x, y=held.y, yaw=held.yaw)
+    course.header.stamp = held.header.stamp
+    for mode, error in (("forecast", 4.0), ("course", 1.5)):
+        driven.take("evaluator/errors", PredictionError(model="linear", mode=mode, complete=True, horizon=[0.0, 5.0],
+                                                        longitudinal=[0.0, error], lateral=[0.0, 0.0]), 53.0)
+    driven.take("predictor/linear/course", course, 53.0)
+    frame = driven.frame(53.1)
+    assert frame["paths"]["linear"]["inputs"] == "remembered" and frame["paths"]["linear"]["band"][-1] == 1.0
+    assert frame["errors"]["linear"]["longitudinal"] == 1.5
+    driven.take("predictor/linear/prediction", held, 55.0)  # the driver has left the course
+    frame = driven.frame(55.1)
+    assert frame["paths"]["linear"]["inputs"] == "held" and frame["paths"]["linear"]["band"][-1] == 2.0
+    assert frame["errors"]["linear"]["longitudinal"] == 4.0
 
 
 def test_the_error_is_that_of_the_end_of_the_horizon(driven: PassengerFrames) -> None:

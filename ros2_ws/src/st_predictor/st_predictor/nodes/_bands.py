@@ -64,7 +64,8 @@ class PredictionBands:
         """By model, for predictions with these modes that start at an instant [ns]; empty without a band. Valid until
         the next call."""
         if self._adaptive:
-            found, self._missing = self._adaptive.issue(time_ns, conditions_now(history, time_ns), modes)
+            condition = conditions_now(history, time_ns) if self._text else ()  # only a calibrated scale needs it
+            found, self._missing = self._adaptive.issue(time_ns, condition, modes)
             return {model: [band for band in bands if (model, band.mode) in found]
                     for model, bands in (self._messages.fill() if found else {}).items()}
         if self._fixed is None:
