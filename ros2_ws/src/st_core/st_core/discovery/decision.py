@@ -14,10 +14,10 @@ STATED, NEGLIGIBLE, CHANCE, NULL, IRRELEVANT, SENSORS, FILE, BOUND, VARIES, MINO
 
 @dataclass(frozen=True)
 class Checks:
-    """What is checked of an effect once intervals and axle curves are known. null_outside: the interval of one of its
-    values leaves out the null. crossing: parameter whose interval crosses a bound, "" for none. driven [1]: share of
-    the peak force that was driven, of an effect that is a peak. worse_axle: axle whose measured forces the effects
-    that act on it describe less well than the vehicle file does, this one among them; "" for none."""
+    """What is checked of an effect once intervals and axle curves are known. null_outside: one of its values has an
+    interval without the null. crossing: parameter with an interval across a bound, "" for none. driven [1]: share of
+    the peak force that was driven, of an effect that is a peak. worse_axle: axle with measured forces that the
+    effects acting on it, this one among them, describe less well than the vehicle file does; "" for none."""
 
     null_outside: bool = True
     crossing: str = ""
@@ -28,7 +28,7 @@ class Checks:
 @dataclass(frozen=True)
 class Rival:
     """Another name in the place of one of the answer, `instead`. share [1]: of that one's gain. worse [1]: chance that
-    it is no worse. less [1]: gain it lacks. evidence, values: its own, there. shared: it takes a part of what that one
+    it equals it. less [1]: gain it lacks. evidence, values: its own, there. shared: it takes a part of what that one
     does and leaves the rest to it."""
 
     name: str
@@ -44,7 +44,7 @@ class Rival:
 @dataclass(frozen=True)
 class Answer:
     """Everything the outcome depends on. left [1]: errors that are left, over the noise. seen [1]: share of the library
-    whose usual size these drives would show. bound: number of effects that come and go."""
+    that these drives would show at its usual size. bound: number of effects that vary over the drives."""
 
     stated: Sequence[Evidence]
     rivals: Mapping[str, Sequence[Rival]]
@@ -158,7 +158,7 @@ def _relevance(e: Evidence, limits: Limits) -> dict[str, float]:
 
 
 def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) -> Reason:
-    """Whether an effect that holds is stated, or only kept, so that it does not bend other values."""
+    """Whether an accepted effect is stated, or only kept, so that it does not bend other values."""
     sure, checks = confirmed(e, limits), checks or Checks()
     if checks.worse_axle:
         return Reason(FORCES, e.name, {"gain": e.gain}, f"the measured forces of the {checks.worse_axle} axle are "

@@ -271,9 +271,9 @@ class Search:
         p = self.problem
         q = fit.quadratic
         rest = tuple(n for n in fit.names if n not in names)
-        gone = np.isin(fit.which, np.setdiff1d(p.space.indices(*names), p.space.indices(*rest)))
-        step = np.where(gone, ((p.start - fit.vector) / p.space.scale)[fit.which], 0.0)
-        return _held_at(p, q, fit.vector, fit.which, step, ~gone)[0]
+        removed = np.isin(fit.which, np.setdiff1d(p.space.indices(*names), p.space.indices(*rest)))
+        step = np.where(removed, ((p.start - fit.vector) / p.space.scale)[fit.which], 0.0)
+        return _held_at(p, q, fit.vector, fit.which, step, ~removed)[0]
 
     def _pruned(self, vector: np.ndarray, names: list[str]) -> Fit | None:
         """From many effects at once, held a little, without those that are missed least; None if that is not new."""
@@ -331,7 +331,7 @@ class Search:
 
     def _measured(self, found: Found, sure: float = np.inf) -> str:
         """Fill in `evidence` and `without`. The weakest effect that fails the test; "" if none does. sure: of the size
-        of the errors; an effect whose leaving out surely costs three times that is not refitted without."""
+        of the errors; no refit without an effect that costs three times that at least."""
         p = self.problem
         found.known = found.known or self._scores(found.fit)
         found.evidence, found.without = {}, {}
