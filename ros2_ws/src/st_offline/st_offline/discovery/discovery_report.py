@@ -119,7 +119,7 @@ def write_page(file: Path, found: Discovery, update: VehicleUpdate | None, conte
     refused = {name: {"findings": findings} for name, findings in about["refused"].items()}
     recordings = {**refused, **about["runs"], **about["reference"]}
     text = template("discovery/discovery.html.jinja", plain=plain, channel=quantities.channel).render(
-        title=report_text.title(found), found=found, content=content, figures=figures, words=report_text, law=law,
+        title=report_text.title(found), found=found, content=content, figures=figures, law=law,
         summary=report_text.summary(found, update, {name: findings_in(run) for name, run in recordings.items()}),
         details=report_text.details(found, update), recordings=recordings, **_tables(found, content))
     file.write_text(text, encoding="utf-8")
@@ -147,6 +147,10 @@ def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Sequ
                        for c in ranked[:MAX_CANDIDATES]],
         "combinations": [(f"{c.name}, {c.unit}", f"{c.value:.4g}", f"{c.interval[0]:.4g} to {c.interval[1]:.4g}",
                           f"{c.file:.4g}") for c in found.combinations],
+        "hidden": [(plain(n.name), n.reason, n.manoeuvre or "-") for n in sorted(
+            found.not_testable, key=lambda n: report_text.rank(n.name))[:MAX_CANDIDATES]],
+        "where": [(quantities.channel(w.channel), report_text.condition(w))
+                  for w in sorted(found.where, key=lambda w: -w.interval[0])[:MAX_CANDIDATES]],
         "pairs": [(f"{plain(p.first)} or {plain(p.second)}", f"{p.cosine:.3f}", f"{p.strength:.1f}")
                   for p in found.separability[:MAX_CANDIDATES]]}
 
