@@ -310,9 +310,7 @@ def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
         lines.append(f"vehicle.yaml is not written: alone it would change the position error after 5 s from "
                      f"{metres(update.error[0])} to {metres(update.error[1])} on held-out drives; use model.yaml")
     lines += update.objections if update is not None else ()
-    lines += [f"{plain(e.name)} is negative ({short_values({name: p})}): the reaction would precede its cause, so a "
-              "clock or a stated latency is wrong; look at the clocks (st check, st align) before using it"
-              for e in found.effects for name, p in e.parameters.items() if p.unit == "s" and p.interval[1] < 0.0]
+    lines += acausal(found)
     if update is not None and update.folded:
         same = ", ".join(f"{plain(e.name)} {short_values(e.parameters)}" for e in found.effects
                          if e.name in update.folded)
@@ -346,6 +344,13 @@ def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
         lines.append(f"model.yaml also contains {kept}: part of the fit, but too small compared with the residual; do "
                      "not take it for a property of the car")
     return lines or ["nothing"]
+
+
+def acausal(found: Discovery) -> list[str]:
+    """A sentence for each delay that is significantly negative."""
+    return [f"{plain(e.name)} is negative ({short_values({name: p})}): the reaction would precede its cause, so a "
+            "clock or a stated latency is wrong; look at the clocks (st check, st align) before using it"
+            for e in found.effects for name, p in e.parameters.items() if p.unit == "s" and p.interval[1] < 0.0]
 
 
 def keys(changes_of: Mapping[str, Sequence[float]]) -> str:

@@ -38,7 +38,7 @@ from ..checking.gate import PROBLEMS, Refused, in_words, passed
 from . import tables
 from .background import in_background
 from .drawing import Drawn, Place
-from .drive_parts import DrivePart, drive_parts
+from .drive_parts import drive_parts
 from .run_figures import Drawing, ranking, run_figures
 
 Progress = Callable[[int, int], None]
@@ -106,25 +106,15 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     run = read(source, task.vehicle, task.read)
     marks.append(time.perf_counter())
     models = load_models(task)
-
-    def look() -> tuple[list[dict[str, Any]] | Refused, list[DrivePart]]:
-        parts = drive_parts(run.log, run.labels)
-        try:
-            return passed(source.where, run.log, task.vehicle, run.auxiliary, task.force, models,
-                          task.settings.prediction.step), parts
-        except Refused as error:
-            return error, parts
-
-    with in_background(look) as looked:
+    with in_background(lambda: (_findings(source, run, task, models), drive_parts(run.log, run.labels))) as looked:
         signals = task.settings.signals(run.log)
         bands = load_bands(task, models)
         scorer = Scorer(bands, signals) if bands else None
         adaptive = AdaptiveScorer(bands, signals, horizon_times(task.settings)) if task.adaptive else None
-        watches = [one.add for one in (scorer, adaptive) if one is not None]
 
         def watch(starts: np.ndarray, block: Block) -> None:
-            for add in watches:
-                add(starts, block)
+            for one in filter(None, (scorer, adaptive)):
+                one.add(starts, block)  # type: ignore[attr-defined]
 
         try:
             ahead = inputs_ahead(run, signals, task.vehicle, task.settings.prediction, load_course(task.course))
@@ -149,8 +139,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     if scorer:
         sums = scorer.sums(run.provenance["files"]) | share_sums(models, task.vehicle, signals, task.settings,
                                                                  intervals_of(model_files(task)))
-    if adaptive:
-        sums |= adaptive.sums()
+    sums |= adaptive.sums() if adaptive else {}
     return RunReport(
         source.name, "", ranking(evaluation, "lateral"), about, tables.by_model(evaluation),
         tables.by_second(evaluation), tables.by_bin(evaluation), tables.by_manoeuvre(evaluation, parts),
@@ -166,6 +155,14 @@ def _about(run: LoadedRun, evaluation: LogEvaluation) -> dict[str, Any]:
         "alignment": about_alignment(run.alignment),
         "warnings": list(run.warnings), "provenance": dict(run.provenance),
     }
+
+
+def _findings(source: RunSource, run: LoadedRun, task: Task, models: Sequence[Model]) -> list[dict[str, Any]] | Refused:
+    try:
+        return passed(source.where, run.log, task.vehicle, run.auxiliary, task.force, models,
+                      task.settings.prediction.step)
+    except Refused as error:
+        return error
 
 
 def load_models(task: Task) -> list[Model]:
