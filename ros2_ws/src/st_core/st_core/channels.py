@@ -11,7 +11,7 @@ import numpy as np
 
 from . import frames
 
-STANDING = 0.5  # m/s; a car that is never faster stands throughout
+STANDSTILL_SPEED = 0.5  # m/s; a car that is never faster is at standstill throughout
 SPREAD = 1.4826  # of a normal distribution: standard deviation over the median of its magnitude
 THIRD = np.sqrt(20.0)  # standard deviation of a third difference of white noise of 1
 
@@ -26,10 +26,10 @@ class Channel:
     predicted(shown, true): what the sensor would show, of `effects.Measured` with and without the errors of the INS;
     None: the field of its name of `shown`. errors(measured, shown): instead of measured minus predicted, by column.
     smoothed: measured and predicted as a mean over 0.1 s. adds_up: its errors grow over the horizon.
-    zero_is_none: a recording without it says 0 throughout.
-    noise(log, step, x, y, yaw, v_x, v_y, r): what noise alone leaves at the end of windows, one standard deviation for
+    zero_is_none: a recording without it has 0 throughout.
+    noise(log, step, x, y, yaw, v_x, v_y, r): errors at the end of windows due to noise alone, a standard deviation for
     each column, by identities of the sensors: no car, no model; of arrays (windows, instants `step` [s] apart). None:
-    white noise, by third differences, in which the motion of a car is gone.
+    white noise, by third differences, to which the motion of a car contributes nothing.
     """
 
     name: str
@@ -51,9 +51,9 @@ class Channel:
             object.__setattr__(self, which, getattr(self, which) or (self.name,))
 
     def is_in(self, log: Any) -> bool:
-        """Whether a DriveLog has it. In a car that stands throughout, 0 is the lateral velocity."""
+        """Whether a DriveLog has it. At standstill throughout, 0 is the lateral velocity."""
         values = [getattr(log, name) for name in self.signals]
-        zero_is_none = self.zero_is_none and bool((np.abs(log.velocity_x) > STANDING).any())
+        zero_is_none = self.zero_is_none and bool((np.abs(log.velocity_x) > STANDSTILL_SPEED).any())
         return all(v is not None and np.isfinite(v).any() and not (zero_is_none and not v.any()) for v in values)
 
     def shown(self, shown: Any, true: Any) -> Any:
@@ -65,7 +65,7 @@ class Channel:
         return self.errors(measured, shown) if self.errors else (measured[self.name] - self.shown(shown, true),)
 
     def left(self, log: Any, *way: Any) -> tuple[float, ...]:
-        """What noise alone leaves [unit], one for each column."""
+        """Errors due to noise alone [unit], one for each column."""
         return self.noise(log, *way) if self.noise else (_white(getattr(log, self.name)),)
 
 
@@ -112,11 +112,11 @@ CHANNELS: Mapping[str, Channel] = {channel.name: channel for channel in (
     Channel("position", "position", "m", 1e-3, "", ("x", "y"), ("position_lateral", "position_longitudinal"),
             errors=_off_position, adds_up=True, noise=_position_noise),
 )}
-"""The one that tells most first."""
+"""In order of information about the car, the most informative first."""
 
 FURTHER = tuple(name for name, channel in CHANNELS.items() if channel.recorded)
 OF_COLUMN = {column: channel for channel in CHANNELS.values() for column in channel.columns}
 POSITION_5S = "position_5s"
 UNITS = {POSITION_5S: "m"} | {name: channel.unit for name, channel in CHANNELS.items()}
 WORDS = {POSITION_5S: "position after 5 s"} | {name: channel.words for name, channel in CHANNELS.items()}
-"""With the mean position error at the end of the horizon, which is told first."""
+"""With the mean position error at the end of the horizon, which is reported first."""

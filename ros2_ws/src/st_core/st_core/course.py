@@ -34,7 +34,7 @@ MAX_HEADING_DIFFERENCE = 0.5
 PAUSE_SPEED = 0.5
 """m/s. Slower parts are left out: curvature is not defined in standstill."""
 MIN_LENGTH = 20.0
-"""m of a part of a pass; shorter ones lead nowhere within a horizon."""
+"""m of a part of a pass; shorter ones end within a horizon."""
 MAX_ORIGIN_DISTANCE = 5000.0
 """m between two origins of the map at one place: beyond it the axes differ by more than 1 mrad at latitude 50."""
 SCHEMA = 1

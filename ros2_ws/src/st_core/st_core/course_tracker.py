@@ -109,7 +109,7 @@ class CourseTracker:
     """Follows the car along a course, one call a start, in order of time.
 
     horizon, step [s]. Keeps RECENT seconds of the own way and the forecasts that have not ended. Restarts when time
-    goes back or stops for longer than a horizon, and when the position jumps.
+    runs backward or stops for longer than a horizon, and when the position jumps.
     """
 
     def __init__(self, course: Course, vehicle: VehicleParameters, horizon: float = 5.0, step: float = 0.05):

@@ -44,7 +44,7 @@ class FrozenSteering:
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> None:
         """road_wheel_angle [rad], left +, measured at time_ns."""
         self._newest_ns = time_ns
-        # NaN, the first angle and a time that goes back restart the detection too.
+        # NaN, the first angle and a time that runs backward restart the detection too.
         if abs(road_wheel_angle - self._angle) <= RESOLUTION and time_ns >= self._since_ns:
             return
         self._angle, self._since_ns = road_wheel_angle, time_ns

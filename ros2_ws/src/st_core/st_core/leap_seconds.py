@@ -22,7 +22,7 @@ GPS_STARTS = tuple(start - GPS_EPOCH_UNIX + leap for start, leap in zip(UNIX_STA
 
 
 def at_unix(unix_time: float) -> int:
-    """GPS - UTC [s] at a UTC instant [s since 1970]; the newest entry holds until a new one is known."""
+    """GPS - UTC [s] at a UTC instant [s since 1970]; the newest entry is valid until a newer one."""
     return LEAP_SECONDS[max(bisect_right(UNIX_STARTS, unix_time) - 1, 0)]
 
 

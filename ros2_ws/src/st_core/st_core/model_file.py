@@ -8,10 +8,10 @@
     provenance: {date: "2026-11-21", version: "0.1.0", data: {"run.ncom": "sha256 ..."}, note: "..."}
     hash: "..."
 
-The values hold for one car: the one of `vehicle.hash`. A value with `effective: true` helps to predict and is not a
-property of the car. An interval covers the true value in 95 of 100 cases, as far as its source says; null where it is
-not known. The hash is over base, values and vehicle; a file whose content does not
-fit its hash was changed since and is refused, one without a hash is taken as it is.
+The values hold for one car: the one of `vehicle.hash`. A value with `effective: true` improves the prediction and is
+not a property of the car. An interval covers the true value in 95 of 100 cases under the assumptions of its source;
+null where unknown. The hash is over base, values and vehicle; a file with another hash than that of its content was
+edited and is refused, one without a hash is not checked.
 """
 
 import hashlib
@@ -28,7 +28,7 @@ from .vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .yaml_text import check_keys, load, number, quoted
 
 Interval = tuple[float, float] | None
-MOST_DIFFERENCES = 3  # told of two cars
+MOST_DIFFERENCES = 3  # listed of two cars
 HEADER = "# Model file: base model, effects on top of it (SI units, 95 % intervals), and where they come from.\n"
 
 
@@ -36,7 +36,7 @@ HEADER = "# Model file: base model, effects on top of it (SI units, 95 % interva
 class Estimate:
     """Value of one parameter of an effect [its unit], its 95 % interval where known, and where it comes from.
 
-    effective: it helps to predict, and is no property of the car.
+    effective: it improves the prediction without being a property of the car.
     """
 
     value: float
@@ -57,9 +57,9 @@ class Provenance:
 
 @dataclass(frozen=True)
 class ModelFile:
-    """What a model.yaml says. base: name of the base model. effects: estimates by effect and parameter.
+    """Content of a model.yaml. base: name of the base model. effects: estimates by effect and parameter.
 
-    vehicle: the car, when embedded. vehicle_name, vehicle_hash: of the car the values hold for; "" where not said.
+    vehicle: the car, when embedded. vehicle_name, vehicle_hash: of the car of the values; "" if not stated.
     """
 
     base: str
@@ -87,11 +87,11 @@ class ModelFile:
     def check_vehicle(self, vehicle: VehicleParameters, origin: str) -> None:
         """Raises ConfigurationError when the values hold for another car than `vehicle`, read from `origin`."""
         if self.vehicle_hash and vehicle.hash != self.vehicle_hash:
-            wanted, there = (f"{name!r} {digest[:12]}" for name, digest in (
+            expected, given = (f"{name!r} {digest[:12]}" for name, digest in (
                 (self.vehicle_name, self.vehicle_hash), (vehicle.name, vehicle.hash)))
             different = _differences(self.vehicle, vehicle) if self.vehicle else ""
             differ = f" (they differ in {different})" if different else ""
-            raise ConfigurationError(f"vehicle.hash: the values hold for {wanted}, {origin} is {there}{differ}; "
+            raise ConfigurationError(f"vehicle.hash: the values hold for {expected}, {origin} is {given}{differ}; "
                                      "take the vehicle file they were found with")
 
     @property
@@ -121,7 +121,7 @@ class ModelFile:
 
     @classmethod
     def from_yaml(cls, text: str, origin: str = "model") -> "ModelFile":
-        """What a model file says. origin: name shown in errors, usually the path.
+        """The content of a model file. origin: name shown in errors, usually the path.
 
         Effects of the user must have been loaded (`effects.load_folder`). Raises ConfigurationError, one line: origin,
         key, what is wrong, the limit and what to do.
@@ -227,13 +227,13 @@ def _text(where: str, value: Any) -> str:
 
 
 def _differences(one: VehicleParameters, other: VehicleParameters) -> str:
-    """Keys whose numbers differ, MOST_DIFFERENCES of them: "mass: 1590, 1700 kg"; "" where none does."""
+    """Keys with different numbers, at most MOST_DIFFERENCES: "mass: 1590, 1700 kg"; "" without any."""
     mine, its = _numbers(asdict(one)), _numbers(asdict(other))
     units = {key: f" {known.si_unit}".removesuffix(" 1") for key, known in VEHICLE_QUANTITIES.items()}
-    told = [f"{key}: {mine[key]:g}, {its[key]:g}{units.get(key, '')}"
+    listed = [f"{key}: {mine[key]:g}, {its[key]:g}{units.get(key, '')}"
             for key in mine if mine[key] != its.get(key, mine[key])]
-    more = len(told) - MOST_DIFFERENCES
-    return "; ".join(told[:MOST_DIFFERENCES]) + (f"; {more} more" if more > 0 else "")
+    more = len(listed) - MOST_DIFFERENCES
+    return "; ".join(listed[:MOST_DIFFERENCES]) + (f"; {more} more" if more > 0 else "")
 
 
 def _numbers(values: Mapping[str, Any], before: str = "") -> dict[str, float]:

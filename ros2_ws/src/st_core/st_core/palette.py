@@ -1,4 +1,4 @@
-"""One look everywhere: colour and line of each model, told apart with every common kind of colour vision, and print."""
+"""Colour and line style of each model in all figures, distinguishable with colour blindness and in grey print."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ MODEL_COLOUR = {"kinematic": "#1f77b4", "linear": "#ff7f0e", "nonlinear": "#7e2f
 MODEL_LINE = {"kinematic": (0, (6, 2)), "linear": "solid", "nonlinear": (0, (2, 1)), "augmented": (0, (6, 1, 1, 1))}
 MEASURED_COLOUR = "#7f7f7f"
 OTHER_COLOUR = "#d55e00"  # of a model that is none of these
-# Where along its path a model's name stands [s after the start]: at the same place they would cover each other.
+# Where along its path a model is labelled [s after the start]: at one place the labels would overlap.
 LABEL_AT = {"kinematic": 5.0, "linear": 4.3, "nonlinear": 3.6, "augmented": 2.9}
 OTHER_LABEL_AT = 2.2
 
@@ -38,5 +38,5 @@ def rgb(colour: str, strength: float = 1.0) -> tuple[int, int, int]:
 
 
 def label_index(model: str, step: float, points: int) -> int:
-    """The point of a path with `points` points, `step` s apart, at which the model's name stands."""
+    """The point of a path with `points` points, `step` s apart, at which the model is labelled."""
     return min(round(LABEL_AT.get(model, OTHER_LABEL_AT) / step), points - 1)

@@ -1,7 +1,7 @@
 """Planned inputs over the horizon: from steering and acceleration or from speed and curvature, checked before use.
 
 A plan states what the car is going to do at instants of the measurement clock. It replaces the held inputs of a
-forecast only where `plan_problem` finds nothing; otherwise the forecast holds its inputs and the reason is reported.
+forecast only where `plan_problem` finds nothing; otherwise the inputs stay constant and the reason is reported.
 Checked by: test_planned_inputs.py, against hindsight.
 """
 

@@ -35,7 +35,7 @@ def corrected_sample(model: Model, sample: InsSample) -> InsSample:
 
 def wanting(model: Model, unknown: Sequence[str]) -> tuple[str, str] | None:
     """(effect, reading) of the first sensor effect that cannot correct pose, velocity or yaw rate where these
-    accelerations are not known; None where there is none."""
+    accelerations are not known; None without such an effect."""
     if not isinstance(model, AugmentedModel):
         return None
     for effect in model.active:
@@ -135,7 +135,7 @@ def true_readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tu
 
     states: (x, y, velocity_x, velocity_y, yaw, yaw_rate, extra states ...) at the CG, floats or arrays of equal shape.
     w, p: the model's inputs there and its parameters, for the accelerations; without them those are NaN, and that in
-    yaw is 0: a late yaw rate then shows as it is.
+    yaw is 0: the delay of the yaw rate is then visible.
 
         a_ins = a_cg + r_dot x d - r^2 d,   d: the INS seen from the CG,   a_cg = `Model.specific_force`
 

@@ -292,7 +292,7 @@ class VehicleParameters:
 
 @dataclass
 class _Notes:
-    """What stands beside the values of a file, by key."""
+    """Provenance of the values of a file, by key."""
 
     sources: dict[str, str] = field(default_factory=dict)
     provenance: dict[str, Provenance] = field(default_factory=dict)
@@ -323,7 +323,7 @@ def _read_one(key: str, entry: Any, quantity: Quantity, notes: _Notes) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ConfigurationError(f"{key}: {value!r} is not a number (1.0e+3, not 1e3); limit {quantity.limit()}")
     if not isinstance(entry["source"], str) or not entry["source"].strip():
-        raise ConfigurationError(f"{key}: source {entry['source']!r} is not a text; say where the value comes from")
+        raise ConfigurationError(f"{key}: source {entry['source']!r} is not a text; state where the value comes from")
     si = float(value) * quantity.units[unit]
     _check_bounds(key, si, quantity)
     notes.sources[key] = entry["source"]

@@ -83,7 +83,7 @@ def _attach(kernel, folder: Path, key: str) -> None:
         kernel.enable_caching()
     finally:
         numba.config.CACHE_DIR = before
-    # numba's own key pickles the closure, whose bytes differ between processes.
+    # numba's own key pickles the closure, which differs between processes.
     kernel._cache._index_key = lambda signature, codegen: (signature, codegen.magic_tuple(), key)
 
 

@@ -41,7 +41,7 @@ DEFAULT_SCALE = (0.3, 0.3, 0.02)
 WARM_UP = 120.0
 """s of scored driving before a band without a calibration is stated: the first factors and scale are guesses."""
 LONGEST_WEIGHT = 1.0
-"""s. After a pause one window is no more evidence than a second of driving."""
+"""s. After a pause one window counts as one second of driving."""
 
 
 class AdaptiveBand:

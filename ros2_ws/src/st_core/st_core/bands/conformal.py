@@ -6,7 +6,7 @@ runs and one of a run to come: n + 1 exchangeable scores, so that the k-th small
     k = level (n + 1),
 
 is not exceeded by the last with the probability k/(n + 1) = level, whatever the errors are distributed like. For k > n
-there is no bound: n runs support levels up to n/(n + 1). The draw of windows must not matter, so the factor c
+no bound exists: n runs support levels up to n/(n + 1). The draw of windows must not matter, so the factor c
 covers as much as draws do on average, every run weighing the same:
 
     F(c) = E[ F(k-th smallest of one window a run) ],     F(s) = 1/n sum_r 1/n_r #{i : s_ri <= s}

@@ -2,7 +2,7 @@
 
 The problem, loss and fit are those of `discovery`: windows all over the drives are predicted with the measured inputs,
 errors of yaw rate and lateral velocity at the INS are scored under Student's distribution, and the effects that stand
-for the parameters are fitted together. Here nothing else is free and the file is no prior for them: the drives alone
+for the parameters are fitted together. Here nothing else is free and the file does not act as a prior: the drives alone
 decide. Steering, tyres and INS noise enter where they act, so the estimate is not drawn towards zero by noisy slip
 angles as a regression of force on slip is. Checked by: test_driving_fit.py.
 """

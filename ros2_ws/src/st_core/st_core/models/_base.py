@@ -55,7 +55,7 @@ class Model:
     def specific_force(self, state: tuple, w: tuple, p: Any) -> tuple:
         """Specific force at the CG (a_x, a_y) [m/s^2], body axes: a_x = v_x_dot - v_y r, a_y = v_y_dot + v_x r.
 
-        r is the derivative of yaw, so that it holds for the kinematic model as well.
+        r is the derivative of yaw, so that it is valid for the kinematic model as well.
         """
         derivative = self.rhs(state, w, p)
         return derivative[2] - state[3] * derivative[4], derivative[3] + state[2] * derivative[4]

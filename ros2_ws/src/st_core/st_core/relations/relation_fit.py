@@ -78,7 +78,7 @@ class RelationFits:
 
     windows: the drives. answer: the model found, with the gain of its accelerometer; names of its effects. fold: (b,)
     fold of each block; the scale of the errors stays that of the answer. refitted: parameters fitted together with a
-    relation; car: those of the vehicle file that are not, whose effects are projected out as evidence.
+    relation; car: those of the vehicle file that are not; their effects are projected out as evidence.
     """
 
     def __init__(self, windows: Windows, answer: AugmentedModel, gain: float, names: Sequence[str],

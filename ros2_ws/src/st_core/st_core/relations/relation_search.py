@@ -31,7 +31,7 @@ from .selection import (
 )
 
 MIN_BLOCKS = 10  # a curve of eight coefficients needs as many blocks to be held out
-UNSEEN = 3.0  # usual sizes: a place whose smallest detectable relation is larger was not seen
+UNSEEN = 3.0  # usual sizes: a place with a larger smallest detectable relation was not examined
 MUCH_WORSE = 1.25  # held-out error of a run with the relation over without it, from which it is stated first
 MEASURED_BY = {"sensor_yaw_rate": ("yaw_rate",), "sensor_acceleration_y": ("acceleration_y",),
                "sensor_velocity_y": ("velocity_y",), "sensor_heading": ("yaw",)}
@@ -71,7 +71,7 @@ class Relation:
     drives: NextDrives = field(default_factory=NextDrives)
 
     def much_worse(self) -> dict[str, tuple[float, float]]:
-        """Runs whose held-out position error rises by a quarter or more: (without, with) [m]."""
+        """Runs in which the held-out position error rises by a quarter or more: (without, with) [m]."""
         return {name: pair for name, pair in self.runs.items() if pair[1] >= MUCH_WORSE * pair[0]}
 
 
@@ -87,7 +87,7 @@ class RelationSearch:
     visible: Mapping[str, float] = field(default_factory=dict)
 
     def unseen(self) -> list[str]:
-        """Places whose smallest detectable relation is larger than UNSEEN usual sizes."""
+        """Places with a smallest detectable relation above UNSEEN usual sizes."""
         size: dict[str, float] = {}
         for name, visible in self.visible.items():
             place, _, rest = name.partition(" over ")
@@ -209,7 +209,7 @@ def _reported(candidate: Candidate, reported: Collection[tuple[str, str]]) -> st
 def _too_little(windows: RunWindows, settings: DiscoverySettings) -> str:
     """Why these drives are too short for any relation; "" if they are not."""
     if len(set(windows.run)) == 1:
-        return "one run was driven; whether a relation holds in another drive cannot be tested: give two or more"
+        return "one run was driven; a relation cannot be tested in another drive: give two or more"
     blocks = int(windows.block.max()) + 1 if len(windows) else 0
     if len(windows) < 3 or blocks < MIN_BLOCKS:
         return (f"{blocks} blocks of {settings.block:g} s were driven; a curve needs {MIN_BLOCKS}: drive longer, or "

@@ -32,7 +32,7 @@ class RunShares:
     p_equal: float
 
     def absent(self) -> list[str]:
-        """Runs whose share is significantly below one half."""
+        """Runs with a share significantly below one half."""
         return [name for name, (share, deviation) in self.by_run.items() if share + TWO_SIDED_95 * deviation < 0.5]
 
 
@@ -105,10 +105,10 @@ def gain_text(fits: RelationFits, falls: np.ndarray, closer: np.ndarray, limits:
 
 
 def too_small(fits: RelationFits, candidate: Candidate, falls: np.ndarray, closer: np.ndarray, limits: Limits) -> str:
-    """Why the effect size is below the thresholds, "" if it is not: too little held-out gain, perhaps none, or no
+    """Why the effect size is below the thresholds, "" if it is not: too little held-out gain, possibly none, or no
     significant gain (`limits.false_alarm`) in the predicted path.
 
-    The path is not asked of sensor relations, nor with fewer than two blocks with a position.
+    The path criterion does not apply to sensor relations, nor with fewer than two blocks with a position.
     """
     little = falls.sum() < limits.relevant * fits.loss.number and mean_of(closer) < limits.relevant_position
     if little or lower_bound(falls, limits.doubt) <= 0.0:
