@@ -157,7 +157,7 @@ def test_no_file_imports_itself_by_way_of_others():
 
 def test_virtual_car_shares_no_equations_with_the_models():
     """The drives and the reading of YAML are shared; how a car moves is written down twice: no error hides in both."""
-    shared = ("st_core.manoeuvres", "st_core.plain_yaml", "st_core.errors")
+    shared = ("st_core.manoeuvres", "st_core.yaml_text", "st_core.errors")
     assert offences(lambda path, module: path.parts[0] != "st_sim" or module.partition(".")[0] != "st_core"
                     or module.startswith(shared)) == []
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from st_core import plain_yaml
+from st_core import yaml_text
 from st_core.errors import ConfigurationError
 
 
@@ -17,7 +17,7 @@ class TableError(ValueError):
 def read_document(path: Path) -> Any:
     """The content of a YAML file of plain values. Raises TableError naming the file."""
     try:
-        return plain_yaml.load(path.read_text(encoding="utf-8"))
+        return yaml_text.load(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise TableError(f"{path}: cannot be read: {error.strerror}") from None
     except (ConfigurationError, UnicodeDecodeError) as error:

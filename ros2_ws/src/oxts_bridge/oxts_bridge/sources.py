@@ -11,7 +11,7 @@ from math import cos, isfinite
 from pathlib import Path
 
 import numpy as np
-from st_core.position_jumps import excess
+from st_core.alignment import excess
 
 from .file_decoder import UNKNOWN_TIME, decode_file
 from .ncom import PACKET_SIZE, NcomError, Packet, decode

@@ -11,7 +11,7 @@ from st_cli.cli import app
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
 from st_core.effects import EFFECTS
-from st_core.identification.apply import value_of
+from st_core.identification.result import value_of
 from st_core.model_file import ModelFile
 from st_core.prediction import PredictionSettings
 from st_core.stability import slip_speed_needed

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .clock_correlation import STEP, Resampled
-from .clock_fit import Pair, coarse_offset, fit
+from .clock_fit import STEP, Pair, Resampled, coarse_offset, fit
 
 WINDOW = 30.0  # s
 MOST_WINDOWS = 150  # of a long recording, every so many seconds one

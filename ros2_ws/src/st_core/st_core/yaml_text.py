@@ -1,12 +1,94 @@
-"""YAML that a person writes and a program checks: plain, no key unknown, none missing; and how it is written."""
+"""YAML of configuration: mappings with text keys, lists and plain values, each given once; keys checked; and written.
+
+Other features of YAML are refused, because files come from other people: references (a few hundred bytes of them mean
+billions of values), tags, keys given twice (YAML silently keeps the last), several documents, endless nesting.
+"""
 
 import difflib
 import json
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+import yaml
+
 from .errors import ConfigurationError
-from .plain_yaml import load
+
+MOST_CHARACTERS = 1 << 20
+MOST_LEVELS = 40
+LARGEST_INTEGER = 2**63  # beyond it a number is a slip of the finger, and does not fit a float's range for long
+
+
+class _Loader(yaml.SafeLoader):
+    def __init__(self, text: str):
+        super().__init__(text)
+        self._levels = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        event = self.peek_event()
+        line = event.start_mark.line + 1
+        if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
+            raise ConfigurationError(f"references (& and *) are not allowed (line {line}); write the value out")
+        if getattr(event, "tag", None):
+            raise ConfigurationError(f"tags (!) are not allowed (line {line}); write the plain value")
+        self._levels += 1
+        if self._levels > MOST_LEVELS:
+            raise ConfigurationError(f"more than {MOST_LEVELS} levels of nesting (line {line})")
+        node = super().compose_node(parent, index)
+        self._levels -= 1
+        return node
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
+        seen = set()
+        for key_node, _ in node.value:
+            line = key_node.start_mark.line + 1
+            if key_node.tag == "tag:yaml.org,2002:merge":
+                raise ConfigurationError(f"merging (<<) is not allowed (line {line}); write the values out")
+            key = self.construct_object(key_node, deep=True)
+            if not isinstance(key, str):
+                raise ConfigurationError(f"{_shown(key)}: a key must be a text (line {line})")
+            if not key.isprintable():
+                raise ConfigurationError(f"{_shown(key)}: a key must be printable (line {line})")
+            if key in seen:
+                raise ConfigurationError(f"{key}: given twice (line {line}); remove one")
+            seen.add(key)
+        return super().construct_mapping(node, deep)
+
+    def construct_scalar_checked(self, node: yaml.ScalarNode) -> Any:
+        """Numbers, dates and the like: PyYAML answers to a malformed one with whatever its conversion raises."""
+        try:
+            value = yaml.SafeLoader.yaml_constructors[node.tag](self, node)
+        except (ValueError, OverflowError) as error:
+            raise ConfigurationError(f"{_shown(node.value)}: {error} (line {node.start_mark.line + 1})") from None
+        if isinstance(value, int) and abs(value) > LARGEST_INTEGER:
+            raise ConfigurationError(f"{_shown(node.value)}: too large a number (line {node.start_mark.line + 1})")
+        return value
+
+
+for _kind in ("int", "float", "timestamp"):
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_kind}", _Loader.construct_scalar_checked)
+
+
+def load(text: str) -> Any:
+    """The document; None for an empty one.
+
+    Raises ConfigurationError, one line with the line of the file, for what is not YAML or not plain.
+    """
+    if len(text) > MOST_CHARACTERS:
+        raise ConfigurationError(f"{len(text)} characters are too many for a configuration (limit {MOST_CHARACTERS})")
+    try:
+        return _Loader(text).get_single_data()
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f", line {mark.line + 1}" if mark else ""
+        problem = " ".join(str(getattr(error, "problem", None) or error).split())
+        raise ConfigurationError(f"not valid YAML{place}: {problem}") from None
+    except RecursionError:
+        raise ConfigurationError(f"not valid YAML: more than {MOST_LEVELS} levels of nesting") from None
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else text[:77] + "..."
 
 
 def check_keys(prefix: str, section: Mapping[Any, Any], known: list[str], required: Iterable[str] = ()) -> None:
@@ -35,6 +117,3 @@ def number(value: float) -> str:
 def quoted(text: str) -> str:
     """A text in double quotes."""
     return json.dumps(text, ensure_ascii=False)
-
-
-__all__ = ["check_keys", "load", "nearest", "number", "quoted"]

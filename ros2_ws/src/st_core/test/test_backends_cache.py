@@ -98,7 +98,7 @@ def test_other_models_and_values_have_kernels_of_their_own(install):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("file", "old", "new"), [
-    ("models/_dynamic.py", "slip_angle(velocity_y - p.", "slip_angle(velocity_y - 1.1 * p."),
+    ("models/_base.py", "slip_angle(velocity_y - p.", "slip_angle(velocity_y - 1.1 * p."),
     ("tyres.py", "GRAVITY = 9.81", "GRAVITY = 9.0"),  # a number, used by the effect in another file
     ("effects/road_bank.py", "zero - GRAVITY * sin(", "zero - 2.0 * GRAVITY * sin("),
     ("composition.py", "velocity_y + a_y", "velocity_y - a_y"),

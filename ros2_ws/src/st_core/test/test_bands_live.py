@@ -18,8 +18,8 @@ from st_core.bands import (
     run_samples,
     steering_activity,
 )
-from st_core.bands.coverage import ALTERNATIVE, HORIZONS, Coverage
 from st_core.bands.file import configuration_of
+from st_core.bands.live import ALTERNATIVE, HORIZONS, Coverage
 from st_core.evaluation import make_score
 from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings

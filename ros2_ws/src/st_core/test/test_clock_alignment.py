@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, lfilter
-from st_core.clock_alignment import align, by_hand, standstill_masked
-from st_core.clock_time_frames import align_by_time_frame
+from st_core.clock_alignment import align, align_by_time_frame, by_hand, standstill_masked
 from st_core.clock_types import SharedSignal, Verdict, none_needed
 
 EPOCH_NS = 1_700_000_000_000_000_000

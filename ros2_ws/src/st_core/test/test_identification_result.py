@@ -7,10 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from st_core.errors import ConfigurationError
-from st_core.identification.apply import against_file, apply, stale_scales
 from st_core.identification.bounded_fit import fit_curve, profile_interval
 from st_core.identification.lambda_ky import TableStiffness, lambda_ky
-from st_core.identification.result import Coverage, Estimate, Identification, IdentificationError, bound_hit
+from st_core.identification.result import (
+    Coverage,
+    Estimate,
+    Identification,
+    IdentificationError,
+    against_file,
+    apply,
+    bound_hit,
+    stale_scales,
+)
 from st_core.provenance import Provenance
 from st_core.tyres import stiffness_scale
 from st_core.vehicle import DERIVED, VehicleParameters

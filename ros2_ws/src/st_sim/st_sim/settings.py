@@ -10,7 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from st_core import plain_yaml
+from st_core import yaml_text
 from st_core.errors import ConfigurationError
 
 Settings = Mapping[str, float]
@@ -23,7 +23,7 @@ class SimulationError(ValueError):
 def read_document(path: Path) -> Any:
     """Content of a YAML file of plain values. Raises SimulationError naming the file."""
     try:
-        return plain_yaml.load(path.read_text(encoding="utf-8"))
+        return yaml_text.load(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise SimulationError(f"{path}: cannot be read: {error.strerror}") from None
     except (ConfigurationError, UnicodeDecodeError) as error:

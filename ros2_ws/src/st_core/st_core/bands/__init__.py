@@ -7,12 +7,10 @@ docs/manual/bands.md.
 """
 
 from .adaptive import AdaptiveBand
-from .calibration import LEVELS, RELIABILITY, Band, calibrate
+from .calibration import LEVELS, RELIABILITY, Band, calibrate, conformal_factors, highest_level, runs_needed
 from .conditions import CONDITIONS, CalibrationDomain, activity_instants, conditions, conditions_at, steering_activity
-from .conformal import conformal_factors, highest_level, runs_needed
-from .coverage import Coverage, Coverages
 from .file import Bands
-from .live import AdaptiveBands, LiveBands, conditions_now
+from .live import AdaptiveBands, Coverage, Coverages, LiveBands, conditions_now
 from .samples import NotFiniteError, RunSamples, run_samples, to_predicted_frame, together
 
 __all__ = [

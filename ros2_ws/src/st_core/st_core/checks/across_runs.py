@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import binom, chi2
 
+from ..identification.blocks import random_effects
 from ..identification.result import symmetric_interval
-from ..random_effects import random_effects
 from .finding import Checked
 
 FEWEST = 3  # runs

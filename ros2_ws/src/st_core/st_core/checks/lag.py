@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import f as fisher
 
-from ..clock_correlation import STEP, Resampled, resample
-from ..clock_fit import Fit, Pair, fit, mean_correlation
+from ..clock_fit import STEP, Fit, Pair, Resampled, fit, mean_correlation, resample
 from ..clock_types import LONGEST_SPAN
 from ..identification.result import symmetric_interval
 from .regression import Estimate, Regression

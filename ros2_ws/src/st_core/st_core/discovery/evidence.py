@@ -7,7 +7,7 @@ import numpy as np
 from scipy import stats
 
 from ..effects import get_effect
-from ..random_effects import random_effects
+from ..identification.blocks import random_effects
 from .fit import Fit, Problem, Slopes, bounded
 from .levels import Level
 from .loss import Quadratic

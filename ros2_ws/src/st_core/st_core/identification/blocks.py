@@ -14,11 +14,13 @@ grows by
 
 and the blocks count as k / f for Student's t. The rho of k values about their own mean is too small by (1 + 3 rho) / k
 (Marriott and Pope, 1954), which is added. Source: Cameron and Miller, A practitioner's guide to cluster-robust
-inference, 2015 (the jackknife CR3). Checked by: test_blocks.py.
+inference, 2015 (the jackknife CR3); of `random_effects` DerSimonian and Laird, Meta-analysis in clinical trials,
+Controlled Clinical Trials 7 (1986). Checked by: test_blocks.py.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -140,3 +142,25 @@ def blocks(run_of: Sequence[int] | np.ndarray, time: Sequence[float] | np.ndarra
     plural = "s" if len(runs) > 1 else ""
     return Blocks(member.ravel(), found[:, 0], found[:, 1],
                   f"{len(found)} blocks of {BLOCK_LENGTH:g} s from {len(runs)} run{plural}")
+
+
+class Pooled(NamedTuple):
+    """Pooled mean and its standard deviation. between: variance between estimates. excess: Cochran's Q [1]."""
+
+    mean: float
+    deviation: float
+    between: float
+    excess: float
+
+
+def random_effects(values: np.ndarray, variances: np.ndarray) -> Pooled:
+    """Pooled estimate by DerSimonian and Laird; values, variances: (n,), n >= 1, variances > 0.
+
+    Checked by: test_discovery_evidence.py.
+    """
+    w = 1.0 / variances
+    excess = float(w @ np.square(values - w @ values / w.sum()))
+    surplus = max(excess - max(len(values) - 1, 1), 0.0)
+    between = surplus / max(float(w.sum() - np.square(w).sum() / w.sum()), 1e-300)
+    w = 1.0 / (variances + between)
+    return Pooled(float(w @ values / w.sum()), float(w.sum() ** -0.5), between, excess)

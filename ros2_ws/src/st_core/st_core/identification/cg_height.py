@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .result import Coverage, Estimate, Identification, IdentificationError, symmetric_interval
-from .straight_line import Line, fit_line
+from .steering_ratio import Line, fit_line
 
 LEVEL = math.radians(0.5)  # a row below counts as level
 SMALLEST_RANGE = math.radians(3.0)  # of pitch; below it the load changes by less than wheel scales resolve

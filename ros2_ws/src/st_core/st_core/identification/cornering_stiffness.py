@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from ..log import DriveLog
-from ..models._dynamic import axle_slip_angles
+from ..models._base import axle_slip_angles
 from ..vehicle import VehicleParameters
 from .blocks import Spread, blocks
 from .result import (

@@ -8,8 +8,7 @@ from typing import NamedTuple
 from ..ops import cos, sin
 from ..tyres import linear_force
 from ..vehicle import VehicleParameters
-from ._base import Axles, Model
-from ._dynamic import axle_slip_angles, motion
+from ._base import Axles, Model, axle_slip_angles, motion
 
 
 class Parameters(NamedTuple):
@@ -34,7 +33,7 @@ def inputs(road_wheel_angle, velocity_x_dot, p: Parameters):
 
 
 def slip_angles(state, w, p: Parameters):
-    """(front, rear) [rad], see `_dynamic.axle_slip_angles`."""
+    """(front, rear) [rad], see `_base.axle_slip_angles`."""
     _, _, velocity_x, velocity_y, _, yaw_rate = state
     sine, cosine, _ = w
     return axle_slip_angles(velocity_x, velocity_y, yaw_rate, sine, cosine, p)
@@ -47,7 +46,7 @@ def forces(slip_front, slip_rear, w, p: Parameters):
 
 
 def motion_of(state, force_front, force_rear, w, p: Parameters):
-    """Time derivative of the state under the axle forces [N], see `_dynamic.motion`."""
+    """Time derivative of the state under the axle forces [N], see `_base.motion`."""
     _, cosine, velocity_x_dot = w
     return motion(state, force_front, force_rear, cosine, velocity_x_dot, p)
 

@@ -11,8 +11,7 @@ from typing import NamedTuple
 from ..ops import cos, sin
 from ..tyres import GRAVITY, MagicFormula, magic_formula_coefficients, magic_formula_force
 from ..vehicle import VehicleParameters
-from ._base import Axles, Model
-from ._dynamic import axle_slip_angles, motion
+from ._base import Axles, Model, axle_slip_angles, motion
 
 
 class Parameters(NamedTuple):
@@ -49,7 +48,7 @@ def inputs(road_wheel_angle, velocity_x_dot, p: Parameters):
 
 
 def slip_angles(state, w, p: Parameters):
-    """(front, rear) [rad], see `_dynamic.axle_slip_angles`."""
+    """(front, rear) [rad], see `_base.axle_slip_angles`."""
     _, _, velocity_x, velocity_y, _, yaw_rate = state
     return axle_slip_angles(velocity_x, velocity_y, yaw_rate, w[0], w[1], p)
 
@@ -62,7 +61,7 @@ def forces(slip_front, slip_rear, w, p: Parameters):
 
 
 def motion_of(state, force_front, force_rear, w, p: Parameters):
-    """Time derivative of the state under the axle forces [N], see `_dynamic.motion`."""
+    """Time derivative of the state under the axle forces [N], see `_base.motion`."""
     return motion(state, force_front, force_rear, w[1], w[2], p)
 
 

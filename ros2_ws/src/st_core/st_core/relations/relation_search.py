@@ -14,18 +14,21 @@ from .candidates import FACTORS, USUAL, Candidate, driven
 from .formulas import Formula, simulated_formulas
 from .next_drive import NextDrives, next_drives, thin_ranges
 from .relation_fit import RelationFit, RelationFits, RunWindows
-from .screening import POINTS, Screened, p_values, screen
 from .selection import (
+    POINTS,
     RunShares,
+    Screened,
     best_of,
     cosine,
     equally_good,
     gain_text,
     harmful,
     held_out_positions,
+    p_values,
     redundant_effects,
     rejected_curve,
     run_shares,
+    screen,
     to_fit,
     too_small,
 )

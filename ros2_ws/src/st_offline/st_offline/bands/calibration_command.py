@@ -17,7 +17,7 @@ from st_core.bands import (
     run_samples,
     together,
 )
-from st_core.bands.conformal import check_levels
+from st_core.bands.calibration import check_levels
 from st_core.bands.file import configuration_of, times
 from st_core.errors import StCoreError
 from st_core.log_evaluation import MODES

@@ -13,8 +13,7 @@ from st_core.discovery import Discovery
 from st_core.effects import Effect, get_effect
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.handling import objections
-from st_core.identification.apply import value_of
-from st_core.identification.result import quantity
+from st_core.identification.result import quantity, value_of
 from st_core.log import DriveLog
 from st_core.log_evaluation import regular_starts, usable_starts
 from st_core.log_signals import LogSignals

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from st_core.identification.apply import value_of
-from st_core.identification.result import Estimate, Identification, quantity
+from st_core.identification.result import Estimate, Identification, quantity, value_of
 from st_core.models import MODELS, Model
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import ReadSettings

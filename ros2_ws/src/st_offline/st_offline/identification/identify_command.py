@@ -14,8 +14,16 @@ from rich.table import Table
 from st_core.checks import Finding
 from st_core.errors import ConfigurationError
 from st_core.handling import objections
-from st_core.identification.apply import against_file, apply, stale_scales, value_of
-from st_core.identification.result import Coverage, Identification, IdentificationError, quantity
+from st_core.identification.result import (
+    Coverage,
+    Identification,
+    IdentificationError,
+    against_file,
+    apply,
+    quantity,
+    stale_scales,
+    value_of,
+)
 from st_core.provenance import Provenance
 from st_core.vehicle import VehicleParameters
 from st_core.yaml_text import number, quoted

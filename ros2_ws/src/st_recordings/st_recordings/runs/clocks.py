@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 from st_core.checks.plausibility import implausible_samples
-from st_core.clock_alignment import align, by_hand, standstill_masked
-from st_core.clock_time_frames import align_by_time_frame
+from st_core.clock_alignment import align, align_by_time_frame, by_hand, standstill_masked
 from st_core.clock_types import Alignment, SharedSignal, Verdict, refused
 
 from .can_signals import CanSignals, Signal

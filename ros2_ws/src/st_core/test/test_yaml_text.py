@@ -2,7 +2,7 @@
 
 import pytest
 from st_core.errors import ConfigurationError
-from st_core.plain_yaml import load
+from st_core.yaml_text import load
 
 BOMB = "[&a [x, x], " + ", ".join(f"&{chr(98 + k)} [*{chr(97 + k)}, *{chr(97 + k)}]" for k in range(20)) + "]"
 
