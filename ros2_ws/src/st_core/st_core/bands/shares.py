@@ -20,7 +20,7 @@ from ..batch import LogBatch
 from ..effects import get_effect
 from ..errors import ConfigurationError
 from ..frames import map_to_body, wrap_angle
-from ..identification.apply import value_of
+from ..identification.result import value_of
 from ..log import INS_SIGNALS, DriveLog
 from ..log_evaluation import EvaluationSettings, regular_starts, usable_starts
 from ..log_signals import LogSignals
