@@ -10,8 +10,7 @@ import numpy as np
 from ..augmented import AugmentedModel, augment, neutral
 from ..effects import EFFECTS, applicable, get_effect
 from ..errors import ConfigurationError
-from ..identification.result import value_of
-from ..identification.result import quantity
+from ..identification.result import quantity, value_of
 from ..models import Model, get_model
 from ..vehicle import DEFAULT_UNCERTAINTIES, VehicleParameters
 from .settings import DiscoverySettings
