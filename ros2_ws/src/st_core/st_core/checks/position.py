@@ -30,6 +30,7 @@ CLEARLY = 1.1  # ratio of losses from which the scale of one axis is preferred t
 LEAST_GAIN = 0.01  # m; least reduction of the misfit over a second by another sign: RTK noise is 1 cm
 LEAST_ACROSS = 0.02  # m/s root mean square of velocity_y
 SPHERE = 0.005  # a map projected with one radius of the earth is wrong by up to half a per cent per axis
+SPEEDS = 0.1  # standard deviation of the speed over its mean; at one speed a bias and a scale look alike
 LEAST_BIAS = 0.05  # m/s; velocities of an INS are known to 0.03
 AXES = {"x_scale", "y_scale"}
 # Causes that look alike on a drive at one speed, of which one is fitted; a bias only where it explains clearly more.
@@ -83,6 +84,7 @@ def position(motion: Motion, seed: int) -> tuple[Motion, list[Finding], dict[str
     """(motion with the causes removed, the findings, estimates of every cause as values of its finding)."""
     found: dict[str, Estimate] = {}
     corrected = motion
+    several_speeds = float(np.std(motion.velocity_x)) > SPEEDS * abs(float(np.mean(motion.velocity_x)))
     for _ in range(ROUNDS):  # the nonlinear part of a large cause is removed in the next round
         problem = regression(corrected, seed)
         if len(problem.time) < LEAST:
@@ -90,7 +92,8 @@ def position(motion: Motion, seed: int) -> tuple[Motion, list[Finding], dict[str
         effects = {name: max(problem.effect(name, 1.0, HORIZON, WINDOW), 1e-9) for name in problem.columns}
         least = {name: max(LIMITS.min_reported_effect / effect, _least(name)) for name, effect in effects.items()}
         # A large cause biases the estimates of the others until it is removed in the next round.
-        found = {name: one for name, one in _refined(problem, found, least).items() if matters(one, least[name])}
+        refined = _refined(problem, found, least, several_speeds)
+        found = {name: one for name, one in refined.items() if matters(one, least[name])}
         corrected = _corrected(motion, found)
         if not found:
             break
@@ -127,7 +130,7 @@ def lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
         return motion, []
     twice = -2.0 * float(motion.velocity_y @ motion.yaw_rate) / max(float(motion.yaw_rate @ motion.yaw_rate), 1e-12)
     rivals = []
-    for name in (name for name in problem.columns if name not in (*AXES, "velocity_scale")):
+    for name in (name for name in problem.columns if name not in (*AXES, *BIASES, "velocity_scale")):
         theta, scale, _ = problem.fit(("x_scale", "y_scale", name))
         # The lateral velocity is mostly distance times yaw rate: its wrong sign looks like a point twice that far away.
         if name != "position_reference" or not 0.75 * abs(twice) < theta[name] * np.sign(twice) < 1.33 * abs(twice):
@@ -139,7 +142,8 @@ def lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
                               advice=Advice.correct("velocity_y", scale=-1.0))]
 
 
-def _refined(problem: Regression, found: dict[str, Estimate], least: dict[str, float]) -> dict[str, Estimate]:
+def _refined(problem: Regression, found: dict[str, Estimate], least: dict[str, float],
+             several_speeds: bool) -> dict[str, Estimate]:
     """Refined values of the previous causes, and further causes."""
     excluded = {*found, *(twin for name in found for twin in TWINS.get(name, ()))}
     free = {name: value for name, value in least.items() if name not in excluded}
@@ -147,7 +151,7 @@ def _refined(problem: Regression, found: dict[str, Estimate], least: dict[str, f
     _, scale, _ = problem.fit((*found, *more))
     loss = problem.loss((*found, *more), scale)
     for bias, twins in BIASES.items():
-        if bias in free and twins & {*more}:
+        if bias in free and twins & {*more} and several_speeds:
             instead = _further(problem, {k: v for k, v in free.items() if k not in twins and (
                 k == bias or k not in BIASES)}, tuple(found))
             if bias in instead and CLEARLY * problem.loss((*found, *instead), scale) < loss:
