@@ -8,7 +8,7 @@ from scipy import stats
 
 from ..effects import get_effect, twins_of
 from .decision import CHANCE, NULL, STATED, Rival, judge
-from .evidence import Evidence, Scores, chance, evidence, null_by_sensors, screen
+from .evidence import TWO_SIDED, Evidence, Scores, chance, covariance, evidence, null_by_sensors, screen
 from .fit import Fit, Problem, Slopes
 from .levels import Level
 from .loss import Quadratic
@@ -78,23 +78,32 @@ class Search:
         return found
 
     def _shared(self, found: Found) -> None:
-        """Rivals that take a part only: with what comes on top of the measured car, a load, values of its twins are
-        nearer to the vehicle file. These count as nearly as good: only stiffness over load acts."""
+        """Rivals that take a part only: what comes on top of the measured car, a load, at the largest value that these
+        drives do not exclude, if that is relevant. What is nearer to the vehicle file with it has it as an alternative,
+        and its values with it count as nearly as good: only stiffness over load acts."""
         p, names = self.problem, found.fit.names
         for other in (n for n in p.space.hypotheses if get_effect(n).on_top and n not in names):
             if p.space.overlaps(other, names) or not names:
                 continue
             fit = self._more(found.fit, other, found.scores.gains[other][1] if other in found.scores.gains
                              else found.fit.vector)
+            there, index = self._largest(fit, other), p.space.indices(other)
+            if np.abs((there - p.start) / p.space.scale)[index].max() < self.limits.size:
+                continue
             own = p.space.indices(*(n for n in names if n in twins_of(other)))
-            nearer = own[np.abs(fit.vector - p.start)[own] < np.abs(found.fit.vector - p.start)[own]]
+            nearer = own[np.abs(there - p.start)[own] < np.abs(found.fit.vector - p.start)[own]]
             for name in {p.space.free[i].effect for i in nearer}:
-                without = found.without.get(name, found.fit)
-                e = self._evidence(without, fit, other, found.scores)
+                e = self._evidence(found.without.get(name, found.fit), fit, other, found.scores)
                 found.rivals.setdefault(name, []).append(Rival(
                     other, name, 1.0, no_worse(fit.held_out - found.fit.held_out), 0.0, e,
-                    p.space.values(other, fit.vector), shared=True))
-                found.near.append((fit.names, fit.vector))
+                    p.space.values(other, there), shared=True))
+                found.near.append((fit.names, there))
+
+    def _largest(self, fit: Fit, name: str) -> np.ndarray:
+        """The vector at the upper end of the 95 % interval of an effect of one number, all else following."""
+        spread, k = covariance(self.problem, fit), int(np.searchsorted(fit.which, self.problem.space.indices(name)[0]))
+        step = TWO_SIDED * spread[:, k] / np.sqrt(max(spread[k, k], 1e-12))
+        return self.problem.moved(fit.vector, fit.which, step)
 
     def corrections(self, answer: Fit) -> Fit:
         """What predicts better than an answer of another problem, with all effects of that and more; the answer as it
