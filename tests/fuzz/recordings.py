@@ -193,7 +193,7 @@ def _csv(data: bytes, folder: Path) -> str:
     file.write_bytes(data)
     csv.has_drive_columns(file)
     try:
-        _, warnings = csv.read_drive(file)
+        warnings = csv.read_csv(file).warnings
     except RunError as error:
         return one_line(error, data)
     return f"read, {len(warnings)} warnings"

@@ -53,7 +53,7 @@ from support import ROOT
 file = ROOT / "config" / "vehicle" / "leaf.yaml"
 vehicle = VehicleParameters.from_yaml(file.read_text(), str(file))
 with tempfile.TemporaryDirectory() as name:
-    log, _ = csv.read_drive(write_drive(Path(name) / "drive.csv", weave(14.0)))
+    log = csv.read_csv(write_drive(Path(name) / "drive.csv", weave(14.0))).log
 found = evaluate_log(["kinematic", "linear", "nonlinear"], vehicle, log)
 content = hashlib.sha256()
 for key in sorted(found.errors):

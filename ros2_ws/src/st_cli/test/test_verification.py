@@ -220,7 +220,7 @@ def test_a_recording_that_was_cut_says_so(live):
     done = st_verify(live.folder)
     assert f"{live.folder} is truncated" in done.output.replace("\n", "")
     (said,) = not_played(live.folder, ())
-    assert said.startswith(f"{live.folder} is truncated") and said.endswith("is not played")
+    assert said.startswith(f"{live.folder} is truncated") and said.endswith("are not played")
     assert not_played(live.folder, ["/a (b)"])[0] == "of unknown type and not played: /a (b)"
 
 

@@ -24,6 +24,7 @@ Compared = tuple[Motion, list[Finding], dict[str, Estimate], list[Identity]]
 ORDER = (Severity.ERROR, Severity.WARNING, Severity.NOTE)
 
 
+# long: one sequence, each step judges what the steps before have corrected
 def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: AuxiliaryData | None = None, *,
           seed: int = 0) -> Checked:
     """Findings of one recording.
