@@ -101,6 +101,23 @@ def test_two_effects_are_both_found(leaf):
 
 
 @pytest.mark.slow
+def test_softer_rear_tyres_may_be_a_load(leaf):
+    found = discover(recorded(leaf, {"rear_stiffness": {"factor": 0.8}}, 3, noise=4.0), leaf, "nonlinear")
+    (rear,) = found.effects
+    load = next(c for c in found.candidates if c.name == "load")
+    assert rear.name == "rear_stiffness" and rear.alternatives == ("load",) and holds(rear.parameters["factor"], 0.8)
+    assert 75.0 < load.parameters["mass"] < 800.0
+
+
+@pytest.mark.slow
+def test_a_load_has_axle_forces_of_the_laden_car(leaf):
+    found = discover(recorded(leaf, {"load": {"mass": 250.0}}, 3), leaf, "nonlinear")
+    load = next(c for c in found.candidates if c.name == "load")
+    assert load.parameters["mass"] == pytest.approx(250.0, abs=25.0)
+    assert load.verdict != "refuted by the axle forces"
+
+
+@pytest.mark.slow
 def test_no_more_effects_than_the_limit_says(leaf):
     """Of the same runs."""
     found = discover(recorded(leaf, TWO, 4), leaf, settings=replace(SETTINGS, limits=Limits(most=1)))

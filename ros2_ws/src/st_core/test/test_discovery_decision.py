@@ -180,6 +180,8 @@ def test_every_level_has_words():
     (replace(EQUAL, evidence=SMALL), NEGLIGIBLE),
     (replace(EQUAL, evidence=LUCKY), CHANCE),
     (replace(EQUAL, evidence=MAYBE_NULL), NULL),
+    (replace(EQUAL, evidence=MAYBE_NULL, shared=True), "alternative"),  # the drives do not exclude it
+    (replace(WORSE, evidence=MAYBE_NULL, shared=True), "explains less"),
     (replace(EQUAL, evidence=DENIED), SENSORS),
     (replace(EQUAL, evidence=EDGE), BOUND),
     (replace(EQUAL, evidence=LOCAL), VARIES),

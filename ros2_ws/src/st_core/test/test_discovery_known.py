@@ -40,7 +40,9 @@ def test_quantity_an_effect_changes(leaf, base, effect, key, slope):
 
 def test_a_load_is_on_top_of_what_was_weighed(leaf):
     space = Space("nonlinear", DiscoverySettings())
-    assert known_quantities(space, leaf)[space.indices("load")[0]] is None
+    i = space.indices("load")[0]
+    assert known_quantities(space, leaf)[i] is None and space.on_top == ("load",)
+    assert space.deviation[i] * space.scale[i] == 250.0 and np.isinf(np.delete(space.deviation, i)).all()
 
 
 def test_linear_base_lacks_all_of_the_height_and_is_not_held_to_none(leaf):

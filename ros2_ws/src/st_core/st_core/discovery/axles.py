@@ -50,9 +50,11 @@ class Axles:
             self.draws = drawn_models(self.model, covariance, vehicle, DRAWS)
 
     def _regressions(self) -> tuple[AxleRegression, AxleRegression]:
-        """Slip and force of both axles with steering and sensors corrected by the answer, body as in the file."""
-        model, logs = self.model, []
-        around = model.only(e for e in model.effects if e.kind == "sensors" or e.slot == "steering")
+        """Slip and force of both axles with steering and sensors corrected by the answer, body as in the file and with
+        what comes on top of it."""
+        model, logs, on_top = self.model, [], self.problem.space.on_top
+        around = model.only(e for e in model.effects
+                            if e.kind == "sensors" or e.slot == "steering" or e.name in on_top)
         car = around.effective_vehicle(self.vehicle)
         p = around.parameters(self.vehicle)
         for run in self.runs:
@@ -100,7 +102,8 @@ class Axles:
     def worse(self, base: AugmentedModel, left_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[str, ...]:
         """Axles with measured forces that the answer describes less well than the file does, each run with the values
         found without it; none where sideslip was not measured or the driving is too thin."""
-        found = []
+        space, found = self.problem.space, []
+        base = base.with_values({name: space.values(name, self.fit.vector) for name in space.on_top})
         for one in self.regressions if self.sideslip else ():
             if not one.usable:
                 continue

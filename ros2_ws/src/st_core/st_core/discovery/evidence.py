@@ -342,7 +342,7 @@ def joint(problem: Problem, fit: Fit) -> Joint:
     which = np.union1d(fit.which, space.indices(*others))
     q = problem.loss.quadratic(problem.errors.at(fit.vector), problem.everything(fit.vector).of(which))
     known = problem.known[which]
-    free = (known == 0.0) & ~np.isin(which, fit.which)
+    free = ((known == 0.0) | (space.deviation[which] < np.inf)) & ~np.isin(which, fit.which)
     known[free] = 0.5 * problem.design / UNNAMED**2
     h = q.hessian.sum(axis=0) + np.diag(known)
     h = h + (1e-9 * np.trace(h) / len(h)) * np.eye(len(h))

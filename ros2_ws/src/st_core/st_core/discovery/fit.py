@@ -125,7 +125,7 @@ class Problem:
     def set_quantities(self, quantities: Quantities) -> None:
         """What of the vehicle file each number changes."""
         self.quantities = quantities
-        self._deviation = prior_deviations(quantities, self.space.scale)
+        self._deviation = np.minimum(prior_deviations(quantities, self.space.scale), self.space.deviation)
 
     @cached_property
     def size_of_start(self) -> np.ndarray:

@@ -82,7 +82,7 @@ class Search:
         drives do not exclude, if that is relevant. What is nearer to the vehicle file with it has it as an alternative,
         and its values with it count as nearly as good: only stiffness over load acts."""
         p, names = self.problem, found.fit.names
-        for other in (n for n in p.space.hypotheses if get_effect(n).on_top and n not in names):
+        for other in (n for n in p.space.on_top if n not in names):
             if p.space.overlaps(other, names) or not names:
                 continue
             fit = self._more(found.fit, other, found.scores.gains[other][1] if other in found.scores.gains
@@ -94,9 +94,9 @@ class Search:
             nearer = own[np.abs(there - p.start)[own] < np.abs(found.fit.vector - p.start)[own]]
             for name in {p.space.free[i].effect for i in nearer}:
                 e = self._evidence(found.without.get(name, found.fit), fit, other, found.scores)
-                found.rivals.setdefault(name, []).append(Rival(
-                    other, name, 1.0, no_worse(fit.held_out - found.fit.held_out), 0.0, e,
-                    p.space.values(other, there), shared=True))
+                rival = Rival(other, name, 1.0, no_worse(fit.held_out - found.fit.held_out), 0.0, e,
+                              p.space.values(other, there), shared=True)
+                found.rivals[name] = [*(r for r in found.rivals.get(name, ()) if r.name != other), rival]
                 found.near.append((fit.names, there))
 
     def _largest(self, fit: Fit, name: str) -> np.ndarray:

@@ -20,7 +20,8 @@ class Limits:
     relevant [1]: share of the size of the errors an effect must take away to be relevant: of those without it, over all
     channels, to be kept; of those of the start, in one channel, to be named ...
     relevant_position [m]: ... or this much of the mean position error after 5 s, over all or in one driving condition.
-    size [1]: ... or, of an effect that the sensors show among themselves, this share of its usual size.
+    size [1]: ... or, of an effect that the sensors show among themselves, this share of its usual size; and the share a
+    load must reach that the drives do not exclude, to be the other name of softer tyres.
     negligible [1]: share of the size of the errors below which nothing is looked at, however sure.
     rival [1]: share of an effect's gain another name must reach to be called an alternative.
     file [1]: standard deviations of a quantity of the vehicle file beyond which a value is refused as contradicting it.

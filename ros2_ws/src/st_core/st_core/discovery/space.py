@@ -2,6 +2,7 @@
 adds to the accelerometer. One vector; one set of compiled functions for all its values. And how well the vehicle file
 fixes each of them."""
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
@@ -38,7 +39,8 @@ class Space:
     """base: the model discoveries are changes of. more: effects of the model that are not searched.
     library: names of the effects to choose from, all that apply if not given.
     hypotheses: names of the effects that take part. null: (p,) the vector of the base; scale, low, high: (p,) usual
-    sizes and bounds."""
+    sizes and bounds. deviation: (p,) of what comes on top of the measured car [usual sizes], inf for all else; on_top:
+    names of those hypotheses."""
 
     def __init__(self, base: str | Model, settings: DiscoverySettings, more: Sequence[str] = (),
                  library: Collection[str] | None = None):
@@ -55,6 +57,10 @@ class Space:
         self.free = tuple(Free(e, p.name, p.unit, float(null), usual_size(e, p.unit), p.bounds,
                                1.0 if p.initial > p.null else -1.0, p.theory)
                           for (e, p), null in zip(self.model.free, self.null[:-1], strict=True))
+        self.deviation = np.array([p.deviation / f.usual for (_, p), f in zip(self.model.free, self.free, strict=True)]
+                                  + [np.inf])
+        self.on_top = tuple(n for n in self.hypotheses
+                            if any(p.deviation < math.inf for p in get_effect(n).parameters))
         self.effect_of = np.array([f.effect for f in self.free] + [GAIN])
         self._places = {name: np.flatnonzero(self.effect_of == name).tolist() for name in dict.fromkeys(self.effect_of)}
         self.scale = np.array([f.usual for f in self.free] + [GAIN_USUAL])
@@ -154,7 +160,7 @@ def _known(space: Space, vehicle: VehicleParameters, i: int) -> Known | None:
         # A base model without the quantity in its equations lacks all of it.
         absent = value_of(vehicle, parameter.quantity) if space.model.base.name == "nonlinear" else 0.0
         return _of(vehicle, parameter.quantity, 1.0, absent)
-    if effect.fold is None or effect.on_top:
+    if effect.fold is None or parameter.deviation < math.inf:
         return None
     null = {p.name: p.null for p in effect.parameters} | space.values(free.effect, space.null)
     step = NUDGE * free.usual * free.sign

@@ -40,7 +40,8 @@ class Parameter:
     unit and sign, where neither `vehicle` nor `fold` of the effect shows that. shape: a coordinate of a curve; its
     bounds are those of the family of curves, and a value on one is a curve as any other. model_error: standard
     deviation of the values that models of other equations find for the same car; from `bench/strangers`, the
-    development cars.
+    development cars. deviation: standard deviation about null of what comes on top of the car that was measured, which
+    binds a fit in the place of the uncertainties of the vehicle file; inf for what is no such thing.
     Raises ConfigurationError when these contradict each other.
     """
 
@@ -58,6 +59,7 @@ class Parameter:
     quantity: str = ""
     shape: bool = False
     model_error: float = 0.0
+    deviation: float = math.inf
 
     def __post_init__(self):
         low, high = self.bounds
@@ -150,8 +152,7 @@ class Effect:
     kind: one of EFFECT_KINDS, what it belongs to. slot: one of SLOTS, where it acts. needs: channels without any one
     of which it leaves no trace, or only that of another effect. members: names of the effects it is the sum of.
     combinations: names of COMBINATIONS that it changes. ratio_to: key of the vehicle file; driving shows only the ratio
-    of its quantity to that one. on_top: what it changes comes on top of what was measured for the vehicle file, so that
-    the uncertainties of the file do not bind it. at_peak_force: drives show it only near the largest force of an axle.
+    of its quantity to that one. at_peak_force: drives show it only near the largest force of an axle.
     costly: computes the tyres again; leave it out of a fast model where it is at null.
     order: among the effects at one hook, low acts first. Source of the twins: sensitivity vectors of a single-track
     car, steady circle, step, sweep and limit.
@@ -168,7 +169,6 @@ class Effect:
     members: ClassVar[tuple[str, ...]] = ()
     combinations: ClassVar[tuple[str, ...]] = ()
     ratio_to: ClassVar[str] = ""
-    on_top: ClassVar[bool] = False
     at_peak_force: ClassVar[bool] = False
     applies_to: ClassVar[frozenset[str]] = DYNAMIC
     lifts: ClassVar[tuple[str, str] | None] = None

@@ -20,11 +20,10 @@ class Load(Effect):
     twins = ("mass", "cg_position", "rear_stiffness", "tyre_stiffness", "yaw_inertia")
     combinations = ("front cornering stiffness over mass", "rear cornering stiffness over mass",
                     "yaw inertia over mass", "understeer gradient K")
-    on_top = True
     parameters = (
         Parameter("mass", "kg", null=0.0, initial=150.0, bounds=(0.0, 800.0),
                   meaning="of the load, as if over the rear axle",
-                  source="payload of passenger cars 400 to 550 kg, of vans 800 kg"),
+                  source="payload of passenger cars 400 to 550 kg, two deviations; of vans 800 kg", deviation=250.0),
     )
 
     @staticmethod

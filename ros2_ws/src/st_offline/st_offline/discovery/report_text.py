@@ -19,7 +19,7 @@ from st_core.discovery.result import (
     WhereStatement,
 )
 from st_core.discovery.settings import Limits
-from st_core.effects import EFFECTS
+from st_core.effects import EFFECTS, get_effect
 from st_core.vehicle import VEHICLE_QUANTITIES
 
 from ..checking.check_report import by_name
@@ -37,9 +37,13 @@ UNEXPLAINED = "more is missing that no known effect explains"
 
 
 def by_any_name(found: Discovery, effect: FoundEffect) -> str:
-    """Name and value, and those of its alternatives, each with the value it has in that place."""
+    """Name and value, and those of its alternatives, each with the value it has in that place; of what comes on top of
+    the measured car, the largest that the drives do not exclude."""
     values = {c.name: c.parameters for c in found.candidates}
-    others = (f"{plain(name)} {fitted_shortly(name, values.get(name, {}))}".strip() for name in effect.alternatives)
+    most = {name: "up to " for name in effect.alternatives
+            if any(p.deviation < math.inf for p in get_effect(name).parameters)}
+    others = (f"{plain(name)} {most.get(name, '')}{fitted_shortly(name, values.get(name, {}))}".strip()
+              for name in effect.alternatives)
     return " or ".join((f"{plain(effect.name)} {short_values(effect.parameters)}", *others))
 
 
