@@ -357,8 +357,8 @@ class _Work:
                     collected.append((self._coming(v, evidence.position), None))
                     break
         for bound, _ in collected:
-            self.warnings.append(f"something that resembles {bound.resembles} is significant, but differs over "
-                                 f"{WORDS[bound.to]}: it is reported, not named")
+            self.warnings.append(f"something that resembles {bound.resembles.replace('_', ' ')} is significant, but "
+                                 f"differs over {WORDS[bound.to]}: it is reported, not named")
         return collected
 
     def _coming(self, v: Varying, position: float) -> BoundEffect:

@@ -357,10 +357,15 @@ def acausal(found: Discovery) -> list[str]:
             for e in found.effects for name, p in e.parameters.items() if p.unit == "s" and p.interval[1] < 0.0]
 
 
+def _plain_number(number: float) -> str:
+    """Four significant digits; whole numbers from 1000 up, as stiffnesses are read."""
+    return f"{number:.0f}" if abs(number) >= 1000.0 else f"{number:.4g}"
+
+
 def keys(changes_of: Mapping[str, Sequence[float]]) -> str:
     """Keys of a vehicle file before and after; SI, with the unit, since the file may use another."""
     units = {key: VEHICLE_QUANTITIES[key].si_unit.removesuffix("1") for key in changes_of if key in VEHICLE_QUANTITIES}
-    return ", ".join(f"{key} {before:.5g} → {after:.5g} {units.get(key, '')}".rstrip()
+    return ", ".join(f"{key} {_plain_number(before)} → {_plain_number(after)} {units.get(key, '')}".rstrip()
                      for key, (before, after, *_) in changes_of.items())
 
 
