@@ -1,14 +1,16 @@
 """Drives of the virtual Leaf for identification: the compiled car, a hand that never is still, the sensors' noise."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 from discovery.compiled import Recording, drive
 from discovery.programmes import DT, Builder
 from discovery.sensing import log_of
+from st_core.identification.result import Estimate
 from st_core.log import DriveLog
-from st_core.vehicle import VehicleParameters
+from st_core.vehicle import VehicleParameters, quantity
 from st_recordings.paths import config
 from st_sim.car import read_car
 from st_sim.settings import resolve
@@ -22,6 +24,16 @@ LEVER_ERROR, MISALIGNMENT = 0.06, 0.008
 
 def leaf() -> VehicleParameters:
     return VehicleParameters.from_yaml(LEAF_FILE.read_text(), str(LEAF_FILE))
+
+
+def with_stiffness(car: VehicleParameters, front: float, rear: float) -> VehicleParameters:
+    """The car with other axle cornering stiffnesses [N/rad]; lambda_ky of both tyres follows."""
+    return replace(car, cornering_stiffness_front=front, cornering_stiffness_rear=rear).with_derived_scales()
+
+
+def identified(car: VehicleParameters, estimates: Iterable[Estimate]) -> VehicleParameters:
+    """The car with the estimates that its file can hold; lambda_ky follows."""
+    return car.with_values({e.parameter: e.value for e in estimates if quantity(e.parameter)}).with_derived_scales()
 
 
 def bends(speed: float, across: float, hold: float = 4.0) -> Callable[[Builder], None]:

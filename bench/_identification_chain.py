@@ -3,10 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-from _identification import LEAF_FILE, leaf
+from _identification import LEAF_FILE, identified, leaf, with_stiffness
 from st_core.batch import LogBatch
 from st_core.identification.cornering_stiffness import identify_stiffness
-from st_core.identification.driving_fit import identified_vehicle, with_stiffness
 from st_core.identification.driving_prediction import predict_stiffness
 from st_core.identification.result import Identification
 from st_core.identification.steering_offset import identify_steering_offset
@@ -85,7 +84,7 @@ def _rms(values: np.ndarray) -> str:
 
 
 def _with(car: VehicleParameters, found: Identification) -> VehicleParameters:
-    return identified_vehicle(car, {e.parameter: e.value for e in found.estimates})
+    return identified(car, found.estimates)
 
 
 def _text(found: Identification, factor: float = 1.0) -> dict:

@@ -5,11 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from _identification import identified
 from st_core.augmented import augment
 from st_core.batch import LogBatch
-from st_core.identification.blocks import blocks
 from st_core.identification.cornering_stiffness import identify_stiffness
-from st_core.identification.driving_fit import MISALIGNMENT, identified_vehicle
+from st_core.identification.driving_fit import MISALIGNMENT
 from st_core.identification.driving_prediction import identify_yaw_inertia, predict_stiffness
 from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.result import Identification, IdentificationError
@@ -17,6 +17,7 @@ from st_core.identification.steering_offset import identify_steering_offset
 from st_core.log import DriveLog
 from st_core.log_evaluation import regular_starts, usable_starts
 from st_core.log_signals import LogSignals
+from st_core.regression import blocks
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import config, project_root
 from st_recordings.runs import find_runs, read
@@ -63,7 +64,7 @@ def genesis() -> dict:
 def taken(car: VehicleParameters, found: Identification, names=None) -> VehicleParameters:
     """The car with the estimates of these names; of all without."""
     chosen = [e for e in found.estimates if names is None or e.parameter in names]
-    return identified_vehicle(car, {e.parameter: e.value for e in chosen})
+    return identified(car, chosen)
 
 
 def turned(log: DriveLog, angle: float) -> DriveLog:

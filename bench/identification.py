@@ -5,12 +5,11 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import numpy as np
-from _identification import LEVER_ERROR, MISALIGNMENT, TIGHT_BENDS, leaf, record, record_all
+from _identification import LEVER_ERROR, MISALIGNMENT, TIGHT_BENDS, leaf, record, record_all, with_stiffness
 from _identification_chain import chain
 from _identification_genesis import genesis
 from st_core.augmented import augment
-from st_core.identification.cornering_stiffness import AXLES, StiffnessSettings, identify_stiffness
-from st_core.identification.driving_fit import with_stiffness
+from st_core.identification.cornering_stiffness import AXLES, identify_stiffness
 from st_core.identification.driving_prediction import (
     STIFFNESSES,
     identify_steering,
@@ -113,12 +112,6 @@ def noise_free() -> dict:
 def _stiffness_errors(logs: list, start: VehicleParameters, car: VehicleParameters) -> dict:
     methods: dict[str, Callable[[], Identification]] = {
         "paper": lambda: identify_stiffness(logs, start),
-        "paper, slip up to 1 deg": lambda: identify_stiffness(logs, start, StiffnessSettings(
-            maximum_slip=np.deg2rad(1.0))),
-        "paper, through the origin": lambda: identify_stiffness(logs, start, StiffnessSettings(through_origin=True)),
-        "paper, accelerometer": lambda: identify_stiffness(logs, start, StiffnessSettings(
-            lateral_acceleration="accelerometer")),
-        "paper, 5 Hz": lambda: identify_stiffness(logs, start, StiffnessSettings(cutoff=5.0)),
         "prediction, linear": lambda: predict_stiffness(logs, start, "linear"),
         "prediction": lambda: predict_stiffness(logs, start),
         "prediction, drive force": lambda: predict_stiffness(logs, start, augment("nonlinear", KNOWN)),

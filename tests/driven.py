@@ -1,7 +1,7 @@
 """Drives of a single-track car that is exactly what identification takes a car to be, with sensors as told."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from st_core import integrate
@@ -30,6 +30,11 @@ class Sensors:
 
 
 SILENT = Sensors(velocity=0.0, yaw_rate=0.0, yaw=0.0, steering_wheel=0.0)
+
+
+def with_stiffness(vehicle: VehicleParameters, front: float, rear: float) -> VehicleParameters:
+    """The car with other axle cornering stiffnesses [N/rad]; lambda_ky of both tyres follows."""
+    return replace(vehicle, cornering_stiffness_front=front, cornering_stiffness_rear=rear).with_derived_scales()
 
 
 def drive(vehicle: VehicleParameters, speed: float, steer: Callable[[np.ndarray], np.ndarray], seconds: float = 60.0,

@@ -11,11 +11,10 @@ from st_cli.cli import app
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
 from st_core.effects import EFFECTS
-from st_core.identification.result import value_of
 from st_core.model_file import ModelFile
 from st_core.prediction import PredictionSettings
 from st_core.stability import slip_speed_needed
-from st_core.vehicle import VehicleParameters
+from st_core.vehicle import VehicleParameters, value_of
 from st_offline.discovery.discovery_report import model_file
 from st_offline.discovery.drives import Drive, Request, read_drive
 from st_offline.discovery.vehicle_update import KEYS, edited, folded_update, update_vehicle

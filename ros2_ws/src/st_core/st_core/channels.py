@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from . import frames
+from .regression import robust_deviation, white_noise
 
 STANDSTILL_SPEED = 0.5  # m/s; a car that is never faster is at standstill throughout
-SPREAD = 1.4826  # of a normal distribution: standard deviation over the median of its magnitude
-THIRD = np.sqrt(20.0)  # standard deviation of a third difference of white noise of 1
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ class Channel:
 
     def left(self, log: Any, *way: Any) -> tuple[float, ...]:
         """Errors due to noise alone [unit], one for each column."""
-        return self.noise(log, *way) if self.noise else (_white(getattr(log, self.name)),)
+        return self.noise(log, *way) if self.noise else (white_noise(getattr(log, self.name)),)
 
 
 def _off_position(measured: Mapping[str, np.ndarray], shown: Any) -> tuple[np.ndarray, ...]:
@@ -80,7 +79,7 @@ def _position_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, u: Any, v: 
     east, north = (_integral(values, step) for values in frames.body_to_map(u, v, yaw))
     ahead, left = frames.map_to_body(x[:, -1] - x[:, 0] - east, y[:, -1] - y[:, 0] - north, yaw[:, -1])
     horizon = step * (x.shape[1] - 1)
-    at_start = _white(log.yaw) * horizon * float(np.nanmean(u)), _white(log.velocity_x) * horizon
+    at_start = white_noise(log.yaw) * horizon * float(np.nanmean(u)), white_noise(log.velocity_x) * horizon
     return float(np.hypot(_spread(left), at_start[0])), float(np.hypot(_spread(ahead), at_start[1]))
 
 
@@ -89,14 +88,9 @@ def _heading_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, u: Any, v: A
     return (_spread(frames.wrap_angle(yaw[:, -1] - yaw[:, 0] - _integral(rate, step))),)
 
 
-def _white(values: np.ndarray) -> float:
-    """Standard deviation of the white noise in samples [their unit]."""
-    return SPREAD * float(np.nanmedian(np.abs(np.diff(values, 3)))) / THIRD
-
-
 def _spread(off: np.ndarray) -> float:
     off = off[np.isfinite(off)]
-    return SPREAD * float(np.median(np.abs(off - np.median(off)))) if len(off) else 0.0
+    return robust_deviation(off) if len(off) else 0.0
 
 
 def _integral(values: np.ndarray, step: float) -> np.ndarray:

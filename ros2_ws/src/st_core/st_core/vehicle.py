@@ -202,8 +202,7 @@ class VehicleParameters:
         if stated is not None and stated.uncertainty:
             return stated.uncertainty
         default = DEFAULT_UNCERTAINTIES.get(key)
-        tyre, _, name = key.rpartition(".")
-        return None if default is None else default.of(getattr(getattr(self, tyre) if tyre else self, name)) or None
+        return None if default is None else default.of(value_of(self, key)) or None
 
     def road_wheel_angle(self, steering_wheel_angle: Number) -> Number:
         """From the measured steering wheel angle [rad], left +; see the function of this name."""
@@ -258,6 +257,17 @@ class VehicleParameters:
                    for name in tyres}
         return replace(self, **changes, sources={**self.sources, **{f"{name}.lambda_ky": DERIVED for name in tyres}})
 
+    def with_values(self, values: Mapping[str, float]) -> "VehicleParameters":
+        """The car with other values (SI), by their keys in the file ("mass", "tyre_rear.p_cy1"); a lambda_ky that was
+        derived is derived again. Raises ConfigurationError for an invalid car."""
+        own: dict[str, Any] = {key: value for key, value in values.items() if "." not in key}
+        for tyre in TYRES:
+            changes = {key.partition(".")[2]: value for key, value in values.items() if key.startswith(f"{tyre}.")}
+            own[tyre] = getattr(self, tyre)._replace(**changes)
+        derived = [tyre for tyre in TYRES if self.sources.get(f"{tyre}.lambda_ky") == DERIVED
+                   and f"{tyre}.lambda_ky" not in values]
+        return replace(self, **own).with_derived_scales(derived)
+
     def to_yaml(self) -> str:
         """A vehicle file, SI units, that `from_yaml` reads back to the same parameters (and hash).
 
@@ -288,6 +298,18 @@ class VehicleParameters:
         values |= {f"{tyre}.{key}": getattr(getattr(self, tyre), key) for tyre in TYRES for key in TYRE_QUANTITIES}
         text = json.dumps({key: float(value).hex() for key, value in sorted(values.items())})
         return hashlib.sha256(text.encode()).hexdigest()
+
+
+def quantity(key: str) -> Quantity | None:
+    """Units and limits of a key of the vehicle file ("mass", "tyre_rear.p_ky1"); None for any other name."""
+    tyre, _, name = key.rpartition(".")
+    return (TYRE_QUANTITIES if tyre in TYRES else {} if tyre else VEHICLE_QUANTITIES).get(name)
+
+
+def value_of(vehicle: VehicleParameters, key: str) -> float:
+    """A value by its key in the vehicle file ("mass", "tyre_front.p_cy1"), SI."""
+    tyre, _, name = key.rpartition(".")
+    return getattr(getattr(vehicle, tyre) if tyre else vehicle, name)
 
 
 @dataclass

@@ -98,4 +98,4 @@ def test_a_slope_of_the_wrong_sign_is_a_failed_fit_not_a_negative_stiffness(leaf
 def test_thin_driving_is_a_reason_not_an_exception(leaf):
     circle = drive(leaf, 8.0, lambda t: np.full_like(t, 0.08), 40.0, name="circle")
     for one in axle_regressions([circle], leaf):
-        assert "too thin: lateral acceleration: 1 of 11 bins" in one.reasons[0]
+        assert "too little excitation: lateral acceleration: 1 of 11 bins" in one.reasons[0]

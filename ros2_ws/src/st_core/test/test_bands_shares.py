@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from st_core.augmented import augment
-from st_core.bands.shares import PARAMETERS, SENSORS, share_squares, white_noise, with_value
-from st_core.log import DriveLog
+from st_core.bands.shares import PARAMETERS, SENSORS, share_squares
+from st_core.log import INS_SIGNALS, DriveLog
 from st_core.log_evaluation import EvaluationSettings
 from st_core.models import get_model
 from st_core.provenance import Provenance
+from st_core.regression import white_noise
 
 SETTINGS = EvaluationSettings()
 SPEED, SECONDS = 10.0, 20.0
@@ -30,11 +31,9 @@ def shares(model, vehicle, log, intervals=None):
 
 
 def test_white_noise_is_found_in_a_moving_car_and_motion_is_none():
-    found = white_noise(straight(0.02))
-    assert all(value == pytest.approx(0.02, rel=0.1) for value in found.values())
-    time = np.arange(0.0, 20.0, 0.01)
-    weaving = replace(straight(), y=np.sin(2.0 * time))
-    assert white_noise(weaving)["y"] < 1e-5
+    log = straight(0.02)
+    assert all(white_noise(getattr(log, name)) == pytest.approx(0.02, rel=0.1) for name in INS_SIGNALS)
+    assert white_noise(np.sin(2.0 * np.arange(0.0, 20.0, 0.01))) < 1e-5
 
 
 def test_the_start_state_moves_the_end_of_the_path_by_its_lever(leaf):
@@ -51,7 +50,7 @@ def test_the_start_state_moves_the_end_of_the_path_by_its_lever(leaf):
 def test_an_error_of_a_parameter_as_large_as_stated_is_all_of_the_error(leaf):
     """A wheelbase of the file that is off by its own standard deviation: error and share are equal, to first order."""
     radius_log = circle(leaf, 0.06)
-    stated = replace(with_value(leaf, "wheelbase", leaf.wheelbase * 1.02),
+    stated = replace(leaf.with_values({"wheelbase": leaf.wheelbase * 1.02}),
                      provenance={"wheelbase": Provenance(0.02 * leaf.wheelbase)})
     total, parts = shares("kinematic", stated, radius_log)
     assert set(cause for cause in parts if cause[0] == PARAMETERS) == {(PARAMETERS, "wheelbase")}

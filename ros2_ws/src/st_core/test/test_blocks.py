@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from st_core.identification.blocks import blocks
+from st_core.regression import blocks
 
 
 def test_blocks_are_runs_or_blocks_of_few_runs():

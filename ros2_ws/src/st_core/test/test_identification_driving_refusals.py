@@ -34,7 +34,7 @@ def test_no_drive_one_twice_and_too_short(identify, log, leaf):
 
 @pytest.mark.parametrize("identify", [identify_stiffness, predict_stiffness])
 def test_one_circle_is_too_thin_for_stiffness(identify, circle, leaf):
-    with pytest.raises(IdentificationError, match=r"too thin: lateral acceleration: 1 of 11 bins .* Drive bends"):
+    with pytest.raises(IdentificationError, match=r"excitation: lateral acceleration: 1 of 11 bins .* Drive bends"):
         identify([circle], leaf)
 
 
@@ -45,19 +45,19 @@ def test_a_circle_has_no_straight_for_the_offset(circle, leaf):
 
 def test_steady_bends_do_not_show_the_yaw_inertia(leaf):
     logs = [drive(leaf, speed, weave(0.05, 20.0), 40.0) for speed in (7.0, 12.0)]
-    with pytest.raises(IdentificationError, match=r"too thin: yaw acceleration: .* drive steps, lane changes"):
+    with pytest.raises(IdentificationError, match=r"excitation: yaw acceleration: .* drive steps, lane changes"):
         identify_yaw_inertia(logs, leaf)
 
 
 def test_one_speed_is_too_thin_for_the_steering_ratio(leaf):
     logs = [drive(leaf, 9.0 + shift, weave(0.06), 40.0) for shift in (0.5, 1.0)]
-    with pytest.raises(IdentificationError, match="too thin: speed: 1 of 8 bins"):
+    with pytest.raises(IdentificationError, match="too little excitation: speed: 1 of 8 bins"):
         predict_stiffness(logs, leaf, also=("steering_ratio",))
 
 
 def test_a_fast_drive_is_too_thin_for_the_mounting(log, leaf):
     fast = drive(leaf, 14.0, weave(0.03), 20.0)
-    with pytest.raises(IdentificationError, match=r"too thin: speed: 0 of 4 bins .* Drive slowly"):
+    with pytest.raises(IdentificationError, match=r"too little excitation: speed: 0 of 4 bins .* Drive slowly"):
         identify_ins_mounting([fast], leaf)
 
 

@@ -16,7 +16,6 @@ from st_core.identification.result import (
     IdentificationError,
     against_file,
     apply,
-    bound_hit,
     stale_scales,
 )
 from st_core.provenance import Provenance
@@ -52,12 +51,6 @@ def test_coverage_counts_filled_bins():
     coverage = Coverage("speed", "m/s", np.array([0.0, 5.0, 10.0, 15.0]), np.array([100, 3, 50]), 20, 3)
     assert (coverage.filled, coverage.enough) == (2, False)
     assert coverage.words() == "speed: 2 of 3 bins from 0 to 15 m/s hold at least 20 samples (needed: 3)"
-
-
-def test_a_value_at_a_limit_of_the_file_is_said():
-    assert "tyre_rear.p_ky4 stopped at its limit 4" in bound_hit("tyre_rear.p_ky4", 4.0)
-    assert bound_hit("tyre_rear.p_ky4", 3.9) == "" and bound_hit("no such parameter", 1e9) == ""
-    assert "limit 2" in bound_hit("x", 2.0, (1.0, 2.0))
 
 
 def test_values_go_into_the_vehicle_with_their_provenance(leaf):

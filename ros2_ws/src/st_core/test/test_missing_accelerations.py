@@ -8,7 +8,6 @@ from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
 from st_core.discovery.following import drive
 from st_core.discovery.windows import Windows, noise_floor
-from st_core.identification.run_samples import run_samples
 from st_core.log import DriveLog
 from st_core.manoeuvres import CATALOGUE
 from st_core.readings import wanting
@@ -31,21 +30,6 @@ def test_accelerations_needed_by_sensor_effects_on_a_kinematic_base_with_slip():
     values = {"tyre_slip": {"share": 1.0}, "yaw_rate_delay": {"time": 0.02}, "position_lag": {"time": 0.02}}
     model = augment("kinematic", {name: values[name] for name in values})
     assert wanting(model, ["acceleration_x", "acceleration_y"]) is None
-
-
-def test_regressions_work_on_the_others(logs, leaf):
-    whole, holed = (run_samples(log, leaf, lateral_acceleration="accelerometer") for log in logs)
-    alike = np.isin(whole.time, holed.time)
-    lost = whole.time[~alike]
-    # Single samples, and 2.5 s at 40 Hz with EDGE on both sides.
-    assert len(lost) == 3 + 100 + 2 * 8 and (lost[3], lost[-1]) == (pytest.approx(24.8), pytest.approx(27.675))
-    np.testing.assert_allclose(holed.yaw_rate, whole.yaw_rate[alike])
-    # What the filter remembers of its start after EDGE is a percent of the signal.
-    assert np.abs(holed.lateral_acceleration - whole.lateral_acceleration[alike]).max() < 0.05
-    by_velocity = [run_samples(log, leaf) for log in logs]
-    assert len(by_velocity[0]) == len(by_velocity[1]) == len(whole)
-    none = replace(logs[0], acceleration_y=np.full(len(logs[0].x), np.nan))
-    assert len(run_samples(none, leaf, lateral_acceleration="accelerometer")) == 0
 
 
 def test_windows_are_scored_where_it_is_known(logs, leaf):

@@ -20,20 +20,18 @@ from ..batch import LogBatch
 from ..effects import get_effect
 from ..errors import ConfigurationError
 from ..frames import map_to_body, wrap_angle
-from ..identification.result import value_of
-from ..log import INS_SIGNALS, DriveLog
+from ..log import INS_SIGNALS
 from ..log_evaluation import EvaluationSettings, regular_starts, usable_starts
 from ..log_signals import LogSignals
 from ..models import Model
 from ..readings import readings
-from ..vehicle import DERIVED, TYRES, VehicleParameters
+from ..regression import white_noise
+from ..vehicle import VehicleParameters, value_of
 from .scale import spread
 
 PARAMETERS, SENSORS = "parameters", "sensors and start"
 STARTS = 200
 """Of a run: their neighbours are redundant."""
-NORMAL_MEDIAN = 0.6745
-"""Median magnitude of a normal quantity, in standard deviations."""
 EDGES_95 = 1.96
 
 Intervals = Mapping[tuple[str, str], tuple[float, float]]
@@ -70,7 +68,7 @@ def share_squares(model: Model, vehicle: VehicleParameters, signals: LogSignals,
             path(_read_again(signals, high, settings), model, high)
     for key, (less, more) in _models(model, intervals or {}).items():
         ends[PARAMETERS, key] = path(signals, less, vehicle), path(signals, more, vehicle)
-    noise = white_noise(signals.log)
+    noise = {name: white_noise(getattr(signals.log, name)) if len(signals.log.x) > 3 else 0.0 for name in INS_SIGNALS}
     for name, sigma in noise.items():
         ends[SENSORS, f"{name} at the start"] = (
             path(_moved(signals, name, -sigma, settings), model, vehicle),
@@ -87,19 +85,6 @@ def share_squares(model: Model, vehicle: VehicleParameters, signals: LogSignals,
     return int(complete.sum()), np.square(errors[complete]).sum(axis=0), squares
 
 
-def white_noise(log: DriveLog) -> dict[str, float]:
-    """Standard deviation of what is new in every sample of the INS, by signal [SI]: from third differences, in which
-    the motion of a car at 20 Hz and more no longer counts. 0 for a drive of fewer than four samples.
-
-        sigma = median |d^3 u| / (0.6745 sqrt(20))
-    """
-    found = {}
-    for name in INS_SIGNALS:
-        third = np.abs(np.diff(getattr(log, name), 3))
-        found[name] = float(np.median(third) / (NORMAL_MEDIAN * np.sqrt(20.0))) if len(third) else 0.0
-    return found
-
-
 def _cars(vehicle: VehicleParameters) -> dict[str, tuple[VehicleParameters, VehicleParameters]]:
     """The car with each uncertain parameter a standard deviation lower and higher; invalid ones are left out."""
     found = {}
@@ -107,22 +92,11 @@ def _cars(vehicle: VehicleParameters) -> dict[str, tuple[VehicleParameters, Vehi
         if about.uncertainty:
             value = value_of(vehicle, key)
             try:
-                found[key] = with_value(vehicle, key, value - about.uncertainty), \
-                    with_value(vehicle, key, value + about.uncertainty)
+                found[key] = vehicle.with_values({key: value - about.uncertainty}), \
+                    vehicle.with_values({key: value + about.uncertainty})
             except ConfigurationError:
                 continue
     return found
-
-
-def with_value(vehicle: VehicleParameters, key: str, value: float) -> VehicleParameters:
-    """The car with another value of one key of the file ("mass", "tyre_front.p_cy1"), SI; what is derived from it as
-    well. Raises ConfigurationError for an invalid car.
-    """
-    tyre, _, name = key.partition(".")
-    changed = replace(vehicle, **({tyre: getattr(vehicle, tyre)._replace(**{name: value})} if name else {key: value}))
-    derived = [one for one in TYRES if vehicle.sources.get(f"{one}.lambda_ky") == DERIVED
-               and key != f"{one}.lambda_ky"]
-    return changed.with_derived_scales(derived)
 
 
 def _models(model: Model, intervals: Intervals) -> dict[str, tuple[Model, Model]]:

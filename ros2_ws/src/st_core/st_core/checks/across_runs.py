@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import binom, chi2
 
-from ..identification.blocks import random_effects
-from ..identification.result import symmetric_interval
+from ..regression import random_effects, symmetric_interval
 from .finding import Checked
 
 FEWEST = 3  # runs

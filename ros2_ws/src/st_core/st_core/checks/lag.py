@@ -15,7 +15,7 @@ from scipy.stats import f as fisher
 
 from ..clock_fit import STEP, Fit, Pair, Resampled, fit, mean_correlation, resample
 from ..clock_types import LONGEST_SPAN
-from ..identification.result import symmetric_interval
+from ..regression import symmetric_interval
 from .regression import Estimate, Regression
 
 LONGEST = 1.5  # s of lag that is looked for

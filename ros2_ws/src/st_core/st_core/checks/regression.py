@@ -1,6 +1,6 @@
 """Robust linear regression of the residual of an identity, with intervals by resampling blocks of driving.
 
-Neighbouring samples share their errors, so whole blocks are drawn again (identification.blocks), and an
+Neighbouring samples share their errors, so whole blocks are drawn again (st_core.regression), and an
 interval is as wide as the blocks are few and alike. Causes are added one at a time, the one that explains most first,
 all refitted together, until no further one is significant and large enough to matter.
 """
@@ -10,8 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..identification.blocks import Blocks
-from ..identification.result import symmetric_interval
+from ..regression import Blocks, symmetric_interval
 from .limits import SYSTEMATIC
 
 OUTLIER = 3.0  # robust standard deviations; windows beyond it count less (Huber)

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import stats
 
 from ..effects import get_effect
-from ..identification.blocks import random_effects
+from ..regression import random_effects
 from .fit import Fit, Problem, Slopes, bounded
 from .levels import Level
 from .loss import Quadratic

@@ -11,9 +11,8 @@ import numpy as np
 from ..augmented import AugmentedModel, augment, neutral
 from ..effects import EFFECTS, applicable, get_effect
 from ..errors import ConfigurationError
-from ..identification.result import quantity, value_of
 from ..models import Model, get_model
-from ..vehicle import DEFAULT_UNCERTAINTIES, VehicleParameters
+from ..vehicle import DEFAULT_UNCERTAINTIES, VehicleParameters, quantity, value_of
 from .settings import DiscoverySettings
 
 NUDGE = 0.02  # of the usual size of an effect: step of the difference quotient

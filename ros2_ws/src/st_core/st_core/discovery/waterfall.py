@@ -7,7 +7,7 @@ from scipy import stats
 
 from ..channels import OF_COLUMN, UNITS
 from ..effects import EFFECT_KINDS, get_effect
-from ..identification.blocks import random_effects
+from ..regression import random_effects
 from .evidence import TWO_SIDED, Joint, agreement, covariance, inverse
 from .fit import Fit, Problem
 from .levels import Level

@@ -5,7 +5,7 @@
 F_model is what the model's equations of motion ask of the axle at equal slip of both axles, straight wheels, no forward
 acceleration: every effect that acts at that state is in it, offsets cancel. The slip angle is the geometric one of the
 measured steering, as in a regression: compliance makes the axle softer; `tyres_only` leaves it out. Roll steer does not
-act at this state. Nothing is stated beyond the driven slip. Checked by: test_axle_curve.py.
+act at this state. No curve is given beyond the driven slip. Checked by: test_axle_curve.py.
 """
 
 from collections.abc import Iterable
@@ -14,14 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..augmented import AugmentedModel
-from ..effects.steering_compliance import SteeringCompliance
 from ..errors import ConfigurationError, StCoreError
 from ..models import Model, get_model
 from ..vehicle import VehicleParameters
-from .cornering_stiffness import AXLES, AxleSamples
+from .cornering_stiffness import AXLES, DRIVEN, AxleSamples
 
-SPEED = 20.0  # m/s, at which the curve is evaluated: above every minimum_slip_speed of a car, below none's limit
-DRIVEN = 0.995  # quantile of the slip angles up to which the curve is given
+SPEED = 20.0  # m/s, at which the curve is evaluated: no minimum_slip_speed is higher
 FEWEST_DRAWS = 20
 
 
@@ -56,7 +54,7 @@ def axle_force(model: str | Model, vehicle: VehicleParameters, axle: str, slip: 
     """
     model = get_model(model)
     if tyres_only and isinstance(model, AugmentedModel):
-        model = model.only(e for e in model.effects if e is not SteeringCompliance)
+        model = model.only(e for e in model.effects if e.name != "steering_compliance")
     car = model.effective_vehicle(vehicle) if isinstance(model, AugmentedModel) else vehicle
     base = model.base if isinstance(model, AugmentedModel) else model
     if base.axles is None and not (isinstance(model, AugmentedModel) and any(e.lifts for e in model.active)):

@@ -24,7 +24,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .result import Coverage, Estimate, Identification, IdentificationError, symmetric_interval
+from ..regression import symmetric_interval, welch_freedom
+from .result import Coverage, Estimate, Identification, IdentificationError
 from .steering_ratio import Line, fit_line
 
 LEVEL = math.radians(0.5)  # a row below counts as level
@@ -99,7 +100,8 @@ def cg_height(data: Lift, car: LiftedCar) -> Identification:
         arm * car.wheelbase_uncertainty / car.wheelbase, car.radius_uncertainty * math.hypot(1.0 - share, share))
     single, usable = _single_heights(data, car, level, radius, line)
     average = float(single[usable].mean())
-    freedom = _freedom(line, car, spread)
+    # Only the slope's uncertainty was estimated, from few rows.
+    freedom = welch_freedom((car.wheelbase / car.mass * line.uncertainty) ** 2, spread**2, line.freedom)
     used = tuple(dict.fromkeys(data.lifts))
     method = (f"ISO 10392 axle lift, {len(data.pitch)} rows in {len(used)} lift{'s' * (len(used) != 1)} up to "
               f"{math.degrees(data.pitch.max()):.1f} deg, wheel centres at {radius:.3f} m")
@@ -175,12 +177,6 @@ def _single_heights(data: Lift, car: LiftedCar, level: np.ndarray, radius: float
     single = np.full(len(data.pitch), np.nan)
     single[usable] = radius + (car.wheelbase * (data.rear_load - zero) / car.mass)[usable] / np.tan(data.pitch[usable])
     return single, usable
-
-
-def _freedom(line: Line, car: LiftedCar, spread: float) -> float:
-    """Welch and Satterthwaite; only the slope's uncertainty was estimated from few rows."""
-    own = car.wheelbase / car.mass * line.uncertainty
-    return line.freedom * (spread / own) ** 4 if own > 0.0 else math.inf
 
 
 def _order_warnings(data: Lift) -> list[str]:

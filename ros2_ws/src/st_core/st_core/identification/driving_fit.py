@@ -8,9 +8,8 @@ angles as a regression of force on slip is. Checked by: test_driving_fit.py.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -20,25 +19,15 @@ from ..discovery.loss import Errors, Loss
 from ..discovery.settings import DiscoverySettings
 from ..discovery.space import Space
 from ..discovery.windows import STEP, Windows
-from ..effects.front_stiffness import FrontStiffness
-from ..effects.heading_misalignment import HeadingMisalignment
-from ..effects.rear_stiffness import RearStiffness
-from ..effects.sensor_lever_arm import SensorLeverArm
-from ..effects.steering_delay import SteeringDelay
-from ..effects.steering_offset import SteeringOffset
-from ..effects.steering_ratio import SteeringRatio
-from ..effects.tyre_relaxation import TyreRelaxation
-from ..effects.yaw_inertia import YawInertia
 from ..errors import StCoreError
 from ..filtering import NANOSECOND
 from ..log import DriveLog
 from ..models import Model, get_model
-from ..tyres import stiffness_scale
+from ..regression import Spread, blocks
 from ..vehicle import VehicleParameters
-from .blocks import Spread, blocks
 from .result import IdentificationError
 
-MISALIGNMENT, DELAY, RELAXATION = "ins_misalignment", SteeringDelay.name, TyreRelaxation.name
+MISALIGNMENT, DELAY, RELAXATION = "ins_misalignment", "steering_delay", "tyre_relaxation"
 ROUNDS, SETTLED = 6, 0.02
 """Fits with the scale of the errors left by the one before, and the relative change of it at which they end."""
 NEAR_BOUND = 1e-3
@@ -65,33 +54,30 @@ class FreeParameter:
     usual: float = 0.0
 
 
-def _share(effect: str, key: str) -> Callable[[VehicleParameters, Values], float]:
-    return lambda car, values: values[f"{effect}.factor"] * float(getattr(car, key))
+def _scaled(effect: str, key: str, unit: str) -> FreeParameter:
+    return FreeParameter(effect, unit, lambda car, values: values[f"{effect}.factor"] * float(getattr(car, key)), True)
 
 
 def _offset(car: VehicleParameters, values: Values) -> float:
     """delta = (delta_h - o_file) / (factor i_file) + angle, so o = o_file - angle factor i_file."""
-    factor = values.get(f"{SteeringRatio.name}.factor", 1.0)
-    return car.steering_wheel_offset - values[f"{SteeringOffset.name}.angle"] * factor * car.steering_ratio
+    factor = values.get("steering_ratio.factor", 1.0)
+    return car.steering_wheel_offset - values["steering_offset.angle"] * factor * car.steering_ratio
 
 
 FREE: Mapping[str, FreeParameter] = {
-    "cornering_stiffness_front": FreeParameter(
-        FrontStiffness.name, "N/rad", _share(FrontStiffness.name, "cornering_stiffness_front"), relative=True),
-    "cornering_stiffness_rear": FreeParameter(
-        RearStiffness.name, "N/rad", _share(RearStiffness.name, "cornering_stiffness_rear"), relative=True),
-    "yaw_inertia": FreeParameter(YawInertia.name, "kg m^2", _share(YawInertia.name, "yaw_inertia"), relative=True),
-    "steering_ratio": FreeParameter(SteeringRatio.name, "1", _share(SteeringRatio.name, "steering_ratio"),
-                                    relative=True),
-    "steering_wheel_offset": FreeParameter(SteeringOffset.name, "rad", _offset, usual=0.02),
+    "cornering_stiffness_front": _scaled("front_stiffness", "cornering_stiffness_front", "N/rad"),
+    "cornering_stiffness_rear": _scaled("rear_stiffness", "cornering_stiffness_rear", "N/rad"),
+    "yaw_inertia": _scaled("yaw_inertia", "yaw_inertia", "kg m^2"),
+    "steering_ratio": _scaled("steering_ratio", "steering_ratio", "1"),
+    "steering_wheel_offset": FreeParameter("steering_offset", "rad", _offset, usual=0.02),
     "cg_to_ins_x": FreeParameter(
-        SensorLeverArm.name, "m", lambda car, values: car.cg_to_ins_x + values[f"{SensorLeverArm.name}.x"], usual=0.1),
+        "sensor_lever_arm", "m", lambda car, values: car.cg_to_ins_x + values["sensor_lever_arm.x"], usual=0.1),
     # Heading the unit reports too far to the left.
-    MISALIGNMENT: FreeParameter(HeadingMisalignment.name, "rad",
-                                lambda car, values: values[f"{HeadingMisalignment.name}.angle"], usual=0.005),
+    MISALIGNMENT: FreeParameter("heading_misalignment", "rad", lambda car, values: values["heading_misalignment.angle"],
+                                usual=0.005),
     # The wheels after the measured angle.
     DELAY: FreeParameter(DELAY, "s", lambda car, values: values[f"{DELAY}.time"], usual=0.02),
-    # Way rolled until 63 % of a slip step is force.
+    # Distance rolled until 63 % of a slip step is force.
     RELAXATION: FreeParameter(RELAXATION, "m", lambda car, values: values[f"{RELAXATION}.length"], usual=0.1),
 }
 
@@ -177,13 +163,15 @@ class DrivingFit:
 
 def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Sequence[str],
                 base: str | Model = "nonlinear", settings: DrivingFitSettings | None = None) -> DrivingFit:
-    """The values of `names` (of FREE) that predict the drives best; all others stay as in the vehicle file.
+    """The values of `names` (of FREE, each once) that predict the drives best; others stay as in the vehicle file.
 
     logs: as `run_samples.prepared` returns them. base: linear, nonlinear, or either with effects that are known.
     Raises IdentificationError for an unknown name, for too few windows, and where the drives do not fix the values.
     """
     settings = settings or DrivingFitSettings()
-    check_names(names)
+    for name in names:
+        if name not in FREE:
+            raise IdentificationError(f"{name}: not found from driving; there are {', '.join(FREE)}")
     effects = tuple(dict.fromkeys(FREE[name].effect for name in names))
     model = get_model(base)
     library = {*effects, *(model.values if isinstance(model, AugmentedModel) else ())}
@@ -254,30 +242,3 @@ def _result(problem: Problem, windows: _GatedWindows, vector: np.ndarray, effect
         tuple(names), values, group.spread(own @ change.T), tuple(n for n in names if FREE[n].effect in stopped),
         change, whole, residuals, windows.columns, np.repeat(windows.run[used], points),
         np.repeat(windows.seconds[used], points), counts, windows.curvature_square, windows.acceleration, windows.peaks)
-
-
-def check_names(names: Sequence[str]) -> None:
-    """Raises IdentificationError for a parameter that driving cannot show, or one named twice."""
-    for name in names:
-        if name not in FREE:
-            raise IdentificationError(f"{name}: not found from driving; there are {', '.join(FREE)}")
-    if len(set(names)) != len(names):
-        raise IdentificationError(f"{', '.join(names)}: a parameter is named twice")
-
-
-def with_stiffness(vehicle: VehicleParameters, front: float, rear: float) -> VehicleParameters:
-    """The car with other axle cornering stiffnesses [N/rad]; lambda_ky of both tyres follows at static load."""
-    return replace(
-        vehicle, cornering_stiffness_front=front, cornering_stiffness_rear=rear,
-        tyre_front=vehicle.tyre_front._replace(
-            lambda_ky=stiffness_scale(front, vehicle.static_tyre_load_front, vehicle.tyre_front)),
-        tyre_rear=vehicle.tyre_rear._replace(
-            lambda_ky=stiffness_scale(rear, vehicle.static_tyre_load_rear, vehicle.tyre_rear)))
-
-
-def identified_vehicle(vehicle: VehicleParameters, values: Mapping[str, float]) -> VehicleParameters:
-    """The vehicle file's car with new values (SI) of any of its parameters; lambda_ky follows the stiffnesses."""
-    own: dict[str, Any] = {name: value for name, value in values.items() if hasattr(vehicle, name)}
-    car = replace(vehicle, **{n: v for n, v in own.items() if not n.startswith("cornering_stiffness")})
-    return with_stiffness(car, own.get("cornering_stiffness_front", vehicle.cornering_stiffness_front),
-                          own.get("cornering_stiffness_rear", vehicle.cornering_stiffness_rear))

@@ -32,34 +32,28 @@ from ..filtering import NANOSECOND
 from ..handling import objections
 from ..log import DriveLog
 from ..models import Model, get_model
+from ..regression import correlation_of, extrapolation_uncertainty
 from ..vehicle import VehicleParameters
-from .cornering_stiffness import LARGEST_RANGE_RATIO, slip_angles
+from .cornering_stiffness import DRIVEN, LARGEST_RANGE_RATIO, LARGEST_RELATIVE, slip_angles
 from .driving_fit import DELAY, FREE, MISALIGNMENT, RELAXATION, DrivingFit, DrivingFitSettings, fit_driving
-from .result import (
-    ACCELERATION_EDGES,
-    SPEED_EDGES,
-    Coverage,
-    Estimate,
-    Identification,
-    IdentificationError,
-    Status,
-    contradiction,
-    correlation_of,
-    coverage,
-    require,
-    strong_correlations,
-)
-from .run_samples import prepared, run_samples
+from .result import Coverage, Estimate, Identification, IdentificationError, Status, contradiction, strong_correlations
+from .run_samples import ACCELERATION_EDGES, SPEED_EDGES, coverage, prepared, require, run_samples
 
 STIFFNESSES = ("cornering_stiffness_front", "cornering_stiffness_rear")
 RATIO, OFFSET = "steering_ratio", "steering_wheel_offset"
 NUISANCE = (OFFSET, MISALIGNMENT)
 NEEDS = {"speed": (5.0, 1), "lateral acceleration": (2.0, 3)}
-LARGEST_RELATIVE = 0.1
-"""Standard uncertainty over value from which on a stiffness, ratio or inertia is doubtful; five times that: none."""
+RELATIVE: tuple[tuple[float, str, Status], ...] = (
+    (LARGEST_RELATIVE, "Fixed", "identified"), (5.0 * LARGEST_RELATIVE, "Poorly fixed", "doubtful"),
+    (np.inf, "Not identifiable: fixed only", "unidentifiable"))
+"""Standard uncertainty over value of a stiffness, ratio or inertia, up to which it is so."""
 INERTIA_NAMES = ("yaw_inertia", *STIFFNESSES, DELAY, RELAXATION, *NUISANCE)
 YAW_ACCELERATION_EDGES = np.array([-10.0, -0.3, -0.1, 0.1, 0.3, 10.0])  # rad/s^2, left +
 TRANSIENTS = DrivingFitSettings(interval=0.3)
+SINGLE_TRACK = 0.8**2
+"""Standard uncertainty of a stiffness for what one track leaves out, as a share of it over (L / R)^2. Two wheels with
+Ackermann angles turn an axle's force into a yaw moment that one wheel does not have. On the virtual Leaf without noise:
+rear stiffness 4.6 m^2 / R^2 too small, 1.1 % at 20 m, 0.1 % at 60 m. All of it counts, as for full Ackermann angles."""
 
 
 def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
@@ -96,14 +90,10 @@ def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
 
 def slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model,
                            settings: DrivingFitSettings, fit: DrivingFit) -> dict[str, float]:
-    """Standard uncertainty of the stiffnesses [N/rad] as slopes at zero slip, when the tyre's curve is not the model's.
-
-        C(a) = C_0 - s a,    u = sqrt(max((C_low - C)^2 - u_d^2, 0)) a / (a - a_low) / sqrt(3)
-
-    a: mean |v_x r| weighted by its square; low: the windows up to the median of the peaks. A secant of a brush tyre
-    falls linearly with the slip to first order. u_d^2 = u_low^2 - u^2, what chance alone would make of the difference
-    (Hausman, Specification tests in econometrics, 1978); rectangular distribution (GUM 4.3.7). Empty where the drives
-    do not separate the two ranges. Checked by: test_stiffness_model_error.py.
+    """Standard uncertainty of the stiffnesses [N/rad] as slopes at zero slip, when the tyre's curve is not the model's:
+    `regression.extrapolation_uncertainty` over a, the mean |v_x r| weighted by its square; lower range: the windows up
+    to the median of the peaks. A secant of a brush tyre falls linearly with the slip to first order. Empty where the
+    drives do not separate the two ranges.
     """
     try:
         low = fit_driving(logs, vehicle, fit.names, base, replace(
@@ -112,20 +102,20 @@ def slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehicleParameters,
         return {}
     if low.acceleration > LARGEST_RANGE_RATIO * fit.acceleration:
         return {}
-    reach = fit.acceleration / (fit.acceleration - low.acceleration) / np.sqrt(3.0)
-    chance = np.maximum(np.diag(low.spread.covariance) - np.diag(fit.spread.covariance), 0.0)
-    size = np.sqrt(np.maximum(np.square(low.values - fit.values) - chance, 0.0))
-    return {name: float(reach * size[fit.names.index(name)]) for name in STIFFNESSES}
+    places = {name: fit.names.index(name) for name in STIFFNESSES}
+    return {name: extrapolation_uncertainty(*(
+        (float(one.values[k]), float(one.spread.covariance[k, k]), one.acceleration) for one in (fit, low)))
+        for name, k in places.items()}
 
 
 def driven_slip(logs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DrivingFitSettings) -> np.ndarray:
-    """0.995 quantile of the slip angle of (front, rear) axle [rad] at the settings' speeds and accelerations."""
+    """DRIVEN quantile of the slip angle of (front, rear) axle [rad] at the settings' speeds and accelerations."""
     driven = []
     for run in (run_samples(log, vehicle) for log in logs):
         used = ((run.velocity_x >= settings.minimum_speed)
                 & (np.abs(run.velocity_x * run.yaw_rate) <= settings.maximum_acceleration))
         driven.append(np.abs(slip_angles(run, vehicle))[:, used])
-    return np.quantile(np.concatenate(driven, axis=1), 0.995, axis=1)
+    return np.quantile(np.concatenate(driven, axis=1), DRIVEN, axis=1)
 
 
 def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
@@ -151,14 +141,18 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, b
     """
     logs, noticed = prepared(logs, vehicle)
     runs = [run_samples(log, vehicle, cutoff=5.0) for log in logs]
-    interval = float(np.median(np.concatenate([np.diff(run.time) for run in runs])))
     fast = [run.yaw_acceleration[run.velocity_x >= settings.minimum_speed] for run in runs]
     covered = (*driving_coverage(logs, {"speed": (5.0, 1), "lateral acceleration": (1.0, 3)}, settings.minimum_speed),
-               coverage("yaw acceleration", "rad/s^2", YAW_ACCELERATION_EDGES, fast, interval, 0.5, 5))
+               coverage("yaw acceleration", "rad/s^2", YAW_ACCELERATION_EDGES, fast, [run.time for run in runs], 0.5,
+                        5))
     require(covered, "Steady bends do not show the yaw inertia: drive steps, lane changes or a sine sweep.")
     fit = fit_driving(logs, vehicle, INERTIA_NAMES, base, settings)
+    # Of the dead time [s], and through it of the inertia; see the module.
+    sampling = float(np.median(np.concatenate([np.diff(log.steering_time_ns) for log in logs]))) * NANOSECOND
+    dead_time = sampling / np.sqrt(12.0 * sum(used > 0 for used, _ in fit.windows.values()))
+    timing = {DELAY: dead_time, "yaw_inertia": abs(fit.change_with(DELAY)["yaw_inertia"]) * dead_time}
     result = estimates_of("yaw-inertia", vehicle, fit, f"multi-step prediction of transients, {described(base)}",
-                          INERTIA_NAMES[:4], covered, _timing_uncertainty(fit, logs))
+                          INERTIA_NAMES[:4], covered, timing)
     inertia = result["yaw_inertia"]
     warnings = [*noticed, *result.warnings]
     implausible = [text for text in objections(replace(vehicle, yaw_inertia=max(inertia.value, 10.0)))
@@ -172,19 +166,12 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, b
                    warnings=(*warnings, conflict) if conflict else tuple(warnings))
 
 
-def _timing_uncertainty(fit: DrivingFit, logs: Sequence[DriveLog]) -> dict[str, float]:
-    """Standard uncertainty of the dead time [s] and, through it, of the inertia; see the module."""
-    interval = float(np.median(np.concatenate([np.diff(log.steering_time_ns) for log in logs]))) * NANOSECOND
-    time = interval / np.sqrt(12.0 * sum(used > 0 for used, _ in fit.windows.values()))
-    return {DELAY: time, "yaw_inertia": abs(fit.change_with(DELAY)["yaw_inertia"]) * time}
-
-
 def estimates_of(what: str, vehicle: VehicleParameters, fit: DrivingFit, method: str, reported: Sequence[str],
                  covered: Sequence[Coverage], systematic: Mapping[str, float] | None = None) -> Identification:
     """Result of a fit. reported: parameters to give as estimates; correlation over them. systematic: standard
     uncertainties the drives cannot show, added to theirs."""
     spread = fit.spread
-    share = single_track_share(vehicle, fit)
+    share = SINGLE_TRACK * vehicle.wheelbase**2 * fit.curvature_square
     extra = [np.hypot((systematic or {}).get(n, 0.0), share * v if n in STIFFNESSES else 0.0)
              for n, v in zip(fit.names, fit.values, strict=True)]
     # Independent of the drives, so added to the variances alone.
@@ -194,9 +181,8 @@ def estimates_of(what: str, vehicle: VehicleParameters, fit: DrivingFit, method:
     runs = tuple(name for name, (used, _) in fit.windows.items() if used)
     estimates = tuple(
         Estimate(fit.names[i], float(fit.values[i]), FREE[fit.names[i]].unit, float(uncertainty[i]),
-                 spread.interval(i, fit.values[i], uncertainty[i]), method, runs,
-                 _verdict(fit, i, uncertainty[i], f"{fit.number} predictions in {spread.basis[i]}"),
-                 _status(fit, i, uncertainty[i])) for i in chosen)
+                 spread.interval(i, fit.values[i], uncertainty[i]), method, runs, *_judged(fit, i, uncertainty[i]))
+        for i in chosen)
     rejected = [(name, f"{every - used} of {every} predictions are too slow, beyond the limit of lateral acceleration "
                  "or with gaps") for name, (used, every) in fit.windows.items() if used < every]
     others = [f"{n} = {fit.values[i]:.4g} +/- {uncertainty[i]:.2g} {FREE[n].unit} was fitted too."
@@ -208,38 +194,18 @@ def estimates_of(what: str, vehicle: VehicleParameters, fit: DrivingFit, method:
                           tuple(covered), warnings, figure)
 
 
-def _status(fit: DrivingFit, index: int, uncertainty: float) -> Status:
-    name, value = fit.names[index], abs(fit.values[index])
+def _judged(fit: DrivingFit, index: int, uncertainty: float) -> tuple[str, Status]:
+    """(how well the data fix the value and the data it is based on, status)."""
+    name, value, basis = fit.names[index], fit.values[index], f"{fit.number} predictions in {fit.spread.basis[index]}"
     if name in fit.at_bound:
-        return "unidentifiable"
+        return (f"Stopped at its bound {value:.4g}: the data do not fix it, or contradict the rest of the vehicle "
+                "file."), "unidentifiable"
     if not FREE[name].relative:
-        return "identified" if uncertainty < FREE[name].usual else "doubtful"
-    if uncertainty > 5.0 * LARGEST_RELATIVE * value:
-        return "unidentifiable"
-    return "doubtful" if uncertainty > LARGEST_RELATIVE * value else "identified"
-
-
-def _verdict(fit: DrivingFit, index: int, uncertainty: float, basis: str) -> str:
-    """How well the data fix the value, and what it rests on."""
-    name, value = fit.names[index], fit.values[index]
-    if name in fit.at_bound:
-        return f"Stopped at its bound {value:.4g}: the data do not fix it, or contradict the rest of the vehicle file."
-    if FREE[name].relative:
-        share = 100.0 * uncertainty / abs(value)
-        head = {"identified": "Fixed", "doubtful": "Poorly fixed",
-                "unidentifiable": "Not identifiable: fixed only"}[_status(fit, index, uncertainty)]
-        return f"{head} to +/- {share:.1f} %, from {basis}."
-    return f"{value:.4g} +/- {uncertainty:.2g} {FREE[name].unit}, from {basis}."
-
-
-def single_track_share(vehicle: VehicleParameters, fit: DrivingFit) -> float:
-    """Standard uncertainty of a stiffness for what one track leaves out, as a share of it: (0.8 L)^2 mean(curvature^2).
-
-    Two wheels with Ackermann angles turn an axle's force into a yaw moment that one wheel does not have, by terms of
-    (L / R)^2. On the virtual Leaf without noise: rear stiffness 4.6 m^2 / R^2 too small, 1.1 % at 20 m, 0.1 % at 60 m.
-    All of it counts, as a car with full Ackermann angles has all of it.
-    """
-    return (0.8 * vehicle.wheelbase) ** 2 * fit.curvature_square
+        return (f"{value:.4g} +/- {uncertainty:.2g} {FREE[name].unit}, from {basis}.",
+                "identified" if uncertainty < FREE[name].usual else "doubtful")
+    share = uncertainty / abs(value)
+    head, status = next((head, status) for limit, head, status in RELATIVE if not share > limit)
+    return f"{head} to +/- {100.0 * share:.1f} %, from {basis}.", status
 
 
 def described(base: str | Model) -> str:
@@ -255,10 +221,10 @@ def driving_coverage(logs: Sequence[DriveLog], needs: Mapping[str, tuple[float, 
 
     needs: {"speed" | "lateral acceleration": (seconds a bin must hold, bins needed)}.
     """
+    times = [(log.ins_time_ns - log.ins_time_ns[:1]) * NANOSECOND for log in logs]
     fast = [log.velocity_x >= minimum_speed for log in logs]
-    interval = float(np.median(np.concatenate([np.diff(log.ins_time_ns) for log in logs]))) * NANOSECOND
-    speeds = [log.velocity_x[m] for log, m in zip(logs, fast, strict=True)]
-    lateral = [(log.velocity_x * log.yaw_rate)[m] for log, m in zip(logs, fast, strict=True)]
-    return (coverage("speed", "m/s", SPEED_EDGES, speeds, interval, *needs["speed"]),
-            coverage("lateral acceleration", "m/s^2", ACCELERATION_EDGES, lateral, interval,
-                     *needs["lateral acceleration"]))
+    return tuple(coverage(name, unit, edges, [signal(log)[m] for log, m in zip(logs, fast, strict=True)], times,
+                          *needs[name])
+                 for name, unit, edges, signal in (
+                     ("speed", "m/s", SPEED_EDGES, lambda log: log.velocity_x),
+                     ("lateral acceleration", "m/s^2", ACCELERATION_EDGES, lambda log: log.velocity_x * log.yaw_rate)))

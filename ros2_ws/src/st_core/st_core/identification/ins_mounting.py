@@ -20,21 +20,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..log import DriveLog
+from ..regression import Blocks, Spread, blocks, correlation_of
 from ..vehicle import VehicleParameters
-from .blocks import Blocks, Spread, blocks
 from .driving_fit import MISALIGNMENT
-from .result import (
-    SPEED_EDGES,
-    Coverage,
-    Estimate,
-    Identification,
-    Status,
-    correlation_of,
-    coverage,
-    require,
-    strong_correlations,
-)
-from .run_samples import RunSamples, prepared, run_samples
+from .result import Estimate, Identification, Status, strong_correlations
+from .run_samples import SPEED_EDGES, RunSamples, coverage, prepared, require, run_samples
 
 MINIMUM_SPEED, MAXIMUM_SPEED = 1.5, 9.0  # m/s
 MAXIMUM_ACCELERATION = 2.5  # m/s^2 across
@@ -51,17 +41,21 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
     """
     logs, noticed = prepared(logs, vehicle)
     runs = [run_samples(log, vehicle) for log in logs]
-    masks = [_slow(run) for run in runs]
-    covered = _coverage(runs, masks)
+    masks = [(run.velocity_x >= MINIMUM_SPEED) & (run.velocity_x <= MAXIMUM_SPEED)
+             & (np.abs(run.velocity_x * run.yaw_rate) <= MAXIMUM_ACCELERATION) for run in runs]
+    kept, times = list(zip(runs, masks, strict=True)), [run.time for run in runs]
+    covered = (coverage("speed", "m/s", SPEED_EDGES[:5], [run.velocity_x[m] for run, m in kept], times, 5.0, 1),
+               coverage("curvature", "1/m", CURVATURE_EDGES, [(run.yaw_rate / run.velocity_x)[m] for run, m in kept],
+                        times, 2.0, 3))
     require(covered, "Drive slowly (2 to 8 m/s): straight on, and bends to both sides.")
-    columns = [_columns(run, mask, vehicle) for run, mask in zip(runs, masks, strict=True)]
+    columns = [_columns(run, mask, vehicle) for run, mask in kept]
     run_of = np.concatenate([np.full(len(c), i) for i, c in enumerate(columns)])
     time, speed, across, rate, angle = np.concatenate(columns).T
     group = blocks(run_of, time)
     used = tuple(run.name for run, c in zip(runs, columns, strict=True) if len(c))
 
     regressors = np.stack([speed, rate, speed**2 * rate], axis=1)
-    theta, spread, residuals = group.regression(regressors, across)
+    theta, spread, _ = group.regression(regressors, across)
     covariance = spread.covariance
     estimates = [_estimate("cg_to_ins_x", theta[1] - vehicle.cg_to_rear_axle, spread, 1, 1.0, "m", used,
                            f"{theta[1]:.3f} m ahead of the rear axle", 0.1),
@@ -80,24 +74,13 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
         wide[:2, :2] = correlation
         correlation = wide
     figure = {"curvature": rate / speed, "speed": speed, "run": run_of, "names": tuple(run.name for run in runs),
-              "slope": across / speed - theta[2] * speed * rate, "residual": residuals, "theta": theta}
+              "slope": across / speed - theta[2] * speed * rate, "residual": across - regressors @ theta,
+              "theta": theta}
     rejected = tuple((run.name, f"{len(run) - int(mask.sum())} of {len(run)} samples outside {MINIMUM_SPEED:g} to "
                       f"{MAXIMUM_SPEED:g} m/s or beyond {MAXIMUM_ACCELERATION:g} m/s^2")
-                     for run, mask in zip(runs, masks, strict=True) if not mask.all())
+                     for run, mask in kept if not mask.all())
     return Identification("ins", tuple(estimates), used, rejected, correlation, covered,
                           tuple(w for w in warnings if w), figure)
-
-
-def _slow(run: RunSamples) -> np.ndarray:
-    return ((run.velocity_x >= MINIMUM_SPEED) & (run.velocity_x <= MAXIMUM_SPEED)
-            & (np.abs(run.velocity_x * run.yaw_rate) <= MAXIMUM_ACCELERATION))
-
-
-def _coverage(runs: Sequence[RunSamples], masks: Sequence[np.ndarray]) -> tuple[Coverage, ...]:
-    interval = float(np.median(np.concatenate([np.diff(run.time) for run in runs])))
-    chosen = [(run.velocity_x[m], run.curvature[m]) for run, m in zip(runs, masks, strict=True)]
-    return (coverage("speed", "m/s", SPEED_EDGES[:5], [c[0] for c in chosen], interval, 5.0, 1),
-            coverage("curvature", "1/m", CURVATURE_EDGES, [c[1] for c in chosen], interval, 2.0, 3))
 
 
 def _columns(run: RunSamples, mask: np.ndarray, vehicle: VehicleParameters) -> np.ndarray:

@@ -1,7 +1,6 @@
 """Stiffness scale of the Magic Formula from the axle's cornering stiffness.
 
-    lambda_ky = C / (2 |K|),   K of one tyre at lambda_ky = 1 and its static load m g l_r / l / 2 (front), m g l_f / l
-    / 2
+    lambda_ky = C / (2 |K|),   K of one tyre at lambda_ky = 1 and its static load: m g l_r / (2 l), m g l_f / (2 l)
 
     (u(lambda) / lambda)^2 = (u(C) / C)^2 + (u(K) / K)^2 + (d ln K / d ln F_z)^2 (u(F_z) / F_z)^2
 
@@ -14,9 +13,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from ..regression import symmetric_interval
 from ..tyres import MagicFormula, magic_formula_stiffness, stiffness_scale
 from ..vehicle import TYRES, VehicleParameters
-from .result import Estimate, Identification, IdentificationError, Status, symmetric_interval
+from .result import Estimate, Identification, IdentificationError, Status
 
 
 @dataclass(frozen=True)
@@ -51,10 +51,10 @@ def lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, TableStiffness]) 
         relative = math.hypot(known.uncertainty / stiffness, table.uncertainty if table else 0.0,
                               _load_sensitivity(load, formula) * _load_uncertainty(vehicle, axle))
         spread = value * relative
+        cause = ("the rest is compliance of steering and suspension." if value < 1.0 else "no compliance makes an axle "
+                 "stiffer than its tyres, so surface, temperature or inflation differ.")
         words = (f"The {axle} axle is {value:.3f} times as stiff as its two tyres on the flat plank at {load:.0f} N: "
-                 "the rest is compliance of steering and suspension.") if value < 1.0 else (
-                 f"The {axle} axle is {value:.3f} times as stiff as its two tyres on the flat plank at {load:.0f} N: "
-                 "no compliance makes an axle stiffer than its tyres, so surface, temperature or inflation differ.")
+                 f"{cause}")
         status: Status = "identified" if value <= 1.0 + 2.0 * relative else "doubtful"
         runs = tuple(filter(None, (known.data, table.name if table else "")))
         method = f"C / (2 K) at the static load {load:.0f} N, C {stiffness:.0f} N/rad"
@@ -62,8 +62,8 @@ def lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, TableStiffness]) 
                                   runs, words, status))
         if table is None:
             warnings.append(f"No table of {tyre} was given: its stiffness on the flat plank is taken for exact.")
-    figure = {"scale": [e.value for e in estimates], "stiffness": [getattr(vehicle, f"cornering_stiffness_{a}")
-                                                                   for a in ("front", "rear")]}
+    figure = {"scale": [e.value for e in estimates],
+              "stiffness": [vehicle.cornering_stiffness_front, vehicle.cornering_stiffness_rear]}
     used = tuple(dict.fromkeys(run for e in estimates for run in e.runs))
     return Identification("lambda", tuple(estimates), used, (), None, (), tuple(warnings), figure)
 

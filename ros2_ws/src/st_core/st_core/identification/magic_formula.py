@@ -18,22 +18,15 @@ parameter identification and appendix. Checked by: test_magic_formula.py.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from ..regression import correlation_of
 from ..tyres import MagicFormula, magic_formula_coefficients, magic_formula_force, magic_formula_stiffness
 from ..vehicle import TYRE_QUANTITIES
-from .bounded_fit import CurveFit, Interval, Residuals, fit_curve, profile_interval
-from .result import (
-    Coverage,
-    Estimate,
-    Identification,
-    IdentificationError,
-    Status,
-    bound_hit,
-    correlation_of,
-    strong_correlations,
-)
+from .bounded_fit import CurveFit, Residuals, fit_curve, profile_interval
+from .result import Coverage, Estimate, Identification, IdentificationError, Status, strong_correlations
 
 LARGEST_SLIP = math.radians(40.0)
 SMALLEST_SLIP = math.radians(3.0)
@@ -178,7 +171,8 @@ def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
     data, flipped = check(data, levels, level, start.nominal_load)
     base = start._replace(lambda_ky=1.0, lambda_cy=1.0, lambda_muy=1.0)
     nominal = int(np.argmin(np.abs(levels - start.nominal_load)))
-    first = _nominal(_rows(data, level == nominal), base)
+    first = _nominal(replace(data, **{key: getattr(data, key)[level == nominal] for key in ("load", "slip", "force")}),
+                     base)
     staged = first
     names: tuple[str, ...] = (*NOMINAL, "p_ky1", SHIFT)
     if len(levels) > 1:
@@ -188,7 +182,7 @@ def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
     # Shape and curvature trade against each other, and what the stages settle on may be a side valley.
     others = [staged._replace(p_cy1=shape, p_ey1=curvature, p_ey2=-1.0) for shape, curvature in STARTS]
     fit = _fit(data, (staged, *others), names)
-    return TyreFit(_plain(_with(staged, names, fit.values)), names, fit, staged, levels, level, flipped)
+    return TyreFit(_with(staged, names, fit.values.tolist()), names, fit, staged, levels, level, flipped)
 
 
 def magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
@@ -209,19 +203,18 @@ def magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
         value, spread = float(fit.values[k]), (interval.high - interval.low) / 3.92
         open_ends = interval.lower_open + interval.upper_open
         words = [f"{MEANING[name][0].upper()}{MEANING[name][1:]}."]
-        status: Status = "identified"
+        status: Status = "doubtful" if fit.at_bound(k) or open_ends else "identified"
         if fit.at_bound(k):
-            words.append(bound_hit(key, value, (float(fit.lower[k]), float(fit.upper[k]))))
-            status = "doubtful"
+            end = min(fit.lower[k], fit.upper[k], key=lambda bound: abs(bound - value))
+            words.append(f"{key} stopped at its limit {end:g}: the value is the limit's, not the data's.")
         elif open_ends:
-            words.append(f"The data bound it on one side only: the interval ends at the limit {_open_end(interval)}.")
-            status = "doubtful"
+            end = interval.low if interval.lower_open else interval.high
+            words.append(f"The data bound it on one side only: the interval ends at the limit {end:g}.")
         if open_ends == 2:
-            words = [*words, f"The data do not bound it within {interval.low:g} to {interval.high:g}; with the "
-                               "others it "
-                     "makes up the stiffness at the tested loads, and is written for that."]
-            # Any value of the range is as likely: what is known of it is the range.
-            status, spread = "doubtful", (interval.high - interval.low) / math.sqrt(12.0)
+            words.append(f"The data do not bound it within {interval.low:g} to {interval.high:g}; with the others it "
+                         "makes up the stiffness at the tested loads, and is written for that.")
+            # Any value of the range is as likely.
+            spread = (interval.high - interval.low) / math.sqrt(12.0)
         estimates.append(Estimate(key, value, "1", spread, (interval.low, interval.high), method, (data.name,),
                                   " ".join(words), status))
     correlation = correlation_of(fit.covariance)[:-1, :-1]
@@ -247,14 +240,14 @@ def _nominal(data: FlatPlank, base: MagicFormula) -> MagicFormula:
     names = (*NOMINAL, "p_ky1", SHIFT)
     starts = [base._replace(p_cy1=shape, p_dy1=friction, p_ey1=curvature, p_ky1=start_stiffness)
               for shape, curvature in STARTS]
-    return _plain(_with(base, names, _fit(data, starts, names).values))
+    return _with(base, names, _fit(data, starts, names).values.tolist())
 
 
 def _load_dependency(data: FlatPlank, first: MagicFormula, free: Sequence[str]) -> MagicFormula:
     """Second stage: K at the nominal load held, which makes p_ky1 follow from p_ky2 and p_ky4."""
     held = float(magic_formula_stiffness(first.nominal_load, first))
 
-    def tyre(values: np.ndarray) -> MagicFormula:
+    def tyre(values: Any) -> MagicFormula:
         changed = _with(first, free, values)
         one = magic_formula_stiffness(first.nominal_load, changed._replace(p_ky1=-1.0))
         return changed._replace(p_ky1=-held / one)
@@ -265,7 +258,7 @@ def _load_dependency(data: FlatPlank, first: MagicFormula, free: Sequence[str]) 
     def residuals(values: np.ndarray) -> np.ndarray:
         return force(data.load, data.slip, tyre(np.moveaxis(values, -1, 0)[..., None])) - data.force
 
-    return _plain(tyre(fit_curve(residuals, [[start[k] for k in free]], low, high).values))
+    return tyre(fit_curve(residuals, [[start[k] for k in free]], low, high).values.tolist())
 
 
 def _fit(data: FlatPlank, starts: Sequence[MagicFormula], names: Sequence[str]) -> CurveFit:
@@ -282,27 +275,15 @@ def _residuals(data: FlatPlank, start: MagicFormula, names: Sequence[str]) -> Re
     return residuals
 
 
-def _with(tyre: MagicFormula, names: Sequence[str], values: np.ndarray) -> MagicFormula:
+def _with(tyre: MagicFormula, names: Sequence[str], values: Any) -> MagicFormula:
     """The tyre with values in the order of names; each may be a number or an array, one element per set."""
     return tyre._replace(**{name: value for name, value in zip(names, values, strict=True) if name != SHIFT})
-
-
-def _plain(tyre: MagicFormula) -> MagicFormula:
-    return MagicFormula(*map(float, tyre))
 
 
 def _bounds(names: Sequence[str]) -> tuple[list[float], list[float]]:
     """Limits of the vehicle file, narrower by FIT_BOUNDS."""
     limits = [FIT_BOUNDS.get(name) or (TYRE_QUANTITIES[name].minimum, TYRE_QUANTITIES[name].maximum) for name in names]
     return [low for low, _ in limits], [high for _, high in limits]
-
-
-def _rows(data: FlatPlank, rows: np.ndarray) -> FlatPlank:
-    return replace(data, load=data.load[rows], slip=data.slip[rows], force=data.force[rows])
-
-
-def _open_end(interval: Interval) -> str:
-    return f"{interval.low:g}" if interval.lower_open else f"{interval.high:g}"
 
 
 def _warnings(data: FlatPlank, found: TyreFit, peak: float) -> list[str]:
@@ -319,8 +300,8 @@ def _warnings(data: FlatPlank, found: TyreFit, peak: float) -> list[str]:
         sentences.append(f"The curves are shifted by {math.degrees(shift):+.2f} deg of slip angle (conicity, "
                          "plysteer, or the wheel's zero); the models' tyre is symmetric and leaves that out.")
     grid = np.linspace(data.slip.min(), data.slip.max(), 61)
-    apart = max(float(np.abs(force(load, grid, found.staged) - force(load, grid,
-                                                                     found.tyre)).max()) for load in found.levels)
+    apart = max(float(np.abs(force(load, grid, found.staged) - force(load, grid, found.tyre)).max())
+                for load in found.levels)
     if apart > 0.01 * peak:
         sentences.append(f"Nominal load first and all loads at once differ by up to {apart:.0f} N, "
                          f"{100 * apart / peak:.1f} % of the largest force: the load dependency of the formula does "

@@ -9,17 +9,17 @@ to a reading. Each scale has an error of its own that repeats in every weighing 
     u(l_f)^2 = s_l^2 / n + 2 u_s^2 (l_f^2 + l_r^2) / m^2 + (l_f / l)^2 u(l)^2
 
 s: scatter over the n weighings, u_s: standard uncertainty of one scale. The interval is Student's, its degrees of
-freedom by Welch and Satterthwaite. Source: paper, parameter identification; JCGM 100:2008, G.4.
+freedom by Welch and Satterthwaite. Source: paper, parameter identification.
 Checked by: test_mass_and_cg.py.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from .result import Estimate, Identification, IdentificationError, correlation_of, symmetric_interval
+from ..regression import correlation_of, symmetric_interval, welch_freedom
+from .result import Estimate, Identification, IdentificationError
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 SCALE_UNCERTAINTY = 0.5  # kg, of one scale: class III pads of 500 kg in steps of 0.5 kg
@@ -49,40 +49,49 @@ def mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncertainty: f
     readings = _checked(weighings)
     load = max(weighings.loads, key=weighings.loads.count)
     keep = np.array([one == load for one in weighings.loads])
-    used = tuple(name for name, kept in zip(weighings.names, keep, strict=True) if kept)
     named = list(zip(weighings.names, weighings.loads, strict=True))
+    used = tuple(name for name, one in named if one == load)
     rejected = tuple((name, f"another loading: {one or 'none noted'}") for name, one in named if one != load)
     chosen = readings[keep]
-    masses = chosen.sum(axis=1)
-    distances = wheelbase * chosen[:, 2:].sum(axis=1) / masses
+    all_masses = readings.sum(axis=1)
+    all_distances = wheelbase * readings[:, 2:].sum(axis=1) / all_masses
+    masses, distances = all_masses[keep], all_distances[keep]
     n, mass, front = len(chosen), float(masses.mean()), float(distances.mean())
     if np.ptp(masses) > LARGEST_SCATTER * mass:
         raise IdentificationError(f"the weighings of one loading differ by {np.ptp(masses):.1f} kg of {mass:.1f} kg: "
                                   "not the same car; weigh again, or note what was in it")
-    fixed = _scale_covariance(weighings.scale_uncertainty, mass, front, wheelbase, wheelbase_uncertainty)
     scatter = np.cov(masses, distances) / n if n > 1 else np.zeros((2, 2))
-    covariance = scatter + fixed
-    spreads = np.sqrt(np.diag(covariance))
-    freedom = [_freedom(scatter[i, i], covariance[i, i], n) for i in (0, 1)]
+    # d l_f / d reading: -l_f / m in front, (l - l_f) / m behind.
+    slopes = np.array([-front, -front, wheelbase - front, wheelbase - front]) / mass
+    gradient = np.stack([np.ones(4), slopes])
+    covariance = scatter + weighings.scale_uncertainty**2 * gradient @ gradient.T
+    covariance[1, 1] += (front / wheelbase * wheelbase_uncertainty) ** 2
+    spreads = np.sqrt(np.diag(covariance)).tolist()
+    intervals = [symmetric_interval(value, spreads[i], welch_freedom(scatter[i, i], covariance[i, i], n - 1))
+                 for i, value in enumerate((mass, front))]
     method = (f"four wheel scales, {n} weighing{'s' * (n != 1)}, {weighings.scale_uncertainty:g} kg per scale"
               + (f", {load}" if load else ""))
     left = float(chosen[:, [0, 2]].sum() / chosen.sum())
     estimates = (
-        Estimate("mass", mass, "kg", float(spreads[0]), symmetric_interval(mass, float(spreads[0]), freedom[0]), method,
-                 used, f"The car weighs {mass:.1f} kg{f' with {load}' if load else ''}."),
-        Estimate("cg_to_front_axle", front, "m", float(spreads[1]),
-                 symmetric_interval(front, float(spreads[1]), freedom[1]), method, used,
+        Estimate("mass", mass, "kg", spreads[0], intervals[0], method, used,
+                 f"The car weighs {mass:.1f} kg{f' with {load}' if load else ''}."),
+        Estimate("cg_to_front_axle", front, "m", spreads[1], intervals[1], method, used,
                  f"{100 * (1 - front / wheelbase):.1f} % of the load is on the front axle and {100 * left:.1f} % on "
                  f"the left wheels, so the CG is {front:.3f} m behind the front axle."),
     )
-    warnings = [*_side_warnings(chosen)]
+    warnings = []
+    mean = chosen.mean(axis=0)
+    cross = (mean[0] + mean[3]) / mean.sum()
+    if abs(cross - 0.5) > 0.02:
+        warnings.append(f"The diagonal front left + rear right carries {100 * cross:.1f} %: the car is twisted between "
+                        "its wheels, or the floor under the scales is uneven; mass and CG along the car stay right.")
     if n == 1:
         warnings.append("One weighing: its interval rests on the scales' uncertainty alone. Roll the car off and on "
                         "and weigh again, three times at least.")
     if rejected:
         warnings.append(f"{len(rejected)} of {len(readings)} weighings have another loading and were left out.")
-    figure = {"readings": readings, "kept": keep, "names": weighings.names, "masses": readings.sum(axis=1),
-              "distances": wheelbase * readings[:, 2:].sum(axis=1) / readings.sum(axis=1)}
+    figure = {"readings": readings, "kept": keep, "names": weighings.names, "masses": all_masses,
+              "distances": all_distances}
     return Identification("scales", estimates, used, rejected, correlation_of(covariance), (), tuple(warnings), figure)
 
 
@@ -115,27 +124,3 @@ def _checked(weighings: Weighings) -> np.ndarray:
         raise IdentificationError(f"scale uncertainty {weighings.scale_uncertainty:g} kg: give the standard "
                                   "uncertainty of one scale, above 0")
     return readings
-
-
-def _scale_covariance(scale: float, mass: float, front: float, wheelbase: float, wheelbase_spread: float) -> np.ndarray:
-    """Covariance of (mass, l_f) by the four scales' own errors and the wheelbase's."""
-    # d l_f / d reading: -l_f / m in front, (l - l_f) / m behind.
-    slopes = np.array([-front, -front, wheelbase - front, wheelbase - front]) / mass
-    gradient = np.stack([np.ones(4), slopes])
-    covariance = scale**2 * gradient @ gradient.T
-    covariance[1, 1] += (front / wheelbase * wheelbase_spread) ** 2
-    return covariance
-
-
-def _freedom(scatter: float, total: float, n: int) -> float:
-    """Welch and Satterthwaite: nu = u^4 / (u_A^4 / (n - 1)); what the scales contribute counts as known."""
-    return (n - 1) * (total / scatter) ** 2 if scatter > 0.0 else math.inf
-
-
-def _side_warnings(readings: np.ndarray) -> Sequence[str]:
-    mean = readings.mean(axis=0)
-    cross = (mean[0] + mean[3]) / mean.sum()
-    if abs(cross - 0.5) > 0.02:
-        return [f"The diagonal front left + rear right carries {100 * cross:.1f} %: the car is twisted between its "
-                "wheels, or the floor under the scales is uneven. Mass and CG along the car do not suffer from that."]
-    return []

@@ -6,19 +6,17 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from scipy.stats import t as student
 
 from ..errors import StCoreError
 from ..provenance import Provenance
-from ..vehicle import DERIVED, TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, Quantity, VehicleParameters
+from ..vehicle import DERIVED, VehicleParameters, quantity, value_of
 
 if TYPE_CHECKING:  # the checks' own intervals come from here
     from ..checks.finding import Finding
 
 Status = Literal["identified", "doubtful", "unidentifiable"]
 
-NEAR_BOUND = 1e-3  # of the allowed span; an optimiser rarely lands on the bound itself
-CONTRADICTION = 0.05  # two-sided probability below which two values are not of one quantity
+CONTRADICTION = 1.959963984540054  # combined standard uncertainties: two-sided probability of 5 %
 
 
 class IdentificationError(StCoreError):
@@ -70,28 +68,6 @@ class Coverage:
     def words(self) -> str:
         return (f"{self.signal}: {self.filled} of {len(self.counts)} bins from {self.edges[0]:.4g} to "
                 f"{self.edges[-1]:.4g} {self.unit} hold at least {self.needed} samples (needed: {self.bins_needed})")
-
-
-SPEED_EDGES = np.array([0.0, 3.0, 6.0, 9.0, 12.0, 15.0, 20.0, 30.0, 60.0])  # m/s
-ACCELERATION_EDGES = np.array([-8.0, -4.0, -3.0, -2.0, -1.0, -0.3, 0.3, 1.0, 2.0, 3.0, 4.0, 8.0])  # m/s^2, left +
-
-
-def coverage(signal: str, unit: str, edges: np.ndarray, values: Sequence[np.ndarray], interval: float,
-             seconds_needed: float, bins_needed: int) -> Coverage:
-    """Samples by bin over all drives. values: of each drive, sampled every `interval` [s] on average; a bin counts from
-    `seconds_needed` on.
-    """
-    counts = np.histogram(np.concatenate([np.asarray(v) for v in values]), edges)[0] if len(values) else \
-        np.zeros(len(edges) - 1, int)
-    return Coverage(signal, unit, edges, counts, needed=max(1, round(seconds_needed / interval)),
-                    bins_needed=bins_needed)
-
-
-def require(coverages: Sequence[Coverage], advice: str) -> None:
-    """Raises IdentificationError with the numbers of every signal that is too thin; `advice`: what to drive."""
-    thin = [c.words() for c in coverages if not c.enough]
-    if thin:
-        raise IdentificationError(f"the driving is too thin: {'; '.join(thin)}. {advice}")
 
 
 @dataclass(frozen=True)
@@ -149,35 +125,6 @@ def _without_sign(estimate: Estimate) -> Estimate:
     return replace(estimate, status="doubtful", verdict=f"{estimate.verdict} Not distinguishable from zero.")
 
 
-def symmetric_interval(value: float, standard_uncertainty: float, freedom: float = math.inf) -> tuple[float, float]:
-    """95 % interval value -/+ t u with Student's t for `freedom` degrees of freedom (infinite: t = 1.96)."""
-    half = float(student.ppf(0.975, freedom)) * standard_uncertainty
-    return value - half, value + half
-
-
-def quantity(parameter: str) -> Quantity | None:
-    """Unit and limits of a parameter of the vehicle file ("mass", "tyre_rear.p_ky1"); None for any other name."""
-    tyre, _, key = parameter.partition(".")
-    if tyre in TYRES and key:
-        return TYRE_QUANTITIES.get(key)
-    return VEHICLE_QUANTITIES.get(parameter)
-
-
-def bound_hit(parameter: str, value: float, bounds: tuple[float, float] | None = None) -> str:
-    """A sentence when the value lies at a limit of its range (default: of the vehicle file), else an empty text."""
-    limits = quantity(parameter)
-    if bounds is None:
-        if limits is None:
-            return ""
-        bounds = (limits.minimum, limits.maximum)
-    lower, upper = bounds
-    near = NEAR_BOUND * (upper - lower)
-    if lower + near < value < upper - near:
-        return ""
-    end = lower if value <= lower + near else upper
-    return f"{parameter} stopped at its limit {end:g}: the value is the limit's, not the data's."
-
-
 def contradiction(estimate: Estimate, value: float, standard_uncertainty: float, origin: str) -> str:
     """A sentence when another experiment's value differs by more than chance (two-sided, 5 %), else an empty text.
 
@@ -185,20 +132,11 @@ def contradiction(estimate: Estimate, value: float, standard_uncertainty: float,
     """
     spread = math.hypot(estimate.standard_uncertainty, standard_uncertainty)
     gap = estimate.value - value
-    if not math.isfinite(spread) or abs(gap) <= float(student.ppf(1.0 - CONTRADICTION / 2.0, math.inf)) * spread:
+    if not math.isfinite(spread) or abs(gap) <= CONTRADICTION * spread:
         return ""
     times = f"{abs(gap) / spread:.1f} times" if spread > 0.0 else "without"
     return (f"{estimate.parameter} {estimate.value:.5g} contradicts {value:.5g} {estimate.unit} of {origin}: the "
             f"difference {gap:+.3g} is {times} the combined uncertainty.")
-
-
-def correlation_of(covariance: np.ndarray) -> np.ndarray:
-    """Correlation matrix (n, n) of a covariance (n, n); a parameter without variance is correlated with none."""
-    spread = np.sqrt(np.diag(covariance))
-    scale = np.where(spread > 0.0, spread, 1.0)
-    matrix = covariance / np.outer(scale, scale)
-    np.fill_diagonal(matrix, 1.0)
-    return matrix
 
 
 def strong_correlations(names: Sequence[str], correlation: np.ndarray, limit: float = 0.95) -> tuple[str, ...]:
@@ -212,9 +150,6 @@ def _plain(number: float) -> float | None:
     return float(number) if math.isfinite(number) else None
 
 
-STIFFNESS = {"tyre_front": "cornering_stiffness_front", "tyre_rear": "cornering_stiffness_rear"}
-
-
 def apply(vehicle: VehicleParameters, found: Iterable[Identification], date: str) -> VehicleParameters:
     """The vehicle with every identified or doubtful value of a parameter it has; unidentifiable ones stay as they were.
 
@@ -222,7 +157,8 @@ def apply(vehicle: VehicleParameters, found: Iterable[Identification], date: str
     Raises ConfigurationError, naming the key and the limit, when a value lies outside what a vehicle file may hold.
     """
     values: dict[str, float] = {}
-    sources, provenance = dict(vehicle.sources), dict(vehicle.provenance)
+    sources: dict[str, str] = {}
+    provenance: dict[str, Provenance] = {}
     for identification in found:
         for estimate in identification.estimates:
             if quantity(estimate.parameter) is None or estimate.status == "unidentifiable":
@@ -233,23 +169,17 @@ def apply(vehicle: VehicleParameters, found: Iterable[Identification], date: str
             sources[key] = f"st identify {identification.what}{doubt}"
             spread = estimate.standard_uncertainty if math.isfinite(estimate.standard_uncertainty) else None
             provenance[key] = Provenance(spread, estimate.method, ", ".join(estimate.runs), date)
-    own: dict[str, Any] = {key: value for key, value in values.items() if "." not in key}
-    tyres: dict[str, Any] = {}
-    for tyre in TYRES:
-        changes = {key.partition(".")[2]: value for key, value in values.items() if key.startswith(f"{tyre}.")}
-        tyres[tyre] = getattr(vehicle, tyre)._replace(**changes)
-    changed = replace(vehicle, **own, **tyres, sources=sources, provenance=provenance)
-    derived = [tyre for tyre in TYRES if sources.get(f"{tyre}.lambda_ky") == DERIVED]
-    return changed.with_derived_scales(derived)
+    changed = vehicle.with_values(values)
+    return replace(changed, sources={**changed.sources, **sources}, provenance={**vehicle.provenance, **provenance})
 
 
 def stale_scales(vehicle: VehicleParameters, found: Iterable[Identification]) -> tuple[str, ...]:
     """A sentence for each tyre with a lambda_ky set in the file although a value it depends on has changed."""
     changed = {estimate.parameter for one in found for estimate in one.estimates if estimate.status != "unidentifiable"}
     sentences = []
-    for tyre, stiffness in STIFFNESS.items():
+    for tyre in ("tyre_front", "tyre_rear"):
         fixed = vehicle.sources.get(f"{tyre}.lambda_ky") != DERIVED and f"{tyre}.lambda_ky" not in changed
-        base = (stiffness, "mass", "cg_to_front_axle")
+        base = (tyre.replace("tyre", "cornering_stiffness"), "mass", "cg_to_front_axle")
         causes = sorted(key for key in changed if key in base or key.startswith(f"{tyre}."))
         if fixed and causes:
             sentences.append(f"{tyre}.lambda_ky was set in the vehicle file before {', '.join(causes)} changed: run "
@@ -264,9 +194,3 @@ def against_file(vehicle: VehicleParameters, estimate: Estimate) -> str:
         return ""
     origin = f"the vehicle file ({before.method or vehicle.sources[estimate.parameter]}, {before.date or 'no date'})"
     return contradiction(estimate, value_of(vehicle, estimate.parameter), before.uncertainty, origin)
-
-
-def value_of(vehicle: VehicleParameters, parameter: str) -> float:
-    """A parameter by its name in the vehicle file ("mass", "tyre_front.p_cy1"), SI."""
-    tyre, _, key = parameter.partition(".")
-    return getattr(getattr(vehicle, tyre), key) if key else getattr(vehicle, parameter)

@@ -1,6 +1,6 @@
-"""Offset of the steering wheel sensor from straight driving, found twice.
+"""Offset of the steering wheel sensor from straight driving, by two methods.
 
-The paper's way: the offset with which the simulated yaw rate comes closest to the measured one. Directly: the mean
+The paper's: the offset with which the simulated yaw rate comes closest to the measured one. Directly: the mean
 reading while the car drives straight, corrected by what little it turns,
 
     o = mean(delta_h) - i L kappa (1 + K v_x^2),    kappa = change of heading / way
@@ -17,8 +17,8 @@ import numpy as np
 from ..filtering import filtered_derivative
 from ..handling import understeer_coefficient
 from ..log import DriveLog
+from ..regression import Spread, blocks
 from ..vehicle import VehicleParameters
-from .blocks import Spread, blocks
 from .driving_fit import DrivingFitSettings, fit_driving
 from .result import Estimate, Identification, IdentificationError, contradiction
 from .run_samples import RunSamples, prepared, run_samples
@@ -29,7 +29,7 @@ WINDOW = 2.0  # s
 STRAIGHT = 500.0  # m, radius
 STEADY = np.deg2rad(3.0)  # at the hand wheel, standard deviation in a window
 FEWEST_WINDOWS = 10
-SMOOTHING = 1.0  # Hz, of the measured yaw rate
+SMOOTHING = 1.0  # Hz, low-pass on the measured yaw rate, forward and backward
 
 
 def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameters,
@@ -47,7 +47,11 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
         raise IdentificationError(
             f"too few samples: {len(values)} windows of {WINDOW:g} s are straighter than R = {STRAIGHT:g} m, with a "
             f"steady hand and faster than {settings.minimum_speed:g} m/s; {FEWEST_WINDOWS} are needed")
-    fit = fit_driving([_smoothed(log) for log in logs], vehicle, (PAPER,), "linear", settings)
+    # Smoothed, all samples of the yaw rate count, not those at the points of the horizon alone, where road noise would
+    # be 0.02 deg at the hand wheel after four minutes.
+    smooth = [replace(log, yaw_rate=filtered_derivative(log.ins_time_ns, log.yaw_rate, SMOOTHING, 0.1, "zero_phase")[0])
+              for log in logs]
+    fit = fit_driving(smooth, vehicle, (PAPER,), "linear", settings)
     predicted = {name: count for name, (count, _) in fit.windows.items()}
     paper = _estimate(PAPER, fit.values[0], fit.spread, "simulated against measured yaw rate (paper)", predicted,
                       f"{fit.number} predictions on straights")
@@ -66,14 +70,6 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
               "residual_run": fit.run_of, "residual_time": fit.time, "names": tuple(r.name for r in runs)}
     return Identification("steering-offset", (paper, direct), tuple(n for n in used if used[n] or predicted[n]),
                           rejected, None, (), (*noticed, *([conflict] if conflict else [])), figure)
-
-
-def _smoothed(log: DriveLog) -> DriveLog:
-    """The drive with the yaw rate behind SMOOTHING, forward and backward: all its samples count, not those at the
-    points of the horizon alone, where road noise would be 0.02 deg at the hand wheel after four minutes.
-    """
-    smooth, _ = filtered_derivative(log.ins_time_ns, log.yaw_rate, SMOOTHING, 0.1, "zero_phase")
-    return replace(log, yaw_rate=smooth)
 
 
 def _windows(run: RunSamples, vehicle: VehicleParameters, minimum_speed: float) -> np.ndarray:
@@ -98,8 +94,8 @@ def _estimate(name: str, value: float, own: Spread, method: str, used: Mapping[s
               basis: str) -> Estimate:
     uncertainty = float(own.deviations[0])
     degrees, spread = np.rad2deg(value), np.rad2deg(uncertainty)
-    return Estimate(name, float(value), "rad", uncertainty, own.interval(0, value),
-                    method, tuple(n for n, c in used.items() if c),
+    return Estimate(name, float(value), "rad", uncertainty, own.interval(0, value), method,
+                    tuple(n for n, c in used.items() if c),
                     f"The hand wheel reads {degrees:.2f} +/- {spread:.2f} deg when driving straight, from {basis} in "
                     f"{own.basis[0]}.",
                     "identified" if spread < 0.5 else "doubtful")

@@ -15,14 +15,15 @@ Angles in rad, left positive. Source: paper, parameter identification. Checked b
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import f as fisher
 
+from ..regression import symmetric_interval
 from ..vehicle import VEHICLE_QUANTITIES
-from .result import Coverage, Estimate, Identification, IdentificationError, symmetric_interval
+from .result import Coverage, Estimate, Identification, IdentificationError
 
 
 @dataclass(frozen=True)
@@ -39,12 +40,8 @@ class Line:
 
 def fit_line(x: np.ndarray, y: np.ndarray, groups: Sequence[str]) -> Line:
     """Least squares of the above. groups: a name per point. Raises IdentificationError when x does not vary."""
-    names = np.asarray(groups)
-    centred_x, centred_y = np.empty(len(x)), np.empty(len(x))
-    members = {str(name): names == name for name in dict.fromkeys(groups)}
-    for member in members.values():
-        centred_x[member] = x[member] - x[member].mean()
-        centred_y[member] = y[member] - y[member].mean()
+    members = {str(name): np.asarray(groups) == name for name in dict.fromkeys(groups)}
+    centred_x, centred_y = (_centred(v, members.values()) for v in (x, y))
     spread = float(centred_x @ centred_x)
     freedom = len(x) - len(members) - 1
     if freedom < 1 or spread <= 1e-12 * float(x @ x):
@@ -63,11 +60,8 @@ def cubic_remainder(x: np.ndarray, line: Line, names: Sequence[str]) -> tuple[tu
         e = c_1 x + c_3 x^3,    F = (sum e^2 - sum e_c^2) / 1 / (sum e_c^2 / (freedom - 1))
     """
     groups = np.asarray(names)
-    basis = np.stack([x, x**3], axis=1)
-    residual = line.residuals.copy()
-    for name in line.levels:
-        member = groups == name
-        basis[member] -= basis[member].mean(axis=0)
+    basis = _centred(np.stack([x, x**3], axis=1), [groups == name for name in line.levels])
+    residual = line.residuals
     coefficients, *_ = np.linalg.lstsq(basis, residual, rcond=None)
     unexplained = residual - basis @ coefficients
     before, after, freedom = float(residual @ residual), float(unexplained @ unexplained), line.freedom - 1
@@ -76,6 +70,14 @@ def cubic_remainder(x: np.ndarray, line: Line, names: Sequence[str]) -> tuple[tu
     ratio = (before - after) / max(after / freedom, 1e-20)
     significant = bool(fisher.sf(ratio, 1, freedom) < 0.01)
     return (float(coefficients[0]), float(coefficients[1])), significant
+
+
+def _centred(values: np.ndarray, members: Iterable[np.ndarray]) -> np.ndarray:
+    """Values (n, ...) minus the mean of their group."""
+    result = np.array(values, float)
+    for member in members:
+        result[member] -= result[member].mean(axis=0)
+    return result
 
 
 FEWEST_ROWS = 5

@@ -13,14 +13,13 @@ from st_core.discovery import Discovery
 from st_core.effects import Effect, get_effect
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.handling import objections
-from st_core.identification.result import quantity, value_of
 from st_core.log import DriveLog
 from st_core.log_evaluation import regular_starts, usable_starts
 from st_core.log_signals import LogSignals
 from st_core.prediction import PredictionSettings
 from st_core.provenance import Provenance
 from st_core.stability import slip_speed_needed
-from st_core.vehicle import TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, VehicleParameters
+from st_core.vehicle import TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, VehicleParameters, quantity, value_of
 from st_core.yaml_text import number, quoted
 from st_recordings.car_skeleton import SPEEDS
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from st_core.identification.result import Estimate, Identification, quantity, value_of
+from st_core.identification.result import Estimate, Identification
 from st_core.models import MODELS, Model
-from st_core.vehicle import VehicleParameters
+from st_core.vehicle import VehicleParameters, quantity, value_of
 from st_recordings.runs import ReadSettings
 from st_recordings.runs.errors import RunError, check_readable
 

@@ -20,12 +20,10 @@ from st_core.identification.result import (
     IdentificationError,
     against_file,
     apply,
-    quantity,
     stale_scales,
-    value_of,
 )
 from st_core.provenance import Provenance
-from st_core.vehicle import VehicleParameters
+from st_core.vehicle import VehicleParameters, quantity, value_of
 from st_core.yaml_text import number, quoted
 from st_recordings.paths import as_text, new_folder
 from st_recordings.results import versions
