@@ -311,7 +311,8 @@ def decode_channel(channel: int, data: bytes) -> dict[str, Value]:
     Cyclic counters are returned as sent; status.StatusTracker unwraps them and adds values that depend on several
     channels or on the time.
     """
-    values = {name: decode(data) for name, decode in _DECODERS.get(channel, ())}
+    word = int.from_bytes(data, "little")
+    values = {name: decode(word, data) for name, decode in _DECODERS.get(channel, ())}
     # 0xFF: the numbers are saturated
     if channel == LONG_RANGE_CHANNEL and values["GAPx"] is not None and data[7] != 0xFF:
         values = {name: value * data[7] for name, value in values.items()}
@@ -364,7 +365,7 @@ def _encode_long_range(values: Mapping[str, Value]) -> bytes:
 
 def utc_offset(data: bytes) -> int | None:
     """UTC - GPS time [s] from the 8 bytes of channel 16; None if invalid or positive (UTC is never ahead of GPS)."""
-    offset = _READ_UTC_OFFSET(data)
+    offset = _READ_UTC_OFFSET(int.from_bytes(data, "little"), data)
     return None if offset is None or offset > 0 else int(offset)
 
 

@@ -4,32 +4,31 @@ import re
 import struct
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from operator import itemgetter
 from typing import Any, NamedTuple, TypeAlias
 
 from .ncom import NcomError
 
 Value: TypeAlias = Any
 """Float, int or text depending on the field; None: invalid."""
-Decoder = Callable[[bytes], Value]
+Decoder = Callable[[int, bytes], Value]
 
 
 @dataclass(frozen=True)
 class Validity:
     """Condition under which a field is valid.
 
-    accepts(raw, data): raw is the number of the field, data the 8 bytes; None: always valid. mark: number written for
-    "invalid". flag: index of the validity byte of a group of fields, written as flag_valid or 0xFF.
+    accepts(raw, data): raw is the number of the field, data the 8 bytes. mark: number written for "invalid".
+    flag: index of the validity byte of a group of fields, written as flag_valid or 0xFF.
     """
 
     text: str
-    accepts: Callable[[int, bytes], bool] | None = None
+    accepts: Callable[[int, bytes], bool]
     mark: int = -1
     flag: int | None = None
     flag_valid: int = 0
 
 
-ALWAYS = Validity("always", mark=0)
+ALWAYS = Validity("always", lambda raw, data: True, mark=0)
 
 # The 8 bytes given to a validity rule while a value is encoded: every flag byte is "valid".
 _FLAGS_SET = bytes(6) + b"\0\x01"
@@ -82,28 +81,25 @@ class Field:
     manual: bool = False
 
     def decoder(self) -> Decoder:
-        """A function from the 8 bytes to the physical value, None where it is invalid."""
+        """A function from the 8 bytes, as one integer and as bytes, to the physical value, None where it is invalid."""
         at, scale, offset, accepts = self.at, self.scale, self.offset, self.validity.accepts
         if self.kind == "constant":
-            return lambda data: int(offset)
+            return lambda word, data: int(offset)
         if self.kind.startswith("text"):
             end = at + int(self.kind[4:])
-            return lambda data: _text(data[at:end])
+            return lambda word, data: _text(data[at:end])
         if self.kind == "f32":  # negative = invalid; so is NaN
-            return lambda data: value if (value := _F32.unpack_from(data, at)[0]) >= 0 else None
+            return lambda word, data: value if (value := _F32.unpack_from(data, at)[0]) >= 0 else None
         shift, mask, flip, sign = bits_of(self.kind, at)
-        read: Callable[[bytes], int] = itemgetter(at)  # u8, most of the fields
-        if self.kind != "u8":
-            read = lambda data: ((int.from_bytes(data, "little") >> shift & mask ^ flip) ^ sign) - sign  # noqa: E731
         if self.kind == "digits6":
-            return lambda data: f"{raw:06d}" if (raw := read(data)) >= 0 else None
+            return lambda word, data: f"{raw:06d}" if (raw := (word >> shift & mask ^ sign) - sign) >= 0 else None
         if self.kind == "shifted":
-            return lambda data: (raw >> 1) * scale if (raw := read(data)) & 1 else None
-        if accepts is None:
-            return read if scale == 1 and not offset else lambda data: read(data) * scale + offset
+            return lambda word, data: (raw >> 1) * scale if (raw := (word >> shift & mask ^ sign) - sign) & 1 else None
         if scale == 1 and not offset:
-            return lambda data: raw if accepts(raw := read(data), data) else None
-        return lambda data: raw * scale + offset if accepts(raw := read(data), data) else None
+            return lambda word, data: (
+                raw if accepts(raw := ((word >> shift & mask ^ flip) ^ sign) - sign, data) else None)
+        return lambda word, data: (
+            raw * scale + offset if accepts(raw := ((word >> shift & mask ^ flip) ^ sign) - sign, data) else None)
 
     def encode(self, buffer: bytearray, value: Value) -> None:
         """Write a value (None: the invalid mark) into the 8 bytes; encode_fields() writes the flags of groups.
@@ -133,7 +129,7 @@ class Field:
         number = int(value) if plain else round(max(low, min(high, (float(value) - self.offset) / self.scale)))
         if self.kind == "shifted":
             return max(-64, min(63, number)) << 1 | 1
-        accepts = self.validity.accepts or (lambda raw, data: True)
+        accepts = self.validity.accepts
         if low <= number <= high and accepts(number, _FLAGS_SET):
             return number
         if plain:

@@ -122,9 +122,11 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
     milliseconds = np.ndarray((n,), "<u2", buffer, ncom.MILLISECONDS_AT, (PACKET_SIZE,)).astype(np.int64)
     has_status = _HAS_STATUS[status]
     gps_ns, order, jumps = _times(raw, status, milliseconds, (channel == 0) & has_status)
-    kind, offsets = _KIND[status], _UTC_OFFSET[raw[:, BATCH_S.stop - 1]]
+    kind = _KIND[status]
     # UTC offsets apply from the packet that carries them on.
-    carry = np.flatnonzero(_HAS_MINUTE[status] & (channel == UTC_CHANNEL) & (offsets != _NO_OFFSET))
+    carry = np.flatnonzero((channel == UTC_CHANNEL) & _HAS_MINUTE[status])
+    offsets = _UTC_OFFSET[raw[carry, BATCH_S.stop - 1]]
+    carry, offsets = carry[offsets != _NO_OFFSET], offsets[offsets != _NO_OFFSET]
     _trigger_times(raw, kind, gps_ns, order)
     _count(counters, raw, status, channel, has_status, milliseconds, order)
     heading, pitch, roll = _i24(buffer, n, ncom.ANGLES_AT, ncom.ANGLE_UNIT)
@@ -137,7 +139,7 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
         kind=kind,
         order=order,
         gps_ns=gps_ns,
-        utc_ns=utc_times(gps_ns, UNKNOWN_TIME, carry, offsets[carry]),
+        utc_ns=utc_times(gps_ns, UNKNOWN_TIME, carry, offsets),
         milliseconds=milliseconds,
         navigation_status=status,
         channel=channel,

@@ -5,6 +5,7 @@ GPS time counts from 1980-01-06T00:00:00 without leap seconds: gps = minutes * 6
 Source: ncom.md section 5. Checked by: test_packet_time.py, tests/golden/test_ncom_vectors.py.
 """
 
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -27,6 +28,8 @@ LONGEST_GAP_NS = 30_000_000_000
 CONFIRMATION_MS = 1_000
 # A step of the packet time that exceeds the pause on the receive clock by more than this is a jump.
 LARGEST_STEP_NS = 1_000_000_000
+# A run of a file with fewer packets is faster packet by packet than in columns.
+SHORTEST_RUN = 16
 
 
 def unix_nanoseconds(gps_nanoseconds: int, utc_offset: int | None = None) -> int:
@@ -168,40 +171,43 @@ def packet_times(
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """GPS time [ms] (-1 unknown) and order of each timed packet of a file, and the number of time jumps.
 
-    If no packet is late and all sent minutes agree with the count, the file is computed in columns,
-    otherwise by GpsClock.
+    GpsClock steps through late packets, changes of the minute and what follows until it has settled; it counts the
+    long runs in between in columns.
 
     ms, minutes: of each timed packet, minutes -1 where it has no channel 0. index: its packet number. hints: (packet
     number, minute) of status-only packets. equal(i, j): whether the bytes of timed packets i and j are the same.
     """
-    ahead = np.diff(ms, prepend=ms[:1]) % MINUTE_MS
-    turns = np.cumsum(np.diff(ms, prepend=ms[:1]) < 0)
-    early = [minute for number, minute in hints if len(ms) and number < index[0]]
-    sent = np.flatnonzero(minutes >= 0)
-    base = np.array([*early[:1], *(minutes[sent] - turns[sent])])
-    if len(base) and len(early) == len(hints) and ahead.max() < HALF_MINUTE_MS and (base == base[0]).all():
-        first_known = 0 if early else sent[0]
-        times = np.where(np.arange(len(ms)) < first_known, -1, (base[0] + turns) * MINUTE_MS + ms)
-        order = np.where(ahead > 0, NEW, SAME).astype(np.int8)
-        order[0] = NEW
-        jumps = int((ahead * 1_000_000 > LARGEST_STEP_NS).sum())
-    else:
-        times, order, jumps = _step_by_step(ms, minutes, index, list(hints))
+    step = np.diff(ms, prepend=ms[:1])
+    ahead = step % MINUTE_MS
+    late, sent = ahead >= HALF_MINUTE_MS, np.flatnonzero(minutes >= 0)
+    turns = np.cumsum((step < 0) & ~late)
+    base = minutes[sent] - turns[sent]  # constant while the sent minutes agree with the count
+    events = np.union1d(np.flatnonzero(late), sent[1:][np.diff(base) != 0])
+    times, order = np.full(len(ms), -1, np.int64), np.where(ahead > 0, NEW, SAME).astype(np.int8)
+    counted, steps = turns * MINUTE_MS + ms, np.cumsum(ahead * 1_000_000 > LARGEST_STEP_NS)
+    waiting, clock, k = list(hints), GpsClock(), 0
+    numbers, all_ms, all_minutes = memoryview(index), memoryview(ms), memoryview(minutes)  # cheap to read one by one
+    next_event, next_sent = [*events.tolist(), len(ms)], [*sent.tolist(), len(ms)]
+    while k < len(ms):
+        while waiting and waiting[0][0] < numbers[k]:
+            clock.hint(waiting.pop(0)[1])
+        time, order[k] = clock.step(all_ms[k], None if all_minutes[k] < 0 else all_minutes[k])
+        times[k] = -1 if time is None else time
+        k += 1
+        end = next_event[bisect_left(next_event, k)] if k < len(ms) else k
+        if end - k < SHORTEST_RUN or clock.minute is None or not clock.settled:
+            continue
+        zero = clock.minute - int(turns[k - 1])
+        j = bisect_left(next_sent, k)
+        if j < len(base) and base[j] != zero:
+            end = next_sent[j]
+        times[k:end] = counted[k:end] + zero * MINUTE_MS
+        clock.jumps += int(steps[end - 1] - steps[k - 1])
+        clock.minute, clock.milliseconds = divmod(int(times[end - 1]), MINUTE_MS)
+        k = end
     for i in np.flatnonzero(order == SAME).tolist():
         if equal(i, i - 1):
             order[i] = DUPLICATE
-    return times, order, jumps
-
-
-def _step_by_step(
-    ms: np.ndarray, minutes: np.ndarray, index: np.ndarray, hints: list[tuple[int, int]]
-) -> tuple[np.ndarray, np.ndarray, int]:
-    clock, times, order = GpsClock(), np.full(len(ms), -1, np.int64), np.full(len(ms), NEW, np.int8)
-    for k, (packet, milliseconds, minute) in enumerate(zip(index.tolist(), ms.tolist(), minutes.tolist(), strict=True)):
-        while hints and hints[0][0] < packet:
-            clock.hint(hints.pop(0)[1])
-        time, order[k] = clock.step(milliseconds, None if minute < 0 else minute)
-        times[k] = -1 if time is None else time
     return times, order, clock.jumps
 
 

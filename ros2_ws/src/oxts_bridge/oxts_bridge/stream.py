@@ -3,10 +3,25 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from . import channels, ncom
+from . import channels
 from .channels import TRIGGER_CHANNELS
 from .fields import Value
-from .ncom import NAN, PACKET_SIZE, Counters, Packet, Rule
+from .ncom import (
+    BY_STATUS,
+    MINUTE_STATUSES,
+    NAN,
+    PACKET_SIZE,
+    STATUS_AT,
+    STATUS_ONLY,
+    STRUCTURE_B,
+    Counters,
+    Packet,
+    Rule,
+    decode_unchecked,
+    inner_checksums_match,
+    is_valid_position,
+    next_packet,
+)
 from .packet_time import DUPLICATE, LAST_MINUTE, LATE, MINUTE_MS, NEW, SAME, GpsClock, host_minute, unix_nanoseconds
 
 _NO_VECTOR = (NAN, NAN, NAN)
@@ -75,7 +90,7 @@ class NcomParser:
         packets: list[Received] = []
         at = 0
         while True:
-            at, self._in_step = ncom.next_packet(buffer, at, self._in_step, self.counters)
+            at, self._in_step = next_packet(buffer, at, self._in_step, self.counters)
             if size - at < PACKET_SIZE:
                 break
             received = self._accept(buffer[at : at + PACKET_SIZE], self._consumed + at, received_ns)
@@ -89,14 +104,14 @@ class NcomParser:
     def _accept(self, raw: bytes, offset: int, received_ns: int | None) -> Received | None:
         counters = self.counters
         counters.packets += 1
-        status = raw[ncom.STATUS_AT]
-        if status == ncom.STRUCTURE_B:
+        status = raw[STATUS_AT]
+        if status == STRUCTURE_B:
             counters.structure_b += 1
             return None
-        if not ncom.inner_checksums_match(raw):
+        if not inner_checksums_match(raw):
             counters.inner_checksum_warnings += 1
-        rule = ncom.BY_STATUS[status]
-        packet = ncom.decode_unchecked(raw)
+        rule = BY_STATUS[status]
+        packet = decode_unchecked(raw)
         kind = rule.kind
         order = NEW
         gps_ns: int | None = None
@@ -148,14 +163,14 @@ class NcomParser:
         if last is None or last[0] != packet.batch_s:  # most channels repeat their bytes
             last = self._decoded[channel] = packet.batch_s, channels.decode_channel(channel, packet.batch_s)
         fields = last[1]
-        if status not in ncom.MINUTE_STATUSES:
+        if status not in MINUTE_STATUSES:
             return fields, None
         if channel == channels.UTC_CHANNEL and (offset := channels.utc_offset(packet.batch_s)) is not None:
             self.utc_offset = offset
         minute = fields["GpsMinutes"] if channel == 0 else None
         if minute is None or minute > LAST_MINUTE:
             return fields, None
-        if status == ncom.STATUS_ONLY:
+        if status == STATUS_ONLY:
             self.clock.hint(minute)
         return fields, minute
 
@@ -187,7 +202,7 @@ def _mask(packet: Packet, rule: Rule, kind: str) -> bool:
         packet.latitude = packet.longitude = packet.altitude = NAN
         packet.velocity_ned = _NO_VECTOR
         packet.heading = packet.pitch = packet.roll = NAN
-    elif not ncom.is_valid_position(packet.latitude, packet.longitude, packet.altitude):
+    elif not is_valid_position(packet.latitude, packet.longitude, packet.altitude):
         packet.latitude = packet.longitude = packet.altitude = NAN
         return True
     return False
