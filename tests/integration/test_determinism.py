@@ -33,7 +33,7 @@ for k, (t, x, y, yaw, vx, vy, yaw_rate, _, _, delta) in enumerate(weave(9.0).tol
         for model in predictor.models:
             trajectory = predictor.run(start, model)
             predictions.update(trajectory.states.tobytes())
-            evaluator.add_prediction(model, start.time_ns, start.state, start.inputs, trajectory)
+            evaluator.add_prediction(model, start.time_ns, trajectory)
     for score in (*evaluator.poll(), *(evaluator.flush() if k == 449 else ())):
         count += score.complete
         errors.update(np.stack([score.longitudinal, score.lateral, score.yaw]).tobytes())

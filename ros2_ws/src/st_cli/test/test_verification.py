@@ -118,7 +118,7 @@ class LiveBag:
         found = []
         for model in MODELS:
             path = self._predictor.run(start, model)
-            self._evaluator.add_prediction(model, start.time_ns, start.state, start.inputs, path)
+            self._evaluator.add_prediction(model, start.time_ns, path)
             self._count += 1
             names = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
             columns = {name: path.states[:, k].copy() for k, name in enumerate(names)}

@@ -107,7 +107,7 @@ class Course:
 
         Raises StCoreError, one line, beyond MAX_ORIGIN_DISTANCE.
         """
-        if (distance := math.hypot(east, north)) > MAX_ORIGIN_DISTANCE:
+        if not (distance := math.hypot(east, north)) <= MAX_ORIGIN_DISTANCE:  # NaN too
             raise StCoreError(f"it is of another place: the map origins are {distance / 1000.0:.1f} km apart "
                               f"(limit {MAX_ORIGIN_DISTANCE / 1000.0:g} km)")
         offset = np.array([east, north, 0.0, 0.0, 0.0])

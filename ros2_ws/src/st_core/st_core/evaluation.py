@@ -14,7 +14,7 @@ from .model_view import ModelView
 from .models import MODELS, Model, get_model
 from .prediction import PredictionSettings, Runner, predict
 from .timeseries import TimeSeries
-from .types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState
+from .types import InputSequence, InsSample, Trajectory, VehicleState
 from .vehicle import VehicleParameters
 
 _NEVER = -(2**62)  # before all times
@@ -74,12 +74,9 @@ def make_score(model: str, mode: Mode, start_ns: int, step: float, errors: Seque
 
 @dataclass
 class _Pending:
-    """hindsight: its start; None: it is not scored."""
-
     model: str
     mode: Mode
     issued: Trajectory
-    hindsight: VehicleState | None = None
 
 
 class Evaluator:
@@ -133,19 +130,10 @@ class Evaluator:
             get_model(model)  # raises with the list of known models
         return self._views[model]
 
-    def add_prediction(self, model: str, start_ns: int, start: VehicleState, inputs: ControlInput,
-                       trajectory: Trajectory) -> None:
-        """Take an issued forecast: start state (CG), held inputs and trajectory; hindsight is scored with it."""
-        del inputs  # the forecast is scored as issued; hindsight takes the measured ones
-        self._add(start_ns, _Pending(model, "forecast", trajectory, start))
-
-    def add_trajectory(self, model: str, mode: Mode, start_ns: int, trajectory: Trajectory) -> None:
-        """Take an issued prediction with inputs of a plan or course."""
-        self._add(start_ns, _Pending(model, mode, trajectory))
-
-    def _add(self, start_ns: int, pending: _Pending) -> None:
-        key = (start_ns, len(pending.issued.states) - 1, pending.issued.step)
-        self._waiting.setdefault(key, []).append(pending)
+    def add_prediction(self, model: str, start_ns: int, trajectory: Trajectory, mode: Mode = "forecast") -> None:
+        """Take an issued prediction (CG). With a forecast hindsight is scored, from the same start."""
+        key = (start_ns, len(trajectory.states) - 1, trajectory.step)
+        self._waiting.setdefault(key, []).append(_Pending(model, mode, trajectory))
         if self.pending > self.MAXIMUM_PENDING:
             self._give_up([min(self._waiting)], f"more than {self.MAXIMUM_PENDING} predictions waiting")
 
@@ -177,7 +165,7 @@ class Evaluator:
             start_ns, steps, step = key
             nothing = [np.full(steps + 1, math.nan)] * 3
             for pending in self._waiting.pop(key):
-                modes: tuple[Mode, ...] = (pending.mode, "hindsight") if pending.hindsight else (pending.mode,)
+                modes: tuple[Mode, ...] = (pending.mode, "hindsight") if pending.mode == "forecast" else (pending.mode,)
                 for mode in modes:
                     self._overtaken.append(make_score(pending.model, mode, start_ns, step, nothing, reason))
         # The scores wait for `poll`, bounded like their predictions, as it may never be called.
@@ -202,12 +190,13 @@ class Evaluator:
             view = self.view(pending.model)
             ways: list[tuple[Mode, Trajectory, np.ndarray, str]] = [
                 (pending.mode, pending.issued, unbroken, jump or no_position)]
-            if pending.hindsight:
+            if pending.mode == "forecast":
+                start = VehicleState(*pending.issued.states[0].tolist())
                 known = inputs if view.plain else view.measured(times)
                 usual = (steps, step) == (self.settings.steps, self.settings.step)
                 runner = self._runners.get(pending.model) if usual else None
-                again = (runner(pending.hindsight, known) if runner
-                         else predict(view.model, self.vehicle, pending.hindsight, known, steps * step, step))
+                again = (runner(start, known) if runner
+                         else predict(view.model, self.vehicle, start, known, steps * step, step))
                 ways.append(("hindsight", again, unbroken & scorable, jump or no_inputs))
             for mode, trajectory, scored, reason in ways:
                 shown = view.shown(trajectory)

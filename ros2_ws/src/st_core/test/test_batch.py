@@ -110,8 +110,7 @@ def test_hindsight_errors_are_those_of_the_live_evaluator(leaf, log, backend):
     states = batch.signals.states_at(starts, leaf)
     for name in MODELS:
         for start, state in zip(starts.tolist(), states, strict=True):
-            evaluator.add_prediction(name, start, VehicleState(*state), ControlInput(0.0, 0.0),
-                                     Trajectory(0.05, np.zeros((41, 6))))
+            evaluator.add_prediction(name, start, Trajectory(0.05, np.vstack([state, np.zeros((40, 6))])))
     scores = {(s.model, s.start_ns): s for s in evaluator.flush() if s.mode == "hindsight"}
     complete = 0
     for name in MODELS:

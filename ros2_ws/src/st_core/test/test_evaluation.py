@@ -51,7 +51,7 @@ ANGLE = math.radians(14.20)
 def issue(evaluator, circle, ms, models=("kinematic", "linear", "nonlinear"), angle=ANGLE):
     start, held = circle.state(0.001 * ms), ControlInput(angle, 0.0)
     for model in models:
-        evaluator.add_prediction(model, T0 + ms * MS, start, held, predict(model, evaluator.vehicle, start, held))
+        evaluator.add_prediction(model, T0 + ms * MS, predict(model, evaluator.vehicle, start, held))
 
 
 def test_steady_circle_through_the_evaluator_gives_the_papers_numbers(leaf, circle):
@@ -88,7 +88,7 @@ def test_hindsight_uses_the_measured_inputs_and_forecast_the_issued_path(leaf):
             yaw=state.yaw, velocity_x=state.velocity_x))
         evaluator.add_steering(T0 + int(ms) * MS, float(angle))
     start, held = VehicleState(*truth.states[150]), ControlInput(0.0, 0.0)
-    evaluator.add_prediction("linear", T0 + 1500 * MS, start, held, predict("linear", leaf, start, held))
+    evaluator.add_prediction("linear", T0 + 1500 * MS, predict("linear", leaf, start, held))
     forecast, hindsight = evaluator.poll()
     assert (forecast.mode, hindsight.mode) == ("forecast", "hindsight")
     assert np.abs(hindsight.lateral).max() < 0.01 and np.abs(hindsight.yaw).max() < 0.002
@@ -198,8 +198,9 @@ def test_time_that_jumps_back_ends_what_was_waiting_and_starts_anew(leaf, circle
 def test_a_prediction_that_is_not_finite_is_not_scored(leaf, circle):
     evaluator = Evaluator(leaf)
     feed(evaluator, circle, ANGLE, 0, 7000)
-    spoilt = predict("linear", leaf, VehicleState(0.0, 0.0, math.nan, 0.0, 0.0, 0.0), ControlInput(0.0, 0.0))
-    evaluator.add_prediction("linear", T0 + 900 * MS, circle.state(0.9), ControlInput(ANGLE, 0.0), spoilt)
+    spoilt = predict("linear", leaf, circle.state(0.9), ControlInput(ANGLE, 0.0))
+    spoilt.states[1:] = math.nan
+    evaluator.add_prediction("linear", T0 + 900 * MS, spoilt)
     forecast, hindsight = evaluator.poll()
     assert forecast.incomplete_reason == "the prediction is not finite"
     assert hindsight.complete
@@ -208,9 +209,9 @@ def test_a_prediction_that_is_not_finite_is_not_scored(leaf, circle):
 def test_memory_stays_bounded_when_nothing_is_ever_measured(leaf, circle):
     evaluator = Evaluator(leaf)
     evaluator.MAXIMUM_PENDING = 30
-    path, held = predict("linear", leaf, circle.state(0.0), ControlInput(0.0, 0.0)), ControlInput(0.0, 0.0)
+    path = predict("linear", leaf, circle.state(0.0), ControlInput(0.0, 0.0))
     for i in range(200):
-        evaluator.add_prediction("linear", T0 + i * 100 * MS, circle.state(0.0), held, path)
+        evaluator.add_prediction("linear", T0 + i * 100 * MS, path)
     assert evaluator.pending == 30
     scores = evaluator.poll()
     assert len(scores) == 60 and {s.incomplete_reason for s in scores} == {"more than 30 predictions waiting"}

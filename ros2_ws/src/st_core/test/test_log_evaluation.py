@@ -40,8 +40,7 @@ def play(log: DriveLog, car, settings):
             next_tick += 100_000_000
             start = predictor.start(time)
             for model in predictor.models if isinstance(start, Start) else ():
-                evaluator.add_prediction(
-                    model, start.time_ns, start.state, start.inputs, predictor.run(start, model))
+                evaluator.add_prediction(model, start.time_ns, predictor.run(start, model))
         for score in evaluator.poll():
             scores[score.model, score.mode, score.start_ns] = score
     return scores | {(s.model, s.mode, s.start_ns): s for s in evaluator.flush()}

@@ -21,7 +21,7 @@ from st_core.model_view import ModelView
 from st_core.models import MODELS
 from st_core.prediction import PredictionSettings, Predictor, Start, predict
 from st_core.readings import readings
-from st_core.types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState
+from st_core.types import ControlInput, InputSequence, InsSample, VehicleState
 
 BEGIN = 1_700_000_000_000_000_000
 PERIOD = 10_000_000
@@ -84,7 +84,7 @@ def test_the_model_with_the_effect_predicts_the_car_with_the_effect(leaf, base, 
                 # Whatever the sensors do, the path begins where and as the INS shows the car.
                 for field in ("x", "y", "velocity_x", "velocity_y", "yaw_rate"):
                     assert getattr(shown, field)[0] == pytest.approx(getattr(measured, field), abs=1e-9), field
-                evaluator.add_prediction(which, start.time_ns, path_start(path), start.inputs, path)
+                evaluator.add_prediction(which, start.time_ns, path)
         scores += evaluator.poll()
     hindsight = [s for s in scores if s.mode == "hindsight" and s.complete]
     assert len(hindsight) >= 18
@@ -92,10 +92,6 @@ def test_the_model_with_the_effect_predicts_the_car_with_the_effect(leaf, base, 
         if score.model == "augmented":
             assert np.abs(score.lateral).max() < 0.03 and np.abs(score.longitudinal).max() < 0.03
             assert np.abs(score.yaw).max() < 0.005
-
-
-def path_start(path: Trajectory):
-    return VehicleState(*path.states[0].tolist())
 
 
 def test_the_gap_of_the_base_is_what_the_effect_makes(leaf):
@@ -108,7 +104,7 @@ def test_the_gap_of_the_base_is_what_the_effect_makes(leaf):
             start = predictor.start(time_ns)
             for which in predictor.models:
                 path = predictor.run(start, which)
-                evaluator.add_prediction(which, start.time_ns, path_start(path), start.inputs, path)
+                evaluator.add_prediction(which, start.time_ns, path)
     largest = {s.model: np.abs(s.lateral).max() for s in evaluator.poll() if s.mode == "hindsight"}
     assert largest["augmented"] < 0.01 and largest["linear"] > 0.3
 
@@ -208,7 +204,8 @@ def test_a_whole_log_gives_what_the_live_classes_give(leaf, effects, inputs):
             paths.append(predictor.run(start, "augmented"))
     if inputs == "measured":
         half_steps = 25_000_000 * np.arange(81)
-        paths = [predict(model, leaf, path_start(path), evaluator.view("augmented").measured(t + half_steps), 2.0)
+        paths = [predict(model, leaf, VehicleState(*path.states[0].tolist()),
+                         evaluator.view("augmented").measured(t + half_steps), 2.0)
                  for t, path in zip(starts, paths, strict=True)]
     for backend in ("numpy", None):
         batch = predict_log(model, leaf, log, np.array(starts), 2.0, inputs=inputs, backend=backend)

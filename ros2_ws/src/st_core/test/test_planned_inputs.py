@@ -59,8 +59,8 @@ def test_live_scores_of_a_plan_are_those_of_its_trajectory(leaf):
     issued = predictor.run(start, "linear", ahead)
     expected = predict("linear", leaf, start.state, ahead, SHORT.horizon, SHORT.step)
     np.testing.assert_array_equal(issued.states, expected.states)
-    evaluator.add_trajectory("linear", "plan", start.time_ns, issued)  # whether or not a forecast arrives
-    evaluator.add_prediction("linear", start.time_ns, start.state, start.inputs, predictor.run(start, "linear"))
+    evaluator.add_prediction("linear", start.time_ns, issued, "plan")  # whether or not a forecast arrives
+    evaluator.add_prediction("linear", start.time_ns, predictor.run(start, "linear"))
     modes = {score.mode: score for score in evaluator.flush()}
     assert set(modes) == {"forecast", "plan", "hindsight"} and all(score.complete for score in modes.values())
     assert not np.array_equal(modes["plan"].lateral, modes["forecast"].lateral)

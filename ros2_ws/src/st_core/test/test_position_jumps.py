@@ -127,7 +127,7 @@ def test_scores_across_a_jump_are_incomplete_with_the_reason(leaf, size):
         start = predictor.start(T0 + (begin + 100) * MS)
         if isinstance(start, Start):
             trajectory = predictor.run(start, "linear")
-            evaluator.add_prediction("linear", start.time_ns, start.state, start.inputs, trajectory)
+            evaluator.add_prediction("linear", start.time_ns, trajectory)
     scores = evaluator.poll()
     jump_ns = T0 + 2000 * MS
     across = [s for s in scores if s.start_ns < jump_ns <= s.start_ns + 1_000_000_000]

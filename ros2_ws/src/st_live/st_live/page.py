@@ -23,7 +23,7 @@ POLICY = ("default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inl
           "img-src data:; base-uri 'none'; form-action 'none'")
 LOOPBACK = "127.0.0.1"
 MAX_CLIENTS = 16
-CLIENT_TIMEOUT = 10.0  # s until a client that reads nothing is dropped
+CLIENT_TIMEOUT = 10.0  # s until a client that requests or reads nothing is dropped
 KEEP_ALIVE = 2.0  # s without a frame until a comment is sent, which detects clients that have left
 SEND_BUFFER = 32_768  # bytes, about 0.5 s of frames: a slow client skips frames instead of seeing old ones
 ALL_ADDRESSES = "0.0.0.0"
@@ -93,6 +93,8 @@ class PageServer(ThreadingHTTPServer):
 
 class _Handler(BaseHTTPRequestHandler):
     server: PageServer
+    timeout = CLIENT_TIMEOUT
+    disable_nagle_algorithm = True
 
     def do_GET(self) -> None:
         if not self._is_addressed_here():
@@ -125,9 +127,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(503, f"{MAX_CLIENTS} pages are open already")
             return
         try:
-            self.connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
-            self.connection.settimeout(CLIENT_TIMEOUT)
             self.send_response(200)
             self.send_header("Content-Type", "text/event-stream")
             self.send_header("Cache-Control", "no-store")

@@ -39,7 +39,6 @@ WHITE = (255, 255, 255)
 RINGS = (10, 20, 30, 40, 50, 60)  # m around the car
 LIGHT_GREY = (228, 228, 228)
 GHOST_STRENGTH = 0.4  # 1: full colour, 0: paper
-STALE_PREDICTION = 1.0  # s; an older prediction is not drawn
 GHOST_STRIDE, TRACK_STRIDE, RIBBON_STRIDE = 5, 2, 2  # every n-th point is drawn
 RIBBON_STRENGTH = {0.9: 0.13, 0.5: 0.28}
 # Half the width of a line in points of the screen, the same at every zoom.
@@ -189,11 +188,10 @@ class Scene:
         ghosts, ghost_colours, misses, miss_colours = [], [], [], []
         for number, model in enumerate(history.models):
             self._name(model)
-            path = history.newest(model)
-            fresh = now_ns - path.start_ns < STALE_PREDICTION * 1e9
-            self._lines(f"{root}/paths/{model}", [place(path.x, path.y)] if fresh else [], [rgb(colour_of(model))],
+            path = history.newest(model, now_ns)
+            self._lines(f"{root}/paths/{model}", [place(path.x, path.y)] if path else [], [rgb(colour_of(model))],
                         MODEL_WIDTHS[min(number, len(MODEL_WIDTHS) - 1)], order=3.0 + 0.1 * number)
-            self._ribbons(f"{root}/bands/{model}", place, path.ribbons if fresh else (), model, number)
+            self._ribbons(f"{root}/bands/{model}", place, path.ribbons if path else (), model, number)
             for age, ghost in history.ghosts(model, now_ns):
                 ghosts.append(place(ghost.x[::GHOST_STRIDE], ghost.y[::GHOST_STRIDE]))
                 ghost_colours.append(rgb(colour_of(model), GHOST_STRENGTH * (1.2 - 0.15 * age)))

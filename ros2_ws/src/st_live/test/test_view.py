@@ -85,7 +85,8 @@ def test_ghosts_are_the_predictions_of_one_to_five_seconds_ago() -> None:
     for age, path in ghosts:
         assert (now_ns - path.start_ns) * 1e-9 == pytest.approx(age, abs=GHOST_TOLERANCE)
         assert path.at(now_ns) == pytest.approx((79.0, 0.0))  # a car that did what was predicted is on all of them
-    assert history.newest("linear").start_ns == now_ns
+    assert history.newest("linear", now_ns).start_ns == now_ns
+    assert history.newest("linear", now_ns + 2 * 10**9) is None  # stale
     assert history.expected("linear", now_ns) == pytest.approx((79.0, 0.0))
     assert history.expected("linear", 20_000_000_000) is None and history.expected("kinematic", now_ns) is None
     assert straight(0).at(5_100_000_000) is None and straight(10**9).at(0) is None
@@ -173,11 +174,12 @@ def driven() -> PassengerFrames:
         frames.take("ins/odometry", odometry(1000 + 0.1 * k, 7.0, k, math.pi / 2, 10.0, 0.2), 50 + 0.1 * k)
     north = 30 - car.cg_to_ins_x + np.linspace(0.0, 50.0, 101)
     prediction = Prediction(model="linear", step=0.05, x=7.0 - 0.002 * (north - north[0]) ** 2, y=north,
-                            yaw=np.full(101, math.pi / 2))
+                            yaw=np.full(101, math.pi / 2), velocity_x=np.full(101, 10.0), velocity_y=np.zeros(101),
+                            yaw_rate=np.zeros(101))
     zeros, across = [0.0] * 101, np.linspace(0.0, 2.0, 101).tolist()
     prediction.bands = [Band(mode="forecast", level=0.9, along=zeros, across=across, yaw=zeros)]
     frames.take("predictor/linear/prediction", prediction, 53.0)
-    frames.take("vehicle/steering", Steering(road_wheel_angle=0.1), 53.0)
+    frames.take("vehicle/steering", Steering(road_wheel_angle=0.1, valid=True), 53.0)
     frames.take("ins/status", InsStatus(position_mode_text="RTK integer"), 52.5)
     return frames
 
@@ -194,14 +196,16 @@ def test_a_frame_shows_the_world_from_the_car(driven: PassengerFrames) -> None:
     assert points[0] == pytest.approx([0.0, 0.0], abs=0.01)  # the prediction starts at the CG
     assert points[-1] == pytest.approx([50.0, 5.0], abs=0.01)  # a bend to the left is left
     assert path["step"] == pytest.approx(0.1) and path["band"][-1] == 2.0 and len(points) == 51
-    assert "linear" not in driven.frame(54.5)["paths"]  # an old prediction is not drawn
+    late = driven.frame(54.5)
+    assert "linear" not in late["paths"] and late["steering"] is None  # what is old is not drawn
 
 
 def test_a_course_replaces_held_inputs_while_it_is_used(driven: PassengerFrames) -> None:
     held = driven._predictions["forecast"]["linear"][1]
     held.bands = [Band(mode=mode, level=0.9, along=[0.0] * len(held.x), across=[width] * len(held.x),
                        yaw=[0.0] * len(held.x)) for mode, width in (("forecast", 2.0), ("course", 1.0))]
-    course = PlannedPrediction(model="linear", step=0.05, x=held.x, y=held.y, yaw=held.yaw)
+    course = PlannedPrediction(model="linear", step=0.05, x=held.x, y=held.y, yaw=held.yaw, velocity_x=held.velocity_x,
+                               velocity_y=held.velocity_y, yaw_rate=held.yaw_rate)
     course.header.stamp = held.header.stamp
     for mode, error in (("forecast", 4.0), ("course", 1.5)):
         driven.take("evaluator/errors", PredictionError(model="linear", mode=mode, complete=True, horizon=[0.0, 5.0],
@@ -221,7 +225,8 @@ def test_the_error_is_that_of_the_end_of_the_horizon(driven: PassengerFrames) ->
                             longitudinal=[0.0, -1.5], lateral=[0.0, 0.8])
     driven.take("evaluator/errors", score, 53.0)
     driven.take("evaluator/errors", PredictionError(model="kinematic", mode="hindsight", complete=True), 53.0)
-    assert driven.frame(53.1)["errors"] == {"linear": {"longitudinal": -1.5, "lateral": 0.8, "horizon": 5.0}}
+    assert driven.frame(53.1)["errors"] == {
+        "linear": {"longitudinal": -1.5, "lateral": 0.8, "horizon": 5.0, "age": 0.1}}
     driven.take("ins/odometry", odometry(1.0, 0.0, 0.0, 0.0, 1.0, 0.0), 53.2)  # a replay starts over
     frame = driven.frame(53.2)
     assert frame["errors"] == {} and len(frame["track"]) == 1
@@ -236,7 +241,13 @@ def test_the_light_is_that_of_the_worst_check(driven: PassengerFrames, levels, l
     driven.take("/diagnostics", DiagnosticArray(status=status), 53.0)
     frame = driven.frame(53.1)
     assert (frame["light"], frame["text"]) == (light, text)
-    assert driven.frame(57.0)["light"] == "none"  # nodes that are silent
+    silent = driven.frame(57.0)
+    assert (silent["light"], "silent for 4 s" in silent["text"]) == (("error", True) if levels else ("none", False))
+
+
+def test_a_message_of_unequal_lengths_is_left_out(driven: PassengerFrames) -> None:
+    driven.take("predictor/kinematic/prediction", Prediction(model="kinematic", step=0.05, x=[0.0, 1.0]), 53.0)
+    assert list(driven.frame(53.1)["paths"]) == ["linear"]
 
 
 @pytest.fixture

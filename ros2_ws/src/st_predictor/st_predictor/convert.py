@@ -16,7 +16,7 @@ from st_core.evaluation import Mode, Score
 from st_core.frames import cg_to_ins_position
 from st_core.planned_inputs import PlannedInputs
 from st_core.prediction import Start
-from st_core.types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState
+from st_core.types import InputSequence, InsSample, Trajectory
 from st_core.vehicle import VehicleParameters
 from st_msgs.msg import ErrorStatistics, Prediction, PredictionError
 from st_recordings.bag_metadata import INFINITE_NS, Qos
@@ -145,16 +145,6 @@ def read_trajectory(message: "Prediction | PlannedPrediction") -> tuple[int, Tra
     if not np.isfinite(states[0]).all():
         return "its start state is not finite"
     return to_nanoseconds(message.header.stamp), Trajectory(message.step, states)
-
-
-def read_prediction(message: Prediction) -> tuple[int, VehicleState, ControlInput, Trajectory] | str:
-    """(start_ns, start state, held inputs, trajectory) of a prediction message, or why it cannot be used."""
-    read = read_trajectory(message)
-    if isinstance(read, str):
-        return read
-    start_ns, trajectory = read
-    inputs = ControlInput(message.road_wheel_angle, message.velocity_x_dot)
-    return start_ns, VehicleState(*trajectory.states[0].tolist()), inputs, trajectory
 
 
 def ins_path(message: Prediction) -> Path:

@@ -9,6 +9,7 @@ from st_core.frames import body_to_map
 from st_core.vehicle import VehicleParameters
 
 TRACK_SPAN = 90.0  # s of measured track kept
+STALE_PATH = 1.0  # s; an older path is not drawn
 GHOST_AGES = (1.0, 2.0, 3.0, 4.0, 5.0)  # s
 GHOST_TOLERANCE = 0.15  # s; a ghost further off its age than this is not drawn
 BAND_MODE = "forecast"  # the bands drawn: inputs held, as for the path itself
@@ -113,9 +114,10 @@ class History:
     def models(self) -> tuple[str, ...]:
         return tuple(self._paths)
 
-    def newest(self, model: str) -> Path:
-        """The newest path of one of `models`."""
-        return self._paths[model][-1]
+    def newest(self, model: str, now_ns: int) -> Path | None:
+        """The newest path of one of `models`; None where it is stale."""
+        path = self._paths[model][-1]
+        return path if now_ns - path.start_ns < STALE_PATH * 1e9 else None
 
     def ghosts(self, model: str, now_ns: int) -> list[tuple[float, Path]]:
         """(age in s, path) of the predictions nearest to each of GHOST_AGES, youngest first."""

@@ -77,8 +77,9 @@ def test_prediction_survives_the_wire() -> None:
     start, trajectory = start_and_trajectory()
     message = convert.prediction_message(start, "nonlinear", trajectory, VEHICLE, "map", "ab" * 32)
     again = deserialize_message(serialize_message(message), Prediction)
-    start_ns, state, inputs, read = convert.read_prediction(again)
-    assert (start_ns, state, inputs, read.step) == (TIME_NS, start.state, start.inputs, 0.05)
+    start_ns, read = convert.read_trajectory(again)
+    assert (start_ns, read.step) == (TIME_NS, 0.05)
+    assert ControlInput(again.road_wheel_angle, again.velocity_x_dot) == start.inputs
     np.testing.assert_array_equal(read.states, trajectory.states)
     assert (again.model, again.configuration_hash, again.header.frame_id) == ("nonlinear", "ab" * 32, "map")
 
@@ -90,7 +91,7 @@ def test_prediction_that_cannot_be_used_says_why() -> None:
         message = convert.prediction_message(start, "nonlinear", trajectory, VEHICLE, "map", "")
         for name, value in changes.items():
             setattr(message, name, value)
-        return convert.read_prediction(message)
+        return convert.read_trajectory(message)
 
     assert "length" in broken(yaw=[0.0, 1.0])
     assert "step" in broken(step=0.0)

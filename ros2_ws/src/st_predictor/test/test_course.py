@@ -83,7 +83,8 @@ def test_the_course_takes_most_of_the_error_of_held_inputs(node, course: Course,
     used, errors = drive(one, road)
     held, remembered = np.array(errors)[50:].mean(axis=0)
     assert np.mean(used) > 0.9 and remembered < 0.45 * held
-    assert one.check().level == 0 and "share of curvature" in one.check().message
+    assert one.check(True).level == 0 and "share of curvature" in one.check(True).message
+    assert "not used" in one.check(False).message
 
 
 def test_a_course_from_another_origin_of_the_map_is_moved(node, course: Course, road: np.ndarray) -> None:
@@ -94,6 +95,7 @@ def test_a_course_from_another_origin_of_the_map_is_moved(node, course: Course, 
 
 @pytest.mark.parametrize(("fault", "level", "reason"), [
     ("another place", WARN, "of another place: the map origins are 11.1 km apart"),
+    ("origin unknown", WARN, "the map origins are nan km apart"),
     ("other direction", 0, "no earlier drive near the car in its direction"),
     ("too far to the side", 0, "no earlier drive near the car"),
 ])
@@ -102,6 +104,8 @@ def test_a_course_that_does_not_fit_leaves_inputs_held(node, course: Course, roa
     at = None
     if fault == "another place":  # although its coordinates are those of the drive
         at = (HERE[0] + 0.1, HERE[1])
+    elif fault == "origin unknown":
+        at = (float("nan"), HERE[1])
     elif fault == "other direction":
         backwards = course.passes[0].points[::-1] * (1, 1, 1, -1, 1) + (0, 0, np.pi, 0, 0)
         course = Course((replace(course.passes[0], points=backwards),), HERE)
@@ -110,7 +114,7 @@ def test_a_course_that_does_not_fit_leaves_inputs_held(node, course: Course, roa
     one = given(node, course, at)
     used, _ = drive(one, road)
     assert not any(used) and not one.used
-    assert one.check().level == level and "held" in one.check().message and reason in one.check().message
+    assert one.check(True).level == level and "held" in one.check(True).message and reason in one.check(True).message
 
 
 def test_after_a_jump_of_the_position_inputs_are_held(node, course: Course, road: np.ndarray) -> None:

@@ -161,7 +161,7 @@ class AdaptiveBands:
                 widths = band.issue(start_ns, np.empty(0), scale)
                 if not band.learning:
                     found.add(question)
-                    self._since.setdefault(question, start_ns)
+                    self._since[question] = min(self._since.get(question, start_ns), start_ns)  # time may jump back
                     for level, one in widths.items():
                         stated[mode, level][1:] = one
         return found, reason

@@ -39,8 +39,8 @@ from ..suite import VIEW_NICE
 MODELS = ("kinematic", "linear", "nonlinear", "augmented")
 TRACK_SPAN, TRACK_STEP = 20.0, 0.2  # s of measured track shown, and between its points
 PATH_STRIDE = 2  # every second point of a prediction is sent
-STALE_PREDICTION = 1.0  # s; an older prediction is not shown
-DIAGNOSTICS_TIMEOUT = 3.0  # s; every node publishes its diagnostics once a second
+STALE = 1.0  # s; an older prediction or steering angle is not shown
+DIAGNOSTICS_TIMEOUT = 3.0  # s until a node is silent; every node publishes its diagnostics once a second
 BAND_LEVEL = 0.9
 LEVELS = ("ok", "warning", "error", "error")  # of diagnostic_msgs; stale counts as an error
 INPUTS = {"forecast": "held", "course": "remembered", "plan": "planned"}  # by mode, the preferred last
@@ -71,16 +71,16 @@ class PassengerFrames:
         self._car, self._map_frame = car, map_frame
         self._sample: InsSample | None = None
         self._received: float | None = None  # time of the newest odometry
-        self._angle: float | None = None
+        self._steering: tuple[float | None, float] = None, -math.inf  # [rad], received [s]
         self._reason = ""
         self._mode: tuple[str, float] = ("", 0.0)
         self._track: deque[tuple[float, float, float]] = deque()  # (measured s, x, y)
         # By mode and model.
         self._predictions: dict[str, dict[str, tuple[float, Any]]] = {mode: {} for mode in INPUTS}
-        self._errors: dict[str, dict[str, dict[str, float]]] = {mode: {} for mode in INPUTS}
-        self._health: dict[str, tuple[float, int, str]] = {}
+        self._errors: dict[str, dict[str, tuple[float, dict[str, float]]]] = {mode: {} for mode in INPUTS}
+        self._health: dict[str, tuple[float, dict[str, tuple[int, str]]]] = {}  # received [s], checks; by node
         self._takers: dict[str, Callable[[Any, float], None]] = {
-            name: getattr(self, f"_{name}") for name in set(TOPICS.values())}
+            name: getattr(self, f"_take_{name}") for name in set(TOPICS.values())}
 
     def take(self, topic: str, message: Any, now: float) -> None:
         """A message of one of TOPICS, received at `now`."""
@@ -89,14 +89,14 @@ class PassengerFrames:
     def frame(self, now: float) -> dict[str, Any]:
         """JSON-able content of the page. `received`: time of the newest odometry, null before the first."""
         light, text = self._light(now)
-        sample, (mode, mode_time) = self._sample, self._mode
+        sample, (mode, mode_time), (angle, angle_time) = self._sample, self._mode, self._steering
         frame: dict[str, Any] = {
             "received": self._received and round(self._received, 4), "light": light, "text": text, "mode": mode,
             "mode_age": round(now - mode_time, 1), "reason": self._reason,
-            "errors": {model: error for mode, of_model in self._errors.items() if mode == "forecast" or any(
-                now - at < STALE_PREDICTION for at, _ in self._predictions[mode].values())
-                for model, error in of_model.items()},
-            "steering": self._angle and round(self._angle, 4),
+            "errors": {model: error | {"age": round(now - at, 1)} for mode, of_model in self._errors.items()
+                       if mode == "forecast" or any(now - at < STALE for at, _ in self._predictions[mode].values())
+                       for model, (at, error) in of_model.items()},
+            "steering": None if angle is None or now - angle_time > STALE else round(angle, 4),
         }
         if sample is None:
             return frame
@@ -107,7 +107,7 @@ class PassengerFrames:
             "lateral_acceleration": round(sample.velocity_x * sample.yaw_rate, 2),
             "track": _in_car(track[:, 0], track[:, 1], pose),
             "paths": {model: self._path(message, pose, mode) for mode, of_model in self._predictions.items()
-                      for model, (at, message) in of_model.items() if now - at < STALE_PREDICTION},
+                      for model, (at, message) in of_model.items() if now - at < STALE},
         }
 
     def _cg_position(self, sample: InsSample) -> tuple[float, float]:
@@ -127,9 +127,9 @@ class PassengerFrames:
         return path
 
     def _light(self, now: float) -> tuple[str, str]:
-        """(level, text) of the worst check; "none" without diagnostics."""
-        current = [(level, f"{name}: {text}") for name, (at, level, text) in self._health.items()
-                   if now - at < DIAGNOSTICS_TIMEOUT]
+        """(level, text) of the worst check; a silent node is an error; "none" without diagnostics."""
+        current = [(level, f"{node}: {text}") for node, (at, checks) in self._health.items() for level, text in (
+            checks.values() if now - at < DIAGNOSTICS_TIMEOUT else [(2, f"silent for {now - at:.0f} s")])]
         if not current:
             return "none", "no diagnostics"
         level, text = max(current)
@@ -138,7 +138,7 @@ class PassengerFrames:
         others = sum(other > 0 for other, _ in current) - 1
         return LEVELS[min(level, 3)], text + (f", and {others} more" if others else "")
 
-    def _odometry(self, message: Any, now: float) -> None:
+    def _take_odometry(self, message: Any, now: float) -> None:
         sample = convert.ins_sample(message, self._map_frame)
         if isinstance(sample, str):
             return
@@ -153,37 +153,41 @@ class PassengerFrames:
             while measured - self._track[0][0] > TRACK_SPAN:
                 self._track.popleft()
 
-    def _ins_status(self, message: Any, now: float) -> None:
+    def _take_ins_status(self, message: Any, now: float) -> None:
         self._mode = message.position_mode_text, now
 
-    def _steering(self, message: Any, now: float) -> None:
-        self._angle = message.road_wheel_angle if math.isfinite(message.road_wheel_angle) else None
+    def _take_steering(self, message: Any, now: float) -> None:
+        usable = message.valid and math.isfinite(message.road_wheel_angle)
+        self._steering = message.road_wheel_angle if usable else None, now
 
-    def _status(self, message: Any, now: float) -> None:
+    def _take_status(self, message: Any, now: float) -> None:
         self._reason = message.reason
 
-    def _prediction(self, message: Any, now: float, mode: str = "forecast") -> None:
-        columns = np.array([message.x, message.y, message.yaw])
-        if columns.shape[1] > 1 and np.isfinite(columns).all():
+    def _take_prediction(self, message: Any, now: float, mode: str = "forecast") -> None:
+        content = convert.read_trajectory(message)
+        if not isinstance(content, str) and np.isfinite(content[1].states).all():
             self._predictions[mode][message.model] = now, message
 
-    def _plan(self, message: Any, now: float) -> None:
-        self._prediction(message, now, "plan")
+    def _take_plan(self, message: Any, now: float) -> None:
+        self._take_prediction(message, now, "plan")
 
-    def _course(self, message: Any, now: float) -> None:
-        self._prediction(message, now, "course")
+    def _take_course(self, message: Any, now: float) -> None:
+        self._take_prediction(message, now, "course")
 
-    def _error(self, message: Any, now: float) -> None:
+    def _take_error(self, message: Any, now: float) -> None:
         """Errors [m] at the end of the horizon [s] that has just passed."""
         if message.complete and message.mode in INPUTS:
-            self._errors[message.mode][message.model] = {
+            self._errors[message.mode][message.model] = now, {
                 "longitudinal": round(message.longitudinal[-1], 2), "lateral": round(message.lateral[-1], 2),
                 "horizon": round(message.horizon[-1], 2)}
 
-    def _diagnostics(self, message: Any, now: float) -> None:
+    def _take_diagnostics(self, message: Any, now: float) -> None:
+        for node in {status.name.partition(": ")[0] for status in message.status}:
+            self._health[node] = now, {}
         for status in message.status:
+            node, _, check = status.name.partition(": ")
             level = status.level if isinstance(status.level, int) else int.from_bytes(status.level, "little")
-            self._health[status.name] = now, level, status.message
+            self._health[node][1][check] = level, f"{check}: {status.message}" if check else status.message
 
 
 def _in_car(x: np.ndarray, y: np.ndarray, pose: tuple[float, float, float]) -> list[list[float]]:

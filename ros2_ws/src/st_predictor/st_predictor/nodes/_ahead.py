@@ -22,6 +22,7 @@ from .. import convert
 QUEUE_DEPTH = 10  # only the newest plan is used
 # Without a plan for this long the planner has ended and its absence is not a warning any more [s].
 FORGET_AFTER = 10.0
+NOT_USED = "not used: no prediction at the moment"
 
 
 class PlanInput:
@@ -60,9 +61,12 @@ class PlanInput:
         self._counts["used"] += 1
         return inputs, self._plan.issued_ns
 
-    def check(self) -> Check:
+    def check(self, predicts: bool) -> Check:
+        """For the diagnostics. predicts: whether the newest tick made predictions."""
         if self._subscription is None:
             return Check("plan", diagnostics.OK, "off: st_msgs was built without InputPlan; build the workspace")
+        if not predicts:
+            return Check("plan", diagnostics.OK, NOT_USED, self._counts)
         if self._plan is None:
             return Check("plan", diagnostics.OK, f"none on {self._subscription.topic}: inputs are held", self._counts)
         if self.problem:
@@ -115,12 +119,15 @@ class CourseInput:
         """Whether the newest start has inputs of the course."""
         return self._forecast.inputs is not None
 
-    def check(self) -> Check:
+    def check(self, predicts: bool) -> Check:
+        """For the diagnostics. predicts: whether the newest tick made predictions."""
         forecast = self._forecast
         if self._tracker is None:
             return Check("course", diagnostics.OK, "off (course_file is empty)")
         if self._elsewhere:
             return Check("course", diagnostics.WARN, f"not used, inputs are held: {self._elsewhere}", self._counts)
+        if not predicts:
+            return Check("course", diagnostics.OK, NOT_USED, self._counts)
         if forecast.inputs is None:
             return Check("course", diagnostics.OK, f"inputs are held: {forecast.reason}", self._counts)
         shares = {"share of curvature": forecast.curvature_share, "share of speed": forecast.speed_share}

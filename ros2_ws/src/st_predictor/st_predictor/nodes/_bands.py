@@ -13,7 +13,7 @@ from st_core.evaluation import Evaluator, Mode
 from st_core.log_evaluation import MODES, EvaluationSettings
 from st_core.models import Model
 from st_core.prediction import PredictionSettings, Runner, Start
-from st_core.types import InsSample, Trajectory, VehicleState
+from st_core.types import InsSample, Trajectory
 from st_core.vehicle import VehicleParameters
 from st_msgs.msg import Band, ErrorStatistics, Prediction
 from st_ros import diagnostics
@@ -74,18 +74,17 @@ class PredictionBands:
         self._missing = "" if self._fixed(condition) else self._fixed.why_not(condition)
         return {} if self._missing else self._messages.fill()
 
-    def observe(self, start: Start, issued: Mapping[str, Mapping[Mode, Trajectory]]) -> None:
-        """Score the predictions that have ended, and keep those issued now, by model and mode, until they have."""
-        if self._adaptive is None:
-            return
-        for score in self._scorer.poll():
-            self._adaptive.observe(score)
-        for model, by_mode in issued.items():
-            forecast = by_mode["forecast"]
-            self._scorer.add_prediction(model, start.time_ns, VehicleState(*forecast.states[0].tolist()), start.inputs,
-                                        forecast)
-            for mode in by_mode.keys() & OTHER_MODES:
-                self._scorer.add_trajectory(model, mode, start.time_ns, by_mode[mode])
+    def score(self) -> None:
+        """Score the predictions that have ended; also where none is made, or those that end in standstill are lost."""
+        if self._adaptive:
+            for score in self._scorer.poll():
+                self._adaptive.observe(score)
+
+    def keep(self, start: Start, issued: Mapping[str, Mapping[Mode, Trajectory]]) -> None:
+        """Keep predictions issued now, by model and mode, until they have ended."""
+        for model, by_mode in issued.items() if self._adaptive else ():
+            for mode, trajectory in by_mode.items():
+                self._scorer.add_prediction(model, start.time_ns, trajectory, mode)
 
     def check(self) -> Check:
         """For the diagnostics."""

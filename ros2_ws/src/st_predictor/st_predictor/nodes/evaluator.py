@@ -3,6 +3,7 @@ consistency of the measurements."""
 
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
@@ -10,9 +11,10 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from st_core.bands import Coverages
-from st_core.evaluation import ErrorStatistics, Evaluator, Score
+from st_core.evaluation import ErrorStatistics, Evaluator, Mode, Score
 from st_core.models import get_model
 from st_core.prediction import predict
+from st_core.types import ControlInput, Trajectory, VehicleState
 from st_msgs.msg import ErrorSummary, Prediction, PredictionError
 from st_recordings.mcap import BagWriter, Qos
 from st_ros import diagnostics, parameters, spin
@@ -61,14 +63,13 @@ class EvaluatorNode(Node):
         self._refused = ""
         self._bag, self._bag_topics = self._open_bag(values, settings)
         qos = QoSProfile(depth=QUEUE_DEPTH)
-        self._predictions = {
-            model: PolledSubscription(self, Prediction, f"predictor/{model}/prediction", qos)
-            for model in self._models
-        }
-        self._others = {
-            (mode, model): PolledSubscription(self, convert.PLANNED, f"predictor/{model}/{mode}", qos)
-            for mode in convert.OTHER_MODES for model in self._models if convert.PLANNED
-        }
+        self._predictions: dict[tuple[Mode, str], PolledSubscription] = {}
+        for model in self._models:
+            self._predictions["forecast", model] = PolledSubscription(
+                self, Prediction, f"predictor/{model}/prediction", qos)
+            for mode in convert.OTHER_MODES if convert.PLANNED else ():
+                self._predictions[mode, model] = PolledSubscription(
+                    self, convert.PLANNED, f"predictor/{model}/{mode}", qos)
         error_qos = QoSProfile(depth=ERROR_DEPTH)
         self._error_publisher = self.create_publisher(PredictionError, "evaluator/errors", error_qos)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -98,43 +99,42 @@ class EvaluatorNode(Node):
 
     def _work(self) -> None:
         self._inputs.drain()
-        for model, subscription in self._predictions.items():
+        for (mode, model), subscription in self._predictions.items():
             for message, _, _ in subscription.take(QUEUE_DEPTH):
-                self._add(model, message)
-        for (mode, model), subscription in self._others.items():
-            for message, _, _ in subscription.take(QUEUE_DEPTH):
-                content = convert.read_trajectory(message)
-                if isinstance(content, str):
-                    self._refused = f"prediction on predictor/{model}/{mode} refused: {content}"
-                else:
-                    self._hashes[model, mode, content[0]] = message.configuration_hash
-                    self._core.add_trajectory(model, mode, *content)
+                self._add(mode, model, message, subscription.topic)
         self._publish_scores(self._core.poll())
         if self._bag:
             self._bag.flush_when_due()
         self._consistency.poll(self._core.history, time.monotonic())
 
-    def _add(self, model: str, message: Prediction) -> None:
-        content = convert.read_prediction(message)
+    def _add(self, mode: Mode, model: str, message: Any, topic: str) -> None:
+        content = convert.read_trajectory(message)
         if message.model != model or message.header.frame_id != self._map_frame:
             content = f"it is of model {message.model!r} in frame {message.header.frame_id!r}"
         if isinstance(content, str):
-            self._refused = f"prediction on predictor/{model}/prediction refused: {content}"
+            self._refused = f"prediction on {topic} refused: {content}"
             return
         self._refused = ""
-        start_ns, start, inputs, trajectory = content
-        key = (message.configuration_hash, model)
-        if key not in self._other_configuration:
-            # Once per configuration: hindsight must use the vehicle of the forecast.
-            horizon = trajectory.step * (len(trajectory.states) - 1)
-            view = self._core.view(model)
-            predicted = predict(view.model, self._vehicle, start, inputs, horizon, trajectory.step)
-            # A model with a memory of the steering predicts from more than the held inputs.
-            self._other_configuration[key] = not view.has_memory and not np.allclose(
-                predicted.states, trajectory.states, rtol=0.0, atol=SAME_TRAJECTORY, equal_nan=True)
-        self._hashes |= dict.fromkeys(((model, mode, start_ns) for mode in MODES), message.configuration_hash)
-        self._coverages.expect(model, start_ns, read_bands(message))
-        self._core.add_prediction(model, start_ns, start, inputs, trajectory)
+        start_ns, trajectory = content
+        if mode == "forecast":
+            self._check_configuration(model, message, trajectory)
+            self._coverages.expect(model, start_ns, read_bands(message))
+        for scored in MODES if mode == "forecast" else (mode,):
+            self._hashes[model, scored, start_ns] = message.configuration_hash
+        self._core.add_prediction(model, start_ns, trajectory, mode)
+
+    def _check_configuration(self, model: str, message: Prediction, trajectory: Trajectory) -> None:
+        """Compare one prediction of each configuration: hindsight must use the vehicle of the forecast."""
+        key, view = (message.configuration_hash, model), self._core.view(model)
+        if key in self._other_configuration:
+            return
+        start = VehicleState(*trajectory.states[0].tolist())
+        inputs = ControlInput(message.road_wheel_angle, message.velocity_x_dot)
+        horizon = trajectory.step * (len(trajectory.states) - 1)
+        predicted = predict(view.model, self._vehicle, start, inputs, horizon, trajectory.step)
+        # A model with a memory of the steering predicts from more than the held inputs.
+        self._other_configuration[key] = not view.has_memory and not np.allclose(
+            predicted.states, trajectory.states, rtol=0.0, atol=SAME_TRAJECTORY, equal_nan=True)
 
     def _publish_scores(self, scores: list[Score]) -> None:
         for score in scores:

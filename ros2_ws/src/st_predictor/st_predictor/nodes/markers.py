@@ -88,14 +88,16 @@ class MarkersNode(Node):
             if point := self._history.expected(model, now_ns):
                 pictures.append(self._line("errors", number, now_ns, [sample.x, point[0]], [sample.y, point[1]],
                                            colour_of(model), MISS_WIDTH, z=0.1))
-            pictures.append(self._name(number, now_ns, model, self._history.newest(model)))
+            if path := self._history.newest(model, now_ns):
+                pictures.append(self._name(number, now_ns, model, path))
         return pictures
 
     def _ribbons(self, now_ns: int) -> list[Marker]:
         """The bands of the newest predictions, the 50 % one on the 90 % one; namespace: the model."""
         found = []
         for number, model in enumerate(self._history.models):
-            for ribbon in self._history.newest(model).ribbons:
+            path = self._history.newest(model, now_ns)
+            for ribbon in path.ribbons if path else ():
                 alpha = RIBBON_ALPHA.get(ribbon.level, RIBBON_ALPHA[0.9])
                 marker = self._marker(Marker.TRIANGLE_LIST, model, round(100 * ribbon.level), now_ns, colour_of(model),
                                       alpha)

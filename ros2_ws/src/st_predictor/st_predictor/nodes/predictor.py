@@ -172,7 +172,8 @@ class PredictorNode(Node):
         self._counter.count(missed, self._skip.kind if self._skip else None)
         if isinstance(start, Start):
             self._predict(start)
-        elif self._simulated:
+        self._bands.score()
+        if self._skip and self._simulated:
             self._publish_status()  # a player of recordings waits for the end of every tick
         if (before and before.kind) != (self._skip and self._skip.kind) or self._jumps != self._core.history.jumps:
             self._jumps = self._core.history.jumps
@@ -225,7 +226,7 @@ class PredictorNode(Node):
             else:
                 # Viewers cannot draw it; the evaluator counts it as incomplete.
                 self._not_finite.add(model)
-        self._bands.observe(start, issued)
+        self._bands.keep(start, issued)
         if before != (bool(self._plan.problem), self._course.used):
             self._diagnostics.publish()
 
@@ -279,8 +280,8 @@ class PredictorNode(Node):
             self._position_check(),
             self._steering_check(),
             self._bands.check(),
-            self._plan.check(),
-            self._course.check(),
+            self._plan.check(self._skip is None),
+            self._course.check(self._skip is None),
             *self._inputs.checks(),
         ]
 

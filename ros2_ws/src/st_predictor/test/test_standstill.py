@@ -1,0 +1,53 @@
+"""The predictor where the car stops: predictions that end in standstill are scored for the bands; time jumps back."""
+
+from collections.abc import Iterator
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2")
+pytest.importorskip("st_msgs", reason="needs the built workspace")
+
+import rclpy
+from rclpy.time import Time
+from st_core.bands.adaptive import WARM_UP
+from st_core.types import InsSample
+from st_predictor.nodes.predictor import PredictorNode
+from support import ROOT
+
+pytestmark = pytest.mark.ros
+BEGIN_NS = 1_700_000_000 * 10**9
+
+
+@pytest.fixture
+def node() -> Iterator[PredictorNode]:
+    vehicle = ROOT / "config" / "vehicle" / "leaf.yaml"
+    rclpy.init(args=["--ros-args", "-p", f"vehicle_file:={vehicle}", "-p", "use_sim_time:=true",
+                     "-p", "compiled:=false"])
+    one = PredictorNode()
+    yield one
+    one.destroy_node()
+    rclpy.shutdown()
+
+
+def drive(node: PredictorNode) -> tuple[int, list[str]]:
+    """10 s at 10 m/s, 2 s of braking, 15 s of standstill: (predictions, final texts of the checks plan and course)."""
+    before, x = node._counter.predicted, 0.0
+    for k in range(2700):
+        speed = min(10.0, max(0.0, 10.0 - 0.05 * (k - 1000)))
+        time_ns, x = BEGIN_NS + k * 10_000_000, x + 0.01 * speed
+        node._add_ins(InsSample(time_ns, x, 0.0, 0.0, speed, 0.0, 0.0))
+        node._add_steering(time_ns, 0.0)
+        if k % 10 == 0:
+            node.get_clock().set_ros_time_override(Time(nanoseconds=time_ns, clock_type=node.get_clock().clock_type))
+            node._tick()
+    return node._counter.predicted - before, [c.message for c in node._checks() if c.name in ("plan", "course")]
+
+
+def test_predictions_that_end_in_standstill_are_scored(node: PredictorNode) -> None:
+    predicted, texts = drive(node)
+    assert predicted > 100
+    assert node._bands._adaptive.learning == pytest.approx(WARM_UP - 0.1 * predicted, abs=1.5)
+    assert texts == ["not used: no prediction at the moment", "off (course_file is empty)"]
+    again, _ = drive(node)  # a replay that starts over
+    assert again == pytest.approx(predicted, abs=3)
+    assert node._bands._adaptive.learning == pytest.approx(WARM_UP - 0.1 * (predicted + again), abs=3.0)
