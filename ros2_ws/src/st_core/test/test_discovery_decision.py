@@ -298,7 +298,7 @@ def test_decision_is_pure():
             imported |= {name.name for name in node.names}
         elif isinstance(node, ast.ImportFrom):
             imported.add("." * node.level + (node.module or ""))
-    assert imported == {"collections.abc", "dataclasses", ".evidence", ".settings", ".result"}
+    assert imported == {"collections.abc", "dataclasses", "..channels", ".evidence", ".settings", ".result"}
 
 
 def test_limits_are_compared_in_few_places():

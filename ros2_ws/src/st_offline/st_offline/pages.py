@@ -1,7 +1,9 @@
 """Report pages: one template for all of them. Nothing is loaded, every name is escaped."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import jinja2
 from markupsafe import Markup
@@ -13,6 +15,31 @@ from .checking import check_report
 DARK = {"kinematic": "#6cb4ee", "linear": "#ffa657", "nonlinear": "#d08be0", "augmented": "#3fd0a4"}
 
 
+WORDS = 30  # letters; a column of longer texts wraps
+
+
+@dataclass(frozen=True)
+class Table:
+    """A folded table of a page. rows: as many texts as the head has. about: in addition to the title."""
+
+    title: str
+    note: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    about: str = ""
+
+
+def columns(head: Sequence[str], rows: Iterable[Sequence[Any]], names: int) -> list[tuple[str, str, tuple[Any, ...]]]:
+    """(title, class, cells) of the columns of a table that are not empty. names: leading columns of text."""
+    found = []
+    for k, (title, cells) in enumerate(zip(head, zip(*rows, strict=True), strict=True)):
+        texts = [str(cell) for cell in cells]
+        if any(text not in ("", "-") for text in texts):
+            long, text = max(map(len, texts)) > WORDS, k < names or any(one[:1].isalpha() for one in texts)
+            found.append((title, "words" if long else "name" if text else "", cells))
+    return found
+
+
 def template(name: str, **filters: Callable) -> jinja2.Template:
     """A template by its path in this package; it extends page.jinja and imports macros.jinja.
 
@@ -21,6 +48,6 @@ def template(name: str, **filters: Callable) -> jinja2.Template:
     environment = jinja2.Environment(loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True,
                                      undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters.update(drawing=Markup, cells=lambda row: list(row.values()), **filters)
-    environment.globals.update(checking=check_report, findings_in=check_report.findings_in, colours=MODEL_COLOUR,
-                               dark=DARK)
+    environment.globals.update(checking=check_report, columns=columns, findings_in=check_report.findings_in,
+                               colours=MODEL_COLOUR, dark=DARK)
     return environment.get_template(name)

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from ..channels import CHANNELS, OF_COLUMN
 from .evidence import AgainstFile, Evidence, share_of
 from .result import Outcome, Reason
 from .settings import Limits
@@ -62,8 +63,8 @@ def judge(e: Evidence, limits: Limits) -> Reason:
             return refused
     elif not is_relevant(e, limits):
         return Reason(IRRELEVANT, e.name, _relevance(e, limits), "the sensors show it among themselves, but it "
-                      f"takes away {_most(e, limits):.1%} of the errors in any channel and {100 * position_of(e):.1f} "
-                      "cm after 5 s")
+                      f"reduces no channel's baseline error by more than {most_affected(e, limits)[1]:.1%} and the "
+                      f"position error after 5 s by {100 * position_of(e):.1f} cm")
     if e.sensors is not None and e.sensors < limits.doubt:
         return Reason(SENSORS, e.name, {"chance": e.sensors, "doubt": limits.doubt},
                       f"its value contradicts what the sensors show among themselves (probability {e.sensors:.2g})")
@@ -144,16 +145,19 @@ def position_of(e: Evidence) -> float:
 def is_relevant(e: Evidence, limits: Limits) -> bool:
     """Whether an effect is large enough for a name: by the channel where it acts most, by the position, or as a
     significant error of a sensor."""
-    return (_most(e, limits) >= limits.relevant or position_of(e) >= limits.relevant_position
+    return (most_affected(e, limits)[1] >= limits.relevant or position_of(e) >= limits.relevant_position
             or (confirmed(e, limits) and e.size >= limits.size))
 
 
-def _most(e: Evidence, limits: Limits) -> float:
-    return max((share for share, over in e.shares.values() if over > limits.left), default=0.0)
+def most_affected(e: Evidence, limits: Limits) -> tuple[str, float]:
+    """(channel above the noise that an effect reduces most, share of its baseline error [1]); ("", 0) without any."""
+    share, column = max(((share, column) for column, (share, over) in e.shares.items() if over > limits.left),
+                        default=(0.0, ""))
+    return OF_COLUMN[column].name if column else "", share
 
 
 def _relevance(e: Evidence, limits: Limits) -> dict[str, float]:
-    return {"share": _most(e, limits), "position": position_of(e), "relevant": limits.relevant,
+    return {"share": most_affected(e, limits)[1], "position": position_of(e), "relevant": limits.relevant,
             "relevant_position": limits.relevant_position}
 
 
@@ -181,11 +185,15 @@ def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) ->
         return Reason(MINOR, e.name, {"gain": e.gain}, "it takes away something, but in other sets of effects that are "
                       "nearly as good its value is near its null: kept, not named")
     if is_relevant(e, limits):
-        return Reason(STATED, e.name, _relevance(e, limits), f"it takes away {_most(e, limits):.1%} of the errors of "
-                      f"the start in the channel where it acts most, and {100 * position_of(e):.1f} cm after 5 s")
-    return Reason(MINOR, e.name, _relevance(e, limits), f"significant, but it takes away {_most(e, limits):.1%} of the "
-                  f"errors of the start in any channel above the noise, and {100 * position_of(e):.1f} cm after 5 s: "
-                  "kept, not named")
+        return Reason(STATED, e.name, _relevance(e, limits), _effect_size(e, limits))
+    return Reason(MINOR, e.name, _relevance(e, limits), f"significant, but {_effect_size(e, limits)}; "
+                  f"{limits.relevant:.1%} or {100 * limits.relevant_position:.0f} cm are required: kept, not named")
+
+
+def _effect_size(e: Evidence, limits: Limits) -> str:
+    channel, share = most_affected(e, limits)
+    of = f"{share:.1%} of the baseline {CHANNELS[channel].words} error and " if channel else ""
+    return f"it reduces {of}the position error after 5 s by {100 * position_of(e):.1f} cm"
 
 
 WORDS = {"run": "the runs", "site": "the sites", "time": "the time in the runs", "place": "the places",

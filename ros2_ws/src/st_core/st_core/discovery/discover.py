@@ -27,6 +27,7 @@ from .decision import (
     decide,
     is_relevant,
     judge,
+    most_affected,
     naming_verdict,
     predicts,
     varies_over,
@@ -294,7 +295,8 @@ class _Work:
         known = {} if self.reference else self.sensors
         return FoundEffect(
             name, get_effect(name).kind, {n: by_sensors(p, known.get(f"{name}.{n}")) for n, p in values.items()},
-            tuple(r.name for r in others), evidence.position, _values(evidence))
+            tuple(r.name for r in others), evidence.position, _values(evidence), (),
+            *most_affected(evidence, self.limits))
 
     def _joint(self, search: Search, found: Found, name: str) -> tuple[str, ...]:
         """Effects of the answer that cancel one: without both, much less is lost than without either."""

@@ -73,7 +73,8 @@ class FoundEffect:
 
     joint: other effects of the answer that it cancels, so that these values are known only together.
     position_5s [m]: by how much the mean error after 5 s grows without it (added last). agreement: by level (run,
-    site, time, place, condition) what each part of the driving shows of it."""
+    site, time, place, condition) what each part of the driving shows of it. channel, share [1]: the channel it reduces
+    most, and by how much of the baseline error there; "" where no error is above the noise."""
 
     name: str
     kind: str
@@ -82,6 +83,8 @@ class FoundEffect:
     position_5s: float
     agreement: Mapping[str, tuple[Value, ...]]
     joint: tuple[str, ...] = ()
+    channel: str = ""
+    share: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -182,7 +182,7 @@ def draw(found: Discovery, request: Request, place: Place) -> list[Drawn]:
         return survey(suspect, model, request.vehicle, settings, reference, noise, found.acceleration_gain)
 
     scene = Scene(found, suspect, request.vehicle, look(found.base), look(found.model) if found.model else None, place)
-    makers = (waterfall, axle_curves, agreement, maps)
+    makers = (waterfall, axle_curves, maps, agreement)
     return [figure for make in makers if (figure := make(scene))]
 
 

@@ -1,5 +1,6 @@
 """Results of a discovery: discovery.json (docs/manual/discovery.md), model.yaml, page and terminal summary."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
@@ -8,25 +9,25 @@ from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 from st_core.discovery import Discovery
 from st_core.discovery.result import FittedParameter
+from st_core.identification.result import quantity
 from st_core.model_file import Interval, ModelFile, Provenance
 from st_recordings.paths import finite
 from st_recordings.results import versions
 
 from ..checking.check_report import findings_in
 from ..evaluation.drawing import Drawn
-from ..pages import template
-from ..terminal import list_files, report_problem
+from ..pages import Table, template
+from ..terminal import list_files, report_problem, rows_table
 from . import quantities, report_text
 from .drives import Drive, Request
 from .relation_report import RelationReport
 from .vehicle_update import VehicleUpdate
 
 SCHEMA = 2
-VERDICTS = ("stated", "alternative", "bound")  # first in the table of effects
-MAX_CANDIDATES = 12  # rows of a table; discovery.json has all
+VERDICTS = ("alternative", "varies")  # first in the table of other effects
+MAX_ROWS = 8  # of a table; discovery.json has all
 
 
 def document(found: Discovery, request: Request, update: VehicleUpdate | None,
@@ -119,40 +120,73 @@ def write_page(file: Path, found: Discovery, update: VehicleUpdate | None, conte
     refused = {name: {"findings": findings} for name, findings in about["refused"].items()}
     recordings = {**refused, **about["runs"], **about["reference"]}
     text = template("discovery/discovery.html.jinja", plain=plain, channel=quantities.channel).render(
-        title=report_text.title(found), found=found, content=content, figures=figures, law=law,
+        title=report_text.title(found), found=found, content=content, figures=figures, law=law, report=report_text,
         summary=report_text.summary(found, update, {name: findings_in(run) for name, run in recordings.items()}),
         details=report_text.details(found, update), recordings=recordings, **_tables(found, content))
     file.write_text(text, encoding="utf-8")
 
 
-def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Sequence[str]]]:
-    """Rows of the tables of the page."""
-    plain, size, metres = quantities.plain, quantities.size, quantities.metres
-    changes = content["mended"]["vehicle.yaml"]["changes"]
-    order = {verdict: place for place, verdict in enumerate(VERDICTS)}
-    ranked = sorted(found.candidates, key=lambda c: (order.get(c.verdict, len(order)), -c.gain))
-    return {
-        "named": [(plain(e.name), quantities.values(e.name, e.parameters), ", ".join(map(plain, e.alternatives)) or "-",
-                   report_text.share_of(e.name, found.steps)) for e in found.effects],
-        "changes": [(key, f"{one['before']:.5g}", f"{one['after']:.5g}",
-                     f"{one['interval'][0]:.5g} to {one['interval'][1]:.5g}") for key, one in changes.items()],
-        "channels": [(quantities.channel(name), size(g.base, g.unit), size(g.augmented, g.unit),
-                      f"{size(g.interval[0], g.unit)} to {size(g.interval[1], g.unit)}", size(g.floor, g.unit),
-                      f"{g.worst_run}: {size(g.worst, g.unit)}" if g.worst_run else "", ", ".join(g.worse_runs) or "-")
-                     for name, g in found.gap.items()],
-        "parts": [(one.part, f"{metres(one.last)}, {100 * one.share_last:.0f} %",
-                   f"{metres(one.first)}, {100 * one.share_first:.0f} %", f"{100 * one.loss_last:.0f} %",
-                   f"{100 * one.loss_first:.0f} %") for one in found.budget],
-        "candidates": [(plain(c.name), quantities.fitted(c.name, c.parameters), f"{100 * c.gain:.1f}", c.verdict, c.why)
-                       for c in ranked[:MAX_CANDIDATES]],
-        "combinations": [(f"{c.name}, {c.unit}", f"{c.value:.4g}", f"{c.interval[0]:.4g} to {c.interval[1]:.4g}",
-                          f"{c.file:.4g}") for c in found.combinations],
-        "hidden": [(plain(n.name), n.reason, n.manoeuvre or "-") for n in sorted(
-            found.not_testable, key=lambda n: report_text.rank(n.name))[:MAX_CANDIDATES]],
-        "where": [(quantities.channel(w.channel), report_text.condition(w))
-                  for w in sorted(found.where, key=lambda w: -w.interval[0])[:MAX_CANDIDATES]],
-        "pairs": [(f"{plain(p.first)} or {plain(p.second)}", f"{p.cosine:.3f}", f"{p.strength:.1f}")
-                  for p in found.separability[:MAX_CANDIDATES]]}
+def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Table]]:
+    """The folded tables of the page, narrow and wide ones, each sorted by the size of what it lists."""
+    plain, metres = quantities.plain, quantities.metres
+    channels = []
+    for name, g in sorted(found.gap.items(), key=lambda item: item[1].augmented / max(item[1].base, 1e-12)):
+        up, unit = quantities.factor(g.unit), quantities.shown_unit(g.unit)
+        base, after, floor, worst, low, high = (f"{up * x:.3g}" for x in (
+            g.base, g.augmented, g.floor, g.worst, *g.interval))
+        channels.append((f"{quantities.channel(name)}, {unit}", base, after, f"{low} to {high}", floor,
+                         f"{g.worst_run} {worst}" if g.worst_run else "", ", ".join(g.worse_runs)))
+    changes = [(key, f"{one['before']:.5g}", f"{one['after']:.5g}{_limit(key, one['after'])}",
+                f"{one['interval'][0]:.5g} to {one['interval'][1]:.5g}")
+               for key, one in content["mended"]["vehicle.yaml"]["changes"].items()]
+    parts = [(one.part, f"{metres(one.last)}, {one.share_last:.0%}", f"{metres(one.first)}, {one.share_first:.0%}",
+              f"{one.loss_last:.0%}", f"{one.loss_first:.0%}") for one in sorted(found.budget, key=lambda b: -b.last)]
+    where = [(quantities.channel(w.channel), *report_text.condition(w))
+             for w in sorted(found.where, key=lambda w: -w.interval[0])[:MAX_ROWS]]
+    combinations = [(f"{c.name}, {c.unit}".replace("^2", "²"), f"{c.value:.4g}",
+                     f"{c.interval[0]:.4g} to {c.interval[1]:.4g}", f"{c.file:.4g}")
+                    for c in sorted(found.combinations, key=lambda c: -abs(c.value - c.file)
+                                    / max(c.interval[1] - c.interval[0], 1e-12))]
+    tried = [c for c in found.candidates if c.name not in {e.name for e in (*found.effects, *found.minor)}]
+    candidates = [(plain(c.name), quantities.fitted(c.name, c.parameters), f"{100 * c.gain:.1f}", c.verdict, c.why)
+                  for c in sorted(tried, key=lambda c: (c.verdict not in VERDICTS, -c.gain))[:MAX_ROWS]]
+    hidden = [(plain(n.name), n.reason, n.manoeuvre) for n in sorted(
+        found.not_testable, key=lambda n: report_text.rank(n.name))[:MAX_ROWS]]
+    options = found.next_manoeuvre.options if found.next_manoeuvre else {}
+    driven = ", ".join(f"{name} {strength:.1f}" for name, strength in sorted(options.items(), key=lambda o: -o[1]))
+    narrow = [
+        Table("Corrections of the vehicle file", "The values and intervals of the effects, in the keys and SI units of "
+              "the file.", ("key", "file given", "vehicle.yaml", "95 %"), changes),
+        Table("Held-out error of each channel", "Root mean square at the end of the horizon; of the position after 5 s "
+              "the mean. After: with model.yaml. Sorted by the reduction.",
+              ("error of", "before", "after", "reduced by (95 %)", "noise", "worst run", "worse in"),
+              channels),
+        Table("Parts of the error", "Mean position error after 5 s. Last: reduction when all other parts are in the "
+              "model; first: when it is the only one. Loss: of the sum that the fit minimises. Unexplained includes "
+              "noise.", ("part", "last", "first", "loss, last", "loss, first"), parts),
+        Table("Where the base model has the largest errors", "", ("error of", "where", "times the expected (95 %)"),
+              where),
+        Table("What acts together", "Predictions depend on these. A single effect has another interval: it also "
+              "depends on the deviations of the vehicle file.", ("combination", "value", "95 %", "vehicle file"),
+              combinations)]
+    wide = [
+        Table("Names that are not separable", "Apart: what the first leaves unexplained of the second."
+              + (f" After the next drive, of the pair it separates least: {driven}." if driven else ""),
+              report_text.PAIR_HEAD, report_text.pair_rows(found)),
+        Table("Other effects that were tried", "Improvement: share of the errors over all channels that the effect "
+              "reduces in addition to the answer. An alternative is fitted in place of the other name.",
+              ("effect", "fitted", "improvement, %", "verdict", "why"), candidates,
+              f"the first {len(candidates)} of {len(tried)}; all in discovery.json"),
+        Table("What these drives cannot show", "", ("effect", "why", "drive"), hidden,
+              f"the first {len(hidden)} of {len(found.not_testable)}")]
+    return {"narrow": [one for one in narrow if one.rows], "wide": [one for one in wide if one.rows]}
+
+
+def _limit(key: str, value: float) -> str:
+    """A remark on a value that is at a limit of the vehicle file; SI."""
+    known = quantity(key)
+    ends = () if known is None else (known.minimum, known.maximum)
+    return " (limit of the file)" if any(math.isclose(value, end, rel_tol=1e-4) for end in ends) else ""
 
 
 WHAT = {"report.html": "one page, with all figures", "discovery.json": "every number, docs/manual/discovery.md",
@@ -176,7 +210,10 @@ def show(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Dr
     if law is not None and law.headline:
         console.print(f"[bold]{escape(law.headline)}[/bold]", highlight=False)
     if found.effects:
-        console.print(values_table(found))
+        rows = [dict(zip(report_text.EFFECT_HEAD[:-1], map(escape, row[:-1]), strict=True)) for row in
+                report_text.effect_rows(found)]
+        console.print(rows_table(rows, padding=(0, 1)))
+        console.print(f"[dim]{report_text.EFFECT_NOTE}.[/dim]", highlight=False)
     about = {drive.name: findings_in(drive.about) for drive in recordings}
     advice = report_text.to_do(found, update)[1:MAX_ADVICE]
     for question, text in (*report_text.summary(found, update, about),
@@ -195,16 +232,3 @@ def show(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Dr
 
 def _print(question: str, text: str, console: Console) -> None:
     console.print(f"[bold]{question}[/bold]: {escape(text)}", highlight=False)
-
-
-def values_table(found: Discovery) -> Table:
-    """Value and 95 % interval of every parameter of the effects, and by how much each effect reduces the error."""
-    table = Table("effect", "value (95 % interval)", "5 s error reduced by", box=None, padding=(0, 1))
-    table.columns[2].justify = "right"
-    for effect in found.effects:
-        name, reduced = quantities.plain(effect.name), report_text.share_of(effect.name, found.steps)
-        for parameter, fitted in effect.parameters.items():
-            prefix = f"{quantities.plain(parameter)} " if len(effect.parameters) > 1 else ""
-            table.add_row(escape(name), escape(prefix + quantities.value(fitted)), escape(reduced))
-            name = reduced = ""
-    return table

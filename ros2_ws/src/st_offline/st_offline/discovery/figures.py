@@ -24,6 +24,7 @@ from . import quantities, report_text
 from .relation_files import title_of
 
 AFTER = MODEL_COLOUR["augmented"]
+HALF_WIDTH = 6.8  # inch; two of them in a row of the page
 FLAT = 0.3  # a track narrower than this share of its length is drawn stretched
 
 
@@ -55,7 +56,7 @@ def waterfall(scene: Scene) -> Drawn | None:
         return None  # without the position no such error exists
     floor = scene.found.gap["position_5s"].floor if "position_5s" in scene.found.gap else 0.0
     with style():
-        figure, axes = plt.subplots(figsize=(WIDTH, 1.2 + 0.36 * (len(steps) + 2)))
+        figure, axes = plt.subplots(figsize=(WIDTH, 1.1 + 0.3 * (len(steps) + 2)))
         axes.set_axisbelow(True)
         first, last = steps[0].position_5s.base, steps[-1].position_5s.augmented
         rows = [f"{scene.found.base.base.name} model, {scene.found.start}"]
@@ -70,7 +71,7 @@ def waterfall(scene: Scene) -> Drawn | None:
             change = f"{after - before:+.2f} m".replace("-", "−")
             small = abs(after - before) < report_text.MIN_CHANGE and report_text.other_channel(step)
             _label(axes, max(before, after, *ends), row, small or change)
-            rows.append(f"{report_text.step_name(step)}  {quantities.short_values(step.parameters)}")
+            rows.append(f"{report_text.step_name(step)}  {quantities.short_values(step.effect, step.parameters)}")
         axes.plot([last, last], [len(steps) + 0.31, len(steps) + 0.69], color=TEXT, lw=0.6, alpha=0.5)
         axes.barh(len(steps) + 1, last, color=AFTER, height=0.62)
         _label(axes, last, len(steps) + 1, quantities.metres(last))
@@ -84,8 +85,8 @@ def waterfall(scene: Scene) -> Drawn | None:
                    *([Patch(color=BAD, alpha=0.65, label="increase")] if rises else []),
                    Line2D([], [], color=MEASURED_COLOUR, ls="--", label="noise alone")]
         figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
-        caption = ("Each row adds one effect and refits all values; errors are of driving the values were not fitted "
-                   "to. Line: 95 % interval of the change.")
+        caption = ("Each row adds one effect and fits all values again: its value and change are those of that step. "
+                   "Line: 95 % interval of the change.")
         return finish(figure, scene.place, "waterfall", "Error of each step of the search", caption)
 
 
@@ -99,14 +100,14 @@ def axle_curves(scene: Scene) -> Drawn | None:
     if not curves or not scene.found.model:
         return None
     with style():
-        figure, panels = plt.subplots(2, len(curves), figsize=(WIDTH, 3.4), sharex="col", squeeze=False,
+        figure, panels = plt.subplots(2, len(curves), figsize=(HALF_WIDTH, 3.0), sharex="col", squeeze=False,
                                       height_ratios=(4.0, 1.0))
         for (axes, below), one in zip(panels.T, curves, strict=True):
             slip = np.rad2deg(one.slip)
             axes.fill_between(slip, 1e-3 * np.array(one.low), 1e-3 * np.array(one.high), color=AFTER, alpha=0.25, lw=0)
             axes.plot(slip, 1e-3 * np.array(one.force), color=AFTER)
             axes.plot(slip, 1e-3 * np.array(one.file), color=scene.colour, ls="--")
-            axes.set_title(f"{one.axle} axle: {report_text.force_ratio(one)}", fontsize=9)
+            axes.set_title(f"{one.axle} axle: {report_text.force_ratio(one)}", fontsize=7)
             below.stairs(100.0 * np.array(one.density), slip, color=MEASURED_COLOUR, fill=True)
             below.set_xlabel("slip angle, °")
         panels[0][0].set_ylabel("lateral force, kN")
@@ -131,7 +132,7 @@ def maps(scene: Scene) -> Drawn | None:
     with style():
         log = scene.runs[run]
         shape = np.ptp(log.y) / max(np.ptp(log.x), 1e-9) if _flatness(log) > FLAT else 0.5
-        size = (WIDTH, float(np.clip(0.4 * WIDTH * shape, 1.2, 5.0)) + 1.0)
+        size = (HALF_WIDTH, float(np.clip(0.4 * HALF_WIDTH * shape, 1.2, 3.5)) + 0.9)
         figure, panels = plt.subplots(1, len(sides), figsize=size, sharex=True, sharey=True, squeeze=False)
         every = max(1, len(log.x) // 600)
         for axes, (name, survey) in zip(panels[0], sides, strict=True):
@@ -183,7 +184,7 @@ def agreement(scene: Scene) -> Drawn | None:
     effects = [e for e in scene.found.effects if any(e.agreement.values())]
     if not effects:
         return None
-    effects = sorted(effects, key=lambda e: -e.position_5s)[:MOST_PANELS]
+    effects = report_text.by_size(effects)[:MOST_PANELS]
     every = {e.name: [(level, v) for level, entries in e.agreement.items() for v in entries] for e in effects}
     met = dict.fromkeys((level, v.where) for entries in every.values() for level, v in entries)
     count = Counter(level for level, _ in met)
@@ -193,20 +194,18 @@ def agreement(scene: Scene) -> Drawn | None:
     labels = sorted(dict.fromkeys(names.values()), key=lambda label: list(count).index(label[0]))
     rows = {key: labels.index(label) for key, label in names.items()}
     with style():
-        figure, panels = plt.subplots(1, len(effects), figsize=(WIDTH, 1.3 + 0.2 * len(labels)), sharey=True,
+        figure, panels = plt.subplots(1, len(effects), figsize=(HALF_WIDTH, 1.3 + 0.17 * len(labels)), sharey=True,
                                       squeeze=False)
         for axes, effect in zip(panels[0], effects, strict=True):
             shares = [(level, rows[level, v.where], v) for level, v in every[effect.name]]
             _shares(axes, [(row, v) for level, row, v in shares if level not in crowded])
             for _, row, v in (one for one in shares if one[0] in crowded):
                 axes.plot(np.clip(v.share, *axes.get_xlim()), row, "|", ms=7, color=AFTER, alpha=0.6)
-            heading = [quantities.plain(effect.name), quantities.short_values(effect.parameters)]
-            axes.set_title("\n".join(line for text in heading for line in textwrap.wrap(text, 90 // len(effects))),
-                           fontsize=8)
-            axes.set_xlabel("share of the value")
+            axes.set_title(textwrap.fill(quantities.plain(effect.name), 64 // len(effects)), fontsize=8)
         for row in (row for row in range(1, len(labels)) if labels[row - 1][0] != labels[row][0]):
             for axes in panels[0]:
                 axes.axhline(row - 0.5, color=TEXT, lw=0.5)
+        figure.supxlabel("share of the value", fontsize=8)
         panels[0][0].set_yticks(range(len(labels)), [where for _, where in labels], fontsize=7)
         panels[0][0].set_ylim(len(labels) - 0.5, -0.5)
         caption = ("Point: share of the value stated, fitted to one part of the driving with the other effects held. "

@@ -5,11 +5,13 @@ from collections.abc import Iterable, Mapping
 
 from st_core.channels import WORDS
 from st_core.discovery.result import FittedParameter
-from st_core.effects import EFFECTS
+from st_core.discovery.settings import Limits
+from st_core.effects import EFFECTS, Parameter
 from st_core.relations import Candidate
 from st_core.vehicle import VehicleParameters
 
 MOST_DECIMALS = 6
+ON_BOUND = Limits().bound  # distance from a bound, in usual sizes
 _DISPLAY = {"rad": ("°", 57.29577951308232), "rad/s": ("°/s", 57.29577951308232)}
 
 
@@ -63,45 +65,42 @@ def decimal(number: float, decimals: int) -> str:
     return f"{number:.{max(significant, 1)}g}"
 
 
-def short_value(p: FittedParameter) -> str:
-    """The value alone, one digit less than its interval bears. What changes nothing at 1 is a factor."""
-    number = decimal(p.value * factor(p.unit), max(digits(p) - 1, 0))
-    return f"× {number}" if p.unit == "1" and p.null == 1.0 else with_unit(number, p.unit)
+def value(p: FittedParameter, of: Parameter | None = None, interval: bool = True) -> str:
+    """Value and 95 % interval, in the digits that the interval bears. What changes nothing at 1 is a factor.
+
+    of: the parameter of the effect; its bounds limit the interval, and a value on one of them is reported as such.
+    """
+    low, high = of.bounds if of else (-math.inf, math.inf)
+    usual = abs(of.initial - of.null) if of else 0.0
+    number, *ends = (decimal(x * factor(p.unit), digits(p))
+                     for x in (p.value, *(min(max(end, low), high) for end in p.interval)))
+    text = f"× {number}" if p.unit == "1" and p.null == 1.0 else with_unit(number, p.unit)
+    on_bound = " on its bound" if min(abs(p.value - low), abs(high - p.value)) < ON_BOUND * usual else ""
+    return f"{text}{on_bound}{f' ({ends[0]} to {ends[1]})' if interval else ''}"
 
 
-def value(p: FittedParameter) -> str:
-    """Value and 95 % interval."""
-    number, low, high = (decimal(x * factor(p.unit), digits(p)) for x in (p.value, *p.interval))
-    return f"{with_unit(number, p.unit)} ({low} to {high})"
+def values(effect: str, parameters: Mapping[str, FittedParameter], interval: bool = True) -> list[str]:
+    """A text for each parameter of an effect, with its name where there are several."""
+    known = {p.name: p for p in EFFECTS[effect].parameters} if effect in EFFECTS else {}
+    return [f"{plain(name) + ' ' if len(parameters) > 1 else ''}{value(p, known.get(name), interval)}"
+            for name, p in parameters.items()]
 
 
-def short_values(parameters: Mapping[str, FittedParameter]) -> str:
-    return ", ".join(f"{plain(name) + ' ' if len(parameters) > 1 else ''}{short_value(p)}"
-                     for name, p in parameters.items())
-
-
-def values(name: str, parameters: Mapping[str, FittedParameter]) -> str:
-    """Every parameter with its interval and meaning."""
-    meanings = {p.name: p.meaning for p in EFFECTS[name].parameters} if name in EFFECTS else {}
-    return ", ".join(f"{plain(key)} {value(p)}{', ' + meanings[key] if key in meanings else ''}"
-                     for key, p in parameters.items())
+def short_values(effect: str, parameters: Mapping[str, FittedParameter]) -> str:
+    return ", ".join(values(effect, parameters, interval=False))
 
 
 def fitted(name: str, numbers: Mapping[str, float]) -> str:
-    """Values of an effect without intervals."""
-    units = {p.name: p.unit for p in EFFECTS[name].parameters} if name in EFFECTS else {}
-    return ", ".join(f"{plain(key)} {size(number, units.get(key, '1'))}" for key, number in numbers.items())
-
-
-def fitted_shortly(name: str, numbers: Mapping[str, float]) -> str:
-    """The same in few digits; what changes nothing at 1 is a factor."""
+    """Values of an effect without intervals, in few digits; what changes nothing at 1 is a factor."""
     known = {p.name: p for p in EFFECTS[name].parameters} if name in EFFECTS else {}
-    sentences = []
+    texts = []
     for key, number in numbers.items():
         unit, null = (known[key].unit, known[key].null) if key in known else ("1", 0.0)
-        shown = f"× {number:.2f}" if (unit, null) == ("1", 1.0) else with_unit(f"{number * factor(unit):.2g}", unit)
-        sentences.append(f"{plain(key) + ' ' if len(numbers) > 1 else ''}{shown}")
-    return ", ".join(sentences)
+        decimals = max(2, 1 - math.floor(math.log10(abs(number - null)))) if number != null else 2
+        shown = (f"× {number:.{decimals}f}" if (unit, null) == ("1", 1.0) else
+                 with_unit(f"{float(f'{number * factor(unit):.2g}'):g}", unit))
+        texts.append(f"{plain(key) + ' ' if len(numbers) > 1 else ''}{shown}")
+    return ", ".join(texts)
 
 
 def change(size_of: float, unit: str) -> str:

@@ -11,6 +11,7 @@ from st_core.relations.candidates import ODD, QUANTITIES
 from st_core.relations.next_drive import OF_A_PLACE, Option
 from st_core.vehicle import VehicleParameters
 
+from ..pages import Table
 from . import quantities, report_text
 from .figures import shown
 from .relation_files import name_of, title_of
@@ -22,16 +23,6 @@ ELSEWHERE = ("drive the same again, once beginning elsewhere on the course and o
              "these runs: only then can the place, the course and the time in the run be separated")
 MIN_SECONDS = 0.5  # of a drive: a sparse range in which less is spent is not reached
 Groups = list[tuple[str, list[str]]]
-
-
-@dataclass(frozen=True)
-class Table:
-    """rows: as many texts as the head has."""
-
-    title: str
-    note: str
-    head: Sequence[str]
-    rows: Sequence[Sequence[str]]
 
 
 @dataclass(frozen=True)
@@ -192,7 +183,7 @@ def _values_with_and_without(one: Relation, answer: Discovery, vehicle: VehicleP
         if stated is None or all(refitted[p.name] == p.null == stated[p.name] for p in free):
             continue
         rows.append((quantities.plain(effect.name), *(
-            "; ".join(filter(None, (quantities.fitted_shortly(effect.name, {p.name: v[p.name] for p in free}),
+            "; ".join(filter(None, (quantities.fitted(effect.name, {p.name: v[p.name] for p in free}),
                                     report_text.keys(changed(vehicle, effect, v))))) for v in (stated, refitted))))
     return [Table("Values without and with the relation",
                   "Two fits of the same car: the relation explains a part of what the values had to explain. Without "

@@ -1,4 +1,4 @@
-"""A discovery in sentences: the same on the terminal and on the page."""
+"""A discovery in sentences and tables: the same on the terminal and on the page."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 from st_core.channels import WORDS
 from st_core.checks import Finding, Severity
 from st_core.discovery.decision import FILE
+from st_core.discovery.following import MIN_SEPARATION
 from st_core.discovery.result import (
     PARTS,
     BoundEffect,
     Discovery,
     ForceCurve,
     FoundEffect,
-    Gap,
     Power,
     Step,
     Value,
@@ -24,43 +24,46 @@ from st_core.vehicle import VEHICLE_QUANTITIES
 
 from ..checking.check_report import by_name
 from ..checking.check_report import effect as effect_of
-from .quantities import change, channel, decimal, fitted_shortly, metres, plain, short_values, size, values
+from .quantities import change, channel, decimal, fitted, metres, plain, short_values, size, values
 from .vehicle_update import VehicleUpdate
 
 MAX_PARTS = 6
 MAX_INVISIBLE = 4  # effects named in a sentence; the table has all
+MAX_KEYS = 3  # of a vehicle file in a sentence; the table has all
 MIN_CHANGE = 0.005  # m; a step that changes the position by less is described by the channel it changes most
 MAX_RATIO = 1000.0  # of the expected error: beyond that predictions diverge
 Z95 = 1.96
-SHOWN = Limits().shown
+LIMITS = Limits()
 UNEXPLAINED = "more is missing that no known effect explains"
+EFFECT_HEAD = ("effect", "value (95 % interval)", "5 s position error without it", "reduces most", "significant in")
+EFFECT_NOTE = ("All figures are of the complete answer on held-out drives; without it: the others fitted again. An "
+               "effect is named if it is significant and reduces the error of a channel by "
+               f"{100 * LIMITS.relevant:g} % of its baseline, or the 5 s position error by "
+               f"{LIMITS.relevant_position:g} m")
 
 
-def by_any_name(found: Discovery, effect: FoundEffect) -> str:
+def by_any_name(found: Discovery, effect: FoundEffect, short: str = "") -> str:
     """Name and value, and those of its alternatives, each with the value it has in that place; of what comes on top of
-    the measured car, the largest that the drives do not exclude."""
-    values = {c.name: c.parameters for c in found.candidates}
+    the measured car, the largest that the drives do not exclude. short: instead of name and value."""
+    numbers = {c.name: c.parameters for c in found.candidates}
     most = {name: "up to " for name in effect.alternatives
             if any(p.deviation < math.inf for p in get_effect(name).parameters)}
-    others = (f"{plain(name)} {most.get(name, '')}{fitted_shortly(name, values.get(name, {}))}".strip()
+    others = (f"{plain(name)} {most.get(name, '')}{fitted(name, numbers.get(name, {}))}".strip()
               for name in effect.alternatives)
-    return " or ".join((f"{plain(effect.name)} {short_values(effect.parameters)}", *others))
+    return " or ".join((short or f"{plain(effect.name)} {short_values(effect.name, effect.parameters)}", *others))
 
 
-def reductions(steps: Sequence[Step]) -> dict[str, float]:
-    """Reduction of the mean held-out position error after 5 s by each effect of the waterfall [m].
+def by_size(effects: Sequence[FoundEffect]) -> list[FoundEffect]:
+    """The effect without which the position error grows most first."""
+    return sorted(effects, key=lambda e: -e.position_5s)
 
-    What replaces another inherits its reduction; what was removed later leaves its part under "".
-    """
-    found: dict[str, float] = {}
-    for step in steps:
-        less = step.position_5s.base - step.position_5s.augmented
-        if step.action == "removed":
-            found[""] = found.get("", 0.0) + less + found.pop(step.effect, 0.0)
-        else:
-            before = found.pop(step.instead, 0.0) if step.action == "exchanged" else 0.0
-            found[step.effect] = found.get(step.effect, 0.0) + before + less
-    return found
+
+def effect_rows(found: Discovery) -> list[tuple[str, str, str, str, str]]:
+    """A row for each named effect, columns as EFFECT_HEAD."""
+    return [(by_any_name(found, e, plain(e.name)), "; ".join(values(e.name, e.parameters)),
+             f"{'+' if e.position_5s >= 0.0 else '−'}{metres(abs(e.position_5s))}",
+             f"{channel(e.channel)} error by {100 * e.share:.0f} %" if e.channel else "-",
+             agreement(e)) for e in by_size(found.effects)]
 
 
 def step_name(step: Step) -> str:
@@ -68,13 +71,6 @@ def step_name(step: Step) -> str:
     if step.action == "exchanged":
         return f"{plain(step.effect)} instead of {plain(step.instead)}"
     return f"{'+' if step.action == 'added' else '−'} {plain(step.effect)}"
-
-
-def share_of(name: str, steps: Sequence[Step]) -> str:
-    """Reduction by an effect: metres, or the change of another channel where the position stays."""
-    reduced = reductions(steps).get(name, 0.0)
-    mine = [step for step in steps if step.effect == name and step.action != "removed"]
-    return (metres(reduced) if reduced >= MIN_CHANGE or not mine else other_channel(mine[-1])) or metres(reduced)
 
 
 def other_channel(step: Step) -> str:
@@ -88,7 +84,7 @@ def title(found: Discovery) -> str:
     """The answer in a line."""
     if found.outcome == "not_testable":
         return "These drives have too little excitation to show what may be missing"
-    named = ", ".join(f"{by_any_name(found, e)} ({share_of(e.name, found.steps)})" for e in found.effects)
+    named = "; ".join(by_any_name(found, e) for e in by_size(found.effects))
     if found.outcome == "unknown":
         known = f"; in addition {named}" if named else ""
         return f"{_errors(found)}: something is missing that no known effect explains{known}"
@@ -106,14 +102,13 @@ def _errors(found: Discovery) -> str:
     gap = found.gap.get("position_5s")
     if gap is None:
         name = next((n for n in WORDS if n in found.gap), None)
-        return f"{channel(name)} error {before_and_after(found.gap[name])}" if name else "Errors"
+        if name is None:
+            return "Errors"
+        one = found.gap[name]
+        ratio = 100.0 * (one.augmented / one.base - 1.0)
+        return f"{channel(name)} error {size(one.base, one.unit)} to {size(one.augmented, one.unit)} ({ratio:+.0f} %)"
     after = "" if found.model is None else f" → {metres(gap.augmented)}"
     return f"5 s position error {metres(gap.base)}{after} (held-out)"
-
-
-def before_and_after(one: Gap) -> str:
-    ratio = 100.0 * (one.augmented / one.base - 1.0)
-    return f"{size(one.base, one.unit)} to {size(one.augmented, one.unit)} ({ratio:+.0f} %)"
 
 
 def summary(found: Discovery, update: VehicleUpdate | None, findings: Mapping[str, Sequence[Finding]]
@@ -146,26 +141,19 @@ def drives(found: Discovery) -> list[tuple[str, str]]:
     return lines
 
 
-def what(found: Discovery) -> list[str]:
-    """One line for each effect."""
+def meaning(found: Discovery) -> list[str]:
+    """The equation of each effect, and what its value depends on or is known together with."""
     lines = []
-    for effect in found.effects:
-        physics = EFFECTS[effect.name].physics if effect.name in EFFECTS else ""
-        others = ", ".join(map(plain, effect.alternatives))
-        joint = f" (with {', '.join(map(plain, effect.joint))} only: they cancel)" if effect.joint else ""
-        lines.append(f"{plain(effect.name)}{f' (or {others}: not ruled out)' if others else ''}{joint}, {effect.kind}: "
-                     + values(effect.name, effect.parameters) + condition_of(found, effect)
-                     + (f"; {physics}" if physics else ""))
+    for effect in by_size(found.effects):
+        kind = EFFECTS.get(effect.name)
+        known = next((a for a in found.assumed if kind and a.key == kind.ratio_to), None)
+        parts = (kind.physics if kind else "",
+                 f"if the {known.key} is {known.value:.4g} ± {known.deviation:.2g} {known.unit}" if known else "",
+                 f"known together with {', '.join(map(plain, effect.joint))} only: they cancel" if effect.joint else "")
+        lines.append(f"{plain(effect.name)}: {'; '.join(filter(None, parts))}" if any(parts) else "")
     if found.outcome == "unknown" or found.signature:
         lines.append("; ".join(("something that is not in the library", *found.signature)))
-    return lines or ["no effect is added to the model"]
-
-
-def condition_of(found: Discovery, effect: FoundEffect) -> str:
-    """Quantity of the vehicle file on which a value depends, as stiffness on the mass; empty without one."""
-    key = EFFECTS[effect.name].ratio_to if effect.name in EFFECTS else ""
-    known = next((a for a in found.assumed if a.key == key), None)
-    return f", if the {key} is {known.value:.4g} ± {known.deviation:.2g} {known.unit}" if known else ""
+    return lines
 
 
 def varying(one: BoundEffect) -> str:
@@ -173,7 +161,7 @@ def varying(one: BoundEffect) -> str:
     ranked = sorted(one.values, key=lambda v: -abs(v.share) / max(v.deviation, 1e-9))[:MAX_PARTS]
     shown = "; ".join(f"{v.where}: {v.share:.2f} ± {Z95 * v.deviation:.2f}" for v in one.values if v in ranked)
     more = f" and {len(one.values) - len(ranked)} more" if len(one.values) > len(ranked) else ""
-    return (f"something like {plain(one.resembles)} {short_values(one.parameters)} reduces the error by "
+    return (f"something like {plain(one.resembles)} {short_values(one.resembles, one.parameters)} reduces the error by "
             f"{metres(one.position_5s)} but varies with {one.to}, so it is not a property of the car; its shares: "
             f"{shown}{more}")
 
@@ -184,24 +172,18 @@ def significant(entries: Sequence[Value]) -> int:
 
 
 def agreement(effect: FoundEffect) -> str:
-    """In how many runs (of few runs: parts of them) and sites an effect is visible."""
+    """In how many runs (of few runs: parts of them) and sites an effect is significant separately."""
     counts = []
     for level in ("run", "site"):
         shown = effect.agreement.get(level, ())
-        called = "parts of the runs" if any(", part " in v.where for v in shown) else f"{level}s"
+        called = "parts of runs" if any(", part " in v.where for v in shown) else f"{level}s"
         counts += [f"{significant(shown)} of {len(shown)} {called}"] if shown else []
-    entries = [v for level in ("run", "site") for v in effect.agreement.get(level, ())]
-    if not entries:
-        return ""
-    low, high = min(entries, key=lambda v: v.share), max(entries, key=lambda v: v.share)
-    return (f"{plain(effect.name)} is visible separately in {', '.join(counts)}; smallest share {low.share:.2f} "
-            f"of the value ({low.where}), largest {high.share:.2f} ({high.where})")
+    return ", ".join(counts) or "-"
 
 
 def certainty(found: Discovery) -> list[str]:
-    """The rules that decided, and how far the parts of the driving agree."""
+    """The rule that decided, and how often it errs."""
     lines = [reason.text for reason in found.reasons if reason.subject == "answer"]
-    lines += filter(None, map(agreement, found.effects))
     certificate = found.certificate
     if certificate.driven:
         lines.append(f"with the same inputs and without any effect, something was stated {certificate.alarms} of "
@@ -222,11 +204,29 @@ def residual(found: Discovery) -> str:
 
 
 def not_separable(found: Discovery) -> str:
-    """Effects that explain the drives equally well, or that only act as a pair; empty without any."""
-    pairs = [*(" or ".join(map(plain, (e.name, *e.alternatives))) for e in found.effects if e.alternatives),
-             *(f"{plain(e.name)} with {', '.join(map(plain, e.joint))} (they cancel)"
-               for e in found.effects if e.joint)]
-    return f"not separable: {'; '.join(pairs)}" if pairs else ""
+    """Effects that explain the drives equally well, with the limits of that, or that only act as a pair."""
+    names = [" or ".join(map(plain, (e.name, *e.alternatives))) for e in found.effects if e.alternatives]
+    pairs = [f"{plain(e.name)} with {', '.join(map(plain, e.joint))} (they cancel)" for e in found.effects if e.joint]
+    limits = (f" (each explains {100 * LIMITS.rival:g} % or more of what the first does, and is not worse with p < "
+              f"{LIMITS.doubt:g}, or by less than {100 * LIMITS.unexplained_share:g} % of a residual above "
+              f"{LIMITS.left:g} times the noise)") if names else ""
+    return f"not separable: {'; '.join((*names, *pairs))}{limits}" if names or pairs else ""
+
+
+PAIR_HEAD = ("effect", "or", f"explains of it (limit {LIMITS.rival:.0%})", "increase of the residual (limit "
+             f"{LIMITS.unexplained_share:.0%})", f"p (limit {LIMITS.doubt:g})", "cosine", "apart, σ of the noise")
+
+
+def pair_rows(found: Discovery) -> list[tuple[str, ...]]:
+    """A row for each pair of names of the answer that is not separable, columns as PAIR_HEAD; the most alike first."""
+    rows = []
+    for pair in sorted(found.separability, key=lambda p: p.strength):
+        figures = next((r.figures for r in found.reasons if r.rule == "alternative" and r.subject == pair.second
+                        and f"{plain(pair.first)} it " in r.text), {})
+        rows.append((plain(pair.first), plain(pair.second), *(f"{figures[key]:{form}}" if key in figures else "-" for
+                     key, form in (("share", ".0%"), ("less", ".1%"), ("no_worse", ".2g"))),
+                     f"{pair.cosine:.3f}", f"{pair.strength:.1f}"))
+    return rows
 
 
 def not_visible(found: Discovery) -> str:
@@ -243,7 +243,7 @@ def visible(found: Discovery) -> str:
     """The smallest sizes these drives would show, vehicle parameters first."""
     best: dict[str, Power] = {}
     for power in sorted(found.certificate.powers, key=lambda p: abs(p.size)):
-        if power.found >= SHOWN:
+        if power.found >= LIMITS.shown:
             best.setdefault(power.effect, power)
     ranked = sorted(best.values(), key=lambda p: rank(p.effect))
     sizes = [f"{plain(p.effect)} of {change(p.size, p.unit)}" for p in ranked]
@@ -264,8 +264,8 @@ def following(found: Discovery) -> str:
     first, second = map(plain, n.separates)
     now = next((p.strength for p in found.separability if {p.first, p.second} == set(n.separates)), 0.0)
     return (f"next drive {n.name}, {n.times} times {n.duration:.0f} s at {n.speed:.1f} m/s: would separate {first} and "
-            f"{second} by {n.strength:.1f} standard deviations of the noise; these drives: {now:.1f}; "
-            f"{plain(n.reason)}")
+            f"{second} by {n.strength:.1f} standard deviations of the noise; these drives: {now:.1f}, at least "
+            f"{MIN_SEPARATION:g} are needed, more while the residual is above the noise")
 
 
 def assumed(found: Discovery) -> list[str]:
@@ -282,19 +282,10 @@ def _digits(deviation: float) -> int:
     return max(1 - math.floor(math.log10(deviation)), 0) if deviation > 0.0 else 3
 
 
-def properties(found: Discovery) -> list[str]:
-    """Combinations of stiffness, mass, inertia and lengths that differ from the vehicle file, and axle forces."""
-    lines = [f"{one.name} × {one.value / one.file:.3g} of the file's ({one.interval[0] / one.file:.3g} to "
-             f"{one.interval[1] / one.file:.3g})" for one in found.combinations
-             if one.file and not one.interval[0] <= one.file <= one.interval[1]]
-    return lines + [f"{c.axle} axle force {force_ratio(c)}" for c in found.axle_curves
-                    if found.model and not c.low[-1] <= c.file[-1] <= c.high[-1]]
-
-
 def force_ratio(curve: ForceCurve) -> str:
     """Force at the largest driven slip over the file's, with its 90 % band."""
-    force, low, high = (values[-1] / curve.file[-1] for values in (curve.force, curve.low, curve.high))
-    return f"× {force:.2f} ({low:.2f} to {high:.2f}) of the file's at {math.degrees(curve.slip[-1]):.1f}°"
+    force, low, high = (newton[-1] / curve.file[-1] for newton in (curve.force, curve.low, curve.high))
+    return f"× {force:.2f} (90 %: {low:.2f} to {high:.2f}) of the file's at {math.degrees(curve.slip[-1]):.1f}°"
 
 
 def corrections(found: Discovery) -> list[str]:
@@ -303,7 +294,7 @@ def corrections(found: Discovery) -> list[str]:
         return []
     gap, named = (one.get("position_5s") for one in (found.gap, found.gap_named))
     fall = f" ({metres(named.augmented)} → {metres(gap.augmented)} after 5 s)" if gap and named else ""
-    names = ", ".join(f"{plain(e.name)} {short_values(e.parameters)}" for e in found.effective)
+    names = ", ".join(f"{plain(e.name)} {short_values(e.name, e.parameters)}" for e in found.effective)
     return [f"{names}{fall}: improves the prediction, not a property; in model.yaml, marked effective"]
 
 
@@ -316,9 +307,9 @@ def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
     lines += update.objections if update is not None else ()
     lines += acausal(found)
     if update is not None and update.folded:
-        same = ", ".join(f"{plain(e.name)} {short_values(e.parameters)}" for e in found.effects
-                         if e.name in update.folded)
-        lines.append(f"use vehicle.yaml: {keys(update.changes)}, the same correction as {same}")
+        entries = (keys(update.changes) if len(update.changes) <= MAX_KEYS else
+                   f"{len(update.changes)} entries are corrected")
+        lines.append(f"use vehicle.yaml: {entries}, for {', '.join(map(plain, update.folded))}")
         lines += [f"vehicle.yaml contains the first of {by_any_name(found, e)}; these drives do not separate them: "
                   "measure one of them on the car" for e in found.effects if e.name in update.folded and e.alternatives]
     for name, change_of in (update.kept if update is not None else {}).items():
@@ -345,14 +336,13 @@ def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
         lines.append("do the next drive and add it to the runs")
     if found.minor and found.effects:
         kept = ", ".join(by_any_name(found, e) for e in found.minor)
-        lines.append(f"model.yaml also contains {kept}: part of the fit, but too small compared with the residual; do "
-                     "not take it for a property of the car")
+        lines.append(f"model.yaml also contains {kept}: part of the fit, not named and no property of the car")
     return lines or ["nothing"]
 
 
 def acausal(found: Discovery) -> list[str]:
     """A sentence for each delay that is significantly negative."""
-    return [f"{plain(e.name)} is negative ({short_values({name: p})}): the reaction would precede its cause, so a "
+    return [f"{plain(e.name)} is negative ({short_values(e.name, {name: p})}): the reaction would precede its cause: a "
             "clock or a stated latency is wrong; look at the clocks (st check, st align) before using it"
             for e in found.effects for name, p in e.parameters.items() if p.unit == "s" and p.interval[1] < 0.0]
 
@@ -371,21 +361,22 @@ def keys(changes_of: Mapping[str, Sequence[float]]) -> str:
 
 def details(found: Discovery, update: VehicleUpdate | None) -> list[tuple[str, list[str]]]:
     """(question, lines of the answer) below the summary; empty answers are left out."""
-    lines = [*((role, [text]) for role, text in drives(found)), ("what", what(found)), ("certainty", certainty(found)),
-             ("what to do", to_do(found, update)), ("properties", properties(found)),
+    why = {r.subject: r.text for r in found.reasons}
+    minor = [f"{by_any_name(found, e)}: {why[e.name]}" for e in by_size(found.minor) if e.name in why]
+    lines = [*((role, [text]) for role, text in drives(found)), ("meaning", meaning(found)),
+             ("certainty", certainty(found)), ("not named", minor), ("what to do", to_do(found, update)[1:]),
              ("effective corrections", corrections(found)), ("taken from the vehicle file", assumed(found)),
              ("varying, not named", list(map(varying, found.bound))), ("these drives", [visible(found)])]
     return [(question, shown) for question, answer in lines if (shown := [text for text in answer if text])]
 
 
-def condition(w: WhereStatement) -> str:
-    """A statement without its channel."""
+def condition(w: WhereStatement) -> tuple[str, str]:
+    """Where an error is, and how many times the expected one it is (95 %)."""
     before = {"everywhere": "", "within": "", "speed": "at ", "lateral": "at ", "steering": "at ", "forward": "at "}
     where = before.get(w.condition.split()[0], "in ") + w.condition.replace("^2", "²")
-    low, high = w.interval
     if w.excess > MAX_RATIO:
-        return f"{where}: more than {MAX_RATIO:g} times the expected error"
-    return f"{where}: {w.excess:.1f} times the expected error ({low:.1f} to {min(high, MAX_RATIO):.1f})"
+        return where, f"more than {MAX_RATIO:g}"
+    return where, f"{w.excess:.1f} ({w.interval[0]:.1f} to {min(w.interval[1], MAX_RATIO):.1f})"
 
 
 def worst_channel(found: Discovery, channels: Sequence[str]) -> str:

@@ -32,7 +32,7 @@ SETTINGS = {
 }
 FORMATS = ("png", "pdf", "svg")
 WIDTH = 9.0  # inch; the page shows it 1:1 at 96 dpi
-TITLE_LETTERS = 104  # of a line of the title
+TITLE_LETTERS = 104  # of a line of the title of a figure of WIDTH
 TICK_ROOM = 0.09  # inch
 PAGE_DPI = 110  # of what is drawn as pixels inside an SVG
 MOST_POINTS = 900  # of a line; more cannot be distinguished on 9 inches
@@ -71,7 +71,7 @@ def style():
 
 def finish(figure: Figure, where: Place, key: str, title: str, caption: str) -> Drawn:
     """Save the figure and close it. Files carry the title; on the page it is a heading."""
-    lines = textwrap.wrap(title, TITLE_LETTERS)
+    lines = textwrap.wrap(title, round(TITLE_LETTERS * figure.get_figwidth() / WIDTH))
     heading = figure.suptitle("\n".join(lines), x=0.01, ha="left", fontweight="bold", fontsize=10)
     # Laid out once: that takes longer than the drawing. An engine "none" would still run before each file, and one
     # taken off comes back as the settings have it.
