@@ -19,11 +19,12 @@ from .filtering import NANOSECOND
 from .log import DriveLog
 from .log_signals import Acceleration, LogSignals, same
 from .models import Model, get_model
-from .planned_inputs import SLIP_FREE, wheel_sequence
+from .planned_inputs import SLIP_FREE
 from .prediction import step_count
-from .readings import corrected_log, has_memory, held_steering, readings
+from .readings import corrected_log, followed_steering, has_memory, readings
 from .start_grid import Block, plan
-from .types import STATE_NAMES, InputSequence
+from .timeseries import half_step_grid
+from .types import STATE_NAMES
 from .vehicle import VehicleParameters
 
 Inputs = Literal["measured", "held"] | tuple[np.ndarray, ...]
@@ -157,10 +158,7 @@ class LogBatch:
         signals = recording.signals
         result = np.full((len(self.points), len(STATE_NAMES), len(self._unique)), np.nan)
         for block in self._blocks(count, apart):
-            if not isinstance(self._inputs, str):
-                values = self._sample_planned(block, signals, model)
-            else:
-                values = self._sample_held(block, signals, model) if apart else self._sample(block, recording, model)
+            values = self._sample_apart(block, signals, model) if apart else self._sample(block, recording, model)
             states = signals.states_at(block.starts_ns, car).T
             result[:, :, block.rows] = self._advance(block, values, states, model, p, count)
         states = result if np.array_equal(self._unique, self.starts_ns) else result[:, :, self._place]
@@ -195,10 +193,9 @@ class LogBatch:
         return self._only[count, apart]
 
     def _planned(self, count: int, apart: bool) -> Iterator[Block]:
-        half_steps = np.arange(2 * self.steps * count + 1) * (0.5 * self.step / count / NANOSECOND)
         # Held inputs are needed at the start alone, unless the wheels still follow what the steering did before it.
         throughout = self._inputs == "measured" or apart
-        instants = np.round(half_steps).astype(np.int64) if throughout else np.zeros(1, np.int64)
+        instants = half_step_grid(0, self.steps * count, self.step / count) if throughout else np.zeros(1, np.int64)
         return plan(self._unique, instants, self._backend.LANES, share=not apart)
 
     def recording(self, model: Model) -> Recording:
@@ -226,34 +223,28 @@ class LogBatch:
         others = [block.laid_out(signals.sample(*self.others[name], times_ns)) for name in model.signals]
         return [angle, acceleration, *others]
 
-    def _sample_held(self, block: Block, signals: LogSignals, model: Model) -> list[np.ndarray]:
-        """As `_sample`, of a model with a memory of the steering; block: not shared."""
-        raw, starts = self.signals.log, block.times_ns[0]
-        angles = zip(block.times_ns.T, self.signals.road_wheel_angle_at(starts).tolist(), strict=True)
-        wheels = [held_steering(model, raw.steering_time_ns, raw.road_wheel_angle, times, angle, signals.maximum_gap)
-                  for times, angle in angles]
-        acceleration, = signals.ins_at(starts, "velocity_x_dot")
-        others = [signals.sample(*self.others[name], starts) for name in model.signals]
-        return [block.laid_out(np.broadcast_to(v, block.times_ns.shape))
-                for v in (np.array(wheels).T, acceleration, *others)]
-
-    def _sample_planned(self, block: Block, signals: LogSignals, model: Model) -> list[np.ndarray]:
-        """As `_sample`, of planned inputs; block: not shared."""
-        raw, (angle, acceleration, *path) = self.signals.log, (values[block.rows] for values in self._ahead)
-        if path and model.axles is None:
-            angle = path[0]
+    def _sample_apart(self, block: Block, signals: LogSignals, model: Model) -> list[np.ndarray]:
+        """As `_sample`, of planned inputs, or of held ones for a model with memory; block: not shared."""
+        times, raw = block.times_ns, self.signals.log
+        if isinstance(self._inputs, str):
+            angle = self.signals.road_wheel_angle_at(times[0])
+            acceleration, = signals.ins_at(times[0], "velocity_x_dot")
+        else:
+            padding = (0, 0), (0, block.columns - block.count)
+            angle, acceleration, *path = (np.pad(v[block.rows].T, padding, mode="edge") for v in self._ahead)
+            if path and model.axles is None:
+                angle = path[0]
+        angle, acceleration = (np.broadcast_to(v, times.shape) for v in (angle, acceleration))
         if has_memory(model):
-            angle = np.array([wheel_sequence(model, InputSequence(*both), int(start), self.step, raw.steering_time_ns,
-                                             raw.road_wheel_angle, signals.maximum_gap).road_wheel_angle
-                              for *both, start in zip(angle, acceleration, block.starts_ns, strict=False)])
-        others = [signals.sample(*self.others[name], block.times_ns[0]) for name in model.signals]
-        columns = [np.pad(v.T, ((0, 0), (0, block.columns - len(v))), mode="edge") for v in (angle, acceleration)]
-        return [block.laid_out(np.broadcast_to(v, block.times_ns.shape)) for v in (*columns, *others)]
+            angle = np.array([followed_steering(model, raw.steering_time_ns, raw.road_wheel_angle, *column,
+                                                signals.maximum_gap)
+                              for column in zip(times.T, angle.T, strict=True)]).T
+        others = [np.broadcast_to(signals.sample(*self.others[name], times[0]), times.shape) for name in model.signals]
+        return [block.laid_out(v) for v in (angle, acceleration, *others)]
 
     def _table(self, block: Block, values: list[np.ndarray], model: Model, p: Any) -> np.ndarray:
         """w at all instants of a block."""
-        angle, acceleration, *others = values
-        return block.table(model.inputs(angle, acceleration, p, *others))
+        return block.table(model.inputs(*values[:2], p, *values[2:]))
 
     def _advance(self, block: Block, values: list[np.ndarray], states: np.ndarray, model: Model, p: Any,
                  substeps: int) -> np.ndarray:

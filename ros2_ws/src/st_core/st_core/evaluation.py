@@ -13,7 +13,7 @@ from .filtering import NANOSECOND
 from .model_view import ModelView
 from .models import MODELS, Model, get_model
 from .prediction import PredictionSettings, Runner, predict
-from .timeseries import TimeSeries
+from .timeseries import TimeSeries, half_step_grid
 from .types import InputSequence, InsSample, Trajectory, VehicleState
 from .vehicle import VehicleParameters
 
@@ -147,7 +147,7 @@ class Evaluator:
         ins, steering = (_NEVER if s.newest is None else s.newest for s in (self.history.ins, self.history.steering))
         late = (ins if newest_ns is None else newest_ns) - round(self.PATIENCE / NANOSECOND)
         for key in sorted(self._waiting):
-            end = _grid_ns(key, 2 * key[1])
+            end = key[0] + round(key[1] * key[2] / NANOSECOND)
             if end <= min(ins, steering - self._ahead_ns) or end <= late:
                 scores += self._score(key, self._waiting.pop(key))
         return scores
@@ -173,7 +173,7 @@ class Evaluator:
 
     def _score(self, key: tuple[int, int, float], group: Sequence[_Pending]) -> list[Score]:
         start_ns, steps, step = key
-        times = np.array([_grid_ns(key, half_steps) for half_steps in range(2 * steps + 1)], np.int64)
+        times = half_step_grid(start_ns, steps, step)
         ins = self.history.ins.sample(times)
         angle = self.history.steering.sample(times)[:, 0]
         measured = ins[::2, 0], ins[::2, 1], ins[::2, YAW]
@@ -220,11 +220,6 @@ class Evaluator:
         time_ns = int(times[unknown[0]])
         reason = series.why_unknown(time_ns) if series.at(time_ns) is None else "acceleration not known after a gap"
         return f"{name}: {reason} at {(time_ns - start_ns) * NANOSECOND:.3f} s of the horizon"
-
-
-def _grid_ns(key: tuple[int, int, float], half_steps: int) -> int:
-    start_ns, _, step = key
-    return start_ns + round(half_steps * 0.5 * step / NANOSECOND)
 
 
 @dataclass

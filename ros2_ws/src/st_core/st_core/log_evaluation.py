@@ -23,6 +23,7 @@ from .log_signals import Acceleration, LogSignals
 from .models import Model, get_model
 from .prediction import PredictionSettings
 from .readings import corrected_log, readings
+from .timeseries import half_step_grid
 from .types import STATE_NAMES, InputSequence
 from .vehicle import VehicleParameters
 
@@ -260,8 +261,7 @@ def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals
 def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
                     settings: EvaluationSettings, ahead: Mapping[Mode, Planned]) -> Block:
     step, steps = settings.prediction.step, settings.prediction.steps
-    half_steps = np.round(np.arange(2 * steps + 1) * (0.5 * step / NANOSECOND)).astype(np.int64)
-    instants, place = _instants(starts_ns, half_steps)
+    instants, place = _instants(starts_ns, half_step_grid(0, steps, step))
     times = instants[place].T
     x, y, yaw, *others = signals.ins_at(instants, "x", "y", "yaw", "velocity_x", "yaw_rate", "velocity_x_dot")
     # Point after point in memory, as the backends lay trajectories out: twice as fast as start after start.

@@ -22,12 +22,12 @@ from .readings import (
     ahead_ns,
     corrected_sample,
     corrected_steering,
+    followed_steering,
     has_memory,
-    held_steering,
     readings,
     wanting,
 )
-from .timeseries import interpolate
+from .timeseries import half_step_grid, interpolate
 from .types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState
 from .vehicle import VehicleParameters
 
@@ -80,9 +80,9 @@ class ModelView:
         state = frames.ins_to_cg(sample, self.car.cg_to_ins_x, self.car.cg_to_ins_y)
         if not self.has_memory:
             return state, now
-        series, grid = self._history.steering, _half_step_grid(time_ns, steps, step)
-        angle = held_steering(self.model, series.times, series.rows[:, 0], grid, now.road_wheel_angle,
-                              series.maximum_gap_ns * NANOSECOND)
+        series, grid = self._history.steering, half_step_grid(time_ns, steps, step)
+        angle = followed_steering(self.model, series.times, series.rows[:, 0], grid,
+                                  np.full(len(grid), now.road_wheel_angle), series.maximum_gap_ns * NANOSECOND)
         return state, InputSequence(angle, np.full(len(grid), now.velocity_x_dot))
 
     def measured(self, times_ns: np.ndarray) -> InputSequence:
@@ -101,7 +101,3 @@ class ModelView:
         """INS readings along a trajectory of the model, without accelerations."""
         t = trajectory
         return readings(self.model, self._vehicle, (t.x, t.y, t.velocity_x, t.velocity_y, t.yaw, t.yaw_rate))
-
-
-def _half_step_grid(time_ns: int, steps: int, step: float) -> np.ndarray:
-    return time_ns + np.round(np.arange(2 * steps + 1) * (0.5 * step / NANOSECOND)).astype(np.int64)

@@ -15,8 +15,8 @@ from .errors import StCoreError
 from .filtering import NANOSECOND
 from .handling import understeer_coefficient
 from .models import Model
-from .readings import MEMORY_NS, ahead_ns, corrected_steering, has_memory
-from .timeseries import interpolate
+from .readings import followed_steering, has_memory
+from .timeseries import half_step_grid, interpolate
 from .types import ControlInput, InputSequence, VehicleState
 from .vehicle import VehicleParameters
 
@@ -105,11 +105,6 @@ def path_inputs(speed: np.ndarray, curvature: np.ndarray, seconds: np.ndarray,
     """Inputs that follow a speed [m/s] and a curvature [1/m] over time [s]; see `PlannedInputs.from_path`."""
     return InputSequence(steady_state_steering(speed, curvature, vehicle), np.gradient(speed, seconds),
                          {SLIP_FREE: np.arctan(vehicle.wheelbase * curvature)})
-
-
-def half_step_grid(start_ns: int, steps: int, step: float) -> np.ndarray:
-    """Instants [ns] 0, step/2, step, ... after a start: (2 * steps + 1,)."""
-    return start_ns + np.round(np.arange(2 * steps + 1) * (0.5 * step / NANOSECOND)).astype(np.int64)
 
 
 def recorded_plan(time_ns: np.ndarray, columns: Sequence[np.ndarray], steps: int, step: float,
@@ -206,22 +201,11 @@ def model_inputs(model: Model, planned: InputSequence) -> InputSequence:
 
 def wheel_sequence(model: Model, planned: InputSequence, start_ns: int, step: float, steering_time_ns: np.ndarray,
                    road_wheel_angle: np.ndarray, maximum_gap: float) -> InputSequence:
-    """Planned inputs as the wheels of a model follow them: with delay, play and lag, of what was recorded before too.
-
-    planned: on the half-step grid from start_ns. steering_time_ns, road_wheel_angle: recorded; later samples are not
-    used. A model without tyres takes the slip-free angle of a path. maximum_gap [s].
-    """
+    """Planned inputs on the half-step grid from start_ns as the wheels of a model follow them, see `followed_steering`;
+    a model without tyres takes the slip-free angle of a path."""
     planned = model_inputs(model, planned)
     if not has_memory(model):
         return planned
-    grid = start_ns + np.round(np.arange(len(planned.road_wheel_angle)) * (0.5 * step / NANOSECOND)).astype(np.int64)
-    before = slice(*np.searchsorted(steering_time_ns, (start_ns - MEMORY_NS, start_ns)).tolist())
-    # Held beyond the end of the horizon, as far as a model with late stamps looks ahead.
-    beyond = grid[-1] + np.arange(1, 2 + ahead_ns(model) // round(0.5 * step / NANOSECOND)) * round(
-        0.5 * step / NANOSECOND)
-    time_ns = np.concatenate([steering_time_ns[before], grid, beyond])
-    angle = np.concatenate([road_wheel_angle[before], planned.road_wheel_angle,
-                            np.full(len(beyond), planned.road_wheel_angle[-1])])
-    gap = max(maximum_gap, step)
-    wheels = interpolate(*corrected_steering(model, time_ns, angle, gap), grid, round(gap / NANOSECOND))
+    grid = half_step_grid(start_ns, len(planned.road_wheel_angle) // 2, step)
+    wheels = followed_steering(model, steering_time_ns, road_wheel_angle, grid, planned.road_wheel_angle, maximum_gap)
     return InputSequence(wheels, planned.velocity_x_dot, planned.signals)

@@ -51,7 +51,7 @@ def corrected_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray,
                        maximum_gap: float) -> tuple[np.ndarray, np.ndarray]:
     """(time [ns], road wheel angle [rad]) at the wheels: delay, play and lag applied to a recorded angle.
 
-    maximum_gap [s]: memory starts afresh after a longer one.
+    maximum_gap [s]: after a longer one memory is reset.
     """
     if not isinstance(model, AugmentedModel) or not model.has_memory or not len(time_ns):
         return time_ns, angle
@@ -68,21 +68,24 @@ def has_memory(model: Model) -> bool:
     return isinstance(model, AugmentedModel) and model.has_memory
 
 
-def held_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray, grid_ns: np.ndarray, held: float,
-                  maximum_gap: float) -> np.ndarray:
-    """Road wheel angle [rad] at rising instants when the steering wheel is held from the first of them on.
+def followed_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray, grid_ns: np.ndarray, ahead: np.ndarray,
+                      maximum_gap: float) -> np.ndarray:
+    """Angle of the wheels [rad] at rising instants (m,) [ns] when the steering is `ahead` (m,) [rad] from the first on.
 
-    time_ns [ns], angle [rad]: as recorded; what was recorded later is not looked at. held: what it is held at [rad].
-    With memory the wheels still follow what the steering did before, MEMORY seconds back at the most.
+    time_ns [ns], angle [rad]: as recorded; later samples are not used. With delay, play or lag the wheels follow the
+    steering before, too, MEMORY seconds back. Beyond the end the last angle holds. maximum_gap [s].
     """
     if not has_memory(model):
-        return np.full(len(grid_ns), held)
+        return ahead
     before = slice(*np.searchsorted(time_ns, (grid_ns[0] - MEMORY_NS, grid_ns[0])).tolist())
-    # Held at instants no further apart than what counts as a gap, and on beyond the end.
-    gap_ns = round(maximum_gap / NANOSECOND)
-    spacing = max(1, min(int(grid_ns[1] - grid_ns[0]), gap_ns // 2))
-    after = np.arange(grid_ns[0], grid_ns[-1] + ahead_ns(model) + spacing, spacing)
-    series = np.concatenate((time_ns[before], after)), np.concatenate((angle[before], np.full(len(after), held)))
+    gap_ns, spacing = round(maximum_gap / NANOSECOND), int(grid_ns[1] - grid_ns[0])
+    # No further apart than half of a gap, at which memory would start again.
+    parts = max(1, -(-2 * spacing // gap_ns))
+    finer, whole = np.arange(parts * (len(ahead) - 1) + 1) / parts, np.arange(len(ahead))
+    after = grid_ns[0] + np.round(np.interp(finer, whole, grid_ns - grid_ns[0])).astype(np.int64)
+    beyond = after[-1] + (spacing // parts) * np.arange(1, 2 + parts * ahead_ns(model) // spacing)
+    series = (np.concatenate((time_ns[before], after, beyond)),
+              np.concatenate((angle[before], np.interp(finer, whole, ahead), np.full(len(beyond), ahead[-1]))))
     return interpolate(*corrected_steering(model, *series, maximum_gap), grid_ns, gap_ns)
 
 
@@ -108,18 +111,14 @@ def corrected_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> Driv
         lacking = wanting(model, [name for name in names if getattr(log, name) is None])
         if lacking:
             raise StCoreError("{}: effect {} needs {}, which is not in it".format(log.name, *lacking))
-        true = _corrected(model, log)
+        nothing = np.zeros(len(log.ins_time_ns))
+        true = model.correct(Measured(*(nothing if getattr(log, n) is None else getattr(log, n)
+                                        for n in Measured._fields)))
         parts |= {name: getattr(true, name) for name in names if getattr(log, name) is not None}
     if model.has_memory:
         time_ns, angle = corrected_steering(model, log.steering_time_ns, log.road_wheel_angle, maximum_gap)
         parts |= {"steering_time_ns": time_ns, "road_wheel_angle": angle, "steering_wheel_angle": None}
     return replace(log, **parts) if parts else log
-
-
-def _corrected(model: AugmentedModel, log: DriveLog) -> Measured:
-    nothing = np.zeros(len(log.ins_time_ns))
-    measured = Measured(*(nothing if getattr(log, n) is None else getattr(log, n) for n in Measured._fields))
-    return model.correct(measured)
 
 
 def readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple | None = None,

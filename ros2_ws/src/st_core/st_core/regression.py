@@ -23,7 +23,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import t as student
 
 FEWEST_RUNS = 8
 """With fewer runs, blocks of them are used instead."""
@@ -37,6 +36,8 @@ ROBUST = 1.4826
 
 def symmetric_interval(value: float, standard_uncertainty: float, freedom: float = math.inf) -> tuple[float, float]:
     """95 % interval value -/+ t u with Student's t for `freedom` degrees of freedom (infinite: t = 1.96)."""
+    from scipy.stats import t as student  # half a second that a start of the nodes does not need
+
     half = float(student.ppf(0.975, freedom)) * standard_uncertainty
     return value - half, value + half
 

@@ -183,6 +183,11 @@ class TimeSeries:
         return f"gap of {int(times[after] - times[after - 1]) * NANOSECOND:.3f} s"
 
 
+def half_step_grid(start_ns: int, steps: int, step: float) -> np.ndarray:
+    """Instants [ns] 0, step/2, step, ... after a start: (2 * steps + 1,)."""
+    return start_ns + np.round(np.arange(2 * steps + 1) * (0.5 * step / NANOSECOND)).astype(np.int64)
+
+
 def between(times: np.ndarray, instants: np.ndarray, gap_ns: int) -> tuple[np.ndarray, ...]:
     """(sample before, after, whether it is just that of `after`, whether it is known, share of the way there).
 

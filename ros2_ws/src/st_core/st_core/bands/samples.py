@@ -11,6 +11,7 @@ from ..log_evaluation import EvaluationSettings, evaluate_blocks, regular_starts
 from ..log_signals import LogSignals
 from ..models import Model
 from ..readings import corrected_log
+from ..timeseries import half_step_grid
 from ..vehicle import VehicleParameters
 from .conditions import conditions_at
 
@@ -95,8 +96,7 @@ def _known(models: Sequence[Model], signals: LogSignals, starts_ns: np.ndarray,
            settings: EvaluationSettings) -> np.ndarray:
     """Starts (n,) with a completely measured horizon, also for models that shift recorded signals in time."""
     known = np.ones(len(starts_ns), bool)
-    half_steps = np.arange(2 * settings.prediction.steps + 1) * (0.5 * settings.prediction.step / NANOSECOND)
-    times = starts_ns[:, None] + np.round(half_steps).astype(np.int64)
+    times = starts_ns[:, None] + half_step_grid(0, settings.prediction.steps, settings.prediction.step)
     own_logs = [corrected_log(model, signals.log, signals.maximum_gap) for model in models]
     for log in {id(log): log for log in (signals.log, *own_logs)}.values():
         own = signals if log is signals.log else signals.of(log)

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from ..discovery.loss import Quadratic
+from ..regression import ridge
 from .candidates import NEITHER, Candidate
 from .relation_fit import RelationFit, RelationFits
 
@@ -66,7 +67,7 @@ ONE_SIDED: dict[str, tuple[str, int, ShapeFunction]] = {
 }
 """Of a curve without odd symmetry."""
 
-CAUSES = {
+CAUSES: Mapping[tuple[str, ...], str] = {
     ("front_steer", "acceleration_y"): "roll steer or compliance of the front suspension",
     ("rear_steer", "acceleration_y"): "roll steer or compliance of the rear suspension",
     ("front_steer", "steering"): "a steering ratio that depends on the angle, play, or a wrong angle sensor",
@@ -108,9 +109,7 @@ CAUSES = {
     ("side_force", "north"): "wind or a slope, by the course", ("side_force", "east"): "wind or a slope, by the course",
     ("side_force", "position_x"): "a banked road or wind at a place",
     ("side_force", "position_y"): "a banked road or wind at a place",
-}
-
-PAIRED = {
+    # Of two quantities.
     ("front_steer", "speed", "steering_rate"): "a delay of the steering that changes with speed (- later)",
     ("front_steer", "speed", "steering"): "a steering ratio that changes with speed, power steering, an active rack",
     ("rear_steer", "speed", "acceleration_y"): "roll steer or compliance of the rear that changes with speed",
@@ -122,6 +121,7 @@ CONSTANT = {
     "sensor_acceleration_y": "a bias or tilt of the sensor", "sensor_velocity_y": "a unit mounted askew",
     "sensor_heading": "a unit mounted askew",
 }
+"""By place."""
 
 
 def fitted_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadratic,
@@ -150,7 +150,7 @@ def fitted_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadr
 
         def numbers(known: np.ndarray, count: int = count, function: ShapeFunction = function) -> np.ndarray:
             h, g = profile.hessian[known].sum(axis=0), profile.gradient[known].sum(axis=0)
-            h = h + (1e-6 * np.trace(h) / len(h) + 1e-9) * np.eye(len(h))
+            h = ridge(h)
             root, target = np.linalg.cholesky(h), coefficients + np.linalg.solve(h, g)
             return _least_squares(lambda x: (into @ function(at, x) - target) @ root, count, at, value)
 
@@ -200,6 +200,7 @@ def simulated_formulas(fits: RelationFits, fit: RelationFit, without: RelationFi
     assert fit.candidate is not None
     candidate, gain = fit.candidate, float((without.held_out - fit.held_out).sum())
     found = []
+    key = (candidate.place, candidate.quantity, *((candidate.by,) if candidate.by else ()))
     for shape in fitted_shapes(candidate, fit.coefficients, fits.profile(fit), fits.fold):
         offsets = (False, True) if candidate.parity == NEITHER and shape.shape != "constant" else (False,)
         for with_offset in offsets:
@@ -207,7 +208,9 @@ def simulated_formulas(fits: RelationFits, fit: RelationFit, without: RelationFi
             if kept >= MIN_KEPT_GAIN * gain:
                 text = shape.text.format(*shape.numbers)
                 text += f" {'-' if offset < 0.0 else '+'} {abs(offset):.3g}" if with_offset else ""
-                found.append(Formula(shape.shape, text, kept / gain, _causes(candidate, shape.shape)))
+                constant = shape.shape == "constant" and not candidate.by
+                causes = CONSTANT.get(candidate.place, "") if constant else CAUSES.get(key, "")
+                found.append(Formula(shape.shape, text, kept / gain, causes))
                 break
     return tuple(found)
 
@@ -232,9 +235,7 @@ def _simulated(fits: RelationFits, fit: RelationFit, without: RelationFit, shape
             constant = np.concatenate([np.zeros(len(scale) - count), (into @ np.ones(POINTS)) / scale[-count:]])
             basis = np.column_stack([basis, constant])
         h, g = fit.q.hessian[known].sum(axis=0), fit.q.gradient[known].sum(axis=0)
-        own = basis.T @ h @ basis
-        own = own + (1e-6 * np.trace(own) / max(len(own), 1) + 1e-9) * np.eye(len(own))
-        step = np.linalg.solve(own, basis.T @ (g - h @ fixed)) if len(own) else np.zeros(0)
+        step = np.linalg.solve(ridge(basis.T @ h @ basis), basis.T @ (g - h @ fixed))
         vector = fit.vector.copy()
         vector[fit.which] += (fixed + basis @ step) * scale
         return loss.space.inside(vector), float(step[-1]) if with_offset else 0.0
@@ -256,14 +257,6 @@ def _simulated(fits: RelationFits, fit: RelationFit, without: RelationFit, shape
     return float((without.held_out - held_out).sum()), offset
 
 
-def _causes(candidate: Candidate, shape: str) -> str:
-    if candidate.by:
-        return PAIRED.get((candidate.place, candidate.quantity, candidate.by), "")
-    if shape == "constant":
-        return CONSTANT.get(candidate.place, "")
-    return CAUSES.get((candidate.place, candidate.quantity), "")
-
-
 def _nonzero(number: float) -> float:
     return number if abs(number) > 1e-9 else 1e-9
 
@@ -273,11 +266,7 @@ def _least_squares(residual: Callable[[np.ndarray], np.ndarray], count: int, at:
     """Numbers of a shape, from several starts where it is nonlinear in them. value: the curve at `at`."""
     size, reach = float(np.abs(value).max()), float(np.abs(at).max())
     sign = float(np.sign(np.sum(value * np.sign(at)))) or 1.0
-    best = None
-    for share in (0.15, 0.4, 0.8):
-        start = np.array([sign * size / max(reach, 1e-9), share * reach, share * reach][:count])
-        done = least_squares(residual, start, x_scale=np.abs(start) + 1e-9)
-        if best is None or done.cost < best.cost:
-            best = done
-    assert best is not None
-    return best.x
+    starts = [np.array([sign * size / max(reach, 1e-9), share * reach, share * reach][:count])
+              for share in (0.15, 0.4, 0.8)]
+    return min((least_squares(residual, start, x_scale=np.abs(start) + 1e-9) for start in starts),
+               key=lambda done: done.cost).x

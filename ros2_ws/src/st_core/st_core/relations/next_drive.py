@@ -10,6 +10,7 @@ from ..discovery.loss import Errors, Loss
 from ..discovery.windows import Windows
 from ..effects._law import COUNT
 from ..manoeuvres import Manoeuvre
+from ..regression import ridge
 from .candidates import ODD, Candidate, driven
 from .relation_fit import RIDGE, RelationFit, RelationFits
 
@@ -118,9 +119,7 @@ def _strength(h: np.ndarray, fit: RelationFit, other: RelationFit, design: float
     others = len(fit.which) - COUNT
     penalty = np.zeros((len(h) - 1, len(h) - 1))
     penalty[others:, others:] = other.penalty[-COUNT:, -COUNT:]
-    free = h[:-1, :-1] + penalty
-    free = free + (RIDGE * np.trace(free) / len(free) + 1e-9) * np.eye(len(free))
-    left = float(h[-1, -1] - h[-1, :-1] @ np.linalg.solve(free, h[:-1, -1]))
+    left = float(h[-1, -1] - h[-1, :-1] @ np.linalg.solve(ridge(h[:-1, :-1] + penalty), h[:-1, -1]))
     return float(np.sqrt(max(2.0 * left / design, 0.0)))
 
 

@@ -1,6 +1,7 @@
 """One candidate relation fitted through the simulator, together with everything in the answer."""
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from ..discovery.windows import Windows
 from ..effects import get_effect
 from ..effects._law import COUNT, Law
 from ..log import DriveLog
+from ..regression import ridge
 from ..vehicle import VehicleParameters
 from .candidates import Candidate, run_time
 
@@ -23,12 +25,9 @@ LEVEL = 0.1  # of the penalty, on the coefficients themselves: without informati
 CONVERGED = 2e-4  # fall of the loss for each scored number: a step that gains less is the last
 ITERATIONS, SHARES, ROUNDS = 8, (1.0, 0.5, 0.2), 2
 RIDGE = 1e-6
-
-
-def roughness() -> np.ndarray:
-    """(COUNT, COUNT) penalty: sum of squared second differences, plus LEVEL times the squares."""
-    second = np.diff(np.eye(COUNT), 2, axis=0)
-    return second.T @ second + LEVEL * np.eye(COUNT)
+_SECOND = np.diff(np.eye(COUNT), 2, axis=0)
+ROUGHNESS = _SECOND.T @ _SECOND + LEVEL * np.eye(COUNT)
+"""Penalty: sum of squared second differences, plus LEVEL times the squares."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,16 +101,14 @@ class RelationFits:
         kind = candidate.effect
         if kind not in self._spaces:
             self._spaces[kind] = Space(self.answer, self.settings, (kind,))
-        space = object.__new__(Space)
-        space.__dict__.update(self._spaces[kind].__dict__)
+        space = copy(self._spaces[kind])
         space.model = space.model.with_values({kind: candidate.constants})
         return space
 
     def of(self, candidate: Candidate) -> Loss:
         """Loss of the same windows with the place, quantity and range of a candidate; at the scale of the answer."""
         space = self.space_of(candidate)
-        loss = object.__new__(Loss)
-        loss.__dict__.update(self.loss.__dict__)
+        loss = copy(self.loss)
         loss.errors, loss.space = Errors(self.windows, space, self.threads), space
         return loss
 
@@ -123,13 +120,8 @@ class RelationFits:
             vector = fit.vector
         return fit
 
-    def slopes(self, vector: np.ndarray, which: np.ndarray) -> np.ndarray:
-        return np.nan_to_num(self.loss.slopes(vector, which), posinf=0.0, neginf=0.0)
-
-    def linear(self, candidate: Candidate, without: RelationFit) -> tuple[Loss, np.ndarray]:
-        """The loss of a candidate, and its slopes (COUNT, n, m) at `without`."""
-        loss = self.of(candidate)
-        return loss, np.nan_to_num(loss.slopes(without.vector, self.relation), posinf=0.0, neginf=0.0)
+    def slopes(self, vector: np.ndarray, which: np.ndarray, loss: Loss | None = None) -> np.ndarray:
+        return np.nan_to_num((loss or self.loss).slopes(vector, which), posinf=0.0, neginf=0.0)
 
     def quadratic(self, loss: Loss, rows: np.ndarray, slopes: np.ndarray) -> Quadratic:
         return loss.quadratic(rows, slopes).summed(self.block, self.blocks)
@@ -139,20 +131,18 @@ class RelationFits:
         penalty = np.zeros(hessian.shape)
         if candidate:
             own = hessian[-COUNT:, -COUNT:]
-            penalty[-COUNT:, -COUNT:] = smooth * float(np.trace(own)) / COUNT * roughness() + 1e-9 * np.eye(COUNT)
+            penalty[-COUNT:, -COUNT:] = smooth * float(np.trace(own)) / COUNT * ROUGHNESS + 1e-9 * np.eye(COUNT)
         return penalty
 
     def left_out_steps(self, q: Quadratic, penalty: np.ndarray,
                   away: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray]:
         """({fold: step of the values fitted without it}, (b,) loss of each block under them)."""
-        h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
+        h, g = ridge(q.hessian.sum(axis=0)) + penalty, q.gradient.sum(axis=0) - penalty @ away
         steps, held_out = {}, np.zeros(self.blocks)
-        ridge = (RIDGE * np.trace(h) / max(len(h), 1) + 1e-9) * np.eye(len(h))
-        whole = np.linalg.solve(h + penalty + ridge, g - penalty @ away)
+        whole = np.linalg.solve(h, g)
         for k in np.unique(self.fold):
             in_fold = self.fold == k
-            d = np.linalg.solve(h - q.hessian[in_fold].sum(axis=0) + penalty + ridge,
-                                g - q.gradient[in_fold].sum(axis=0) - penalty @ away) - whole
+            d = np.linalg.solve(h - q.hessian[in_fold].sum(axis=0), g - q.gradient[in_fold].sum(axis=0)) - whole
             steps[int(k)] = d
             curved = np.einsum("i,bij,j->b", d, q.hessian[in_fold], d)
             held_out[in_fold] = q.cost[in_fold] - 2.0 * q.gradient[in_fold] @ d + curved
@@ -160,9 +150,7 @@ class RelationFits:
 
     def predicted_held_out(self, q: Quadratic, penalty: np.ndarray, away: np.ndarray) -> np.ndarray:
         """(b,) held-out loss of each block at the best point of the quadratic, left out fold by fold."""
-        h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
-        ridge = (RIDGE * np.trace(h) / max(len(h), 1) + 1e-9) * np.eye(len(h))
-        step = np.linalg.solve(h + penalty + ridge, g - penalty @ away)
+        step = np.linalg.solve(ridge(q.hessian.sum(axis=0)) + penalty, q.gradient.sum(axis=0) - penalty @ away)
         cost = q.cost - 2.0 * q.gradient @ step + np.einsum("i,bij,j->b", step, q.hessian, step)
         there = Quadratic(cost, q.gradient - q.hessian @ step, q.hessian)
         return self.left_out_steps(there, penalty, away + step)[1]
@@ -179,12 +167,11 @@ class RelationFits:
         included, are profiled out."""
         assert fit.candidate is not None
         loss = self.of(fit.candidate)
-        car = np.nan_to_num(loss.slopes(fit.vector, self.car), posinf=0.0, neginf=0.0)
+        car = self.slopes(fit.vector, self.car, loss)
         q = self.quadratic(loss, fit.rows, np.concatenate([car, fit.slopes]))
         whole = q.hessian.sum(axis=0)
         others = whole[:-COUNT, :-COUNT]
-        ridge = (RIDGE * np.trace(others) / max(len(others), 1) + 1e-9) * np.eye(len(others))
-        turn = np.concatenate([-np.linalg.solve(others + ridge, whole[:-COUNT, -COUNT:]), np.eye(COUNT)])
+        turn = np.concatenate([-np.linalg.solve(ridge(others), whole[:-COUNT, -COUNT:]), np.eye(COUNT)])
         return Quadratic(q.cost, q.gradient @ turn, np.einsum("ik,bij,jl->bkl", turn, q.hessian, turn))
 
     def without_effect(self, candidate: Candidate, fit: RelationFit, name: str) -> RelationFit:
@@ -194,24 +181,20 @@ class RelationFits:
         null = {p.name: p.null for p in get_effect(name).parameters}
         vector[own] = [null[self.space.free[i].parameter] for i in own]
         loss, moving = self.of(candidate), np.concatenate([which, self.relation])
-        slopes = np.nan_to_num(loss.slopes(vector, moving), posinf=0.0, neginf=0.0)
-        return self._fit(candidate, loss, moving, fit.smooth, slopes, vector)
+        return self._fit(candidate, loss, moving, fit.smooth, self.slopes(vector, moving, loss), vector)
 
     def _fit(self, candidate: Candidate | None, loss: Loss, which: np.ndarray, smooth: float, slopes: np.ndarray,
-             vector: np.ndarray | None = None) -> RelationFit:
-        vector = self.start.copy() if vector is None else vector.copy()
-        scale = self.space.scale
+             vector: np.ndarray) -> RelationFit:
+        vector, scale = vector.copy(), self.space.scale
         for number in range(ITERATIONS):
             if candidate:
-                slopes = np.concatenate([slopes[:-COUNT], np.nan_to_num(loss.slopes(vector, self.relation), posinf=0.0,
-                                                                        neginf=0.0)])
+                slopes = np.concatenate([slopes[:-COUNT], self.slopes(vector, self.relation, loss)])
             q = self.quadratic(loss, loss.errors.at(vector), slopes)
             h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
             if not number:
                 penalty = self.penalty(candidate, h, smooth)
             away = ((vector - self.start) / scale)[which]
-            ridge = (RIDGE * np.trace(h) / max(len(h), 1) + 1e-9) * np.eye(len(h))
-            step = np.linalg.solve(h + penalty + ridge, g - penalty @ away)
+            step = np.linalg.solve(ridge(h) + penalty, g - penalty @ away)
             cost = loss.total(vector) + away @ penalty @ away
             gained = 0.0
             for share in SHARES:

@@ -3,7 +3,6 @@ reject one, equally good rivals, redundant effects."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -13,6 +12,7 @@ from ..discovery.settings import Limits
 from ..effects import get_effect
 from ..effects._law import COUNT, HIGHEST
 from ..models import get_model
+from ..regression import ridge
 from ..vehicle import VehicleParameters
 from .candidates import Candidate, candidates
 from .relation_fit import SMOOTHING, RelationFit, RelationFits
@@ -87,37 +87,33 @@ def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.
             signs: np.ndarray) -> Screened | None:
     """Efficient scores of the coefficients: all other parameters projected out. base: (b,) held-out loss of the answer
     alone, by the same slopes. car: slopes of the vehicle file's parameters."""
-    loss, slopes = fits.linear(candidate, without)
+    loss = fits.of(candidate)
+    slopes = fits.slopes(without.vector, fits.relation, loss)
     q = fits.quadratic(loss, without.rows, np.concatenate([without.slopes, slopes]))
     h = q.hessian.sum(axis=0)
     if float(np.trace(h[-COUNT:, -COUNT:])) <= 1e-9 * float(np.trace(h)):
         return None
     q_all = fits.quadratic(loss, without.rows, np.concatenate([without.slopes, car, slopes]))
     away = np.concatenate([((without.vector - fits.start) / fits.space.scale)[without.which], np.zeros(COUNT)])
-    best: Any = None
-    for smooth in SMOOTHING:
-        penalty = fits.penalty(candidate, h, smooth)
-        held_out = fits.predicted_held_out(q, penalty, away)
-        if best is None or held_out.sum() < best[0].sum():
-            best = held_out, smooth, penalty
-    held_out, smooth, penalty = best
+    penalties = {smooth: fits.penalty(candidate, h, smooth) for smooth in SMOOTHING}
+    losses = {smooth: fits.predicted_held_out(q, penalty, away) for smooth, penalty in penalties.items()}
+    smooth = min(losses, key=lambda one: float(losses[one].sum()))
+    held_out, own_penalty = losses[smooth], penalties[smooth][-COUNT:, -COUNT:]
     whole = q_all.hessian.sum(axis=0)
-    others = whole[:-COUNT, :-COUNT]
-    cross = np.linalg.solve(others + (1e-6 * np.trace(others) / max(len(others), 1) + 1e-9) * np.eye(len(others)),
-                            whole[:-COUNT, -COUNT:])
+    cross = np.linalg.solve(ridge(whole[:-COUNT, :-COUNT]), whole[:-COUNT, -COUNT:])
     own = q_all.gradient[:, -COUNT:] - q_all.gradient[:, :-COUNT] @ cross
-    remaining = whole[-COUNT:, -COUNT:] - whole[-COUNT:, :-COUNT] @ cross + penalty[-COUNT:, -COUNT:]
-    inverse = np.linalg.pinv(remaining)
+    information = whole[-COUNT:, -COUNT:] - whole[-COUNT:, :-COUNT] @ cross
+    inverse = np.linalg.pinv(information + own_penalty)
     drawn = np.einsum("di,ij,dj->d", signs @ own, inverse, signs @ own)
     mean = max(float(drawn.mean()), 1e-30)
     total = own.sum(axis=0)
-    freedom = max(float(np.trace(inverse @ (remaining - penalty[-COUNT:, -COUNT:]))), 1.0)
+    freedom = max(float(np.trace(inverse @ information)), 1.0)
     step = inverse @ total
     residual_gradient = q_all.gradient - q_all.hessian @ np.concatenate([-cross @ step, step])
     after = residual_gradient[:, -COUNT:] - residual_gradient[:, :-COUNT] @ cross
     design = max(2.0 * float(np.einsum("bi,ij,bj->", after, inverse, after)) / freedom, 1.0)
     return Screened(candidate, smooth, float(total @ inverse @ total) / mean, drawn / mean, freedom, design,
-                    held_out, float((base - held_out).sum()), remaining - penalty[-COUNT:, -COUNT:])
+                    held_out, float((base - held_out).sum()), information)
 
 
 REFITTED = 10  # candidates fitted through the simulator
@@ -251,8 +247,7 @@ def run_shares(fits: RelationFits, fit: RelationFit) -> RunShares:
     """Factor on the relation that each run alone would estimate, everything else refitted: from the quadratic."""
     h = fit.q.hessian.sum(axis=0)
     others, own = h[:-COUNT, :-COUNT], fit.coefficients
-    ridge = (1e-6 * np.trace(others) / max(len(others), 1) + 1e-9) * np.eye(len(others))
-    turn = np.concatenate([-np.linalg.solve(others + ridge, h[:-COUNT, -COUNT:] @ own), own])
+    turn = np.concatenate([-np.linalg.solve(ridge(others), h[:-COUNT, -COUNT:] @ own), own])
     g, hh = fit.q.gradient @ turn, np.einsum("i,bij,j->b", turn, fit.q.hessian, turn)
     run = np.zeros(fits.blocks, int)
     run[fits.block] = fits.windows.run
