@@ -4,14 +4,19 @@ What `st evaluate --advise` says of them, written into docs/measurements/mpc.md.
 """
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 from _markers import renew, table
+from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullFormatter
 from st_core.log_evaluation import EvaluationSettings
+from st_core.palette import MODEL_COLOUR
 from st_core.vehicle import VehicleParameters
 from st_offline.evaluation import advice as advice_report
 from st_offline.evaluation.advice import cheapest, measure
-from st_offline.evaluation.drawing import Place
+from st_offline.evaluation.drawing import TEXT, WIDTH, Place, finish, style
 from st_offline.evaluation.work import Task
 from st_recordings.paths import config, project_root
 from st_recordings.runs import find_runs
@@ -24,6 +29,44 @@ OTHERS = ("wrong_projection", "rear_ref")
 PAGE = project_root() / "docs" / "measurements" / "mpc.md"
 
 
+MARKERS = ("o", "s", "^", "D", "v")
+
+
+def figure(costs: Mapping[advice_report.Key, advice_report.Cost],
+           accuracies: Mapping[advice_report.Key, advice_report.Accuracy], tolerance: float, place: Place) -> None:
+    """Error and band half-width against cost, one panel a second ahead."""
+    known = max((one.second for one in accuracies.values()), default=())
+    seconds = [s for s in known if s in (1, 2, 3, 5)] or known[:1]
+    steps = sorted({step for _, step in accuracies})
+    with style():
+        drawn, panels = plt.subplots(1, len(seconds), figsize=(WIDTH, 3.4), sharey=True, squeeze=False)
+        for axes, second in zip(panels[0], seconds, strict=True):
+            for (model, step), one in accuracies.items():
+                k, marker = one.second.index(second), MARKERS[steps.index(step) % len(MARKERS)]
+                cost, colour = 1e6 * advice_report.processor_time(costs[model, step]), MODEL_COLOUR.get(model, TEXT)
+                axes.plot(cost, one.rms[k], marker, color=colour, ms=5)
+                if one.width is not None:
+                    axes.plot([cost, cost], [one.rms[k], one.width[k]], color=colour, lw=0.7)
+                    axes.plot(cost, one.width[k], marker, color=colour, ms=5, mfc="none")
+            axes.axhline(tolerance, color=TEXT, lw=0.7, ls=(0, (4, 3)))
+            axes.set(title=f"{second} s ahead", xscale="log", yscale="log", xlabel="µs a prediction")
+            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.xaxis.set_major_formatter("{x:g}")
+            axes.yaxis.set_major_formatter("{x:g}")
+            axes.xaxis.set_minor_formatter(NullFormatter())
+        panels[0, 0].set_ylabel("across, m")
+        models = list(dict.fromkeys(model for model, _ in accuracies))
+        handles = [Line2D([], [], ls="", marker="o", color=MODEL_COLOUR.get(m, TEXT), label=m) for m in models]
+        handles += [Line2D([], [], ls="", marker=MARKERS[k % len(MARKERS)], color=TEXT, label=f"step {step:g} s")
+                    for k, step in enumerate(steps)]
+        handles += [Line2D([], [], ls="", marker="D", color=TEXT, ms=5, label="error, rms"),
+                    Line2D([], [], ls="", marker="D", color=TEXT, ms=5, mfc="none", label="half-width of the band"),
+                    Line2D([], [], color=TEXT, lw=0.7, ls=(0, (4, 3)), label=f"{tolerance:g} m")]
+        drawn.legend(handles=handles, loc="outside lower left", ncols=6)
+        finish(drawn, place, "advice", "Cost and accuracy of each model and step",
+                      f"Filled: rms error; hollow: half-width of the band; dashed: {tolerance:g} m.")
+
+
 def run() -> dict:
     """Rows by model and step, and the choice; nothing where the shared drives are not at hand."""
     data = Path(os.environ.get("ST_SHARED", project_root().parent / "shared")) / "data"
@@ -34,8 +77,7 @@ def run() -> dict:
     file = config("vehicle/hyundai_genesis.yaml")
     task = Task(VehicleParameters.from_yaml(file.read_text(), str(file)), MODELS, EvaluationSettings())
     advice = measure(sources, task, TOLERANCE)
-    advice_report.figure(advice.costs, advice.accuracies, TOLERANCE,
-                         Place(project_root() / "docs" / "images", ("png",)))
+    figure(advice.costs, advice.accuracies, TOLERANCE, Place(project_root() / "docs" / "images", ("png",)))
     rows = advice_report.rows(advice.costs, advice.accuracies)
     choice = advice_report.choice_rows(cheapest(advice.costs, advice.accuracies, TOLERANCE))
     title, caption = advice_report.choice_title(TOLERANCE), advice_report.caption(advice.accuracies)

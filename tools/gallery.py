@@ -59,7 +59,7 @@ EXHIBITS = (
             (SIMULATE + "--scenario S6 --duration 62 --to-files {}/raw",
              "./st import {}/raw --offset 0 --output {}/bag")),
     Exhibit("Two clocks synchronised", "./st align {}/raw/run.ncom {}/raw/run.log --output {}/align",
-            "align/alignment.png", "The same signals from INS and CAN, before and after. The remaining difference is "
+            "align/alignment.png", "The same signals from INS and CAN, aligned. The remaining difference is "
             "the uncertainty of the offset."),
     Exhibit("A real drive evaluated at the desk", "./st evaluate examples/data/rfs_turn_a.csv "
             "--vehicle config/vehicle/hyundai_genesis.yaml --output {}/evaluate",

@@ -85,7 +85,7 @@ def test_page_is_one_file_that_loads_nothing_and_escapes_names(folder):
     assert "prefers-color-scheme: dark" in text
     for choice in ("causal, as in the car", "interpolated within a step", "over the horizon means", "Nissan Leaf"):
         assert choice in text
-    assert "short" in text and text.count("<figure>") == 6
+    assert "short" in text and text.count("<figure>") == 5
 
 
 def test_files_beside_it(folder):
@@ -93,7 +93,7 @@ def test_files_beside_it(folder):
     for name in ("table.csv", "table.tex", "seconds.csv", "bins.csv", "manoeuvres.csv", "overview.png", "overview.pdf"):
         assert (base / "out" / name).stat().st_size > 200, name
     one = base / "out" / "runs" / "labelled"
-    figures = {"segments", "horizon_means", "slip_and_forces", "error_against_horizon", "error_against_acceleration"}
+    figures = {"segments", "horizon_means", "slip_and_forces", "error_against_horizon"}
     assert {p.stem for p in one.glob("*.png")} == {p.stem for p in one.glob("*.pdf")} == figures
     rows = (one / "starts.csv").read_text().splitlines()
     assert len(rows) == 1 + 139 and "linear_hindsight_lateral_mean" in rows[0]

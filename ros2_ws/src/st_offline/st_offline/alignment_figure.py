@@ -1,4 +1,4 @@
-"""The figure of a clock alignment: signals of both recordings before and after, correlation and residual lags."""
+"""The figure of a clock alignment: signals of both recordings, correlation and residual lags."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,93 +18,40 @@ MOST_POINTS = 4000  # of a line
 
 
 def alignment_figure(signals: Sequence[SharedSignal], alignment: Alignment, title: str, file: Path) -> None:
-    """Rows: one signal over the whole drive; the liveliest 10 s of another; correlation, and residual lags."""
+    """A speed over the whole drive and the liveliest 10 s of a yaw rate, aligned; correlation, and residual lags."""
+    plain = [s for s in signals if not s.angle] or list(signals)
+    speed = next((s for s in plain if "velocity" in s.name or "speed" in s.name), plain[0])
     with plt.rc_context(RC):
-        figure, axes = plt.subplots(3, 2, figsize=(11, 8.2), height_ratios=(1, 1, 0.9))
-        chosen = _chosen(signals)
-        _draw_whole(axes[0], chosen[0], alignment)
-        _draw_close_up(axes[1], chosen[-1], alignment)
-        _draw_correlation(axes[2, 0], signals, alignment)
-        _draw_lags(axes[2, 1], signals, alignment)
+        figure, axes = plt.subplots(2, 2, figsize=(11, 6.0))
+        _draw_signal(axes[0, 0], speed, alignment, whole=True)
+        _draw_signal(axes[0, 1], next((s for s in plain if "rate" in s.name), plain[0]), alignment, whole=False)
+        axes[0, 0].legend(loc="best")
+        _draw_correlation(axes[1, 0], signals, alignment)
+        _draw_lags(axes[1, 1], signals, alignment)
         figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
         figure.savefig(file)
         plt.close(figure)
 
 
-def _chosen(signals: Sequence[SharedSignal]) -> list[SharedSignal]:
-    """A speed for the overview, a yaw rate for the close-up, else the first signal."""
-    plain = [s for s in signals if not s.angle] or list(signals)
-    speeds = [s for s in plain if "velocity" in s.name or "speed" in s.name]
-    rates = [s for s in plain if "rate" in s.name]
-    return [(speeds or plain)[0], (rates or plain)[0]]
-
-
-def _label(signal: SharedSignal) -> str:
+def _draw_signal(ax: plt.Axes, signal: SharedSignal, alignment: Alignment, whole: bool) -> None:
+    zero = int(signal.reference_time_ns[0])
+    mapped = alignment.to_reference_ns(signal.other_time_ns - round(signal.latency * 1e9))
+    reference, other = (signal.reference_time_ns - zero) * 1e-9, (mapped - zero) * 1e-9
+    values = signal.other
+    if "curvature" in signal.name:  # only of the same shape: in the units of the reference
+        known = np.isfinite(signal.reference)
+        values = np.polyval(np.polyfit(np.interp(reference[known], other, values), signal.reference[known], 1), values)
+    start = -np.inf if whole else _liveliest(reference, signal.reference, other)
+    for time, line, style in ((reference, signal.reference, {"color": MEASURED_COLOUR, "lw": 3, "alpha": 0.55,
+                                                             "label": "INS recording"}),
+                              (other, values, {"color": OTHER_COLOUR, "lw": 1.0, "label": "CAN log"})):
+        rows = np.flatnonzero((time >= start) & (time <= (np.inf if whole else start + CLOSE_UP)))
+        rows = rows[::max(len(rows) // MOST_POINTS, 1)]
+        ax.plot(time[rows], line[rows], **style)
     units = {"velocity": "m/s", "speed": "m/s", "rate": "rad/s", "curvature": "1/m, steering scaled"}
     unit = next((unit for word, unit in units.items() if word in signal.name), "rad")
-    return f"{signal.name.split(' (')[0]}, {unit}"
-
-
-def _before(signal: SharedSignal) -> tuple[np.ndarray, np.ndarray, str]:
-    """Times of both [s] without alignment: as stamped where the clocks are near, else each from its own start."""
-    reference, other = signal.reference_time_ns, signal.other_time_ns
-    near = other[0] < reference[-1] and reference[0] < other[-1]
-    zero = (int(reference[0]),) * 2 if near else (int(reference[0]), int(other[0]))
-    what = "as stamped" if near else "each from its own start (the clocks have nothing in common)"
-    return (reference - zero[0]) * 1e-9, (other - zero[1]) * 1e-9, what
-
-
-def _after(signal: SharedSignal, alignment: Alignment) -> tuple[np.ndarray, np.ndarray]:
-    zero = int(signal.reference_time_ns[0])
-    late = round(signal.latency * 1e9)
-    mapped = alignment.to_reference_ns(signal.other_time_ns - late)
-    return (signal.reference_time_ns - zero) * 1e-9, (mapped - zero) * 1e-9
-
-
-def _scaled(signal: SharedSignal, reference: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """The other recording's values in the units of the reference, where the two only share a shape (steering)."""
-    if "curvature" not in signal.name:
-        return signal.other
-    known = np.isfinite(signal.reference)
-    on_grid = np.interp(reference[known], other, signal.other)
-    gain, bias = np.polyfit(on_grid, signal.reference[known], 1)
-    return gain * signal.other + bias
-
-
-def _draw_whole(axes: Sequence[plt.Axes], signal: SharedSignal, alignment: Alignment) -> None:
-    reference, other = _after(signal, alignment)
-    values = _scaled(signal, reference, other)
-    before_reference, before_other, what = _before(signal)
-    _lines(axes[0], before_reference, signal.reference, before_other, values)
-    axes[0].set_title(f"Before: {what}")
-    _lines(axes[1], reference, signal.reference, other, values)
-    axes[1].set_title("After")
-    axes[0].set_ylabel(_label(signal))
-    axes[0].legend(loc="best")
-    for ax in axes:
-        ax.set_xlabel("s after the first INS measurement")
-
-
-def _draw_close_up(axes: Sequence[plt.Axes], signal: SharedSignal, alignment: Alignment) -> None:
-    reference, other = _after(signal, alignment)
-    start = _liveliest(reference, signal.reference, other)
-    values = _scaled(signal, reference, other)
-    before_reference, before_other, _ = _before(signal)
-    for ax, (t_reference, t_other) in zip(axes, ((before_reference, before_other), (reference, other)), strict=True):
-        mine = (t_reference >= start) & (t_reference <= start + CLOSE_UP)
-        theirs = (t_other >= start) & (t_other <= start + CLOSE_UP)
-        _lines(ax, t_reference[mine], signal.reference[mine], t_other[theirs], values[theirs])
-        ax.set(xlim=(start, start + CLOSE_UP), xlabel="s after the first INS measurement",
-               title=f"The liveliest {CLOSE_UP:.0f} s")
-    axes[0].set_ylabel(_label(signal))
-
-
-def _lines(ax: plt.Axes, t_reference: np.ndarray, reference: np.ndarray, t_other: np.ndarray,
-           other: np.ndarray) -> None:
-    keep = slice(None, None, max(len(t_reference) // MOST_POINTS, 1))
-    ax.plot(t_reference[keep], reference[keep], color=MEASURED_COLOUR, lw=3, alpha=0.55, label="INS recording")
-    keep = slice(None, None, max(len(t_other) // MOST_POINTS, 1))
-    ax.plot(t_other[keep], other[keep], color=OTHER_COLOUR, lw=1.0, label="CAN log")
+    ax.set(title="Aligned" if whole else f"The liveliest {CLOSE_UP:.0f} s", xlabel="s after the first INS measurement",
+           ylabel=f"{signal.name.split(' (')[0]}, {unit}")
 
 
 def _liveliest(time: np.ndarray, values: np.ndarray, other: np.ndarray) -> float:

@@ -6,7 +6,6 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from rich.table import Table
 from st_core.bands.shares import PARAMETERS, SENSORS, Intervals, share_squares
 from st_core.log_evaluation import AXES, EvaluationSettings
@@ -16,7 +15,7 @@ from st_core.models import Model
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
 from st_core.vehicle import VehicleParameters
 
-from ..evaluation.drawing import GRID, TEXT, WIDTH, Drawn, Place, finish, style
+from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
 from ..terminal import rows_table
 from .scoring import Sums, finished, finished_adaptive, pooled_sums
 
@@ -112,7 +111,6 @@ def _pair(axes: dict[str, float] | None) -> str:
 
 
 REMAINS = "what remains"
-COLOURS = {PARAMETERS: MODEL_COLOUR["linear"], SENSORS: MODEL_COLOUR["kinematic"], REMAINS: GRID}
 SHOWN = ("1", "3", "5")
 """Seconds ahead, in the table."""
 
@@ -184,31 +182,6 @@ def shares_table(shares: Mapping[str, Any], width: int) -> Table | None:
     return rows_table(
         rows, title="What the error is made of, inputs as they were: shares of its mean square, along | across",
         width=min(width, 140))
-
-
-def share_figures(shares: Mapping[str, Any], place: Place) -> list[Drawn]:
-    """Mean square across by second ahead, stacked of its causes; none without shares."""
-    if not shares:
-        return []
-    with style():
-        figure, panels = plt.subplots(1, len(shares), figsize=(WIDTH, 3.2), squeeze=False, sharey=True)
-        for axes, (model, one) in zip(panels[0], shares.items(), strict=True):
-            seconds = [int(s) for s in one["rms"]]
-            # Cut off at the whole: stated uncertainties may exceed the observed errors.
-            lower = np.zeros(len(seconds))
-            for kind, values in one["share"].items():
-                height = np.clip([values[str(s)]["lateral"] for s in seconds], 0.0, 1.0 - lower)
-                axes.bar(seconds, 100.0 * height, bottom=100.0 * lower, color=COLOURS[kind], width=0.8)
-                lower = lower + height
-            axes.set(title=model, xlabel="time ahead, s", ylim=(0, 100))
-        panels[0, 0].set_ylabel("of the mean square across, %")
-        figure.legend(handles=[Patch(color=colour, label=kind) for kind, colour in COLOURS.items()],
-                      loc="outside lower left", ncols=3)
-        last = list(next(iter(shares.values()))["rms"])[-1]
-        text = ", ".join(f"{model} {one['share'][REMAINS][last]['lateral']:.0%}" for model, one in shares.items())
-        return [finish(figure, place, "bands_shares", f"What the error across is made of; residual at {last} s: {text}",
-                       "Parameters: those with a stated uncertainty. Sensors and start: white noise of these runs. "
-                       "Cut off at 100 %.")]
 
 
 def _array(seconds: Mapping[str, Mapping[str, float]]) -> np.ndarray:

@@ -86,8 +86,7 @@ def collect(sources: Sequence[RunSource], task: Task, models: Sequence[Model], r
                         raise RunError(source.where, f"has the same content as {before[digest]}",
                                        "give every recording once")
                 _refuse_other_car(source, run, task.vehicle)
-                passed(source.where, run.log, task.vehicle, run.auxiliary, task.force, models,
-                       task.settings.prediction.step)
+                passed(source.where, run, task.vehicle, task.force, models, task.settings.prediction.step)
                 samples.append(run_samples(models, task.vehicle, task.settings.signals(run.log), task.settings))
         except (RunError, StCoreError) as error:
             problems.append(f"{source.name}: {' '.join(str(error).split())}")

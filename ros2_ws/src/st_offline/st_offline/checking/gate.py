@@ -80,10 +80,10 @@ def passed_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSetti
     return list(findings)
 
 
-def passed(where: Path | str, log: DriveLog, vehicle: VehicleParameters, auxiliary: AuxiliaryData | None, force: bool,
+def passed(where: Path | str, run: LoadedRun, vehicle: VehicleParameters, force: bool,
            models: Sequence[str | Model] = (), step: float = STEP) -> list[dict[str, Any]]:
     """Findings of a drive that may be used, as plain values for a report. Raises Refused for one that may not."""
-    findings = checked_log(log, vehicle, auxiliary, models, step).findings
+    findings = checked_log(run.log, vehicle, run.auxiliary, models, step).findings
     refuse(where, findings, force)
     return documents(findings)
 

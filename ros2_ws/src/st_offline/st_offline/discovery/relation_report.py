@@ -21,7 +21,6 @@ P_DIFFERENT = 0.01  # p-value of equal shares below which the relation varies be
 SQUARES = str.maketrans({"^": None, "2": "²"})
 ELSEWHERE = ("drive the same again, once beginning elsewhere on the course and once in the other direction, and add "
              "these runs: only then can the place, the course and the time in the run be separated")
-MIN_SECONDS = 0.5  # of a drive: a sparse range in which less is spent is not reached
 Groups = list[tuple[str, list[str]]]
 
 
@@ -104,7 +103,7 @@ def _uncertainty(one: Relation) -> list[str]:
     if one.drives.thin:
         mirrored = ", to either side" if c.parity == ODD else ""
         lines.append(f"sparsely driven: {_ranges(one, one.drives.thin)}{mirrored}. There the curve is interpolated, "
-                     "with an interval for a relation as smooth")
+                     "with an interval for a relation as smooth: drive some seconds there, turning to both sides")
     absent = one.shares.absent() if one.shares.p_equal < P_DIFFERENT else []
     if absent:
         shares = ", ".join(f"{name} {share:.1f} ± {report_text.Z95 * deviation:.1f}" for name, (share, deviation) in
@@ -140,7 +139,9 @@ def _files(one: Relation, corrected: bool) -> list[str]:
 def _commands(one: Relation, typed: CommandLine) -> list[tuple[str, str]]:
     if one.candidate.quantity == "run_time":
         return []
-    folder = typed.folder
+    folder, drives = typed.folder, one.drives
+    separating, precise = drives.most_separating(), drives.most_precise(one.deviation)
+    options = dict.fromkeys(option.manoeuvre.name for option in (separating and separating[0], precise) if option)
     model = [f"{folder}/proposed.yaml", "--effects", f"{folder}/effects"]
     listed = [
         ("test the file", ["effects", "check", f"{folder}/effects/{name_of(one)}.py", *typed.vehicle]),
@@ -148,7 +149,7 @@ def _commands(one: Relation, typed: CommandLine) -> list[tuple[str, str]]:
          ["evaluate", *typed.runs, *typed.options, "--model", "nonlinear", "--model", *model]),
         ("for a controller, once another drive has confirmed it", ["export", *model, *typed.vehicle]),
         ("search for more", ["discover", *typed.runs, *typed.options, "--base", *model]),
-        *(("see a next drive", ["demo", "--scenario", name]) for name in suggested_manoeuvres(one))]
+        *(("see a next drive", ["demo", "--scenario", name]) for name in options)]
     return [(what, shlex.join(["./st", *command])) for what, command in listed] + [
         ("delete it", shlex.join(["rm", f"{folder}/effects/{name_of(one)}.py", f"{folder}/proposed.yaml"]))]
 
@@ -198,55 +199,22 @@ def next_drive_sentences(one: Relation) -> list[str]:
     c, drives = one.candidate, one.drives
     if c.quantity in OF_A_PLACE:
         return [ELSEWHERE]
-    lines: list[str] = []
-    separating = drives.most_separating()
+    lines = []
+    separating, precise = drives.most_separating(), drives.most_precise(one.deviation)
     if separating is not None:
         option, rival = separating
-        lines.append(f"to separate it from {quantities.named(rival)}: {_manoeuvre(option, lines)}. Their "
-                     f"difference is then {option.apart[rival] / max(drives.now[rival], 1e-9):.1f} times as large")
+        lines.append(f"to separate it from {quantities.named(rival)}: {_manoeuvre(option)}. Their difference is then "
+                     f"{option.apart[rival] / max(drives.now[rival], 1e-9):.1f} times as large")
     elif drives.now:
         lines.append("no manoeuvre of the catalogue separates it much better from its alternatives: look for the "
                      "cause on the car")
     if len(drives.now) < len(one.others):
         lines.append(f"to separate it from effects of place, course or time: {ELSEWHERE}")
-    precise = drives.most_precise(one.deviation)
     if precise is not None:
         up, unit = shown(c.unit)
-        lines.append(f"for a narrower interval: {_manoeuvre(precise, lines)}. The widest 95 % interval then falls from "
+        lines.append(f"for a narrower interval: {_manoeuvre(precise)}. The widest 95 % interval then falls from "
                      f"± {up * report_text.Z95 * one.deviation.max():.2g} to ± "
                      f"{up * report_text.Z95 * precise.deviation.max():.2g} {unit}")
-    return [*lines, *_sparse(one, lines)]
-
-
-def suggested_manoeuvres(one: Relation) -> list[str]:
-    """Names of the manoeuvres in `next_drive_sentences`."""
-    drives, separating = one.drives, one.drives.most_separating()
-    chosen = [separating[0] if separating else None, drives.most_precise(one.deviation),
-              *(_covering(one, k) for k in range(len(drives.thin)))]
-    return list(dict.fromkeys(option.manoeuvre.name for option in chosen if option))
-
-
-def _covering(one: Relation, k: int) -> Option | None:
-    """The option with most time in a sparse range, None below MIN_SECONDS."""
-    best = max(one.drives.options, key=lambda o: o.seconds[k], default=None)
-    return best if best is not None and best.seconds[k] >= MIN_SECONDS else None
-
-
-def _sparse(one: Relation, before: Sequence[str]) -> list[str]:
-    """The manoeuvre with most time in each sparse range. before: lines written already."""
-    lines: list[str] = []
-    missed = []
-    for k, between in enumerate(one.drives.thin):
-        best = _covering(one, k)
-        if best is None:
-            missed.append(between)
-            continue
-        lines.append(f"for {_ranges(one, [between])}: {_manoeuvre(best, (*before, *lines))}; {best.seconds[k]:.1f} s "
-                     "of each drive are in that range")
-    if missed:
-        lines.append(f"no manoeuvre of the catalogue stays at {_ranges(one, missed)} of the "
-                     f"{quantities.quantity(one.candidate)}: drive some seconds there by hand, turning to both "
-                     "sides")
     return lines
 
 
@@ -255,8 +223,6 @@ def _ranges(one: Relation, of: Sequence[tuple[float, float]]) -> str:
     return ", ".join(f"{across * low:.2g} to {across * high:.2g} {unit}" for low, high in of)
 
 
-def _manoeuvre(option: Option, before: Sequence[str]) -> str:
-    """A manoeuvre, with its description unless a line before has it."""
+def _manoeuvre(option: Option) -> str:
     m = option.manoeuvre
-    whole = f"{m.name}, {TIMES} times {m.duration:.0f} s ({m.meaning.replace('^2', '²')}, from {m.speed:.1f} m/s)"
-    return m.name if any(whole in line for line in before) else whole
+    return f"{m.name}, {TIMES} times {m.duration:.0f} s ({m.meaning.replace('^2', '²')}, from {m.speed:.1f} m/s)"

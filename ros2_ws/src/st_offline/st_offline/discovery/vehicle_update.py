@@ -30,6 +30,7 @@ SLOWEST = 1.5  # m/s
 SAME = 1e-3  # m, rad; at every start, at the end of the horizon
 NEARLY_SAME = 0.02  # m, mean: two models of which one has corrections that have no meaning
 DIGITS = 6
+SAME_VALUE = 1e-5  # relative: DIGITS are written
 SLIP_SPEED = "minimum_slip_speed"
 KEYS = (*VEHICLE_QUANTITIES, *(f"{tyre}.{key}" for tyre in TYRES for key in TYRE_QUANTITIES))
 Values = Mapping[str, Mapping[str, float]]
@@ -84,33 +85,35 @@ def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
         more = (*folded, effect)
         try:
             car = fold(request.vehicle, more, found.named.values)
-            same = _alike(_errors(without(found.named, more), car, drives), expected)
+            errors = _errors(without(found.named, more), car, drives)
         except StCoreError:  # no car, or one beyond the limits of a vehicle file
             continue
-        if same:
+        if all(a.shape == b.shape and np.allclose(a, b, rtol=0.0, atol=SAME, equal_nan=True)
+               for a, b in zip(errors, expected, strict=True)):
             folded = more
         else:
             kept[effect.name] = _changes(request.vehicle, fold(request.vehicle, (effect,), found.named.values))
     if not folded:
         return VehicleUpdate(request.vehicle, "", found.model, (), {}, kept)
-    car = _stable(fold(request.vehicle, folded, found.named.values))
+    car = fold(request.vehicle, folded, found.named.values)
+    needed = slip_speed_needed(("linear", "nonlinear"), car, SPEEDS, PredictionSettings().step)
+    if needed is not None and needed > car.minimum_slip_speed:  # stiffer tyres need more for stable models
+        car = replace(car, minimum_slip_speed=needed)
     error = _held_out_error(found, request.vehicle, folded, drives)
     model = _remaining(found, car, folded, drives, request.vehicle)
     changes = {key: (*change, *_interval(found, request.vehicle, folded, key))
                for key, change in _changes(request.vehicle, car).items()}
     if SLIP_SPEED in changes:  # it follows from the others
         changes[SLIP_SPEED] = (*changes[SLIP_SPEED][:2], car.minimum_slip_speed, car.minimum_slip_speed)
-    text = updated_text(request, car, changes, *_source(found, folded))
+    runs, date = [run for run in found.runs if run.role == "suspect"], f"{datetime.now(UTC):%Y-%m-%d}"
+    source = (f"st discover, {date}, {len(runs)} run{'' if len(runs) == 1 else 's'}, "
+              f"{sum(run.seconds for run in runs):.0f} s: {', '.join(e.name for e in folded)}")
+    about = Provenance(None, "st discover", ", ".join(run.name for run in runs), date)
+    text = updated_text(request, car, changes, source, about)
     vehicle = VehicleParameters.from_yaml(text, "vehicle.yaml")
     shown = {key: change for key, change in changes.items() if not key.endswith("lambda_ky")}
     return VehicleUpdate(vehicle, text, model, tuple(effect.name for effect in folded), shown, kept, error,
                          objections(vehicle, request.vehicle))
-
-
-def _stable(car: VehicleParameters) -> VehicleParameters:
-    """The car with the minimum_slip_speed at which its models are stable: stiffer tyres need more."""
-    needed = slip_speed_needed(("linear", "nonlinear"), car, SPEEDS, PredictionSettings().step)
-    return car if needed is None or needed <= car.minimum_slip_speed else replace(car, minimum_slip_speed=needed)
 
 
 def _held_out_error(found: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
@@ -193,11 +196,6 @@ def _errors(model: AugmentedModel, vehicle: VehicleParameters, drives: Sequence[
     return found
 
 
-def _alike(errors: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> bool:
-    return all(a.shape == b.shape and np.allclose(a, b, rtol=0.0, atol=SAME, equal_nan=True)
-               for a, b in zip(errors, others, strict=True))
-
-
 def _interval(found: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
               key: str) -> tuple[float, float]:
     """95 % of a key of the file: the intervals of the effects in it, taken as independent."""
@@ -219,14 +217,6 @@ def _interval(found: Discovery, vehicle: VehicleParameters, folded: Sequence[typ
     return centre - math.sqrt(below), centre + math.sqrt(above)
 
 
-def _source(found: Discovery, folded: Sequence[type[Effect]]) -> tuple[str, Provenance]:
-    runs = [run for run in found.runs if run.role == "suspect"]
-    date = f"{datetime.now(UTC):%Y-%m-%d}"
-    source = f"{len(runs)} run{'' if len(runs) == 1 else 's'}, {sum(run.seconds for run in runs):.0f} s"
-    about = Provenance(None, "st discover", ", ".join(run.name for run in runs), date)
-    return f"st discover, {date}, {source}: {', '.join(e.name for e in folded)}", about
-
-
 def updated_text(request: Request, car: VehicleParameters, changes: Mapping[str, tuple[float, ...]], source: str,
                 about: Provenance) -> str:
     """The user's vehicle file with these keys replaced; everything else, comments included, is unchanged.
@@ -234,26 +224,36 @@ def updated_text(request: Request, car: VehicleParameters, changes: Mapping[str,
     A derived lambda_ky is written only where it would be derived differently. A file that cannot be edited so that it
     reads as `car` is written as a whole.
     """
-    def written(text: str, keys: Iterable[str]) -> str:
-        return edited(text, {key: _entry(changes[key], source, about) for key in keys})
-
     stated = yaml.safe_load(request.vehicle_text)
     derived = [f"{tyre}.lambda_ky" for tyre in TYRES if "lambda_ky" not in stated[tyre]]
+    entries = {key: _entry(change, source, about) for key, change in changes.items() if key not in derived}
     try:
-        text = written(request.vehicle_text, [key for key in changes if key not in derived])
-        off = [key for key in derived if not _close(VehicleParameters.from_yaml(text), car, key)]
-        derived_too = {key: (value_of(request.vehicle, key), value_of(car, key)) for key in off}
-        text = edited(text, {key: _entry(change, source, about) for key, change in derived_too.items()})
-        if all(_close(VehicleParameters.from_yaml(text), car, key) for key in KEYS):
-            return text
+        first = VehicleParameters.from_yaml(edited(request.vehicle_text, entries))
     except (ConfigurationError, yaml.YAMLError):
-        pass
+        first = car
+    entries |= {key: _entry((value_of(request.vehicle, key), value_of(car, key)), source, about)
+                for key in derived if not _close(first, car, key, SAME_VALUE)}
     sources = {key: f"{source}; before {number(change[0])}" for key, change in changes.items()}
-    return replace(car, sources={**request.vehicle.sources, **sources}).to_yaml()
+    return edited_or_whole(request.vehicle_text, entries,
+                           replace(car, sources={**request.vehicle.sources, **sources}), SAME_VALUE)
 
 
-def _close(car: VehicleParameters, other: VehicleParameters, key: str) -> bool:
-    return math.isclose(value_of(car, key), value_of(other, key), rel_tol=1e-5, abs_tol=1e-9)
+def edited_or_whole(text: str, entries: Mapping[str, Callable[[str, float], str]], car: VehicleParameters,
+                    tolerance: float) -> str:
+    """A vehicle file with these entries replaced, or the car as a whole where the file does not read as it then.
+
+    tolerance: relative, of every value.
+    """
+    try:
+        new = edited(text, entries)
+        again = VehicleParameters.from_yaml(new)
+    except (ConfigurationError, yaml.YAMLError):
+        return car.to_yaml()
+    return new if all(_close(again, car, key, tolerance) for key in KEYS) else car.to_yaml()
+
+
+def _close(car: VehicleParameters, other: VehicleParameters, key: str, tolerance: float) -> bool:
+    return math.isclose(value_of(car, key), value_of(other, key), rel_tol=tolerance, abs_tol=1e-4 * tolerance)
 
 
 def _entry(change: Sequence[float], source: str, about: Provenance) -> Callable[[str, float], str]:

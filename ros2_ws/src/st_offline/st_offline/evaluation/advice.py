@@ -9,10 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, NullFormatter
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -26,14 +23,12 @@ from st_core.errors import ConfigurationError, StCoreError
 from st_core.log_evaluation import EvaluationSettings, regular_starts, usable_starts
 from st_core.log_signals import LogSignals
 from st_core.models import Model
-from st_core.palette import MODEL_COLOUR
 from st_core.prediction import predict
 from st_core.stability import StepTooLongWarning
 from st_core.types import ControlInput, VehicleState
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import RunError, RunSource, read
 
-from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
 from ..evaluation.work import Task, load_models
 from ..terminal import line, list_files, rows_table
 
@@ -164,7 +159,6 @@ def cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
 
 
 MULTIPLES = (1, 2, 4)  # of the integration step of the task
-MARKERS = ("o", "s", "^", "D", "v")
 
 
 @dataclass(frozen=True)
@@ -178,9 +172,7 @@ class Advice:
 
 
 def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: Console) -> None:
-    """Tables on the terminal, advice.csv, and advice.* with the other figures. Runs that cannot be used were named by
-    the evaluation before.
-    """
+    """Tables on the terminal, and advice.csv. Runs that cannot be used were named by the evaluation before."""
     with console.status("cost and accuracy of each model and step"):
         advice = measure(sources, task, tolerance)
     found = rows(advice.costs, advice.accuracies)
@@ -196,8 +188,6 @@ def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: 
         writer = csv.DictWriter(stream, list(found[0]))
         writer.writeheader()
         writer.writerows(found)
-    if advice.accuracies:
-        figure(advice.costs, advice.accuracies, tolerance, Place(task.folder, task.formats))
     list_files({file: "cost, error and band of each model and step"}, console)
 
 
@@ -297,40 +287,6 @@ def caption(accuracies: Mapping[Key, Accuracy]) -> str:
 
 def choice_title(tolerance: float) -> str:
     return f"Cheapest with {SHARE:.0%} of starts within {tolerance:g} m across up to then, inputs as driven"
-
-
-def figure(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy], tolerance: float, place: Place) -> Drawn:
-    """Error and band half-width against cost, one panel a second ahead."""
-    known = max((one.second for one in accuracies.values()), default=())
-    seconds = [s for s in known if s in (1, 2, 3, 5)] or known[:1]
-    steps = sorted({step for _, step in accuracies})
-    with style():
-        drawn, panels = plt.subplots(1, len(seconds), figsize=(WIDTH, 3.4), sharey=True, squeeze=False)
-        for axes, second in zip(panels[0], seconds, strict=True):
-            for (model, step), one in accuracies.items():
-                k, marker = one.second.index(second), MARKERS[steps.index(step) % len(MARKERS)]
-                cost, colour = 1e6 * processor_time(costs[model, step]), MODEL_COLOUR.get(model, TEXT)
-                axes.plot(cost, one.rms[k], marker, color=colour, ms=5)
-                if one.width is not None:
-                    axes.plot([cost, cost], [one.rms[k], one.width[k]], color=colour, lw=0.7)
-                    axes.plot(cost, one.width[k], marker, color=colour, ms=5, mfc="none")
-            axes.axhline(tolerance, color=TEXT, lw=0.7, ls=(0, (4, 3)))
-            axes.set(title=f"{second} s ahead", xscale="log", yscale="log", xlabel="µs a prediction")
-            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axes.xaxis.set_major_formatter("{x:g}")
-            axes.yaxis.set_major_formatter("{x:g}")
-            axes.xaxis.set_minor_formatter(NullFormatter())
-        panels[0, 0].set_ylabel("across, m")
-        models = list(dict.fromkeys(model for model, _ in accuracies))
-        handles = [Line2D([], [], ls="", marker="o", color=MODEL_COLOUR.get(m, TEXT), label=m) for m in models]
-        handles += [Line2D([], [], ls="", marker=MARKERS[k % len(MARKERS)], color=TEXT, label=f"step {step:g} s")
-                    for k, step in enumerate(steps)]
-        handles += [Line2D([], [], ls="", marker="D", color=TEXT, ms=5, label="error, rms"),
-                    Line2D([], [], ls="", marker="D", color=TEXT, ms=5, mfc="none", label="half-width of the band"),
-                    Line2D([], [], color=TEXT, lw=0.7, ls=(0, (4, 3)), label=f"{tolerance:g} m")]
-        drawn.legend(handles=handles, loc="outside lower left", ncols=6)
-        return finish(drawn, place, "advice", "Cost and accuracy of each model and step",
-                      f"Filled: rms error; hollow: half-width of the band; dashed: {tolerance:g} m.")
 
 
 def _time(seconds: float | None, least: float) -> str:

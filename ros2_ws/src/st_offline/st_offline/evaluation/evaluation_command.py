@@ -8,8 +8,6 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import Progress as ProgressBars
-from rich.progress import TaskID
 from st_core.errors import ConfigurationError
 from st_recordings.paths import new_folder
 from st_recordings.runs import RunError, RunSource, find_runs
@@ -86,22 +84,20 @@ def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, schedul
     with progress_bars(console) as progress:
         runs = progress.add_task("runs", total=len(sources))
         starts = progress.add_task("", visible=False)
+
+        def watch(source: RunSource) -> Progress:
+            progress.update(starts, description=escape(f"{source.name}: reading"), total=None, completed=0,
+                            visible=True)
+            return lambda done, total: progress.update(starts, description=escape(source.name), total=total,
+                                                       completed=done)
+
         try:
-            watch = _watcher(progress, starts)
             for report in reports(sources, task, workers, scheduler, watch):
                 found[report.name] = report
                 progress.advance(runs)
         except WorkersError as error:
             raise ConfigurationError(str(error)) from None
     return [found[source.name] for source in sources]
-
-
-def _watcher(progress: ProgressBars, bar: TaskID) -> Callable[[RunSource], Callable[[int, int], None]]:
-    def watch(source: RunSource) -> Callable[[int, int], None]:
-        progress.update(bar, description=escape(f"{source.name}: reading"), total=None, completed=0, visible=True)
-        return lambda done, total: progress.update(bar, description=escape(source.name), total=total, completed=done)
-
-    return watch
 
 
 def _times(reports: Sequence[RunReport], wall: float) -> str:

@@ -16,7 +16,7 @@ from st_core.palette import MODEL_COLOUR
 from st_core.vehicle import VehicleParameters
 from st_recordings.results import versions
 
-from ..bands.bands_report import adaptive_rows, band_figures, band_rows, finished_shares, share_figures, share_rows
+from ..bands.bands_report import adaptive_rows, band_figures, band_rows, finished_shares, share_rows
 from ..bands.scoring import finished, finished_adaptive, pooled_sums
 from ..checking.check_report import by_name, clock, effect, findings_in
 from ..pages import template
@@ -77,26 +77,18 @@ def document(reports: Sequence[RunReport], choices: Choices) -> dict[str, Any]:
                                       key=lambda entry: -_starts(entry)),
         "about": {r.name: r.about for r in good},
         **_bands(good, choices.task),
-        **_adaptive(good, choices.task),
         "failed": {r.name: r.problem for r in reports if r.problem},
         "refused": {r.name: r.about["findings"] for r in reports if r.problem and r.about},
     }
 
 
 def _bands(good: Sequence[RunReport], task: Task) -> dict[str, Any]:
-    if task.bands is None:
-        return {}
-    pooled = pooled_sums([r.bands for r in good])
-    return {"bands": {r.name: finished(r.bands) for r in good},
-            "bands_all_runs": {"file": task.bands[0], **finished(pooled), "shares": finished_shares(pooled)}}
-
-
-def _adaptive(good: Sequence[RunReport], task: Task) -> dict[str, Any]:
-    if not task.adaptive:
-        return {}
-    pooled = pooled_sums([{"adaptive": r.bands["adaptive"]} for r in good])
-    return {"adaptive_bands": {r.name: finished_adaptive(r.bands) for r in good},
-            "adaptive_bands_all_runs": finished_adaptive(pooled)}
+    sums = pooled_sums([r.bands for r in good])
+    fixed = {"bands": {r.name: finished(r.bands) for r in good},
+             "bands_all_runs": {"file": task.bands[0], **finished(sums), "shares": finished_shares(sums)}
+             } if task.bands else {}
+    return fixed | ({"adaptive_bands": {r.name: finished_adaptive(r.bands) for r in good},
+                     "adaptive_bands_all_runs": finished_adaptive(sums)} if task.adaptive else {})
 
 
 def pooled_bins(reports: Sequence[RunReport]) -> list[dict[str, Any]]:
@@ -129,8 +121,7 @@ def write_results(reports: Sequence[RunReport], choices: Choices, title: str) ->
     about = f"{words['vehicle']}; starts {words['starts']}; horizon {words['horizon']}; {words['measured inputs']}."
     files["latex"].write_text(tables.latex_table(good, choices.over, about))
     drawn = overview(good, choices.over, Place(folder, choices.task.formats))
-    tested, place = content.get("bands_all_runs"), Place(folder, choices.task.formats)
-    of_bands = [*band_figures(tested, place), *share_figures((tested or {}).get("shares", {}), place)]
+    of_bands = band_figures(content.get("bands_all_runs"), Place(folder, choices.task.formats))
     write_page(files["page"], title, reports, content, words, drawn, of_bands, choices.over)
     return files
 
@@ -147,34 +138,27 @@ def _readable(content: dict[str, Any]) -> str:
 
 def write_page(file: Path, title: str, reports: Sequence[RunReport], content: dict[str, Any],
                settings: dict[str, str], overview: Drawn | None, bands: Sequence[Drawn], over: str) -> None:
-    """content: of evaluation.json. bands: figures of the tested bands, the most important first."""
+    """content: of evaluation.json. bands: figures of the tested bands."""
     good = [r for r in reports if not r.problem]
     leading = [overview] if overview and len(good) > 1 else [f for r in good for f in r.figures[1:2]]
-    of_bands = list(bands[:1])
-    of_run = _of_first_run(good, leading, MAX_FIGURES - len(leading) - len(of_bands))
+    room, of_run = BUDGET, []  # of the first run; the others are files
+    for figure in (f for f in good[0].figures if f not in leading) if good else ():
+        room -= len(figure.svg.encode())
+        if len(leading) + len(bands) + len(of_run) < MAX_FIGURES and room > 0:
+            of_run.append(figure)
     modes = list(dict.fromkeys(mode for of_model in content["all_runs"].values() for mode in of_model))
     pooled_bands = content.get("bands_all_runs", {})
     text = template("evaluation/page.html.jinja").render(
         title=title, summary=summary(good, over, content["settings"]["horizon"]), reports=good, content=content,
         problems={r.name: r.problem for r in reports if r.problem}, settings=settings,
-        about={r.name: r.about for r in reports}, leading=leading, band_figures=of_bands,
+        about={r.name: r.about for r in reports}, leading=leading, band_figures=bands,
         band_rows=band_rows(pooled_bands or None),
         adaptive_rows=adaptive_rows(content.get("adaptive_bands_all_runs")),
         share_rows=share_rows(pooled_bands.get("shares", {})),
         over=over, what=tables.WHAT[over], axes=tables.SHOWN_AXES, kinds=tables.KINDS, modes=modes,
-        figures=of_run, shown=tables.shown, best=tables.best, values=tables.values, slug=slug)
+        figures={good[0].name: of_run} if of_run else {}, shown=tables.shown, best=tables.best,
+        values=tables.values, slug=slug)
     file.write_text(text, encoding="utf-8")
-
-
-def _of_first_run(reports: Sequence[RunReport], leading: Sequence[Drawn], count: int) -> dict[str, list[Drawn]]:
-    """At most `count` figures of the first run that are not among the leading ones and fit into the page, by run."""
-    room = BUDGET
-    chosen: list[Drawn] = []
-    for figure in (f for f in reports[0].figures if f not in leading) if reports else ():
-        room -= len(figure.svg.encode())
-        if len(chosen) < count and room > 0:
-            chosen.append(figure)
-    return {reports[0].name: chosen} if chosen else {}
 
 
 def overview(reports: Sequence[RunReport], over: str, place: Place) -> Drawn | None:

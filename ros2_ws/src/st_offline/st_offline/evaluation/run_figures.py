@@ -40,12 +40,9 @@ class Drawing:
     def name(self) -> str:
         return self.evaluation.name
 
-    def colour(self, model: str) -> str:
-        return MODEL_COLOUR.get(model, TEXT)
-
     def line(self, model: str) -> dict[str, Any]:
         """How matplotlib draws the line of a model."""
-        return {"color": self.colour(model), "ls": MODEL_LINE.get(model, "solid")}
+        return {"color": MODEL_COLOUR.get(model, TEXT), "ls": MODEL_LINE.get(model, "solid")}
 
 
 def complete_in_all(evaluation: LogEvaluation) -> np.ndarray:
@@ -78,7 +75,7 @@ def run_figures(drawing: Drawing) -> list[Drawn]:
     """All figures that this run has data for."""
     if not any(e.n_starts for e in drawing.evaluation.errors.values()):
         return []
-    first, others = (segments, horizon_means), (slip, error_against_horizon, error_against_acceleration)
+    first, others = (segments, horizon_means), (slip, error_against_horizon)
     with style(), in_background(lambda: [make(drawing) for make in others]) as rest:
         drawn = [make(drawing) for make in first] + rest()
     return [figure for figure in drawn if figure is not None]
@@ -157,7 +154,7 @@ def horizon_means(drawing: Drawing) -> Drawn:
             line = evaluation.errors[model.name, "hindsight"].mean[:, k]
             # Linear and nonlinear often lie on each other: the wider one shows on both sides.
             width = 2.4 if model.name == "linear" else 1.0
-            axes.plot(*_over_time(evaluation, line), color=drawing.colour(model.name), lw=width)
+            axes.plot(*_over_time(evaluation, line), **drawing.line(model.name) | {"ls": "-", "lw": width})
         axes.set_ylabel(AXIS_LABEL[axis])
     speed, lateral = evaluation.conditions["speed"], evaluation.conditions["lateral_acceleration"]
     context.plot(*_over_time(evaluation, speed), color=TEXT, lw=1.0)
@@ -168,7 +165,7 @@ def horizon_means(drawing: Drawing) -> Drawn:
              Line2D([], [], color=MEASURED_COLOUR, lw=1.0, label="lateral acceleration, m/s² (+ = left)")]
     legend(figure, drawing, extra, solid=True)
     length = evaluation.horizon[-1]
-    title = f"{drawing.name}: {ranking(evaluation, 'lateral')}"
+    title = f"{drawing.name}: {ranking(evaluation)}"
     caption = f"Error averaged over each {length:g} s horizon (hindsight: measured inputs), over the time it starts."
     return finish(figure, drawing.place, "horizon_means", title, caption)
 
@@ -205,48 +202,13 @@ def error_against_horizon(drawing: Drawing) -> Drawn:
     return finish(figure, drawing.place, "error_against_horizon", title, caption)
 
 
-def error_against_acceleration(drawing: Drawing) -> Drawn:
-    """Horizon means against the mean lateral acceleration of the horizon: points, and their median in steps."""
-    evaluation = drawing.evaluation
-    lateral = evaluation.conditions["lateral_acceleration"]
-    figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
-    largest: dict[str, tuple[float, float]] = {}
-    for axes, k, axis in zip(panels, (0, 1), ("longitudinal", "lateral"), strict=True):
-        axes.axhline(0, color=TEXT, lw=0.6)
-        for model in drawing.models:
-            errors = evaluation.errors[model.name, "hindsight"]
-            value = errors.mean[:, k]
-            known = np.flatnonzero(errors.complete)
-            shown = known[:: max(1, len(known) // 1000)]
-            # As pixels: a thousand points as shapes would be most of the page.
-            axes.plot(lateral[shown], value[shown], ".", ms=3, alpha=0.3, color=drawing.colour(model.name), mew=0,
-                      rasterized=True)
-            middles, medians = _medians(lateral[known], value[known])
-            axes.plot(middles, medians, **drawing.line(model.name), lw=1.6)
-            if axis == "lateral" and len(medians):
-                at = int(np.abs(medians).argmax())
-                largest[model.name] = (float(medians[at]), float(middles[at]))
-        axes.set(xlabel="mean lateral acceleration, m/s² (+ = left)", ylabel=AXIS_LABEL[axis])
-    legend(figure, drawing, [Line2D([], [], color=TEXT, marker=".", ls="", ms=4, label="one start")])
-    parts = [f"{model} {value:+.2f} m at {at:+.1f} m/s²" for model, (value, at) in largest.items()]
-    title = f"{drawing.name}: largest median lateral error: {', '.join(parts)}"
-    caption = "Horizon means in hindsight; the lines are medians of steps of 0.5 m/s² that hold at least five starts."
-    return finish(figure, drawing.place, "error_against_acceleration", title, caption)
-
-
-def _medians(x: np.ndarray, y: np.ndarray, width: float = 0.5, least: int = 5) -> tuple[np.ndarray, np.ndarray]:
-    steps = np.round(x / width).astype(int)
-    found = [(s * width, np.median(y[steps == s])) for s in np.unique(steps) if (steps == s).sum() >= least]
-    return np.array([f[0] for f in found]), np.array([f[1] for f in found])
-
-
-def ranking(evaluation: LogEvaluation, axis: str) -> str:
-    """One sentence: RMSE of every model in hindsight, the best first, and how much worse the worst is."""
-    values = sorted((evaluation.errors[m, "hindsight"].statistics(axis)[2], m) for m in evaluation.models)
+def ranking(evaluation: LogEvaluation) -> str:
+    """One sentence: lateral RMSE of every model in hindsight, the best first, and how much worse the worst is."""
+    values = sorted((evaluation.errors[m, "hindsight"].statistics("lateral")[2], m) for m in evaluation.models)
     values = [(v, m) for v, m in values if math.isfinite(v)]
     if not values:
         return "no complete horizon"
-    text = f"{axis} RMSE of the horizon means: " + ", ".join(f"{m} {v:.2f} m" for v, m in values)
+    text = "lateral RMSE of the horizon means: " + ", ".join(f"{m} {v:.2f} m" for v, m in values)
     ratio = values[-1][0] / max(values[0][0], 1e-6)
     return text + (f" ({ratio:.1f} times)" if len(values) > 1 and ratio > 1.15 else "")
 
@@ -254,10 +216,12 @@ def ranking(evaluation: LogEvaluation, axis: str) -> str:
 def slip(drawing: Drawing) -> Drawn | None:
     """Predicted slip angles and lateral forces of both axles; grey: slip angles from the measured motion."""
     models = [m for m in drawing.models if m.axles is not None and not m.extra_states and not m.signals]
-    row = _start(drawing)
-    if not models or row is None:
-        return None
     evaluation, signals, vehicle = drawing.evaluation, drawing.signals, drawing.vehicle
+    rows = chosen_starts(evaluation, drawing.starts)
+    if not models or not len(rows):
+        return None
+    lateral = np.where(complete_in_all(evaluation), np.abs(evaluation.conditions["lateral_acceleration"]), -1.0)
+    row = int(rows[0] if len(drawing.starts) == 1 else lateral.argmax())
     start = evaluation.starts_ns[row : row + 1]
     _, block = next(evaluate_blocks(models, vehicle, signals, start, evaluation.settings))
     times = start[0] + np.round(evaluation.horizon * 1e9).astype(np.int64)
@@ -267,14 +231,15 @@ def slip(drawing: Drawing) -> Drawn | None:
     measured_slip = _slip_angles(get_model("linear"), drawing.vehicle, measured, angle, acceleration)[0]
     for column in (0, 1):
         grid[0, column].plot(evaluation.horizon, np.degrees(measured_slip[column]), color=MEASURED_COLOUR, lw=1.0)
-    ends = {}
+    ends = []
     for model in models:
         states = block.trajectories[model.name, "hindsight"][0]
         slips, forces = _slip_angles(model, drawing.vehicle, states, angle, acceleration)
         for column in (0, 1):
             grid[0, column].plot(evaluation.horizon, np.degrees(slips[column]), **drawing.line(model.name))
             grid[1, column].plot(evaluation.horizon, forces[column] / 1000.0, **drawing.line(model.name))
-        ends[model.name] = (np.degrees([s[-1] for s in slips]), np.array([f[-1] for f in forces]))
+        front, rear = (f"{np.degrees(s[-1]):.2f}°" for s in slips)
+        ends.append(f"{model.name} {front} in front and {rear} behind, {1e-3 * sum(f[-1] for f in forces):.1f} kN")
     for column, axle in enumerate(AXLES):
         for axes in grid[:, column]:
             axes.axhline(0, color=TEXT, lw=0.6)
@@ -285,7 +250,7 @@ def slip(drawing: Drawing) -> Drawn | None:
     grid[1, 0].set_ylabel("lateral force of the axle, kN\n(+ = to the left)")
     measured_line = Line2D([], [], color=MEASURED_COLOUR, lw=1.0, label="from the measured motion")
     legend(figure, drawing, [measured_line], models=models)
-    title = f"{drawing.name} from {evaluation.time[row]:.1f} s: {_finding(models, ends)}"
+    title = f"{drawing.name} from {evaluation.time[row]:.1f} s: at the end {'; '.join(ends)}"
     peak = np.degrees(np.nanmax(np.abs(measured_slip)))
     caption = (f"Slip angles and forces that the models predict with the measured inputs; measured slip angles reach "
                f"{peak:.1f}°. The start: the requested one, else that of the largest lateral acceleration.")
@@ -300,25 +265,3 @@ def _slip_angles(model: Model, vehicle: VehicleParameters, states: np.ndarray, a
     assert model.axles is not None  # those without are not drawn
     front, rear = model.axles.slip_angles(tuple(states.T), w, p)
     return (front, rear), model.axles.forces(front, rear, w, p)
-
-
-def _start(drawing: Drawing) -> int | None:
-    """The requested start, if it is just one; else where the lateral acceleration over the horizon is largest."""
-    rows = chosen_starts(drawing.evaluation, drawing.starts)
-    if not len(rows):
-        return None
-    if len(drawing.starts) == 1:
-        return int(rows[0])
-    lateral = np.abs(drawing.evaluation.conditions["lateral_acceleration"])
-    return int(np.where(complete_in_all(drawing.evaluation), lateral, -1.0).argmax())
-
-
-def _finding(models: Sequence[Model], ends: dict[str, tuple[np.ndarray, np.ndarray]]) -> str:
-    if len(models) < 2:
-        slips, forces = ends[models[0].name]
-        kilonewton = forces.sum() / 1000.0
-        return f"{models[0].name} ends at {slips[0]:.1f}° in front and {slips[1]:.1f}° behind, {kilonewton:.1f} kN"
-    (slip_a, force_a), (slip_b, force_b) = (ends[m.name] for m in models[:2])
-    degrees, newton = np.abs(slip_b) - np.abs(slip_a), np.abs(force_b) - np.abs(force_a)
-    parts = [f"{d:+.2f}° and {n:+.0f} N {where}" for d, n, where in zip(degrees, newton, AXLES, strict=True)]
-    return f"{models[1].name} ends {', '.join(parts)} from {models[0].name}"

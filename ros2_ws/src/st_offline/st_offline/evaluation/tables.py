@@ -42,16 +42,13 @@ def by_model(evaluation: LogEvaluation, select: np.ndarray | slice = ALL) -> dic
 
 def by_second(evaluation: LogEvaluation) -> dict[str, dict[str, dict[str, Entry]]]:
     """{model: {mode: {second: {axis: {mean, max, rmse}}}}}: the error at 1, 2, ... s, over the complete starts."""
-    return {model: {mode: _seconds(evaluation.errors[model, mode]) for mode in evaluation.modes}
-            for model in evaluation.models}
-
-
-def _seconds(errors: ModelErrors) -> dict[str, Entry]:
-    values = errors.at_seconds[errors.complete]
-    if not len(values):
-        return {}
-    return {str(k + 1): {axis: _kinds(float(v.mean()), float(np.abs(v).max()), float(np.sqrt(np.square(v).mean())))
+    found: dict[str, dict[str, dict[str, Entry]]] = {model: {} for model in evaluation.models}
+    for (model, mode), errors in evaluation.errors.items():
+        values = errors.at_seconds[errors.complete]
+        found[model][mode] = {} if not len(values) else {
+            str(k + 1): {axis: _kinds(v.mean(), np.abs(v).max(), np.sqrt(np.square(v).mean()))
                          for axis, v in zip(AXES, values[:, k].T, strict=True)} for k in range(values.shape[1])}
+    return found
 
 
 def by_bin(evaluation: LogEvaluation) -> list[Entry]:
@@ -143,15 +140,14 @@ def terminal_table(reports: Sequence[Any], over: str, title: str, width: int) ->
     table = Table(title=heading, title_justify="left", box=None, padding=(0, 1))
     table.add_column("run", overflow="fold")
     table.add_column("model", no_wrap=True)
-    table.add_column("starts", justify="right", no_wrap=True)
-    for axis in SHOWN_AXES:
-        table.add_column(axis, justify="right", no_wrap=True)
-    if wide:
-        for mode in ahead:
-            table.add_column(f"{mode} RMSE\nlon | lat", justify="right", no_wrap=True)
+    for name in ("starts", *SHOWN_AXES, *(f"{mode} RMSE\nlon | lat" for mode in ahead if wide)):
+        table.add_column(name, justify="right", no_wrap=True)
     for report in reports:
         for number, model in enumerate(report.models):
-            cells = [_triple(report.models, model, axis, over) for axis in SHOWN_AXES]
+            cells = [Text(" | ").join(
+                Text(f"{shown(values(report.models, model, 'hindsight', axis, over)[kind]):>5}", style="bold" if best(
+                    report.models, model, "hindsight", axis, kind, over) else "") for kind in KINDS)
+                     for axis in SHOWN_AXES]
             forecasts = [" | ".join(f"{shown(values(report.models, model, mode, axis, over)['rmse']):>5}"
                                     for axis in SHOWN_AXES) if mode in report.models[model] else "" for mode in ahead]
             starts = str(report.models[model]["hindsight"]["n_starts"])
@@ -159,15 +155,6 @@ def terminal_table(reports: Sequence[Any], over: str, title: str, width: int) ->
                           *cells, *(forecasts if wide else []))
         table.add_section()
     return table
-
-
-def _triple(models: Models, model: str, axis: str, over: str) -> Text:
-    text = Text()
-    for i, kind in enumerate(KINDS):
-        text.append(" | " if i else "")
-        style = "bold" if best(models, model, "hindsight", axis, kind, over) else ""
-        text.append(f"{shown(values(models, model, 'hindsight', axis, over)[kind]):>5}", style=style)
-    return text
 
 
 def latex_table(reports: Sequence[Any], over: str, what: str) -> str:
@@ -185,22 +172,22 @@ def latex_table(reports: Sequence[Any], over: str, what: str) -> str:
         r"& & \multicolumn{2}{c}{\textbf{Error (mean $\mid$ max $\mid$ RMSE) [m]}} \\", r"\cmidrule(lr){3-4}",
         r"& & \textbf{Longitudinal} & \textbf{Lateral} \\",
     ]
+
+    def triple(report: Any, model: str, axis: str) -> str:
+        parts = []
+        for kind in KINDS:
+            text = shown(values(report.models, model, "hindsight", axis, over)[kind])
+            bold = rf"\mathbf{{{text}}}" if best(report.models, model, "hindsight", axis, kind, over) else text
+            parts.append(rf"\phantom{{-}}{bold}" if kind == "mean" and not text.startswith("-") else bold)
+        return "$" + r" \mid ".join(parts) + "$"
+
     for report in reports:
         lines.append(r"\midrule")
         for k, model in enumerate(report.models):
             head = rf"\multirow[c]{{{len(models)}}}{{*}}{{{_tex(report.name)}}} " if k == 0 else ""
-            cells = [_tex_triple(report.models, model, axis, over) for axis in SHOWN_AXES]
-            lines.append(rf"{head}& m$_{{{k + 1}}}$ & {' & '.join(cells)} \\")
+            cells = " & ".join(triple(report, model, axis) for axis in SHOWN_AXES)
+            lines.append(rf"{head}& m$_{{{k + 1}}}$ & {cells} \\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])
-
-
-def _tex_triple(models: Models, model: str, axis: str, over: str) -> str:
-    parts = []
-    for kind in KINDS:
-        text = shown(values(models, model, "hindsight", axis, over)[kind])
-        bold = rf"\mathbf{{{text}}}" if best(models, model, "hindsight", axis, kind, over) else text
-        parts.append(rf"\phantom{{-}}{bold}" if kind == "mean" and not text.startswith("-") else bold)
-    return "$" + r" \mid ".join(parts) + "$"
 
 
 def _tex(text: str) -> str:
@@ -214,12 +201,9 @@ Row = dict[str, Any]
 def write_csv(file: Path, rows: Iterator[Row]) -> None:
     """Rows of equal keys; numbers unrounded, nothing where not known."""
     with file.open("w", newline="") as stream:
-        writer: csv.DictWriter | None = None
-        for row in rows:
-            if writer is None:
-                writer = csv.DictWriter(stream, list(row))
-                writer.writeheader()
-            writer.writerow(row)
+        writer = csv.writer(stream)
+        for number, row in enumerate(rows):
+            writer.writerows([row, row.values()] if not number else [row.values()])
 
 
 def csv_rows(reports: Sequence[Any]) -> dict[str, Iterator[Row]]:

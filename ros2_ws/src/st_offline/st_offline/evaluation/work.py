@@ -110,7 +110,8 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         signals = task.settings.signals(run.log)
         bands = load_bands(task, models)
         scorer = Scorer(bands, signals) if bands else None
-        adaptive = AdaptiveScorer(bands, signals, horizon_times(task.settings)) if task.adaptive else None
+        adaptive = AdaptiveScorer(bands, signals, times(task.settings.prediction.horizon, task.settings.prediction.step)
+                                  ) if task.adaptive else None
 
         def watch(starts: np.ndarray, block: Block) -> None:
             for one in filter(None, (scorer, adaptive)):
@@ -126,7 +127,12 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
                 raise findings
     marks.append(time.perf_counter())
     if not any(errors.n_starts for errors in evaluation.errors.values()):
-        raise RunError(source.where, _why_nothing(evaluation, run.log.overlap))
+        length = float(evaluation.horizon[-1])
+        why = ", ".join(f"{reason} ({count} starts)" for reason, count in
+                        {**evaluation.skipped, **evaluation.incomplete}.items())
+        raise RunError(source.where, f"nothing to score: {why}" if run.log.overlap >= length else
+                       f"nothing to score: INS and steering overlap for {run.log.overlap:.1f} s, one horizon is "
+                       f"{length:g} s")
     folder = task.folder / "runs" / slug(source.name) if task.folder else None
     if folder:
         folder.mkdir(parents=True, exist_ok=True)
@@ -134,33 +140,26 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     place = Place(folder, task.formats, f"{slug(source.name)}-")
     figures = run_figures(Drawing(evaluation, models, task.vehicle, signals, task.starts, place))
     marks.append(time.perf_counter())
-    about = {**_about(run, evaluation), "inputs_ahead": list(ahead), "findings": findings}
+    about = {
+        "duration": run.log.duration, "overlap": run.log.overlap, "n_predictions": len(evaluation.starts_ns),
+        "skipped": evaluation.skipped, "incomplete": evaluation.incomplete,
+        "labels": "given" if run.labels else "detected", "alignment": about_alignment(run.alignment),
+        "warnings": list(run.warnings), "provenance": dict(run.provenance), "inputs_ahead": list(ahead),
+        "findings": findings}
     sums: dict[str, Any] = {}
     if scorer:
         sums = scorer.sums(run.provenance["files"]) | share_sums(models, task.vehicle, signals, task.settings,
                                                                  intervals_of(model_files(task)))
     sums |= adaptive.sums() if adaptive else {}
     return RunReport(
-        source.name, "", ranking(evaluation, "lateral"), about, tables.by_model(evaluation),
-        tables.by_second(evaluation), tables.by_bin(evaluation), tables.by_manoeuvre(evaluation, parts),
-        figures, sums, dict(zip(("read", "predict", "draw"), np.diff(marks).tolist(), strict=True)))
-
-
-def _about(run: LoadedRun, evaluation: LogEvaluation) -> dict[str, Any]:
-    """Length, alignment and provenance of a run, and how many predictions were made and skipped."""
-    return {
-        "duration": run.log.duration, "overlap": run.log.overlap, "n_predictions": len(evaluation.starts_ns),
-        "skipped": evaluation.skipped, "incomplete": evaluation.incomplete,
-        "labels": "given" if run.labels else "detected",
-        "alignment": about_alignment(run.alignment),
-        "warnings": list(run.warnings), "provenance": dict(run.provenance),
-    }
+        source.name, "", ranking(evaluation), about, tables.by_model(evaluation), tables.by_second(evaluation),
+        tables.by_bin(evaluation), tables.by_manoeuvre(evaluation, parts), figures, sums,
+        dict(zip(("read", "predict", "draw"), np.diff(marks).tolist(), strict=True)))
 
 
 def _findings(source: RunSource, run: LoadedRun, task: Task, models: Sequence[Model]) -> list[dict[str, Any]] | Refused:
     try:
-        return passed(source.where, run.log, task.vehicle, run.auxiliary, task.force, models,
-                      task.settings.prediction.step)
+        return passed(source.where, run, task.vehicle, task.force, models, task.settings.prediction.step)
     except Refused as error:
         return error
 
@@ -188,11 +187,6 @@ def load_models(task: Task) -> list[Model]:
     return models
 
 
-def horizon_times(settings: EvaluationSettings) -> np.ndarray:
-    """(points,) of the horizon without the start [s]."""
-    return times(settings.prediction.horizon, settings.prediction.step)
-
-
 def model_files(task: Task) -> list[ModelFile]:
     return [ModelFile.from_yaml(*reversed(one)) for one in task.models if not isinstance(one, str)]
 
@@ -217,14 +211,6 @@ def model_hashes(task: Task, models: Sequence[Model]) -> dict[str, str]:
     return {model.name: "" for model in models} | {file.model().name: file.hash for file in model_files(task)}
 
 
-def _why_nothing(evaluation: LogEvaluation, overlap: float) -> str:
-    length = float(evaluation.horizon[-1])
-    if overlap < length:
-        return f"nothing to score: INS and steering overlap for {overlap:.1f} s, one horizon is {length:g} s"
-    counts = {**evaluation.skipped, **evaluation.incomplete}
-    return "nothing to score: " + ", ".join(f"{reason} ({count} starts)" for reason, count in counts.items())
-
-
 def slug(name: str) -> str:
     """A name as a file name: letters, digits, dot, dash and underscore."""
     return re.sub(r"[^\w.-]+", "_", name, flags=re.ASCII).strip(".") or "run"
@@ -232,20 +218,17 @@ def slug(name: str) -> str:
 
 def write_starts(file: Path, evaluation: LogEvaluation) -> None:
     """One row per prediction: when, its conditions, the horizon means of all models (docs/manual/evaluation.md)."""
-    columns = {"start_ns": evaluation.starts_ns.astype(str), "t0_s": _text(evaluation.time, 3),
-               **{name: _text(values, 5) for name, values in evaluation.conditions.items()}}
-    for (model, mode), errors in evaluation.errors.items():
-        for k, axis in enumerate(AXES):
-            columns[f"{model}_{mode}_{axis}_mean"] = _text(errors.mean[:, k], 5)
+    def text(values: np.ndarray, digits: int) -> list[str]:
+        return ["" if math.isnan(v) else f"{v:.{digits}f}" for v in values.tolist()]
+
+    columns = {"start_ns": evaluation.starts_ns.astype(str), "t0_s": text(evaluation.time, 3),
+               **{name: text(values, 5) for name, values in evaluation.conditions.items()},
+               **{f"{model}_{mode}_{axis}_mean": text(errors.mean[:, k], 5)
+                  for (model, mode), errors in evaluation.errors.items() for k, axis in enumerate(AXES)}}
     with file.open("w", newline="") as stream:
         writer = csv.writer(stream)
         writer.writerow(columns)
         writer.writerows(zip(*columns.values(), strict=True))
-
-
-def _text(values: np.ndarray, digits: int) -> list[str]:
-    """Numbers as text; nothing where not known."""
-    return ["" if math.isnan(v) else f"{v:.{digits}f}" for v in values.tolist()]
 
 
 INPUTS = ("planned_road_wheel_angle", "planned_velocity_x_dot")

@@ -137,9 +137,10 @@ def draw_prediction(found: Identification, place: Place) -> Drawn:
         errors = [np.abs(np.array(e.interval95) - e.value)[:, None] * _unit(e.parameter)[0] for e in (first, second)]
         pair.errorbar(x, y, xerr=errors[0], yerr=errors[1], fmt="o", ms=4, color=TEXT, label="95 % interval")
         for axis, one in (("x", first), ("y", second)):
-            getattr(pair, f"set_{axis}label")(_axis(one.parameter))
+            unit = _unit(one.parameter)[1]
+            getattr(pair, f"set_{axis}label")(one.parameter.replace("_", " ") + (f", {unit}" if unit != "1" else ""))
         pair.legend(loc="best", fontsize=8)
-        title = "; ".join(f"{_name(e.parameter)} {_value(e)}" for e in (first, second))
+        title = "; ".join(f"{e.parameter.replace('_', ' ')} {_value(e)}" for e in (first, second))
         return finish(figure, place, found.what, title,
                       "Left: predicted minus measured, dotted lines between runs. Right: the first parameter and the "
                       "one it is correlated with most; intervals include what the runs cannot show.")
@@ -191,15 +192,6 @@ def _in_line(run: np.ndarray, time: np.ndarray) -> np.ndarray:
 def _unit(parameter: str) -> tuple[float, str]:
     unit = FREE[parameter].unit
     return UNITS.get(unit, (1.0, unit))
-
-
-def _name(parameter: str) -> str:
-    return parameter.replace("_", " ")
-
-
-def _axis(parameter: str) -> str:
-    unit = _unit(parameter)[1]
-    return _name(parameter) + (f", {unit}" if unit != "1" else "")
 
 
 def _value(estimate: Estimate) -> str:

@@ -1,18 +1,16 @@
 """The command `st identify`: compute, print, write the files."""
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import yaml
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 from st_core.checks import Finding
-from st_core.errors import ConfigurationError
 from st_core.handling import objections
 from st_core.identification.result import (
     Coverage,
@@ -31,7 +29,7 @@ from st_recordings.runs import find_runs
 from st_recordings.runs.load import file_hashes
 
 from ..checking.check_report import documents, print_findings
-from ..discovery.vehicle_update import KEYS, edited
+from ..discovery.vehicle_update import edited_or_whole
 from ..evaluation.drawing import Drawn, Place
 from ..pages import template
 from ..terminal import line, list_files
@@ -62,7 +60,8 @@ def run(job: Job, console: Console) -> int:
     line for the user.
     """
     with console.status(f"identifying: {job.experiment.what}"):
-        found = tuple(_compared(one, job.setup.vehicle) for one in identified(job))
+        found = tuple(replace(one, warnings=(*one.warnings, *filter(None, (
+            against_file(job.setup.vehicle, estimate) for estimate in one.estimates)))) for one in identified(job))
     now = datetime.now(UTC)
     car = apply(job.setup.vehicle, found, f"{now:%Y-%m-%d}")
     found = (replace(found[0], warnings=(*found[0].warnings, *objections(car, job.setup.vehicle))), *found[1:])
@@ -84,12 +83,6 @@ def identified(job: Job) -> tuple[Identification, ...]:
         return job.experiment.identify(job.files, job.setup)
     except IdentificationError as error:
         raise IdentificationError(f"{', '.join(map(str, job.files[:3]))}: {error}") from None
-
-
-def _compared(found: Identification, vehicle: VehicleParameters) -> Identification:
-    """With a warning for each value that contradicts an earlier experiment in the vehicle file."""
-    contradictions = tuple(filter(None, (against_file(vehicle, estimate) for estimate in found.estimates)))
-    return replace(found, warnings=(*found.warnings, *contradictions))
 
 
 def show(found: Sequence[Identification], vehicle: VehicleParameters, stale: Sequence[str], console: Console) -> None:
@@ -123,18 +116,14 @@ def checked(found: Sequence[Identification]) -> dict[str, tuple[Finding, ...]]:
 
 def about(job: Job, now: datetime) -> dict[str, Any]:
     """What the values depend on."""
+    data = list(job.files)
+    if job.experiment.drives:  # of folders only the recordings
+        data = [file for source in find_runs(job.files) for file in (*source.files, *source.can)]
     return {
         "created": now.isoformat(timespec="seconds"), "experiment": job.experiment.name,
         "vehicle": {"name": job.setup.vehicle.name, "file": job.vehicle_file, "hash": job.setup.vehicle.hash},
-        "files": file_hashes(_data(job)), "versions": versions(),
+        "files": file_hashes(data), "versions": versions(),
     }
-
-
-def _data(job: Job) -> list[Path]:
-    """The files that were read; of folders of drives only the recordings."""
-    if not job.experiment.drives:
-        return list(job.files)
-    return [file for source in find_runs(job.files) for file in (*source.files, *source.can)]
 
 
 def write(job: Job, found: Sequence[Identification], car: VehicleParameters, facts: dict[str, Any]) -> dict[str, Path]:
@@ -160,24 +149,18 @@ def vehicle_text(file: Path, car: VehicleParameters, found: Sequence[Identificat
     """
     keys = [e.parameter for one in found for e in one.estimates
             if quantity(e.parameter) is not None and e.status != "unidentifiable"]
-    try:
-        text = edited(file.read_text(encoding="utf-8"), {key: _entry(car, key) for key in keys})
-        again = VehicleParameters.from_yaml(text)
-        if all(math.isclose(value_of(again, key), value_of(car, key), rel_tol=1e-12, abs_tol=1e-15) for key in KEYS):
-            return text
-    except (OSError, ConfigurationError, yaml.YAMLError):
-        pass
-    return car.to_yaml()
 
-
-def _entry(car: VehicleParameters, key: str) -> Callable[[str, float], str]:
-    """From the unit of the file and its factor to SI to the text of the entry."""
-    def text(unit: str, factor: float) -> str:
+    def entry(key: str, unit: str, factor: float) -> str:
         about = car.provenance.get(key, Provenance())
         about = replace(about, uncertainty=None if about.uncertainty is None else about.uncertainty / factor)
         return (f"{{value: {number(value_of(car, key) / factor)}, unit: {quoted(unit)}, "
                 f"source: {quoted(car.sources[key])}{about.words()}}}")
-    return text
+
+    try:
+        text = file.read_text(encoding="utf-8")
+    except OSError:
+        return car.to_yaml()
+    return edited_or_whole(text, {key: partial(entry, key) for key in keys}, car, 1e-12)
 
 
 def details(found: Identification) -> dict[str, Any]:
