@@ -14,7 +14,6 @@ from st_offline.checking import check_report as words
 from st_offline.checking.check_page import summary, title, write_page
 from st_offline.checking.check_report import (
     CheckedRun,
-    FailedRun,
     document,
     documents,
     findings_in,
@@ -157,7 +156,7 @@ def test_findings_survive_json():
 
 
 def test_the_document_has_no_number_json_lacks():
-    content = json.loads(json.dumps(document([run()], []), allow_nan=False))
+    content = json.loads(json.dumps(document([run()], {}), allow_nan=False))
     entry = content["runs"]["drive"]
     assert content["schema"] == 1 and entry["vehicle"] == "leaf.yaml" and "leaf.yaml" in content["vehicle"]
     assert set(entry["findings"][0]) == {"name", "severity", "channels", "value", "unit", "interval", "text", "where",
@@ -166,7 +165,7 @@ def test_the_document_has_no_number_json_lacks():
 
 
 def test_the_page_holds_every_finding_escaped_and_loads_nothing(tmp_path):
-    runs, failed = [run(HOSTILE), run("second", [])], [FailedRun("third", "it is <b>broken</b>")]
+    runs, failed = [run(HOSTILE), run("second", [])], {"third": "it is <b>broken</b>"}
     write_page(tmp_path / "p.html", runs, failed, document(runs, failed))
     text = (tmp_path / "p.html").read_text()
     assert "<script" not in text and "&lt;script&gt;alert(1)" in text and "it is &lt;b&gt;broken" in text
@@ -181,7 +180,7 @@ def test_the_page_holds_every_finding_escaped_and_loads_nothing(tmp_path):
 
 def test_a_page_of_many_runs_stays_small(tmp_path):
     runs = [run(f"drive {number}") for number in range(60)]
-    write_page(tmp_path / "p.html", runs, [], document(runs, []))
+    write_page(tmp_path / "p.html", runs, {}, document(runs, {}))
     assert (tmp_path / "p.html").stat().st_size < 6_000_000
 
 

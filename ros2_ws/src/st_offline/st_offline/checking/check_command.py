@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
-from st_core.checks import Severity
+from rich.markup import escape
+from st_core.checks import Severity, across_runs
 from st_core.errors import ConfigurationError
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import as_text, new_folder
@@ -14,9 +15,9 @@ from st_recordings.runs import ReadSettings, RunSource, find_runs, read
 from st_recordings.runs.bag import records_of
 from st_recordings.runs.raw import about_alignment
 
-from ..terminal import list_files, progress_bars
+from ..terminal import line, list_files, progress_bars, report_problem
 from .check_page import write_page
-from .check_report import CheckedRun, FailedRun, document, show, show_together
+from .check_report import CheckedRun, document, show
 from .gate import PROBLEMS, checked_log, in_words
 from .run_corrections import check_name, run_yaml
 
@@ -51,15 +52,23 @@ def run_command(job: Job, console: Console, report_vehicle: Callable[[str], None
             raise ConfigurationError(f"--propose-correction: {len(sources)} runs were given, and a run.yaml describes "
                                      "one: name it")
     folder = new_folder(job.output, "check", create=False)
-    runs = check_all(sources, job, console)
-    good = [run for run in runs if isinstance(run, CheckedRun)]
-    failed = [run for run in runs if isinstance(run, FailedRun)]
+    good: list[CheckedRun] = []
+    failed: dict[str, str] = {}
+    with progress_bars(console) as progress:
+        for source in progress.track(sources, description="checking"):
+            try:
+                good.append(check_run(source, job))
+            except PROBLEMS as error:
+                failed[source.name] = in_words(error, source)
     if not good:
-        raise ConfigurationError("no run can be read: " + "; ".join(run.problem for run in failed))
+        raise ConfigurationError("no run can be read: " + "; ".join(failed.values()))
     new_folder(folder, "")
-    for run in runs:
+    for run in good:
         show(run, console)
-    show_together([run.checked for run in good], console)
+    for name, problem in failed.items():
+        report_problem(name, problem, console)
+    for number, one in enumerate(across_runs([run.checked for run in good])):
+        line(f"{'' if number else '[bold]all runs together[/bold]' + chr(10)}  {escape(one.text)}", console)
     if report_vehicle and not job.given:
         for file in sorted({run.vehicle_from for run in good}):
             report_vehicle(file)
@@ -69,30 +78,18 @@ def run_command(job: Job, console: Console, report_vehicle: Callable[[str], None
     return int(bool(failed) or any(run.checked.of(Severity.ERROR) for run in good))
 
 
-def check_all(sources: Sequence[RunSource], job: Job, console: Console) -> list[CheckedRun | FailedRun]:
-    """Every run, in the order of the sources."""
-    runs: list[CheckedRun | FailedRun] = []
-    with progress_bars(console) as progress:
-        for source in progress.track(sources, description="checking"):
-            runs.append(check_run(source, job))
-    return runs
-
-
-def check_run(source: RunSource, job: Job) -> CheckedRun | FailedRun:
-    """Read and check one run. What is wrong with its files becomes a `problem`, never an exception."""
-    try:
-        car, car_from = job.vehicle, job.vehicle_file
-        if source.kind == "bag" and not job.given:
-            car, _, car_from = configuration_of(records_of(source.where), None)
-        run = read(source, car, job.read)
-        checked = checked_log(run.log, car, run.auxiliary, MODELS)
-    except PROBLEMS as error:
-        return FailedRun(source.name, in_words(error, source))
+def check_run(source: RunSource, job: Job) -> CheckedRun:
+    """Read and check one run. Raises one of PROBLEMS for files that cannot be read."""
+    car, car_from = job.vehicle, job.vehicle_file
+    if source.kind == "bag" and not job.given:
+        car, _, car_from = configuration_of(records_of(source.where), None)
+    run = read(source, car, job.read)
+    checked = checked_log(run.log, car, run.auxiliary, MODELS)
     return CheckedRun(source.name, checked, car, car_from, run.log.duration, run.warnings, run.provenance["files"],
                       about_alignment(run.alignment), str(source.where))
 
 
-def write(good: Sequence[CheckedRun], failed: Sequence[FailedRun], folder: Path, json: Path | None,
+def write(good: Sequence[CheckedRun], failed: Mapping[str, str], folder: Path, json: Path | None,
           texts: Mapping[Path, str], console: Console) -> dict[Path, str]:
     """All files, with what they are. texts: text of a run.yaml by its file."""
     content = document(good, failed)

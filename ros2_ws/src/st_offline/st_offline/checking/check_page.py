@@ -1,13 +1,13 @@
 """The page of `st check`: what is wrong, what to do, and each comparison as a figure."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from st_core.checks import Checked, Finding, Identity, Severity
+from st_core.checks import Checked, Identity, Severity
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 
 from ..evaluation.drawing import BAD, TEXT, WARN, WIDTH, Drawn, Place, broken, finish, style, thinned
@@ -15,7 +15,7 @@ from ..evaluation.evaluation_report import MAX_FIGURES
 from ..evaluation.work import slug
 from ..pages import template
 from . import check_report as words
-from .check_report import CheckedRun, FailedRun, residual_rms
+from .check_report import CheckedRun, residual_rms
 
 HEIGHT = 3.1  # inch
 GAP = 1.5  # s; no line across
@@ -36,7 +36,11 @@ def panel(identity: Identity, checked: Checked, place: Place) -> Drawn:
                 (upper, derived, DERIVED_COLOUR, 0.9, identity.derived_label),
                 (lower, measured - derived, TEXT, 0.9, None)):
             axes.plot(*thinned(*broken(time, values, GAP)), color=colour, lw=width, label=label)
-        _shade((upper, lower), findings)
+        shortest = LEAST_SHADE * float(np.ptp(upper.get_xlim()))
+        for finding in findings:
+            for start, end in finding.where:
+                for axes in (upper, lower):
+                    axes.axvspan(start, max(end, start + shortest), color=SHADE[finding.severity], alpha=0.3, lw=0)
         lower.axhline(0.0, color=TEXT, lw=0.5)
         lower.set_xlabel("after the first INS measurement, s")
         unit = words.unit(identity.unit) or "1"
@@ -47,25 +51,9 @@ def panel(identity: Identity, checked: Checked, place: Place) -> Drawn:
         key = f"identity-{identity.name}"
         shaded = ", shaded where a finding has its stretches" if any(one.where for one in findings) else ""
         caption = f"Grey: {identity.measured_label}; blue: {identity.derived_label}; below, grey minus blue{shaded}."
-        return finish(figure, place, key, panel_title(identity, findings), caption)
-
-
-def panel_title(identity: Identity, findings: Sequence[Finding]) -> str:
-    """What the panel shows: the gravest finding, or that both agree."""
-    what = identity.title[0].upper() + identity.title[1:]
-    if findings:
-        return f"{what}: {findings[0].text}"
-    size = f"{residual_rms(identity):.2g} {words.unit(identity.unit)}".strip()
-    return f"{what}: no finding; they differ by {size} (root mean square)"
-
-
-def _shade(panels: Sequence[plt.Axes], findings: Sequence[Finding]) -> None:
-    low, high = panels[0].get_xlim()
-    shortest = LEAST_SHADE * (high - low)
-    for finding in findings:
-        for start, end in finding.where:
-            for axes in panels:
-                axes.axvspan(start, max(end, start + shortest), color=SHADE[finding.severity], alpha=0.3, lw=0)
+        size = f"{residual_rms(identity):.2g} {words.unit(identity.unit)}".strip()
+        found = findings[0].text if findings else f"no finding; they differ by {size} (root mean square)"
+        return finish(figure, place, key, f"{identity.title[0].upper()}{identity.title[1:]}: {found}", caption)
 
 
 def title(good: Sequence[CheckedRun]) -> str:
@@ -99,11 +87,11 @@ def summary(good: Sequence[CheckedRun]) -> list[str]:
             *([f"{clocks}."] if clocks else [])]
 
 
-def write_page(file: Path, good: Sequence[CheckedRun], failed: Sequence[FailedRun], content: dict[str, Any]) -> None:
+def write_page(file: Path, good: Sequence[CheckedRun], failed: Mapping[str, str], content: dict[str, Any]) -> None:
     """content: of check.json."""
     text = template("checking/check.html.jinja").render(
         title=title(good), summary=summary(good), runs=good, content=content, figures=_figures(good),
-        problems={run.name: run.problem for run in failed},
+        problems=failed,
         groups=words.by_name({run.name: run.checked.findings for run in good}))
     file.write_text(text, encoding="utf-8")
 

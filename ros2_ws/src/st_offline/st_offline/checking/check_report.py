@@ -16,7 +16,7 @@ from st_recordings.paths import finite
 from st_recordings.results import versions
 from st_recordings.runs.raw import about_alignment
 
-from ..terminal import line, report_problem
+from ..terminal import line
 
 MOST_STRETCHES = 4
 MOST_LISTED = 3  # findings in a headline
@@ -96,14 +96,10 @@ def where(finding: Finding) -> str:
     """The stretches of the run, or "whole run"."""
     if not finding.where:
         return "whole run"
-    shown = ", ".join(_stretch(*ends) for ends in finding.where[:MOST_STRETCHES])
+    shown = ", ".join(f"{start:.1f}{f' to {end:.1f}' if end - start >= 0.05 else ''} s"
+                      for start, end in finding.where[:MOST_STRETCHES])
     more = len(finding.where) - MOST_STRETCHES
     return shown + (f" and {more} more" if more > 0 else "")
-
-
-def _stretch(start: float, end: float) -> str:
-    first, last = f"{start:.1f}", f"{end:.1f}"
-    return f"{first} s" if first == last else f"{first} to {last} s"
 
 
 def effect(finding: Finding) -> str:
@@ -159,14 +155,6 @@ class CheckedRun:
     where: str = "RUN"
 
 
-@dataclass(frozen=True)
-class FailedRun:
-    """One that could not be read, and why."""
-
-    name: str
-    problem: str
-
-
 def documents(findings: Sequence[Finding]) -> list[dict[str, Any]]:
     """Findings as JSON has them."""
     return [finite(one.as_dict()) for one in findings]
@@ -187,28 +175,24 @@ def _finding(entry: Mapping[str, Any]) -> Finding:
                       "tried": tuple(entry["tried"]) if entry.get("tried") else None})
 
 
-def document(good: Sequence[CheckedRun], failed: Sequence[FailedRun]) -> dict[str, Any]:
-    """The content of check.json."""
+def document(good: Sequence[CheckedRun], failed: Mapping[str, str]) -> dict[str, Any]:
+    """The content of check.json. failed: problem by run."""
     return {
         "schema": SCHEMA,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": versions(),
         "vehicle": {source: {"name": car.name, "hash": car.hash}
                     for source, car in {run.vehicle_from: run.vehicle for run in good}.items()},
-        "runs": {run.name: _run(run) for run in good},
+        "runs": {run.name: {
+            "verdict": verdict(run.checked), "vehicle": run.vehicle_from, "duration": run.duration,
+            **finite(run.checked.as_dict()),
+            "identities": [finite({"name": one.name, "title": one.title, "unit": one.unit, "samples": len(one.time),
+                                   "residual_rms": residual_rms(one), "findings": list(one.findings)})
+                           for one in run.checked.identities],
+            "warnings": list(run.warnings), "files": dict(run.files), "alignment": finite(dict(run.alignment)),
+        } for run in good},
         "together": [finite(one.as_dict()) for one in across_runs([run.checked for run in good])],
-        "failed": {run.name: run.problem for run in failed},
-    }
-
-
-def _run(run: CheckedRun) -> dict[str, Any]:
-    return {
-        "verdict": verdict(run.checked), "vehicle": run.vehicle_from, "duration": run.duration,
-        **finite(run.checked.as_dict()),
-        "identities": [finite({"name": one.name, "title": one.title, "unit": one.unit, "samples": len(one.time),
-                               "residual_rms": residual_rms(one), "findings": list(one.findings)})
-                       for one in run.checked.identities],
-        "warnings": list(run.warnings), "files": dict(run.files), "alignment": finite(dict(run.alignment)),
+        "failed": dict(failed),
     }
 
 
@@ -222,13 +206,10 @@ def residual_rms(one: Identity) -> float:
 STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
 
 
-def show(run: CheckedRun | FailedRun, console: Console) -> None:
+def show(run: CheckedRun, console: Console) -> None:
     """Print the verdict, the clock, and each finding with its correction."""
-    if isinstance(run, FailedRun):
-        report_problem(run.name, run.problem, console)
-        return
-    gravest = min((GRAVITY.index(one.severity) for one in run.checked.findings), default=GRAVITY.index(Severity.NOTE))
-    colour = "green" if GRAVITY[gravest] is Severity.NOTE else STYLE[GRAVITY[gravest]]
+    worst = min((one.severity for one in run.checked.findings), key=GRAVITY.index, default=Severity.NOTE)
+    colour = "green" if worst is Severity.NOTE else STYLE[worst]
     if hint := opposite_sign(run.checked.findings, run.where):
         line(f"[bold red]{escape(run.name)}: {escape(hint)}[/]", console)
     line(f"[bold]{escape(run.name)}[/bold]: [{colour}]{escape(verdict(run.checked))}[/]  "
@@ -242,15 +223,6 @@ def show(run: CheckedRun | FailedRun, console: Console) -> None:
         if finding.advice:
             line(f"    {'correction, ' if PLACE[finding.advice.kind] else 'advice: '}"
                  f"{escape(correction(finding.advice))}", console)
-
-
-def show_together(runs: Sequence[Checked], console: Console) -> None:
-    """Quantities measured in several runs, and whether they are consistent."""
-    found = across_runs(runs)
-    if found:
-        console.print("[bold]all runs together[/bold]", highlight=False)
-    for one in found:
-        line(f"  {escape(one.text)}", console)
 
 
 def by_name(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, list[str]]]:
