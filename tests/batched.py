@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from st_core.backends import numpy_batch
+from st_core.batch import LogBatch, LogPrediction
 from st_core.models import Model, get_model
 from st_core.prediction import step_count
 from st_core.vehicle import VehicleParameters
@@ -26,3 +27,8 @@ def predict_batch(model: str | Model, vehicle: VehicleParameters, states: np.nda
     offsets = np.arange(2 * steps + 1) * (count if len(angle) > 1 else 0)
     begin = np.array([np.broadcast_to(row, count) for row in start])
     return numpy_batch.advance(model, p, begin, w, offsets, step, np.arange(steps + 1)).transpose(2, 0, 1)
+
+
+def predict_log(model: str | Model, vehicle: VehicleParameters, log, starts_ns: np.ndarray, *of_batch,
+                **options) -> LogPrediction:
+    return LogBatch(log, starts_ns, *of_batch, **options).predict(model, vehicle)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from st_core import frames
-from st_core.batch import predict_log
+from st_core.batch import LogBatch
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_sim.settings import REALISTIC
@@ -31,7 +31,7 @@ def resimulated(log: DriveLog, vehicle: VehicleParameters, seed: int) -> DriveLo
     step = 0.01
     # A whole number of steps from the first to the last sample.
     steps = int((time[-1] - time[0]) * 1e-9 / step)
-    predicted = predict_log(BASE, vehicle, log, time[:1], steps * step, step, acceleration="zero_phase")
+    predicted = LogBatch(log, time[:1], steps * step, step, acceleration="zero_phase").predict(BASE, vehicle)
     x, y, v_x, v_y, yaw, rate = predicted.states[0].T
     if not np.isfinite(predicted.states).all() or np.abs(v_y).max() > 6.0:
         raise ValueError(f"{log.name}: the model spins on these inputs")

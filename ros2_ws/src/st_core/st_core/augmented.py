@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from .composition import AugmentedParameters, compose
-from .effects import Effect, Measured, Parameter, applicable, get_effect
+from .effects import Effect, Measured, Parameter, get_effect
 from .errors import ConfigurationError
 from .models import Model, get_model
 from .vehicle import VehicleParameters
@@ -202,16 +202,13 @@ def _make(base: Model, effects: tuple[type[Effect], ...], checked: Values) -> Au
         own = base.parameters(vehicle)
         if not composed.own:
             return own
-        return AugmentedParameters(own, tuple(_theta(e, values[e.name], vehicle) for e in composed.own))
+        return AugmentedParameters(own, tuple(
+            e.Theta(**values[e.name], car=e.constants(vehicle) if e.constants else ()) for e in composed.own))
 
     model = AugmentedModel(
         "augmented", parameters, composed.inputs, composed.rhs, composed.extra_states, composed.start, composed.signals,
         axles=None, base=base, effects=effects, values=values)
     return model
-
-
-def _theta(effect: type[Effect], values: Mapping[str, float], vehicle: VehicleParameters) -> Any:
-    return effect.Theta(**values, car=effect.constants(vehicle) if effect.constants else ())
 
 
 def _checked(effects: Iterable[type[Effect]], values: Values) -> Values:
@@ -231,18 +228,6 @@ def _checked_one(effect: type[Effect], values: Mapping[str, float]) -> dict[str,
     return result
 
 
-def universal(base: str | Model) -> AugmentedModel:
-    """The model with all effects that apply to it, at null: one set of functions for every combination.
-
-    `with_values` switches effects on. It is compiled once and costs two to four times the base; otherwise every
-    combination would have to be compiled.
-    """
-    base = get_model(base)
-    return neutral(augment(base, applicable(base.name)))
-
-
 def neutral(model: AugmentedModel) -> AugmentedModel:
     """The model with all its effects at null."""
     return model.with_values({e.name: {p.name: p.null for p in e.parameters} for e in model.effects})
-
-

@@ -61,17 +61,6 @@ class Recording:
     sampled: dict[Hashable, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
 
-def predict_log(model: str | Model, vehicle: VehicleParameters, log: DriveLog | LogSignals, starts_ns: np.ndarray,
-                horizon: float = 5.0, step: float = 0.05, *, inputs: Inputs = "measured",
-                points: Sequence[float] | None = None, substeps: int | Literal["auto"] = 1, backend: str | None = None,
-                maximum_gap: float = 0.1, filter_cutoff: float = 5.0, acceleration: Acceleration = "causal",
-                signals: Signals | None = None) -> LogPrediction:
-    """Predict from many instants of a drive; see `LogBatch` for the arguments and for several models or values."""
-    batch = LogBatch(log, starts_ns, horizon, step, inputs=inputs, points=points, substeps=substeps, backend=backend,
-                     maximum_gap=maximum_gap, filter_cutoff=filter_cutoff, acceleration=acceleration, signals=signals)
-    return batch.predict(model, vehicle)
-
-
 class LogBatch:
     """Starts in one drive, sampled once, to be predicted with any models, cars and values.
 

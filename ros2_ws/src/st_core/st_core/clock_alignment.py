@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from .clock_fit import DRIFT_PRIOR_PPM, STEP, Fit, Pair, coarse_offset, fit, masked_correlation, resample
+from .clock_fit import DRIFT_PRIOR_PPM, STEP, Fit, Pair, coarse_offset, fit, mean_correlation, resample
 from .clock_steps import MOST_WINDOWS, WindowLag, clock_step, window_lags
 from .clock_types import (
     LONGEST_SPAN,
@@ -24,6 +24,7 @@ from .clock_types import (
     refused,
     step_reason,
 )
+from .regression import ROBUST
 
 CUTOFFS = (0.5, 4.0)  # Hz: the first for a drift that has not been found yet, the second for the result
 STAMP_GRID = 50e-6  # s; loggers do not stamp finer than this, so no result is surer
@@ -106,13 +107,19 @@ def _attempt(fine: Sequence[Pair], pairs: dict[float, list[Pair]], usable: Seque
             solution = fit(pairs[cutoff], solution.offset, middle, solution.drift)
     except ValueError as error:
         return refused(*reasons, str(error))
-    singles = _single_signals(fine, solution)
+    singles = []
+    for pair, residual, correlation in zip(fine, solution.residual, solution.correlation, strict=True):
+        alone = fit([pair], solution.offset, middle, solution.drift, free_drift=False)
+        singles.append(SignalLag(pair.name, alone.offset - solution.offset, alone.offset_deviation, residual,
+                                 correlation))
+    # A straight line through stamps that are all off by a slowly changing part of the grid.
+    drift_deviation = float(np.hypot(solution.drift_deviation, STAMP_GRID / max(high - low, 1.0))) * 1e6
     at_ns = o0 + round(middle * 1e9)
     result = Alignment(
         at_ns=at_ns, offset_ns=r0 - o0 + round(solution.offset * 1e9), drift_ppm=solution.drift * 1e6,
         offset_deviation=_offset_deviation(solution, singles, usable),
-        drift_deviation=_drift_deviation(solution, high - low),
-        method="shared signals", verdict=Verdict.GOOD, reasons=tuple(reasons), signals=singles,
+        drift_deviation=drift_deviation, method="shared signals", verdict=Verdict.GOOD, reasons=tuple(reasons),
+        signals=tuple(singles),
         peak=(first + epoch, r_first), second_peak=(second + epoch, r_second), overlap=max(high - low, 0.0),
     )
     return _judged(result, solution, fine, o0)
@@ -152,14 +159,6 @@ def _pairs(signals: Sequence[SharedSignal]) -> dict[float, list[Pair]]:
     return {cutoff: [row[k] for row in rows] for k, cutoff in enumerate(CUTOFFS)}
 
 
-def _single_signals(pairs: Sequence[Pair], solution: Fit) -> tuple[SignalLag, ...]:
-    rows = []
-    for pair, residual, correlation in zip(pairs, solution.residual, solution.correlation, strict=True):
-        alone = fit([pair], solution.offset, solution.middle, solution.drift, free_drift=False)
-        rows.append(SignalLag(pair.name, alone.offset - solution.offset, alone.offset_deviation, residual, correlation))
-    return tuple(rows)
-
-
 def _offset_deviation(solution: Fit, singles: Sequence[SignalLag], signals: Sequence[SharedSignal]) -> float:
     """Fit, plus what the signals differ among themselves beyond their own noise, plus the latency."""
     excess = 0.0
@@ -169,11 +168,6 @@ def _offset_deviation(solution: Fit, singles: Sequence[SignalLag], signals: Sequ
         excess = max(scatter - float(len(singles) / weights.sum()), 0.0)
     latency = max(s.latency_uncertainty for s in signals)
     return float(np.sqrt(solution.offset_deviation**2 + excess + latency**2 + STAMP_GRID**2 / 12))
-
-
-def _drift_deviation(solution: Fit, overlap: float) -> float:
-    """[ppm] A straight line through stamps that are all off by a slowly changing part of the grid."""
-    return float(np.hypot(solution.drift_deviation, STAMP_GRID / max(overlap, 1.0))) * 1e6
 
 
 def _judged(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_ns: int) -> Alignment:
@@ -227,11 +221,8 @@ def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.n
     Empty where no signal is usable. Lags with less than 10 s in common are left out.
     """
     fine, r0, o0 = _fine(signals)
-    if not fine:
-        return np.zeros(0), np.zeros(0)
-    rows = [masked_correlation(p.reference, p.other, 10.0) for p in fine]
-    lags = np.arange(max(lag[0] for lag, _ in rows), min(lag[-1] for lag, _ in rows), STEP)
-    return lags + (r0 - o0) * 1e-9, np.mean([np.interp(lags, lag, r) for lag, r in rows], axis=0) if len(lags) else lags
+    curve = mean_correlation(fine, 10.0, (-np.inf, np.inf)) if fine else None
+    return (curve[0] + (r0 - o0) * 1e-9, curve[1]) if curve else (np.zeros(0), np.zeros(0))
 
 
 def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment, search: float = 2.0) -> list[WindowLag]:
@@ -287,7 +278,7 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
     for _ in range(20):
         solution = np.linalg.lstsq(design * weight[:, None], offset * weight, rcond=None)[0]
         residual = offset - design @ solution
-        scale = max(1.4826 * float(np.median(np.abs(residual))), 1e-5)
+        scale = max(ROBUST * float(np.median(np.abs(residual))), 1e-5)
         weight = (1 + (residual / (2 * scale)) ** 2) ** -0.25
     weighted = design * weight[:, None]
     prior = np.diag([0.0, (scale / (DRIFT_PRIOR_PPM * 1e-6)) ** 2])

@@ -3,11 +3,15 @@ and drift."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import maximum_filter1d
 from scipy.signal import butter, sosfiltfilt
+
+from .regression import robust_deviation
 
 RATE = 100.0  # Hz of the grid on which signals are filtered
 DECIMATION = 5  # the filtered signals hold nothing above a few hertz, so the fit needs no more than 20 Hz
@@ -54,19 +58,9 @@ def resample(time: np.ndarray, values: np.ndarray, cutoff: float, angle: bool = 
     margin = int(FILTER_SETTLES / cutoff * RATE)
     if angle:
         sampled = np.gradient(sampled) * RATE if len(grid) > 1 else np.zeros_like(sampled)
-    known = ~_widened(~bridged, margin)
+    known = maximum_filter1d((~bridged).astype(np.uint8), 2 * margin + 1, mode="constant") == 0
     known[:margin] = known[len(known) - margin :] = False
     return Resampled(float(start), sampled[::DECIMATION], known[::DECIMATION])
-
-
-def _widened(flags: np.ndarray, margin: int) -> np.ndarray:
-    if not flags.any() or margin == 0:
-        return flags
-    count = np.concatenate(([0], np.cumsum(flags)))
-    index = np.arange(len(flags))
-    low = np.maximum(index - margin, 0)
-    high = np.minimum(index + margin + 1, len(flags))
-    return count[high] > count[low]
 
 
 def masked_correlation(reference: Resampled, other: Resampled, minimum_overlap: float) -> tuple[np.ndarray, np.ndarray]:
@@ -141,34 +135,6 @@ class Fit:
     middle: float
     residual: tuple[float, ...]
     correlation: tuple[float, ...]
-    points: int
-
-
-@dataclass(frozen=True)
-class _Rows:
-    """Where one pair is known on both sides under the present mapping."""
-
-    time: np.ndarray
-    reference: np.ndarray
-    slope: np.ndarray
-    other: np.ndarray
-
-
-class _Interpolant:
-    def __init__(self, signal: Resampled):
-        self._spline = CubicSpline(signal.time, signal.values)
-        self._slope = self._spline.derivative()
-        self._signal = signal
-
-    def __call__(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(value, derivative, known)"""
-        index = np.floor((time - self._signal.origin) / STEP).astype(np.int64)
-        inside = (index >= 0) & (index < len(self._signal.values) - 1)
-        index = np.where(inside, index, 0)
-        following = np.minimum(index + 1, len(self._signal.known) - 1)
-        known = inside & self._signal.known[index] & self._signal.known[following]
-        clipped = np.where(known, time, self._signal.origin)
-        return self._spline(clipped), self._slope(clipped), known
 
 
 def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0, free_drift: bool = True) -> Fit:
@@ -182,17 +148,17 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
 
     Raises ValueError when fewer than 2 s are known on both sides.
     """
-    interpolants = [_Interpolant(p.reference) for p in pairs]
+    splines = [CubicSpline(p.reference.time, p.reference.values) for p in pairs]
     parameters = np.array([offset, drift])
     for _ in range(ITERATIONS):
-        normal, gradient, _, _ = _normal_equations(pairs, interpolants, parameters, middle, free_drift)
+        normal, gradient, _ = _normal_equations(pairs, splines, parameters, middle, free_drift)
         step = np.linalg.solve(normal, -gradient)
         # Beyond the width of the correlation peak the linear model is not valid: approach it in several steps.
         step[0] = np.clip(step[0], -0.3, 0.3)
         parameters += step
         if abs(step[0]) < 1e-7 and abs(step[1]) < 1e-9:
             break
-    normal, _, scales, details = _normal_equations(pairs, interpolants, parameters, middle, free_drift)
+    normal, _, details = _normal_equations(pairs, splines, parameters, middle, free_drift)
     inverse = np.linalg.inv(normal)
     covariance = inverse @ _block_scores(details) @ inverse
     naive = inverse[0, 0] if free_drift else 1.0 / normal[0, 0]
@@ -200,56 +166,51 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
         offset=float(parameters[0]), drift=float(parameters[1]), middle=middle,
         offset_deviation=float(np.sqrt(max(covariance[0, 0], naive))),
         drift_deviation=float(np.sqrt(max(covariance[1, 1], inverse[1, 1]))),
-        residual=tuple(float(np.sqrt(np.mean(d.residual**2)) * s / max(d.spread, 1e-12))
-                       for d, s in zip(details, scales, strict=True)),
-        correlation=tuple(float(d.correlation) for d in details),
-        points=sum(len(d.time) for d in details),
+        residual=tuple(d.residual for d in details), correlation=tuple(d.correlation for d in details),
     )
 
 
-@dataclass(frozen=True)
-class _Detail:
+class _Detail(NamedTuple):
+    """One signal: time of its points; score: (2, n), weighted derivative times residual, gain and bias projected out;
+    residual and correlation as in `Fit`."""
+
     time: np.ndarray
-    residual: np.ndarray  # over its scale
-    score: np.ndarray  # (2, n), weighted derivative times residual, gain and bias projected out
-    spread: float
+    score: np.ndarray
+    residual: float
     correlation: float
 
 
-def _normal_equations(pairs: Sequence[Pair], interpolants: Sequence[_Interpolant], parameters: np.ndarray,
-                      middle: float, free_drift: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[_Detail]]:
-    """(normal matrix, gradient, spread of the residuals of each signal, details)"""
+def _normal_equations(pairs: Sequence[Pair], splines: Sequence[CubicSpline], parameters: np.ndarray, middle: float,
+                      free_drift: bool) -> tuple[np.ndarray, np.ndarray, list[_Detail]]:
+    """(normal matrix, gradient, details by signal)"""
     normal = np.diag([0.0, (DRIFT_PRIOR_PPM * 1e-6) ** -2])
     gradient = np.array([0.0, normal[1, 1] * parameters[1] if free_drift else 0.0])
-    details, scales = [], []
-    for pair, interpolant in zip(pairs, interpolants, strict=True):
-        rows = _rows(pair, interpolant, parameters, middle)
-        if len(rows.time) * STEP < 2.0:
+    details = []
+    for pair, spline in zip(pairs, splines, strict=True):
+        time, mapped, other = _common(pair, parameters, middle)
+        if len(time) * STEP < 2.0:
             raise ValueError(f"{pair.name}: less than 2 s of it is known on both sides")
-        weight = np.ones(len(rows.time))  # of the squares: soft L1
+        reference, slope = spline(mapped), spline(mapped, 1)
+        weight = np.ones(len(time))  # of the squares: soft L1
         for _ in range(2):
-            gain, bias = _line(rows.other, rows.reference, weight)
-            residual = rows.reference - gain * rows.other - bias
-            spread = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
-            scale = max(spread, 1e-4 * float(rows.reference.std()), 1e-12)
+            gain, bias = _line(other, reference, weight)
+            residual = reference - gain * other - bias
+            scale = max(robust_deviation(residual), 1e-4 * float(reference.std()), 1e-12)
             weight = 1.0 / np.sqrt(1.0 + (residual / (2 * scale)) ** 2)
-        derivatives = [rows.slope, rows.slope * (rows.time - middle)] if free_drift else [rows.slope]
-        jacobian = np.zeros((2, len(rows.time)))
-        for k, derivative in enumerate(derivatives):
+        jacobian = np.zeros((2, len(time)))
+        for k, derivative in enumerate([slope, slope * (time - middle)] if free_drift else [slope]):
             # The part that gain and bias explain has no information about time.
-            gain, bias = _line(rows.other, derivative, weight)
-            jacobian[k] = (derivative - gain * rows.other - bias) / scale
+            gain, bias = _line(other, derivative, weight)
+            jacobian[k] = (derivative - gain * other - bias) / scale
         score = jacobian * (weight * residual / scale)
-        weighted = jacobian * weight
-        normal += [[float((row * column).sum()) for column in jacobian] for row in weighted]
+        normal += [[float((row * column).sum()) for column in jacobian] for row in jacobian * weight]
         gradient += score.sum(axis=1)
-        spreads = float(rows.reference.std()), float(rows.other.std())
-        correlation = float(np.corrcoef(rows.reference, rows.other)[0, 1]) if min(spreads) > 0 else 0.0
-        details.append(_Detail(rows.time, residual / scale, score, spreads[0], correlation))
-        scales.append(scale)
+        spreads = float(reference.std()), float(other.std())
+        details.append(_Detail(time, score, float(np.sqrt(np.mean(residual**2)) / max(spreads[0], 1e-12)),
+                               float(np.corrcoef(reference, other)[0, 1]) if min(spreads) > 0 else 0.0))
     if normal[0, 0] <= 0.0:
         raise ValueError("the shared signals do not vary")
-    return normal, gradient, np.array(scales), details
+    return normal, gradient, details
 
 
 def _line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
@@ -265,11 +226,14 @@ def _line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[float, floa
     return gain, mean_y - gain * mean_x
 
 
-def _rows(pair: Pair, interpolant: _Interpolant, parameters: np.ndarray, middle: float) -> _Rows:
-    time = pair.other.time
-    reference, slope, known = interpolant(time + parameters[0] + parameters[1] * (time - middle))
-    known &= pair.other.known
-    return _Rows(time[known], reference[known], slope[known], pair.other.values[known])
+def _common(pair: Pair, parameters: np.ndarray, middle: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(time [s, other clock], the same on the reference clock, value of `other`) where both sides are known."""
+    known, time = pair.reference.known, pair.other.time
+    mapped = time + parameters[0] + parameters[1] * (time - middle)
+    index = np.floor((mapped - pair.reference.origin) / STEP).astype(np.int64)
+    inside = pair.other.known & (index >= 0) & (index < len(known) - 1)
+    inside[inside] = known[index[inside]] & known[index[inside] + 1]
+    return time[inside], mapped[inside], pair.other.values[inside]
 
 
 def _block_scores(details: Sequence[_Detail]) -> np.ndarray:

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from .course import SPACING, Course, Visit
 from .filtering import NANOSECOND
@@ -207,13 +208,14 @@ class CourseTracker:
                             own.velocity_x + gain * FADING * (1.0 - np.exp(-t / FADING)),
                             np.interp(t, arrival, by_way)]).clip(0.0)
         ways = 0.5 * (options[:, 1:] + options[:, :-1]) @ np.diff(t)
-        heading = own.direction + _integral(curvature, SPACING)
-        path = np.stack([own.x + _integral(np.cos(heading), SPACING), own.y + _integral(np.sin(heading), SPACING)], 1)
+        heading = own.direction + cumulative_trapezoid(curvature, dx=SPACING, initial=0.0)
+        path = np.array([[own.x, own.y]]) + cumulative_trapezoid(np.stack([np.cos(heading), np.sin(heading)], 1),
+                                                                 dx=SPACING, axis=0, initial=0.0)
         shares, speed_shares = (errors**-2.0 / (errors**-2.0).sum()
                                 for errors in (self._curvature_errors, self._speed_errors))
         self._open.append(_Open(own.time_ns + self._horizon_ns, self._way, own, ways, path))
         speed = speed_shares @ options
-        way = _integral(speed, float(t[1]))
+        way = cumulative_trapezoid(speed, dx=float(t[1]), initial=0.0)
         bend = shares[0] * own.curvature + shares[1] * np.interp(way, SPACING * np.arange(length), curvature)
         return CourseForecast(self._inputs(own, speed, bend), float(shares[1]), float(speed_shares[3]), spread)
 
@@ -224,11 +226,6 @@ class CourseTracker:
                    for name, angle in path.signals.items()}
         return InputSequence(own.road_wheel_angle + share * (path.road_wheel_angle - own.road_wheel_angle),
                              own.velocity_x_dot + share * (path.velocity_x_dot - own.velocity_x_dot), signals)
-
-
-def _integral(values: np.ndarray, spacing: float) -> np.ndarray:
-    """From the first to each, by the trapezoidal rule."""
-    return np.concatenate([[0.0], np.cumsum(0.5 * spacing * (values[1:] + values[:-1]))])
 
 
 def _arc(own: Own, way: float) -> tuple[float, float]:

@@ -331,7 +331,7 @@ def _reading_errors(model: Model, vehicle: VehicleParameters, trajectories: np.n
 
 def predict_held_per_step(model: Model, vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
                           times_ns: np.ndarray, step: float) -> np.ndarray:
-    """(n, points, 6): as `batch.predict_log`, but each step with the inputs at its start. times_ns: (n, points)."""
+    """(n, points, 6): as `LogBatch.predict`, but each step with the inputs at its start. times_ns: (n, points)."""
     own = signals.of(corrected_log(model, signals.log, signals.maximum_gap))
     angle, acceleration = own.road_wheel_angle_at(times_ns), own.ins_at(times_ns, "velocity_x_dot")[0]
     states = own.states_at(starts_ns, model.effective_vehicle(vehicle))

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from st_core.augmented import AugmentedModel, augment, neutral, universal
+from st_core.augmented import AugmentedModel, augment, neutral
 from st_core.composition import AugmentedParameters
 from st_core.effects import EFFECTS, applicable
 from st_core.errors import ConfigurationError
@@ -114,15 +114,9 @@ def test_parameters_hold_floats_and_travel_between_processes(car):
         assert all(type(a) is type(b) for a, b in zip(pickle.loads(pickle.dumps(p)).effects, p.effects, strict=True))
 
 
-@pytest.mark.parametrize("base", MODELS)
-def test_all_effects_at_once_are_neutral_at_null(car, base):
-    model = neutral(augment(base, applicable(base)))
-    np.testing.assert_array_equal(predict(model, car, STATE, HELD).states, predict(base, car, STATE, HELD).states)
-
-
 @pytest.mark.parametrize("base", [pytest.param(m, marks=[] if m == "kinematic" else pytest.mark.slow) for m in MODELS])
 def test_one_set_of_functions_serves_every_choice_of_effects(leaf, base):
-    everything = universal(base)
+    everything = neutral(augment(base, applicable(base)))
     plain = predict(base, leaf, STATE, HELD)
     np.testing.assert_array_equal(predict(everything, leaf, STATE, HELD).states, plain.states)
     assert not everything.has_memory and not everything.has_sensors and everything.effective_vehicle(leaf) is leaf
@@ -136,7 +130,7 @@ def test_one_set_of_functions_serves_every_choice_of_effects(leaf, base):
 
 
 def test_without_costly_effects_at_null_the_same_is_predicted(leaf):
-    everything = universal("nonlinear")
+    everything = neutral(augment("nonlinear", applicable("nonlinear")))
     chosen = everything.with_values({"mass": {"factor": 1.1}, "steering_compliance": {"compliance": 1e-6}})
     lean = chosen.lean()
     left_out = {e.name for e in chosen.effects} - {e.name for e in lean.effects}
@@ -146,7 +140,7 @@ def test_without_costly_effects_at_null_the_same_is_predicted(leaf):
 
 
 def test_a_linear_car_does_without_tyres_that_saturate_at_null(leaf):
-    everything = universal("linear").with_values({"mass": {"factor": 1.1}})
+    everything = neutral(augment("linear", applicable("linear"))).with_values({"mass": {"factor": 1.1}})
     lean = everything.lean()
     assert {e.name for e in everything.effects} - {e.name for e in lean.effects} >= {"tyre_saturation"}
     states = [predict(model, leaf, STATE, HELD).states for model in (lean, everything)]

@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from batched import predict_log
 from st_core import stability, start_grid
 from st_core.augmented import augment
 from st_core.backends import get_backend, has_numba
-from st_core.batch import LogBatch, predict_log
+from st_core.batch import LogBatch
 from st_core.errors import ConfigurationError
 from st_core.evaluation import Evaluator
 from st_core.log import DriveLog

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from batched import predict_log
 from st_core import stability
 from st_core.augmented import augment
-from st_core.batch import predict_log
 from st_core.checks.finding import Severity
 from st_core.checks.step import step_too_long
 from st_core.log import DriveLog

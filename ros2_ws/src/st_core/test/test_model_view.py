@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from batched import predict_log
 from st_core import integrate
 from st_core.alignment import MeasurementHistory
 from st_core.augmented import augment
-from st_core.batch import predict_log
 from st_core.effects import applicable
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.evaluation import Evaluator

@@ -9,8 +9,6 @@ All are magnitudes, at the INS point; delta is the road wheel angle. What the ho
 band that needed it could not be drawn live. Checked by: test_bands_conditions.py.
 """
 
-import math
-from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -65,7 +63,6 @@ def conditions_at(signals: LogSignals, starts_ns: np.ndarray) -> np.ndarray:
     return conditions(speed, yaw_rate, acceleration, activity)
 
 
-
 FEWEST_STARTS = 10
 """Of a run in a cell of speed and lateral acceleration: one second of driving."""
 FEWEST_RUNS = 2
@@ -104,16 +101,9 @@ class CalibrationDomain:
         rows = np.where(known[:, None], conditions, 0.0)
         return known & (self.starts[cells(rows)] > 0) & (rows[:, 2:] <= self.most).all(axis=1)
 
-    def one(self, condition: Sequence[float]) -> bool:
-        """Whether one start's conditions, four numbers, were calibrated; False where one is not known."""
-        if not all(map(math.isfinite, condition)):
-            return False
-        row, column = (bisect_right(edges, condition[k]) - 1 for k, edges in CELLED.items())
-        return bool(self.starts[row, column] > 0) and condition[2] <= self.most[0] and condition[3] <= self.most[1]
-
     def why_not(self, condition: Sequence[float]) -> str:
         """Reason, in one line, why conditions (four numbers) have no band; empty if they have one."""
-        if self.one(condition):
+        if self(np.array([condition], float))[0]:
             return ""
         for name, value in zip(CONDITIONS, condition, strict=True):
             if not np.isfinite(value):

@@ -25,7 +25,7 @@ from ..errors import ConfigurationError
 from ..log_evaluation import MODES, EvaluationSettings
 from ..prediction import configuration_hash
 from ..vehicle import VehicleParameters
-from ..yaml_text import check_keys, load
+from ..yaml_text import check_keys, load, number, quoted
 from .calibration import Band
 from .conditions import CalibrationDomain
 from .samples import Question
@@ -182,10 +182,9 @@ def _band(entry: Mapping[str, Any], time: np.ndarray) -> Band:
 def _flow(value: Any) -> str:
     """JSON is YAML; but YAML reads 1e-05 as a text."""
     if isinstance(value, float):
-        text = repr(value)
-        return text if "e" not in text or "." in text else text.replace("e", ".0e")
+        return number(value)
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{json.dumps(str(k), ensure_ascii=False)}: {_flow(v)}" for k, v in value.items()) + "}"
+        return "{" + ", ".join(f"{quoted(str(k))}: {_flow(v)}" for k, v in value.items()) + "}"
     if isinstance(value, list):
         return "[" + ", ".join(map(_flow, value)) + "]"
     return json.dumps(value, ensure_ascii=False)

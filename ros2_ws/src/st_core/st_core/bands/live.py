@@ -29,7 +29,6 @@ from ..alignment import DERIVATIVE, VELOCITY_X, YAW_RATE, MeasurementHistory
 from ..evaluation import Score
 from ..filtering import NANOSECOND
 from ..log_evaluation import MODES
-from ..timeseries import TimeSeries
 from .adaptive import AdaptiveBand
 from .calibration import LEVELS
 from .conditions import activity_instants, magnitudes, steering_activity
@@ -47,22 +46,9 @@ def conditions_now(history: MeasurementHistory, time_ns: int) -> tuple[float, ..
     NaN where not known.
     """
     row = history.ins.at(time_ns)
-    activity = float(steering_activity(_angles_before(history.steering, time_ns)))
+    activity = float(steering_activity(history.steering.sample(activity_instants(time_ns))[:, 0]))
     velocity, rate, acceleration = (math.nan if row is None else row[k] for k in (VELOCITY_X, YAW_RATE, DERIVATIVE))
     return magnitudes(velocity, rate, acceleration, activity)
-
-
-def _angles_before(steering: TimeSeries, time_ns: int) -> np.ndarray:
-    """Angles (21,) [rad] at `activity_instants`; NaN where not known."""
-    instants = activity_instants(time_ns)
-    times = steering.times
-    first = int(times.searchsorted(instants[0], side="right")) - 1
-    near = times[max(first, 0):]
-    whole = first >= 0 and time_ns <= times[-1] and (near[1:] - near[:-1]).max() <= steering.maximum_gap_ns
-    if not whole or steering.breaks:
-        return steering.sample(instants)[:, 0]
-    # The same numbers in a third of the time. Relative to the start, as floats resolve 256 ns of absolute time.
-    return np.interp(instants - time_ns, near - time_ns, steering.rows[first:, 0])
 
 
 class LiveBands:
@@ -100,7 +86,7 @@ class LiveBands:
 
     def __call__(self, condition: Sequence[float]) -> bool:
         """Update `stated` for conditions, four numbers. False, without an update, outside the calibration domain."""
-        if not self._seen.one(condition):
+        if not self._seen(np.array([condition]))[0]:
             return False
         # Limited at the knots: between them lies nothing beyond, and they are few.
         logs = (self._coefficients @ features_of_one(condition)).clip(-60.0, 60.0)

@@ -4,8 +4,9 @@ import math
 import re
 import sys
 from collections import namedtuple
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 from numbers import Real
 from types import FunctionType
 from typing import Any, ClassVar, NamedTuple
@@ -209,98 +210,82 @@ def register(effect: type[Effect]) -> type[Effect]:
 
     Raises ConfigurationError naming the effect and what is wrong: a name taken, an unknown attribute, a text missing.
     """
-    _enter(effect, EFFECTS)
-    return effect
+    return _enter(effect, EFFECTS)
 
 
 def unlisted(effect: type[Effect]) -> type[Effect]:
     """Class decorator: as `register`, and enters it in UNLISTED."""
-    _enter(effect, UNLISTED)
-    return effect
+    return _enter(effect, UNLISTED)
 
 
-def _enter(effect: type[Effect], registry: dict[str, type[Effect]]) -> None:
+def _enter(effect: type[Effect], registry: dict[str, type[Effect]]) -> type[Effect]:
     name = effect.__dict__.get("name")
     if not issubclass(effect, Effect) or not isinstance(name, str) or not re.fullmatch("[a-z][a-z0-9_]*", name):
         raise ConfigurationError(f"{effect.__qualname__}: must be a subclass of Effect with a name of a-z, 0-9 and _")
-    for known in (EFFECTS, UNLISTED):
-        if name in known:
-            raise ConfigurationError(f"effect {name}: registered already, by {source_file(known[name])}")
-    try:
-        _check(effect)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"effect {name}: {error}") from None
+    known = EFFECTS.get(name) or UNLISTED.get(name)
+    if known:
+        raise ConfigurationError(f"effect {name}: registered already, by {source_file(known)}")
+    for problem in chain(_wrong_attributes(effect), _missing(effect), _wrong_names(effect), _wrong_pairs(effect)):
+        raise ConfigurationError(f"effect {name}: {problem}")
     theta = namedtuple("Theta", [p.name for p in effect.parameters] + ["car"], module=effect.__module__)  # type: ignore[misc]  # names are known at run time only
     theta.__qualname__ = f"{effect.__qualname__}.Theta"  # pickled by this path: compiled kernels are cached by type
     effect.Theta = theta
     if effect.fold is None and effect.vehicle:
         effect.fold = staticmethod(effect.vehicle)
     registry[name] = effect
+    return effect
 
 
-def _check(effect: type[Effect]) -> None:
-    """Raises ConfigurationError for what is missing, unknown or contradicts something else."""
-    _check_attributes(effect)
-    _check_words(effect)
-    _check_names(effect)
-    _check_parameters(effect)
-    _check_pairs(effect)
-    if effect.lifts is None and all(getattr(effect, hook) is None for hook in HOOKS if hook not in PASSIVE):
-        raise ConfigurationError("it has no hook, so it changes nothing")
-
-
-def _check_attributes(effect: type[Effect]) -> None:
+def _wrong_attributes(effect: type[Effect]) -> Iterator[str]:
     for key, value in vars(effect).items():
         if key.startswith("_"):
             continue
         if key not in vars(Effect) and key not in Effect.__annotations__:
-            raise ConfigurationError(f"unknown attribute {key}{nearest(key, [*vars(Effect), *Effect.__annotations__])}")
+            yield f"unknown attribute {key}{nearest(key, [*vars(Effect), *Effect.__annotations__])}"
         if key in HOOKS and not (isinstance(value, staticmethod) and isinstance(value.__func__, FunctionType)):
-            raise ConfigurationError(f"{key} must be a @staticmethod")
+            yield f"{key} must be a @staticmethod"
 
 
-def _check_words(effect: type[Effect]) -> None:
+def _missing(effect: type[Effect]) -> Iterator[str]:
     for key in ("physics", "excited_by"):
         if not str(getattr(effect, key, "")).strip():
-            raise ConfigurationError(f"{key} is not given")
+            yield f"{key} is not given"
     for key, known in (("kind", EFFECT_KINDS), ("slot", SLOTS)):
         if not hasattr(effect, key):
-            raise ConfigurationError(f"{key} is not given; it is one of {', '.join(known)}")
-        if getattr(effect, key) not in known:
-            raise ConfigurationError(f"{key} {getattr(effect, key)!r} is none of {', '.join(known)}")
+            yield f"{key} is not given; it is one of {', '.join(known)}"
+        elif getattr(effect, key) not in known:
+            yield f"{key} {getattr(effect, key)!r} is none of {', '.join(known)}"
+    if not any(p.fit for p in getattr(effect, "parameters", ())):
+        yield "no parameter that can be fitted"
+    if effect.lifts is None and all(getattr(effect, hook) is None for hook in HOOKS if hook not in PASSIVE):
+        yield "it has no hook, so it changes nothing"
+
+
+def _wrong_names(effect: type[Effect]) -> Iterator[str]:
     if not effect.applies_to or not effect.applies_to <= ANY:
-        raise ConfigurationError(f"applies_to must name some of {', '.join(KINDS)}")
-
-
-def _check_names(effect: type[Effect]) -> None:
+        yield f"applies_to must name some of {', '.join(KINDS)}"
     for key in ("twins", "needs", "members", "combinations"):
         if not isinstance(getattr(effect, key), tuple):
-            raise ConfigurationError(f"{key} must be a tuple of names, also of one: (\"name\",)")
-    if not set(effect.needs) <= set(CHANNELS):
-        raise ConfigurationError(f"needs must name some of {', '.join(CHANNELS)}")
-    if not set(effect.combinations) <= set(COMBINATIONS):
-        raise ConfigurationError(f"combinations must name some of {', '.join(COMBINATIONS)}")
+            yield f"{key} must be a tuple of names, also of one: (\"name\",)"
+    for key, known in (("needs", CHANNELS), ("combinations", COMBINATIONS)):
+        if not set(getattr(effect, key)) <= set(known):
+            yield f"{key} must name some of {', '.join(known)}"
     if effect.members and (len(set(effect.members)) < 2 or effect.name in effect.members):
-        raise ConfigurationError("members must name two other effects or more")
-
-
-def _check_parameters(effect: type[Effect]) -> None:
-    names = [p.name for p in getattr(effect, "parameters", ())]
-    if not any(p.fit for p in getattr(effect, "parameters", ())):
-        raise ConfigurationError("no parameter that can be fitted")
+        yield "members must name two other effects or more"
+    names = [p.name for p in effect.parameters]
     if len(set(names)) != len(names) or "car" in names:
-        raise ConfigurationError(f"parameters {', '.join(names)}: a name is taken twice, or is car")
+        yield f"parameters {', '.join(names)}: a name is taken twice, or is car"
 
 
-def _check_pairs(effect: type[Effect]) -> None:
+def _wrong_pairs(effect: type[Effect]) -> Iterator[str]:
     if bool(effect.extra_states) != (effect.rates is not None):
-        raise ConfigurationError("extra_states and rates go together")
+        yield "extra_states and rates go together"
     if effect.extra_units and len(effect.extra_units) != len(effect.extra_states):
-        raise ConfigurationError("extra_units and extra_states differ in number")
+        yield "extra_units and extra_states differ in number"
     if bool(effect.prepared) != (effect.prepare is not None):
-        raise ConfigurationError("prepare and prepared, the names of what it returns, go together")
+        yield "prepare and prepared, the names of what it returns, go together"
     if (effect.observe is None) != (effect.correct is None):
-        raise ConfigurationError("observe and correct go together")
+        yield "observe and correct go together"
 
 
 def source_file(effect: type[Effect]) -> str:

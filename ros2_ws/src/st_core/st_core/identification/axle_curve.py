@@ -4,8 +4,8 @@
 
 F_model is what the model's equations of motion ask of the axle at equal slip of both axles, straight wheels, no forward
 acceleration: every effect that acts at that state is in it, offsets cancel. The slip angle is the geometric one of the
-measured steering, as in a regression: compliance makes the axle softer; `tyres_only` leaves it out. Roll steer does not
-act at this state. No curve is given beyond the driven slip. Checked by: test_axle_curve.py.
+measured steering, as in a regression: compliance makes the axle softer. Roll steer does not act at this state. No curve
+is given beyond the driven slip. Checked by: test_axle_curve.py.
 """
 
 from collections.abc import Iterable
@@ -17,7 +17,7 @@ from ..augmented import AugmentedModel
 from ..errors import ConfigurationError, StCoreError
 from ..models import Model, get_model
 from ..vehicle import VehicleParameters
-from .cornering_stiffness import AXLES, DRIVEN, AxleSamples
+from .cornering_stiffness import DRIVEN, AxleSamples
 
 SPEED = 20.0  # m/s, at which the curve is evaluated: no minimum_slip_speed is higher
 FEWEST_DRAWS = 20
@@ -40,46 +40,32 @@ class AxleCurve:
     density: np.ndarray
     level: float
 
-    @property
-    def stiffness_ratio(self) -> float:
-        """Force over the file's at the smallest slip above 0 [1]."""
-        return float(self.force[1] / self.file[1])
 
-
-def axle_force(model: str | Model, vehicle: VehicleParameters, axle: str, slip: np.ndarray,
-               tyres_only: bool = False) -> np.ndarray:
+def axle_force(model: str | Model, vehicle: VehicleParameters, axle: str, slip: np.ndarray) -> np.ndarray:
     """Force of the axle ("front" or "rear") that opposes the slip angles >= 0 [rad]: (n,) [N]; see the module.
 
     Raises StCoreError for a model without tyres.
     """
     model = get_model(model)
-    if tyres_only and isinstance(model, AugmentedModel):
-        model = model.only(e for e in model.effects if e.name != "steering_compliance")
-    car = model.effective_vehicle(vehicle) if isinstance(model, AugmentedModel) else vehicle
+    car = model.effective_vehicle(vehicle)
     base = model.base if isinstance(model, AugmentedModel) else model
     if base.axles is None and not (isinstance(model, AugmentedModel) and any(e.lifts for e in model.active)):
         raise StCoreError(f"{base.name}: this model has no axle forces")
     slip = np.asarray(slip, float)
-    left, right = (_axle_forces(model, car, vehicle, side * slip)[AXLES.index(axle)] for side in (-1.0, 1.0))
-    return 0.5 * (left - right)
-
-
-def _axle_forces(model: Model, car: VehicleParameters, vehicle: VehicleParameters,
-                 slip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(front, rear) [N] by the moment balance of the accelerations at v_y = v tan(slip), r = 0."""
     zero = np.zeros_like(slip)
     p = model.parameters(vehicle)
     w = model.inputs(zero, zero, p, *(zero for _ in model.signals))
-    state = model.start_state((zero, zero, zero + SPEED, SPEED * np.tan(slip), zero, zero), w, p)
-    derivative = model.rhs(tuple(state), w, p)
-    total, moment = car.mass * derivative[3], car.yaw_inertia * derivative[5]
-    return ((car.cg_to_rear_axle * total + moment) / car.wheelbase,
-            (car.cg_to_front_axle * total - moment) / car.wheelbase)
+    lever, turn = (car.cg_to_rear_axle, 1.0) if axle == "front" else (car.cg_to_front_axle, -1.0)
+    starts = ((zero, zero, zero + SPEED, SPEED * np.tan(side * slip), zero, zero) for side in (-1.0, 1.0))
+    left, right = (model.rhs(model.start_state(start, w, p), w, p) for start in starts)
+    # By the force and moment balance.
+    return (lever * car.mass * (left[3] - right[3]) + turn * car.yaw_inertia * (left[5] - right[5])) / (
+        2.0 * car.wheelbase)
 
 
 def axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven_slip: np.ndarray,
                draws: Iterable[Model] = (), original: str | Model | None = None, level: float = 0.9,
-               points: int = 41, tyres_only: bool = False) -> AxleCurve:
+               points: int = 41) -> AxleCurve:
     """The force curve of one axle with its band over the driven slip.
 
     driven_slip: (n,) slip angles of the axle while driving [rad], either sign. draws: models with other values, as
@@ -94,8 +80,8 @@ def axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven
     model = get_model(model)
     if original is None:
         original = model.base if isinstance(model, AugmentedModel) else model
-    force, file = (axle_force(one, vehicle, axle, slip, tyres_only) for one in (model, original))
-    rows = [axle_force(one, vehicle, axle, slip, tyres_only) for one in draws]
+    force, file = (axle_force(one, vehicle, axle, slip) for one in (model, original))
+    rows = [axle_force(one, vehicle, axle, slip) for one in draws]
     low, high = np.quantile(rows, (0.5 - 0.5 * level, 0.5 + 0.5 * level), axis=0) if rows else (force, force)
     counts = np.histogram(size, slip)[0]
     return AxleCurve(axle, slip, force, np.minimum(low, force), np.maximum(high, force), file,

@@ -11,8 +11,8 @@ from rich.console import Console
 from rich.markup import escape
 from st_core.discovery import Discovery
 from st_core.discovery.result import FittedParameter
-from st_core.identification.result import quantity
 from st_core.model_file import Interval, ModelFile, Provenance
+from st_core.vehicle import quantity
 from st_recordings.paths import finite
 from st_recordings.results import versions
 
