@@ -67,8 +67,9 @@ class Search:
         first = self._from(p.fit((), p.everything(p.start)))
         assert first is not None  # there has been no other start
         answers: list[Found | None] = [first]
-        physics = [n for n in p.space.hypotheses if get_effect(n).kind == "physics"]
-        for names in ([*first.fit.names, *physics], [n for n in p.space.hypotheses if not get_effect(n).members]):
+        library = [n for n in p.space.hypotheses if n not in p.space.on_top]
+        physics = [n for n in library if get_effect(n).kind == "physics"]
+        for names in ([*first.fit.names, *physics], [n for n in library if not get_effect(n).members]):
             start = self._pruned(first.fit.vector, list(dict.fromkeys(names)))
             answers.append(self._from(self._cleaned(start)) if start else None)
         found = self._settled(self._best([a for a in answers if a]))
@@ -186,7 +187,9 @@ class Search:
         found.known = found.known or self._scores(found.fit)
         gains = found.scores.gains
         least = max(limits.negligible * p.number, NEAR * max((g.sum() for g, _ in gains.values()), default=0.0))
-        ranked = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum()) if gains[e][0].sum() > NEAR * least]
+        # What comes on top of the measured car is tried in the place of what it acts like only, by exchange.
+        ranked = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum())
+                  if gains[e][0].sum() > NEAR * least and e not in p.space.on_top]
         # What is significant comes first: where much is noise, something gains more by chance.
         library = len(p.space.hypotheses)
         significant = [e for e in ranked if chance(found.scores.own[e], gains[e][0], found.scores, library)

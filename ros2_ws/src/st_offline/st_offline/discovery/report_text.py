@@ -301,9 +301,11 @@ def corrections(found: Discovery) -> list[str]:
 def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
     """What the user may do with the answer."""
     lines = []
-    if update is not None and not update.text and update.error[1] > update.error[0]:
+    if update is not None and not update.text and not update.improves:
+        where = f", and increase it in {', '.join(update.worse)}" if update.worse else ""
         lines.append(f"vehicle.yaml is not written: alone it would change the position error after 5 s from "
-                     f"{metres(update.error[0])} to {metres(update.error[1])} on held-out drives; use model.yaml")
+                     f"{metres(update.error[0])} to {metres(update.error[1])} on held-out drives{where}; "
+                     "use model.yaml")
     lines += update.objections if update is not None else ()
     lines += acausal(found)
     if update is not None and update.folded:

@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 import yaml
+from scipy import stats
 from st_core.augmented import AugmentedModel
 from st_core.batch import LogBatch
 from st_core.discovery import Discovery
@@ -29,6 +30,7 @@ HORIZON, STEP, EVERY = 5.0, 0.05, 5.0  # s: predictions the two descriptions are
 SLOWEST = 1.5  # m/s
 SAME = 1e-3  # m, rad; at every start, at the end of the horizon
 NEARLY_SAME = 0.02  # m, mean: two models of which one has corrections that have no meaning
+SIGNIFICANT = 0.05  # p-value of a paired t-test over the starts of a drive, which do not overlap
 DIGITS = 6
 SAME_VALUE = 1e-5  # relative: DIGITS are written
 SLIP_SPEED = "minimum_slip_speed"
@@ -43,7 +45,8 @@ class VehicleUpdate:
     model: for that vehicle, the other effects; those in the file at null or at what still improves the prediction.
     folded: effects in the file. changes: (before, after, low, high) by key, SI. kept: (before, after) by key for each
     effect with such keys whose folding would change the predictions. error: (original, updated) mean position error
-    after 5 s of the base model with each file, each drive with the values found without it [m]. objections: to the car.
+    after 5 s of the base model with each file, each drive with the values found without it [m]. worse: drives in
+    which it is significantly larger with the updated file. objections: to the car.
     """
 
     vehicle: VehicleParameters
@@ -53,16 +56,23 @@ class VehicleUpdate:
     changes: Mapping[str, tuple[float, float, float, float]]
     kept: Mapping[str, Mapping[str, tuple[float, float]]]
     error: tuple[float, float] = (math.nan, math.nan)
+    worse: tuple[str, ...] = ()
     objections: tuple[str, ...] = ()
+
+    @property
+    def improves(self) -> bool:
+        """Whether the file predicts better on the mean and in no drive significantly worse."""
+        return not (self.error[1] > self.error[0] or self.worse)
 
 
 def update_vehicle(found: Discovery, request: Request) -> VehicleUpdate | None:
-    """`folded_update` if it alone predicts held-out drives better than the original file, else the original; None
-    without a model."""
+    """`folded_update` if it alone predicts held-out drives better than the original file and none worse, else the
+    original; None without a model."""
     update = folded_update(found, request)
-    if update is None or not update.text or not update.error[1] > update.error[0]:
+    if update is None or not update.text or update.improves:
         return update
-    return VehicleUpdate(request.vehicle, "", found.model or update.model, (), {}, update.kept, update.error)
+    return VehicleUpdate(request.vehicle, "", found.model or update.model, (), {}, update.kept, update.error,
+                         update.worse)
 
 
 def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
@@ -99,7 +109,7 @@ def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
     needed = slip_speed_needed(("linear", "nonlinear"), car, SPEEDS, PredictionSettings().step)
     if needed is not None and needed > car.minimum_slip_speed:  # stiffer tyres need more for stable models
         car = replace(car, minimum_slip_speed=needed)
-    error = _held_out_error(found, request.vehicle, folded, drives)
+    error, worse = _held_out_error(found, request.vehicle, folded, drives)
     model = _remaining(found, car, folded, drives, request.vehicle)
     changes = {key: (*change, *_interval(found, request.vehicle, folded, key))
                for key, change in _changes(request.vehicle, car).items()}
@@ -113,24 +123,28 @@ def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
     vehicle = VehicleParameters.from_yaml(text, "vehicle.yaml")
     shown = {key: change for key, change in changes.items() if not key.endswith("lambda_ky")}
     return VehicleUpdate(vehicle, text, model, tuple(effect.name for effect in folded), shown, kept, error,
-                         objections(vehicle, request.vehicle))
+                         worse, objections(vehicle, request.vehicle))
 
 
 def _held_out_error(found: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
-                    drives: Sequence[DriveLog]) -> tuple[float, float]:
-    """(original, updated) mean position error of the base model [m]; see `VehicleUpdate`."""
-    sums = np.zeros(3)
+                    drives: Sequence[DriveLog]) -> tuple[tuple[float, float], tuple[str, ...]]:
+    """(original, updated) mean position error of the base model [m], and the drives in which it is significantly larger
+    by a paired t-test; see `VehicleUpdate`."""
+    sums, worse = np.zeros(3), []
     for drive in drives:
         assert found.named is not None
         values = {**found.named.values, **found.left_out.get(drive.name, {})}
         try:
             car = fold(vehicle, folded, values)
         except StCoreError:  # the values without this drive are outside the limits of a vehicle file
-            return 0.0, math.inf
+            return (0.0, math.inf), (drive.name,)
         before, after = (np.hypot(*_errors(found.base, one, [drive])[0][:, :2].T) for one in (vehicle, car))
         there = np.isfinite(before) & np.isfinite(after)
-        sums += before[there].sum(), after[there].sum(), there.sum()
-    return (float(sums[0] / sums[2]), float(sums[1] / sums[2])) if sums[2] else (math.nan, math.nan)
+        before, after = before[there], after[there]
+        sums += before.sum(), after.sum(), len(before)
+        if len(before) > 2 and stats.ttest_rel(after, before, alternative="greater").pvalue < SIGNIFICANT:
+            worse.append(drive.name)
+    return ((float(sums[0] / sums[2]), float(sums[1] / sums[2])) if sums[2] else (math.nan, math.nan)), tuple(worse)
 
 
 def _remaining(found: Discovery, car: VehicleParameters, folded: Sequence[type[Effect]], drives: Sequence[DriveLog],
