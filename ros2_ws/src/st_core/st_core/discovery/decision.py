@@ -173,7 +173,7 @@ def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) ->
     if checks.driven < limits.peak:
         return Reason(MINOR, e.name, {"driven": checks.driven, "peak": limits.peak},
                       f"{checks.driven:.0%} of the peak force was driven: the curve is stated up to there, no peak")
-    if e.position < -limits.relevant_position:
+    if e.position < -limits.relevant_position and not sure:
         return Reason(MINOR, e.name, {"position": e.position, "relevant_position": limits.relevant_position},
                       f"without it the held-out position error is {-100 * e.position:.1f} cm smaller: kept, not named")
     if e.left > limits.left and e.gain < limits.unexplained_share and not sure:
