@@ -1,6 +1,7 @@
 """The vehicle file that st discover mends: it predicts as the model found does, and all else in it stays."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from answers import discovery
@@ -32,7 +33,11 @@ FOLDED = sorted(name for name, effect in EFFECTS.items() if effect.fold is not N
 @pytest.fixture(scope="module")
 def driven(tmp_path_factory) -> Drive:
     """A drive whose steering wheel was recorded."""
-    file = write_drive(tmp_path_factory.mktemp("drive") / "weave.csv", weave(20.0))
+    return recorded(tmp_path_factory.mktemp("drive"), 20.0)
+
+
+def recorded(folder: Path, seconds: float) -> Drive:
+    file = write_drive(folder / "weave.csv", weave(seconds))
     drive = read_drive(find_runs([file])[0], CAR, ReadSettings(), force=True)
     wheel = CAR.steering_wheel_angle(drive.log.road_wheel_angle)
     return replace(drive, log=replace(drive.log, steering_wheel_angle=wheel))
@@ -55,6 +60,13 @@ def test_file_that_predicts_worse_by_itself_is_not_written(driven):
     written = update_vehicle(found, request(driven))
     assert not written.text and written.vehicle == CAR and written.model.values["mass"]["factor"] == 1.5
     assert written.error == folded.error
+
+
+def test_file_that_improves_the_mean_but_one_drive_not_is_not_written(tmp_path):
+    long = recorded(tmp_path, 90.0)
+    _, folded = mended(long, ("mass", {"factor": 1.5}))
+    assert folded.worse == (long.log.name,)
+    assert not replace(folded, error=(1.0, 0.5)).improves and replace(folded, error=(1.0, 0.5), worse=()).improves
 
 
 def test_stiffer_tyres_raise_the_slip_speed_their_models_need(driven):

@@ -124,7 +124,8 @@ def test_effect_that_holds_is_named_or_kept(evidence, rule, figures):
     (GOOD, Checks(), STATED), (GOOD, Checks(null_outside=False), MINOR), (SEEN, Checks(null_outside=False), STATED),
     (GOOD, Checks(crossing="factor"), MINOR), (GOOD, Checks(driven=0.5), MINOR),
     (GOOD, Checks(worse_axle="rear"), FORCES),
-    (replace(GOOD, position=-0.03), Checks(), MINOR)])  # its own step makes the held-out error larger
+    (replace(GOOD, position=-0.03), Checks(), MINOR),  # its own step makes the held-out error larger
+    (replace(SEEN, position=-0.03), Checks(), STATED)])  # but the sensors show it among themselves
 def test_what_intervals_and_axles_say_of_an_effect(evidence, checks, rule):
     verdict = naming_verdict(evidence, LIMITS, checks)
     assert verdict.rule == rule and verdict.text
