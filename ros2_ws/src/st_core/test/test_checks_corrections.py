@@ -23,7 +23,7 @@ from exact_faults import (
     times,
     wheel_turned,
 )
-from st_core.checks import Severity, check
+from st_core.checks import AuxiliaryData, Series, Severity, check
 
 DEGREE, G = 180.0 / np.pi, 9.80665
 RATIO = 17.3  # of the Leaf's steering
@@ -84,6 +84,7 @@ FORMS = [
     ("velocity_x_scale", times(-1.0, "velocity_x")), ("velocity_y_scale", times(-1.0, "velocity_y")),
     ("yaw_convention", compass(DEGREE)), ("yaw_convention", times(-1.0, "yaw")),
     ("position_axes", lambda log: exchanged()(compass()(log))),
+    ("velocity_axes", lambda log: replace(log, velocity_x=log.velocity_y, velocity_y=log.velocity_x)),
 ]
 
 
@@ -146,6 +147,15 @@ def test_what_no_run_yaml_mends_is_an_error_all_the_same(log, leaf, name, fault)
     assert list(found) == [name] and found[name].severity is Severity.ERROR and found[name].advice.kind == "look"
     if name == "position_scale":
         assert found[name].value == pytest.approx(1.0 / 111e3, rel=1e-3)
+
+
+@pytest.mark.parametrize(("channels", "name"), [(POSITION, "position_scale"), (VELOCITY, "velocity_scale")])
+@pytest.mark.parametrize("factor", [1.05, 0.95])
+def test_wheels_decide_between_positions_and_velocity(log, leaf, channels, name, factor):
+    wheels = AuxiliaryData(wheel_speed=Series(log.ins_time_ns, log.velocity_x))
+    (found,) = check(times(factor, *channels)(log), leaf, wheels).findings
+    assert found.name == name and found.interval[0] <= factor <= found.interval[1]
+    assert check(cured(times(factor, *channels)(log), found.advice.entry, leaf), leaf, wheels).findings == ()
 
 
 @pytest.mark.parametrize("angle", [0.5, -0.7])

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from exact_drive import Noise, Sines, exact_drive, late
-from st_core.checks import check
+from st_core.checks import across_runs, check
 from st_core.checks.lag import agreement
 
 SLALOM = {  # cornering brakes the car twice in each weave of 2 s: 0.06 m/s^2
@@ -67,3 +67,14 @@ def test_steering_against_what_else_turns_the_car_is_not_late(leaf):
     assert lags(late(answered, 0.4, "road_wheel_angle"), leaf) == {}
     assert "steering_lag" not in check(answered, leaf).estimates
     assert lags(late(bend, 0.4, "road_wheel_angle"), leaf)["steering_lag"].value == pytest.approx(0.4, abs=0.04)
+
+
+@pytest.mark.parametrize(("channel", "name", "seconds"), [
+    ("yaw_rate", "yaw_rate_lag", 0.36), ("road_wheel_angle", "steering_lag", 0.3)])
+def test_one_lag_in_several_sweeps_is_one_finding_of_the_sensor(leaf, channel, name, seconds):
+    parts = tuple((0.1, period, period) for period in (9.0, 5.0, 3.1, 2.3, 1.7, 1.3))
+    sweep = {"speed": Sines(15.0, ()), "turning": Sines(0.0, parts)}
+    runs = [check(late(exact_drive(leaf, 60.0, **sweep, seed=seed), seconds, channel), leaf) for seed in range(3)]
+    assert [[one.name for one in run.findings] for run in runs] == [[name]] * 3
+    (one,) = across_runs(runs)
+    assert one.name == name and one.alike and one.mean == pytest.approx(seconds, abs=0.04)

@@ -124,3 +124,9 @@ def test_more_than_half_is_an_error_and_stays(clean, leaf):
     broken, _ = spoiled(log, leaf, "yaw_rate", _fixed(-9999.0, 1000, 3500))
     usable, (finding,) = plausible(broken)
     assert finding.severity is Severity.ERROR and len(usable.x) == len(log.x)
+
+
+def test_a_code_is_reported_in_degrees_too(clean, leaf):
+    log, _ = clean
+    broken, _ = spoiled(log, leaf, "steering_wheel_angle", _fixed(np.deg2rad(-9999.0), MIDDLE, 120))
+    assert "(-9999 deg)" in plausible(broken)[1][0].text

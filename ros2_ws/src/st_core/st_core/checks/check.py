@@ -189,7 +189,12 @@ def _sensors(motion: Motion, before: dict[str, float], auxiliary: AuxiliaryData,
     motion, findings = position.lateral_sign(motion)
     found, expected = inertial.yaw_rate(motion, seed)
     motion, late = _late_yaw(motion, found)
+    recorded = motion
     motion, causes, estimates = position.position(motion, seed)
+    if auxiliary.wheel_speed and len(auxiliary.wheel_speed.time_ns) > 1:
+        wheel = inertial.speed(recorded, auxiliary.wheel_speed, start_ns, before.get("time_unit", 1.0), seed)
+        if wheel:
+            motion, causes = position.scale_of_positions(motion, causes, estimates, wheel.scale)
     if found and found.carries_lag:
         estimates["yaw_lag"] = with_systematic("yaw_lag", found.lag.scaled(-1.0))
     findings += late + causes

@@ -11,8 +11,8 @@ import numpy as np
 from .channel import Expected, identity, judged
 from .finding import Advice, AuxiliaryData, Finding, Identity, Series, Severity
 from .lag import Agreement, agreement
-from .limits import HORIZON, LIMITS
-from .motion import MOVING, Motion
+from .limits import HORIZON, LIMITS, WHEEL_SCALE
+from .motion import MOVING, Motion, sideways
 from .regression import Estimate
 
 G = 9.80665
@@ -24,7 +24,6 @@ ACCELERATION_SCALE = 0.35  # 1; a body that rolls and pitches makes up to a thir
 ACCELERATION_LAG = 0.12  # s; filters of accelerometers take up to 0.1 s
 LEVER = 1.5  # m between accelerometer and INS point
 GRAVE_ACCELERATION = 0.3  # m/s^2; a road's crossfall of 2.5 % is 0.25
-WHEEL_SCALE = 0.03  # 1; tyres wear and are pumped up by that
 SPEED_SPREAD = 0.5  # m/s; at one speed only slip and noise would be compared
 WHEEL_LAG = 0.15  # s; wheel speeds are averaged over some turns
 FACTORS = {1.0 / G: "g"}
@@ -63,7 +62,9 @@ def corrected_yaw_rate(motion: Motion, found: Agreement) -> Motion:
 
 
 def accelerations(motion: Motion, seed: int) -> list[Judged]:
-    """Findings of both accelerations against the derivative of velocity."""
+    """Findings of both accelerations against the derivative of velocity; none where its axes are wrong."""
+    if sideways(motion):
+        return []
     derivative = {"acceleration_x": _slope(motion.time, motion.velocity_x) - motion.velocity_y * motion.yaw_rate,
                   "acceleration_y": _slope(motion.time, motion.velocity_y) + motion.velocity_x * motion.yaw_rate}
     speed = float(np.median(np.abs(motion.velocity_x)))
@@ -102,7 +103,7 @@ def speeds(motion: Motion, auxiliary: AuxiliaryData, start_ns: int, time_factor:
                                      ("ins_speed", auxiliary.ins_speed, 0.005, 0.03)):
         if series is None or len(series.time_ns) < 2:
             continue
-        found = _speed(motion, series, start_ns, time_factor, seed)
+        found = speed(motion, series, start_ns, time_factor, seed)
         expected = Expected(name, "velocity_x", "m/s", lag, scale, np.inf, (0.0, 0.0, np.inf),
                             least_spread=SPEED_SPREAD, factors=SPEED_FACTORS)
         title = f"forward speed: {name.replace('_', ' ')} against velocity_x"
@@ -110,7 +111,8 @@ def speeds(motion: Motion, auxiliary: AuxiliaryData, start_ns: int, time_factor:
     return findings
 
 
-def _speed(motion: Motion, series: Series, start_ns: int, time_factor: float, seed: int) -> Agreement | None:
+def speed(motion: Motion, series: Series, start_ns: int, time_factor: float, seed: int) -> Agreement | None:
+    """Another source of the speed against the INS's forward speed."""
     time = (series.time_ns - start_ns) * 1e-9 / time_factor
     return agreement(motion.time, motion.velocity_x, time, series.values, SPEED_CUTOFF, seed, biased=False)
 

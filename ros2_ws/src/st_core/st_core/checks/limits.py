@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from .finding import Severity
 
 HORIZON = 5.0  # s, over which effects are judged
+WHEEL_SCALE = 0.03  # 1; tyres wear and are pumped up by that
 
 
 @dataclass(frozen=True)

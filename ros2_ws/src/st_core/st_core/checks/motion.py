@@ -14,6 +14,7 @@ LONGEST_GAP = 0.25  # s between samples; nothing is integrated across a longer o
 MOVING = 1.0  # m/s; slower driving is not used
 FEWEST_WINDOWS = 5  # that must show the car driving
 COHERENT = 0.5  # cosine between the ways of successive windows: 1 straight on, 0 for a random walk
+SPEEDS = 0.1  # standard deviation of the speed over its mean
 LEAST_SIGNAL = 10.0  # standard deviations of the velocity's noise
 
 
@@ -88,6 +89,16 @@ def is_driven(motion: Motion) -> bool:
     noise = float(np.median(np.abs(np.diff(motion.velocity_x)))) / (0.6745 * np.sqrt(2.0))
     return bool(np.sum(product.real) > COHERENT * np.sum(np.abs(product)) > 0.0
                 or np.sum(np.abs(speed) > LEAST_SIGNAL * max(noise, 1e-9)) >= FEWEST_WINDOWS)
+
+
+def several_speeds(speed: np.ndarray) -> bool:
+    """Whether the speed varies enough to separate effects of different powers of it."""
+    return float(np.std(speed)) > SPEEDS * abs(float(np.mean(speed)))
+
+
+def sideways(motion: Motion) -> bool:
+    """Whether the velocity points to the side more than ahead: then its axes are not those of a car."""
+    return float(np.sum(motion.velocity_y**2)) > float(np.sum(motion.velocity_x**2))
 
 
 def integral(time: np.ndarray, rate: np.ndarray) -> np.ndarray:

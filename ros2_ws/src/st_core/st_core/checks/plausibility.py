@@ -299,15 +299,18 @@ def _finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
     value = float(values[np.argmax(np.abs(values))])
     where = stretches(times, 1.5 * channel.spacing)
     unit = channel.plausible.unit
+    # Codes for a missing measurement are round numbers in the unit of the file, which may be degrees.
+    degrees = f" ({np.rad2deg(value):.6g} {unit.replace('rad', 'deg')})" if unit.startswith("rad") else ""
+    shown = f"{value:.6g} {unit}{degrees}"
     when = f"at {where[0][0]:.2f} s" if len(samples) == 1 else f"between {times[0]:.2f} and {times[-1]:.2f} s"
     count = f"{len(samples)} of {len(channel.values)} samples"
     text = {
-        "sample_spikes": f"{channel.name} is {value:.4g} {unit} {when}, " + (
+        "sample_spikes": f"{channel.name} is {shown} {when}, " + (
             f"in sample {channel.rows[samples[0]] + 1}" if len(samples) == 1 else f"the largest of {count}")
             + ", which its neighbours exclude",
-        "sentinel_values": f"{channel.name} is {value:.6g} {unit} {when} ({count}): "
+        "sentinel_values": f"{channel.name} is {shown} {when} ({count}): "
                            + ("0 while the car moves" if value == 0.0 else "a code for a missing measurement"),
-        "out_of_range": f"{channel.name} reaches {value:.4g} {unit} {when} ({count}), beyond any road car",
+        "out_of_range": f"{channel.name} reaches {shown} {when} ({count}), beyond any road car",
         "channel_wraps": f"{channel.name} wraps around at ±{np.abs(channel.values).max():.4g} {unit} "
                          f"{when} ({count}): its signal is too short for the values of this drive",
         "channel_jumps": f"{channel.name} jumps {len(samples)} time{'s' if len(samples) > 1 else ''} by up to "

@@ -14,12 +14,13 @@ over windows of a second. Its residual is explained by at most a few causes, eac
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from .finding import Advice, Finding, Identity, Severity
-from .limits import HORIZON, LIMITS
-from .motion import Motion, integral, windows
+from .limits import HORIZON, LIMITS, WHEEL_SCALE
+from .motion import Motion, integral, several_speeds, windows
 from .regression import Estimate, Regression, matters, with_systematic
 
 WINDOW = 1.0  # s
@@ -30,7 +31,6 @@ CLEARLY = 1.1  # ratio of losses from which the scale of one axis is preferred t
 LEAST_GAIN = 0.01  # m; least reduction of the misfit over a second by another sign: RTK noise is 1 cm
 LEAST_ACROSS = 0.02  # m/s root mean square of velocity_y
 SPHERE = 0.005  # a map projected with one radius of the earth is wrong by up to half a per cent per axis
-SPEEDS = 0.1  # standard deviation of the speed over its mean; at one speed a bias and a scale look alike
 LEAST_BIAS = 0.05  # m/s; velocities of an INS are known to 0.03
 AXES = {"x_scale", "y_scale"}
 # Causes that look alike on a drive at one speed, of which one is fitted; a bias only where it explains clearly more.
@@ -84,7 +84,6 @@ def position(motion: Motion, seed: int) -> tuple[Motion, list[Finding], dict[str
     """(motion with the causes removed, the findings, estimates of every cause as values of its finding)."""
     found: dict[str, Estimate] = {}
     corrected = motion
-    several_speeds = float(np.std(motion.velocity_x)) > SPEEDS * abs(float(np.mean(motion.velocity_x)))
     for _ in range(ROUNDS):  # the nonlinear part of a large cause is removed in the next round
         problem = regression(corrected, seed)
         if len(problem.time) < LEAST:
@@ -92,13 +91,30 @@ def position(motion: Motion, seed: int) -> tuple[Motion, list[Finding], dict[str
         effects = {name: max(problem.effect(name, 1.0, HORIZON, WINDOW), 1e-9) for name in problem.columns}
         least = {name: max(LIMITS.min_reported_effect / effect, _least(name)) for name, effect in effects.items()}
         # A large cause biases the estimates of the others until it is removed in the next round.
-        refined = _refined(problem, found, least, several_speeds)
+        refined = _refined(problem, found, least, several_speeds(motion.velocity_x))
         found = {name: one for name, one in refined.items() if matters(one, least[name])}
         corrected = _corrected(motion, found)
         if not found:
             break
     findings = [_finding(name, one, problem) for name, one in found.items() if _is_wrong(name, _shown(name, one))]
     return corrected, findings, _all(regression(corrected, seed), found)
+
+
+def scale_of_positions(motion: Motion, findings: list[Finding], estimates: dict[str, Estimate],
+                       wheel: Estimate) -> tuple[Motion, list[Finding]]:
+    """(motion, findings) with a scale of the velocity turned into one of the positions, if the wheel speed agrees with
+    the velocity as recorded rather than with the positions. wheel: its scale against that velocity."""
+    wrong = next((one for one in findings if one.name == "velocity_scale"), None)
+    if wrong is None or not wrong.value or abs(wheel.value - 1.0) > 0.5 * abs(wrong.value - 1.0) or (
+            abs(wrong.value - 1.0) < WHEEL_SCALE):
+        return motion, findings
+    scale, factor = estimates["position_scale"], wrong.value
+    text = (f"x and y are {scale.value:.4f} ± {scale.half:.4f} times the integrated velocity, with which the wheel "
+            "speed agrees: scale of the projection?")
+    found = replace(wrong, name="position_scale", channels=("x", "y"), text=text, value=scale.value,
+                    interval=scale.interval, advice=Advice.correct("position", scale=float(f"{1.0 / scale.value:.5g}")))
+    moved = {name: factor * getattr(motion, name) for name in ("x", "y", "velocity_x", "velocity_y")}
+    return motion.with_(**moved), [found if one is wrong else one for one in findings]
 
 
 def misfit(motion: Motion) -> float:
@@ -143,7 +159,7 @@ def lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 
 def _refined(problem: Regression, found: dict[str, Estimate], least: dict[str, float],
-             several_speeds: bool) -> dict[str, Estimate]:
+             speed_varies: bool) -> dict[str, Estimate]:
     """Refined values of the previous causes, and further causes."""
     excluded = {*found, *(twin for name in found for twin in TWINS.get(name, ()))}
     free = {name: value for name, value in least.items() if name not in excluded}
@@ -151,7 +167,7 @@ def _refined(problem: Regression, found: dict[str, Estimate], least: dict[str, f
     _, scale, _ = problem.fit((*found, *more))
     loss = problem.loss((*found, *more), scale)
     for bias, twins in BIASES.items():
-        if bias in free and twins & {*more} and several_speeds:
+        if bias in free and twins & {*more} and speed_varies:
             instead = _further(problem, {k: v for k, v in free.items() if k not in twins and (
                 k == bias or k not in BIASES)}, tuple(found))
             if bias in instead and CLEARLY * problem.loss((*found, *instead), scale) < loss:

@@ -4,7 +4,10 @@ The error is the distance between the measured position and that of the linear s
 lie 5 s apart, so that they do not overlap; both come from the drive as corrected. A steering ratio or offset of the
 vehicle file that is wrong would favour corrections that happen to compensate it, so both are fitted before and after:
 
-    e = e_0 + (de/dg) g + (de/do) o,    g, o: gain [1] and offset [rad] of the road wheel angle, least squares
+    e = e_0 + (de/dg) g + (de/do) o,    g, o: gain [1] and offset [rad] of the road wheel angle, least squares within
+                                        |g| <= MOST_GAIN, |o| <= MOST_OFFSET
+
+Without the bounds a circle, on which gain and offset look alike, explains any error by huge values of both.
 
 Checked by: test_checks_trial.py.
 """
@@ -14,6 +17,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from ..corrections import Correction, corrected
 from ..errors import StCoreError
@@ -21,11 +25,12 @@ from ..log import DriveLog
 from ..log_evaluation import EvaluationSettings, evaluate_log, regular_starts
 from ..vehicle import VehicleParameters
 from .finding import Advice, Finding, Severity
-from .limits import HORIZON
+from .limits import HORIZON, LIMITS
 
 # Factor, and m: less is the noise of positions, and on seventeen real drives what a correct one changed at most (7 %).
 WORSE, NOISE = 1.1, 0.02
 GAIN, OFFSET = 0.03, 0.003  # 1, rad; steps of the derivatives
+MOST_GAIN, MOST_OFFSET = LIMITS.steering_unit - 1.0, 0.1  # 1, rad at the road wheels; no car has more
 LEAST_STARTS = 4
 MOST_STARTS = 100  # spread over the run; more do not change an average by a per cent
 TIMES = {"ms": 1e3, "us": 1e6, "ns": 1e9}
@@ -100,7 +105,8 @@ def _error(state: State | None) -> float | None:
         return None
     error = base[known].ravel()
     slopes = np.stack([(one[known].ravel() - error) / step for one, step in ((gain, GAIN), (offset, OFFSET))], axis=1)
-    left = error - slopes @ np.linalg.lstsq(slopes, error)[0]
+    most = np.array([MOST_GAIN, MOST_OFFSET])
+    left = lsq_linear(slopes, error, (-most, most)).fun
     return float(np.sqrt(2.0 * np.mean(left**2)))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from .finding import Advice, Finding, Severity
 from .limits import LIMITS
-from .motion import Motion, Windows, integral, windows
+from .motion import Motion, Windows, integral, sideways, windows
 from .ratios import ALIKE, LEAST_WAY, LEAST_WINDOWS, near, ratios
 from .regression import Estimate
 
@@ -42,7 +42,7 @@ def unit_of(factor: float, table: Mapping[float, Any]) -> float | None:
 def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
     """(motion with units, signs and axes corrected, what was corrected). Its stamps are in seconds: see time_unit."""
     found: list[Finding] = []
-    for step in (_both_turns, _north_east, _turns, _axes, _way, _of_map, _turned):
+    for step in (_both_turns, _north_east, _turns, _axes, _way, _velocity_axes, _turned):
         motion, finding = step(motion)
         found += [finding] if finding else []
     return motion, _one_yaw(found)
@@ -94,22 +94,21 @@ def nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate]) -> 
     """One finding for stamps at a wrong nominal rate: they make velocity and yaw rate too large by one factor, compared
     with positions and yaw, which is that of the time. None where the two factors differ or one is 1."""
     velocity, turn = (estimates.get(name) for name in ("velocity_scale", "yaw_rate_scale"))
-    wrong = {one.name for one in findings}
-    if velocity is None or turn is None or "velocity_scale" not in wrong or turn.shifted(-1.0).covers(0.0):
+    wrong = next((one for one in findings if one.name in ("velocity_scale", "position_scale")), None)
+    if velocity is None or turn is None or wrong is None or turn.shifted(-1.0).covers(0.0):
         return None
     apart = abs(velocity.value - turn.value)
     if apart > float(np.hypot(np.hypot(velocity.half, turn.half), GYRO)) or abs(velocity.value - 1.0) < LEAST_RATE:
         return None
     factor = velocity.value
-    severity = next(one.severity for one in findings if one.name == "velocity_scale")
-    effect = next(one.effect for one in findings if one.name == "velocity_scale")
     text = (f"time runs {factor:.4f} ± {velocity.half:.4f} times too fast for positions and yaw: are the rows stamped "
             "at a nominal rate that is not the true one?")
     scale = float(f"{1.0 / factor:.5g}")
     advice = Advice("run.yaml", f"correct: {{velocity: {{scale: {scale:g}}}, yaw_rate: {{scale: {scale:g}}}}}"
                 f"  # or divide the time of the rows by {factor:.4f}",
                 {"correct": {"velocity": {"scale": scale}, "yaw_rate": {"scale": scale}}})
-    return Finding("time_rate", severity, ("time",), text, factor, "1", velocity.interval, (), effect, advice)
+    return replace(wrong, name="time_rate", channels=("time",), text=text, value=factor, interval=velocity.interval,
+                   advice=advice)
 
 
 def yaw_is_late(motion: Motion, earlier: Motion) -> bool:
@@ -289,20 +288,29 @@ def _misfit(motion: Motion) -> float:
     return float(np.median(np.abs(measured - derived * turn / max(abs(turn), 1e-300)))) if len(over) else 0.0
 
 
-def _of_map(motion: Motion) -> tuple[Motion, Finding | None]:
-    """Velocities in the map frame: positions follow them without rotation by yaw."""
-    over, measured, derived = _ways(motion, motion.velocity_x, motion.velocity_y)
-    if len(over) < LEAST_WINDOWS or not np.ptp(motion.yaw) > LEAST_FOLLOWED:
+def _velocity_axes(motion: Motion) -> tuple[Motion, Finding | None]:
+    """Velocities in the map frame, which positions follow without rotation by yaw, or exchanged."""
+    over, measured, of_map = _ways(motion, motion.velocity_x, motion.velocity_y)
+    if len(over) < LEAST_WINDOWS:
         return motion, None
-    misfit = float(np.median(np.abs(measured - derived)))
-    if misfit > ALONG * float(np.median(np.abs(measured))) or not misfit < ALONG * _misfit(motion):
+    way, unchanged = float(np.median(np.abs(measured))), _misfit(motion)
+    swapped = motion.with_(velocity_x=motion.velocity_y, velocity_y=motion.velocity_x)
+    most = ALONG * way  # of velocities in the right frame
+    if np.ptp(motion.yaw) > LEAST_FOLLOWED and float(np.median(np.abs(measured - of_map))) <= min(
+            most, ALONG * unchanged):
+        body = (motion.velocity_x + 1j * motion.velocity_y) * np.exp(-1j * motion.yaw)
+        text = "velocity_x and velocity_y are in the map frame, east and north: the body frame is expected"
+        advice = Advice("look", "rotate them by yaw: velocity_x = cos(yaw) east + sin(yaw) north, "
+                        "velocity_y = cos(yaw) north - sin(yaw) east")
+        motion = motion.with_(velocity_x=body.real, velocity_y=body.imag)
+    elif sideways(motion) and float(np.median(np.abs(measured - _ways(swapped, *swapped.velocity_map)[2]))) <= most:
+        text = "velocity_x and velocity_y are exchanged (x is forward, y left)"
+        columns = {"velocity_x": "velocity_y", "velocity_y": "velocity_x"}
+        advice = Advice("run.yaml", f"columns: {columns}".replace("'", ""), {"columns": columns})
+        motion = swapped
+    else:
         return motion, None
-    body = (motion.velocity_x + 1j * motion.velocity_y) * np.exp(-1j * motion.yaw)
-    text = "velocity_x and velocity_y are in the map frame, east and north: the body frame is expected"
-    advice = Advice("look", "rotate them by yaw: velocity_x = cos(yaw) east + sin(yaw) north, "
-                    "velocity_y = cos(yaw) north - sin(yaw) east")
-    return (motion.with_(velocity_x=body.real, velocity_y=body.imag),
-            _error("velocity_axes", ("velocity_x", "velocity_y"), text, None, advice))
+    return motion, _error("velocity_axes", ("velocity_x", "velocity_y"), text, None, advice)
 
 
 def _turned(motion: Motion) -> tuple[Motion, Finding | None]:

@@ -17,7 +17,7 @@ from .channel import or_else, size_of
 from .finding import Advice, Finding, Identity, Severity
 from .lag import NOTHING, Agreement, agreement
 from .limits import HORIZON, LIMITS
-from .motion import MOVING, Motion, windows
+from .motion import MOVING, Motion, several_speeds, windows
 from .regression import Estimate, Regression, with_systematic
 
 Comparison = tuple[list[Finding], dict[str, Estimate], Identity | None]
@@ -190,7 +190,7 @@ def rear_axle(motion: Motion, vehicle: VehicleParameters, seed: int) -> Comparis
         return [], {}, None  # heading, point and slip of the axle look alike
     problem = Regression(over.time[use], across[:, None], {
         "heading": -forward[:, None], "point": rate[:, None], "slip": -(forward**2 * rate)[:, None]}, seed)
-    found = _rear_axle(problem, vehicle)
+    found = _rear_axle(problem, vehicle, several_speeds(forward))
     heading = with_systematic("heading_misaligned", found["heading"])
     point = with_systematic("measuring_point", found["point"].shifted(-(vehicle.cg_to_rear_axle + vehicle.cg_to_ins_x)))
     findings = [one for one in (_heading(heading, forward), _point(point, motion, vehicle)) if one]
@@ -202,16 +202,17 @@ def rear_axle(motion: Motion, vehicle: VehicleParameters, seed: int) -> Comparis
     return findings, {"heading_misaligned": heading, "measuring_point": point}, shown
 
 
-def _rear_axle(problem: Regression, vehicle: VehicleParameters) -> dict[str, Estimate]:
+def _rear_axle(problem: Regression, vehicle: VehicleParameters, separable: bool) -> dict[str, Estimate]:
     """heading [rad], point [m ahead of the rear axle], slip [s^2/m].
 
-    Where the drive cannot separate the slip of the axle from the point, the slip is that of the vehicle file within
-    half of its value.
+    separable: whether the speed varies. Where slip of the axle and point look alike, the slip is that of the vehicle
+    file within half of its value.
     """
-    free = problem.estimates(("heading", "point", "slip"))
     expected = vehicle.mass * vehicle.cg_to_front_axle / (vehicle.wheelbase * vehicle.cornering_stiffness_rear)
-    if free["slip"].deviation < 0.25 * expected:
-        return free
+    if separable:
+        free = problem.estimates(("heading", "point", "slip"))
+        if free["slip"].deviation < 0.25 * expected:
+            return free
     fixed = []
     for slip in (expected, 0.5 * expected, 1.5 * expected):
         rest = problem.rest({"slip": slip})
