@@ -95,6 +95,15 @@ def test_wheel_speed_alone_is_a_doubtful_substitute(pair: Pair) -> None:
     assert abs(pair.error(result, result.at_ns)) < 2 * result.offset_deviation
 
 
+def test_both_rear_wheels_align_better_than_one(pair: Pair) -> None:
+    deviations = []
+    for dropped in ("wheel_speed_rear_right", "nothing"):
+        result, _ = align_clocks(pair.motion, pair.without("ins_", "vehicle", dropped))
+        assert abs(pair.error(result, result.at_ns)) < 2 * result.offset_deviation
+        deviations.append(result.signals[0].deviation)
+    assert deviations[1] < deviations[0]
+
+
 def test_steering_alone_is_a_doubtful_substitute(pair: Pair) -> None:
     result, _ = align_clocks(pair.motion, pair.without("ins_", "wheel", "vehicle"))
     assert result.verdict is Verdict.DOUBTFUL

@@ -77,6 +77,11 @@ def test_a_car_nobody_knows_is_refused_with_those_that_are_known():
         car_named("unknown_car")
 
 
+def test_a_file_in_place_of_the_folder_of_a_car(folder):
+    with pytest.raises(RunError, match=f"this is a file, a car is a folder; give --car {folder}, or --vehicle"):
+        car_named(str(folder / "vehicle.yaml"))
+
+
 @pytest.mark.parametrize("name", ["calibrate", "check", "discover", "evaluate", "identify", "import", "live"])
 def test_every_verb_that_decodes_steering_means_the_same_by_the_same_options(name):
     commands = get_command(app).commands

@@ -194,7 +194,7 @@ def _judged(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_ns: i
     for row in result.signals:
         if abs(row.difference) > max(AGREEMENT, 3 * row.deviation):
             doubts.append(f"{row.name} alone gives an offset {row.difference * 1e3:+.1f} ms away")
-    if abs(result.drift_ppm) > UNUSUAL_DRIFT_PPM:
+    if abs(result.drift_ppm) - 2.0 * (result.drift_deviation or 0.0) > UNUSUAL_DRIFT_PPM:
         doubts.append(f"a drift of {result.drift_ppm:.0f} ppm is more than two quartz clocks have")
     lags = window_lags(pairs, solution.offset, STEP_SEARCH[weakest < GOOD_PEAK])
     step = clock_step(lags)
@@ -301,7 +301,7 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
     if abs(residual[worst]) > 0.02:
         doubts.append(f"the time frames do not lie on one line: {residual[worst] * 1e3:+.0f} ms at "
                       f"{time[worst] - middle:+.0f} s from the middle (a clock was set?)")
-    if abs(result.drift_ppm) > UNUSUAL_DRIFT_PPM:
+    if abs(result.drift_ppm) - 2.0 * (result.drift_deviation or 0.0) > UNUSUAL_DRIFT_PPM:
         doubts.append(f"a drift of {result.drift_ppm:.0f} ppm is more than two quartz clocks have")
     return result.doubted(*doubts)
 

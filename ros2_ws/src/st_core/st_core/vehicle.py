@@ -34,7 +34,7 @@ class Quantity:
         return next(iter(self.units))
 
     def limit(self) -> str:
-        return f"{self.minimum:g} to {self.maximum:g} {self.si_unit}"
+        return f"{self.minimum:g} to {self.maximum:g} {self.si_unit}".removesuffix(" 1")
 
 
 def _quantity(unit: str, minimum: float, maximum: float, required: bool = True) -> Quantity:

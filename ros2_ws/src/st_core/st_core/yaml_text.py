@@ -45,7 +45,8 @@ class _Loader(yaml.SafeLoader):
                 raise ConfigurationError(f"merging (<<) is not allowed (line {line}); write the values out")
             key = self.construct_object(key_node, deep=True)
             if not isinstance(key, str):
-                raise ConfigurationError(f"{_shown(key)}: a key must be a text (line {line})")
+                comma = "; write decimal points, not commas" if isinstance(key, int) else ""
+                raise ConfigurationError(f"{_shown(key)}: a key must be a text (line {line}){comma}")
             if not key.isprintable():
                 raise ConfigurationError(f"{_shown(key)}: a key must be printable (line {line})")
             if key in seen:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from driven import drive, weave
 from st_core.checks import Severity, check
@@ -43,6 +44,14 @@ def test_signals_that_do_not_belong_together(log, leaf, wrong, name):
 ])
 def test_several_that_do_not(log, leaf, wrong):
     assert errors(replace(log, **wrong(log)), leaf)
+
+
+def test_the_sign_shows_in_bends_that_are_too_wide_for_the_size(leaf):
+    fast = drive(leaf, 24.0, weave(0.009), 40.0)
+    assert np.sqrt(np.mean(np.square(leaf.wheelbase * fast.yaw_rate / fast.velocity_x))) < 0.006
+    assert errors(fast, leaf) == {}
+    turned = replace(fast, road_wheel_angle=-fast.road_wheel_angle, steering_wheel_angle=-fast.steering_wheel_angle)
+    assert set(errors(turned, leaf)) == {"steering_sign"}
 
 
 def test_understeer_of_a_fast_car_is_no_unit(leaf):

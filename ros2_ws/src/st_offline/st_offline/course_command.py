@@ -50,5 +50,6 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: Read
         output.write_text(Course(tuple(passes), origin).to_yaml(), encoding="utf-8")
     except OSError as error:
         raise OutputError(f"{output}: cannot be written: {error.strerror}") from None
-    line(f"{escape(str(output))}: course of {len({one.recording for one in passes})} drives", console)
+    drives = len({one.recording for one in passes})
+    line(f"{escape(str(output))}: course of {drives} drive{'s' * (drives != 1)}", console)
     return 1 if failed else 0

@@ -43,6 +43,9 @@ def car_named(text: str) -> Car:
     than steering_sign (1 or -1) and steering_latency (0 to 1 s).
     """
     folder = Path(text) if "/" in text or Path(text).is_dir() else config("car") / text
+    if folder.is_file():
+        raise RunError(folder, "this is a file, a car is a folder", f"give --car {folder.absolute().parent}, or "
+                       "--vehicle for a vehicle file alone")
     if not (folder / "vehicle.yaml").is_file():
         raise RunError(folder, "no car: vehicle.yaml is missing in it", f"there are {', '.join(names())}; or name the "
                        "folder of a car")

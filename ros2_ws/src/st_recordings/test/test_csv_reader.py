@@ -1,9 +1,11 @@
 """CSV drives: the Genesis recordings, and files that are nearly right."""
 
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
+from st_recordings.runs.columns import Layout
 from st_recordings.runs.csv import has_drive_columns, read_csv, read_motion
 from st_recordings.runs.errors import RunError
 from support import EXAMPLES, KEPT
@@ -79,6 +81,44 @@ def test_semicolons_and_other_column_orders(tmp_path: Path) -> None:
 def test_files_that_cannot_be_used(tmp_path: Path, lines: list[str], message: str) -> None:
     with pytest.raises(RunError, match=rf"drive\.csv: {message}"):
         read_csv(write(tmp_path, lines))
+
+
+def test_times_as_a_spreadsheet_stores_them(tmp_path: Path) -> None:
+    days = [f"{46146.43 + 0.02 * k / 86400:.9f},{line.partition(',')[2]}" for k, line in enumerate(rows(100))]
+    file = write(tmp_path, ["DateTime," + HEADER.partition(",")[2], *days])
+    drive = read_csv(file)
+    first = datetime(1899, 12, 30, tzinfo=UTC) + timedelta(days=46146.43)
+    assert drive.log.ins_time_ns[0] * 1e-9 == pytest.approx(first.timestamp(), abs=1e-4)
+    assert np.diff(drive.log.ins_time_ns) == pytest.approx(0.02e9, abs=1e5)
+    assert "days of a spreadsheet" in drive.warnings[0]
+
+
+def test_times_that_repeat_and_never_go_back(tmp_path: Path) -> None:
+    lines = [line for line in rows(40) for _ in range(3)]
+    drive = read_csv(write(tmp_path, [HEADER, *lines]))
+    assert len(drive.log.ins_time_ns) == 40
+    assert "80 of 120 rows (67 %) are not newer" in drive.warnings[0]
+
+
+@pytest.mark.parametrize("row", [f"[],{','.join(['[m]'] * 2)},[rad],,,,,,[deg]", "-,m,m,rad,,,,,,deg"])
+def test_a_row_of_units_with_none_for_the_time(tmp_path: Path, row: str) -> None:
+    log = read_csv(write(tmp_path, [HEADER, row, *rows(20)])).log
+    assert len(log.x) == 20 and log.road_wheel_angle[0] == pytest.approx(np.deg2rad(0.002))
+
+
+@pytest.mark.parametrize("named", ["EPS_Pos", "EPS_Pos [deg]", "eps pos"])
+@pytest.mark.parametrize("column", ["EPS_Pos [deg]", "EPS_Pos"])
+def test_a_named_column_with_and_without_its_unit(tmp_path: Path, named: str, column: str) -> None:
+    file = write(tmp_path, [HEADER.replace("delta", column), *rows(20)])
+    log = read_csv(file, layout=Layout({"road_wheel_angle": named})).log
+    degrees = "deg" in named or "deg" in column
+    assert log.road_wheel_angle[0] == pytest.approx(0.002 * (np.pi / 180 if degrees else 1.0))
+
+
+def test_a_table_without_steering_is_answered_with_its_option(tmp_path: Path) -> None:
+    file = write(tmp_path, [HEADER.replace("delta", "EPS_Pos"), *rows(20)])
+    with pytest.raises(RunError, match=r"known as road_wheel_angle \(or steering_wheel_angle\).*--steering-field"):
+        read_csv(file)
 
 
 def test_a_binary_file_called_csv(tmp_path: Path) -> None:

@@ -67,6 +67,18 @@ def test_what_has_no_partner_says_so(tmp_path: Path) -> None:
     assert "no CAN log has the same stem" in str(lonely[0].problem)
 
 
+def test_a_drive_of_a_folder_that_lacks_a_column_is_reported(tmp_path: Path) -> None:
+    header, _, body = DRIVE.partition("\n")
+    column = next(name for name in header.split(",") if name.lower() in ("vy", "velocity_y"))
+    touch(tmp_path, "whole.csv", content=DRIVE)
+    touch(tmp_path, "lacks.csv", content=f"{header.replace(column, 'slip', 1)}\n{body}")
+    touch(tmp_path, "way.csv", content="x,y,yaw,speed\n0,0,0,1\n1,0,0,1\n")
+    runs = by_name(find_runs([tmp_path]))
+    assert set(runs) == {"whole", "lacks"}
+    with pytest.raises(RunError, match=r"lacks\.csv: no column of the header is known as velocity_y"):
+        read(runs["lacks"])
+
+
 def test_a_folder_of_everything(tmp_path: Path) -> None:
     touch(tmp_path, "one.ncom", "one.log", "readme.txt", "photo.png", "sub/table.csv", "empty/nothing.here")
     touch(tmp_path, "genesis.csv", content=DRIVE)
@@ -90,17 +102,18 @@ def test_a_folder_of_everything(tmp_path: Path) -> None:
         ("nowhere.ncom", "the file or folder does not exist; looked for in /"),
         ("note.txt", r"the file or folder does not exist; looked for in .*, did you mean notes\.txt\?"),
         ("notes.txt", r"the extension \.txt is not one of a recording; known are .*\.ncom"),
+        ("car.dbc", r"the extension \.dbc is not one of a recording; a DBC belongs to --dbc"),
         ("folder", "no recording is in this folder"),
     ],
 )
 def test_paths_that_are_no_run(tmp_path: Path, path: str, message: str) -> None:
-    touch(tmp_path, "notes.txt", "folder/notes.txt")
+    touch(tmp_path, "notes.txt", "folder/notes.txt", "car.dbc")
     (run,) = find_runs([tmp_path / path])
     with pytest.raises(RunError, match=message):
         read(run)
 
 
-FOREIGN = "Zeit,Rechts,Hoch,Kurs,Tempo,Quer,Drehrate\n" + "".join(f"{0.02 * k:.2f},{k},0,0,5,0,0\n" for k in range(50))
+FOREIGN = "Takt,Rechts,Hoch,Kurs,Tempo,Quer,Drehrate\n" + "".join(f"{0.02 * k:.2f},{k},0,0,5,0,0\n" for k in range(50))
 FRAMES = "".join(f"({k / 100:.6f}) can0 002#1D000007B0\n" for k in range(100))
 
 
@@ -110,7 +123,7 @@ def test_a_table_with_foreign_columns_and_its_can_log_are_a_run(tmp_path: Path) 
     for given in ([tmp_path], files):
         (run,) = find_runs(given)
         assert (run.kind, run.files, run.can) == ("csv", (files[0],), (files[1],))
-        with pytest.raises(RunError, match=r"known as t, x, .*; it has Zeit, .*a\.run\.yaml .*can: .*columns: {t:"):
+        with pytest.raises(RunError, match=r"known as t, x, .*; it has Takt, .*a\.run\.yaml .*can: .*columns: {t:"):
             read(run, leaf)
     touch(tmp_path, "b.log", content=FRAMES)
     alone = find_runs([tmp_path / "b.log"])
@@ -120,7 +133,7 @@ def test_a_table_with_foreign_columns_and_its_can_log_are_a_run(tmp_path: Path) 
 def test_alignment_uses_the_columns_of_the_run_file(tmp_path: Path) -> None:
     touch(tmp_path, "a.csv", content=FOREIGN)
     touch(tmp_path, "a.log", content=FRAMES)
-    file, = touch(tmp_path, "a.run.yaml", content="csv: a.csv\ncan: [a.log]\ncolumns: {t: Zeit, velocity_x: Tempo, "
+    file, = touch(tmp_path, "a.run.yaml", content="csv: a.csv\ncan: [a.log]\ncolumns: {t: Takt, velocity_x: Tempo, "
                   "yaw_rate: Drehrate}\noffset: 0.5\n")
     pair = read_pair([file], ReadSettings())
     assert pair.motion.velocity_x.tolist() == [5.0] * 50 and pair.alignment.offset_ns == 500_000_000

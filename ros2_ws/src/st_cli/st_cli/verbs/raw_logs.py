@@ -136,7 +136,8 @@ def import_(
         parameters, file = shared.load_vehicle_or_default(vehicle)
     found = [run for run in find_runs(paths) if run.kind == "ncom" or run.problem is not None]
     if not found:
-        typer.echo(f"st import: {', '.join(map(str, paths))}: no raw logs (.ncom with CAN logs) are in there", err=True)
+        typer.echo(f"st import: {', '.join(map(str, paths))}: no .ncom with CAN logs is in there, and only these are "
+                   "imported; every other command reads CSV, VBO and bags with their CAN logs as they are", err=True)
         raise typer.Exit(2)
     written = 0
     for run in found:

@@ -44,6 +44,8 @@ def runs_needed(level: float) -> int:
 
 def check_levels(levels: Sequence[float], runs: int) -> None:
     """Raises StCoreError, one line, for a level outside (0, 1) or above what `runs` runs support."""
+    if not runs:
+        raise StCoreError("no run is left to make bands from")
     for level in levels:
         if not 0.0 < level < 1.0:
             raise StCoreError(f"level {level:g}: not between 0 and 1")

@@ -28,6 +28,8 @@ DEGREE = 180.0 / np.pi
 WINDOW = 0.5  # s
 ONE_BEND = 0.9  # cosine between speed and yaw rate over the drive: 1 on a circle
 LEAST_ANGLE = 0.01  # rad, root mean square
+LEAST_ANGLE_OF_SIGN = 0.003  # rad, root mean square; fast wide bends show the sign, if not the size
+OPPOSITE = -0.8  # correlation of steering and curvature up to which the sensor counts the other way
 STOPPED = 1e-6  # of the angle derived from curvature; a constant steering angle is reported as frozen instead
 
 
@@ -65,10 +67,15 @@ def steering(motion: Motion, vehicle: VehicleParameters, hand_wheel: bool, seed:
 
 
 def _scale(motion: Motion, derived: np.ndarray, seed: int) -> Estimate | None:
-    """Of the road wheel angle over that of the curvature, without an offset; None where the car hardly turns."""
+    """Of the road wheel angle over that of the curvature, without an offset; None where the car hardly turns.
+
+    A negative one needs less turning: it states the sign, and both rise and fall together whatever the offset.
+    """
     angle = motion.steering_at_ins()
     known = np.flatnonzero(np.isfinite(derived) & np.isfinite(angle))[::10]
-    if len(known) < 50 or float(np.sqrt(np.mean(derived[known] ** 2))) < LEAST_ANGLE:
+    size = float(np.sqrt(np.mean(derived[known] ** 2))) if len(known) >= 50 else 0.0
+    if size < LEAST_ANGLE and not (size > LEAST_ANGLE_OF_SIGN and float(np.std(angle[known])) > 0.0
+                                   and np.corrcoef(derived[known], angle[known])[0, 1] < OPPOSITE):
         return None
     problem = Regression(motion.time[known], angle[known, None], {"scale": derived[known, None]}, seed)
     return problem.estimates(("scale",))["scale"]

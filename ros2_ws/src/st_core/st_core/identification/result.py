@@ -113,6 +113,9 @@ class Identification:
             "verdict": e.verdict} for e in self.estimates}
 
 
+NEAR_ZERO = " Not distinguishable from zero."
+
+
 def _without_sign(estimate: Estimate) -> Estimate:
     """The estimate with the status that an interval holding zero allows."""
     low, high = estimate.interval95
@@ -122,7 +125,8 @@ def _without_sign(estimate: Estimate) -> Estimate:
     if known is not None and known.minimum > 0.0:
         return replace(estimate, status="unidentifiable",
                        verdict=f"Not identifiable: zero is inside the interval. {estimate.verdict}")
-    return replace(estimate, status="doubtful", verdict=f"{estimate.verdict} Not distinguishable from zero.")
+    verdict = f"{estimate.verdict.removesuffix(NEAR_ZERO)}{NEAR_ZERO}"
+    return replace(estimate, status="doubtful", verdict=verdict)
 
 
 def contradiction(estimate: Estimate, value: float, standard_uncertainty: float, origin: str) -> str:

@@ -33,7 +33,7 @@ MOVING = 1.0  # m/s
 # Signals of the log by the channel that limits what they can hold.
 CHANNELS = {"ins_velocity_x": "velocity_x", "ins_yaw_rate": "yaw_rate", "ins_yaw": "yaw",
             "vehicle_speed": "velocity_x", "wheel_speed_rear_left": "velocity_x",
-            "steering_wheel_angle": "steering_wheel_angle"}
+            "wheel_speed_rear_right": "velocity_x", "steering_wheel_angle": "steering_wheel_angle"}
 
 
 def shared_signals(ins: Motion, can: CanSignals, latency: tuple[float, float] = INS_ON_CAN) -> list[SharedSignal]:
@@ -62,6 +62,9 @@ def substitute_signals(ins: Motion, can: CanSignals, steering_sign: int = 1) -> 
     steering_sign: +1 where the decoded sensor is left positive.
     """
     speed = can.first_of("vehicle_speed") or can.first_of("wheel_speed_rear_left")
+    right = can.first_of("wheel_speed_rear_right")
+    if speed is not None and speed.name != "vehicle_speed" and right and np.array_equal(speed.time_ns, right.time_ns):
+        speed = replace(speed, values=(speed.values + right.values) / 2.0)  # one wheel alone shows the yaw rate too
     if speed is not None:
         values = _masked(ins, ins.time_ns, np.abs(ins.velocity_x))
         return ([_pair(f"speed ({speed.message})", "speed", ins.time_ns, values, speed, speed, WHEEL_SPEED)],

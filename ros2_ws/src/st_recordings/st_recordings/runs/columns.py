@@ -68,7 +68,7 @@ def _words(text: str) -> tuple[str, ...]:
 COLUMNS: Mapping[str, Channel] = {
     "t": Channel("time", "time", _words(
         "t time t_rt timestamp stamp elapsed elapsed_time unix_time utc_time gps_time gps_tow tow gps_seconds "
-        "time_of_week")),
+        "time_of_week datetime epoch epoch_time zeit zeitstempel datum_zeit")),
     "x": Channel("length", "position of the INS point, east or along the map's x", _words(
         "x pos_x position_x x_pos x_position px east easting e_pos x_east x_enu x_map local_x utm_x utm_e utm_easting "
         "pose_x pose_position_x pose_pose_position_x")),
@@ -180,7 +180,8 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
         # A name without a column may be a channel: {x: y, y: x} exchanges the axes.
         taken = found.get(named) if named not in names else None
         number = taken[1].column if taken else _number_of(file, names, named, channel, layout)
-        stated = (unit_named(COLUMNS[channel].kind, unit) for base, unit in _splits(names[number]) if unit and base)
+        stated = (unit_named(COLUMNS[channel].kind, unit) for text in (names[number], named)
+                  for base, unit in _splits(text) if unit and base)
         places[channel] = _place(number, names[number], channel, next(filter(None, stated), None))
     if "compass_heading" in layout.columns and "yaw" not in layout.columns:
         places.pop("yaw", None)
@@ -203,7 +204,7 @@ def _place(number: int, name: str, channel: str, unit: str | None) -> Place:
 
 
 def _number_of(file: Path, names: Sequence[str], named: str, channel: str, layout: Layout) -> int:
-    for same in (str, str.lower, plain):
+    for same in (str, str.lower, plain, lambda name: plain(_splits(name)[0][0])):  # the last one: without its unit
         alike = [number for number, name in enumerate(names) if same(name) == same(named)]
         if alike:
             return alike[0]

@@ -21,6 +21,8 @@ MOTION = ("velocity_x", "yaw_rate")
 ROAD, WHEEL, COMPASS = "road_wheel_angle", "steering_wheel_angle", "compass_heading"
 ADVICE = ("name the columns as in docs/csv_columns.md, or write a {stem}.run.yaml with the lines `csv: {name}`{can} "
           "and `columns: {{{channel}: NAME, ...}}`")
+STEERING_ADVICE = ("name its column, --steering-field NAME --steering-is wheel (or road), with --steering-sign -1 if "
+                   "right is positive; or give the CAN log that has the steering as well")
 QUATERNION = {f"orientation_{axis}" for axis in "xyzw"}
 HELD_SHARE = 0.3
 """Of the rows in which the car moves by several steps of the position's resolution and the position stays the same:
@@ -141,6 +143,13 @@ def lacks_steering(file: Path) -> bool:
     return lacking == [ROAD]
 
 
+def looks_like_a_drive(file: Path) -> bool:
+    """Whether the header names a position and the motion of a car, though columns of a drive may lack."""
+    names = header_of(file)
+    lacking = _lacking(find_columns(file, names, Layout()), names, INS_SIGNALS)
+    return len(lacking) <= 1 and not {"x", "y"} & set(lacking)
+
+
 def _lacking(places: Iterable[str], names: Iterable[str], needed: Iterable[str]) -> list[str]:
     found = set(places)
     found |= ({"yaw"} if COMPASS in found or found >= QUATERNION else set()) | ({ROAD} if WHEEL in found else set())
@@ -155,13 +164,14 @@ def _check_columns(table: Table, needed: tuple[str, ...], can: str = "") -> None
     """can: line of a run.yaml with the CAN logs that belong to the table."""
     missing = _lacking(table.places, table.names, ("t", *needed))
     if missing:
-        raise RunError(table.file, f"no column of the header is known as {', '.join(missing)}; it has "
-                       f"{', '.join(table.names)[:200]}",
+        texts = [f"{name} (or {WHEEL})" if name == ROAD else name for name in missing]
+        raise RunError(table.file, f"no column of the header is known as {', '.join(texts)}; it has "
+                       f"{', '.join(table.names)[:200]}", STEERING_ADVICE if missing == [ROAD] else
                        ADVICE.format(stem=table.file.stem, name=table.file.name, can=can, channel=missing[0]))
     doubtful = doubtful_steering(table.names)
     if ROAD in needed and ROAD not in table.places and WHEEL not in table.places:
         raise RunError(table.file, f"column {doubtful} may be of the steering wheel or of the road wheels",
-                       f"declare it: --steering-field {doubtful} --steering-is wheel (or road); or in a run.yaml, as "
+                       f"declare it: --steering-field '{doubtful}' --steering-is wheel (or road); or in a run.yaml, as "
                        f"columns: {{{WHEEL}: {doubtful}}} or {{{ROAD}: {doubtful}}}")
 
 

@@ -25,6 +25,7 @@ _STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\
                     r"(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?) *(?:Z|UTC|([+-])(\d\d):?(\d\d))?")
 DAY = 86400.0
 _EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
+SPREADSHEET_EPOCH = 25569.0  # 1970-01-01 in days, as spreadsheets count them
 _SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # how a spreadsheet marks its delimiter
 _SPACES = re.compile(r"(?<=\d)[\u00a0\u202f\u2009'](?=\d{3}(?!\d))")
 
@@ -115,6 +116,7 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
             body = with_seconds(body, delimiter, column, _of_stamp)
     rows = _rows(file, body, delimiter, len(names), warnings)
     if "t" in places:
+        _days_to_seconds(file, rows, places["t"], warnings)
         places = {**places, "t": _with_epoch_unit(file, rows, places["t"], warnings)}
     with np.errstate(over="ignore"):
         columns = {channel: rows[:, place.column] * place.factor for channel, place in places.items()}
@@ -168,8 +170,8 @@ def _with_unit_row(file: Path, places: dict[str, Place], body: str, delimiter: s
     """
     first, _, rest = body.partition("\n")
     cells = [cell.strip(' \r"') for cell in first.split(delimiter)]
-    texts = {channel: cells[place.column].strip("[]()") for channel, place in places.items()
-             if place.column < len(cells) and cells[place.column].lower() not in MISSING}
+    texts = {channel: text for channel, place in places.items() if place.column < len(cells)
+             and (text := cells[place.column].strip("[]() ")).lower() not in MISSING}
     if not texts or any(np.isfinite(_number(cell.replace(",", "."))) for cell in cells):
         return places, body
     found = dict(places)
@@ -223,6 +225,15 @@ def _of_stamp(text: str) -> tuple[float, bool] | None:
     except ValueError:
         return None
     return seconds + (dated - date(1970, 1, 1)).days * DAY, True
+
+
+def _days_to_seconds(file: Path, rows: np.ndarray, place: Place, warnings: list[str]) -> None:
+    """Times as a spreadsheet stores dates, in days, become seconds since 1970; as seconds they would be 100 kHz."""
+    days = rows[:, place.column] - SPREADSHEET_EPOCH
+    if not place.stated and len(days) > 2 and _EPOCH[0] <= np.nanmedian(days) * DAY <= _EPOCH[1] and (
+            np.nanmax(np.abs(np.diff(days))) > 0.0 and np.nanmedian(np.abs(np.diff(days))) < 1e-5):
+        rows[:, place.column] = days * DAY
+        warnings.append(f"{file}: times of column {place.name} are taken as days of a spreadsheet (UTC)")
 
 
 def _with_epoch_unit(file: Path, rows: np.ndarray, place: Place, warnings: list[str]) -> Place:
@@ -302,8 +313,9 @@ def _rows(file: Path, body: str, delimiter: str, width: int, warnings: list[str]
             return rows
         except ValueError as second:
             error = second
-    raise RunError(file, f"a row cannot be read ({' '.join(str(error).split())[:120]})",
-                   "correct or remove that row (rows count from 0 behind the header)") from None
+    reason = " ".join(str(error).split()).partition("; use")[0]
+    raise RunError(file, f"a row cannot be read ({reason[:120]})", "correct or remove that row (rows count from 0 "
+                   "behind the header)") from None
 
 
 def _parsed(lines: list[str], delimiter: str, width: int) -> np.ndarray:

@@ -130,9 +130,9 @@ def usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list[str]]:
     notes = []
     if lost > max(LOST_SHARE * n, 1):
         rows = _longest(time_ns)
-        if n - len(rows) <= lost + LOST_SHARE * n:
-            steps = np.diff(time_ns)
-            back = steps[steps < 0] * 1e-9
+        steps = np.diff(time_ns)
+        back = steps[steps < 0] * 1e-9
+        if len(back) and n - len(rows) <= lost + LOST_SHARE * n:
             notes.append(f"the clock was set back {len(back)} times, first by {-back[0]:.3f} s: "
                          f"{share(n - len(rows), n, what)} are not used; split the recording to use them")
         else:

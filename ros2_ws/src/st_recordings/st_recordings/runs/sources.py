@@ -79,7 +79,7 @@ def _in_folder(folder: Path) -> list[RunSource]:
         if path in taken and not path.is_dir():
             continue
         if reader is None or reader.needs_can or reader.has_drive(path) or reader.is_ins_only(path) or (
-                reader.kind == "csv" and any(map(is_can_log, _logs_of(path, files)))):
+                reader.is_incomplete(path)) or (reader.kind == "csv" and any(map(is_can_log, _logs_of(path, files)))):
             loose.append(path)
     return runs + _from_files(loose, given=False)
 
@@ -94,6 +94,7 @@ def _from_files(files: Sequence[Path], given: bool) -> list[RunSource]:
             known = ", ".join(sorted({*CAN_EXTENSIONS, *(e for one in READERS.values() for e in one.extensions)}))
             what = f"the extension {file.suffix or '(none)'} is not one of a recording"
             advice = ("convert the ROS 1 bag with rosbags-convert" if file.suffix.lower() == ".bag" else
+                      "a DBC belongs to --dbc or into the folder of --car" if file.suffix.lower() == ".dbc" else
                       f"known are {known}, folders of bags, and run.yaml")
             runs.append(_failed(file, RunError(file, what, advice)))
     for group in _splits([f for f in readers if f.suffix.lower() in BAG_EXTENSIONS and f.is_file()]):

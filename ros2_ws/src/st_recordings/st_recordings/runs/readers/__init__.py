@@ -21,8 +21,9 @@ class Reader:
 
     kind: its name. key: of its file in a run.yaml. extensions: of its files, lower case. read: reads the whole drive of
     a run; raises RunError. read_ins: reads the INS alone, if the steering is in CAN logs. is_folder: whether a folder
-    is one recording. has_drive: quick test of a file found in a folder; True if undecided. lacks_steering: whether a
-    recording is an INS alone, to which CAN logs belong; None for a kind that never has a steering angle. scales_yaw:
+    is one recording. has_drive: quick test of a file found in a folder; True if undecided. is_incomplete:
+    whether a file without a drive in it was meant as one, and is to be reported. lacks_steering: whether a recording is
+    an INS alone, to which CAN logs belong; None for a kind that never has a steering angle. scales_yaw:
     whether `read` itself applies a corrected scale of yaw.
     """
 
@@ -33,6 +34,7 @@ class Reader:
     read_ins: Callable[[RunSource, ReadSettings], InsLog] | None = None
     is_folder: Callable[[Path], bool] | None = None
     has_drive: Callable[[Path], bool] = lambda path: True
+    is_incomplete: Callable[[Path], bool] = lambda path: False
     lacks_steering: Callable[[Path], bool] | None = lambda path: False
     scales_yaw: bool = False
 

@@ -37,5 +37,6 @@ def _read_vbo(file: Path, layout: Layout) -> Table:
     return read_vbo(file, layout)
 
 
-_register("csv", read_table, has_drive=csv.has_drive_columns, lacks_steering=csv.lacks_steering)
+_register("csv", read_table, has_drive=csv.has_drive_columns, is_incomplete=csv.looks_like_a_drive,
+          lacks_steering=csv.lacks_steering)
 _register("vbo", _read_vbo)
