@@ -5,7 +5,7 @@ Jumps of the position are displacements between two samples that integrated velo
     d = p_k - p_{k-1} - dt (v_{k-1} + v_k) / 2,   v = R(yaw) (v_x, v_y)
 
 RTK lost and found again, another unit on the network, a new origin: |d| is then a step, while noise and the error
-of the trapezoid rule stay within `allowed`. Checked by: test_alignment.py, test_py.
+of the trapezoid rule stay within `allowed`. Checked by: test_alignment.py, test_position_jumps.py.
 """
 
 import math

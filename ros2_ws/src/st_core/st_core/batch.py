@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from . import frames, stability
+from . import stability
 from .backends import get_backend
 from .errors import ConfigurationError
 from .filtering import NANOSECOND
@@ -21,7 +21,7 @@ from .log_signals import Acceleration, LogSignals, same
 from .models import Model, get_model
 from .planned_inputs import SLIP_FREE
 from .prediction import step_count
-from .readings import corrected_log, followed_steering, has_memory, readings
+from .readings import corrected_log, followed_steering, has_memory, reading_errors
 from .start_grid import Block, plan
 from .timeseries import half_step_grid
 from .types import STATE_NAMES
@@ -154,16 +154,10 @@ class LogBatch:
         return LogPrediction(model, vehicle, self.starts_ns, self.time, states.transpose(2, 0, 1))
 
     def errors(self, prediction: LogPrediction) -> np.ndarray:
-        """(n, k, 3): longitudinal, lateral [m] and yaw [rad], predicted minus measured, at the INS point.
-
-        As `evaluation.pose_errors`; sensor effects of the model are applied to the prediction.
-        """
+        """(n, k, 3): longitudinal, lateral [m] and yaw [rad], predicted minus measured, at the INS point."""
         half = np.round(self.points * (self.step / NANOSECOND)).astype(np.int64)
-        x, y, yaw = self.signals.ins_at(self.starts_ns[:, None] + half, "x", "y", "yaw")
-        with np.errstate(all="ignore"):
-            seen = readings(prediction.model, prediction.vehicle, tuple(np.moveaxis(prediction.states, -1, 0)))
-            longitudinal, lateral = frames.map_to_body(seen.x - x, seen.y - y, yaw)
-            return np.stack([longitudinal, lateral, frames.wrap_angle(seen.yaw - yaw)], axis=-1)
+        measured = self.signals.ins_at(self.starts_ns[:, None] + half, "x", "y", "yaw")
+        return reading_errors(prediction.model, prediction.vehicle, prediction.states, *measured)
 
     def _count_substeps(self, model: Model, vehicle: VehicleParameters) -> int:
         if self._substeps == "auto":

@@ -7,9 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from . import frames
 from .alignment import DERIVATIVE, YAW, MeasurementHistory
 from .filtering import NANOSECOND
+from .frames import pose_errors
 from .model_view import ModelView
 from .models import MODELS, Model, get_model
 from .prediction import PredictionSettings, Runner, predict
@@ -48,18 +48,6 @@ class Score:
     longitudinal_mean: float
     lateral_mean: float
     yaw_mean: float
-
-
-def pose_errors(predicted_x: np.ndarray, predicted_y: np.ndarray, predicted_yaw: np.ndarray, x: np.ndarray,
-                y: np.ndarray, yaw: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Errors (longitudinal [m], lateral [m], yaw [rad]) of each point, what the INS would show against what it showed.
-
-        (e_lon, e_lat) = R(-yaw_measured) (p_predicted - p_measured),  p at the INS point
-
-    Source: paper, section on the comparison. NaN where the measurement is NaN.
-    """
-    longitudinal, lateral = frames.map_to_body(predicted_x - x, predicted_y - y, yaw)
-    return longitudinal, lateral, frames.wrap_angle(predicted_yaw - yaw)
 
 
 def make_score(model: str, mode: Mode, start_ns: int, step: float, errors: Sequence[np.ndarray],

@@ -25,12 +25,20 @@ def body_to_map(x: Number, y: Number, yaw: Number) -> tuple[Number, Number]:
 
 def map_to_body(x: Number, y: Number, yaw: Number) -> tuple[Number, Number]:
     """Forward and left components of a map vector: rotation by -yaw."""
-    return map_to_axes(x, y, np.cos(yaw), np.sin(yaw))
-
-
-def map_to_axes(x: Number, y: Number, cosine: Number, sine: Number) -> tuple[Number, Number]:
-    """`map_to_body` from cosine and sine of the yaw."""
+    cosine, sine = np.cos(yaw), np.sin(yaw)
     return x * cosine + y * sine, y * cosine - x * sine
+
+
+def pose_errors(predicted_x: Number, predicted_y: Number, predicted_yaw: Number, x: Number, y: Number,
+                yaw: Number) -> tuple[Number, Number, Number]:
+    """Errors (longitudinal [m], lateral [m], yaw [rad]) of each point, what the INS would show against what it showed.
+
+        (e_lon, e_lat) = R(-yaw_measured) (p_predicted - p_measured),  p at the INS point
+
+    Source: paper, section on the comparison. NaN where the measurement is NaN.
+    """
+    longitudinal, lateral = map_to_body(predicted_x - x, predicted_y - y, yaw)
+    return longitudinal, lateral, wrap_angle(predicted_yaw - yaw)
 
 
 def ins_to_cg(sample: InsSample, cg_to_ins_x: float, cg_to_ins_y: float = 0.0) -> VehicleState:

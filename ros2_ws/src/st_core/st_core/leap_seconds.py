@@ -1,7 +1,7 @@
 """GPS time and UTC: which leap seconds lie between them.
 
 GPS time counts from 1980-01-06T00:00:00 without leap seconds: UTC = GPS - leap seconds. Both bridges read their table
-here. Source: IERS Bulletin C, complete. Checked by: test_gps_time.py of both bridges.
+here. Source: IERS Bulletin C, complete. Checked by: test_packet_time.py and test_ins_time.py of the bridges.
 """
 
 from bisect import bisect_right

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from . import frames, integrate
+from . import integrate
 from .batch import LogBatch
 from .errors import ConfigurationError
 from .evaluation import Mode
@@ -22,7 +22,7 @@ from .log import DriveLog
 from .log_signals import Acceleration, LogSignals
 from .models import Model, get_model
 from .prediction import PredictionSettings
-from .readings import corrected_log, readings
+from .readings import corrected_log, reading_errors
 from .timeseries import half_step_grid
 from .types import STATE_NAMES, InputSequence
 from .vehicle import VehicleParameters
@@ -264,8 +264,7 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
     instants, place = _instants(starts_ns, half_step_grid(0, steps, step))
     times = instants[place].T
     x, y, yaw, *others = signals.ins_at(instants, "x", "y", "yaw", "velocity_x", "yaw_rate", "velocity_x_dot")
-    # Point after point in memory, as the backends lay trajectories out: twice as fast as start after start.
-    measured_there = [values[place[::2]].T for values in (x, y, yaw, np.cos(yaw), np.sin(yaw))]
+    measured_there = [values[place[::2]].T for values in (x, y, yaw)]
     speed, yaw_rate, acceleration, angle = (v[place].T for v in (*others, signals.road_wheel_angle_at(instants)))
     measured, held = (LogBatch(signals, starts_ns, step * steps, step, inputs=kind) for kind in ("measured", "held"))
     trajectories: dict[tuple[str, Mode], np.ndarray] = {}
@@ -278,7 +277,7 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
         trajectories[model.name, "forecast"] = held.predict(model, vehicle).states
         trajectories |= {(model.name, mode): batch.predict(model, vehicle).states for mode, batch in batches.items()}
     errors: dict[tuple[str, Mode], np.ndarray] = {
-        (model.name, mode): _reading_errors(model, vehicle, trajectories[model.name, mode], *measured_there)
+        (model.name, mode): reading_errors(model, vehicle, trajectories[model.name, mode], *measured_there)
         for model in models for mode in (*MODES, *ahead)}
     known = InputSequence(angle, acceleration).known_so_far
     for model in models:
@@ -313,20 +312,6 @@ def _instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.ndarray, 
         apart = starts_ns + after_ns[:, None]
         return apart.ravel(), np.arange(apart.size).reshape(apart.shape)
     return starts_ns[0] + half * np.arange(span // half + 1), np.arange(len(after_ns))[:, None] + from_first // half
-
-
-def _reading_errors(model: Model, vehicle: VehicleParameters, trajectories: np.ndarray, x: np.ndarray,
-                    y: np.ndarray, yaw: np.ndarray, cosine: np.ndarray, sine: np.ndarray) -> np.ndarray:
-    """(n, points, 3) errors of trajectories (n, points, 6): what the INS would show minus what it showed.
-
-    x, y [m], yaw [rad] with its cosine and sine: measured at the INS point, (n, points). Axes and signs as
-    `evaluation.pose_errors`.
-    """
-    with np.errstate(all="ignore"):
-        seen = readings(model, vehicle, tuple(np.moveaxis(trajectories, -1, 0)))
-        longitudinal, lateral = frames.map_to_axes(seen.x - x, seen.y - y, cosine, sine)
-        # Stacked as they lie in memory.
-        return np.stack([longitudinal.T, lateral.T, frames.wrap_angle(seen.yaw - yaw).T]).transpose(2, 1, 0)
 
 
 def predict_held_per_step(model: Model, vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,

@@ -87,21 +87,20 @@ def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState,
     grid = _grid(model, p, inputs, step_count(horizon, step), substeps)
     start = model.start_state(state.as_tuple(), grid[0], p)
     states = integrate.rk4(model.rhs, start, grid, p, step / substeps)[::substeps]
-    return Trajectory(step, _six(np.array(states)))
-
-
-def _six(states: np.ndarray) -> np.ndarray:
-    # Extra states are the model's own affair.
-    return states if states.shape[-1] == len(STATE_NAMES) else np.ascontiguousarray(states[..., :len(STATE_NAMES)])
+    # Extra states are internal to the model.
+    return Trajectory(step, np.ascontiguousarray(np.array(states)[:, :len(STATE_NAMES)]))
 
 
 def _grid(model: Model, p: Any, inputs: ControlInput | InputSequence, steps: int, substeps: int) -> list[tuple]:
+    given = {} if isinstance(inputs, ControlInput) else inputs.signals
+    missing = [name for name in model.signals if name not in given]
+    if missing:
+        raise StCoreError(f"model {model.name} needs the signal {missing[0]}, which the inputs do not have")
     if isinstance(inputs, ControlInput):
-        _signals(model, {})
         w = model.inputs(float(inputs.road_wheel_angle), float(inputs.velocity_x_dot), p)
         return [w] * (2 * steps * substeps + 1)
-    signals = _signals(model, inputs.signals)
-    named = {"road_wheel_angle": inputs.road_wheel_angle, "velocity_x_dot": inputs.velocity_x_dot, **signals}
+    named = {"road_wheel_angle": inputs.road_wheel_angle, "velocity_x_dot": inputs.velocity_x_dot,
+             **{name: given[name] for name in model.signals}}
     sampled = [np.asarray(a, float) for a in named.values()]
     for name, values in zip(named, sampled, strict=True):
         if values.shape != (2 * steps + 1,):
@@ -113,13 +112,6 @@ def _grid(model: Model, p: Any, inputs: ControlInput | InputSequence, steps: int
     with np.errstate(all="ignore"):
         fields = [np.broadcast_to(w, angle.shape).tolist() for w in model.inputs(angle, acceleration, p, *others)]
     return list(zip(*fields, strict=True))
-
-
-def _signals(model: Model, given: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    missing = [name for name in model.signals if name not in given]
-    if missing:
-        raise StCoreError(f"model {model.name} needs the signal {missing[0]}, which the inputs do not have")
-    return {name: given[name] for name in model.signals}
 
 
 @dataclass(frozen=True, slots=True)

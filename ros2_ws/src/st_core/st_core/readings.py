@@ -153,3 +153,13 @@ def true_readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tu
                     a_y + yaw_acceleration * dx - yaw_rate * yaw_rate * dy)
     return Measured(x_ins, y_ins, yaw, velocity_x - yaw_rate * dy, velocity_y + yaw_rate * dx, yaw_rate, a_x, a_y,
                     yaw_acceleration)
+
+
+def reading_errors(model: Model, vehicle: VehicleParameters, states: np.ndarray, x: np.ndarray, y: np.ndarray,
+                   yaw: np.ndarray) -> np.ndarray:
+    """Errors (n, k, 3) of states (n, k, 6): longitudinal, lateral [m] and yaw [rad], what the INS would show minus what
+    it showed: x, y [m], yaw [rad], (n, k) each. Axes and signs as `frames.pose_errors`."""
+    with np.errstate(all="ignore"):
+        seen = readings(model, vehicle, tuple(np.moveaxis(states, -1, 0)))
+        # Stacked as the backends lay trajectories out, point after point: twice as fast as start after start.
+        return np.stack([e.T for e in frames.pose_errors(seen.x, seen.y, seen.yaw, x, y, yaw)]).transpose(2, 1, 0)

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from st_core.evaluation import ErrorStatistics, Evaluator, Statistic, make_score, pose_errors
-from st_core.frames import cg_to_ins_position
+from st_core.evaluation import ErrorStatistics, Evaluator, Statistic, make_score
+from st_core.frames import cg_to_ins_position, pose_errors
 from st_core.prediction import PredictionSettings, predict
 from st_core.types import ControlInput, InputSequence, VehicleState
 from steady_circle import Circle

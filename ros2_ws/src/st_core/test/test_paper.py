@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
-from st_core.evaluation import make_score, pose_errors
-from st_core.frames import cg_to_ins_position
+from st_core.evaluation import make_score
+from st_core.frames import cg_to_ins_position, pose_errors
 from st_core.prediction import predict
 from st_core.types import ControlInput
 from steady_circle import Circle

@@ -100,9 +100,9 @@ def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1,
             raise ConfigurationError(f"free: {name!r} is not a parameter of the equations of model {model.name}, which "
                                      f"has {', '.join(known) or 'none'}")
     parameters = (*(known[name] for name in free), *(Variable(name, "") for name in model.signals))
-    states = tuple(Variable(name, unit, *_BOUNDS.get(name, ()))
-                   for name, unit in zip(STATE_NAMES, STATE_UNITS, strict=True))
-    states += _extra_states(model)
+    units = [unit for e in _acting(model) for unit in (e.extra_units or ("",) * len(e.extra_states))]
+    states = tuple(Variable(name, unit, *_BOUNDS.get(name, ())) for name, unit in zip(
+        (*STATE_NAMES, *model.extra_states), (*STATE_UNITS, *units), strict=True))
 
     x, u, h = casadi.SX.sym("x", len(states)), casadi.SX.sym("u", len(INPUTS)), casadi.SX.sym("h")
     symbols = [casadi.SX.sym(v.name) for v in parameters]
@@ -127,7 +127,8 @@ def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1,
 
     now, ahead = {"x": x, "u": u}, {"x": x, "u": u, "h": h}
     return SymbolicModel(
-        model.name, states, INPUTS, parameters, substeps, _left_out(model),
+        model.name, states, INPUTS, parameters, substeps,
+        tuple(e.name for e in getattr(model, "effects", ()) if e.steering or e.observe),
         function("dynamics", now, {"x_dot": rates}), function("step", ahead, {"x_next": after}),
         function("dynamics_jacobian", now, jacobian(rates)), function("step_jacobian", ahead, jacobian(after)),
         function("start", {"x_six": six, "u": u}, {"x": begin}))
@@ -147,18 +148,9 @@ def _acting(model: Model) -> tuple[type[Effect], ...]:
     return compose(model.base, model.effects).own if isinstance(model, AugmentedModel) else ()
 
 
-def _extra_states(model: Model) -> tuple[Variable, ...]:
-    units = [unit for e in _acting(model) for unit in (e.extra_units or ("",) * len(e.extra_states))]
-    return tuple(Variable(name, unit) for name, unit in zip(model.extra_states, units, strict=True))
-
-
 def _with_symbols(model: Model, p: Any, symbols: Mapping[str, casadi.SX]) -> Any:
     if not symbols:
         return p
     return p._replace(effects=tuple(
         theta._replace(**{q.name: symbols[key] for q in e.parameters if (key := f"{e.name}.{q.name}") in symbols})
         for e, theta in zip(_acting(model), p.effects, strict=True)))
-
-
-def _left_out(model: Model) -> tuple[str, ...]:
-    return tuple(e.name for e in getattr(model, "effects", ()) if e.steering or e.observe)

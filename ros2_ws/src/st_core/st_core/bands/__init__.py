@@ -13,30 +13,7 @@ from .file import Bands
 from .live import AdaptiveBands, Coverage, Coverages, LiveBands, conditions_now
 from .samples import NotFiniteError, RunSamples, run_samples, to_predicted_frame, together
 
-__all__ = [
-           "CONDITIONS",
-           "LEVELS",
-           "RELIABILITY",
-           "AdaptiveBand",
-           "AdaptiveBands",
-           "Band",
-           "Bands",
-           "CalibrationDomain",
-           "Coverage",
-           "Coverages",
-           "LiveBands",
-           "NotFiniteError",
-           "RunSamples",
-           "activity_instants",
-           "calibrate",
-           "conditions",
-           "conditions_at",
-           "conditions_now",
-           "conformal_factors",
-           "highest_level",
-           "run_samples",
-           "runs_needed",
-           "steering_activity",
-           "to_predicted_frame",
-           "together",
-]
+__all__ = ["CONDITIONS", "LEVELS", "RELIABILITY", "AdaptiveBand", "AdaptiveBands", "Band", "Bands", "CalibrationDomain",
+           "Coverage", "Coverages", "LiveBands", "NotFiniteError", "RunSamples", "activity_instants", "calibrate",
+           "conditions", "conditions_at", "conditions_now", "conformal_factors", "highest_level", "run_samples",
+           "runs_needed", "steering_activity", "to_predicted_frame", "together"]

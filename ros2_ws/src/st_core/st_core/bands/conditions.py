@@ -6,7 +6,7 @@
     steering_activity     root mean square of d(delta)/dt over the ACTIVITY_SPAN before the start [rad/s]
 
 All are magnitudes, at the INS point; delta is the road wheel angle. What the horizon will bring is not among them: a
-band that needed it could not be drawn live. Checked by: test_bands_conditions.py.
+band that needed it could not be drawn live. Checked by: test_bands_live.py.
 """
 
 from collections.abc import Sequence

@@ -14,6 +14,7 @@ from ..readings import corrected_log
 from ..timeseries import half_step_grid
 from ..vehicle import VehicleParameters
 from .conditions import conditions_at
+from .scale import spread
 
 STARTS_PER_RUN = 1000
 """Starts of one run overlap and repeat each other: more of them cost memory (1.2 kB each, model and question) and add
@@ -69,8 +70,7 @@ def run_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: Lo
                               settings.prediction.minimum_speed)
     here = conditions_at(signals, starts)
     starts = starts[np.isfinite(here).all(axis=1) & _known(models, signals, starts, settings)]
-    if len(starts) > most:
-        starts = starts[np.linspace(0, len(starts) - 1, most).round().astype(int)]
+    starts = starts[spread(len(starts), most)]
     kept: list[np.ndarray] = []
     parts: dict[Question, list[np.ndarray]] = {}
     for rows, block in evaluate_blocks(models, vehicle, signals, starts, settings):
@@ -78,7 +78,12 @@ def run_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: Lo
         kept.append(starts[rows][complete])
         for question, errors in block.errors.items():
             whole = errors[complete]
-            _refuse_not_finite(whole, question[0], (kept[-1] - log.start_ns) * NANOSECOND)
+            bad = ~np.isfinite(whole).all(axis=(1, 2))
+            if bad.any():
+                first = (kept[-1][bad][0] - log.start_ns) * NANOSECOND
+                raise NotFiniteError(f"errors of {question[0]} are not finite from {int(bad.sum())} starts, the first "
+                                     f"at {first:.1f} s, though all inputs were measured: correct the model or take a "
+                                     "shorter --step")
             parts.setdefault(question, []).append(to_predicted_frame(whole[:, 1:]).astype(np.float32))
     found = np.concatenate(kept) if kept else starts[:0]
     if not len(found):
@@ -105,11 +110,3 @@ def _known(models: Sequence[Model], signals: LogSignals, starts_ns: np.ndarray,
         angle = own.road_wheel_angle_at(times)
         known &= np.isfinite(state) & np.isfinite(angle).all(axis=1) & np.isfinite(acceleration).all(axis=1)
     return known
-
-
-def _refuse_not_finite(errors: np.ndarray, model: str, time: np.ndarray) -> None:
-    bad = ~np.isfinite(errors).all(axis=(1, 2))
-    if bad.any():
-        raise NotFiniteError(f"errors of {model} are not finite from {int(bad.sum())} starts, the first at "
-                             f"{time[bad][0]:.1f} s, though all inputs were measured: correct the model or take a "
-                             "shorter --step; no band is made of such errors")

@@ -7,7 +7,7 @@ The 95 % interval of parameter i ends where fixing it costs as much as chance wo
     min over the others of S = S_min + s^2 F_0.95(1, n - k)
 
 An end that is not reached before the parameter's bound is open. Source: Bates and Watts, Nonlinear Regression Analysis,
-ch. 6. Checked by: test_curve_fit.py.
+ch. 6. Checked by: test_identification_result.py.
 """
 
 import math

@@ -16,7 +16,8 @@ the lift of the front wheels: sin(theta + theta_0) = (lift + r_front - r_rear) /
 
     u(h)^2 = (l / m)^2 u(b)^2 + (h - r)^2 (u(m)^2 / m^2 + u(l)^2 / l^2) + u(r)^2
 
-Source: paper, parameter identification; ISO 10392. Valid for pitch up to 45 deg. Checked by: test_cg_height.py.
+Source: paper, parameter identification; ISO 10392. Valid for pitch up to 45 deg. Checked by:
+test_identification_experiments.py.
 """
 
 import math

@@ -6,7 +6,7 @@
 
 The static load decides, not F_z0: at F_z0 the Leaf's front would come out as 0.426 instead of 0.423. u(K) is known when
 the tyre's table is given: the errors of p_ky1, p_ky2 and p_ky4 cancel in it almost, so it cannot be had from theirs.
-Source: paper, equation of lambda_Ky. Checked by: test_lambda_ky.py.
+Source: paper, equation of lambda_Ky. Checked by: test_identification_result.py.
 """
 
 import math

@@ -12,7 +12,7 @@ one's results for exact. Both are compared. With two loads p_ky4 stays as the ve
 dependency does.
 
 Slip angle in rad, force in N, of one tyre, steady state; signs either way (see tyres.py for ours). Source: paper,
-parameter identification and appendix. Checked by: test_magic_formula.py.
+parameter identification and appendix. Checked by: test_identification_experiments.py.
 """
 
 import math

@@ -10,7 +10,7 @@ to a reading. Each scale has an error of its own that repeats in every weighing 
 
 s: scatter over the n weighings, u_s: standard uncertainty of one scale. The interval is Student's, its degrees of
 freedom by Welch and Satterthwaite. Source: paper, parameter identification.
-Checked by: test_mass_and_cg.py.
+Checked by: test_identification_experiments.py.
 """
 
 import math

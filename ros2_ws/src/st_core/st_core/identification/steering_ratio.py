@@ -11,7 +11,7 @@ Of `fit_line`, with x_j, y_j the means of group j:
     y_jk = a_j + b x_jk + e_jk,    b = sum (x - x_j)(y - y_j) / sum (x - x_j)^2 over all groups,
     u(b)^2 = s^2 / sum (x - x_j)^2,    s^2 = sum e^2 / (n - J - 1)
 
-Angles in rad, left positive. Source: paper, parameter identification. Checked by: test_steering_ratio.py.
+Angles in rad, left positive. Source: paper, parameter identification. Checked by: test_identification_experiments.py.
 """
 
 import math

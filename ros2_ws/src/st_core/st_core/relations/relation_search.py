@@ -119,11 +119,13 @@ def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehiclePa
     finding reports is not proposed.
     Raises StCoreError for drives in which nothing can be predicted.
     """
-    settings = _channels(found, settings or DiscoverySettings())
+    settings = settings or DiscoverySettings()
+    used = tuple(c for c in settings.channels if c in found.noise)
+    settings = replace(settings, channels=used or settings.channels)
     model = found.model or found.base
-    without_axles = _without_axles(model)
-    if without_axles:
-        return RelationSearch(None, without_axles, {})
+    if model.base.axles is None and not any(e.lifts and e.lifts[0] == "kinematic" for e in model.active):
+        return RelationSearch(None, "the model is kinematic without tyre slip, and has no axle forces for a relation "
+                              "to act on: use --base linear or --base nonlinear", {})
     windows = RunWindows(runs, vehicle, settings)
     too_little = _too_little(windows, settings)
     if too_little:
@@ -194,14 +196,6 @@ def _fitted(significant: Sequence[Screened], fits: RelationFits, without: Relati
     return fitted, accepted, against
 
 
-def _without_axles(model: AugmentedModel) -> str:
-    """Why a model has no axles for a relation to act on; "" for a dynamic one."""
-    if model.base.axles is not None or any(e.lifts and e.lifts[0] == "kinematic" for e in model.active):
-        return ""
-    return ("the model is kinematic without tyre slip, and has no axle forces and accelerations for a relation to act "
-            "on: use --base linear or --base nonlinear")
-
-
 def _reported(candidate: Candidate, reported: Collection[tuple[str, str]]) -> str:
     """Name of a finding of the checks that a candidate imitates; "" for none."""
     if candidate.place == "front_steer" and {candidate.quantity, candidate.by} & set(STEERING_TIMING):
@@ -239,23 +233,13 @@ def _described(best: Screened, fitted: Fitted, without: RelationFit, fits: Relat
     runs = {name: (float(np.nanmean(before[of_run])), float(np.nanmean(after[of_run])))
             for k, name in enumerate(fits.windows.names) if (of_run := fits.windows.run == k).any()
             and np.isfinite(before[of_run]).any() and np.isfinite(after[of_run]).any()}
+    whole = fits.space_of(c).at(fit.vector)
+    answer = whole.only(e for e in whole.effects if e.name != c.effect)
     relation = Relation(
         c, fit.coefficients, at, fit.coefficients @ splines, deviation, density,
         float(falls.sum()) / fits.loss.number, chances[c.name],
-        (float(np.nanmean(before)), float(np.nanmean(after))), runs, _other_effects(fits, fit),
+        (float(np.nanmean(before)), float(np.nanmean(after))), runs, answer,
         {name: cosine(fits, fit, other) for name, other in equal.items()}, simulated_formulas(fits, fit, without),
         run_shares(fits, fit), redundant_effects(fits, c, fit, without, stated, limits),
         next_drives(fits, c, fit, equal, best.design, at, deviation, thin_ranges(at, density, c.parity)))
     return relation, f"it {gain_text(fits, falls, before - after, limits)}"
-
-
-def _other_effects(fits: RelationFits, fit: RelationFit) -> AugmentedModel:
-    """The model without the relation, at the values fitted together with it."""
-    assert fit.candidate is not None
-    whole = fits.space_of(fit.candidate).at(fit.vector)
-    return whole.only(e for e in whole.effects if e.name != fit.candidate.effect)
-
-
-def _channels(found: Discovery, settings: DiscoverySettings) -> DiscoverySettings:
-    used = tuple(c for c in settings.channels if c in found.noise)
-    return replace(settings, channels=used or settings.channels)
