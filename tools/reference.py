@@ -11,7 +11,7 @@ from st_ros.parameters import Parameter
 from typer.core import TyperGroup, TyperOption
 
 NODES = {  # node: module and name of its parameter table
-    "oxts_bridge": ("oxts_bridge.settings", "PARAMETERS"),
+    "oxts_bridge": ("oxts_bridge.node", "PARAMETERS"),
     "canedge_bridge": ("canedge_bridge.node", "PARAMETERS"),
     "predictor": ("st_predictor.params", "PREDICTOR"),
     "evaluator": ("st_predictor.params", "EVALUATOR"),

@@ -14,7 +14,7 @@ MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "marshal", "shelve", "jso
 CALLS = {"eval", "exec", "compile", "__import__", "os.system", "os.popen", "yaml.load", "yaml.unsafe_load",
          "yaml.full_load", "tempfile.mktemp", "subprocess.getoutput", "subprocess.getstatusoutput"}
 ALL_ADDRESSES = {"ros2_ws/src/st_cli/st_cli/verbs/live.py", "ros2_ws/src/st_predictor/launch/car.launch.py",
-                 "ros2_ws/src/oxts_bridge/oxts_bridge/settings.py",
+                 "ros2_ws/src/oxts_bridge/oxts_bridge/node.py",
                  # Named for the passenger's page; the default is 127.0.0.1.
                  "ros2_ws/src/st_cli/st_cli/verbs/_options.py", "ros2_ws/src/st_live/st_live/page.py"}
 

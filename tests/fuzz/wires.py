@@ -15,11 +15,10 @@ from canedge_bridge.transport import LoopbackMulticastBus, pack_message, parse_c
 from oxts_bridge import ncom
 from oxts_bridge.channels import FIELDS, encode_channel
 from oxts_bridge.file_decoder import decode_file
-from oxts_bridge.health import StreamStatistics
 from oxts_bridge.motion import FIRST_FIX, UNIT, Accuracy, Origin, motion_of
 from oxts_bridge.ncom import PACKET_SIZE, SYNC, NcomError
 from oxts_bridge.status import EventLog, StatusTracker
-from oxts_bridge.stream import NcomParser
+from oxts_bridge.stream import NcomParser, StreamStatistics
 from support import ROOT
 
 from .harness import Target, one_line

@@ -1,8 +1,8 @@
 """Status channels (byte 62 and batch S): position, unit and validity of every field; 8 bytes to named values and back.
 
 Field names are the vendor's, as in tests/golden/data/ncom; angles are in degrees as the vendor's tools show them.
-Source: NCOM manual 260702 and the behaviour of the vendor's public decoder; manual=M marks fields that only the
-manual describes. Checked by: tests/golden/test_ncom_vectors.py (every channel), test_channels.py (round trips).
+Source: NCOM manual 260702 and the behaviour of the vendor's public decoder. Checked by:
+tests/golden/test_ncom_vectors.py (every channel), test_channels.py (round trips).
 """
 
 from collections.abc import Iterable, Mapping
@@ -13,7 +13,6 @@ from .ncom import NcomError
 from .packet_time import LAST_MINUTE
 
 F = Field
-M = True
 LONG_RANGE_CHANNEL = 57
 TRIGGER_CHANNELS = {24: "TrigTime", 43: "Trig2Time", 65: "DigitalOutTime", 79: "Trig3Time", 80: "Trig4Time",
                     81: "DigitalOut2Time"}
@@ -49,45 +48,47 @@ def aged_not(*marks: int) -> Validity:
 
 BYTE = not_(0xFF)
 WORD = not_(0xFFFF)
+# Units mark an unknown undulation by 0x8000; the manual prints 0xFFFF, which without HDOP and PDOP is not -5 mm either.
+UNDULATION = Validity("not -32768, nor -1 without HDOP and PDOP",
+                      lambda raw, data: raw != -0x8000 and (raw != -1 or data[2:4] != b"\xff\xff"), mark=-0x8000)
 NIBBLE = not_(0xF)
 
 
-def _b(name: str, at: int, unit: str = "1", scale: float = 1, offset: float = 0, manual: bool = False) -> Field:
+def _b(name: str, at: int, unit: str = "1", scale: float = 1, offset: float = 0) -> Field:
     """One byte, 0xFF = invalid."""
-    return F(name, "u8", at, unit, scale, offset, BYTE, manual=manual)
+    return F(name, "u8", at, unit, scale, offset, BYTE)
 
 
-def _w(name: str, at: int, unit: str = "1", scale: float = 1, offset: float = 0, manual: bool = False) -> Field:
+def _w(name: str, at: int, unit: str = "1", scale: float = 1, offset: float = 0) -> Field:
     """Two bytes, 0xFFFF = invalid."""
-    return F(name, "u16", at, unit, scale, offset, WORD, manual=manual)
+    return F(name, "u16", at, unit, scale, offset, WORD)
 
 
-def _xyz(names: Iterable[str], kind: str, scale: float, unit: str, validity: Validity,
-         manual: bool = False) -> list[Field]:
+def _xyz(names: Iterable[str], kind: str, scale: float, unit: str, validity: Validity) -> list[Field]:
     """Three two-byte values in a row."""
-    return [F(name, kind, 2 * i, unit, scale, 0, validity, manual=manual) for i, name in enumerate(names)]
+    return [F(name, kind, 2 * i, unit, scale, 0, validity) for i, name in enumerate(names)]
 
 
 def _axes(prefix: str, suffix: str = "") -> list[str]:
     return [f"{prefix}{axis}{suffix}" for axis in "XYZ"]
 
 
-def _lever(prefix: str, manual: bool = False) -> list[Field]:
-    return _xyz(_axes(prefix), "i16", 1e-3, "m", ZERO, manual)
+def _lever(prefix: str) -> list[Field]:
+    return _xyz(_axes(prefix), "i16", 1e-3, "m", ZERO)
 
 
-def _lever_accuracy(prefix: str, manual: bool = False) -> list[Field]:
-    return _xyz(_axes(prefix, "Acc"), "u16", 1e-4, "m", ZERO, manual)
+def _lever_accuracy(prefix: str) -> list[Field]:
+    return _xyz(_axes(prefix, "Acc"), "u16", 1e-4, "m", ZERO)
 
 
-def _angles(prefix: str, manual: bool = False) -> list[Field]:
+def _angles(prefix: str) -> list[Field]:
     names = [prefix + angle for angle in ("Heading", "Pitch", "Roll")]
-    return _xyz(names, "i16", degrees(1e-4), "deg", ZERO, manual)
+    return _xyz(names, "i16", degrees(1e-4), "deg", ZERO)
 
 
-def _innovations(*names: str, first: int = 0, manual: bool = False) -> list[Field]:
+def _innovations(*names: str, first: int = 0) -> list[Field]:
     """Units of the current accuracy; |value| < 1 is good."""
-    return [F(name, "shifted", first + i, "sigma", 0.1, 0, BIT0, manual=manual) for i, name in enumerate(names)]
+    return [F(name, "shifted", first + i, "sigma", 0.1, 0, BIT0) for i, name in enumerate(names)]
 
 
 def _counters(*names: str) -> list[Field]:
@@ -108,7 +109,7 @@ def _receiver_status(receiver: str) -> list[Field]:
 
 
 def _nibbles(at: int, low: str, high: str) -> list[Field]:
-    return [F(low, "lo4", at, validity=NIBBLE, manual=True), F(high, "hi4", at, validity=NIBBLE, manual=True)]
+    return [F(low, "lo4", at, validity=NIBBLE), F(high, "hi4", at, validity=NIBBLE)]
 
 
 def _trigger(channel: int) -> list[Field]:
@@ -125,8 +126,7 @@ TABLE: dict[int, list[Field]] = {
     1: _innovations("InnPosX", "InnPosY", "InnPosZ", "InnVelX", "InnVelY", "InnVelZ", "InnPitch", "InnHeading"),
     2: _receiver_counters("GpsPrimary"),
     3: [*_xyz(("NorthAcc", "EastAcc", "AltAcc"), "u16", 1e-3, "m", AGE), _b("UmacStatus", 7)],
-    4: [*_xyz(("VnAcc", "VeAcc", "VdAcc"), "u16", 1e-3, "m/s", AGE),
-        F("ProcessingMethod", "u8", 7, validity=POSITIVE, manual=M)],
+    4: [*_xyz(("VnAcc", "VeAcc", "VdAcc"), "u16", 1e-3, "m/s", AGE), F("ProcessingMethod", "u8", 7, validity=POSITIVE)],
     5: _xyz(("HeadingAcc", "PitchAcc", "RollAcc"), "u16", degrees(1e-5), "deg", AGE),
     6: [*_xyz(("WxBias", "WyBias", "WzBias"), "i16", degrees(5e-6), "deg/s", AGE),
         *_nibbles(7, "GpsPrimary.NumGpsL1", "GpsPrimary.NumGpsL2")],
@@ -157,26 +157,23 @@ TABLE: dict[int, list[Field]] = {
     20: [F("GpsDiffAge", "i16", 0, "s", 0.01, 0, not_(-1)), F("BaseStationId", "text4", 2)],
     21: [F("DiskSpace", "i32", 0, "byte", 1024, 0, NOT_NEGATIVE),
          F("FileSize", "i32", 4, "byte", 1024, 0, NOT_NEGATIVE)],
-    22: [_w("TimeMismatch", 0), _b("ImuTimeDiff", 2, "ms"),
-         _b("ImuTimeMargin", 3, "ms"), _w("ImuLoopTime", 4, "ms"),
+    22: [_w("TimeMismatch", 0), _b("ImuTimeDiff", 2, "ms"), _b("ImuTimeMargin", 3, "ms"), _w("ImuLoopTime", 4, "ms"),
          _w("OpLoopTime", 6, "ms")],
-    23: [_w("BnsLag", 0, "ms"), _w("UpTimeCode", 2),
-         _b("GPSPosReject", 4), _b("GPSVelReject", 5),
-         _b("GPSAttReject", 6), F("PtpStatus", "u8", 7, validity=POSITIVE, manual=M)],
+    23: [_w("BnsLag", 0, "ms"), _w("UpTimeCode", 2), _b("GPSPosReject", 4), _b("GPSVelReject", 5),
+         _b("GPSAttReject", 6), F("PtpStatus", "u8", 7, validity=POSITIVE)],
     24: _trigger(24),
     25: [F("OldRefX", "i24", 0, "m", 1.2e-3, 0, not_(-0x800000, 0x7FFFFF)),
          F("OldRefY", "i24", 3, "m", 1.2e-3, 0, not_(-0x800000, 0x7FFFFF)),
          F("OldRefHeading", "i16", 6, "deg", degrees(1e-4), 0, not_(-0x8000))],
     26: _lever("RemoteLeverArm"),
-    27: [_b("HeadQuality", 0), _b("HeadSearchType", 1),
-         _b("HeadSearchStatus", 2), _b("HeadSearchReady", 3),
+    27: [_b("HeadQuality", 0), _b("HeadSearchType", 1), _b("HeadSearchStatus", 2), _b("HeadSearchReady", 3),
          _w("HeadSearchInit", 4), _w("HeadSearchNum", 6)],
     28: [_b("HeadSearchMaster", 0, "PRN", 1, 1), _b("HeadSearchSlave1", 1, "PRN", 1, 1),
          _b("HeadSearchSlave2", 2, "PRN", 1, 1), _b("HeadSearchSlave3", 3, "PRN", 1, 1),
          F("HeadSearchTime", "u16", 4, "s"), F("HeadSearchConstr", "u16", 6)],
     29: [*(F(name, "u8", i, validity=HIGH_BIT) for i, name in enumerate(
         ("OptionLevel", "OptionVibration", "OptionGpsAcc", "OptionUdp", "OptionSer1", "OptionSer2", "OptionHeading"))),
-        F("OptionHeave", "u8", 7, validity=HIGH_BIT, manual=M)],
+        F("OptionHeave", "u8", 7, validity=HIGH_BIT)],
     30: [_b("OsVersion1", 0), _b("OsVersion2", 1), _b("OsVersion3", 2),
          F("OsScriptId", "digits6", 3, validity=NOT_NEGATIVE), _w("SerialNumber", 6)],
     31: [_b("ImuType", 0), _b("GpsPrimary.Type", 1),
@@ -186,42 +183,37 @@ TABLE: dict[int, list[Field]] = {
              ("PsrDiffEnabled", 0), ("SBASEnabled", 1), ("OmniVBSEnabled", 3), ("OmniHPEnabled", 4),
              ("L1DiffEnabled", 5), ("L1L2DiffEnabled", 6)))],
     32: [*_innovations("InnZeroVelX", "InnZeroVelY", "InnZeroVelZ", "InnNoSlipH", "InnHeadingH", "InnWSpeed"),
-         *_innovations("InnClockOffset", "InnClockDrift", first=6, manual=M)],
+         *_innovations("InnClockOffset", "InnClockDrift", first=6)],
     33: _lever("ZeroVelLeverArm"),
     34: _lever_accuracy("ZeroVelLeverArm"),
     35: _lever("NoSlipLeverArm"),
     36: _lever_accuracy("NoSlipLeverArm"),
     37: [F("HeadingMisAlign", "i16", 0, "deg", degrees(1e-4), 0, NOT_255),
-         F("HeadingMisAlignAcc", "u16", 2, "deg", degrees(1e-5), 0, NOT_255),
-         _b("NumSatsUsedPos", 4, manual=M), _b("NumSatsUsedVel", 5, manual=M),
-         _b("NumSatsUsedAtt", 7, manual=M)],
-    38: [_b("OptionSZVDelay", 0, "s"), _b("OptionSZVPeriod", 1, "s", 0.1),
-         _w("OptionTopSpeed", 2, "m/s", 0.5), _b("OptionInitSpeed", 4, "m/s", 0.1),
-         F("OptionSer3", "u8", 5, validity=HIGH_BIT)],
+         F("HeadingMisAlignAcc", "u16", 2, "deg", degrees(1e-5), 0, NOT_255), _b("NumSatsUsedPos", 4),
+         _b("NumSatsUsedVel", 5), _b("NumSatsUsedAtt", 7)],
+    38: [_b("OptionSZVDelay", 0, "s"), _b("OptionSZVPeriod", 1, "s", 0.1), _w("OptionTopSpeed", 2, "m/s", 0.5),
+         _b("OptionInitSpeed", 4, "m/s", 0.1), F("OptionSer3", "u8", 5, validity=HIGH_BIT)],
     39: [_b("OptionNSDelay", 0, "s", 0.1), _b("OptionNSPeriod", 1, "s", 0.02),
          _w("OptionNSAngleStd", 2, "deg", degrees(1e-5)), _b("OptionNSHAccel", 4, "m/s^2", 0.04),
-         _b("OptionNSVAccel", 5, "m/s^2", 0.04), _b("OptionNSSpeed", 6, "m/s", 0.1),
-         _b("OptionNSRadius", 7, "m", 0.5)],
-    40: [F("NcomVersion", "u16", 0, validity=POSITIVE, manual=M), _w("OutputLatency", 2, "s", 0.01, manual=M),
-         F("SerialNumber24", "u24", 4, validity=not_(0xFFFFFF), manual=M)],
+         _b("OptionNSVAccel", 5, "m/s^2", 0.04), _b("OptionNSSpeed", 6, "m/s", 0.1), _b("OptionNSRadius", 7, "m", 0.5)],
+    40: [F("NcomVersion", "u16", 0, validity=POSITIVE), _w("OutputLatency", 2, "s", 0.01),
+         F("SerialNumber24", "u24", 4, validity=not_(0xFFFFFF))],
     41: [F("OptionSer1Baud", "u8", 0), F("OptionSer2Baud", "u8", 1), F("OptionSer3Baud", "u8", 2),
          F("OptionCanBaud", "u8", 3),
-         *(F(f"WifiIp{i}", "u8", 3 + i, validity=BYTE, manual=M) for i in (1, 2, 3, 4))],
+         *(F(f"WifiIp{i}", "u8", 3 + i, validity=BYTE) for i in (1, 2, 3, 4))],
     42: [_b("OptionHLDelay", 0, "s"), _b("OptionHLPeriod", 1, "s", 0.1),
          _w("OptionHLAngleStd", 2, "deg", degrees(1e-5)), _b("OptionStatDelay", 4, "s"),
-         _b("OptionStatSpeed", 5, "m/s", 0.01), F("GnssSources", "u8", 6, validity=HIGH_BIT, manual=M)],
+         _b("OptionStatSpeed", 5, "m/s", 0.01), F("GnssSources", "u8", 6, validity=HIGH_BIT)],
     43: _trigger(43),
     44: [_w("WSpeedScale", 0, "pulse/m", 0.1), _w("WSpeedScaleStd", 2, "%", 0.002),
          _b("OptionWSpeedDelay", 4, "s", 0.1), _b("OptionWSpeedZVDelay", 5, "s", 0.1),
-         _b("OptionWSpeedNoiseStd", 6, "pulse", 0.1), _b("WarmupStatus", 7, manual=M)],
+         _b("OptionWSpeedNoiseStd", 6, "pulse", 0.1), _b("WarmupStatus", 7)],
     45: [F("WSpeedCount", "u32", 0, "pulse"), F("WSpeedMilliseconds", "u16", 4, "ms", validity=MINUTE_MS),
-         _b("WSpeedTimeUnchanged", 6, "s", 0.1), _b("GadStatus", 7, manual=M)],
+         _b("WSpeedTimeUnchanged", 6, "s", 0.1), _b("GadStatus", 7)],
     46: _lever("WSpeedLeverArm"),
     47: _lever_accuracy("WSpeedLeverArm"),
-    # The manual prints 0xFFFF as the invalid undulation, real data and the vendor's decoder use 0x8000.
-    48: [F("Undulation", "i16", 0, "m", 5e-3, 0, not_(-0x8000)), _b("HDOP", 2, "1", 0.1),
-         _b("PDOP", 3, "1", 0.1), _b("OutputDatum", 5, manual=M),
-         _b("DatumEllipsoid", 6, manual=M), _b("DatumEarthFrame", 7, manual=M)],
+    48: [F("Undulation", "i16", 0, "m", 5e-3, 0, UNDULATION), _b("HDOP", 2, "1", 0.1), _b("PDOP", 3, "1", 0.1),
+         _b("OutputDatum", 5), _b("DatumEllipsoid", 6), _b("DatumEarthFrame", 7)],
     49: [_w("OmniStarFreq", 0, "Hz", 1000, 1.52e9), _b("OmniStarSNR", 2, "dB", 0.2),
          _b("OmniStarLockTime", 3, "s"),
          *(F(f"OmniStatus{name}", f"bits{bit}+1", 4, validity=OMNISTAR_STATUS) for bit, name in enumerate((
@@ -229,15 +221,14 @@ TABLE: dict[int, list[Field]] = {
              "HpNotConverged", "HpKeyInvalid"))),
          F("OmniStarSerial", "u24", 5, validity=not_(0xFFFFFF))],
     50: _counters("CmdChars", "CmdPkts", "CmdCharsSkipped", "CmdErrors"),
-    **{channel: _lever(f"SlipPoint{i}", manual=M) for i, channel in enumerate((51, 52, 53, 54, 68, 69, 70, 71), 1)},
+    **{channel: _lever(f"SlipPoint{i}") for i, channel in enumerate((51, 52, 53, 54, 68, 69, 70, 71), 1)},
     55: _receiver_status("GpsPrimary"),
     56: _receiver_status("GpsSecondary"),
     57: _xyz(("GAPx", "GAPy", "GAPz"), "i16", 1e-3, "m", LONG_RANGE),  # times b7, see decode_channel()
-    58: _angles("VehicleToOutput", manual=M),
+    58: _angles("VehicleToOutput"),
     59: [F("ImuMissedPkts", "u16", 0, cyclic=16), F("ImuResetCount", "u8", 2, cyclic=8),
-         F("ImuErrorCount", "u8", 3, cyclic=8),
-         _w("ImuCalibrationDay", 4, "day", manual=M),
-         _w("ImuTemperature", 6, "degC", 0.01, -70, manual=M)],
+         F("ImuErrorCount", "u8", 3, cyclic=8), _w("ImuCalibrationDay", 4, "day"),
+         _w("ImuTemperature", 6, "degC", 0.01, -70)],
     60: _angles("Ned2Surf"),
     61: _receiver_counters("GpsExternal"),
     62: _receiver_status("GpsExternal"),
@@ -251,7 +242,7 @@ TABLE: dict[int, list[Field]] = {
          *(F(name, f"ibits{bit}+1", 6, validity=INVERTED_B6) for bit, name in enumerate(
              ("GnssGlonassEnabled", "GnssGalileoEnabled", "RawRngEnabled", "RawDopEnabled", "RawL1Enabled",
               "RawL2Enabled", "RawL5Enabled"))),
-         _b("ProductType", 7, manual=M)],
+         _b("ProductType", 7)],
     65: _trigger(65),
     66: [F("RefLat", "i32", 0, "deg", 1e-7, 0, not_(-(1 << 31))),
          F("RefLon", "i32", 4, "deg", 1e-7, 0, not_(-(1 << 31)))],
@@ -260,41 +251,36 @@ TABLE: dict[int, list[Field]] = {
     72: [*_xyz(("AxSf", "AySf", "AzSf"), "i16", 1e-6, "1", AGE), *_nibbles(7, "DiffNumGpsL1", "DiffNumGpsL2")],
     73: [*_xyz(("AxSfAcc", "AySfAcc", "AzSfAcc"), "u16", 1e-6, "1", AGE), *_nibbles(7, "DiffNumGloL1", "DiffNumGloL2")],
     74: [F("LinAccFiltFreq", "f32", 0, "Hz"), F("LinAccFiltZeta", "f32", 4)],
-    75: [_w("FirmwareExpiryDay", 0, "day", manual=M),
-         _b("SupplyVoltage", 2, "V", 0.2, manual=M), _w("ImuRate", 3, "Hz", 0.02, manual=M)],
-    76: [*(F(name, "u16", 2 * i, cyclic=16, manual=M)
+    75: [_w("FirmwareExpiryDay", 0, "day"), _b("SupplyVoltage", 2, "V", 0.2), _w("ImuRate", 3, "Hz", 0.02)],
+    76: [*(F(name, "u16", 2 * i, cyclic=16)
            for i, name in enumerate(("DiffChars", "DiffPkts", "DiffCharsSkipped"))),
-         _b("NtripStatus", 6, manual=M), _b("WifiStatus", 7, manual=M)],
-    77: [_b("DiffFormat", 0, manual=M), _b("DiffType", 1, manual=M),
-         _b("DiffNumStations", 2, manual=M)],
-    78: [F("CanTx", "u16", 0, cyclic=16, manual=M), F("CanRx", "u16", 2, cyclic=16, manual=M),
-         _b("CanTxOkPercent", 4, "%", manual=M), _b("CanRxOkPercent", 5, "%", manual=M),
-         F("CanErrors", "u8", 6, cyclic=8, manual=M), F("CanLastError", "u8", 7, manual=M)],
+         _b("NtripStatus", 6), _b("WifiStatus", 7)],
+    77: [_b("DiffFormat", 0), _b("DiffType", 1), _b("DiffNumStations", 2)],
+    78: [F("CanTx", "u16", 0, cyclic=16), F("CanRx", "u16", 2, cyclic=16), _b("CanTxOkPercent", 4, "%"),
+         _b("CanRxOkPercent", 5, "%"), F("CanErrors", "u8", 6, cyclic=8), F("CanLastError", "u8", 7)],
     79: _trigger(79),
     80: _trigger(80),
     81: _trigger(81),
-    85: [F("KitDevId", "u64", 0, manual=M)],
-    87: [F("JerkFiltType", "lo4", 0, manual=M), F("JerkFiltOrder", "hi4", 0, validity=POSITIVE, manual=M),
-         F("JerkFiltFreq", "f32", 1, "Hz", manual=M), F("JerkFiltWindow", "u24", 5, "ms", manual=M)],
-    88: _innovations("InnVerticalSlip", manual=M),
-    89: [*_lever("VerticalSlipLeverArm", manual=M), F("WifiApStatus", "u8", 7, validity=POSITIVE, manual=M)],
-    90: [*_lever_accuracy("VerticalSlipLeverArm", manual=M), F("WifiRegion", "u8", 7, manual=M)],
-    91: [F("PitchMisalign", "i16", 0, "deg", degrees(1e-4), 0, ZERO, manual=M),
-         F("PitchMisalignAcc", "u16", 2, "deg", degrees(1e-5), 0, ZERO, manual=M)],
-    93: [*_nibbles(1, "NumGalUsedInPos", "NumBdsUsedInPos"), F("NmeaEnabled", "lo4", 2, manual=M),
-         F("PtpEpoch", "hi4", 2, manual=M), F("PpsStatus", "lo4", 3, validity=NIBBLE, manual=M),
-         F("LidarIpLastByte", "u8", 4, manual=M),
-         F("TimingSource", "lo4", 5, validity=NIBBLE, manual=M)],
+    85: [F("KitDevId", "u64", 0)],
+    87: [F("JerkFiltType", "lo4", 0), F("JerkFiltOrder", "hi4", 0, validity=POSITIVE),
+         F("JerkFiltFreq", "f32", 1, "Hz"), F("JerkFiltWindow", "u24", 5, "ms")],
+    88: _innovations("InnVerticalSlip"),
+    89: [*_lever("VerticalSlipLeverArm"), F("WifiApStatus", "u8", 7, validity=POSITIVE)],
+    90: [*_lever_accuracy("VerticalSlipLeverArm"), F("WifiRegion", "u8", 7)],
+    91: [F("PitchMisalign", "i16", 0, "deg", degrees(1e-4), 0, ZERO),
+         F("PitchMisalignAcc", "u16", 2, "deg", degrees(1e-5), 0, ZERO)],
+    93: [*_nibbles(1, "NumGalUsedInPos", "NumBdsUsedInPos"), F("NmeaEnabled", "lo4", 2), F("PtpEpoch", "hi4", 2),
+         F("PpsStatus", "lo4", 3, validity=NIBBLE), F("LidarIpLastByte", "u8", 4),
+         F("TimingSource", "lo4", 5, validity=NIBBLE)],
     94: [*_nibbles(0, "GpsPrimary.NumGalE1", "GpsPrimary.NumGalE5"),
          *_nibbles(1, "GpsSecondary.NumGalE1", "GpsSecondary.NumGalE5"),
          *_nibbles(2, "GpsExternal.NumGalE1", "GpsExternal.NumGalE5"),
          *_nibbles(3, "GpsPrimary.NumBdsB1", "GpsPrimary.NumBdsB2"),
          *_nibbles(4, "GpsSecondary.NumBdsB1", "GpsSecondary.NumBdsB2"),
-         *_nibbles(5, "GpsExternal.NumBdsB1", "GpsExternal.NumBdsB2"),
-         *_nibbles(6, "DiffNumGalE1", "DiffNumGalE5"), *_nibbles(7, "DiffNumBdsB1", "DiffNumBdsB2")],
-    95: [F("GadStreamId", "u8", 0, validity=POSITIVE, manual=M), _b("GadRejected", 1, manual=M),
-         *_innovations("GadInn1", "GadInn2", "GadInn3", first=2, manual=M),
-         F("GadTime", "u16", 5, "s", 1e-3, 0, MINUTE_MS, manual=M)],
+         *_nibbles(5, "GpsExternal.NumBdsB1", "GpsExternal.NumBdsB2"), *_nibbles(6, "DiffNumGalE1", "DiffNumGalE5"),
+         *_nibbles(7, "DiffNumBdsB1", "DiffNumBdsB2")],
+    95: [F("GadStreamId", "u8", 0, validity=POSITIVE), _b("GadRejected", 1),
+         *_innovations("GadInn1", "GadInn2", "GadInn3", first=2), F("GadTime", "u16", 5, "s", 1e-3, 0, MINUTE_MS)],
 }
 
 FIELDS: dict[int, dict[str, Field]] = {

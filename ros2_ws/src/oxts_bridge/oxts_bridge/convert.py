@@ -4,7 +4,7 @@ Frequent messages are filled in place and published again: publishing copies the
 more than all other work on a packet. Frames, signs and units: REP-103.
 """
 
-from math import degrees, isfinite, nan
+from math import degrees, isfinite
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,7 +12,7 @@ from geometry_msgs.msg import TransformStamped, TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus, TimeReference
 from st_msgs.msg import InsStatus, Ncom, Trigger
@@ -21,8 +21,7 @@ from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from .fields import Value
-from .geometry import Quaternion, Vector, ellipsoidal_height, flu_from_frd
-from .motion import Accuracy, Motion
+from .motion import Accuracy, Motion, Quaternion, Vector, flu_from_frd
 from .ncom import BY_STATUS, Counters, fix_status, mode_text
 from .status import StatusTracker
 from .stream import Received
@@ -33,23 +32,11 @@ UNKNOWN_VARIANCE = 1e6
 _UNKNOWN_BLOCK = (UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, UNKNOWN_VARIANCE)
 
 # Depth: four seconds at 250 Hz, which a subscriber that was blocked (busy machine, suspended laptop) still receives.
-QOS = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
-TF_QOS = QoSProfile(depth=100, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
-LATCHED = QoSProfile(
-    depth=1,
-    history=HistoryPolicy.KEEP_LAST,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
-TYPES = {
-    "ncom": Ncom,
-    "odometry": Odometry,
-    "imu": Imu,
-    "nav_sat_fix": NavSatFix,
-    "velocity": TwistWithCovarianceStamped,
-    "time_reference": TimeReference,
-    "trigger": Trigger,
-}
+QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+TF_QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
+LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+TYPES = {"ncom": Ncom, "odometry": Odometry, "imu": Imu, "nav_sat_fix": NavSatFix,
+         "velocity": TwistWithCovarianceStamped, "time_reference": TimeReference, "trigger": Trigger}
 
 
 class Publishers:
@@ -116,8 +103,8 @@ class Publishers:
             self._out["time_reference"].publish(message)
 
     def motion(self, stamp_ns: int, motion: Motion, position: Vector | None, accuracy: Accuracy, now: float) -> None:
-        """Odometry (pose of the INS point in the map frame, ENU; twist in its own axes, FLU), the transform odom to
-        base, and velocity; position: ENU in the map frame [m], None until there is an origin."""
+        """Odometry (pose of the INS point in the map frame, ENU; twist in its axes, FLU), transform odom to base, and
+        velocity; position: ENU in the map frame [m], None without an origin."""
         if position is not None:
             if self._out["odometry"].has_subscribers(now):
                 message = self._odometry
@@ -144,15 +131,12 @@ class Publishers:
         """sensor_msgs/NavSatFix; its altitude is above the ellipsoid, NaN while the geoid undulation is unknown."""
         if not self._out["nav_sat_fix"].has_subscribers(now):
             return
-        undulation = status.get("Undulation")
-        if self._settings.altitude_is_ellipsoidal:
-            height = motion.altitude
-        else:
-            height = nan if undulation is None else ellipsoidal_height(motion.altitude, undulation)
+        # Above the ellipsoid = altitude + undulation: the manual prints a minus, real recordings show the plus.
+        undulation = 0.0 if self._settings.altitude_is_ellipsoidal else status.number("Undulation")
         message, variances = self._fix, accuracy.position_variances
         set_stamp(message.header, stamp_ns)
         message.latitude, message.longitude = degrees(motion.latitude), degrees(motion.longitude)
-        message.altitude = height
+        message.altitude = motion.altitude + undulation
         message.status.status = fix_status(status.get("GpsPosMode"))
         _set_diagonal(message.position_covariance, 4, variances or (0.0,) * 3)
         message.position_covariance_type = (
@@ -265,9 +249,8 @@ def _orientation_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, 
     return motion.attitude.orientation_covariance(accuracy.roll, accuracy.pitch, accuracy.heading)
 
 
-def make_trigger(
-    stamp_ns: int, map_frame: str, channel: int, count: int, position: Vector | None, motion: Motion | None
-) -> Trigger:
+def make_trigger(stamp_ns: int, map_frame: str, channel: int, count: int, position: Vector | None,
+                 motion: Motion | None) -> Trigger:
     """st_msgs/Trigger of an event input or output; position, motion: at that instant, None where unknown."""
     message = Trigger(header=Header(frame_id=map_frame), source=channel, count=count)
     set_stamp(message.header, stamp_ns)
@@ -278,9 +261,8 @@ def make_trigger(
     return message
 
 
-def make_status(
-    stamp_ns: int, ins_frame: str, navigation_status: int, status: StatusTracker, counters: Counters, time_jumps: int
-) -> InsStatus:
+def make_status(stamp_ns: int, ins_frame: str, navigation_status: int, status: StatusTracker, counters: Counters,
+                time_jumps: int) -> InsStatus:
     """st_msgs/InsStatus from the newest values of all status channels."""
     number, get = status.number, status.get
     message = InsStatus(header=Header(frame_id=ins_frame), navigation_status=navigation_status)
@@ -296,8 +278,8 @@ def make_status(
     message.position_accuracy_down = accuracy.up
     message.velocity_accuracy_north, message.velocity_accuracy_east = accuracy.velocity_north, accuracy.velocity_east
     message.velocity_accuracy_down = accuracy.velocity_up
-    message.heading_accuracy = accuracy.heading
-    message.pitch_accuracy, message.roll_accuracy = accuracy.pitch, accuracy.roll
+    message.heading_accuracy, message.pitch_accuracy = accuracy.heading, accuracy.pitch
+    message.roll_accuracy = accuracy.roll
     message.geoid_undulation = number("Undulation")
     message.utc_offset = number("TimeUtcOffset")
     message.output_latency = number("OutputLatency")

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import lfilter, lfilter_zi
 
 from .file_decoder import EMPTY, REGULAR, UNKNOWN_TIME, Columns
-from .geometry import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS
+from .ncom import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS
 
 EARTH_RATE = 7.2921151467e-5  # rad/s
 # Accuracy of the horizontal speed where the unit has not sent one [m/s].

@@ -67,7 +67,6 @@ class Field:
     name: the vendor's, or the project's where the vendor has none.  kind: see wire(), or text<n>, digits6 (i24 shown
     with six digits), constant (implied by the channel, value in offset).  at: first byte.  unit: of the physical value.
     cyclic: width in bits of a counter that wraps (unwrapped by status.StatusTracker).
-    manual: documented by the manual only, unknown to the vendor's public decoder.
     """
 
     name: str
@@ -78,7 +77,6 @@ class Field:
     offset: float = 0
     validity: Validity = ALWAYS
     cyclic: int = 0
-    manual: bool = False
 
     def decoder(self) -> Decoder:
         """A function from the 8 bytes, as one integer and as bytes, to the physical value, None where it is invalid."""

@@ -41,9 +41,8 @@ class Columns:
     offset: byte position.  raw: (n, 72) uint8.  kind: index into KINDS.  order: as stream.Received.order.
     gps_ns: since 1980-01-06, utc_ns: since 1970, UNKNOWN_TIME where unknown.  milliseconds, navigation_status,
     channel: as sent. acceleration [m/s^2], angular_rate [rad/s]: (3, n), vehicle FRD.  latitude, longitude [rad],
-    altitude [m] as sent.
-    velocity_ned: (3, n) [m/s].  heading, pitch, roll [rad].  NaN = invalid.  approximate: before the first fix.
-    has_status: batch S is valid.
+    altitude [m] as sent.  velocity_ned: (3, n) [m/s].  heading, pitch, roll [rad].  NaN = invalid.
+    approximate: before the first fix.  has_status: batch S is valid.
     """
 
     offset: np.ndarray
@@ -82,9 +81,10 @@ def decode_file(source: str | Path | bytes) -> Columns:
 
     Raises NcomError, naming the file and its content, if it contains no packet; OSError if it cannot be read.
     """
-    data = source if isinstance(source, bytes | bytearray | memoryview) else Path(source).read_bytes()
-    data = bytes(data)
-    name = "input" if isinstance(source, bytes | bytearray | memoryview) else str(source)
+    if isinstance(source, str | Path):
+        data, name = Path(source).read_bytes(), str(source)
+    else:
+        data, name = bytes(source), "input"
     counters = Counters()
     offset = find_packets(data, counters)
     if not len(offset):
@@ -128,7 +128,6 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
     offsets = _UTC_OFFSET[raw[carry, BATCH_S.stop - 1]]
     carry, offsets = carry[offsets != _NO_OFFSET], offsets[offsets != _NO_OFFSET]
     _trigger_times(raw, kind, gps_ns, order)
-    _count(counters, raw, status, channel, has_status, milliseconds, order)
     heading, pitch, roll = _i24(buffer, n, ncom.ANGLES_AT, ncom.ANGLE_UNIT)
 
     with np.errstate(invalid="ignore"):  # private or empty packets may hold signalling NaN
@@ -157,13 +156,13 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
         counters=counters,
         time_jumps=jumps,
     )
+    _count(columns)
     _mask(columns)
     return columns
 
 
-def _times(
-    raw: np.ndarray, status: np.ndarray, milliseconds: np.ndarray, is_channel_0: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, int]:
+def _times(raw: np.ndarray, status: np.ndarray, milliseconds: np.ndarray,
+           is_channel_0: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
     """GPS time [ns] and order of every packet of the series, and the number of time jumps."""
     gps_ns, order = np.full(len(raw), UNKNOWN_TIME), np.zeros(len(raw), np.int8)
     sent = np.ndarray((len(raw),), "<i4", raw.reshape(-1).data, ncom.BATCH_S_AT, (PACKET_SIZE,)).astype(np.int64)
@@ -171,12 +170,8 @@ def _times(
     timed = np.flatnonzero(_HAS_TIME[status] & (milliseconds < MINUTE_MS))
     hints = np.flatnonzero((status == ncom.STATUS_ONLY) & (minutes >= 0))
     gps_ms, order[timed], jumps = packet_times(
-        milliseconds[timed],
-        minutes[timed],
-        timed,
-        [(i, int(minutes[i])) for i in hints.tolist()],
-        lambda a, b: bool((raw[timed[a]] == raw[timed[b]]).all()),
-    )
+        milliseconds[timed], minutes[timed], timed, [(i, int(minutes[i])) for i in hints.tolist()],
+        lambda a, b: bool((raw[timed[a]] == raw[timed[b]]).all()))
     gps_ns[timed] = np.where(gps_ms >= 0, gps_ms * 1_000_000, UNKNOWN_TIME)
     return gps_ns, order, jumps
 
@@ -192,13 +187,9 @@ def _rows(data: bytes, offset: np.ndarray) -> np.ndarray:
 
 def _i24(buffer: memoryview, n: int, at: int, unit: float) -> np.ndarray:
     """(3, n) physical values of three consecutive i24, each read as the upper 24 bits of an i32."""
-    values = np.empty((3, n))
-    for i in range(3):
-        number = np.ndarray((n,), "<i4", buffer, at - 1 + 3 * i, (PACKET_SIZE,)) >> 8
-        np.multiply(number, unit, out=values[i])
-        invalid = number == ncom.INVALID_I24
-        if invalid.any():
-            values[i, invalid] = np.nan
+    number = np.ndarray((3, n), "<i4", buffer, at - 1, (3, PACKET_SIZE)) >> 8
+    values = number * unit
+    values[number == ncom.INVALID_I24] = np.nan
     return values
 
 
@@ -215,24 +206,17 @@ def _trigger_times(raw: np.ndarray, kind: np.ndarray, gps_ns: np.ndarray, order:
         before = packet
 
 
-def _count(
-    counters: Counters,
-    raw: np.ndarray,
-    status: np.ndarray,
-    channel: np.ndarray,
-    has_status: np.ndarray,
-    milliseconds: np.ndarray,
-    order: np.ndarray,
-) -> None:
+def _count(columns: Columns) -> None:
+    counters, raw, status, order = columns.counters, columns.raw, columns.navigation_status, columns.order
     first = np.add.reduce(raw[:, 1:ncom.CHECKSUM_1_AT], axis=1, dtype=np.uint8)
     second = first + np.add.reduce(raw[:, ncom.CHECKSUM_1_AT:ncom.CHECKSUM_2_AT], axis=1, dtype=np.uint8)
     wrong = (first != raw[:, ncom.CHECKSUM_1_AT]) | (second != raw[:, ncom.CHECKSUM_2_AT])
     structure_b = status == ncom.STRUCTURE_B
     counters.structure_b = int(structure_b.sum())
     counters.inner_checksum_warnings = int((wrong & ~structure_b).sum())
-    counters.impossible_times = int((_HAS_TIME[status] & (milliseconds >= MINUTE_MS)).sum())
+    counters.impossible_times = int((_HAS_TIME[status] & (columns.milliseconds >= MINUTE_MS)).sum())
     counters.unknown_statuses = int((~_IS_KNOWN[status]).sum())
-    counters.unknown_channels = int((has_status & ~_KNOWN_CHANNEL[channel]).sum())
+    counters.unknown_channels = int((columns.has_status & ~_KNOWN_CHANNEL[columns.channel]).sum())
     counters.triggers = int((_KIND[status] == TRIGGER).sum())
     counters.duplicates = int((order == DUPLICATE).sum())
     counters.late = int((order == LATE).sum())

@@ -1,9 +1,7 @@
-"""Diagnostics of the node, and the statistics of the stream that they report."""
+"""Diagnostics of the node."""
 
 import time
-from collections import deque
 from collections.abc import Callable
-from statistics import median
 from typing import Any
 
 from st_ros.diagnostics import ERROR, OK, WARN, Check
@@ -12,7 +10,7 @@ from .motion import UNIT, Accuracy, Origin
 from .ncom import BLOCKED, BY_STATUS, EXPIRED, LOCKED, LOCKING, mode_text, quality
 from .sources import SourceStatus
 from .status import StatusTracker
-from .stream import NcomParser, Received
+from .stream import NcomParser, StreamStatistics
 
 # Median difference between stamps and the host's clock that is reported [s]. CAN frames are stamped by the host, so
 # this is also the time error of the steering; the delay of the unit and the network is well below.
@@ -21,58 +19,6 @@ MAX_CLOCK_OFFSET = 0.05
 ANOTHER_TIME = 60.0
 DAY = 86_400.0  # s
 _NEVER = float("-inf")
-# A step longer than this many typical ones is a gap.
-GAP_STEPS = 1.75
-_OFFSETS = 1000  # four seconds at 250 Hz
-
-
-class StreamStatistics:
-    """Rate, gaps and delay of the fresh timed packets of the series (no triggers, no late packets)."""
-
-    def __init__(self) -> None:
-        self.gaps = 0
-        self._typical_ns = 0
-        self._last_gps_ns: int | None = None
-        self._offsets: deque[int] = deque(maxlen=_OFFSETS)
-        self._steps, self._covered_ns, self._longest_ns = 0, 0, 0  # since take()
-
-    def add(self, received: Received) -> None:
-        if received.gps_ns is None:
-            return
-        if self._last_gps_ns is not None:
-            step = received.gps_ns - self._last_gps_ns
-            if step > 0:
-                self._step(step)
-        self._last_gps_ns = received.gps_ns
-        if received.received_ns is not None and received.utc_ns is not None:
-            self._offsets.append(received.utc_ns - received.received_ns)
-
-    def _step(self, step: int) -> None:
-        self._steps += 1
-        self._covered_ns += step
-        self._longest_ns = max(self._longest_ns, step)
-        if not self._typical_ns:
-            self._typical_ns = step
-        elif step > GAP_STEPS * self._typical_ns:
-            self.gaps += 1
-            # Slow adaptation: a changed rate becomes typical, a lost packet has little effect.
-            self._typical_ns += min(step - self._typical_ns, self._typical_ns) // 64
-        else:
-            self._typical_ns += (step - self._typical_ns) // 64
-
-    def take(self) -> tuple[float, float]:
-        """Mean rate [1/s] and longest step [s] since the previous call."""
-        rate = self._steps / (self._covered_ns * 1e-9) if self._covered_ns else 0.0
-        longest, self._steps, self._covered_ns, self._longest_ns = self._longest_ns * 1e-9, 0, 0, 0
-        return rate, longest
-
-    def stamp_minus_host(self) -> tuple[float, float, float] | None:
-        """Median, 1st percentile and newest value of packet time minus receive time [s]; negative: it is older."""
-        offsets = list(self._offsets.copy())
-        if not offsets:
-            return None
-        newest, ordered = offsets[-1], sorted(offsets)
-        return median(ordered) * 1e-9, ordered[len(ordered) // 100] * 1e-9, newest * 1e-9
 
 
 class Health:
@@ -83,17 +29,8 @@ class Health:
     position, velocity, angles or rates marked invalid: no odometry.
     """
 
-    def __init__(
-        self,
-        parser: NcomParser,
-        status: StatusTracker,
-        origin: Origin,
-        statistics: StreamStatistics,
-        source: Callable[[], SourceStatus | None],
-        live: bool,
-        ellipsoidal: bool,
-        silence_after: float,
-    ):
+    def __init__(self, parser: NcomParser, status: StatusTracker, origin: Origin, statistics: StreamStatistics,
+                 source: Callable[[], SourceStatus | None], live: bool, ellipsoidal: bool, silence_after: float):
         """live: packets arrive as they are measured, so that stamps can be compared with the host's clock."""
         self.navigation_status: int | None = None
         self.last_packet_at = _NEVER
@@ -214,31 +151,24 @@ class Health:
         if not (accuracy.position_variances and accuracy.velocity_known and accuracy.attitude_known):
             degraded.append("accuracies (channels 3, 4, 5): covariances unknown")
         if self._origin.frame is None:
-            degraded.append(
-                "map origin: ins/odometry and tf wait for "
-                + ("the unit's local frame" if self._origin.source == UNIT else "the first fix")
-            )
+            awaited = "the unit's local frame" if self._origin.source == UNIT else "the first fix"
+            degraded.append(f"map origin: ins/odometry and tf wait for {awaited}")
         elif self._origin.used != self._origin.source:
             degraded.append("the unit's local frame (channels 66, 67): map origin is the first fix")
         if self._parser.utc_offset is None:
             missing.append("UTC offset (leap-second table used)")
         if status.get("SerialNumber") is None and status.get("SerialNumber24") is None:
             missing.append("serial number")
-        values = {
-            "also missing": ", ".join(missing) or "nothing",
-            "channels seen": len(status.seen),
-            "map origin": self._origin.used or "none",
-        }
+        values = {"also missing": ", ".join(missing) or "nothing", "channels seen": len(status.seen),
+                  "map origin": self._origin.used or "none"}
         if degraded:
             return Check("completeness", WARN, "missing: " + "; ".join(degraded), values)
         return Check("completeness", OK, "complete", values)
 
     def _time(self) -> Check:
         offset = self._parser.utc_offset
-        values: dict[str, Any] = {
-            "time jumps": self._parser.time_jumps,
-            "UTC offset [s]": "leap-second table" if offset is None else offset,
-        }
+        values: dict[str, Any] = {"time jumps": self._parser.time_jumps,
+                                  "UTC offset [s]": "leap-second table" if offset is None else offset}
         figures = self._statistics.stamp_minus_host() if self._live else None
         if figures is None:
             return Check("time", OK, "not compared with the host's clock" if not self._live else "no time yet", values)

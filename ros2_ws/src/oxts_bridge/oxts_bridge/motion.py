@@ -1,20 +1,135 @@
 """Motion of the vehicle in the axes and units of ROS from one packet, the origin of the map frame, and odometry
 reconstructed from recorded packets. No ROS in here.
+
+NED and FRD (forward, right, down) of the wire become ENU and FLU (forward, left, up), WGS84 latitude, longitude, height
+become a local east-north-up frame:
+
+    R_enu_flu = T R_no F,  T = [[0,1,0],[1,0,0],[0,0,-1]],  F = diag(1,-1,-1),  R_no = Rz(heading) Ry(pitch) Rx(roll)
+    as fixed-axis angles: roll = roll, pitch = -pitch, yaw = pi/2 - heading
+
+Plain floats: for single vectors numpy is ten times slower. Source: ncom.md sections 9 to 11 (REP-103). Checked by:
+test_geometry.py (worked examples; ellipsoid radii as the short-distance limit), and st_sim against the inverse.
 """
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from math import degrees, isfinite, isnan, radians
+from math import cos, degrees, isfinite, isnan, pi, radians, sin, tau
 from typing import NamedTuple
 
-from .geometry import Attitude, LocalFrame, Quaternion, Vector, enu_from_ned, flu_from_frd
+from .ncom import ECCENTRICITY_SQUARED, radii
 from .packet_time import NEW, SAME
 from .status import StatusTracker
 from .stream import HostMinute, NcomParser, Received
 
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
 FIRST_FIX, GIVEN, UNIT = "first_fix", "given", "unit"
 # A unit repeats its local frame about every 200 packets; one that has not sent it after this time has none [ns].
 LOCAL_FRAME_TIMEOUT_NS = 10_000_000_000
+
+
+def yaw_from_heading(heading: float) -> float:
+    """Yaw from east, counter-clockwise [rad], in (-pi, pi], from a heading from north, clockwise [rad]."""
+    yaw = (1.5 * pi - heading) % tau - pi
+    return pi if yaw == -pi else yaw
+
+
+class Attitude:
+    """Orientation of the vehicle (FLU) in ENU from heading, pitch, roll as sent [rad] (NED to FRD)."""
+
+    __slots__ = ("_rows", "pitch", "roll", "yaw")
+
+    def __init__(self, heading: float, pitch: float, roll: float) -> None:
+        self.yaw = yaw_from_heading(heading)
+        self.pitch = -pitch
+        self.roll = roll
+        sy, cy = sin(self.yaw), cos(self.yaw)
+        sp, cp = sin(self.pitch), cos(self.pitch)
+        sr, cr = sin(roll), cos(roll)
+        self._rows = (
+            cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr,
+            sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr,
+            -sp, cp * sr, cp * cr)
+
+    def quaternion(self) -> Quaternion:
+        """x, y, z, w of the rotation body to ENU, w >= 0."""
+        sy, cy = sin(self.yaw / 2), cos(self.yaw / 2)
+        sp, cp = sin(self.pitch / 2), cos(self.pitch / 2)
+        sr, cr = sin(self.roll / 2), cos(self.roll / 2)
+        x, y = sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy
+        z, w = cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy
+        return (x, y, z, w) if w >= 0 else (-x, -y, -z, -w)
+
+    def to_body(self, enu: Vector) -> Vector:
+        """Components along forward, left, up of a vector given as east, north, up."""
+        a, b, c, d, e, f, g, h, i = self._rows
+        x, y, z = enu
+        return a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
+
+    def to_enu(self, body: Vector) -> Vector:
+        """Components along east, north, up of a vector given as forward, left, up."""
+        a, b, c, d, e, f, g, h, i = self._rows
+        x, y, z = body
+        return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
+
+    def covariance_to_body(self, enu_variances: Vector) -> tuple[float, ...]:
+        """R^T diag(east^2, north^2, up^2) R, row by row: covariance in body axes of independent ENU errors."""
+        rows = self._rows
+        ve, vn, vu = enu_variances
+        xx, xy, xz = (
+            ve * rows[0] * rows[j] + vn * rows[3] * rows[3 + j] + vu * rows[6] * rows[6 + j] for j in (0, 1, 2)
+        )
+        yy, yz = (ve * rows[1] * rows[j] + vn * rows[4] * rows[3 + j] + vu * rows[7] * rows[6 + j] for j in (1, 2))
+        zz = ve * rows[2] ** 2 + vn * rows[5] ** 2 + vu * rows[8] ** 2
+        return xx, xy, xz, xy, yy, yz, xz, yz, zz
+
+    def orientation_covariance(self, roll: float, pitch: float, heading: float) -> tuple[float, ...]:
+        """Rz(yaw) diag(roll^2, pitch^2, heading^2) Rz(yaw)^T, row by row: errors about the fixed axes, small pitch
+        and roll.
+
+        roll, pitch, heading: one standard deviation [rad].
+        """
+        s, c = sin(self.yaw), cos(self.yaw)
+        r, p = roll * roll, pitch * pitch
+        cross = (r - p) * s * c
+        return c * c * r + s * s * p, cross, 0.0, cross, s * s * r + c * c * p, 0.0, 0.0, 0.0, heading * heading
+
+
+def flu_from_frd(frd: Vector) -> Vector:
+    """(forward, right, down) to (forward, left, up)."""
+    return frd[0], -frd[1], -frd[2]
+
+
+def to_ecef(latitude: float, longitude: float, height: float) -> tuple[float, float, float]:
+    """Earth-centred x, y, z [m] of latitude, longitude [rad], height above the ellipsoid [m]."""
+    normal = radii(latitude)[1]
+    across = (normal + height) * cos(latitude)
+    z = (normal * (1 - ECCENTRICITY_SQUARED) + height) * sin(latitude)
+    return across * cos(longitude), across * sin(longitude), z
+
+
+class LocalFrame:
+    """East-north-up frame at an origin."""
+
+    def __init__(self, latitude: float, longitude: float, altitude: float) -> None:
+        """latitude, longitude: [rad]; altitude: [m], of the same kind (geoid or ellipsoid) as the positions.
+
+        Raises ValueError for an origin that is not finite.
+        """
+        if not (isfinite(latitude) and isfinite(longitude) and isfinite(altitude)):
+            raise ValueError(f"origin {latitude}, {longitude}, {altitude} is not finite")
+        self._ecef = to_ecef(latitude, longitude, altitude)
+        self._rotation = sin(latitude), cos(latitude), sin(longitude), cos(longitude)
+
+    def enu(self, latitude: float, longitude: float, altitude: float) -> tuple[float, float, float]:
+        """East, north, up [m] of a position from the origin."""
+        x, y, z = to_ecef(latitude, longitude, altitude)
+        x0, y0, z0 = self._ecef
+        dx, dy, dz = x - x0, y - y0, z - z0
+        s_lat, c_lat, s_lon, c_lon = self._rotation
+        outward = c_lon * dx + s_lon * dy
+        return -s_lon * dx + c_lon * dy, -s_lat * outward + c_lat * dz, c_lat * outward + s_lat * dz
 
 
 @dataclass(slots=True)
@@ -86,17 +201,10 @@ def motion_of(received: Received) -> Motion | None:
     if not isfinite(total):
         return None
     attitude = Attitude(packet.heading, packet.pitch, packet.roll)
-    velocity = enu_from_ned(packet.velocity_ned)
-    return Motion(
-        packet.latitude,
-        packet.longitude,
-        packet.altitude,
-        attitude,
-        velocity,
-        attitude.to_body(velocity),
-        flu_from_frd(packet.angular_rate),
-        flu_from_frd(packet.acceleration),
-    )
+    north, east, down = packet.velocity_ned
+    velocity = east, north, -down
+    return Motion(packet.latitude, packet.longitude, packet.altitude, attitude, velocity, attitude.to_body(velocity),
+                  flu_from_frd(packet.angular_rate), flu_from_frd(packet.acceleration))
 
 
 class Origin:
@@ -113,9 +221,7 @@ class Origin:
         self.frame: LocalFrame | None = None
         self.degrees: tuple[float, float, float] | None = None
         self._since_ns: int | None = None
-        if source == GIVEN:
-            if given is None:
-                raise ValueError("origin_source given needs an origin")
+        if given is not None:
             self._set(GIVEN, *given)
 
     def update(self, motion: Motion, status: StatusTracker, now_ns: int) -> LocalFrame | None:
@@ -148,9 +254,8 @@ class ReconstructedOdometry(NamedTuple):
     rate: Vector
 
 
-def reconstruct_odometry(
-    packets: Iterable[tuple[int, bytes]], origin: Origin, live: bool = True, by_receive_time: bool = False
-) -> Iterator[ReconstructedOdometry]:
+def reconstruct_odometry(packets: Iterable[tuple[int, bytes]], origin: Origin, live: bool = True,
+                         by_receive_time: bool = False) -> Iterator[ReconstructedOdometry]:
     """Odometry as the live node published it from recorded packets, equal to the last bit; about 20 us per packet.
 
     packets: (received [ns since 1970], 72 bytes), in order of receipt. origin: as configured in the node. live: from a

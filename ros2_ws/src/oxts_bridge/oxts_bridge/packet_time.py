@@ -186,7 +186,7 @@ def packet_times(
     times, order = np.full(len(ms), -1, np.int64), np.where(ahead > 0, NEW, SAME).astype(np.int8)
     counted, steps = turns * MINUTE_MS + ms, np.cumsum(ahead * 1_000_000 > LARGEST_STEP_NS)
     waiting, clock, k = list(hints), GpsClock(), 0
-    numbers, all_ms, all_minutes = memoryview(index), memoryview(ms), memoryview(minutes)  # cheap to read one by one
+    numbers, all_ms, all_minutes = index.data, ms.data, minutes.data  # cheap to read one by one
     next_event, next_sent = [*events.tolist(), len(ms)], [*sent.tolist(), len(ms)]
     while k < len(ms):
         while waiting and waiting[0][0] < numbers[k]:

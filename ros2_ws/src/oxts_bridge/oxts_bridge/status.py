@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import degrees, isfinite, sqrt
+from math import cos, degrees, isfinite, radians, sin, sqrt
 
 from .channels import FIELDS, TRIGGER_CHANNELS, decode_channel, trigger_nanoseconds
 from .fields import Value
-from .geometry import origin_from_channel_25, wrap_degrees
+from .ncom import radii
 from .stream import Received
 
 # Fields that are replaced by a value derived from several of them.
@@ -39,14 +39,9 @@ class StatusTracker:
         self._local_frame: dict[str, Value] = {}
         self._wheel: tuple[float, int] | None = None
 
-    def update(
-        self,
-        channel: int,
-        data: bytes,
-        gps_seconds: float | None = None,
-        position: tuple[float, float, float] | None = None,
-        decoded: Mapping[str, Value] | None = None,
-    ) -> dict[str, Value]:
+    def update(self, channel: int, data: bytes, gps_seconds: float | None = None,
+               position: tuple[float, float, float] | None = None,
+               decoded: Mapping[str, Value] | None = None) -> dict[str, Value]:
         """Fields that the 8 bytes of a channel set; empty if the bytes are those of the previous time.
 
         gps_seconds: time of the packet, for wheel speed. position: its latitude, longitude [rad], altitude [m], for
@@ -107,10 +102,8 @@ class StatusTracker:
     @property
     def local_frame(self) -> tuple[float, float, float, float] | None:
         """Origin latitude, longitude [deg], altitude [m], heading [deg] of the unit's last complete local frame."""
-        latitude, longitude, altitude, heading = (self.values.get(name) for name in LOCAL_FRAME)
-        if latitude is None or longitude is None or altitude is None or heading is None:
-            return None
-        return latitude, longitude, altitude, heading
+        # All four are set together.
+        return None if self.get("RefLat") is None else tuple(self.values[name] for name in LOCAL_FRAME)
 
     def _has_local_frame(self) -> bool:
         return all(self._local_frame.get(name) is not None for name in LOCAL_FRAME)
@@ -133,10 +126,30 @@ class StatusTracker:
         marked = None in (x, y, heading) or data == b"\x80\0\0\0\x80\0\0\0"
         if self._has_local_frame() or marked or position is None or not all(map(isfinite, position)):
             return
-        latitude, longitude, altitude, heading = origin_from_channel_25(x, y, heading, *position)
-        fields.update(
-            RefLat=degrees(latitude), RefLon=degrees(longitude), RefAlt=altitude, RefHeading=wrap_degrees(heading)
-        )
+        origin = origin_from_channel_25(x, y, heading, *position)
+        fields.update(zip(LOCAL_FRAME, origin, strict=True))
+
+
+def origin_from_channel_25(x: float, y: float, heading: float, latitude: float, longitude: float,
+                           altitude: float) -> tuple[float, float, float, float]:
+    """Local frame of old firmware: latitude, longitude [deg], altitude [m] of its origin, heading [deg] of its x axis.
+
+    x, y: present position in the local frame [m], heading: of its x axis from north [deg]. latitude, longitude [rad],
+    altitude [m]: present position. The latitude is iterated because the radii are those at the origin.
+    """
+    s, c = sin(radians(heading)), cos(radians(heading))
+    north, east = x * c + y * s, x * s - y * c
+    origin = latitude
+    for _ in range(4):
+        meridian, normal = radii(origin)
+        origin = latitude - north / (meridian + altitude)
+    longitude -= east / ((normal + altitude) * cos(origin))
+    return degrees(origin), degrees(longitude), altitude, wrap_degrees(heading)
+
+
+def wrap_degrees(angle: float) -> float:
+    """The angle [deg] in (-180, 180]."""
+    return 180.0 - (180.0 - angle) % 360.0
 
 
 def up_time(code: int) -> int:

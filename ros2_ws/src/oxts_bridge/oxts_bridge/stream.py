@@ -1,7 +1,9 @@
 """Timed NCOM packets from bytes in portions of any size. No input bytes make it raise an exception."""
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
+from statistics import median
 
 from . import channels
 from .channels import TRIGGER_CHANNELS
@@ -28,6 +30,9 @@ _NO_VECTOR = (NAN, NAN, NAN)
 _NO_FIELDS: Mapping[str, Value] = {}
 # A stream without channel 0 for this long gets its minute from the host's clock [ns].
 HOST_MINUTE_DELAY_NS = 2_000_000_000
+# A step longer than this many typical ones is a gap.
+GAP_STEPS = 1.75
+_OFFSETS = 1000  # four seconds at 250 Hz
 
 
 @dataclass(slots=True)
@@ -192,6 +197,55 @@ class HostMinute:
             return False
         clock.hint(host_minute(received_ns, received.packet.milliseconds))
         return True
+
+
+class StreamStatistics:
+    """Rate, gaps and delay of the fresh timed packets of the series (no triggers, no late packets)."""
+
+    def __init__(self) -> None:
+        self.gaps = 0
+        self._typical_ns = 0
+        self._last_gps_ns: int | None = None
+        self._offsets: deque[int] = deque(maxlen=_OFFSETS)
+        self._steps, self._covered_ns, self._longest_ns = 0, 0, 0  # since take()
+
+    def add(self, received: Received) -> None:
+        if received.gps_ns is None:
+            return
+        if self._last_gps_ns is not None:
+            step = received.gps_ns - self._last_gps_ns
+            if step > 0:
+                self._step(step)
+        self._last_gps_ns = received.gps_ns
+        if received.received_ns is not None and received.utc_ns is not None:
+            self._offsets.append(received.utc_ns - received.received_ns)
+
+    def _step(self, step: int) -> None:
+        self._steps += 1
+        self._covered_ns += step
+        self._longest_ns = max(self._longest_ns, step)
+        if not self._typical_ns:
+            self._typical_ns = step
+        elif step > GAP_STEPS * self._typical_ns:
+            self.gaps += 1
+            # Slow adaptation: a changed rate becomes typical, a lost packet has little effect.
+            self._typical_ns += min(step - self._typical_ns, self._typical_ns) // 64
+        else:
+            self._typical_ns += (step - self._typical_ns) // 64
+
+    def take(self) -> tuple[float, float]:
+        """Mean rate [1/s] and longest step [s] since the previous call."""
+        rate = self._steps / (self._covered_ns * 1e-9) if self._covered_ns else 0.0
+        longest, self._steps, self._covered_ns, self._longest_ns = self._longest_ns * 1e-9, 0, 0, 0
+        return rate, longest
+
+    def stamp_minus_host(self) -> tuple[float, float, float] | None:
+        """Median, 1st percentile and newest value of packet time minus receive time [s]; negative: it is older."""
+        offsets = list(self._offsets.copy())
+        if not offsets:
+            return None
+        newest, ordered = offsets[-1], sorted(offsets)
+        return median(ordered) * 1e-9, ordered[len(ordered) // 100] * 1e-9, newest * 1e-9
 
 
 def _mask(packet: Packet, rule: Rule, kind: str) -> bool:

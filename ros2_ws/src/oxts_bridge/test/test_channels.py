@@ -102,6 +102,8 @@ def test_values_by_hand():
     assert decode_channel(16, b"\0" * 7 + bytes([0xDC]))["TimeUtcOffset"] is None
     assert decode_channel(48, b"\x74\x28\x0a\x14" + b"\xff" * 4)["Undulation"] == pytest.approx(51.78)
     assert decode_channel(48, b"\x00\x80" + b"\xff" * 6)["Undulation"] is None
+    assert decode_channel(48, b"\xff" * 8)["Undulation"] is None
+    assert decode_channel(48, b"\xff\xff\x0a\x14" + b"\xff" * 4)["Undulation"] == pytest.approx(-0.005)
     assert decode_channel(1, bytes([0x15, 0xEB, 0x14, 1, 1, 1, 1, 1]))["InnPosX"] == pytest.approx(1.0)
     assert decode_channel(1, bytes([0x15, 0xEB, 0x14, 1, 1, 1, 1, 1]))["InnPosY"] == pytest.approx(-1.1)
     assert decode_channel(1, bytes([0x15, 0xEB, 0x14, 1, 1, 1, 1, 1]))["InnPosZ"] is None

@@ -13,7 +13,7 @@ pytest.importorskip("rclpy", reason="no ROS here")
 pytest.importorskip("st_msgs.msg", reason="the workspace is not built")
 
 from ins_rig import free_port, launch
-from oxts_bridge.settings import PARAMETERS, check
+from oxts_bridge.node import PARAMETERS, check
 from ros_processes import free_domain
 from st_ros.parameters import ConfigurationError
 

@@ -6,10 +6,9 @@ import threading
 import time
 
 import pytest
-from oxts_bridge.health import StreamStatistics
 from oxts_bridge.ncom import NcomError, decode
 from oxts_bridge.sources import EARTH_RADIUS, Continuity, ReplaySource, UdpSource, is_address
-from oxts_bridge.stream import NcomParser
+from oxts_bridge.stream import NcomParser, StreamStatistics
 
 START = 24_015_600 * 60_000 + 1_000  # GPS time [ms]
 

@@ -34,7 +34,7 @@ def declared() -> dict[str, tuple[Parameter, ...]]:
         "recorder": params.RECORDER,
         "markers": params.MARKERS,
         "identifier": params.IDENTIFIER,
-        "oxts_bridge": importlib.import_module("oxts_bridge.settings").PARAMETERS,
+        "oxts_bridge": importlib.import_module("oxts_bridge.node").PARAMETERS,
         "canedge_bridge": importlib.import_module("canedge_bridge.node").PARAMETERS,
     }
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from oxts_bridge.channels import encode_channel
-from oxts_bridge.geometry import Attitude
+from oxts_bridge.motion import Attitude
 from oxts_bridge.ncom import Packet, encode
 from st_recordings.runs.ncom import NcomLog, read_ncom
 from st_recordings.runs.rows import UNKNOWN_VARIANCE, Covariances, quaternion

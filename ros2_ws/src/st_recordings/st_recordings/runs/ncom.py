@@ -7,8 +7,7 @@ import numpy as np
 from oxts_bridge import file_decoder, packet_time
 from oxts_bridge.channels import decode_channel
 from oxts_bridge.file_decoder import Columns
-from oxts_bridge.geometry import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS
-from oxts_bridge.ncom import BATCH_S, BY_STATUS, NcomError
+from oxts_bridge.ncom import BATCH_S, BY_STATUS, ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS, NcomError
 from st_core.checks import InsQuality
 
 from .errors import RunError, check_readable, share
@@ -87,7 +86,7 @@ def to_body(vector: np.ndarray, yaw: np.ndarray, pitch: np.ndarray, roll: np.nda
 
 def enu(origin: tuple[float, float, float], latitude: np.ndarray, longitude: np.ndarray,
         altitude: np.ndarray) -> np.ndarray:
-    """(3, n) east, north, up [m] of the origin's tangent plane, the columns of oxts_bridge.geometry.LocalFrame."""
+    """(3, n) east, north, up [m] of the origin's tangent plane, the columns of oxts_bridge.motion.LocalFrame."""
     dx, dy, dz = ecef(latitude, longitude, altitude) - ecef(*(np.array([v]) for v in origin))
     s_lat, c_lat, s_lon, c_lon = np.sin(origin[0]), np.cos(origin[0]), np.sin(origin[1]), np.cos(origin[1])
     outward = c_lon * dx + s_lon * dy
