@@ -96,6 +96,9 @@ def test_a_file_that_holds_one_of_two_names_says_so(logs):
     mended = VehicleUpdate(CAR, "", found.model, ("yaw_inertia",), {"yaw_inertia": (1.0, 0.86, 0.8, 0.9)}, {})
     told = report_text.to_do(found, mended)
     assert any("the first of yaw inertia × 0.8600 or mass × 1.020; these drives do not separ" in t for t in told)
+    more = replace(found, minor=found.effects)
+    told = report_text.to_do(more, replace(mended, text="name: x", error=(0.33, 0.31)))
+    assert any("alone it changes the position error after 5 s from 0.33 m to 0.31 m" in t for t in told)
 
 
 def test_changes_of_the_vehicle_file_have_their_unit():

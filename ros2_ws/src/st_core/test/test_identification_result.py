@@ -47,6 +47,12 @@ def test_document_is_what_identification_json_holds():
     assert found.document()["mass"]["runs"] == ["one", "two"]
 
 
+def test_a_verdict_states_once_that_zero_is_inside():
+    found = outcome(estimate("steering_wheel_offset", 0.001))
+    again = replace(found, estimates=replace(found).estimates)
+    assert again["steering_wheel_offset"].verdict == "Said. Not distinguishable from zero."
+
+
 def test_coverage_counts_filled_bins():
     coverage = Coverage("speed", "m/s", np.array([0.0, 5.0, 10.0, 15.0]), np.array([100, 3, 50]), 20, 3)
     assert (coverage.filled, coverage.enough) == (2, False)

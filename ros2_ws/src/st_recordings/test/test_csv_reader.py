@@ -93,6 +93,13 @@ def test_times_as_a_spreadsheet_stores_them(tmp_path: Path) -> None:
     assert "days of a spreadsheet" in drive.warnings[0]
 
 
+def test_a_held_position_behind_lost_rows_has_no_known_time(tmp_path: Path) -> None:
+    lines = [f"{0.01 * k:.3f},{0.2 * (k // 10 * 10):.3f},0,0,20,0,0,0,0,0" for k in range(400)]
+    del lines[118:128], lines[239:244]
+    log = read_csv(write(tmp_path, [HEADER, *lines])).log
+    np.testing.assert_allclose(log.x, 20.0 * log.ins_time_ns * 1e-9, atol=1e-6)
+
+
 def test_times_that_repeat_and_never_go_back(tmp_path: Path) -> None:
     lines = [line for line in rows(40) for _ in range(3)]
     drive = read_csv(write(tmp_path, [HEADER, *lines]))

@@ -139,7 +139,7 @@ def draw_prediction(found: Identification, place: Place) -> Drawn:
         for axis, one in (("x", first), ("y", second)):
             unit = _unit(one.parameter)[1]
             getattr(pair, f"set_{axis}label")(one.parameter.replace("_", " ") + (f", {unit}" if unit != "1" else ""))
-        pair.legend(loc="best", fontsize=8)
+        pair.legend(loc="lower left", fontsize=8)
         title = "; ".join(f"{e.parameter.replace('_', ' ')} {_value(e)}" for e in (first, second))
         return finish(figure, place, found.what, title,
                       "Left: predicted minus measured, dotted lines between runs. Right: the first parameter and the "

@@ -183,7 +183,8 @@ def details(found: Identification) -> dict[str, Any]:
 def page(found: Sequence[Identification], figures: Sequence[Drawn | None], vehicle: VehicleParameters,
          facts: dict[str, Any]) -> str:
     """report.html: one file that loads nothing."""
-    values = [f"{name.replace('_', ' ')} " + (status if status == "unidentifiable" else f"{value} {unit} ({status})")
+    values = [f"{name.replace('_', ' ')} "
+              + (status if status == "unidentifiable" else f"{value} {unit}".removesuffix(" 1") + f" ({status})")
               for one in found for name, value, _, _, unit, _, status in rows(one, vehicle)]
 
     def excitation(c: Coverage) -> tuple[list[str], list[list[str]]]:

@@ -27,6 +27,8 @@ QUATERNION = {f"orientation_{axis}" for axis in "xyzw"}
 HELD_SHARE = 0.3
 """Of the rows in which the car moves by several steps of the position's resolution and the position stays the same:
 with more, the position is slower than the rows."""
+LOST_ROWS, LATE_SHARE = 2.5, 0.1
+"""Times the usual interval: rows are lost. Of the new positions: with more behind lost rows, the stamps jitter."""
 REGULAR_SHARE = 0.9
 """Of the distances between known samples of a channel [rows] that are multiples of the usual distance: with more, the
 blanks between them are its lower rate, not lost samples."""
@@ -217,6 +219,10 @@ def _spread_held_positions(table: Table, columns: dict[str, np.ndarray], notes: 
     if held.sum() <= HELD_SHARE * max(moving.sum(), 1):
         return
     fresh = np.concatenate(([True], new))
+    # Behind lost rows a new position may be as old as they are: when it was true is not known.
+    behind = np.concatenate(([False], np.diff(seconds) > LOST_ROWS * np.median(np.diff(seconds))))
+    if (fresh & behind).sum() <= LATE_SHARE * fresh.sum() and (fresh & ~behind).sum() > 2:
+        fresh &= ~behind
     for name in ("x", "y"):
         values = columns[name].copy()
         values[rows] = np.interp(seconds, seconds[fresh], columns[name][rows][fresh])
