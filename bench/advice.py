@@ -76,7 +76,7 @@ def run() -> dict:
     sources = [one for one in find_runs(folders) if not one.name.startswith(OTHERS)]
     file = config("vehicle/hyundai_genesis.yaml")
     task = Task(VehicleParameters.from_yaml(file.read_text(), str(file)), MODELS, EvaluationSettings())
-    advice = measure(sources, task, TOLERANCE)
+    advice = measure(sources, task)
     figure(advice.costs, advice.accuracies, TOLERANCE, Place(project_root() / "docs" / "images", ("png",)))
     rows = advice_report.rows(advice.costs, advice.accuracies)
     choice = advice_report.choice_rows(cheapest(advice.costs, advice.accuracies, TOLERANCE))

@@ -42,12 +42,12 @@ def _draw_signal(ax: plt.Axes, signal: SharedSignal, alignment: Alignment, whole
         known = np.isfinite(signal.reference)
         values = np.polyval(np.polyfit(np.interp(reference[known], other, values), signal.reference[known], 1), values)
     start = -np.inf if whole else _liveliest(reference, signal.reference, other)
-    for time, line, style in ((reference, signal.reference, {"color": MEASURED_COLOUR, "lw": 3, "alpha": 0.55,
-                                                             "label": "INS recording"}),
-                              (other, values, {"color": OTHER_COLOUR, "lw": 1.0, "label": "CAN log"})):
+    for time, line, colour, width, alpha, label in (
+            (reference, signal.reference, MEASURED_COLOUR, 3.0, 0.55, "INS recording"),
+            (other, values, OTHER_COLOUR, 1.0, 1.0, "CAN log")):
         rows = np.flatnonzero((time >= start) & (time <= (np.inf if whole else start + CLOSE_UP)))
         rows = rows[::max(len(rows) // MOST_POINTS, 1)]
-        ax.plot(time[rows], line[rows], **style)
+        ax.plot(time[rows], line[rows], color=colour, lw=width, alpha=alpha, label=label)
     units = {"velocity": "m/s", "speed": "m/s", "rate": "rad/s", "curvature": "1/m, steering scaled"}
     unit = next((unit for word, unit in units.items() if word in signal.name), "rad")
     ax.set(title="Aligned" if whole else f"The liveliest {CLOSE_UP:.0f} s", xlabel="s after the first INS measurement",

@@ -62,24 +62,19 @@ def export(model: Model, vehicle: VehicleParameters, folder: Path, kind: Format,
         files = [folder / f"{symbolic.name}.c", folder / f"{symbolic.name}.h"]
     description = describe(symbolic, model, vehicle, [f.name for f in files])
     if bands is not None:
-        files += _band_files(model, vehicle, bands, folder)
+        found = {(mode, level): band for (name, mode), band in bands.bands.items() if name == model.name
+                 for level in band.factors if level in LEVELS}
+        if not found:
+            raise ConfigurationError(f"bands: none of {model.name}, only of {', '.join(bands.models)}; calibrate with "
+                                     "it")
+        for (mode, level), band in found.items():
+            name = f"{model.name}_band_{mode}_{100 * level:.0f}"
+            files.append(folder / f"{name}.casadi")
+            half_width_function(band, level, vehicle, name).save(str(files[-1]))
     written = [*files, folder / "model.json", folder / "README.md"]
     written[-2].write_text(json.dumps(description, indent=2) + "\n", encoding="utf-8")
     written[-1].write_text(_readme(description, kind), encoding="utf-8")
     return written
-
-
-def _band_files(model: Model, vehicle: VehicleParameters, bands: Bands, folder: Path) -> list[Path]:
-    found = {(mode, level): band for (name, mode), band in bands.bands.items() if name == model.name
-             for level in band.factors if level in LEVELS}
-    if not found:
-        raise ConfigurationError(f"bands: none of {model.name}, only of {', '.join(bands.models)}; calibrate with it")
-    files = []
-    for (mode, level), band in found.items():
-        name = f"{model.name}_band_{mode}_{100 * level:.0f}"
-        files.append(folder / f"{name}.casadi")
-        half_width_function(band, level, vehicle, name).save(str(files[-1]))
-    return files
 
 
 def describe(symbolic: SymbolicModel, model: Model, vehicle: VehicleParameters, files: list[str]) -> dict[str, Any]:
@@ -111,44 +106,29 @@ def _entry(variable: Variable) -> dict[str, Any]:
 
 
 def _readme(description: dict[str, Any], kind: Format) -> str:
-    name, p = description["model"], "p" if description["parameters"] else ""
-    step = ", ".join(filter(None, ("x", "u", "h", p)))
-    effects = ", ".join(description["effects"]) or "none"
-
-    def listed(kind: str) -> str:
-        return ", ".join(f"{one['name']} [{one['unit']}]" for one in description[kind]) or "none"
-
-    lines = [
+    name, p = description["model"], ", p" if description["parameters"] else ""
+    states, inputs, parameters = (", ".join(f"{one['name']} [{one['unit']}]" for one in description[key]) or "none"
+                                  for key in ("states", "inputs", "parameters"))
+    stable = ", ".join(f"{h} s: {v:g} m/s" for h, v in description["stable_above_m_s"].items())
+    missing = ", ".join(description["effects_not_in_the_equations"])
+    how = (f'```python\nimport casadi\nstep = casadi.Function.load("{name}_step.casadi")\n'
+           f"x_next = step(x, u, h{p})\n```" if kind == "casadi" else
+           f"Compile `{name}.c` (C99, needs libm only) and include `{name}.h`. Matrices are column by column, "
+           "Jacobians without their structural zeros: `_sparsity_out` gives the places of the entries. Call "
+           f"`{name}_step(arguments, results, iw, w, 0)` with arrays of pointers of the sizes in `{name}_step_work`.")
+    return "\n\n".join(filter(None, (
         f"# {name}: single-track model of {description['vehicle']['name']}",
-        "",
-        f"Base model {description['base']}; effects: {effects}. st_core {description['version']}, vehicle hash "
-        f"{description['vehicle']['hash'][:12]}. SI units. Frame: {description['frame']}.",
-        "",
-        f"States x: {listed('states')}. Inputs u: {listed('inputs')}. Parameters p: {listed('parameters')}. "
-        "Bounds, and the arguments and results of each function, are in model.json; use the bounds, or narrower ones, "
-        "as constraints.",
-        "",
+        f"Base model {description['base']}; effects: {', '.join(description['effects']) or 'none'}. st_core "
+        f"{description['version']}, vehicle hash {description['vehicle']['hash'][:12]}. SI units. Frame: "
+        f"{description['frame']}.",
+        f"States x: {states}. Inputs u: {inputs}. Parameters p: {parameters}. Bounds, and the arguments and results of "
+        "each function, are in model.json; use the bounds, or narrower ones, as constraints.",
         "`dynamics`: time derivative. `step`: classical Runge-Kutta over h [s], inputs held, "
-        f"{description['substeps']} part(s). A, B: derivatives by x and by u. `start`: the six states with the "
-        "extra ones as they are at a start.",
-        "",
-        "A step h is stable above this speed (a slow car is stiff): "
-        + ", ".join(f"{h} s: {v:g} m/s" for h, v in description["stable_above_m_s"].items()) + ".",
-        "",
-    ]
-    if description["effects_not_in_the_equations"]:
-        lines += [f"Not in the equations: {', '.join(description['effects_not_in_the_equations'])}. They act on the "
-                  "steering signal before the model, or on the sensors; apply them outside.", ""]
-    if kind == "casadi":
-        lines += ["```python", "import casadi", f'step = casadi.Function.load("{name}_step.casadi")',
-                  f"x_next = step({step})", "```", ""]
-    else:
-        lines += [f"Compile `{name}.c` (C99, needs libm only) and include `{name}.h`. Matrices are column by column, "
-                  "Jacobians without their structural zeros: `_sparsity_out` gives the places of the entries. "
-                  "Arguments and results are arrays of pointers:", "", "```c",
-                  f"{name}_step(arguments, results, iw, w, 0);", "```", "",
-                  f"Sizes of the four arrays: `{name}_step_work`.", ""]
-    return "\n".join(lines)
+        f"{description['substeps']} part(s). A, B: derivatives by x and by u. `start`: the six states with the extra "
+        "ones as they are at a start.",
+        f"A step h is stable above this speed (a slow car is stiff): {stable}.",
+        f"Not in the equations: {missing}. They act on the steering signal before the model, or on the sensors; apply "
+        "them outside." if missing else "", how))) + "\n"
 
 
 MAX_LOG = 60.0

@@ -24,7 +24,6 @@ from st_offline.discovery import quantities
 from st_offline.discovery.figures import relation_figure, shown
 from st_offline.discovery.relation_files import effect_file, name_of, relation_document, write_files
 from st_offline.discovery.relation_report import (
-    CommandLine,
     RelationReport,
     next_drive_sentences,
     relation_report,
@@ -54,11 +53,10 @@ def proposal(place: str, quantity: str, parity: float, by: str = "") -> Relation
 registry = pytest.fixture(restored)
 LAP = replace(drive(CAR, 10.0, lambda time: 0.05 * np.sin(time), seconds=5.0), name="lap")
 ANSWER = discovery([LAP], [("mass", {"factor": 1.2}, 0.8)], 1.0)
-START = CommandLine(["my drives/lap.csv"], ["--car", "leaf", "--offset", "0.1"], ["--car", "leaf"], "out")
 
 
 def text_of(said: RelationSearch) -> str:
-    return "\n".join(line for _, lines in relation_report(said, ANSWER, CAR, START).groups for line in lines)
+    return "\n".join(line for _, lines in relation_report(said, ANSWER, CAR, "out").groups for line in lines)
 
 
 @pytest.mark.parametrize(("place", "quantity", "parity", "by"), EVERY, ids=[f"{p}-{q}-{b}" for p, q, _, b in EVERY])
@@ -96,7 +94,7 @@ def test_the_file_keeps_the_promises_of_an_effect(tmp_path, registry, place, qua
 
 
 def test_the_curve_is_drawn_in_the_units_of_an_engineer():
-    assert set(quantities.AXES) == set(quantities.PLACES) == set(ADMISSIBLE)
+    assert set(quantities.PLACES) == set(ADMISSIBLE)
     assert [shown(unit)[1] for unit in ("rad", "1", "m/s^2", "rad per rad/s")] == [
         "°", "%", "m/s²", "rad per rad/s"]
     assert shown("1")[0] == 100.0 and shown("rad")[0] == pytest.approx(57.2958)
@@ -113,7 +111,6 @@ def test_what_comes_and_goes_is_told_and_a_law_of_time_is_no_file(tmp_path, regi
     lines = text_of(said)
     assert "nearly absent in other (its size by run, 95 %: lap 1.2 ± 0.2, other 0.1 ± 0.2)" in lines
     assert "no effect file is written" in lines and "once beginning elsewhere on the course" in lines
-    assert relation_report(said, ANSWER, CAR, START).commands == []
     assert write_files(said, CAR, ["lap"], "2026-01-01", {}, tmp_path) == {} and not list(tmp_path.iterdir())
 
 
@@ -131,7 +128,7 @@ def test_what_is_written_says_what_it_is(tmp_path, registry):
     assert "mass is stated above, but is redundant with this relation (0.4% of" in lines
     assert "1 of 1 runs" in lines
     assert "widest interval at -6 m/s²: " in lines and "± 1.1 ° (95 %)" in lines
-    assert "y = 2 u (in proportion; keeps 97% of" in lines and "textbook causes: a cause. These" in lines
+    assert "y = 2 u (linear; keeps 97% of" in lines and "textbook causes: a cause. These" in lines
     assert "u: lateral acceleration (left +), m/s²" in lines
     content = relation_document(said)
     assert content["proposal"]["place"] == "rear_steer" and len(content["proposal"]["curve"]["at"]) == 41
@@ -166,7 +163,7 @@ def test_without_a_proposal_the_reason_is_told(tmp_path):
     said = RelationSearch(None, "no relation is significant", {})
     assert write_files(said, CAR, [], "", {}, tmp_path) == {} and not list(tmp_path.iterdir())
     groups = [("proposal", ["none: no relation is significant"])]
-    assert relation_report(said, ANSWER, CAR, START) == RelationReport(groups)
+    assert relation_report(said, ANSWER, CAR, "out") == RelationReport(groups)
     said = RelationSearch(None, "the curve of side_force over speed runs into its bound",
                      {"side_force over speed": (0.1, 0.2)})
     assert "none: the curve of side force on the body as a function of the speed runs into its bound" in text_of(said)
@@ -175,20 +172,16 @@ def test_without_a_proposal_the_reason_is_told(tmp_path):
 
 def test_the_error_of_every_run_and_both_sizes_of_a_value_are_tabled():
     found = RelationSearch(proposal("rear_steer", "acceleration_y", -1.0), "", {})
-    by_run, values = relation_report(found, ANSWER, CAR, START).tables
+    by_run, values = relation_report(found, ANSWER, CAR, "out").tables
     assert by_run.rows == [("lap", "1.000", "0.800", "0.500", "−0.300 (−38 %)"),
                            ("all windows", "1.000", "0.800", "0.500", "−0.300 (−38 %)")]
     assert values.rows == [("mass", "× 1.20; mass 1590 → 1908 kg", "× 1.10; mass 1590 → 1749 kg")]
 
 
-def test_commands_can_be_copied():
-    found = RelationSearch(proposal("rear_steer", "acceleration_y", -1.0), "", {})
-    told = relation_report(found, ANSWER, CAR, START)
-    commands = dict(told.commands)
-    assert commands["test the file"] == "./st effects check out/effects/proposed_rear_steer.py --car leaf"
-    assert commands["search for more"] == ("./st discover 'my drives/lap.csv' --car leaf --offset 0.1 --base "
-                                           "out/proposed.yaml --effects out/effects")
-    assert "--model nonlinear --model out/proposed.yaml --effects out/effects" in commands["predict drives with it"]
+def test_the_files_are_named_with_the_options_that_take_them():
+    lines = text_of(RelationSearch(proposal("rear_steer", "acceleration_y", -1.0), "", {}))
+    assert "--model out/proposed.yaml --effects out/effects of st evaluate" in lines
+    assert "st effects check out/effects/proposed_rear_steer.py" in lines
 
 
 def test_what_to_drive_next_is_said_with_what_it_brings():
@@ -219,6 +212,6 @@ def test_what_to_drive_next_is_said_with_what_it_brings():
 
 def test_a_run_that_becomes_much_worse_is_in_the_first_line():
     one = replace(proposal("rear_steer", "acceleration_y", -1.0), runs={"lap": (0.8, 0.5), "rain": (0.20, 0.26)})
-    report = relation_report(RelationSearch(one, "", {}), ANSWER, CAR, START)
+    report = relation_report(RelationSearch(one, "", {}), ANSWER, CAR, "out")
     assert "WORSE by a quarter or more in rain (0.20 → 0.26 m)" in report.headline
     assert report.groups[0][1][0].startswith("WORSE by a quarter or more in rain")

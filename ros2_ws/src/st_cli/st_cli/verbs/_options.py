@@ -147,13 +147,6 @@ class ReadOptions:
         return SteeringField(self.steering_topic or "", self.steering_field or "data", self.steering_is,
                              self.steering_unit, self.steering_sign or 1)
 
-    def words(self, *names: str) -> tuple[str, ...]:
-        """The options that were given, as words of a command line; of these fields only, if any are named."""
-        given = [(f.name, getattr(self, f.name)) for f in fields(self)
-                 if getattr(self, f.name) != f.default and (not names or f.name in names)]
-        return tuple(str(word) for name, value in given
-                     for word in (f"--{name.replace('_', '-')}", *(value if isinstance(value, tuple) else (value,))))
-
 
 BAG_INPUTS = ("car", "vehicle", "steering_sign", "steering_topic", "steering_field", "steering_is", "steering_unit",
               "odometry_topic")

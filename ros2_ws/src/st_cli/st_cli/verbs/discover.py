@@ -89,8 +89,7 @@ def discover(
         request = Request(
             base, parameters, str(file), file.read_text(encoding="utf-8"),
             DiscoverySettings(channels=tuple(_parts(channels)), seed=seed, certify=certify), runs, reference, read,
-            effects, output, jobs, tuple(_parts(figures)), report, not fresh, force, propose, read_options.words(),
-            read_options.words("car", "vehicle"))
+            effects, output, jobs, tuple(_parts(figures)), report, not fresh, force, propose)
         status = run_command(request, Console())
     if vehicle is None:
         shared.report_default_car("discover", file)

@@ -6,7 +6,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
-from rich.table import Table
+from rich.console import Console
 from st_core.bands.shares import PARAMETERS, SENSORS, Intervals, share_squares
 from st_core.log_evaluation import AXES, EvaluationSettings
 from st_core.log_signals import LogSignals
@@ -57,7 +57,7 @@ def band_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
     rows = []
     for model, modes in (content or {"models": {}})["models"].items():
         for mode, one in modes.items():
-            worst, end = one["worst_cell"], _last(one["half_width"].get("0.9"))
+            worst, widths = one["worst_cell"], list((one["half_width"].get("0.9") or {}).values())
             scores, crps = one["interval_score"].get("0.9"), one["crps"]
             rows.append({
                 "model": model, "question": {"hindsight": "model", "forecast": "forecast"}[mode],
@@ -65,7 +65,7 @@ def band_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
                 "50 % covers": _share(one["coverage"].get("0.5")), "90 % covers": _share(one["coverage"].get("0.9")),
                 "worst cell": f"{worst['coverage']:.0%} ({worst['cell']}, {worst['starts']} starts)" if worst else "-",
                 "interval score 90 %, along | across, m": _pair(scores), "CRPS, along | across, m": _pair(crps),
-                "half-width 90 %, along | across, m": _pair(end)})
+                "half-width 90 %, along | across, m": _pair(widths[-1] if widths else None)})
     return rows
 
 
@@ -78,26 +78,23 @@ def adaptive_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
             for model, modes in (content or {}).items() for mode, one in modes.items()]
 
 
-def bands_table(reports: Sequence[Any], width: int) -> Table | None:
-    """Of all runs together; None where no bands were tested."""
-    if not any(report.bands for report in reports):
-        return None
-    content = finished(pooled_sums([report.bands for report in reports]))
-    known = content["known_recordings"]
-    caption = f"{len(known)} of the files were used for calibration: not a test of the bands" if known else None
-    return rows_table(band_rows(content), title="Bands: how often the whole path lies inside", caption=caption,
-                      width=min(width, 200))
-
-
-def adaptive_table(reports: Sequence[Any], width: int) -> Table:
-    """Of all runs together."""
-    pooled = finished_adaptive(pooled_sums([{"adaptive": report.bands["adaptive"]} for report in reports]))
-    return rows_table(adaptive_rows(pooled), title="Adaptive bands: how often the whole path lies inside",
-                      width=min(width, 140))
-
-
-def _last(seconds: dict[str, dict[str, float]] | None) -> dict[str, float] | None:
-    return list(seconds.values())[-1] if seconds else None
+def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Console) -> None:
+    """The tables of all runs together. sums: of each run. tested, adaptive: whether bands and adaptive ones are."""
+    pooled, title = pooled_sums(sums), "how often the whole path lies inside"
+    if tested:
+        content = finished(pooled)
+        known = content["known_recordings"]
+        caption = f"{len(known)} of the files were used for calibration: not a test of the bands" if known else None
+        console.print(rows_table(band_rows(content), title=f"Bands: {title}", caption=caption,
+                                 width=min(console.width, 200)), highlight=False)
+    elif not adaptive:
+        console.print(HOW_TO_GET, highlight=False, soft_wrap=True)
+    if adaptive:
+        console.print(rows_table(adaptive_rows(finished_adaptive(pooled)), title=f"Adaptive bands: {title}",
+                                 width=min(console.width, 140)))
+    if rows := share_rows(finished_shares(pooled)):
+        console.print(rows_table(rows, title="What the error is made of, inputs as they were: shares of its mean "
+                                 "square, along | across", width=min(console.width, 140)))
 
 
 def _share(value: float | None) -> str:
@@ -173,15 +170,6 @@ def share_rows(shares: Mapping[str, Any]) -> list[dict[str, str]]:
                              else "not stated")
             rows.append(row)
     return rows
-
-
-def shares_table(shares: Mapping[str, Any], width: int) -> Table | None:
-    rows = share_rows(shares)
-    if not rows:
-        return None
-    return rows_table(
-        rows, title="What the error is made of, inputs as they were: shares of its mean square, along | across",
-        width=min(width, 140))
 
 
 def _array(seconds: Mapping[str, Mapping[str, float]]) -> np.ndarray:

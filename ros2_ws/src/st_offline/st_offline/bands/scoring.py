@@ -190,11 +190,11 @@ def _add(total: Sums, one: Mapping[str, Any]) -> None:
 def finished(sums: Sums) -> dict[str, Any]:
     """{model: {mode: shares and means}} and the known recordings; None where no start had a band."""
     return {"known_recordings": sums.get("known_recordings", []),
-            "models": {model: {mode: _question(one) for mode, one in modes.items()}
+            "models": {model: {mode: _means(one) for mode, one in modes.items()}
                        for model, modes in sums.get("models", {}).items()}}
 
 
-def _question(sums: Sums) -> dict[str, Any]:
+def _means(sums: Sums) -> dict[str, Any]:
     count = sums["starts"]
     means = _divided({key: sums[key] for key in ("coverage", "axes", "seconds", "interval_score", "crps", "half_width",
                                                  "reliability") if key in sums}, count)

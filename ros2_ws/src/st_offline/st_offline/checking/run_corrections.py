@@ -51,7 +51,9 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
         lines.append(f"# it was read with --steering-sign {read.steering_sign} --steering-latency "
                      f"{read.steering_latency:g}\n")
     settings = with_corrections(_settings(source, file, read), corrections)
-    content = {"name": source.name, **_files(source, file), **settings}
+    files = {READERS[source.kind].key: _relative(source.where, file),
+             **({"can": [_relative(path, file) for path in source.can]} if source.can else {})}
+    content = {"name": source.name, **files, **settings}
     return "".join(lines) + yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None)
 
 
@@ -106,13 +108,6 @@ def _add(known: dict[str, Any], entry: Mapping[str, Any]) -> None:
         else:
             before = known.get(key, [])
             known[key] = [*before, *(one for one in value if one not in before)] if isinstance(value, list) else value
-
-
-def _files(source: RunSource, file: Path) -> dict[str, Any]:
-    found: dict[str, Any] = {READERS[source.kind].key: _relative(source.where, file)}
-    if source.can:
-        found["can"] = [_relative(path, file) for path in source.can]
-    return found
 
 
 def _settings(source: RunSource, file: Path, read: ReadSettings) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from .discovery_report import document, model_file, show, write_page
 from .drives import Drive, Request, answer_key, cache_folder, cached_answer, keep_answer, read_drives
 from .figures import Scene, agreement, axle_curves, maps, relation_figure, waterfall
 from .relation_files import relation_document, write_files
-from .relation_report import CommandLine, RelationReport, relation_report
+from .relation_report import RelationReport, relation_report
 from .vehicle_update import VehicleUpdate, update_vehicle
 
 
@@ -46,7 +46,13 @@ def run_command(request: Request, console: Console) -> int:
         found, earlier = _answer(request, base, progress)
         marks.append(time.perf_counter())
         search = indicated(found) if request.propose is None else request.propose
-        relations = _relations(request, found, progress) if search else None
+        relations = None
+        if search:
+            bar = progress.add_task("searching for a relation beyond the library", total=None)
+            reported = {(one["name"], channel) for d in drives if d.log is not None for one in d.about["findings"]
+                        if one["severity"] != "note" for channel in one["channels"]}
+            relations = find_relation(found, _logs(drives), request.vehicle, request.settings, request.jobs,
+                                      lambda: progress.advance(bar), reported)
     marks.append(time.perf_counter())
     seconds = {"read": marks[1] - marks[0], "discover": marks[2] - marks[1]}
     if relations:
@@ -57,8 +63,7 @@ def run_command(request: Request, console: Console) -> int:
         if drawn is not None and relations and relations.relation:
             drawn.insert(0, relation_figure(relations.relation, place))
         update = update_vehicle(found, request)
-        typed = CommandLine([*map(str, request.runs)], request.given, request.given_vehicle, str(folder))
-        report = relation_report(relations, found, request.vehicle, typed) if relations else None
+        report = relation_report(relations, found, request.vehicle, str(folder)) if relations else None
         files = write_results(found, request, update, folder, drawn, seconds, relations, report)
     recordings = (*drives, *healthy)
     show(found, update, recordings, files, earlier, console, report)
@@ -155,14 +160,6 @@ def _answer(request: Request, base: Model, progress: Progress) -> tuple[Discover
     if file:
         keep_answer(file, found)
     return found, False
-
-
-def _relations(request: Request, found: Discovery, progress: Progress) -> RelationSearch:
-    bar = progress.add_task("searching for a relation beyond the library", total=None)
-    reported = {(one["name"], channel) for d in request.drives if d.log is not None for one in d.about["findings"]
-                if one["severity"] != "note" for channel in one["channels"]}
-    return find_relation(found, _logs(request.drives), request.vehicle, request.settings, request.jobs,
-                         lambda: progress.advance(bar), reported)
 
 
 def measured(drives: Sequence[Drive]) -> dict[str, tuple[float, float, float]]:

@@ -10,7 +10,6 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 from st_core.discovery import Discovery
-from st_core.discovery.result import FittedParameter
 from st_core.model_file import Interval, ModelFile, Provenance
 from st_core.vehicle import quantity
 from st_recordings.paths import finite
@@ -48,8 +47,9 @@ def provenance(found: Discovery, request: Request, seconds: Mapping[str, float])
     return {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "vehicle": {"name": request.vehicle.name, "file": request.vehicle_file, "hash": request.vehicle.hash},
-        "base": {"model": request.base, "values": {e: dict(v) for e, v in found.base.values.items()
-                                                    if _not_null(found, e)}},
+        "base": {"model": request.base, "values": {
+            e.name: dict(found.base.values[e.name]) for e in found.base.effects
+            if any(p.fit and found.base.values[e.name][p.name] != p.null for p in e.parameters)}},
         "settings": asdict(request.settings),
         "runs": {d.name: d.about for d in request.drives if d.log is not None},
         "reference": {d.name: d.about for d in request.healthy if d.log is not None},
@@ -60,11 +60,6 @@ def provenance(found: Discovery, request: Request, seconds: Mapping[str, float])
         "versions": versions(),
         "seconds": dict(seconds),
     }
-
-
-def _not_null(found: Discovery, name: str) -> bool:
-    effect = next(e for e in found.base.effects if e.name == name)
-    return any(p.fit and found.base.values[name][p.name] != p.null for p in effect.parameters)
 
 
 def model_file(found: Discovery, request: Request, update: VehicleUpdate) -> ModelFile | None:
@@ -94,8 +89,8 @@ def model_file(found: Discovery, request: Request, update: VehicleUpdate) -> Mod
         if all(values[p.name] == p.null for p in effect.parameters if p.fit):
             continue
         effective = name in update.folded or found.named is None or (
-            not _inside(values, stated[name]) if name in stated
-            else name not in minor and values != found.named.values.get(name))
+            not all(p.interval[0] <= values[key] <= p.interval[1] for key, p in stated[name].items())
+            if name in stated else name not in minor and values != found.named.values.get(name))
         if name in stated and not effective:
             kept[name] = whole.effects[name]
             continue
@@ -107,10 +102,6 @@ def model_file(found: Discovery, request: Request, update: VehicleUpdate) -> Mod
     if not kept:
         return None
     return ModelFile(whole.base, kept, whole.vehicle, whole.vehicle_name, whole.vehicle_hash, about)
-
-
-def _inside(values: Mapping[str, float], parameters: Mapping[str, FittedParameter]) -> bool:
-    return all(p.interval[0] <= values[name] <= p.interval[1] for name, p in parameters.items())
 
 
 def write_page(file: Path, found: Discovery, update: VehicleUpdate | None, content: dict[str, Any],
@@ -204,8 +195,11 @@ def show(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Dr
     recordings: all runs, with those that could not be used. earlier: the answer is from the cache. law: the search for
     a relation beyond the library.
     """
+    def answer(question: str, text: str) -> None:
+        console.print(f"[bold]{question}[/bold]: {escape(text)}", highlight=False)
+
     for role, text in report_text.drives(found):
-        _print(role, text, console)
+        answer(role, text)
     console.print(f"[bold]{escape(report_text.title(found))}[/bold]", highlight=False)
     if law is not None and law.headline:
         console.print(f"[bold]{escape(law.headline)}[/bold]", highlight=False)
@@ -219,16 +213,10 @@ def show(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Dr
     for question, text in (*report_text.summary(found, update, about),
                            *(("to do", text) for text in advice),
                            *(("warning", text) for text in found.warnings)):
-        _print(question, text, console)
-    for what, command in law.commands if law is not None else ():  # not wrapped: they are copied
-        console.print(f"[bold]{escape(what)}[/bold]: {escape(command)}", soft_wrap=True, highlight=False)
+        answer(question, text)
     for drive in recordings:
         if drive.problem:
             report_problem(drive.name, drive.problem, console)
     if earlier:
         console.print("[dim]Cached answer to the same inputs; --fresh repeats the search.[/dim]")
     list_files({file: WHAT[name] for name, file in files.items()}, console)
-
-
-def _print(question: str, text: str, console: Console) -> None:
-    console.print(f"[bold]{question}[/bold]: {escape(text)}", highlight=False)

@@ -52,8 +52,7 @@ class Request:
     runs, reference: paths of recordings; drives, healthy: the same as read. read: how. effects: folder of own effects;
     own_effects: sha256 of each file in it. output: folder, None for runs/discover-<time>. jobs: processes. formats: of
     figure files. report: whether one is written. cached: whether earlier results may be used. force: use runs in which
-    a check finds an error. propose: search for a relation beyond the library; None: where much is unexplained. given:
-    options that name the car and the reading of the recordings, as typed; given_vehicle: those that every verb takes.
+    a check finds an error. propose: search for a relation beyond the library; None: where much is unexplained.
     """
 
     base: str
@@ -72,8 +71,6 @@ class Request:
     cached: bool = True
     force: bool = False
     propose: bool | None = None
-    given: Sequence[str] = ()
-    given_vehicle: Sequence[str] = ()
     drives: Sequence[Drive] = ()
     healthy: Sequence[Drive] = ()
     own_effects: Mapping[str, str] = field(default_factory=dict)

@@ -247,7 +247,7 @@ def relation_figure(one: Relation, place: Place) -> Drawn:
         # Most driving is straight at constant speed; a linear scale would hide the other bins.
         driven.set(yscale="log", ylim=(0.02, 100.0), yticks=(0.1, 1.0, 10.0, 100.0))
         driven.yaxis.set_major_formatter("{x:g}")
-        driven.set(ylabel="share of the\ndriving, %", xlabel=f"{quantities.quantity(c)}, {across_unit}")
+        driven.set(ylabel="share of the\ndriving, %", xlabel=f"{quantities.QUANTITIES[c.quantity]}, {across_unit}")
         before, after = one.position_5s
         title = (f"PROPOSAL: {title_of(one)}; held-out position error after 5 s: "
                  f"{before:.3f} m without it, {after:.3f} m with it")

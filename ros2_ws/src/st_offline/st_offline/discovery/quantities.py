@@ -117,18 +117,6 @@ PLACES = {
     "sensor_velocity_y": "error of the lateral velocity of the INS",
     "sensor_heading": "error of the heading of the INS",
 }
-AXES = {
-    "front_steer": "front wheels turned further to the left by", "rear_steer": "rear wheels turned to the left by",
-    "front_force": "lateral force of the front axle, to the left, divided by its static load",
-    "rear_force": "lateral force of the rear axle, to the left, divided by its static load",
-    "front_grip": "lateral force of the front axle larger by", "rear_grip": "lateral force of the rear axle larger by",
-    "both_grip": "lateral force of both axles larger by",
-    "yaw_moment": "yaw moment to the left, divided by the yaw inertia",
-    "side_force": "side force to the left, divided by the mass", "sensor_yaw_rate": "yaw rate is shown too large by",
-    "sensor_acceleration_y": "lateral acceleration is shown too large by",
-    "sensor_velocity_y": "lateral velocity is shown too large by", "sensor_heading": "heading is shown too large by",
-}
-"""The vertical axis of the curve; left +."""
 QUANTITIES = {
     "slip_front": "slip angle of the front axle", "slip_rear": "slip angle of the rear axle",
     "steering": "road-wheel angle", "acceleration_y": "lateral acceleration", "acceleration_x": "forward acceleration",
@@ -144,21 +132,12 @@ SIGNS = {"acceleration_x": " (derivative of the forward speed, also where a bend
          "steering_rate": " (to the left +)", "slip_front": " (axle moving to its left +)",
          "slip_rear": " (axle moving to its left +)"}
 """Positive direction of a quantity."""
-SHAPES = {"linear": "in proportion", "straight line": "straight line with an offset"}
-"""Longer names of shapes."""
-
-
-def place(c: Candidate) -> str:
-    return PLACES[c.place]
-
-
-def quantity(c: Candidate) -> str:
-    return QUANTITIES[c.quantity]
 
 
 def axis(c: Candidate) -> str:
-    """Label of the vertical axis."""
-    return f"{AXES[c.place]}{f', for each unit of {QUANTITIES[c.by]}' if c.by else ''}"
+    """Label of the vertical axis; a grip is a share of the force, a force a share of the static load."""
+    side = "" if c.place.endswith("grip") or c.of_sensor else ", left +"
+    return f"{PLACES[c.place]}{side}{f', for each unit of {QUANTITIES[c.by]}' if c.by else ''}"
 
 
 def in_newtons(c: Candidate, vehicle: VehicleParameters) -> str:
@@ -173,8 +152,8 @@ def in_newtons(c: Candidate, vehicle: VehicleParameters) -> str:
 def title(c: Candidate, constant: bool = False) -> str:
     by = f", for each {QUANTITIES[c.by]}" if c.by else ""
     if constant:
-        return f"{place(c)}{by}, the same at every {quantity(c)}"
-    return f"{place(c)}{by}, as a function of the {quantity(c)}"
+        return f"{PLACES[c.place]}{by}, the same at every {QUANTITIES[c.quantity]}"
+    return f"{PLACES[c.place]}{by}, as a function of the {QUANTITIES[c.quantity]}"
 
 
 def named(name: str) -> str:

@@ -1,6 +1,5 @@
 """Report of a proposed relation, for terminal and page: statements by question, tables, commands, next drives."""
 
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -26,29 +25,16 @@ Groups = list[tuple[str, list[str]]]
 
 @dataclass(frozen=True)
 class RelationReport:
-    """groups: (question, sentences). commands: (purpose, command line). headline: the proposal in a line, "" without
-    one."""
+    """groups: (question, sentences). headline: the proposal in a line, "" without one."""
 
     groups: Groups
     tables: Sequence[Table] = ()
-    commands: Sequence[tuple[str, str]] = ()
     headline: str = ""
 
 
-@dataclass(frozen=True)
-class CommandLine:
-    """The discovery as typed. runs, options: its words; options name the source of the recordings. vehicle: the part of
-    them that every verb takes. folder: of the results."""
-
-    runs: Sequence[str]
-    options: Sequence[str]
-    vehicle: Sequence[str]
-    folder: str
-
-
 def relation_report(found: RelationSearch, answer: Discovery, vehicle: VehicleParameters,
-                    typed: CommandLine) -> RelationReport:
-    """Everything that is reported of a search for a relation."""
+                    folder: str) -> RelationReport:
+    """Everything that is reported of a search for a relation. folder: of the results."""
     one = found.relation
     unseen = ", ".join(quantities.PLACES[name] for name in found.unseen())
     excluded: Groups = [("not excluded", [f"a relation at these places, which the drives could not show: {unseen}"]
@@ -65,10 +51,10 @@ def relation_report(found: RelationSearch, answer: Discovery, vehicle: VehiclePa
     groups: Groups = [("proposal", proposal), ("effect size", _effect_size(one, answer, found.why)),
                       ("formula", _formula(one, vehicle)), ("uncertainty of the curve", _uncertainty(one)),
                       ("alternatives", _alternatives(one)), ("next drive", next_drive_sentences(one)), *excluded,
-                      ("files", _files(one, answer.model is not None))]
+                      ("files", _files(one, answer.model is not None, folder))]
     filled = [(question, lines) for question, lines in groups if lines]
     tables = [_errors_by_run(one, answer), *_values_with_and_without(one, answer, vehicle)]
-    return RelationReport(filled, tables, _commands(one, typed), headline)
+    return RelationReport(filled, tables, headline)
 
 
 def _effect_size(one: Relation, answer: Discovery, why: str) -> list[str]:
@@ -84,11 +70,12 @@ def _effect_size(one: Relation, answer: Discovery, why: str) -> list[str]:
 def _formula(one: Relation, vehicle: VehicleParameters) -> list[str]:
     c = one.candidate
     lines = [f"{'or ' if k else ''}{r.text.replace('^2', '²').replace('^3', '³')} "
-             f"({quantities.SHAPES.get(r.shape, r.shape)}; keeps {r.kept:.0%} of the curve's held-out gain when "
+             f"({r.shape}; keeps {r.kept:.0%} of the curve's held-out gain when "
              "simulated in its place)" for k, r in enumerate(one.formulas)
              ] or ["no simple formula keeps 90 % of the curve's held-out gain when simulated in its place"]
-    return [*lines, f"y: {quantities.axis(c)}, {c.unit.translate(SQUARES)}; u: {quantities.quantity(c)}"
-            f"{quantities.SIGNS.get(c.quantity, '')}, {QUANTITIES[c.quantity].translate(SQUARES)}",
+    return [*lines, f"y: {quantities.axis(c)}, {c.unit.translate(SQUARES)}; u: "
+            f"{quantities.QUANTITIES[c.quantity]}{quantities.SIGNS.get(c.quantity, '')}, "
+            f"{QUANTITIES[c.quantity].translate(SQUARES)}",
             *filter(None, [quantities.in_newtons(c, vehicle)])]
 
 
@@ -96,8 +83,8 @@ def _uncertainty(one: Relation) -> list[str]:
     """Driven range, the widest interval, sparse ranges, variation between runs."""
     c, widest = one.candidate, int(one.deviation.argmax())
     (up, unit), (across, across_unit) = shown(c.unit), shown(QUANTITIES[c.quantity])
-    lines = [f"driven: {quantities.quantity(c)} from {across * c.low:.3g} to {across * c.high:.3g} {across_unit}"
-             "; the curve is constant beyond",
+    lines = [f"driven: {quantities.QUANTITIES[c.quantity]} from {across * c.low:.3g} to {across * c.high:.3g} "
+             f"{across_unit}; the curve is constant beyond",
              f"widest interval at {across * one.at[widest]:.3g} {across_unit}: {up * one.value[widest]:.2g} ± "
              f"{up * report_text.Z95 * one.deviation[widest]:.2g} {unit} (95 %)"]
     if one.drives.thin:
@@ -124,11 +111,14 @@ def _alternatives(one: Relation) -> list[str]:
     return lines
 
 
-def _files(one: Relation, corrected: bool) -> list[str]:
+def _files(one: Relation, corrected: bool, folder: str) -> list[str]:
     """corrected: whether the answer without the relation has files of its own."""
     if one.candidate.quantity == "run_time":
         return ["no effect file is written: the time in a run predicts nothing of another drive"]
-    lines = [f"with the relation: the original vehicle file, proposed.yaml and effects/{name_of(one)}.py"]
+    lines = [f"with the relation: the original vehicle file, proposed.yaml and effects/{name_of(one)}.py. To predict "
+             f"drives: --model {folder}/proposed.yaml --effects {folder}/effects of st evaluate, demo and export; to "
+             f"search for more: --base {folder}/proposed.yaml --effects {folder}/effects of st discover; to test the "
+             f"file: st effects check {folder}/effects/{name_of(one)}.py"]
     if corrected:
         lines += ["without the relation: vehicle.yaml and model.yaml",
                   "never proposed.yaml with vehicle.yaml: it contains the corrections of the vehicle file itself, "
@@ -136,41 +126,18 @@ def _files(one: Relation, corrected: bool) -> list[str]:
     return lines
 
 
-def _commands(one: Relation, typed: CommandLine) -> list[tuple[str, str]]:
-    if one.candidate.quantity == "run_time":
-        return []
-    folder, drives = typed.folder, one.drives
-    separating, precise = drives.most_separating(), drives.most_precise(one.deviation)
-    options = dict.fromkeys(option.manoeuvre.name for option in (separating and separating[0], precise) if option)
-    model = [f"{folder}/proposed.yaml", "--effects", f"{folder}/effects"]
-    listed = [
-        ("test the file", ["effects", "check", f"{folder}/effects/{name_of(one)}.py", *typed.vehicle]),
-        ("predict drives with it",
-         ["evaluate", *typed.runs, *typed.options, "--model", "nonlinear", "--model", *model]),
-        ("for a controller, once another drive has confirmed it", ["export", *model, *typed.vehicle]),
-        ("search for more", ["discover", *typed.runs, *typed.options, "--base", *model]),
-        *(("see a next drive", ["demo", "--scenario", name]) for name in options)]
-    return [(what, shlex.join(["./st", *command])) for what, command in listed] + [
-        ("delete it", shlex.join(["rm", f"{folder}/effects/{name_of(one)}.py", f"{folder}/proposed.yaml"]))]
-
-
 def _errors_by_run(one: Relation, answer: Discovery) -> Table:
     first: Mapping[str, tuple[float, float]] = answer.steps[0].runs if answer.steps else {}
-    rows = []
-    for name, (without, with_it) in sorted(one.runs.items(), key=lambda item: item[1][1] - item[1][0]):
-        before = first.get(name)
-        rows.append((name, *_row(before[0] if before else None, without, with_it)))
     start = answer.steps[0].position_5s.base if answer.steps else None
-    rows.append(("all windows", *_row(start, *one.position_5s)))
+    errors = [(name, first[name][0] if name in first else None, *pair) for name, pair in sorted(
+        one.runs.items(), key=lambda item: item[1][1] - item[1][0])]
+    rows = [(name, "-" if before is None else f"{before:.3f}", f"{without:.3f}", f"{with_it:.3f}",
+             f"{with_it - without:+.3f} ({100.0 * (with_it / max(without, 1e-9) - 1.0):+.0f} %)".replace("-", "−"))
+            for name, before, without, with_it in (*errors, ("all windows", start, *one.position_5s))]
     return Table("Held-out mean position error after 5 s, by run, m",
                  "Every run is predicted with values fitted to other driving. Sorted by the change; + is a larger "
                  "error.",
                  ("run", answer.start, "with what is stated", "with the relation as well", "change"), rows)
-
-
-def _row(start: float | None, without: float, with_it: float) -> tuple[str, ...]:
-    change = f"{with_it - without:+.3f} ({100.0 * (with_it / max(without, 1e-9) - 1.0):+.0f} %)".replace("-", "−")
-    return "-" if start is None else f"{start:.3f}", f"{without:.3f}", f"{with_it:.3f}", change
 
 
 def _values_with_and_without(one: Relation, answer: Discovery, vehicle: VehicleParameters) -> list[Table]:

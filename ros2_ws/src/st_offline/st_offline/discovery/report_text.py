@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 from st_core.channels import WORDS
 from st_core.checks import Finding, Severity
-from st_core.discovery.decision import FILE
+from st_core.discovery.decision import FILE, FORCES, MINOR
 from st_core.discovery.following import MIN_SEPARATION
 from st_core.discovery.result import (
     PARTS,
@@ -15,7 +15,6 @@ from st_core.discovery.result import (
     FoundEffect,
     Power,
     Step,
-    Value,
     WhereStatement,
 )
 from st_core.discovery.settings import Limits
@@ -39,7 +38,8 @@ EFFECT_HEAD = ("effect", "value (95 % interval)", "5 s position error without it
 EFFECT_NOTE = ("All figures are of the complete answer on held-out drives; without it: the others fitted again. An "
                "effect is named if it is significant and reduces the error of a channel by "
                f"{100 * LIMITS.relevant:g} % of its baseline, or the 5 s position error by "
-               f"{LIMITS.relevant_position:g} m")
+               f"{LIMITS.relevant_position:g} m, or if it is an error of at least {LIMITS.size:g} times the usual size "
+               "that the sensors show among themselves")
 
 
 def by_any_name(found: Discovery, effect: FoundEffect, short: str = "") -> str:
@@ -166,28 +166,23 @@ def varying(one: BoundEffect) -> str:
             f"{shown}{more}")
 
 
-def significant(entries: Sequence[Value]) -> int:
-    """Number of parts of the driving with a share of the effect significantly above zero (95 %)."""
-    return sum(v.share - Z95 * v.deviation > 0.0 for v in entries)
-
-
 def agreement(effect: FoundEffect) -> str:
     """In how many runs (of few runs: parts of them) and sites an effect is significant separately."""
     counts = []
     for level in ("run", "site"):
         shown = effect.agreement.get(level, ())
         called = "parts of runs" if any(", part " in v.where for v in shown) else f"{level}s"
-        counts += [f"{significant(shown)} of {len(shown)} {called}"] if shown else []
+        above = sum(v.share - Z95 * v.deviation > 0.0 for v in shown)
+        counts += [f"{above} of {len(shown)} {called}"] if shown else []
     return ", ".join(counts) or "-"
 
 
 def certainty(found: Discovery) -> list[str]:
     """The rule that decided, and how often it errs."""
     lines = [reason.text for reason in found.reasons if reason.subject == "answer"]
-    certificate = found.certificate
-    if certificate.driven:
-        lines.append(f"with the same inputs and without any effect, something was stated {certificate.alarms} of "
-                     f"{certificate.of} times")
+    if found.certificate.driven:
+        lines.append("with the same inputs and without any effect, something was stated "
+                     f"{found.certificate.alarms} of {found.certificate.of} times")
     return lines
 
 
@@ -307,7 +302,9 @@ def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
                      f"{metres(update.error[0])} to {metres(update.error[1])} on held-out drives{where}; "
                      "use model.yaml")
     lines += update.objections if update is not None else ()
-    lines += acausal(found)
+    lines += [f"{plain(e.name)} is negative ({short_values(e.name, {name: p})}): the reaction would precede its cause: "
+              "a clock or a stated latency is wrong; look at the clocks (st check, st align) before using it"
+              for e in found.effects for name, p in e.parameters.items() if p.unit == "s" and p.interval[1] < 0.0]
     if update is not None and update.folded:
         entries = (keys(update.changes) if len(update.changes) <= MAX_KEYS else
                    f"{len(update.changes)} entries are corrected")
@@ -344,28 +341,17 @@ def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
     return lines or ["nothing"]
 
 
-def acausal(found: Discovery) -> list[str]:
-    """A sentence for each delay that is significantly negative."""
-    return [f"{plain(e.name)} is negative ({short_values(e.name, {name: p})}): the reaction would precede its cause: a "
-            "clock or a stated latency is wrong; look at the clocks (st check, st align) before using it"
-            for e in found.effects for name, p in e.parameters.items() if p.unit == "s" and p.interval[1] < 0.0]
-
-
-def _plain_number(number: float) -> str:
-    """Four significant digits; whole numbers from 1000 up, as stiffnesses are read."""
-    return f"{number:.0f}" if abs(number) >= 1000.0 else f"{number:.4g}"
-
-
 def keys(changes_of: Mapping[str, Sequence[float]]) -> str:
     """Keys of a vehicle file before and after; SI, with the unit, since the file may use another."""
     units = {key: VEHICLE_QUANTITIES[key].si_unit.removesuffix("1") for key in changes_of if key in VEHICLE_QUANTITIES}
-    return ", ".join(f"{key} {_plain_number(before)} → {_plain_number(after)} {units.get(key, '')}".rstrip()
-                     for key, (before, after, *_) in changes_of.items())
+    numbers = {key: [f"{x:.0f}" if abs(x) >= 1000.0 else f"{x:.4g}" for x in pair[:2]]
+               for key, pair in changes_of.items()}
+    return ", ".join(f"{key} {' → '.join(pair)} {units.get(key, '')}".rstrip() for key, pair in numbers.items())
 
 
 def details(found: Discovery, update: VehicleUpdate | None) -> list[tuple[str, list[str]]]:
     """(question, lines of the answer) below the summary; empty answers are left out."""
-    why = {r.subject: r.text for r in found.reasons}
+    why = {r.subject: r.text for r in found.reasons if r.rule in (MINOR, FORCES)}
     minor = [f"{by_any_name(found, e)}: {why[e.name]}" for e in by_size(found.minor) if e.name in why]
     lines = [*((role, [text]) for role, text in drives(found)), ("meaning", meaning(found)),
              ("certainty", certainty(found)), ("not named", minor), ("what to do", to_do(found, update)[1:]),

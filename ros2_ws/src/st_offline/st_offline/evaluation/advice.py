@@ -1,6 +1,5 @@
 """`st evaluate --advise`: processor time and accuracy of each model at three steps on the same runs."""
 
-import csv
 import itertools
 import math
 import time
@@ -29,6 +28,7 @@ from st_core.types import ControlInput, VehicleState
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import RunError, RunSource, read
 
+from ..evaluation.tables import write_csv
 from ..evaluation.work import Task, load_models
 from ..terminal import line, list_files, rows_table
 
@@ -163,18 +163,17 @@ MULTIPLES = (1, 2, 4)  # of the integration step of the task
 
 @dataclass(frozen=True)
 class Advice:
-    """costs and accuracies by model and step [s]. unusable: reason for a missing accuracy. tolerance: [m]."""
+    """costs and accuracies by model and step [s]. unusable: reason for a missing accuracy."""
 
     costs: Mapping[Key, Cost]
     accuracies: Mapping[Key, Accuracy]
     unusable: Mapping[Key, str]
-    tolerance: float
 
 
 def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: Console) -> None:
     """Tables on the terminal, and advice.csv. Runs that cannot be used were named by the evaluation before."""
     with console.status("cost and accuracy of each model and step"):
-        advice = measure(sources, task, tolerance)
+        advice = measure(sources, task)
     found = rows(advice.costs, advice.accuracies)
     console.print(table(found, "Cost, error and band of each model and step", caption(advice.accuracies)))
     chosen = choice_rows(cheapest(advice.costs, advice.accuracies, tolerance))
@@ -184,14 +183,11 @@ def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: 
     if task.folder is None:
         return
     file = task.folder / "advice.csv"
-    with file.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, list(found[0]))
-        writer.writeheader()
-        writer.writerows(found)
+    write_csv(file, iter(found))
     list_files({file: "cost, error and band of each model and step"}, console)
 
 
-def measure(sources: Sequence[RunSource], task: Task, tolerance: float) -> Advice:
+def measure(sources: Sequence[RunSource], task: Task) -> Advice:
     """Raises ConfigurationError where no run can be used."""
     settings = {one.prediction.step: one for one in steps(task.settings)}
     models = load_models(task)
@@ -231,7 +227,7 @@ def measure(sources: Sequence[RunSource], task: Task, tolerance: float) -> Advic
             accuracies[name, step] = model_accuracy(runs, name, settings[step])
         except StCoreError as error:
             unusable[name, step] = str(error)
-    return Advice(cost, accuracies, unusable, tolerance)
+    return Advice(cost, accuracies, unusable)
 
 
 def steps(settings: EvaluationSettings) -> list[EvaluationSettings]:
@@ -253,7 +249,8 @@ def rows(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy]) -> list[
     found = []
     for (model, step), cost in costs.items():
         row = {"model": model, "step, s": f"{step:g}"}
-        row |= {f"{kind}, µs (x)": _time(getattr(cost, kind), least[kind]) for kind in least}
+        row |= {f"{kind}, µs (x)": f"{1e6 * spent:.3g} ({spent / least[kind]:.1f})"
+                if (spent := getattr(cost, kind)) is not None else "-" for kind in least}
         one = accuracies.get((model, step))
         seconds = one.second if one else max((w.second for w in accuracies.values()), default=())
         for name, values in (("error", one and one.rms), ("band", one and one.width)):
@@ -287,7 +284,3 @@ def caption(accuracies: Mapping[Key, Accuracy]) -> str:
 
 def choice_title(tolerance: float) -> str:
     return f"Cheapest with {SHARE:.0%} of starts within {tolerance:g} m across up to then, inputs as driven"
-
-
-def _time(seconds: float | None, least: float) -> str:
-    return "-" if seconds is None else f"{1e6 * seconds:.3g} ({seconds / least:.1f})"

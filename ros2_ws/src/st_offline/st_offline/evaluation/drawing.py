@@ -14,7 +14,6 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 from st_core.errors import ConfigurationError
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, RC
@@ -78,29 +77,20 @@ def finish(figure: Figure, where: Place, key: str, title: str, caption: str) -> 
     figure.draw_without_rendering()
     with plt.rc_context({"figure.constrained_layout.use": False}):
         figure.set_layout_engine(None)
-        _save(figure, where, key)
-        svg = _svg_below(figure, heading)
+        if where.folder is not None and where.formats:
+            where.folder.mkdir(parents=True, exist_ok=True)
+            for form in where.formats:
+                figure.savefig(where.folder / f"{key}.{form}",
+                               metadata={"CreationDate": None} if form == "pdf" else None)
+        width, height = figure.get_size_inches()
+        # Half a tick label extends above the highest axes.
+        below = heading.get_window_extent().y0 / figure.dpi + TICK_ROOM
+        heading.set_visible(False)
+        svg = io.StringIO()
+        figure.savefig(svg, format="svg", transparent=True, metadata={"Date": None}, dpi=PAGE_DPI,
+                       bbox_inches=Bbox([[0.0, 0.0], [width, min(below, height)]]))
     plt.close(figure)
-    return Drawn(key, title, caption, page_svg(svg, f"{where.prefix}{key}-"))
-
-
-def _save(figure: Figure, where: Place, key: str) -> None:
-    if where.folder is None or not where.formats:
-        return
-    where.folder.mkdir(parents=True, exist_ok=True)
-    for form in where.formats:
-        figure.savefig(where.folder / f"{key}.{form}", metadata={"CreationDate": None} if form == "pdf" else None)
-
-
-def _svg_below(figure: Figure, heading: Text) -> str:
-    width, height = figure.get_size_inches()
-    # Half a tick label extends above the highest axes.
-    below = heading.get_window_extent().y0 / figure.dpi + TICK_ROOM
-    heading.set_visible(False)
-    svg = io.StringIO()
-    figure.savefig(svg, format="svg", transparent=True, metadata={"Date": None}, dpi=PAGE_DPI,
-                   bbox_inches=Bbox([[0.0, 0.0], [width, min(below, height)]]))
-    return svg.getvalue()
+    return Drawn(key, title, caption, page_svg(svg.getvalue(), f"{where.prefix}{key}-"))
 
 
 def page_svg(svg: str, prefix: str) -> str:

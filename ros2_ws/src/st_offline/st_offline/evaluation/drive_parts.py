@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 from st_core.log import DriveLog
 from st_recordings.runs import Label
 
@@ -40,7 +41,8 @@ def drive_parts(log: DriveLog, labels: Sequence[Label] = ()) -> list[DrivePart]:
                 for part, yaw in zip(labels, edges, strict=True)]
     grid = np.arange(0.0, time[-1] + 0.5 * GRID, GRID)
     speed, yaw_rate, yaw = (np.interp(grid, time, v) for v in (log.velocity_x, log.yaw_rate, log.yaw))
-    states = _states(_smooth(speed), _smooth(yaw_rate))
+    width = 2 * round(0.5 * SMOOTHING / GRID) + 1
+    states = _states(*(uniform_filter1d(values, min(width, len(grid)), mode="nearest") for values in (speed, yaw_rate)))
     parts = []
     for first, last in _stretches(states, round(SHORTEST / GRID)):
         turned = float(yaw[last] - yaw[first])
@@ -93,9 +95,3 @@ def _name(state: int, turned: float, acceleration: float) -> str:
         return "braking" if acceleration < -HARD else "accelerating" if acceleration > HARD else "straight"
     shape = "wide curve" if state == 0 else "circle" if size >= CIRCLE else "U-turn" if size >= U_TURN else "turn"
     return ("left " if (state or turned) > 0 else "right ") + (shape if size >= BEND else "bend")
-
-
-def _smooth(values: np.ndarray) -> np.ndarray:
-    width = min(2 * round(0.5 * SMOOTHING / GRID) + 1, len(values))
-    padded = np.pad(values, (width // 2, width - 1 - width // 2), mode="edge")
-    return np.convolve(padded, np.full(width, 1.0 / width), mode="valid")

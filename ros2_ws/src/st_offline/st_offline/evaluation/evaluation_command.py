@@ -12,8 +12,7 @@ from st_core.errors import ConfigurationError
 from st_recordings.paths import new_folder
 from st_recordings.runs import RunError, RunSource, find_runs
 
-from ..bands.bands_report import HOW_TO_GET, adaptive_table, bands_table, finished_shares, shares_table
-from ..bands.scoring import pooled_sums
+from ..bands.bands_report import print_tables
 from ..checking.check_report import clock, findings_in, print_findings
 from ..terminal import line, list_files, progress_bars, report_problem
 from .drawing import check_formats
@@ -48,14 +47,7 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
     console.print(terminal_table(good, over, title, console.width))
     for key, value in settings_in_words(choices).items():
         line(f"[dim]{key}: {escape(value)}[/dim]", console)
-    tested = bands_table(good, console.width) if task.bands else None
-    adaptive = adaptive_table(good, console.width) if task.adaptive else None
-    if tested is not None or adaptive is None:
-        console.print(HOW_TO_GET if tested is None else tested, highlight=False, soft_wrap=tested is None)
-    if adaptive is not None:
-        console.print(adaptive)
-    if shares := shares_table(finished_shares(pooled_sums([report.bands for report in good])), console.width):
-        console.print(shares)
+    print_tables([report.bands for report in good], task.bands is not None, task.adaptive, console)
     if tolerance is not None:
         from .advice import advise  # half a second of libraries, needed for advice only
 
@@ -68,7 +60,11 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
     failed = [report for report in found if report.problem]
     for report in failed:
         report_problem(report.name, report.problem, console)
-    console.print(_times(good, time.perf_counter() - began), highlight=False)
+    spent = ", ".join(f"{part} {sum(r.seconds.get(part, 0.0) for r in good):.1f} s"
+                      for part in ("read", "predict", "draw"))
+    hours = sum(r.about["duration"] for r in good) / 3600.0
+    console.print(f"[dim]{len(good)} run{'' if len(good) == 1 else 's'}, {hours:.2f} h of driving in "
+                  f"{time.perf_counter() - began:.1f} s ({spent})[/dim]", highlight=False)
     return 1 if failed else 0
 
 
@@ -98,14 +94,6 @@ def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, schedul
         except WorkersError as error:
             raise ConfigurationError(str(error)) from None
     return [found[source.name] for source in sources]
-
-
-def _times(reports: Sequence[RunReport], wall: float) -> str:
-    parts = {part: sum(r.seconds.get(part, 0.0) for r in reports) for part in ("read", "predict", "draw")}
-    spent = ", ".join(f"{part} {seconds:.1f} s" for part, seconds in parts.items())
-    hours = sum(r.about["duration"] for r in reports) / 3600.0
-    runs = f"{len(reports)} run{'' if len(reports) == 1 else 's'}"
-    return f"[dim]{runs}, {hours:.2f} h of driving in {wall:.1f} s ({spent})[/dim]"
 
 
 MEMORY_PER_WORKER = "1500MB"  # a worker that needs more is restarted, and its run has failed

@@ -141,7 +141,7 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
     """content: of evaluation.json. bands: figures of the tested bands."""
     good = [r for r in reports if not r.problem]
     leading = [overview] if overview and len(good) > 1 else [f for r in good for f in r.figures[1:2]]
-    room, of_run = BUDGET, []  # of the first run; the others are files
+    room, of_run = BUDGET, list[Drawn]()  # of the first run; the others are files
     for figure in (f for f in good[0].figures if f not in leading) if good else ():
         room -= len(figure.svg.encode())
         if len(leading) + len(bands) + len(of_run) < MAX_FIGURES and room > 0:

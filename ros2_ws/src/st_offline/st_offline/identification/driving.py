@@ -1,7 +1,7 @@
 """`st identify` from driving: steering offset, ratio, INS mounting, cornering stiffness, yaw inertia; with figures."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -74,20 +74,16 @@ def draw_mounting(found: Identification, place: Place) -> Drawn:
                       "Slope of the line: INS ahead of the rear axle. Where it crosses zero curvature: misalignment.")
 
 
-def draw_regression(found: Identification, place: Place) -> Drawn:
-    """The paper's figure: axle force against slip angle, and the slope."""
-    with style():
-        figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
-        _clouds(panels, found, (found,))
-        return finish(figure, place, "stiffness-paper", f"Slopes {_both(found)}",
-                      "Dots: force and slip angle of the axle from force and moment balance, up to 2 deg of slip.")
-
-
 def draw_stiffness(found: Identification, place: Place) -> Drawn:
-    """Both estimators over the paper's cloud, and their 95 % intervals."""
-    data = found.figure
-    paper = data.get("paper")
+    """Axle force against slip angle, as in the paper; of the stiffness by prediction both slopes and 95 % regions."""
+    paper = found.figure.get("paper")
+    both = ", ".join(f"{axle} {_value(found[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))
+    cloud = "force and slip angle of the axle from force and moment balance, up to 2 deg of slip."
     with style():
+        if found.what == "stiffness-paper":
+            figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
+            _clouds(panels, found, (found,))
+            return finish(figure, place, found.what, f"Slopes {both}", f"Dots: {cloud}")
         figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 3.6), width_ratios=(1.2, 1.2, 1))
         if paper is not None:
             _clouds(panels[:2], paper, (paper, found))
@@ -105,7 +101,7 @@ def draw_stiffness(found: Identification, place: Place) -> Drawn:
                        for axis, e in (("x", front), ("y", rear))})
         pair.set(xlabel="front, kN/rad", ylabel="rear, kN/rad")
         pair.legend(fontsize=8)
-        return finish(figure, place, "stiffness", f"Cornering stiffness {_both(found)} by prediction",
+        return finish(figure, place, "stiffness", f"Cornering stiffness {both} by prediction",
                       "Left: the paper's force and slip, with both slopes. Right: 95 % intervals and region of both.")
 
 
@@ -201,43 +197,9 @@ def _value(estimate: Estimate) -> str:
     return text if unit == "1" else f"{text} {unit}"
 
 
-def _both(found: Identification) -> str:
-    return ", ".join(f"{axle} {_value(found[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))
-
-
 DISAGREEMENT = 0.15
 ADVICE = "Steering ratio or lever arm may be wrong: run `st identify steering` and `st identify ins` first."
 RECORDINGS = "recordings of drives, several are better: folders, .ncom with CAN logs, bags, CSV"
-
-
-@dataclass
-class Drives:
-    """What was read. failed: (name, why) of what could not be or must not be used. findings: of the checks, by name."""
-
-    logs: list[DriveLog] = field(default_factory=list)
-    failed: list[tuple[str, str]] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-    findings: dict[str, tuple[Finding, ...]] = field(default_factory=dict)
-
-
-def drives(files: Sequence[Path], setup: Setup) -> Drives:
-    """Every drive in the files, checked. Raises RunError when none can be used."""
-    found = Drives()
-    first: Exception | None = None
-    for source in find_runs(files):
-        try:
-            run = read(source, setup.vehicle, setup.read)
-            found.findings[source.name] = checked_log(run.log, setup.vehicle, run.auxiliary).findings
-            refuse(source.where, found.findings[source.name], setup.force)
-        except (RunError, StCoreError) as error:
-            first = first or error
-            found.failed.append((source.name, str(error)))
-            continue
-        found.logs.append(run.log)
-        found.warnings += [warning for warning in run.warnings if warning not in found.warnings]
-    if not found.logs:
-        raise first or IdentificationError("no drives were given; name at least one recording")
-    return found
 
 
 def experiment(name: str, what: str, needs: str, compute: Callable[..., Identification], draw,
@@ -246,10 +208,27 @@ def experiment(name: str, what: str, needs: str, compute: Callable[..., Identifi
     def identify(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
         if not predicts and setup.model is not MODELS["nonlinear"]:
             raise IdentificationError(f"{name} predicts nothing, so it has no use for a --model")
-        given = drives(files, setup)
-        found = compute(given.logs, setup.vehicle, **({"base": setup.model} if predicts else {}))
-        return (replace(found, what=name, rejected=(*given.failed, *found.rejected),
-                        warnings=(*found.warnings, *given.warnings), findings=given.findings),)
+        logs: list[DriveLog] = []
+        failed: dict[str, Exception] = {}
+        warnings: dict[str, None] = {}  # each once, in order
+        findings: dict[str, tuple[Finding, ...]] = {}
+        for source in find_runs(files):
+            try:
+                run = read(source, setup.vehicle, setup.read)
+                findings[source.name] = checked_log(run.log, setup.vehicle, run.auxiliary).findings
+                refuse(source.where, findings[source.name], setup.force)
+            except (RunError, StCoreError) as error:
+                failed[source.name] = error
+                continue
+            logs.append(run.log)
+            warnings |= dict.fromkeys(run.warnings)
+        if not logs:
+            raise next(iter(failed.values()), None) or IdentificationError(
+                "no drives were given; name at least one recording")
+        found = compute(logs, setup.vehicle, **({"base": setup.model} if predicts else {}))
+        left_out = ((source, str(error)) for source, error in failed.items())
+        return (replace(found, what=name, rejected=(*left_out, *found.rejected),
+                        warnings=(*found.warnings, *warnings), findings=findings),)
 
     return Experiment(name, what, f"{RECORDINGS}; {needs}", identify, draw, drives=True)
 
@@ -291,7 +270,7 @@ DRIVING = (
     experiment("stiffness", "cornering stiffnesses, by prediction", "bends to both sides, up to 4 m/s^2", stiffness,
                draw_stiffness, predicts=True),
     experiment("stiffness-paper", "cornering stiffnesses, the paper's regression", "bends to both sides",
-               identify_stiffness, draw_regression),
+               identify_stiffness, draw_stiffness),
     experiment("yaw-inertia", "yaw inertia", "steps, lane changes, sweeps", identify_yaw_inertia, draw_prediction,
                predicts=True),
 )

@@ -9,7 +9,6 @@ from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 from st_core.checks import Finding
 from st_core.handling import objections
 from st_core.identification.result import (
@@ -32,7 +31,7 @@ from ..checking.check_report import documents, print_findings
 from ..discovery.vehicle_update import edited_or_whole
 from ..evaluation.drawing import Drawn, Place
 from ..pages import template
-from ..terminal import line, list_files
+from ..terminal import line, list_files, rows_table
 from .driving import DRIVING
 from .experiment import HEADS, Experiment, Setup, rows
 from .workshop import CG_HEIGHT, LAMBDA, SCALES, STEERING_RATIO, TYRE
@@ -89,22 +88,17 @@ def show(found: Sequence[Identification], vehicle: VehicleParameters, stale: Seq
     """Table and verdicts in the terminal."""
     print_findings(checked(found), console)
     for one in found:
-        table = Table("parameter", "value", "95 % interval", "file", "status", title=one.what, title_justify="left",
-                      box=None, padding=(0, 2, 0, 0))
-        for estimate, (name, value, _, interval, unit, before, status) in zip(one.estimates, rows(one, vehicle),
-                                                                              strict=True):
-            table.add_row(escape(f"{name}{'' if unit == '1' else f', {unit}'}"), value, interval, before,
-                          f"[{STATUS_STYLE[estimate.status]}]{status}[/]")
-        console.print(table)
-        for estimate in one.estimates:
-            words = f"{estimate.parameter}: {estimate.verdict}"
-            line(f"  {escape(words)}", console)
-        for coverage in one.coverage:
-            line(f"  [dim]{escape(coverage.words())}[/dim]", console)
-        for name, why in one.rejected:
-            line(f"  [dim]left out: {escape(name)}: {escape(why)}[/dim]", console)
-        for warning in one.warnings:
-            line(f"  [yellow]{escape(warning)}[/yellow]", console)
+        console.print(rows_table([
+            {"parameter": escape(f"{name}{'' if unit == '1' else f', {unit}'}"), "value": value,
+             "95 % interval": interval, "file": before, "status": f"[{STATUS_STYLE[status]}]{status}[/]"}
+            for name, value, _, interval, unit, before, status in rows(one, vehicle)],
+            title=one.what, title_justify="left", padding=(0, 2, 0, 0)))
+        for style, texts in (("default", [f"{e.parameter}: {e.verdict}" for e in one.estimates]),
+                             ("dim", [coverage.words() for coverage in one.coverage]),
+                             ("dim", [f"left out: {name}: {why}" for name, why in one.rejected]),
+                             ("yellow", one.warnings)):
+            for text in texts:
+                line(f"  [{style}]{escape(text)}[/]", console)
     for sentence in stale:
         line(f"  [yellow]{escape(sentence)}[/yellow]", console)
 

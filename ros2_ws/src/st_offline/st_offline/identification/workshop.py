@@ -203,11 +203,6 @@ COLUMNS = {"load": ("n", "kn", "kg"), "slip_angle": ("deg", "rad"), "lateral_for
 LOAD_COLOURS = ("#3baa32", "#1792b5", "#d1048b", "#8c6d1f", "#5a5a5a", "#7e2f8e")
 
 
-def identify_tyre(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
-    """One outcome per tyre in the tables."""
-    return tuple(magic_formula(table, getattr(setup.vehicle, table.tyre)) for table in read_tables(files))
-
-
 def identify_lambda(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
     """Files: flat-plank tables, for the uncertainty of the tyres' stiffness; may be none."""
     found = {}
@@ -270,7 +265,9 @@ def draw_tyre(found: Identification, place: Place) -> Drawn:
 
 
 TYRE = Experiment("tyre", "Magic Formula parameters from flat-plank tables",
-                  "CSV: tyre (front or rear), load_n, slip_angle_deg, lateral_force_n", identify_tyre, draw_tyre)
+                  "CSV: tyre (front or rear), load_n, slip_angle_deg, lateral_force_n",
+                  lambda files, setup: tuple(magic_formula(table, getattr(setup.vehicle, table.tyre))
+                                             for table in read_tables(files)), draw_tyre)
 LAMBDA = Experiment("lambda", "stiffness scale of the Magic Formula from the axle's stiffness",
                     "none, or the flat-plank tables for the uncertainty of the tyre", identify_lambda,
                     files_needed=False)
