@@ -4,7 +4,7 @@ from dataclasses import fields
 from functools import lru_cache
 
 from st_core.checks import Severity
-from st_core.checks.limits import LIMITS
+from st_core.checks.finding import LIMITS
 from st_sim.scenarios import SCENARIOS
 
 from . import drives

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from exact_drive import Noise, Sines, exact_drive, late
 from st_core.checks import across_runs, check
-from st_core.checks.lag import agreement
+from st_core.checks.regression import agreement
 
 SLALOM = {  # cornering brakes the car twice in each weave of 2 s: 0.06 m/s^2
     "speed": Sines(10.0, ((0.01, 1.0, 0.3),)), "turning": Sines(0.0, ((0.3, 2.0, 0.0),)),

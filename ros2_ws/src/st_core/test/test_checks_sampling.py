@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from exact_drive import SPEED, Noise, Sines, exact_drive
 from st_core.checks import AuxiliaryData, Severity, check
-from st_core.checks.sampling import noise, resolution
+from st_core.checks.sampling import resolution
 from st_core.corrections import corrected
 
 
@@ -33,13 +33,6 @@ def test_an_even_motion_is_not_rounded():
     assert resolution(12.3 * time) == 0.0
     assert resolution(np.sin(time)) == 0.0
     assert resolution(np.zeros(100)) == 0.0
-
-
-def test_noise_is_what_a_smooth_motion_does_not_have():
-    time = np.arange(0.0, 60.0, 0.01)
-    white = np.random.default_rng(1).standard_normal(len(time))
-    assert noise(5.0 * np.sin(0.8 * time) + 0.02 * white) == pytest.approx(0.02, rel=0.05)
-    assert noise(5.0 * np.sin(0.8 * time)) < 1e-5
 
 
 def test_channels_say_what_was_recorded(leaf):

@@ -10,7 +10,7 @@ from batched import predict_log
 from st_core import stability
 from st_core.augmented import augment
 from st_core.checks.finding import Severity
-from st_core.checks.step import step_too_long
+from st_core.checks.trial import step_too_long
 from st_core.log import DriveLog
 from st_core.stability import StepTooLongWarning, slip_speed_needed, stable
 

@@ -60,7 +60,12 @@ def across_runs(runs: Sequence[Checked]) -> list[AcrossRuns]:
         if len(rows) < FEWEST:
             continue
         reported = sum(any(one.name == name for one in run.findings) for run in runs)
-        one = _pooled(name, unit, rows, reported)
+        mean, interval, between, excess = _random_effects(rows)
+        missed = int(((rows[:, 1] > mean) | (rows[:, 2] < mean)).sum())
+        alike = missed <= binom.ppf(SURE, len(rows), 0.05) and (
+            excess <= chi2.ppf(SURE, len(rows) - 1) or between < ALIKE * abs(mean - null_of(name)))
+        one = AcrossRuns(name, unit, len(rows), reported, mean, interval, between, float(rows[:, 0].min()),
+                         float(rows[:, 0].max()), bool(alike))
         if not one.alike or not one.interval[0] <= null_of(name) <= one.interval[1]:
             found.append(one)
     return sorted(found, key=lambda one: -one.reported)
@@ -74,15 +79,6 @@ def pooled(runs: Sequence[Mapping[str, Sequence[float]]]) -> dict[str, tuple[flo
         mean, interval, _, _ = _random_effects(rows)
         found[name] = (mean, *interval) if len(rows) > 1 else tuple(rows[0].tolist())
     return found
-
-
-def _pooled(name: str, unit: str, rows: np.ndarray, reported: int) -> AcrossRuns:
-    mean, interval, between, excess = _random_effects(rows)
-    missed = int(((rows[:, 1] > mean) | (rows[:, 2] < mean)).sum())
-    alike = missed <= binom.ppf(SURE, len(rows), 0.05) and (
-        excess <= chi2.ppf(SURE, len(rows) - 1) or between < ALIKE * abs(mean - null_of(name)))
-    return AcrossRuns(name, unit, len(rows), reported, mean, interval, between, float(rows[:, 0].min()),
-                    float(rows[:, 0].max()), bool(alike))
 
 
 def null_of(name: str) -> float:

@@ -7,14 +7,11 @@ import numpy as np
 from ..log import INS_SIGNALS, STEERING, DriveLog
 from ..vehicle import VehicleParameters
 from . import inertial, position, sampling, vehicle_relations
-from .channel import identity, judged, size_of
-from .finding import Advice, AuxiliaryData, Checked, Finding, Identity, Severity
-from .lag import Agreement
-from .limits import HORIZON, LIMITS
+from .finding import HORIZON, LIMITS, Advice, AuxiliaryData, Checked, Finding, Identity, Severity
+from .inertial import identity, judged, size_of
 from .motion import Motion, is_driven
 from .plausibility import broken_channels, plausible
-from .quality import quality
-from .regression import Estimate, with_systematic
+from .regression import Agreement, Estimate, with_systematic
 from .steps import steps
 from .trial import tried
 from .units_and_axes import correct_units, nominal_rate, time_unit, yaw_is_late
@@ -43,14 +40,13 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
     implausible = [*auxiliary.implausible, *implausible]
     motion = Motion.of(log, start_ns)
     known = sampling.channels(motion, auxiliary)
-    if len(log.ins_time_ns) < SHORTEST:
-        return Checked(_ordered([*implausible, *sampling.timing(motion, auxiliary, implausible)]), known, ())
-    if not is_driven(motion):
-        findings = [*implausible, *sampling.timing(motion, auxiliary, implausible)]
-        findings += [*quality(auxiliary.quality, start_ns), *vehicle_relations.standstill(motion)]
-        return Checked(_ordered(findings), known, ())
-    motion, unit = time_unit(motion)
-    findings = [*implausible, *sampling.timing(motion, auxiliary, implausible), *quality(auxiliary.quality, start_ns)]
+    enough = len(log.ins_time_ns) >= SHORTEST
+    driven = enough and is_driven(motion)
+    motion, unit = time_unit(motion) if driven else (motion, None)
+    findings = [*implausible, *sampling.timing(motion, auxiliary, implausible)]
+    findings += sampling.quality(auxiliary.quality, start_ns) if enough else []
+    if not driven:
+        return Checked(_ordered([*findings, *(vehicle_relations.standstill(motion) if enough else [])]), known, ())
     broken = broken_channels(implausible)
     if broken & {*INS_SIGNALS}:  # whatever is compared with it would seem wrong
         return Checked(_ordered([*findings, *sampling.stuck(motion, known)]), known, ())

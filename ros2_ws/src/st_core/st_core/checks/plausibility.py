@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from ..log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
-from .finding import Advice, Finding, Severity
-from .motion import LONGEST_GAP, stretches
+from .finding import Advice, Finding, Severity, merged
+from .motion import LONGEST_GAP, spans, stretches
 
 MEDIANS = 20.0  # median steps; noise and quantisation stay below
 HALF_WINDOW = 0.1  # s to both sides of a sample that its spike is judged in; at least two updates of the channel
@@ -58,8 +58,6 @@ CHANNELS: Mapping[str, Plausible] = {
     "road_wheel_angle": Plausible("rad", 0.1, 1.3),  # 2 rad/s; 75 degrees, beyond any steering lock
     "steering_wheel_angle": Plausible("rad", 1.5, 25.0),  # 30 rad/s, twice an emergency; four turns
 }
-
-Span = tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -120,7 +118,7 @@ def plausible(log: DriveLog, start_ns: int | None = None) -> tuple[DriveLog, lis
             blanked[name] = np.where(bad, np.nan, values)
         elif name not in OPTIONAL_INS_SIGNALS:
             bad_rows |= bad
-    return _without(log, bad_rows, bad_steering, blanked), _both_axes(findings)
+    return _without(log, bad_rows, bad_steering, blanked), merged(findings)
 
 
 def implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
@@ -225,7 +223,7 @@ def _out_of_range(channel: _Channel, large: np.ndarray) -> np.ndarray:
     beyond = np.abs(channel.values) > channel.plausible.largest
     if not beyond.any() or beyond.mean() > MOST:
         return np.zeros(0, np.int64)
-    found = [np.arange(first, last + 1) for first, last in _spans(beyond)
+    found = [np.arange(first, last + 1) for first, last in spans(beyond)
              if (first > 0 and large[first - 1]) or (last < len(large) and large[last])]
     return np.concatenate(found) if found else np.zeros(0, np.int64)
 
@@ -279,18 +277,12 @@ def _spikes(channel: _Channel, large: np.ndarray) -> np.ndarray:
     uneven = np.abs(np.diff(channel.values, 2)) > channel.limit
     rough = np.concatenate(([False], uneven)) | np.concatenate((uneven, [False]))
     dense = np.convolve(large & rough & ~channel.split, np.ones(2 * half + 1), "same") > half
-    for first, last in _spans(dense):
+    for first, last in spans(dense):
         places = first + np.flatnonzero(large[first:last + 1])
         if len(places) and abs(channel.values[last + 1] - channel.values[first]) < ONE_WAY * channel.step[
                 first:last + 1].sum():
             found.append(np.arange(places[0] + 1, places[-1] + 1))
     return np.unique(np.concatenate(found))
-
-
-def _spans(mask: np.ndarray) -> list[Span]:
-    """(first, last) of each stretch of a mask."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
-    return list(zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True))
 
 
 def _finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
@@ -325,21 +317,6 @@ def _finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
               "look at the sensor and the logger; no command uses the samples named")
     return Finding(kind, severity, (channel.name,), text, value, unit, None, where[:MOST_LISTED],
                    advice=Advice("look", advice))
-
-
-def _both_axes(findings: list[Finding]) -> list[Finding]:
-    """One finding for x and y, or for all channels of a row, that are wrong at the same times in the same way."""
-    found: dict[tuple, Finding] = {}
-    for one in findings:
-        key = (one.name, one.where, one.value)
-        before = found.get(key)
-        if before is None:
-            found[key] = one
-            continue
-        names = (*before.channels, *one.channels)
-        text = before.text.replace(", ".join(before.channels), ", ".join(names), 1)
-        found[key] = replace(before, channels=names, text=text)
-    return list(found.values())
 
 
 def _without(log: DriveLog, rows: np.ndarray, steering: np.ndarray, blanked: Mapping[str, Any]) -> DriveLog:

@@ -18,8 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .finding import Advice, Finding, Identity, Severity
-from .limits import HORIZON, LIMITS, WHEEL_SCALE
+from .finding import HORIZON, LIMITS, WHEEL_SCALE, Advice, Finding, Identity, Severity
 from .motion import Motion, integral, several_speeds, windows
 from .regression import Estimate, Regression, matters, with_systematic
 
@@ -96,7 +95,8 @@ def position(motion: Motion, seed: int) -> tuple[Motion, list[Finding], dict[str
         corrected = _corrected(motion, found)
         if not found:
             break
-    findings = [_finding(name, one, problem) for name, one in found.items() if _is_wrong(name, _shown(name, one))]
+    findings = [_finding(name, one, problem) for name, one in found.items()  # systematic uncertainty included
+                if not _shown(name, one).covers(1.0 if name.endswith("_scale") else 0.0)]
     return corrected, findings, _all(regression(corrected, seed), found)
 
 
@@ -214,12 +214,6 @@ def _all(problem: Regression, found: dict[str, Estimate]) -> dict[str, Estimate]
     return findings
 
 
-def _is_wrong(name: str, shown: Estimate) -> bool:
-    """Whether the interval, systematic uncertainty included, excludes the value of a correct channel."""
-    low, high = shown.shifted(-1.0 if name.endswith("_scale") else 0.0).interval
-    return low * high > 0.0
-
-
 def _least(name: str) -> float:
     return {"s": LIMITS.lag, "m": LIMITS.mounting, "m/s": LEAST_BIAS}.get(UNIT.get(name, "1"), 0.0)
 
@@ -227,11 +221,10 @@ def _least(name: str) -> float:
 def _finding(name: str, one: Estimate, problem: Regression) -> Finding:
     effect = problem.effect(name, one.value, HORIZON, WINDOW)
     shown = _shown(name, one)
-    half = 0.5 * (shown.interval[1] - shown.interval[0])
     more = shown.value > 0.0
     small = name in AXES and abs(one.value) < SPHERE
     text = TEXT["sphere" if small else name].format(
-        axis=name[0], value=shown.value, size=abs(shown.value), half=half, degrees=np.rad2deg(abs(shown.value)),
+        axis=name[0], value=shown.value, size=abs(shown.value), half=shown.half, degrees=np.rad2deg(abs(shown.value)),
         side="left" if more else "right", lag="lag" if more else "lead", ahead="ahead of" if more else "behind",
         grows="grows" if more else "shrinks", high="high" if more else "low")
     severity = LIMITS.severity(effect)

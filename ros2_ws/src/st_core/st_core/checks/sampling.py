@@ -4,9 +4,9 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from .finding import Advice, AuxiliaryData, Channel, Finding, Severity
-from .limits import HORIZON, LIMITS
-from .motion import LONGEST_GAP, Motion
+from ..regression import white_noise
+from .finding import HORIZON, LIMITS, Advice, AuxiliaryData, Channel, Finding, InsQuality, Severity, merged
+from .motion import LONGEST_GAP, Motion, spans
 
 UNITS = {"x": "m", "y": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m/s", "yaw_rate": "rad/s",
          "acceleration_x": "m/s^2", "acceleration_y": "m/s^2", "road_wheel_angle": "rad"}
@@ -33,7 +33,8 @@ def channels(motion: Motion, auxiliary: AuxiliaryData) -> dict[str, Channel]:
         spacing = np.diff(time)
         gaps = spacing[spacing > LONGEST_GAP]
         found[name] = Channel(
-            unit, len(values), float(1.0 / np.median(spacing)), len(gaps), float(spacing.max()), noise(values),
+            unit, len(values), float(1.0 / np.median(spacing)), len(gaps), float(spacing.max()),
+            white_noise(values) if len(values) > 3 else 0.0,
             resolution(values), float(np.mean(np.diff(values) == 0.0)), int(auxiliary.missing.get(name, 0)))
     return found
 
@@ -46,12 +47,6 @@ def _series(motion: Motion, name: str) -> tuple[np.ndarray, np.ndarray | None]:
         return motion.time, None
     known = np.isfinite(values)
     return motion.time[known], values[known]
-
-
-def noise(values: np.ndarray) -> float:
-    """Standard deviation of what third differences show: motion is smoother than that. sqrt(20): of (1, -3, 3, -1)."""
-    third = np.diff(values, 3)
-    return float(1.4826 * np.median(np.abs(third)) / np.sqrt(20.0)) if len(third) else 0.0
 
 
 def resolution(values: np.ndarray) -> float:
@@ -77,6 +72,7 @@ def timing(motion: Motion, auxiliary: AuxiliaryData, left_out: Sequence[Finding]
         findings += _stamps(signal, np.asarray(stamps, np.int64))
     for signal, time in (("INS", motion.time), ("steering", motion.steering_time)):
         findings += _gaps(signal, time, [span for one in left_out for span in one.where])
+    missing = []
     for channel, count in auxiliary.missing.items():
         # Samples without an acceleration were kept, those without another channel were not.
         left = len(motion.steering_time if channel in STEERING else motion.time)
@@ -87,8 +83,8 @@ def timing(motion: Motion, auxiliary: AuxiliaryData, left_out: Sequence[Finding]
                 rows = auxiliary.stamps.get("steering", rows)
             slower = 0.0 if channel.startswith("acceleration") else _slower_rate(
                 motion.steering_time if channel in STEERING else motion.time, rows * 1e-9, share)
-            findings.append(_missing(channel, count, share, slower))
-    return merged(findings)
+            missing.append(_missing(channel, count, share, slower))
+    return findings + merged(missing)
 
 
 def _missing(channel: str, count: int, share: float, slower: float) -> Finding:
@@ -242,11 +238,6 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, step: fl
     return bool(np.percentile(rate, 95) - np.percentile(rate, 5) > max(least, rounding))
 
 
-def _smooth_speed(motion: Motion) -> np.ndarray:
-    """From positions [m/s]."""
-    return np.hypot(_smooth_rate(motion.time, motion.x), _smooth_rate(motion.time, motion.y))
-
-
 def _smooth_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Over the half second that follows; at the end the last one."""
     count = max(round(0.5 / float(np.median(np.diff(time)))), 1)
@@ -260,7 +251,8 @@ REACH = {"x": (1.0, False), "y": (1.0, False), "yaw": (HORIZON, True), "velocity
 UNIT_OF_TWIN = ("velocity_x", "acceleration_x", "acceleration_y", "yaw_rate")  # channels in the unit of their twin
 # What changes with a channel, whatever the sensor, and by how much it must before the channel is called frozen.
 TWINS: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] = {
-    "velocity_x": (_smooth_speed, 0.3), "velocity_y": (lambda m: m.yaw_rate, 0.05),
+    "velocity_x": (lambda m: np.hypot(_smooth_rate(m.time, m.x), _smooth_rate(m.time, m.y)), 0.3),
+    "velocity_y": (lambda m: m.yaw_rate, 0.05),
     "acceleration_x": (lambda m: _smooth_rate(m.time, m.velocity_x), 0.5),
     "acceleration_y": (lambda m: m.velocity_x * m.yaw_rate, 0.5),
     "yaw_rate": (lambda m: _smooth_rate(m.time, m.yaw), 0.05),
@@ -290,22 +282,52 @@ def unfrozen(motion: Motion, findings: Sequence[Finding]) -> Motion:
         steering = one.channels == ("road_wheel_angle",)
         time = motion.steering_time if steering else motion.time
         keep = ~np.any([(time >= begin) & (time <= end) for begin, end in one.where], axis=0)
-        if keep.sum() > 0.5 * len(keep):
-            motion = motion.steering_where(keep) if steering else motion.where(keep)
+        if keep.sum() <= 0.5 * len(keep):
+            continue
+        motion = motion.where(keep) if not steering else motion.with_(
+            steering_time=time[keep], steering=motion.steering[keep])
     return motion
 
 
-def merged(findings: Sequence[Finding]) -> list[Finding]:
-    """x and y, or all channels of the INS, held at one rate or missing in as many rows, become one finding."""
-    found: dict[tuple, Finding] = {}
-    for one in findings:
-        key = (one.name, one.value if one.name in ("samples_repeated", "values_missing") else len(found))
-        before = found.get(key)
-        if before is None:
-            found[key] = one
+LOCKED = 4  # NCOM byte 21
+RTK = (5, 6)  # NCOM position modes: RTK float, RTK integer
+
+
+def quality(found: InsQuality | None, start_ns: int) -> list[Finding]:
+    if found is None or len(found.time_ns) < 2:
+        return []
+    time = (found.time_ns - start_ns) * 1e-9
+    return [*_mode(found, time), *_accuracy(found, time)]
+
+
+def _mode(found: InsQuality, time: np.ndarray) -> list[Finding]:
+    findings = []
+    known = np.isfinite(found.position_mode) & (found.position_mode >= 0)
+    lost = known & ~np.isin(found.position_mode, RTK)
+    unlocked = np.isfinite(found.navigation_status) & (found.navigation_status != LOCKED)
+    for bad, words in ((lost, "without RTK"), (unlocked, "not locked")):
+        share = float(bad.mean())
+        if share <= 0.0:
             continue
-        names = (*before.channels, *one.channels)
-        text = before.text.replace(", ".join(before.channels), ", ".join(names), 1)
-        found[key] = Finding(one.name, before.severity, names, text, before.value, before.unit, before.interval,
-                            before.where, before.effect, before.advice)
-    return list(found.values())
+        text = f"the INS is {words} in {100 * share:.0f} % of the time: its positions wander there"
+        severity = Severity.WARNING if share > 0.01 else Severity.NOTE
+        findings.append(Finding("ins_mode", severity, ("ins",), text, share, where=_stretches(time, bad), advice=Advice(
+            "look", "leave these stretches out, or post-process the raw data")))
+    return findings
+
+
+def _accuracy(found: InsQuality, time: np.ndarray) -> list[Finding]:
+    known = np.isfinite(found.position_accuracy)
+    if not known.any():
+        return []
+    typical = float(np.median(found.position_accuracy[known]))
+    if typical < LIMITS.warning:
+        return []
+    poor = known & (found.position_accuracy >= LIMITS.warning)
+    text = f"the INS's own standard deviation of position is {typical:.2f} m in the median"
+    return [Finding("ins_accuracy", LIMITS.severity(typical), ("ins",), text, typical, "m", None,
+                    _stretches(time, poor), typical, Advice("look", "record with RTK, or post-process"))]
+
+
+def _stretches(time: np.ndarray, bad: np.ndarray) -> tuple[tuple[float, float], ...]:
+    return tuple((float(time[a]), float(time[b])) for a, b in spans(bad)[:20])

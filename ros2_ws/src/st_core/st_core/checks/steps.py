@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+from scipy.stats import binomtest
 
-from .finding import Advice, Finding, Severity
-from .limits import LIMITS
+from .finding import LIMITS, Advice, Finding, Severity
 from .motion import LONGEST_GAP, MOVING, Motion, integral, stretches
 from .sampling import resolution
 
@@ -82,7 +82,9 @@ def _stale(motion: Motion, rest: np.ndarray, along: np.ndarray, rounding: float)
     if not alike or not balanced or age > 1.2 * spacing or far < 3.0 * rounding:
         return none, []
     share = float(back.sum() / known.sum())
-    interval = _wilson(share, max(float(known.sum()) * spacing, 1.0))
+    trials = max(round(float(known.sum()) * spacing), 1)  # errors of neighbouring samples are not independent
+    ends = binomtest(round(share * trials), trials).proportion_ci(method="wilson")
+    interval = min(float(ends.low), share), max(float(ends.high), share)
     effect = age * float(np.median(speed[known]))
     text = (f"at {100 * share:.2g} % of the rows the position falls back to one measured {age * 1e3:.0f} ms earlier, "
             "and catches up later: in between it is one sample of the receiver old")
@@ -92,14 +94,6 @@ def _stale(motion: Motion, rest: np.ndarray, along: np.ndarray, rounding: float)
         "position_stale", severity, ("x", "y"), text, share, "1", interval,
         stretches(motion.time[1:][back], 5.0)[:20], effect,
         Advice("look", "stamp positions with their own time, or leave out rows with an old one"))]
-
-
-def _wilson(share: float, count: float) -> tuple[float, float]:
-    """95 % interval of a share of `count` independent trials (Wilson 1927); count need not be whole."""
-    square = 1.96**2 / count
-    middle = (share + 0.5 * square) / (1.0 + square)
-    half = float(np.sqrt(square * (share * (1.0 - share) + 0.25 * square))) / (1.0 + square)
-    return middle - half, middle + half
 
 
 def _jumps(motion: Motion, rest: np.ndarray, stale: np.ndarray, rounding: float) -> list[Finding]:

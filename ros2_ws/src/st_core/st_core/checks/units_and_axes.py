@@ -13,10 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from .finding import Advice, Finding, Severity
-from .limits import LIMITS
-from .motion import Motion, Windows, integral, sideways, windows
-from .ratios import ALIKE, LEAST_WAY, LEAST_WINDOWS, near, ratios
+from .finding import LIMITS, Advice, Finding, Severity
+from .motion import ALIKE, LEAST_WAY, LEAST_WINDOWS, Motion, Windows, integral, near, ratios, sideways, windows
 from .regression import Estimate
 
 LEAST_FOLLOWED, FOLLOWS = 0.2, 0.02  # rad of turning; largest misfit of positions, share of the distance

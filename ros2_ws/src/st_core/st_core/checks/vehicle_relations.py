@@ -13,12 +13,10 @@ import numpy as np
 
 from ..handling import linear_system, understeer_coefficient
 from ..vehicle import VehicleParameters
-from .channel import or_else, size_of
-from .finding import Advice, Finding, Identity, Severity
-from .lag import NOTHING, Agreement, agreement
-from .limits import HORIZON, LIMITS
+from .finding import HORIZON, LIMITS, Advice, Finding, Identity, Severity
+from .inertial import or_else, size_of
 from .motion import MOVING, Motion, several_speeds, windows
-from .regression import Estimate, Regression, with_systematic
+from .regression import NOTHING, Agreement, Estimate, Regression, agreement, with_systematic
 
 Comparison = tuple[list[Finding], dict[str, Estimate], Identity | None]
 """(findings, estimates by name of the finding, what a figure shows or None)."""
@@ -225,13 +223,8 @@ def _rear_axle(problem: Regression, vehicle: VehicleParameters, separable: bool)
         rest = problem.rest({"slip": slip})
         fixed.append(Regression(problem.time, rest, problem.columns, problem.seed).estimates(("heading", "point")))
     return {"slip": Estimate(expected, 0.25 * expected, (0.5 * expected, 1.5 * expected)), **{
-        name: _widened(fixed[0][name], max(abs(other[name].value - fixed[0][name].value) for other in fixed[1:]))
+        name: fixed[0][name].widened(max(abs(other[name].value - fixed[0][name].value) for other in fixed[1:]))
         for name in ("heading", "point")}}
-
-
-def _widened(one: Estimate, systematic: float) -> Estimate:
-    half = float(np.hypot(0.5 * (one.interval[1] - one.interval[0]), systematic))
-    return Estimate(one.value, float(np.hypot(one.deviation, 0.5 * systematic)), (one.value - half, one.value + half))
 
 
 def _heading(one: Estimate, forward: np.ndarray) -> Finding | None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from st_core.checks import AuxiliaryData, Checked, Finding, Severity, check
-from st_core.checks.step import step_too_long
+from st_core.checks.trial import step_too_long
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.models import MODELS, Model
