@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from exact_drive import exact_drive
+from exact_drive import Sines, exact_drive
 from exact_faults import (
     askew,
     compass,
@@ -221,3 +221,15 @@ def test_severity_goes_by_what_it_does_to_the_position(log, leaf, name, fault, l
         error = abs(one.value - 1.0)
         # Five seconds at 12 m/s, along both axes in turn.
         assert 0.4 * error * 60.0 < one.effect < error * 60.0
+
+
+@pytest.mark.parametrize("shear", [0.03, -0.03])
+def test_a_sheared_map_is_measured(leaf, shear):
+    winding = exact_drive(leaf, 90.0, turning=Sines(0.05, ((0.16, 23.0, 0.0), (0.07, 6.1, 0.7))))
+    low, high = findings(replace(winding, x=winding.x + shear * winding.y), leaf)["map_shear"].interval
+    assert low <= shear <= high
+
+
+def test_what_no_prediction_depends_on_is_not_the_gravest(log, leaf):
+    found = check(plus(0.6, "acceleration_y")(times(0.97, "x")(log)), leaf).findings
+    assert [one.name for one in found if one.severity == "warning"] == ["x_scale", "acceleration_y_bias"]

@@ -18,20 +18,18 @@ from .units_and_axes import correct_units, nominal_rate, time_unit, yaw_is_late
 
 SHORTEST = 50  # INS samples; in fewer only the time stamps can be checked
 Compared = tuple[Motion, list[Finding], dict[str, Estimate], list[Identity]]
-ORDER = (Severity.ERROR, Severity.WARNING, Severity.NOTE)
 
 
 # long: one sequence, each step judges what the steps before have corrected
-def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: AuxiliaryData | None = None, *,
-          seed: int = 0) -> Checked:
+def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: AuxiliaryData | None = None) -> Checked:
     """Findings of one recording.
 
     First how it was sampled, then units, signs and axes, then the identities that no vehicle parameter can break
     (position, yaw, velocity, accelerations, other speeds), then those with the car. What is found is taken out of a
     working copy before the next is judged.
 
-    vehicle: for the identities with the car; None leaves those out. auxiliary: what else was recorded. seed: of the
-    resampling. Never raises for what is in a recording: a channel too short or too poor to judge gives no finding.
+    vehicle: for the identities with the car; None leaves those out. auxiliary: what else was recorded. Never raises
+    for what is in a recording: a channel too short or too poor to judge gives no finding.
     """
     auxiliary = auxiliary or AuxiliaryData()
     start_ns = int(log.ins_time_ns[0]) if len(log.ins_time_ns) and auxiliary.start_ns is None else (
@@ -52,7 +50,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
         return Checked(_ordered([*findings, *sampling.stuck(motion, known)]), known, ())
     motion = motion.with_(**dict.fromkeys(broken & {"acceleration_x", "acceleration_y"}, None))
     stuck = sampling.stuck(motion, known)
-    motion, coarse = _gross_aligned(sampling.unfrozen(motion, stuck), seed)
+    motion, coarse = _gross_aligned(sampling.unfrozen(motion, stuck))
     coarse = [unit, *coarse] if unit else coarse
     rounded = sampling.rounded(motion, stuck)
     findings += stuck + rounded
@@ -63,12 +61,12 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
         motion, stepping = steps(motion)  # held positions step by nature
         findings += stepping
     speed = motion.velocity_x
-    rate, compared = _sensors_at_true_rate(motion, unit, _factors(coarse), auxiliary, start_ns, seed)
+    rate, compared = _sensors_at_true_rate(motion, unit, _factors(coarse), auxiliary, start_ns)
     motion, fine, estimates, identities = compared
     findings += rate + _once(coarse, fine, estimates)
     hand_wheel = log.steering_wheel_angle is not None
     unusable = rough | {channel for one in stuck if one.name == "channel_frozen" for channel in one.channels}
-    for found, more, shown in _with_vehicle(motion, vehicle, hand_wheel, broken, unusable, seed):
+    for found, more, shown in _with_vehicle(motion, vehicle, hand_wheel, broken, unusable):
         findings += found
         estimates |= more
         identities += [shown] if shown else []
@@ -80,40 +78,40 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
 
 
 def _sensors_at_true_rate(motion: Motion, unit: Finding | None, before: dict[str, float], auxiliary: AuxiliaryData,
-                          start_ns: int, seed: int) -> tuple[list[Finding], Compared]:
+                          start_ns: int) -> tuple[list[Finding], Compared]:
     """(the finding of a wrong sampling rate, result of `_sensors` with the times at the true rate)."""
-    compared = _sensors(motion, before, auxiliary, start_ns, seed)
+    compared = _sensors(motion, before, auxiliary, start_ns)
     rate = None if unit else nominal_rate(compared[1], compared[2])
     if rate is None or not rate.value:
         return [], compared
     scaled = motion.with_(time=motion.time / rate.value, steering_time=motion.steering_time / rate.value)
-    return [rate], _sensors(scaled, {**before, "time_unit": rate.value}, auxiliary, start_ns, seed)
+    return [rate], _sensors(scaled, {**before, "time_unit": rate.value}, auxiliary, start_ns)
 
 
 def _with_vehicle(motion: Motion, vehicle: VehicleParameters | None, hand_wheel: bool, broken: set[str],
-                  unusable: set[str], seed: int) -> list[vehicle_relations.Comparison]:
+                  unusable: set[str]) -> list[vehicle_relations.Comparison]:
     """Comparisons of steering, rear axle and lateral acceleration with the vehicle; broken, frozen or coarse channels
     left out."""
     if vehicle is None:
         return []
     comparisons = []
     if not broken & {*STEERING}:
-        comparisons.append(vehicle_relations.steering(motion, vehicle, hand_wheel, seed))
+        comparisons.append(vehicle_relations.steering(motion, vehicle, hand_wheel))
     if not unusable & {"velocity_y", "yaw_rate"}:  # both are needed to locate the INS
-        comparisons.append(vehicle_relations.rear_axle(motion, vehicle, seed))
+        comparisons.append(vehicle_relations.rear_axle(motion, vehicle))
     return [*comparisons, (vehicle_relations.believable(motion), {}, None)]
 
 
 def _ordered(findings: list[Finding]) -> tuple[Finding, ...]:
     """Sorted by severity, then by effect; findings of accelerations last, since no prediction depends on them."""
-    return tuple(sorted(findings, key=lambda one: (ORDER.index(one.severity), one.of_acceleration,
+    return tuple(sorted(findings, key=lambda one: ([*Severity].index(one.severity), one.of_acceleration,
                                                -(one.effect or np.inf))))
 
 
-def _gross_aligned(motion: Motion, seed: int) -> tuple[Motion, list[Finding]]:
+def _gross_aligned(motion: Motion) -> tuple[Motion, list[Finding]]:
     """As `gross`, of yaw and yaw rate brought to one time: over windows of a second, one that is late by a third of the
     drive's period has another size and sign. What is returned still has the lag, which is judged later."""
-    lag = inertial.turn_lag(motion, seed)
+    lag = inertial.turn_lag(motion)
     if not lag:
         return correct_units(motion)
     time = motion.time
@@ -135,8 +133,7 @@ def _late_yaw(motion: Motion, found: Agreement | None) -> tuple[Motion, list[Fin
     if not position.positions_confirm_yaw_lag(motion, earlier, late.value):
         return motion, []
     effect = abs(late.value) * float(np.std(motion.yaw_rate)) * float(np.median(motion.speed)) * HORIZON
-    grave = Severity.WARNING if abs(late.value) >= LIMITS.grave_lag else Severity.NOTE
-    severity = max(LIMITS.severity(effect), grave, key=ORDER[::-1].index)
+    severity = LIMITS.severity(effect, abs(late.value) >= LIMITS.grave_lag)
     value = float(f"{late.value:.4g}")
     text = f"yaw {'lags' if value > 0.0 else 'leads'} yaw rate and positions by {size_of(late)} s"
     return earlier, [Finding("yaw_lag", severity, ("yaw",), text, late.value, "s", late.interval, (), effect,
@@ -178,24 +175,23 @@ def _of_all(advice: Advice, value: float) -> Advice:
     return Advice.correct(channel, **{key: float(f"{1.0 / value if key == 'scale' else -value:.6g}")})
 
 
-def _sensors(motion: Motion, before: dict[str, float], auxiliary: AuxiliaryData, start_ns: int,
-             seed: int) -> Compared:
+def _sensors(motion: Motion, before: dict[str, float], auxiliary: AuxiliaryData, start_ns: int) -> Compared:
     """The identities that hold for any vehicle parameters."""
     shown = [position.identity(motion, before)]
     motion, findings = position.lateral_sign(motion)
-    found, expected = inertial.yaw_rate(motion, seed)
+    found, expected = inertial.yaw_rate(motion)
     motion, late = _late_yaw(motion, found)
     recorded = motion
-    motion, causes, estimates = position.position(motion, seed)
+    motion, causes, estimates = position.position(motion)
     if auxiliary.wheel_speed and len(auxiliary.wheel_speed.time_ns) > 1:
-        wheel = inertial.speed(recorded, auxiliary.wheel_speed, start_ns, before.get("time_unit", 1.0), seed)
+        wheel = inertial.speed(recorded, auxiliary.wheel_speed, start_ns, before.get("time_unit", 1.0))
         if wheel:
             motion, causes = position.scale_of_positions(motion, causes, estimates, wheel.scale)
     if found and found.carries_lag:
         estimates["yaw_lag"] = with_systematic("yaw_lag", found.lag.scaled(-1.0))
     findings += late + causes
     if late or any(one.name == "yaw_offset" for one in causes):
-        found, expected = inertial.yaw_rate(motion, seed)
+        found, expected = inertial.yaw_rate(motion)
     more, those = judged(found, expected, before.get("yaw_rate_scale", 1.0))
     findings += more
     estimates |= those
@@ -213,8 +209,8 @@ def _sensors(motion: Motion, before: dict[str, float], auxiliary: AuxiliaryData,
     shown += [panel] if panel else []
     if found:
         motion = inertial.corrected_yaw_rate(motion, found)
-    for more, values, panel in (*inertial.accelerations(motion, seed),
-                                *inertial.speeds(motion, auxiliary, start_ns, before.get("time_unit", 1.0), seed)):
+    for more, values, panel in (*inertial.accelerations(motion),
+                                *inertial.speeds(motion, auxiliary, start_ns, before.get("time_unit", 1.0))):
         findings += more
         estimates |= values
         shown += [panel] if panel else []

@@ -237,11 +237,11 @@ class Limits:
     mounting: float = 0.25
     heading: float = 0.002
 
-    def severity(self, effect: float) -> Severity:
-        """Of an effect on the position after 5 s [m]."""
+    def severity(self, effect: float, grave: bool = False) -> Severity:
+        """Of an effect on the position after 5 s [m]; grave: at least a warning."""
         if effect >= self.error:
             return Severity.ERROR
-        return Severity.WARNING if effect >= self.warning else Severity.NOTE
+        return Severity.WARNING if grave or effect >= self.warning else Severity.NOTE
 
 
 LIMITS = Limits()

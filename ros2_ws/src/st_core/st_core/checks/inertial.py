@@ -135,11 +135,8 @@ def _finding(kind: str, text: str, one: Estimate, unit: str, error: float, expec
              correct: dict[str, float], grave: bool) -> Finding:
     """error: what it makes of the channel, root mean square [unit]."""
     effect = error * expected.reach
-    severity = LIMITS.severity(effect)
-    if grave and severity is Severity.NOTE:
-        severity = Severity.WARNING
-    return Finding(f"{expected.channel}_{kind}", severity, (expected.channel,), text, one.value, unit, one.interval, (),
-                   effect if expected.reach else None,
+    return Finding(f"{expected.channel}_{kind}", LIMITS.severity(effect, grave), (expected.channel,), text, one.value,
+                   unit, one.interval, (), effect if expected.reach else None,
                    _advice(expected.channel, {key: float(f"{value:.5g}") for key, value in correct.items()}))
 
 
@@ -177,17 +174,17 @@ SPEED_FACTORS = {3.6: "km/h", 2.23694: "mph", 1.0 / 3.6: "divided by 3.6 twice"}
 Judged = tuple[list[Finding], dict[str, Estimate], Identity | None]
 
 
-def yaw_rate(motion: Motion, seed: int) -> tuple[Agreement | None, Expected]:
+def yaw_rate(motion: Motion) -> tuple[Agreement | None, Expected]:
     """Against the change of yaw. A model forgets a wrong start of its yaw rate within the settling time."""
     reach = LIMITS.settling * float(np.median(np.abs(motion.velocity_x))) * HORIZON
-    found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, GYRO_CUTOFF, seed, True)
+    found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, GYRO_CUTOFF, True)
     return found, Expected("yaw_rate", "yaw", "rad/s", LIMITS.lag, GYRO_SCALE, GYRO_BIAS,
                            (LIMITS.grave_lag, 0.03, 0.01), reach, correlation=GYRO_CORRELATION)
 
 
-def turn_lag(motion: Motion, seed: int) -> float:
+def turn_lag(motion: Motion) -> float:
     """By how much the yaw rate lags yaw [s], where that hides how they agree; 0 where they agree without it."""
-    found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, ACCELERATION_CUTOFF, seed, True)
+    found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, ACCELERATION_CUTOFF, True)
     if found is None or not (found.late and found.lag.significant) or abs(found.lag.value) < LIMITS.grave_lag:
         return 0.0
     # A yaw rate of the other sign fits half a period later, too.
@@ -205,7 +202,7 @@ def corrected_yaw_rate(motion: Motion, found: Agreement) -> Motion:
     return motion.with_(yaw_rate=np.interp(motion.time + late, motion.time, rate))
 
 
-def accelerations(motion: Motion, seed: int) -> list[Judged]:
+def accelerations(motion: Motion) -> list[Judged]:
     """Findings of both accelerations against the derivative of velocity; none where its axes are wrong."""
     if sideways(motion):
         return []
@@ -217,7 +214,7 @@ def accelerations(motion: Motion, seed: int) -> list[Judged]:
     channels = {name: values for name in derivative if (values := getattr(motion, name)) is not None}
 
     def against(name: str, values: np.ndarray) -> Agreement | None:
-        return agreement(motion.time, derivative[name], motion.time, values, ACCELERATION_CUTOFF, seed)
+        return agreement(motion.time, derivative[name], motion.time, values, ACCELERATION_CUTOFF)
     agreements = {name: against(name, values) for name, values in channels.items()}
     crossed = zip(channels, reversed(channels.values()), strict=True)
     if len(channels) == 2 and not any(map(_correlates, agreements.values())) and all(
@@ -240,14 +237,14 @@ def _correlates(found: Agreement | None) -> bool:
     return found is not None and abs(found.correlation) >= LIMITS.correlation
 
 
-def speeds(motion: Motion, auxiliary: AuxiliaryData, start_ns: int, time_factor: float, seed: int) -> list[Judged]:
+def speeds(motion: Motion, auxiliary: AuxiliaryData, start_ns: int, time_factor: float) -> list[Judged]:
     """Other sources of the speed against the INS's forward speed. time_factor: by which all stamps run too fast."""
     findings = []
     for name, series, scale, lag in (("wheel_speed", auxiliary.wheel_speed, WHEEL_SCALE, WHEEL_LAG),
                                      ("ins_speed", auxiliary.ins_speed, 0.005, 0.03)):
         if series is None or len(series.time_ns) < 2:
             continue
-        found = speed(motion, series, start_ns, time_factor, seed)
+        found = speed(motion, series, start_ns, time_factor)
         expected = Expected(name, "velocity_x", "m/s", lag, scale, np.inf, (0.0, 0.0, np.inf),
                             least_spread=SPEED_SPREAD, factors=SPEED_FACTORS)
         title = f"forward speed: {name.replace('_', ' ')} against velocity_x"
@@ -255,10 +252,10 @@ def speeds(motion: Motion, auxiliary: AuxiliaryData, start_ns: int, time_factor:
     return findings
 
 
-def speed(motion: Motion, series: Series, start_ns: int, time_factor: float, seed: int) -> Agreement | None:
+def speed(motion: Motion, series: Series, start_ns: int, time_factor: float) -> Agreement | None:
     """Another source of the speed against the INS's forward speed."""
     time = (series.time_ns - start_ns) * 1e-9 / time_factor
-    return agreement(motion.time, motion.velocity_x, time, series.values, SPEED_CUTOFF, seed, biased=False)
+    return agreement(motion.time, motion.velocity_x, time, series.values, SPEED_CUTOFF, biased=False)
 
 
 def _slope(time: np.ndarray, values: np.ndarray) -> np.ndarray:

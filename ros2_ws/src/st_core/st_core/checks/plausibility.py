@@ -133,9 +133,19 @@ def implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
     if channel is None:
         return bad, []
     findings = []
-    for kind, samples in _implausible(channel, moving[channel.rows]):
-        findings.append(_finding(kind, channel, samples))
-        bad[channel.rows[samples]] = kind != "channel_jumps"
+    large = channel.step > channel.limit
+    taken = np.zeros(len(channel.values), bool)
+    for kind, samples in (("channel_wraps", _wrapped(channel)),
+                          ("sentinel_values", _sentinels(channel, large, moving[channel.rows])),
+                          ("sample_spikes", _spikes(channel, large)),
+                          ("out_of_range", _out_of_range(channel, large))):
+        new = np.setdiff1d(samples, np.flatnonzero(taken))
+        taken[new] = True
+        if len(new):
+            findings.append(_finding(kind, channel, new))
+    bad[channel.rows[taken]] = True
+    if name not in ("x", "y", "yaw") and len(jumps := _jumps(channel, large, taken)):
+        findings.append(_finding("channel_jumps", channel, jumps))
     return (bad if bad.mean() <= MOST else np.zeros_like(bad)), findings
 
 
@@ -168,22 +178,6 @@ def _moving(log: DriveLog) -> np.ndarray:
     begin, end = (np.clip(time + side, time[0], time[-1]) for side in (-0.5, 0.5))
     way = np.hypot(*(np.interp(end, time, p) - np.interp(begin, time, p) for p in (log.x, log.y)))
     return (way / (end - begin) > MOVING) | (np.abs(log.velocity_x) > MOVING)
-
-
-def _implausible(channel: _Channel, moving: np.ndarray) -> Iterable[tuple[str, np.ndarray]]:
-    """(name of the finding, places in the channel) of each kind, no sample twice."""
-    large = channel.step > channel.limit
-    taken = np.zeros(len(channel.values), bool)
-    for kind, samples in (("channel_wraps", _wrapped(channel)),
-                          ("sentinel_values", _sentinels(channel, large, moving)),
-                          ("sample_spikes", _spikes(channel, large)),
-                          ("out_of_range", _out_of_range(channel, large))):
-        new = np.setdiff1d(samples, np.flatnonzero(taken))
-        taken[new] = True
-        if len(new):
-            yield kind, new
-    if channel.name not in ("x", "y", "yaw") and len(jumps := _jumps(channel, large, taken)):
-        yield "channel_jumps", jumps
 
 
 def _jumps(channel: _Channel, large: np.ndarray, taken: np.ndarray) -> np.ndarray:

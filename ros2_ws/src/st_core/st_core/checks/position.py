@@ -57,7 +57,7 @@ CHANNELS = {"x_scale": ("x",), "y_scale": ("y",), "map_shear": ("x",), "yaw_offs
             "position_reference": ("x", "y"), "velocity_x_bias": ("velocity_x",), "velocity_y_bias": ("velocity_y",)}
 
 
-def regression(motion: Motion, seed: int) -> Regression:
+def regression(motion: Motion) -> Regression:
     """Regression of the identity's residual over windows on the effects of each cause."""
     over = windows(motion.time, WINDOW)
     east, north = motion.velocity_map
@@ -76,15 +76,15 @@ def regression(motion: Motion, seed: int) -> Regression:
         "velocity_x_bias": (-along[0], -along[1]), "velocity_y_bias": (along[1], -along[0]),
     }
     measured = np.stack([over.change(motion.x) - way[0], over.change(motion.y) - way[1]], axis=1)
-    return Regression(over.time, measured, {name: np.stack(c, axis=1) for name, c in columns.items()}, seed)
+    return Regression(over.time, measured, {name: np.stack(c, axis=1) for name, c in columns.items()})
 
 
-def position(motion: Motion, seed: int) -> tuple[Motion, list[Finding], dict[str, Estimate]]:
+def position(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Estimate]]:
     """(motion with the causes removed, the findings, estimates of every cause as values of its finding)."""
     found: dict[str, Estimate] = {}
     corrected = motion
     for _ in range(ROUNDS):  # the nonlinear part of a large cause is removed in the next round
-        problem = regression(corrected, seed)
+        problem = regression(corrected)
         if len(problem.time) < LEAST:
             return motion, [], {}
         effects = {name: max(problem.effect(name, 1.0, HORIZON, WINDOW), 1e-9) for name in problem.columns}
@@ -97,7 +97,7 @@ def position(motion: Motion, seed: int) -> tuple[Motion, list[Finding], dict[str
             break
     findings = [_finding(name, one, problem) for name, one in found.items()  # systematic uncertainty included
                 if not _shown(name, one).covers(1.0 if name.endswith("_scale") else 0.0)]
-    return corrected, findings, _all(regression(corrected, seed), found)
+    return corrected, findings, _all(regression(corrected), found)
 
 
 def scale_of_positions(motion: Motion, findings: list[Finding], estimates: dict[str, Estimate],
@@ -119,7 +119,7 @@ def scale_of_positions(motion: Motion, findings: list[Finding], estimates: dict[
 
 def misfit(motion: Motion) -> float:
     """Median distance over a second between positions and integrated velocity [m], scales of the map removed."""
-    problem = regression(motion, 0)
+    problem = regression(motion)
     return problem.fit(("x_scale", "y_scale"))[1] if len(problem.time) >= LEAST else np.inf
 
 
@@ -128,7 +128,7 @@ def positions_confirm_yaw_lag(motion: Motion, earlier: Motion, late: float) -> b
 
     At a constant speed both fit; then it is the yaw if its correction reduces the lag of the positions to a small part.
     """
-    fits = [regression(one, 0) for one in (motion, earlier)]
+    fits = [regression(one) for one in (motion, earlier)]
     if len(fits[0].time) < LEAST:
         return False
     (theta, scale, _), (corrected, rest, _) = (one.fit(("x_scale", "y_scale", "position_lag")) for one in fits)
@@ -141,7 +141,7 @@ def lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
     if float(np.sqrt(np.mean(motion.velocity_y**2))) < LEAST_ACROSS:
         return motion, []
     mirrored = motion.with_(velocity_y=-motion.velocity_y)
-    problem = regression(motion, 0)
+    problem = regression(motion)
     if len(problem.time) < LEAST:
         return motion, []
     twice = -2.0 * float(motion.velocity_y @ motion.yaw_rate) / max(float(motion.yaw_rate @ motion.yaw_rate), 1e-12)
@@ -227,9 +227,7 @@ def _finding(name: str, one: Estimate, problem: Regression) -> Finding:
         axis=name[0], value=shown.value, size=abs(shown.value), half=shown.half, degrees=np.rad2deg(abs(shown.value)),
         side="left" if more else "right", lag="lag" if more else "lead", ahead="ahead of" if more else "behind",
         grows="grows" if more else "shrinks", high="high" if more else "low")
-    severity = LIMITS.severity(effect)
-    if UNIT.get(name) == "s" and abs(one.value) >= LIMITS.grave_lag and severity is Severity.NOTE:
-        severity = Severity.WARNING
+    severity = LIMITS.severity(effect, UNIT.get(name) == "s" and abs(one.value) >= LIMITS.grave_lag)
     return Finding(name, severity, CHANNELS[name], text, shown.value, UNIT.get(name, "1"),
                    shown.interval, (), effect, _advice(name, shown.value))
 
@@ -255,29 +253,17 @@ def _advice(name: str, value: float) -> Advice:
 
 
 def _corrected(motion: Motion, found: dict[str, Estimate]) -> Motion:
-    value = {name: one.value for name, one in found.items()}
-    time = motion.time
-    if "x_scale" in value:
-        motion = motion.with_(x=motion.x / (1.0 + value["x_scale"]))
-    if "y_scale" in value:
-        motion = motion.with_(y=motion.y / (1.0 + value["y_scale"]))
-    if "map_shear" in value:
-        motion = motion.with_(x=motion.x - value["map_shear"] * motion.y)
-    if "position_reference" in value:
-        motion = motion.with_(x=motion.x - value["position_reference"] * np.cos(motion.yaw),
-                              y=motion.y - value["position_reference"] * np.sin(motion.yaw))
-    if "velocity_scale" in value:
-        factor = 1.0 + value["velocity_scale"]
-        motion = motion.with_(velocity_x=motion.velocity_x * factor, velocity_y=motion.velocity_y * factor)
-    if "yaw_offset" in value:
-        motion = motion.with_(yaw=motion.yaw - value["yaw_offset"])
-    for name in BIASES.keys() & value.keys():
-        channel = name.removesuffix("_bias")
-        motion = motion.with_(**{channel: getattr(motion, channel) - value[name]})
-    for cause, names in (("position_lag", ("x", "y")), ("velocity_lag", ("velocity_x", "velocity_y"))):
-        if cause in value:
-            motion = motion.with_(**{n: np.interp(time + value[cause], time, getattr(motion, n)) for n in names})
-    return motion
+    value = {name: found[name].value if name in found else 0.0 for name in CHANNELS}
+    ahead, faster, time = value["position_reference"], 1.0 + value["velocity_scale"], motion.time
+    y = motion.y / (1.0 + value["y_scale"])
+    x = motion.x / (1.0 + value["x_scale"]) - value["map_shear"] * y
+    fields = {"x": x - ahead * np.cos(motion.yaw), "y": y - ahead * np.sin(motion.yaw),
+              "yaw": motion.yaw - value["yaw_offset"],
+              "velocity_x": motion.velocity_x * faster - value["velocity_x_bias"],
+              "velocity_y": motion.velocity_y * faster - value["velocity_y_bias"]}
+    for cause in {"position_lag", "velocity_lag"} & found.keys():
+        fields |= {name: np.interp(time + value[cause], time, fields[name]) for name in CHANNELS[cause]}
+    return motion.with_(**fields)
 
 
 def identity(motion: Motion, before: Mapping[str, float]) -> Identity:

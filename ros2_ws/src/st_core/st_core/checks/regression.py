@@ -17,7 +17,7 @@ from ..regression import Blocks, symmetric_interval
 from .finding import SYSTEMATIC
 
 OUTLIER = 3.0  # robust standard deviations; windows beyond it count less (Huber)
-DRAWS = 200
+DRAWS, SEED = 200, 0  # of the resampling
 BLOCK = 5.0  # s, as in the alignment of clocks; what is alike in neighbouring blocks widens the interval
 FREEDOM = 4.0  # degrees of freedom of Student's t, at least
 RIDGE = 1e-6  # of the whole normal matrix: a draw without excitation stays solvable and counts for nothing otherwise
@@ -71,8 +71,8 @@ class Regression:
     time: (n,) of the windows [s]. y: (n, m), m components of a window. columns: X_k by name, (n, m) each.
     """
 
-    def __init__(self, time: np.ndarray, y: np.ndarray, columns: Mapping[str, np.ndarray], seed: int = 0):
-        self.time, self.y, self.columns, self.seed = time, y, columns, seed
+    def __init__(self, time: np.ndarray, y: np.ndarray, columns: Mapping[str, np.ndarray]):
+        self.time, self.y, self.columns = time, y, columns
         found, of = np.unique(np.floor(time / BLOCK).astype(np.int64), return_inverse=True)
         self._blocks = Blocks(of, np.zeros(len(found), np.int64), found, f"{len(found)} blocks of {BLOCK:g} s")
 
@@ -114,7 +114,7 @@ class Regression:
             return np.linalg.solve(np.tensordot(draws, squares, 1) + RIDGE * (whole + held),
                                    (draws @ pulls + RIDGE * pulled)[:, :, None])[:, :, 0]
 
-        drawn = self._blocks.bootstrap(estimator, DRAWS, self.seed)
+        drawn = self._blocks.bootstrap(estimator, DRAWS, SEED)
         found = {}
         for k, name in enumerate(names):
             deviation = float(np.sqrt(drawn.covariance[k, k]))
@@ -203,7 +203,7 @@ class Agreement:
 
 
 def agreement(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, measured: np.ndarray, cutoff: float,
-              seed: int, derived_is_angle: bool = False, biased: bool = True, usual: float = 0.0) -> Agreement | None:
+              derived_is_angle: bool = False, biased: bool = True, usual: float = 0.0) -> Agreement | None:
     """None where they are known together for less than LEAST seconds or do not vary.
 
     time, measured_time: rising [s]; values NaN where unknown. cutoff [Hz]: of the low-pass on both, so that it shifts
@@ -228,7 +228,7 @@ def agreement(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, 
     if len(rows) * STEP < LEAST or not float(np.std(derived_there)) > 0.0:
         return None
     at, there = other.time[rows], other.values[rows]
-    problem = Regression(at, there[:, None], {"scale": derived_there[:, None], "bias": np.ones((len(at), 1))}, seed)
+    problem = Regression(at, there[:, None], {"scale": derived_there[:, None], "bias": np.ones((len(at), 1))})
     correlation = float(np.corrcoef(derived_there, there)[0, 1]) if float(np.std(there)) > 0.0 else 0.0
     scale, bias = _line(problem, derived_there, correlation, biased)
     return Agreement(lag, scale, bias, correlation, float(np.std(derived_there)), at, there, derived_there,
@@ -300,7 +300,7 @@ def _line(problem: Regression, derived: np.ndarray, correlation: float, biased: 
     scale = problem.estimates(("scale",))["scale"]
     if not biased:
         return scale, NOTHING
-    shifted = Regression(problem.time, problem.y - derived[:, None], problem.columns, problem.seed)
+    shifted = Regression(problem.time, problem.y - derived[:, None], problem.columns)
     if problem.fit(("scale",))[1] <= CLEARLY * shifted.fit(("bias",))[1]:
         return scale, NOTHING
     return UNITY, shifted.estimates(("bias",))["bias"]

@@ -279,13 +279,12 @@ def unfrozen(motion: Motion, findings: Sequence[Finding]) -> Motion:
     for one in findings:
         if one.name != "channel_frozen":
             continue
-        steering = one.channels == ("road_wheel_angle",)
-        time = motion.steering_time if steering else motion.time
-        keep = ~np.any([(time >= begin) & (time <= end) for begin, end in one.where], axis=0)
-        if keep.sum() <= 0.5 * len(keep):
-            continue
-        motion = motion.where(keep) if not steering else motion.with_(
-            steering_time=time[keep], steering=motion.steering[keep])
+        for steering in {channel == "road_wheel_angle" for channel in one.channels}:
+            time = motion.steering_time if steering else motion.time
+            keep = ~np.any([(time >= begin) & (time <= end) for begin, end in one.where], axis=0)
+            if keep.sum() > 0.5 * len(keep):
+                motion = motion.where(keep) if not steering else motion.with_(
+                    steering_time=time[keep], steering=motion.steering[keep])
     return motion
 
 

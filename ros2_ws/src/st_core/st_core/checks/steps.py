@@ -111,10 +111,8 @@ def _jumps(motion: Motion, rest: np.ndarray, stale: np.ndarray, rounding: float)
             "at most, not explained by velocity")
     share = min(count * 5.0 / max(float(motion.time[-1] - motion.time[0]), 1.0), 1.0)
     effect = median * float(np.sqrt(share))
-    severity = LIMITS.severity(effect) if largest < LIMITS.warning else max(
-        LIMITS.severity(effect), Severity.WARNING, key=(Severity.NOTE, Severity.WARNING, Severity.ERROR).index)
-    return [Finding("position_jumps", severity, ("x", "y"), text, float(count), "1", None, where[:MOST_JUMPS], effect,
-                    _without(where))]
+    return [Finding("position_jumps", LIMITS.severity(effect, largest >= LIMITS.warning), ("x", "y"), text,
+                    float(count), "1", None, where[:MOST_JUMPS], effect, _without(where))]
 
 
 def _without(where: Sequence[tuple[float, float]]) -> Advice:

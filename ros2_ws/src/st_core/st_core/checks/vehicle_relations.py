@@ -31,15 +31,15 @@ OPPOSITE = -0.8  # correlation of steering and curvature up to which the sensor 
 STOPPED = 1e-6  # of the angle derived from curvature; a constant steering angle is reported as frozen instead
 
 
-def steering(motion: Motion, vehicle: VehicleParameters, hand_wheel: bool, seed: int) -> Comparison:
+def steering(motion: Motion, vehicle: VehicleParameters, hand_wheel: bool) -> Comparison:
     """Curvature against steering. hand_wheel: whether its angle was recorded; its offset is in the vehicle file."""
     moving = motion.velocity_x > SLOW
     curvature = np.where(moving, motion.yaw_rate / np.maximum(motion.velocity_x, MOVING), np.nan)
     derived = np.arctan(vehicle.wheelbase * curvature)
     speed = float(np.median(motion.velocity_x[moving])) if moving.any() else SLOW
     response = response_time(vehicle, speed)
-    found = agreement(motion.time, derived, motion.steering_time, motion.steering, CUTOFF, seed, usual=-response)
-    scale = _scale(motion, derived, seed)
+    found = agreement(motion.time, derived, motion.steering_time, motion.steering, CUTOFF, usual=-response)
+    scale = _scale(motion, derived)
     own = _understeered(motion.velocity_x, derived, vehicle)
     if found is None or abs(found.correlation) < LIMITS.correlation:
         unit = scale and _unit(scale, own, vehicle)
@@ -64,7 +64,7 @@ def steering(motion: Motion, vehicle: VehicleParameters, hand_wheel: bool, seed:
     return findings, estimates, shown
 
 
-def _scale(motion: Motion, derived: np.ndarray, seed: int) -> Estimate | None:
+def _scale(motion: Motion, derived: np.ndarray) -> Estimate | None:
     """Of the road wheel angle over that of the curvature, without an offset; None where the car hardly turns.
 
     A negative one needs less turning: it states the sign, and both rise and fall together whatever the offset.
@@ -75,7 +75,7 @@ def _scale(motion: Motion, derived: np.ndarray, seed: int) -> Estimate | None:
     if size < LEAST_ANGLE and not (size > LEAST_ANGLE_OF_SIGN and float(np.std(angle[known])) > 0.0
                                    and np.corrcoef(derived[known], angle[known])[0, 1] < OPPOSITE):
         return None
-    problem = Regression(motion.time[known], angle[known, None], {"scale": derived[known, None]}, seed)
+    problem = Regression(motion.time[known], angle[known, None], {"scale": derived[known, None]})
     return problem.estimates(("scale",))["scale"]
 
 
@@ -183,7 +183,7 @@ def _at_most_warning(effect: float) -> Severity:
     return Severity.WARNING if severity is Severity.ERROR else severity
 
 
-def rear_axle(motion: Motion, vehicle: VehicleParameters, seed: int) -> Comparison:
+def rear_axle(motion: Motion, vehicle: VehicleParameters) -> Comparison:
     """Heading against the straight-on course, and where the INS point lies."""
     over = windows(motion.time, WINDOW)
     columns = [over.mean(motion.time, c) for c in (motion.velocity_x, motion.velocity_y, motion.yaw_rate)]
@@ -194,7 +194,7 @@ def rear_axle(motion: Motion, vehicle: VehicleParameters, seed: int) -> Comparis
     if abs(float(forward @ rate)) > ONE_BEND * float(np.linalg.norm(forward) * np.linalg.norm(rate)):
         return [], {}, None  # heading, point and slip of the axle look alike
     problem = Regression(over.time[use], across[:, None], {
-        "heading": -forward[:, None], "point": rate[:, None], "slip": -(forward**2 * rate)[:, None]}, seed)
+        "heading": -forward[:, None], "point": rate[:, None], "slip": -(forward**2 * rate)[:, None]})
     found = _rear_axle(problem, vehicle, several_speeds(forward))
     heading = with_systematic("heading_misaligned", found["heading"])
     point = with_systematic("measuring_point", found["point"].shifted(-(vehicle.cg_to_rear_axle + vehicle.cg_to_ins_x)))
@@ -221,7 +221,7 @@ def _rear_axle(problem: Regression, vehicle: VehicleParameters, separable: bool)
     fixed = []
     for slip in (expected, 0.5 * expected, 1.5 * expected):
         rest = problem.rest({"slip": slip})
-        fixed.append(Regression(problem.time, rest, problem.columns, problem.seed).estimates(("heading", "point")))
+        fixed.append(Regression(problem.time, rest, problem.columns).estimates(("heading", "point")))
     return {"slip": Estimate(expected, 0.25 * expected, (0.5 * expected, 1.5 * expected)), **{
         name: fixed[0][name].widened(max(abs(other[name].value - fixed[0][name].value) for other in fixed[1:]))
         for name in ("heading", "point")}}
