@@ -37,6 +37,9 @@ MOST_GAIN, MOST_OFFSET = LIMITS.steering_unit - 1.0, 0.1  # 1, rad at the road w
 LEAST_STARTS = 4
 MOST_STARTS = 100  # spread over the run; more do not change an average by a per cent
 TIMES = {"ms": 1e3, "us": 1e6, "ns": 1e9}
+SPEEDS = 40  # at which steps are examined, between the lowest and the highest of the run
+PARTS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MOST_SUBSTEPS)  # of a step, which keep it a plain number
+TOGETHER = 1.0  # s; stretches closer than that are one
 State = tuple[DriveLog, VehicleParameters]
 
 
@@ -142,14 +145,6 @@ def _relabelled(log: DriveLog, entry: Mapping[str, Any]) -> DriveLog:
     return replace(log, **{name: getattr(log, source) for name, source in columns.items()}) if columns else log
 
 
-SPEEDS = 40
-"""looked at, between the lowest and the highest of the run."""
-SHORT = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MOST_SUBSTEPS)
-"""Parts of a step that keep it a plain number."""
-TOGETHER = 1.0
-"""s. Stretches closer than that are one."""
-
-
 def step_too_long(models: Sequence[str | Model], vehicle: VehicleParameters, log: DriveLog,
                   step: float) -> Finding | None:
     """The finding `step_too_long`, for all of the models together; None where the step [s] is short enough.
@@ -171,8 +166,9 @@ def step_too_long(models: Sequence[str | Model], vehicle: VehicleParameters, log
     value, unit, advice = _advice(chosen, vehicle, speeds.tolist(), step)
     text = (f"integration steps of {1e3 * step:g} ms are too long for the {' and '.join(guilty)} model of "
             f"{vehicle.name} at {touched.min():.1f} to {touched.max():.1f} m/s: the lateral motion comes out wrong")
-    return Finding("step_too_long", Severity.WARNING, ("velocity_x",), text, value, unit,
-                   where=_stretches(log, unstable), advice=advice)
+    seconds = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
+    where = () if unstable.all() else stretches(seconds[unstable], TOGETHER)
+    return Finding("step_too_long", Severity.WARNING, ("velocity_x",), text, value, unit, where=where, advice=advice)
 
 
 def _advice(models: Sequence[Model], vehicle: VehicleParameters, speeds: Sequence[float],
@@ -181,14 +177,8 @@ def _advice(models: Sequence[Model], vehicle: VehicleParameters, speeds: Sequenc
     if needed is not None:
         line = f'minimum_slip_speed: {{value: {needed:g}, unit: m/s, source: "stable with steps of {1e3 * step:g} ms"}}'
         return needed, "m/s", Advice("vehicle", line, {"minimum_slip_speed": needed})
-    shorter = next((step / parts for parts in SHORT if stable(models, vehicle, speeds, step / parts)), None)
+    shorter = next((step / parts for parts in PARTS if stable(models, vehicle, speeds, step / parts)), None)
     if shorter is not None:
         return shorter, "s", Advice("option", f"--step {shorter:.9g}", {"step": shorter})
     return None, "s", Advice("look", f"no step down to {1e3 * step / MOST_SUBSTEPS:.2g} ms is short enough: look at "
                              "the vehicle's yaw_inertia, mass and stiffnesses, and at the effects of the model")
-
-
-def _stretches(log: DriveLog, chosen: np.ndarray) -> tuple[tuple[float, float], ...]:
-    """Stretches selected by a mask over the INS samples, in s after the first of them; () for the whole run."""
-    seconds = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
-    return () if chosen.all() else stretches(seconds[chosen], TOGETHER)
