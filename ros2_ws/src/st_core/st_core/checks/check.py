@@ -36,7 +36,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
         auxiliary.start_ns or 0)
     log, implausible = plausible(log, start_ns)
     implausible = [*auxiliary.implausible, *implausible]
-    motion = Motion.of(log, start_ns)
+    motion = Motion.of(log, start_ns, auxiliary)
     known = sampling.channels(motion, auxiliary)
     enough = len(log.ins_time_ns) >= SHORTEST
     driven = enough and is_driven(motion)
@@ -61,7 +61,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
         motion, stepping = steps(motion)  # held positions step by nature
         findings += stepping
     speed = motion.velocity_x
-    rate, compared = _sensors_at_true_rate(motion, unit, _factors(coarse), auxiliary, start_ns)
+    rate, compared = _sensors_at_true_rate(motion, unit, _factors(coarse))
     motion, fine, estimates, identities = compared
     findings += rate + _once(coarse, fine, estimates)
     hand_wheel = log.steering_wheel_angle is not None
@@ -77,15 +77,14 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
                    {name: (one.value, *one.interval) for name, one in estimates.items()})
 
 
-def _sensors_at_true_rate(motion: Motion, unit: Finding | None, before: dict[str, float], auxiliary: AuxiliaryData,
-                          start_ns: int) -> tuple[list[Finding], Compared]:
+def _sensors_at_true_rate(motion: Motion, unit: Finding | None,
+                          before: dict[str, float]) -> tuple[list[Finding], Compared]:
     """(the finding of a wrong sampling rate, result of `_sensors` with the times at the true rate)."""
-    compared = _sensors(motion, before, auxiliary, start_ns)
+    compared = _sensors(motion, before)
     rate = None if unit else nominal_rate(compared[1], compared[2])
     if rate is None or not rate.value:
         return [], compared
-    scaled = motion.with_(time=motion.time / rate.value, steering_time=motion.steering_time / rate.value)
-    return [rate], _sensors(scaled, {**before, "time_unit": rate.value}, auxiliary, start_ns)
+    return [rate], _sensors(motion.slower(rate.value), before)
 
 
 def _with_vehicle(motion: Motion, vehicle: VehicleParameters | None, hand_wheel: bool, broken: set[str],
@@ -175,7 +174,7 @@ def _of_all(advice: Advice, value: float) -> Advice:
     return Advice.correct(channel, **{key: float(f"{1.0 / value if key == 'scale' else -value:.6g}")})
 
 
-def _sensors(motion: Motion, before: dict[str, float], auxiliary: AuxiliaryData, start_ns: int) -> Compared:
+def _sensors(motion: Motion, before: dict[str, float]) -> Compared:
     """The identities that hold for any vehicle parameters."""
     shown = [position.identity(motion, before)]
     motion, findings = position.lateral_sign(motion)
@@ -183,10 +182,8 @@ def _sensors(motion: Motion, before: dict[str, float], auxiliary: AuxiliaryData,
     motion, late = _late_yaw(motion, found)
     recorded = motion
     motion, causes, estimates = position.position(motion)
-    if auxiliary.wheel_speed and len(auxiliary.wheel_speed.time_ns) > 1:
-        wheel = inertial.speed(recorded, auxiliary.wheel_speed, start_ns, before.get("time_unit", 1.0))
-        if wheel:
-            motion, causes = position.scale_of_positions(motion, causes, estimates, wheel.scale)
+    if "wheel_speed" in motion.speeds and (wheel := inertial.speed(recorded, "wheel_speed")):
+        motion, causes = position.scale_of_positions(motion, causes, estimates, wheel.scale)
     if found and found.carries_lag:
         estimates["yaw_lag"] = with_systematic("yaw_lag", found.lag.scaled(-1.0))
     findings += late + causes
@@ -209,8 +206,7 @@ def _sensors(motion: Motion, before: dict[str, float], auxiliary: AuxiliaryData,
     shown += [panel] if panel else []
     if found:
         motion = inertial.corrected_yaw_rate(motion, found)
-    for more, values, panel in (*inertial.accelerations(motion),
-                                *inertial.speeds(motion, auxiliary, start_ns, before.get("time_unit", 1.0))):
+    for more, values, panel in (*inertial.accelerations(motion), *inertial.speeds(motion)):
         findings += more
         estimates |= values
         shown += [panel] if panel else []

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .finding import HORIZON, LIMITS, WHEEL_SCALE, Advice, AuxiliaryData, Finding, Identity, Series, Severity
+from .finding import HORIZON, LIMITS, WHEEL_SCALE, Advice, Finding, Identity, Severity
 from .motion import MOVING, Motion, sideways
 from .regression import Agreement, Estimate, agreement, with_systematic
 
@@ -237,14 +237,12 @@ def _correlates(found: Agreement | None) -> bool:
     return found is not None and abs(found.correlation) >= LIMITS.correlation
 
 
-def speeds(motion: Motion, auxiliary: AuxiliaryData, start_ns: int, time_factor: float) -> list[Judged]:
-    """Other sources of the speed against the INS's forward speed. time_factor: by which all stamps run too fast."""
+def speeds(motion: Motion) -> list[Judged]:
+    """Other sources of the speed against the INS's forward speed."""
     findings = []
-    for name, series, scale, lag in (("wheel_speed", auxiliary.wheel_speed, WHEEL_SCALE, WHEEL_LAG),
-                                     ("ins_speed", auxiliary.ins_speed, 0.005, 0.03)):
-        if series is None or len(series.time_ns) < 2:
-            continue
-        found = speed(motion, series, start_ns, time_factor)
+    for name in motion.speeds:
+        found = speed(motion, name)
+        scale, lag = (WHEEL_SCALE, WHEEL_LAG) if name == "wheel_speed" else (0.005, 0.03)
         expected = Expected(name, "velocity_x", "m/s", lag, scale, np.inf, (0.0, 0.0, np.inf),
                             least_spread=SPEED_SPREAD, factors=SPEED_FACTORS)
         title = f"forward speed: {name.replace('_', ' ')} against velocity_x"
@@ -252,10 +250,9 @@ def speeds(motion: Motion, auxiliary: AuxiliaryData, start_ns: int, time_factor:
     return findings
 
 
-def speed(motion: Motion, series: Series, start_ns: int, time_factor: float) -> Agreement | None:
+def speed(motion: Motion, name: str) -> Agreement | None:
     """Another source of the speed against the INS's forward speed."""
-    time = (series.time_ns - start_ns) * 1e-9 / time_factor
-    return agreement(motion.time, motion.velocity_x, time, series.values, SPEED_CUTOFF, biased=False)
+    return agreement(motion.time, motion.velocity_x, *motion.speeds[name], SPEED_CUTOFF, biased=False)
 
 
 def _slope(time: np.ndarray, values: np.ndarray) -> np.ndarray:

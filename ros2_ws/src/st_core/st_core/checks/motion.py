@@ -1,7 +1,8 @@
 """Working copy of a drive for the checks: arrays in seconds, corrected by the findings so far, so that one fault gives
 one finding."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from ..filtering import NANOSECOND
 from ..log import DriveLog
+from .finding import AuxiliaryData
 
 LONGEST_GAP = 0.25  # s between samples; nothing is integrated across a longer one
 MOVING = 1.0  # m/s; slower driving is not used
@@ -22,7 +24,8 @@ LEAST_SIGNAL = 10.0  # standard deviations of the velocity's noise
 class Motion:
     """A drive in seconds after the first INS measurement, signals as DriveLog has them; accelerations may be NaN.
 
-    steering_time [s], steering [rad]: at the road wheels, left +.
+    steering_time [s], steering [rad]: at the road wheels, left +. speeds: other sources of the forward speed, by name
+    (time [s], values [m/s]).
     """
 
     time: np.ndarray
@@ -36,17 +39,25 @@ class Motion:
     steering: np.ndarray
     acceleration_x: np.ndarray | None = None
     acceleration_y: np.ndarray | None = None
+    speeds: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, log: DriveLog, start_ns: int | None = None) -> "Motion":
-        """start_ns: zero of the times; None for the first INS measurement."""
-        start = log.ins_time_ns[:1] if start_ns is None else start_ns
+    def of(cls, log: DriveLog, start: int, auxiliary: AuxiliaryData) -> "Motion":
+        """start: zero of the times [ns]."""
+        series = {"wheel_speed": auxiliary.wheel_speed, "ins_speed": auxiliary.ins_speed}
+        speeds = {name: ((one.time_ns - start) * NANOSECOND, one.values)
+                  for name, one in series.items() if one and len(one.time_ns) > 1}
         return cls((log.ins_time_ns - start) * NANOSECOND, log.x - log.x[:1], log.y - log.y[:1], log.yaw,
                    log.velocity_x, log.velocity_y, log.yaw_rate, (log.steering_time_ns - start) * NANOSECOND,
-                   log.road_wheel_angle, log.acceleration_x, log.acceleration_y)
+                   log.road_wheel_angle, log.acceleration_x, log.acceleration_y, speeds)
 
     def with_(self, **changes: Any) -> "Motion":
         return replace(self, **changes)
+
+    def slower(self, factor: float) -> "Motion":
+        """With all times divided by a factor."""
+        speeds = {name: (time / factor, values) for name, (time, values) in self.speeds.items()}
+        return replace(self, time=self.time / factor, steering_time=self.steering_time / factor, speeds=speeds)
 
     def where(self, keep: np.ndarray) -> "Motion":
         """With these samples of the INS only, (n,) bool."""

@@ -84,8 +84,7 @@ def time_unit(motion: Motion) -> tuple[Motion, Finding | None]:
         factor, (name, symbol) = unit, TIMES[unit]
         words, advice = f": {name}?", Advice("run.yaml", f"units: {{t: {symbol}}}", {"units": {"t": symbol}})
     text = f"time runs {factor:g} times too fast for positions and yaw{words}"
-    corrected = motion.with_(time=motion.time / factor, steering_time=motion.steering_time / factor)
-    return corrected, _error("time_unit", ("time",), text, factor, advice)
+    return motion.slower(factor), _error("time_unit", ("time",), text, factor, advice)
 
 
 def nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate]) -> Finding | None:
