@@ -130,10 +130,29 @@ def test_an_opposite_steering_sign_comes_first_with_what_to_type():
     console = Lines()
     show(replace(run("drive", (DEGREES, sign)), where="logs/drive.csv"), console)
     first = console.file.getvalue().splitlines()[0]
-    assert "opposite sign" in first and "--steering-sign -1" in first
+    assert "opposite sign" in first and "--steering-sign -1" in first and "CAN" not in first
     assert "`st check logs/drive.csv --propose-correction run.yaml`" in first
     assert "opposite sign" in str(Refused("a.csv", [sign])) and "opposite" not in str(Refused("a.csv", [DEGREES]))
     assert summary([run("drive", (sign,))])[1].startswith("The steering angle has the opposite sign")
+
+
+def test_an_opposite_sign_in_a_can_log_is_answered_with_its_option():
+    sign = Finding("steering_sign", Severity.ERROR, ("road_wheel_angle",), "is -1 times the angle", -1.0, "1")
+    alignment = about_alignment(Alignment(0, 0, 0.0, 0.001, 0.1, "shared signals", Verdict.GOOD))
+    console = Lines()
+    show(replace(run("drive", (sign,)), alignment=alignment), console)
+    first = console.file.getvalue().splitlines()[0]
+    assert "steering_sign in car.yaml" in first and "--steering-field" not in first and "run.yaml" not in first
+
+
+def test_the_clocks_of_many_runs_are_one_sentence():
+    found = {str(n): about_alignment(Alignment(0, -n * 100_000_000, 0.0, 0.001 * n, 0.1, "shared signals", verdict))
+             for n, verdict in enumerate((Verdict.GOOD, Verdict.GOOD, Verdict.DOUBTFUL), 1)}
+    assert words.clocks({**found, "csv": {"method": "none"}}) == (
+        "steering clocks of 3 runs: +0.100 to +0.300 s relative to INS, found from the data, at worst ± 3.0 ms, "
+        "1 of them doubtful")
+    del found["3"]
+    assert words.clocks(found).count("steering clock:") == 2
 
 
 @pytest.mark.parametrize(("method", "text"), [

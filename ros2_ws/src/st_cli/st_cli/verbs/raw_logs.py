@@ -80,7 +80,8 @@ def report(pair, console) -> None:
         if not pair.motion.absolute:
             table.add_row("INS time", f"{_seconds(alignment.to_reference_ns(start))} s", "at the CAN log's start")
         if alignment.method != "by hand":
-            table.add_row("INS frames on the bus", pair.latency, "after the instant they are true for")
+            if any(one.name.startswith(("forward velocity", "yaw")) for one in pair.shared):
+                table.add_row("INS frames on the bus", pair.latency, "after the instant they are true for")
             table.add_row("INS minus CAN clock", f"{_seconds(alignment.offset_ns)} s",
                           f"{at:.1f} s later, in the middle of the common time")
             table.add_row("  deviation there", f"{alignment.offset_deviation * 1e3:.2f} ms",

@@ -79,10 +79,11 @@ def summary(good: Sequence[CheckedRun]) -> list[str]:
     size = f", by up to {max(sizes):.2g} m after 5 s" if sizes and gravest.severity is Severity.WARNING else ""
     refused = ": every command refuses such a run without --force" if gravest.severity is Severity.ERROR else ""
     meaning = words.MEANING[gravest.severity]
-    sign = next(filter(None, (words.opposite_sign(run.checked.findings, run.where) for run in good)), "")
+    sign = next(filter(None, (words.opposite_sign(
+        run.checked.findings, run.where, run.alignment["method"] != "none") for run in good)), "")
     correct = (f"Correct: `st check {good[0].where if len(good) == 1 else 'RUN'} --propose-correction run.yaml` writes "
                "the corrections into a run.yaml; use that instead of the recording.")
-    clocks = "; ".join(f"{run.name}: {text}" for run in good if (text := words.clock(run.alignment)))
+    clocks = words.clocks({run.name: run.alignment for run in good})
     return [f"{meaning[0].upper()}{meaning[1:]}{size}{refused}.", f"{sign[0].upper()}{sign[1:]}." if sign else correct,
             *([f"{clocks}."] if clocks else [])]
 

@@ -117,13 +117,30 @@ def correction(found: Advice | None) -> str:
     return f"{PLACE[found.kind]}{found.line}" if found else ""
 
 
-def opposite_sign(findings: Iterable[Finding], source: str = "RUN") -> str:
-    """What to type where the steering angle counts the other way; empty where it does not."""
+def opposite_sign(findings: Iterable[Finding], source: str = "RUN", can: bool | None = None) -> str:
+    """What to type where the steering angle counts the other way; empty where it does not.
+
+    can: whether the steering is in a CAN log, in a table if False; None where that is not known.
+    """
     if not any(one.name == "steering_sign" for one in findings):
         return ""
-    return ("the steering angle has the opposite sign (left is positive). Logs of a CAN bus: add --steering-sign -1 (1 "
-            "if car.yaml has -1). A table: add --steering-field COLUMN --steering-sign -1, or write a run.yaml with "
-            f"`st check {source} --propose-correction run.yaml` and use it instead")
+    log = "add --steering-sign -1 (1 if car.yaml has -1), or change steering_sign in car.yaml"
+    table = ("add --steering-field COLUMN --steering-sign -1, or write a run.yaml with "
+             f"`st check {source} --propose-correction run.yaml` and use it instead")
+    what = {True: log, False: table, None: f"for logs of a CAN bus, {log}; for a table, {table}"}[can]
+    return f"the steering angle has the opposite sign (left is positive): {what}"
+
+
+def clocks(alignments: Mapping[str, Mapping[str, Any]]) -> str:
+    """Sentence on the steering clocks of several runs by their names; of more than two, the range of those found."""
+    found = [one for one in alignments.values() if one["method"] not in ("none", "by hand")]
+    if len(found) <= 2:
+        return "; ".join(f"{name}: {text}" for name, one in alignments.items() if (text := clock(one)))
+    ahead = sorted(-one["offset_s"] for one in found)
+    deviation = max(one["offset_deviation_s"] or 0.0 for one in found)
+    doubtful = sum(one["verdict"] != "good" for one in found)
+    return (f"steering clocks of {len(found)} runs: {ahead[0]:+.3f} to {ahead[-1]:+.3f} s relative to INS, found from "
+            f"the data, at worst ± {1e3 * deviation:.1f} ms, {doubtful or 'none'} of them doubtful")
 
 
 def clock(alignment: Mapping[str, Any]) -> str:
@@ -210,7 +227,7 @@ def show(run: CheckedRun, console: Console) -> None:
     """Print the verdict, the clock, and each finding with its correction."""
     worst = min((one.severity for one in run.checked.findings), key=GRAVITY.index, default=Severity.NOTE)
     colour = "green" if worst is Severity.NOTE else STYLE[worst]
-    if hint := opposite_sign(run.checked.findings, run.where):
+    if hint := opposite_sign(run.checked.findings, run.where, run.alignment["method"] != "none"):
         line(f"[bold red]{escape(run.name)}: {escape(hint)}[/]", console)
     line(f"[bold]{escape(run.name)}[/bold]: [{colour}]{escape(verdict(run.checked))}[/]  "
          f"[dim]{run.duration:.0f} s, {escape(run.vehicle.name)} from {escape(run.vehicle_from)}[/dim]", console)

@@ -18,7 +18,7 @@ from st_recordings.results import versions
 
 from ..bands.bands_report import adaptive_rows, band_figures, band_rows, finished_shares, share_rows
 from ..bands.scoring import finished, finished_adaptive, pooled_sums
-from ..checking.check_report import by_name, clock, effect, findings_in
+from ..checking.check_report import by_name, clocks, effect, findings_in
 from ..pages import template
 from . import tables
 from .drawing import TEXT, WIDTH, Drawn, Place, finish, style
@@ -216,8 +216,8 @@ def summary(reports: Sequence[RunReport], over: str, horizon: float) -> list[str
     groups = [(one, names) for one, names in by_name({r.name: findings_in(r.about) for r in reports})
               if one.severity is not Severity.NOTE]
     biased = "; ".join(f"{one.name} in {', '.join(names)} ({effect(one) or one.text})" for one, names in groups)
-    clocks = "; ".join(f"{r.name}: {text}" for r in reports if (text := clock(r.about["alignment"])))
+    steering = clocks({report.name: report.about["alignment"] for report in reports})
     return [f"{minutes:.1f} minutes, predictions of {horizon:g} s. With the measured inputs (hindsight) the error is "
             f"the model's; with the inputs of the start held (forecast) it includes the driver: {best} {held} m.",
             f"The recordings bias this: {biased}." if biased else "The checks found no error and no warning.",
-            *([f"{clocks}."] if clocks else [])]
+            *([f"{steering}."] if steering else [])]
