@@ -17,7 +17,9 @@ from st_core.clock_types import Alignment, Verdict
 from st_recordings.runs.can_logs import read_can_logs
 from st_recordings.runs.can_signals import CanSignals, decode_signals, load_signal_table
 from st_recordings.runs.clocks import INS_ON_CAN, align_clocks, shared_signals
-from st_recordings.runs.csv import read_motion
+from st_recordings.runs.columns import Layout
+from st_recordings.runs.csv import MOTION, ins_of
+from st_recordings.runs.csv_table import read_table
 from support import ROOT, SETS, vectors
 from typer.testing import CliRunner
 
@@ -29,7 +31,7 @@ LATE = {"RT_VelocityLevel": 0.0015, "RT_HeadingPitchRoll": 0.0017, "RT_RateVehic
 class Pair:
     def __init__(self, which: str):
         self.files = [vectors(which, f"can/{n}") for n in ("synthetic_rt_own_log.csv", "synthetic_leaf_rt.mf4")]
-        self.motion, _ = read_motion(self.files[0])
+        self.motion = ins_of(read_table(self.files[0], Layout()), MOTION).motion
         self.log = read_can_logs(self.files[1:])
         table = load_signal_table(ROOT / "config/can/leaf_ze0.dbc", ROOT / "config/can/leaf_ze0.yaml")
         self.signals = decode_signals(self.log.frames, table)

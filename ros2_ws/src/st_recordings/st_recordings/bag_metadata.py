@@ -31,17 +31,11 @@ class Qos:
     liveliness_lease_ns: int = INFINITE_NS
 
     def to_entry(self) -> dict[str, Any]:
-        return {
-            "history": self.history,
-            "depth": self.depth,
-            "reliability": self.reliability,
-            "durability": self.durability,
-            "deadline": _duration(self.deadline_ns),
-            "lifespan": _duration(self.lifespan_ns),
-            "liveliness": self.liveliness,
-            "liveliness_lease_duration": _duration(self.liveliness_lease_ns),
-            "avoid_ros_namespace_conventions": False,
-        }
+        return {"history": self.history, "depth": self.depth, "reliability": self.reliability,
+                "durability": self.durability, "deadline": _duration(self.deadline_ns),
+                "lifespan": _duration(self.lifespan_ns), "liveliness": self.liveliness,
+                "liveliness_lease_duration": _duration(self.liveliness_lease_ns),
+                "avoid_ros_namespace_conventions": False}
 
 
 def qos_text(qos: Sequence[Qos]) -> str:
@@ -81,42 +75,19 @@ class BagInformation:
         # rosbag2 marks an empty bag with the largest time.
         start = min((f.start_ns for f in filled), default=INFINITE_NS)
         end = max((f.end_ns for f in filled), default=INFINITE_NS)
-        return {
-            "rosbag2_bagfile_information": {
-                "version": 9,
-                "storage_identifier": "mcap",
-                "duration": {"nanoseconds": end - start},
-                "starting_time": {"nanoseconds_since_epoch": start},
-                "message_count": sum(f.count for f in self.files),
-                "topics_with_message_count": [
-                    {
-                        "topic_metadata": {
-                            "name": t.name,
-                            "type": t.type_name,
-                            "serialization_format": "cdr",
-                            "offered_qos_profiles": t.qos,
-                            "type_description_hash": t.type_hash,
-                        },
-                        "message_count": t.count,
-                    }
-                    for t in self.topics
-                ],
-                "compression_format": "",
-                "compression_mode": "",
-                "relative_file_paths": [f.name for f in self.files],
-                "files": [
-                    {
-                        "path": f.name,
-                        "starting_time": {"nanoseconds_since_epoch": f.start_ns if f.count else INFINITE_NS},
-                        "duration": {"nanoseconds": f.end_ns - f.start_ns},
-                        "message_count": f.count,
-                    }
-                    for f in self.files
-                ],
-                "custom_data": dict(self.custom) or None,
-                "ros_distro": "jazzy",
-            }
-        }
+        return {"rosbag2_bagfile_information": {
+            "version": 9, "storage_identifier": "mcap", "duration": {"nanoseconds": end - start},
+            "starting_time": {"nanoseconds_since_epoch": start}, "message_count": sum(f.count for f in self.files),
+            "topics_with_message_count": [
+                {"topic_metadata": {"name": t.name, "type": t.type_name, "serialization_format": "cdr",
+                                    "offered_qos_profiles": t.qos, "type_description_hash": t.type_hash},
+                 "message_count": t.count} for t in self.topics],
+            "compression_format": "", "compression_mode": "", "relative_file_paths": [f.name for f in self.files],
+            "files": [
+                {"path": f.name, "starting_time": {"nanoseconds_since_epoch": f.start_ns if f.count else INFINITE_NS},
+                 "duration": {"nanoseconds": f.end_ns - f.start_ns}, "message_count": f.count} for f in self.files],
+            "custom_data": dict(self.custom) or None, "ros_distro": "jazzy",
+        }}
 
     def text(self) -> str:
         return yaml.dump(self.document(), Dumper=_NoAliases, sort_keys=False)
@@ -150,11 +121,8 @@ def _duration(nanoseconds: int) -> dict[str, int]:
 
 def short_entries(records: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
     """Short entries of a bag's metadata records (name -> {key: text}) as `custom_data` of metadata.yaml: "name.key"."""
-    return {
-        f"{name}.{key}": value
-        for name, entries in records.items() if name != "rosbag2"
-        for key, value in entries.items() if len(value) <= CUSTOM_DATA_LIMIT and "\n" not in value
-    }
+    return {f"{name}.{key}": value for name, entries in records.items() if name != "rosbag2"
+            for key, value in entries.items() if len(value) <= CUSTOM_DATA_LIMIT and "\n" not in value}
 
 
 SEPARATOR = "=" * 80

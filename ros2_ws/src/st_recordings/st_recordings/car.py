@@ -7,7 +7,7 @@ import yaml
 from st_core.vehicle import VehicleParameters
 
 from .paths import config
-from .runs.errors import RunError, check_readable
+from .runs.errors import RunError, check_readable, short
 
 STEERING = {"steering_sign": 1, "steering_latency": 0.0}
 """Keys of car.yaml and their defaults."""
@@ -80,11 +80,9 @@ def read_table(file: Path) -> dict:
     """A YAML file of keys and values. Raises RunError."""
     check_readable(file)
     try:
-        table = yaml.safe_load(file.read_text(encoding="utf-8"))
+        table = yaml.safe_load(file.read_text(encoding="utf-8")) or {}
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise RunError(file, f"not YAML: {' '.join(str(error).split())}") from None
-    if table is None:
-        return {}
+        raise RunError(file, f"not YAML: {short(error)}") from None
     if not isinstance(table, dict):
         raise RunError(file, "not a table of keys and values")
     return table

@@ -102,9 +102,15 @@ def write_skeleton(folder: Path) -> list[Path]:
 
     Raises RunError for a folder that is not empty, or cannot be written.
     """
-    blocks = re.split(r"\n(?=\S)", _leaf("can.dbc"))
+    vehicle, signals, dbc = ((config("car/leaf") / name).read_text(encoding="utf-8")
+                             for name in ("vehicle.yaml", "signals.yaml", "can.dbc"))
+    blocks = re.split(r"\n(?=\S)", dbc)
     rt = "\n" + "".join(f"{block.rstrip()}\n\n" for block in blocks if re.match(r"BO_ \d+ RT_", block))
-    texts = {"vehicle.yaml": _vehicle(), "signals.yaml": _signals(), "can.dbc": DBC, "rt.dbc": rt, "car.yaml": CAR}
+    rows = re.split(r"(?m)^name:.*\n", vehicle)[1].splitlines()
+    head, rest = signals.split("messages:\n", 1)
+    texts = {"vehicle.yaml": VEHICLE + "".join(f"{_of_new_car(row)}\n" for row in rows),
+             "signals.yaml": head + SIGNALS + rest[rest.index("  # The INS on CAN"):],
+             "can.dbc": DBC, "rt.dbc": rt, "car.yaml": CAR}
     try:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise RunError(folder, "is there already, and nothing is overwritten", "name a new folder")
@@ -124,15 +130,14 @@ def problems(folder: str) -> list[str]:
     path = Path(folder)
     if "/" in folder and not path.is_dir():
         raise RunError(path, "the folder does not exist", f"st car new {folder} writes one")
+    found = []
     try:
         car = car_named(folder)
     except RunError as error:
         if not str(error.path).endswith("car.yaml"):
             raise
-        # The other files deserve their lines all the same.
-        car = Car(Path(error.path).parent, 1, 0.0)
-        return [str(error), *_vehicle_problems(car.vehicle), *_bus_problems(car)]
-    return [*_vehicle_problems(car.vehicle), *_bus_problems(car)]
+        car, found = Car(Path(error.path).parent, 1, 0.0), [str(error)]
+    return [*found, *_vehicle_problems(car.vehicle), *_bus_problems(car)]
 
 
 def remarks(folder: str) -> list[str]:
@@ -172,7 +177,11 @@ def _vehicle_problems(file: Path) -> list[str]:
         document = read_table(file)
         empty = sorted({where for where in _places(document)}, key=list(document).index)
         if empty:
-            return [f"{file}: {key}: not filled in{_limit(key)}" for key in empty]
+            what = {key: "value, source and uncertainty" if key in DEFAULT_UNCERTAINTIES else "value and source"
+                    for key in empty}
+            return [f"{file}: {key}: not filled in" + (
+                f", {what[key]}; {VEHICLE_QUANTITIES[key].limit().removesuffix(' 1')}" if key in VEHICLE_QUANTITIES
+                else "") for key in empty]
         vehicle = read_vehicle(file)
     except (RunError, StCoreError) as error:
         return [str(error)]
@@ -238,23 +247,8 @@ def _places(document: Any, top: str = "") -> Iterator[str]:
         yield top
 
 
-def _limit(key: str) -> str:
-    quantity = VEHICLE_QUANTITIES.get(key)
-    what = "value, source and uncertainty" if key in DEFAULT_UNCERTAINTIES else "value and source"
-    return f", {what}; {quantity.limit().removesuffix(' 1')}" if quantity else ""
-
-
-def _leaf(name: str) -> str:
-    return (config("car/leaf") / name).read_text(encoding="utf-8")
-
-
-def _vehicle() -> str:
-    lines = _leaf("vehicle.yaml").splitlines()
-    begun = next(i for i, line in enumerate(lines) if line.startswith("name:")) + 1
-    return VEHICLE + "".join(f"{_mine(line)}\n" for line in lines[begun:])
-
-
-def _mine(line: str) -> str:
+def _of_new_car(line: str) -> str:
+    """A line of the Leaf's vehicle file with a placeholder for what only the owner knows."""
     row = _ROW.match(line)
     if row is None:
         return line
@@ -265,10 +259,5 @@ def _mine(line: str) -> str:
     value, why = (0.0, "none") if key in ZERO else (row["value"], "as a Nissan Leaf ZE0")
     uncertainty = f", uncertainty: {ASSUMED_UNCERTAINTY[key]}" if key in ASSUMED_UNCERTAINTY else ""
     return f'{row["indent"]}{key}: {{value: {value}, unit: {unit}, source: "assumed: {why}"{uncertainty}}}'
-
-
-def _signals() -> str:
-    head, rest = _leaf("signals.yaml").split("messages:\n", 1)
-    return head + SIGNALS + rest[rest.index("  # The INS on CAN"):]
 
 

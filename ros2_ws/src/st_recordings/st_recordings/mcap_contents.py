@@ -86,6 +86,10 @@ class _ChunkEntry:
     def times(self) -> list[int]:
         return [self.index.message_start_time, self.index.message_end_time] if self.counts else []
 
+    def add_message_index(self, channel_id: int, offset: int, length: int) -> None:
+        self.index.message_index_offsets[channel_id] = offset
+        self.index.message_index_length += length
+
 
 class Contents:
     """The running inventory of one file: the content of its index section. Times are log times [ns]."""
@@ -137,7 +141,7 @@ class Contents:
             channel_id = MessageIndex.read(stream).channel_id
             if not self._chunks or channel_id not in self._chunks[-1].counts:
                 raise DamagedError(f"index of channel {channel_id}, which is not in the chunk before it")
-            self._add_message_index(self._chunks[-1], channel_id, offset, length)
+            self._chunks[-1].add_message_index(channel_id, offset, length)
         elif record.opcode == Opcode.SCHEMA:
             schema = Schema.read(stream)
             self.schemas[schema.id] = schema
@@ -205,25 +209,16 @@ class Contents:
         times = [*self._settled_times, *times]
         self._settled_times = [min(times), max(times)] if times else []
 
-    @staticmethod
-    def _add_message_index(entry: _ChunkEntry, channel_id: int, offset: int, length: int) -> None:
-        entry.index.message_index_offsets[channel_id] = offset
-        entry.index.message_index_length += length
-
     def append_chunk(self, stream: WritableStream, chunk: Chunk, messages: dict[int, MessageIndex]) -> None:
         """Writes a new chunk with its message indexes; on OSError nothing is added."""
-        builder = RecordBuilder()
-        chunk.write(builder)
-        offset, length = stream.tell(), builder.count
-        message_offsets = {}
-        for channel_id, message_index in messages.items():
-            message_offsets[channel_id] = offset + builder.count
-            message_index.write(builder)
-        total = builder.count
-        stream.write(builder.end())
-        self._add_chunk(chunk, messages, offset, length)
-        self._chunks[-1].index.message_index_offsets = message_offsets
-        self._chunks[-1].index.message_index_length = total - length
+        parts = [_serialised(record) for record in (chunk, *messages.values())]
+        offset = stream.tell()
+        stream.write(b"".join(parts))
+        self._add_chunk(chunk, messages, offset, len(parts[0]))
+        offset += len(parts[0])
+        for channel_id, part in zip(messages, parts[1:], strict=True):
+            self._chunks[-1].add_message_index(channel_id, offset, len(part))
+            offset += len(part)
 
     def append_definitions(self, stream: WritableStream, records: Sequence[Schema | Channel]) -> None:
         """Writes schemas and channels."""
@@ -260,7 +255,7 @@ class Contents:
         for last in list(self._chunks)[-1:]:
             for channel_id in last.messages.keys() - last.index.message_index_offsets.keys():
                 data = _serialised(last.messages[channel_id])
-                self._add_message_index(last, channel_id, stream.tell(), len(data))
+                last.add_message_index(channel_id, stream.tell(), len(data))
                 stream.write(data)
         stream.write(_serialised(DataEnd(0)))
         stream.write(self._summary(stream.tell()) + MAGIC)

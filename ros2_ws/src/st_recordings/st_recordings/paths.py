@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import re
 import shutil
 import subprocess
 from collections.abc import Mapping
@@ -70,6 +71,12 @@ def new_folder(given: Path | None, name: str, create: bool = True) -> Path:
     except OSError as error:
         raise OutputError(f"{folder}: cannot be made: {error.strerror}") from None
     return folder.absolute()
+
+
+def natural(path: Path) -> tuple[list[tuple[bool, int, str]], str]:
+    """Sort key of a file name by its numbers: drive_9 comes before drive_10."""
+    parts = re.split(r"(\d+)", path.stem)
+    return [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in parts], path.suffix
 
 
 def finite(value: Any) -> Any:

@@ -1,5 +1,6 @@
 """Predictions and scores in a recording, as arrays: output of the live nodes, and their configuration."""
 
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
@@ -115,15 +116,13 @@ def read_planned(bag: Path, mode: str, progress: Progress | None = None) -> dict
 def _read(bag: Path, type_name: str, more: Sequence[str], progress: Progress | None,
           topic: str = "") -> dict[str, list[Any]]:
     """By model: [starts_ns, states, step, hashes, *arrays of the fields `more`]. topic: end of the names."""
-    rows: dict[str, dict[int, list[np.ndarray]]] = {}
-    steps: dict[str, set[float]] = {}
-    hashes: dict[str, set[str]] = {}
+    rows = defaultdict[str, dict[int, list[np.ndarray]]](dict)
+    steps, hashes = defaultdict[str, set[float]](set), defaultdict[str, set[str]](set)
     for message in _messages([bag], type_name, progress, topic):
         states = np.stack([getattr(message, name) for name in STATE], axis=-1)
-        arrays = [states, *(getattr(message, name) for name in more)]
-        rows.setdefault(message.model, {})[field_of(message, "header.stamp")] = arrays
-        steps.setdefault(message.model, set()).add(float(message.step))
-        hashes.setdefault(message.model, set()).add(message.configuration_hash)
+        rows[message.model][field_of(message, "header.stamp")] = [states, *(getattr(message, name) for name in more)]
+        steps[message.model].add(float(message.step))
+        hashes[message.model].add(message.configuration_hash)
     found = {}
     for model, entries in rows.items():
         if len(steps[model]) > 1 or len({len(arrays[0]) for arrays in entries.values()}) > 1:
@@ -136,17 +135,17 @@ def _read(bag: Path, type_name: str, more: Sequence[str], progress: Progress | N
 
 def read_scores(bags: Sequence[Path], progress: Progress | None = None) -> dict[tuple[str, str], Scores]:
     """By model and mode, of all the bags together; one start scored twice is kept once."""
-    rows: dict[tuple[str, str], dict[int, tuple[np.ndarray, bool, bool, bool]]] = {}
+    rows = defaultdict[tuple[str, str], dict[int, tuple[np.ndarray, bool, bool, bool]]](dict)
     for message in _messages(bags, ERROR, progress):
         errors = np.stack([message.longitudinal, message.lateral, message.yaw], axis=-1)
         reason = message.incomplete_reason
-        entry = errors, bool(message.complete), THE_END in reason, A_JUMP in reason
-        rows.setdefault((message.model, message.mode), {})[field_of(message, "header.stamp")] = entry
+        rows[message.model, message.mode][field_of(message, "header.stamp")] = (
+            errors, bool(message.complete), THE_END in reason, A_JUMP in reason)
     found = {}
     for key, entries in rows.items():
-        ordered = [entries[start] for start in sorted(entries)]
-        errors, *flags = zip(*ordered, strict=True)
-        found[key] = Scores(np.array(sorted(entries), np.int64), np.stack(errors), *map(np.array, flags))
+        starts = sorted(entries)
+        errors, *flags = zip(*(entries[start] for start in starts), strict=True)
+        found[key] = Scores(np.array(starts, np.int64), np.stack(errors), *map(np.array, flags))
     return found
 
 

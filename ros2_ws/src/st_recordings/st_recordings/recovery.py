@@ -4,13 +4,10 @@ Every whole chunk is kept byte for byte; what is missing behind it (indexes, sum
 rebuilt. The original is kept as NAME.mcap.cut. A bag that needs no repair is left alone.
 """
 
-import contextlib
 import fcntl
 import os
-import re
 import struct
 import zlib
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -26,10 +23,10 @@ from mcap.records import Footer, Statistics
 
 from .bag_metadata import FILE_NAME, BagFile, BagInformation, Topic, short_entries
 from .mcap_contents import MAGIC, Contents, DamagedError, read_records
+from .paths import natural
 
 FOOTER_LENGTH = 29
-DATA_END_LENGTH = 13
-_DATA_END_HEAD = struct.Struct("<BQ")
+_DATA_END = struct.pack("<BQI", Opcode.DATA_END, 4, 0)
 
 
 class RecoveryError(ValueError):
@@ -103,8 +100,7 @@ def recover(path: Path | str, output: Path | str | None = None) -> RecoveryRepor
         if not path.is_file():
             raise RecoveryError(f"{path} does not exist")
         report = RecoveryReport(target)
-        contents = _recover_file(path, target, report)
-        report.topics = _topic_counts([contents])
+        report.topics = _counts(_information(report.files, [_recover_file(path, target, report)], path.parent))
         return report
     except OSError as error:
         name = error.filename or target
@@ -112,25 +108,19 @@ def recover(path: Path | str, output: Path | str | None = None) -> RecoveryRepor
 
 
 def _recover_directory(source: Path, target: Path) -> RecoveryReport:
-    files = sorted(source.glob("*.mcap"), key=_number)
+    files = sorted(source.glob("*.mcap"), key=natural)
     if not files:
         raise RecoveryError(f"{source} has no .mcap file")
     report = RecoveryReport(target)
     if target != source:
         target.mkdir(parents=True)
     contents = [_recover_file(file, target / file.name, report) for file in files]
-    report.topics = _topic_counts(contents)
     information = _information(report.files, contents, source)
-    if not _matches(target / FILE_NAME, information):
+    report.topics = _counts(information)
+    if not _matches(target, information):
         information.save(target)
         report.metadata_rebuilt = True
     return report
-
-
-def _number(path: Path) -> tuple[int, str]:
-    """NAME_10 comes after NAME_9."""
-    match = re.search(r"_(\d+)$", path.stem)
-    return (int(match.group(1)) if match else -1, path.name)
 
 
 def _recover_file(source: Path, target: Path, report: RecoveryReport) -> Contents:
@@ -164,28 +154,22 @@ def _check(stream: BinaryIO, source: Path, size: int) -> None:
 
 def _is_closed(stream: BinaryIO, size: int, contents: Contents, found: FileReport) -> bool:
     """Whether the file ends as a closed one does: behind the data a sound summary that counts the same messages."""
-    summary_start = found.kept_bytes + DATA_END_LENGTH
-    tail_start = size - FOOTER_LENGTH - len(MAGIC)
-    if summary_start >= tail_start:
-        return False
+    summary_start = found.kept_bytes + len(_DATA_END)
+    footer_at = size - FOOTER_LENGTH - len(MAGIC) - summary_start
     stream.seek(found.kept_bytes)
-    if stream.read(_DATA_END_HEAD.size) != _DATA_END_HEAD.pack(Opcode.DATA_END, DATA_END_LENGTH - _DATA_END_HEAD.size):
-        return False
-    stream.seek(summary_start)
-    end = stream.read()
-    footer_at = tail_start - summary_start
-    if not end.endswith(MAGIC) or end[footer_at] != Opcode.FOOTER:
+    head, end = stream.read(len(_DATA_END)), stream.read()
+    if footer_at <= 0 or not (head.startswith(_DATA_END[:9]) and end.endswith(MAGIC)
+                              and end[footer_at] == Opcode.FOOTER):
         return False
     footer = Footer.read(ReadDataStream(BytesIO(end[footer_at + 9:])))
-    covered = end[:-len(MAGIC) - 4]
-    if footer.summary_start != summary_start or footer.summary_crc not in (0, zlib.crc32(covered)):
+    if footer.summary_start != summary_start or footer.summary_crc not in (0, zlib.crc32(end[:-len(MAGIC) - 4])):
         return False
     records = list(read_records(stream, size, summary_start))
-    if not records or records[-1].offset != tail_start:
+    if not records or records[-1].offset != summary_start + footer_at:
         return False  # other bytes are in between
-    statistics = [r for r in records if r.opcode == Opcode.STATISTICS]
     try:
-        counts = [Statistics.read(ReadDataStream(BytesIO(r.content))).message_count for r in statistics]
+        counts = [Statistics.read(ReadDataStream(BytesIO(one.content))).message_count for one in records
+                  if one.opcode == Opcode.STATISTICS]
     except (McapError, struct.error):
         return False
     return all(count == contents.counts().total() for count in counts)
@@ -240,13 +224,8 @@ def _write_repaired(stream: BinaryIO, size: int, source: Path, target: Path, fou
     return contents
 
 
-def _topic_counts(contents: list[Contents]) -> dict[str, int]:
-    total: Counter[str] = Counter()
-    for one in contents:
-        counts = one.counts()
-        for channel in one.channels.values():
-            total[channel.topic] += counts[channel.id]
-    return dict(total)
+def _counts(information: BagInformation) -> dict[str, int]:
+    return {topic.name: topic.count for topic in information.topics}
 
 
 def _information(files: list[FileReport], contents: list[Contents], source: Path) -> BagInformation:
@@ -260,36 +239,39 @@ def _information(files: list[FileReport], contents: list[Contents], source: Path
             type_name = schema.name if schema else ""
             topic = topics.setdefault((channel.topic, type_name), Topic(
                 channel.topic, type_name, channel.metadata.get("topic_type_hash", ""),
-                _qos_entries(channel.metadata.get("offered_qos_profiles", ""))))
+                _yaml(channel.metadata.get("offered_qos_profiles", ""), list)))
             topic.count += counts[channel.id]
-    with contextlib.suppress(OSError, yaml.YAMLError, AttributeError, KeyError, TypeError):
-        earlier = yaml.safe_load((source / FILE_NAME).read_text())["rosbag2_bagfile_information"]["custom_data"]
+    earlier = _described(source).get("custom_data")
+    if isinstance(earlier, dict):
         custom = {**{str(k): str(v) for k, v in earlier.items()}, **custom}
     bag_files = [BagFile(f.path.name, f.messages, f.start_ns, f.end_ns) for f in files]
     return BagInformation(bag_files, list(topics.values()), custom)
 
 
-def _qos_entries(text: str) -> list[dict[str, Any]]:
+def _yaml(text: str, expected: type) -> Any:
+    """The content of a text, empty where it is not of the expected type."""
     try:
-        entries = yaml.safe_load(text)
+        content = yaml.safe_load(text)
     except yaml.YAMLError:
-        return []
-    return entries if isinstance(entries, list) else []
+        return expected()
+    return content if isinstance(content, expected) else expected()
 
 
-def _matches(path: Path, information: BagInformation) -> bool:
-    """Whether a metadata.yaml names the same files, topics and counts (the rest may be another recorder's)."""
-    expected = information.document()["rosbag2_bagfile_information"]
+def _described(folder: Path) -> dict[str, Any]:
+    """What a metadata.yaml holds; empty without one that can be read."""
     try:
-        there = yaml.safe_load(path.read_text())["rosbag2_bagfile_information"]
+        found = _yaml((folder / FILE_NAME).read_text(), dict).get("rosbag2_bagfile_information")
+    except (OSError, UnicodeDecodeError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _matches(folder: Path, information: BagInformation) -> bool:
+    """Whether a metadata.yaml names the same files, topics and counts (the rest may be another recorder's)."""
+    expected, there = information.document()["rosbag2_bagfile_information"], _described(folder)
+    try:
         counts = {t["topic_metadata"]["name"]: t["message_count"] for t in there["topics_with_message_count"]}
-        return (
-            counts == {t["topic_metadata"]["name"]: t["message_count"] for t in expected["topics_with_message_count"]}
-            and there["message_count"] == expected["message_count"]
-            and there["relative_file_paths"] == expected["relative_file_paths"]
-            and there["duration"] == expected["duration"]
-        )
-    except (OSError, yaml.YAMLError, AttributeError, KeyError, TypeError):
+    except (KeyError, TypeError):
         return False
-
-
+    return counts == _counts(information) and all(
+        there.get(key) == expected[key] for key in ("message_count", "relative_file_paths", "duration"))

@@ -2,7 +2,6 @@
 
 import importlib.metadata
 import json
-import math
 import platform
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -17,6 +16,7 @@ from .paths import finite, source_version
 from .runs.bag import definitions, numbers, open_bag
 from .runs.bag_storage import Storage
 from .runs.cdr import field_of, typestore
+from .runs.ins_log import yaw_of
 
 MODES = ("forecast", "hindsight")
 SEGMENTS = 6  # predictions drawn on the map
@@ -96,29 +96,32 @@ def read_results(folder: Path) -> Results:
     """Read bag/ and errors/ of a run folder. Only what is drawn is kept of the errors over the horizons."""
     bag, errors = open_bag(folder / "bag"), open_bag(folder / "errors")
     scores, configuration = _scores(errors)
-    segments = _segments(errors, _spread_starts(scores))
-    return Results(_track(folder / "bag", bag), scores, segments, _ticks(bag), configuration,
-                   [row for row in read_band_counts(errors) if row.n_bands])
+    summary = _last(errors, SUMMARY, TYPE)
+    return Results(_track(folder / "bag", bag), scores, _segments(errors, scores), _ticks(bag), configuration,
+                   [row for row in summary.statistics if row.n_bands] if summary else [])
 
 
 def _track(path: Path, bag: Storage) -> Track:
     point = [f"pose.pose.position.{k}" for k in "xy"]
-    turn = [f"pose.pose.orientation.{k}" for k in "wxyz"]
+    turn = [f"pose.pose.orientation.{k}" for k in "xyzw"]
     topic = next((t for t in bag.topics() if t.name == ODOMETRY and t.count), None)
     if topic is None:
         return Track(np.empty(0, np.int64), *(np.empty(0),) * 3)
     values = numbers(path, bag, topic, ["header.stamp", *point, *turn], typestore(definitions()))
-    w, i, j, k = (values[name] for name in turn)
-    yaw = np.unwrap(np.arctan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k)))
     x, y = (values[name] for name in point)
-    return Track(values["header.stamp"], x, y, yaw)
+    return Track(values["header.stamp"], x, y, np.unwrap(yaw_of(*(values[name] for name in turn))))
+
+
+def _last(bag: Storage, topic: str, type_name: str) -> Any:
+    """The last message of a topic; None without one."""
+    last = deque(bag.messages(topic), maxlen=1)
+    return typestore(definitions()).deserialize_cdr(last[0], type_name) if last else None
 
 
 def _ticks(bag: Storage) -> dict[str, Any]:
-    last = deque(bag.messages(STATUS), maxlen=1)
-    if not last:
+    status = _last(bag, STATUS, "st_msgs/msg/PredictorStatus")
+    if status is None:
         return {"due": 0, "predicted": 0, "skipped": 0}
-    status: Any = typestore(definitions()).deserialize_cdr(last[0], "st_msgs/msg/PredictorStatus")
     skipped = {"stale": status.skipped_stale, "overrun": status.skipped_overrun, "slow": status.skipped_slow}
     return {"due": status.due, "predicted": status.predicted, "skipped": sum(skipped.values()),
             "skipped_by_reason": skipped}
@@ -144,16 +147,11 @@ def _messages(errors: Storage) -> Iterator[Any]:
     return (store.deserialize_cdr(data, ERROR) for data in errors.messages(ERRORS))
 
 
-def _spread_starts(scores: dict[tuple[str, str], MeanErrors]) -> set[int]:
-    """Evenly spread starts that every model completed in hindsight."""
+def _segments(errors: Storage, scores: dict[tuple[str, str], MeanErrors]) -> dict[tuple[str, int], Segment]:
+    """Of evenly spread starts that every model completed in hindsight."""
     complete = [set(s.start_ns[s.complete].tolist()) for (_, mode), s in scores.items() if mode == "hindsight"]
     common = sorted(set.intersection(*complete)) if complete else []
-    if len(common) <= SEGMENTS:
-        return set(common)
-    return {common[i] for i in np.linspace(0, len(common) - 1, SEGMENTS).round().astype(int)}
-
-
-def _segments(errors: Storage, starts: set[int]) -> dict[tuple[str, int], Segment]:
+    starts = {common[i] for i in np.linspace(0, len(common) - 1, SEGMENTS).round().astype(int)} if common else set()
     segments = {}
     for message in _messages(errors) if starts else ():
         start_ns = field_of(message, "header.stamp")
@@ -169,15 +167,11 @@ def summarise(results: Results, about: dict[str, Any]) -> dict[str, Any]:
     for model in results.models():
         modes = [*MODES, *(mode for name, mode in results.scores if name == model and mode not in MODES)]
         models[model] = {mode: _statistics(results.scores.get((model, mode))) for mode in modes}
-    for row in results.bands:
-        models[row.model][row.mode]["bands"] = band_summary(row)
-    return {
-        **about,
-        "models": models,
-        "ticks": results.ticks,
-        "configuration_hash": results.configuration_hash,
-        "versions": versions(),
-    }
+    for row in results.bands:  # shares are null where nothing was counted
+        models[row.model][row.mode]["bands"] = {"n": int(row.n_bands)} | finite(
+            {"0.5": row.coverage_50, "0.9": row.coverage_90})
+    return {**about, "models": models, "ticks": results.ticks, "configuration_hash": results.configuration_hash,
+            "versions": versions()}
 
 
 def write_summary(path: Path, summary: dict[str, Any]) -> None:
@@ -224,14 +218,3 @@ def band_lines(rows: Sequence[BandCounts]) -> list[str]:
     return found
 
 
-def read_band_counts(errors: Storage) -> list[BandCounts]:
-    """The statistics of the last summary in a bag of scores; none without one."""
-    last = deque(errors.messages(SUMMARY), maxlen=1)
-    summary: Any = typestore(definitions()).deserialize_cdr(last[0], TYPE) if last else None
-    return list(summary.statistics) if last else []
-
-
-def band_summary(row: BandCounts) -> dict[str, Any]:
-    """For summary.json; shares are null where nothing was counted."""
-    return {"n": int(row.n_bands)} | {name: None if math.isnan(value) else float(value) for name, value in
-                                      (("0.5", row.coverage_50), ("0.9", row.coverage_90))}

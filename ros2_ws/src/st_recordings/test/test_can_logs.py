@@ -171,6 +171,7 @@ ASC = "  1  2             Rx   d 3 01 02 03\n"
 @pytest.mark.parametrize(("name", "lines"), [
     ("a.log", [f" (1436509052.{k}00000)  can0  002   [3]  01 02 03\n" for k in range(3)]),
     ("a.log", [f" (2015-07-10 06:17:32.{k}00000)  can0  RX - -  002   [3]  01 02 03   '...'\n" for k in range(3)]),
+    ("steps.log", [f" (000.{100000 * (k > 0):06d})  can0  002   [3]  01 02 03\n" for k in range(3)]),
     ("a.asc", [DATE, "base hex  timestamps absolute\n", *(f"   {k / 10:.6f}{ASC}" for k in range(3))]),
     ("a.asc", [DATE, "base hex  timestamps relative\n", *(f"   {0.1 * (k > 0):.6f}{ASC}" for k in range(3))]),
     ("a.asc", [DATE, "base hex  timestamps absolute\n", *(f"   0,{k}00000{ASC}" for k in range(3))]),

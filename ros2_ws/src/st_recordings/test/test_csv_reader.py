@@ -5,9 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from st_recordings.runs.columns import Layout
-from st_recordings.runs.csv import has_drive_columns, read_csv, read_motion
+from st_recordings.runs.csv import MOTION, has_drive_columns, ins_of, read_csv
+from st_recordings.runs.csv_table import read_table
 from st_recordings.runs.errors import RunError
+from st_recordings.runs.ins_log import yaw_of
 from support import EXAMPLES, KEPT
 
 HEADER = "t,x,y,yaw,vx,vy,yaw_rate,ax,ay,delta"
@@ -34,9 +37,16 @@ def test_a_real_drive() -> None:
     assert np.abs(log.road_wheel_angle).max() == pytest.approx(0.21, abs=0.005)
 
 
+@pytest.mark.parametrize("length", [0.0, 0.5, 1.0, 3.0])
+def test_yaw_of_quaternions_that_are_not_of_length_one(length: float) -> None:
+    turns = Rotation.from_euler("ZYX", [[0.8, 0.1, -0.2], [-3.0, -0.3, 0.1]])
+    found = yaw_of(*(length * turns.as_quat().T))
+    np.testing.assert_allclose(found, [0.8, -3.0] if length else [np.nan, np.nan])
+
+
 def test_an_ins_log_for_alignment() -> None:
     file = KEPT / "can/synthetic_rt_own_log.csv"
-    motion, _ = read_motion(file)
+    motion = ins_of(read_table(file, Layout()), MOTION).motion
     assert not motion.absolute
     turning = np.gradient(np.unwrap(motion.yaw), motion.time_ns * 1e-9)
     assert motion.yaw_rate.max() == pytest.approx(turning.max(), rel=0.01)

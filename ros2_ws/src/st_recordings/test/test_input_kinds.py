@@ -77,6 +77,15 @@ def bad_row(log):
     return csv(cells)
 
 
+def stamped(log, form: Callable[[float], str]) -> str:
+    """With the seconds after the first row in another form."""
+    return csv([[form(float(row[0]) - log.ins_time_ns[0] * 1e-9), *row[1:]] for row in rows(log)])
+
+
+def clock(seconds: float) -> str:
+    return f"{int(seconds // 3600):02d}:{int(seconds // 60 % 60):02d}:{seconds % 60:09.6f}"
+
+
 def german(log, thousands: str = ".") -> str:
     def number(text: str) -> str:
         return f"{float(text):,.4f}".replace(",", " ").replace(".", ",").replace(" ", thousands)
@@ -148,6 +157,11 @@ TABLES: list[tuple[str, Callable[[DriveLog], str], str, str]] = [
     ("last.csv", last_stamp, "utf-8", r"the last of \d+ rows is 300\.\d+ s after the one before"),
     ("geographic.csv", geographic, "utf-8", ""),
     ("held.csv", lambda log: geographic(log, 5), "utf-8", r"about 20 Hz; they were interpolated"),
+    ("datenum.csv", lambda log: stamped(log, lambda s: f"{739000.5 + s / 86400:.12f}"), "utf-8", "days of MATLAB"),
+    ("pm.csv", lambda log: stamped(log, lambda s: clock((43190 + s) % 43200) + " AP"[1 + (s < 10)] + "M"), "utf-8", ""),
+    ("minutes.csv", lambda log: stamped(log, lambda s: clock((3590 + s) % 3600)[3:]), "utf-8", ""),
+    ("twice.csv", lambda log: csv([[*row, "9"] for row in rows(log)], ",".join((*NAMES, "vx"))), "utf-8",
+     "column vx is there 2 times; the first is used"),
     ("units.csv", lambda log: degrees(log, ",".join(NAMES) + "\ns,m,m,deg,m/s,m/s,deg/s,deg"), "utf-8", ""),
 ]
 
@@ -162,6 +176,9 @@ def test_tables(tmp_path: Path, drive, name: str, text, encoding: str, warning: 
 
 
 @pytest.mark.parametrize(("text", "error"), [
+    (lambda log: "PK\x03\x04" + csv(rows(log)), r"this is a compressed file \(zip, or a spreadsheet\); unpack it"),
+    (lambda log: stamped(log, lambda s: "5.0"), r"1 of \d+ rows .* have a time later than all before"),
+    (lambda log: csv(rows(log)[::-1]), r"1 of \d+ rows .* have a time later than all before"),
     (doubtful_thousands, r"1,234 may be a number with a decimal mark or with a thousands separator"),
     (lambda log: csv(rows(log), ",".join(NAMES) + "\ns,m,m,Grad,m/s,m/s,deg/s,deg"), "unit row: 'Grad' of column yaw"),
 ])
@@ -178,6 +195,22 @@ def test_a_clock_set_back_half_way_costs_half_and_is_reported_with_its_share(tmp
     run = read(find_runs([file])[0], CAR)
     assert abs(len(run.log.x) - len(drive[1].x) / 2) <= 1
     assert_warned(run.warnings, r"the clock was set back 1 times, first by 1\d\.\d+ s: \d+ of \d+ rows \(50 %\)")
+
+
+@pytest.mark.parametrize(("radius", "sign", "note"), [(40.0, -1, "its sign was changed"), (40.0, 1, ""), (1e6, -1, "")])
+def test_a_yaw_rate_channel_of_a_vbo_in_a_steady_turn_and_on_a_straight(tmp_path: Path, radius: float, sign: int,
+                                                                       note: str) -> None:
+    """Neither varies: only their sizes compare, and on a straight nothing does."""
+    rate = 10.0 / radius
+    turned = np.degrees(rate) * 0.05 * np.arange(600)
+    rows = "\n".join(f"{120000 + 0.05 * k:.2f} {3120 + 0.0003 * k:.6f} -90.0 36.0 {(90 - turned[k]) % 360:.4f} "
+                     f"{sign * np.degrees(rate):.5f} 0.1" for k in range(600))
+    file = tmp_path / "turn.vbo"
+    file.write_text(f'[column names]\ntime lat long velocity heading YawRate "Steer"\n[data]\n{rows}\n')
+    run = read(find_runs([file])[0], CAR, WHEEL)
+    expected = rate if note or sign > 0 else -rate
+    np.testing.assert_allclose(run.log.yaw_rate, expected, rtol=1e-3, atol=1e-6)
+    assert any("yaw rate" in w for w in run.warnings) == bool(note)
 
 
 @pytest.mark.parametrize("start", [43200.0, 86390.0])
@@ -336,7 +369,7 @@ def write_bag(file: Path, log: DriveLog, first: int = 0, last: int | None = None
         store.register(types)
     cdr = encoding == "cdr"
     with file.open("wb") as stream:
-        writer = McapWriter(stream, compression=CompressionType.ZSTD, **options)
+        writer = McapWriter(stream, **options)
         writer.start("ros2", "test")
         form = "ros2msg" if cdr else "jsonschema"
         schema = {name: writer.register_schema(name, form, text.encode()) for name, text in (
@@ -380,6 +413,7 @@ BAGS: list[tuple[str, Callable[[Path, DriveLog], Path], ReadSettings, str]] = [
         folder / "a.mcap", log, repeat_channels=False, repeat_schemas=False), ReadSettings(), ""),
     ("no chunks", lambda folder, log: write_bag(folder / "a.mcap", log, use_chunking=False), ReadSettings(), ""),
     ("no statistics", lambda folder, log: write_bag(folder / "a.mcap", log, use_statistics=False), ReadSettings(), ""),
+    ("lz4", lambda folder, log: write_bag(folder / "a.mcap", log, compression=CompressionType.LZ4), ReadSettings(), ""),
     ("stamps zero", lambda folder, log: write_bag(folder / "a.mcap", log, stamps="zero"), ReadSettings(),
      r"all \d+ stamps of /odom are 0 s; the times of receipt are used"),
     ("stamps since boot", lambda folder, log: write_bag(folder / "a.mcap", log, stamps="boot"), ReadSettings(),
@@ -401,6 +435,15 @@ def test_bags(tmp_path: Path, drive, make, settings: ReadSettings, warning: str)
 def test_a_bag_of_another_encoding_is_named(tmp_path: Path, drive) -> None:
     file = write_bag(tmp_path / "json.mcap", drive[1], 0, 5, encoding="json")
     with pytest.raises(RunError, match="its messages are encoded as json, and only CDR of ROS 2 can be read"):
+        read(find_runs([file])[0], CAR)
+
+
+def test_a_changed_byte_in_a_bag_is_named(tmp_path: Path, drive) -> None:
+    file = write_bag(tmp_path / "a.mcap", drive[1], compression=CompressionType.NONE)
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 1
+    file.write_bytes(content)
+    with pytest.raises(RunError, match=r"the chunk at byte \d+ is damaged: wrong checksum"):
         read(find_runs([file])[0], CAR)
 
 

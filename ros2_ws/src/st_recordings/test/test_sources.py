@@ -136,7 +136,7 @@ def test_alignment_uses_the_columns_of_the_run_file(tmp_path: Path) -> None:
     file, = touch(tmp_path, "a.run.yaml", content="csv: a.csv\ncan: [a.log]\ncolumns: {t: Takt, velocity_x: Tempo, "
                   "yaw_rate: Drehrate}\noffset: 0.5\n")
     pair = read_pair([file], ReadSettings())
-    assert pair.motion.velocity_x.tolist() == [5.0] * 50 and pair.alignment.offset_ns == 500_000_000
+    assert pair.ins.velocity[0].tolist() == [5.0] * 50 and pair.alignment.offset_ns == 500_000_000
 
 
 def test_same_names_are_told_apart_by_their_folders(tmp_path: Path) -> None:

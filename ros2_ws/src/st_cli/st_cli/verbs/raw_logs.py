@@ -46,7 +46,7 @@ def align(
     (folder / "alignment.json").write_text(json.dumps(about, indent=2, allow_nan=False) + "\n")
     console.print(f"  {folder / 'alignment.json'}", highlight=False, soft_wrap=True)
     if pair.shared and alignment.offset_ns:
-        title = f"{pair.name}: {sentence(alignment, pair.can.start_ns, pair.motion.absolute)}"
+        title = f"{pair.name}: {sentence(alignment, pair.can.start_ns, pair.ins.absolute)}"
         alignment_figure(pair.shared, alignment, title, folder / "alignment.png")
         console.print(f"  {folder / 'alignment.png'}  [dim]both signals, before and after[/dim]", highlight=False,
                       soft_wrap=True)
@@ -77,7 +77,7 @@ def report(pair, console) -> None:
         assumed = max((s.latency_uncertainty for s in pair.shared), default=0.0)
         table = Table(box=None, padding=(0, 2), show_header=False)
         table.add_row("INS minus CAN clock", f"{_seconds(alignment.offset_at_ns(start))} s", "at the CAN log's start")
-        if not pair.motion.absolute:
+        if not pair.ins.absolute:
             table.add_row("INS time", f"{_seconds(alignment.to_reference_ns(start))} s", "at the CAN log's start")
         if alignment.method != "by hand":
             if any(one.name.startswith(("forward velocity", "yaw")) for one in pair.shared):

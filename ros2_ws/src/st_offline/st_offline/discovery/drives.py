@@ -23,7 +23,7 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.paths import finite
 from st_recordings.recorded import recorded_configuration
 from st_recordings.runs import ReadSettings, RunSource, read
-from st_recordings.runs.load import hashes
+from st_recordings.runs.load import file_hashes
 
 from ..checking.check_report import documents
 from ..checking.gate import PROBLEMS, Refused, checked_log, in_words, refuse
@@ -106,7 +106,8 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
         checked = checked_log(run.log, vehicle, run.auxiliary)
         text = recorded_configuration(run.provenance["recorded"]).vehicle if source.kind == "bag" else None
         car = "" if text is None else VehicleParameters.from_yaml(text, "the vehicle in the recording").name
-        about = {"files": hashes(source), "duration_s": run.log.duration, "alignment": run.alignment.verdict.value,
+        about = {"files": file_hashes((*source.files, *source.can)),
+                 "duration_s": run.log.duration, "alignment": run.alignment.verdict.value,
                  "warnings": list(run.warnings), "findings": documents(checked.findings),
                  "estimates": finite(checked.estimates), "vehicle": car}
         refuse(source.where, checked.findings, force)

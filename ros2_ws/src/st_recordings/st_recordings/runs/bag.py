@@ -26,18 +26,21 @@ from .bag_storage import (
 )
 from .cdr import CAN_FRAMES, DAMAGE, NCOM, ODOMETRY, STEERING, field_of, summary_of, typestore, with_definitions
 from .errors import RunError, check_readable, share
-from .ins_log import InsLog, planar, usable_rows
+from .ins_log import InsLog, planar, usable_rows, yaw_of
 from .reconstruct import (
     RECONSTRUCTED,
     Reconstruction,
     bag_extras,
+    deserialised,
     extra_fields,
     steering_columns,
     steering_topic,
-    unknown,
 )
 from .run_types import SteeringField
 
+# Prefixes of topics that the suite publishes itself, and of those that every ROS system has.
+SUITE_TOPICS = ("/ins/", "/vehicle/", "/can/", "/predictor/", "/evaluator/", "/identifier/", "/view/", "/tf",
+                "/diagnostics", "/clock", "/rosout", "/parameter_events", "/events/")
 OURS = {"recording", "configuration"}  # records that recorder and evaluator begin with
 CLOSING = "rosbag2"  # the metadata record that a recorder writes when it ends a recording
 # Where several topics have the type: the one with this end of its name.
@@ -83,14 +86,21 @@ def has_odometry(path: Path) -> bool:
             return _is_a_drive({t["topic_metadata"]["type"] for t in information(path)["topics_with_message_count"]})
         except (KeyError, TypeError):
             return True
-    if path.is_file() and path.suffix.lower() == ".mcap":
-        summary = summary_of(path)
-        return summary is None or _is_a_drive({s.name for s in summary.schemas.values()})
-    return True
+    summary = summary_of(path) if path.is_file() and path.suffix.lower() == ".mcap" else None
+    return summary is None or _is_a_drive({s.name for s in summary.schemas.values()})
 
 
 def _is_a_drive(types: set[str]) -> bool:
     return ODOMETRY in types or {NCOM, CAN_FRAMES} <= types
+
+
+def lacks_steering(path: Path) -> bool:
+    """Whether a bag has odometry and no steering topic of the suite: its steering may be in a CAN log."""
+    try:
+        types = {t.type_name for t in open_bag(path).topics() if t.count}
+    except RunError:
+        return False
+    return ODOMETRY in types and not types & {STEERING, CAN_FRAMES}
 
 
 def read_bag(path: Path, name: str | None = None, steering: SteeringField | None = None, odometry: str | None = None,
@@ -107,9 +117,9 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     store = _store_of(storage, topics_there, steering)
     again = Reconstruction(path, storage, records, store)
     needed: dict[Topic, tuple[str, ...]] = {}
-    if has_odometry := bool(odometry) or _is_there(topics_there, ODOMETRY) or not again.has(NCOM):
-        needed[_odometry_topic(path, topics_there, odometry)] = _ODOMETRY_FIELDS
-    if steering is None and (_is_there(topics_there, STEERING) or not again.has(CAN_FRAMES)):
+    if has_odometry := bool(odometry) or again.has(ODOMETRY) or not again.has(NCOM):
+        needed[_topic(path, topics_there, ODOMETRY, odometry)] = _ODOMETRY_FIELDS
+    if steering is None and (again.has(STEERING) or not again.has(CAN_FRAMES)):
         needed[_topic(path, topics_there, STEERING)] = _STEERING_FIELDS
     others = extra_fields(topics_there)
     quick = storage.columns({**needed, **others}, store)
@@ -129,7 +139,8 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     stamps = {"INS": columns[ODOMETRY]["header.stamp"], "steering": columns[STEERING]["header.stamp"]}
     extras = bag_extras(storage, topics_there, {topic: quick[topic.name] for topic in others if topic.name in quick},
                         stamps, missing, store, again)
-    passed_over = tuple(f"{t.name} ({t.type_name})" for t in unknown(topics_there, tuple(topics.values())))
+    passed_over = tuple(f"{t.name} ({t.type_name})" for t in topics_there if t.count and not (
+        t.name in topics.values() or t.type_name.startswith("st_msgs/") or t.name.startswith(SUITE_TOPICS)))
     frame = again.map_frame()
     if has_odometry:
         first: Any = store.deserialize_cdr(next(storage.messages(topics[ODOMETRY])), ODOMETRY)
@@ -145,36 +156,16 @@ def read_odometry(path: Path, odometry: str | None = None) -> InsLog:
     """The INS part of a bag, for a run with its steering in a CAN log. Raises RunError."""
     storage = open_bag(path)
     store = _store_of(storage, storage.topics(), None)
-    topic = _odometry_topic(path, storage.topics(), odometry)
+    topic = _topic(path, storage.topics(), ODOMETRY, odometry)
     columns = numbers(path, storage, topic, _ODOMETRY_FIELDS, store)
     notes = _set_stamps(storage, {ODOMETRY: topic.name}, {ODOMETRY: columns})
     ins_ns, values, _, more = _odometry_rows(columns)
     return planar(path, ins_ns, values, tuple(f"{path}: {note}" for note in (*notes, *more)))
 
 
-def lacks_steering(path: Path) -> bool:
-    """Whether a bag has odometry and no steering topic of the suite: its steering may be in a CAN log."""
-    try:
-        types = {t.type_name for t in open_bag(path).topics() if t.count}
-    except RunError:
-        return False
-    return ODOMETRY in types and not types & {STEERING, CAN_FRAMES}
-
-
 def _store_of(storage: Storage, topics: Sequence[Topic], steering: SteeringField | None) -> Typestore:
     names = {ODOMETRY} | {t.type_name for t in topics if steering and t.name.lstrip("/") == steering.topic.lstrip("/")}
     return with_definitions(typestore(definitions()), storage.definitions(), names)
-
-
-def _odometry_topic(path: Path, topics: Sequence[Topic], name: str | None) -> Topic:
-    if name is None:
-        return _topic(path, topics, ODOMETRY)
-    found = next((t for t in topics if t.name.lstrip("/") == name.lstrip("/") and t.count), None)
-    if found is None or found.type_name != ODOMETRY:
-        of_type = ", ".join(sorted(t.name for t in topics if t.type_name == ODOMETRY and t.count)) or "none"
-        what = f"is of type {found.type_name}" if found else "is not in the recording"
-        raise RunError(path, f"--odometry-topic: {name} {what}", f"topics of type {ODOMETRY}: {of_type}")
-    return found
 
 
 def _set_stamps(storage: Storage, topics: Mapping[str, str], columns: dict[str, dict[str, np.ndarray]]) -> list[str]:
@@ -187,33 +178,26 @@ def _set_stamps(storage: Storage, topics: Mapping[str, str], columns: dict[str, 
     for kind, topic in topics.items():
         stamps = columns[kind]["header.stamp"]
         if len(stamps) > 1 and (stamps == stamps[0]).all():
-            _take_log_times(storage, topic, columns[kind])
+            columns[kind]["header.stamp"] = _log_times(storage, topic, columns[kind])
             notes.append(f"all {len(stamps)} stamps of {topic} are {stamps[0] * 1e-9:g} s; the times of receipt are "
                          "used")
     if len(topics) > 1 and not any(topic.endswith(RECONSTRUCTED) for topic in topics.values()):
         (a, b), names = (columns[kind]["header.stamp"] for kind in topics), list(topics.values())
         if len(a) > 1 and len(b) > 1 and max(a.min(), b.min()) > min(a.max(), b.max()):
-            kept = {kind: columns[kind]["header.stamp"] for kind in topics}
-            for kind, topic in topics.items():
-                _take_log_times(storage, topic, columns[kind])
-            a, b = (columns[kind]["header.stamp"] for kind in topics)
-            if max(a.min(), b.min()) > min(a.max(), b.max()):
-                for kind, stamps in kept.items():
-                    columns[kind]["header.stamp"] = stamps
-            else:
+            received = [_log_times(storage, topic, columns[kind]) for kind, topic in topics.items()]
+            a, b = received
+            if max(a.min(), b.min()) <= min(a.max(), b.max()):
+                for kind, times in zip(topics, received, strict=True):
+                    columns[kind]["header.stamp"] = times
                 notes.append(f"the stamps of {names[0]} and {names[1]} have no time in common; the times of receipt "
                              "are used for both")
     return notes
 
 
-def _take_log_times(storage: Storage, topic: str, columns: dict[str, np.ndarray]) -> None:
+def _log_times(storage: Storage, topic: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:
+    """When each message was received; its stamp where not every message was read."""
     times = np.array([log_ns for log_ns, _ in storage.timed(topic)], np.int64)
-    if len(times) == len(columns["header.stamp"]):
-        columns["header.stamp"] = times
-
-
-def _is_there(topics: Sequence[Topic], type_name: str) -> bool:
-    return any(t.type_name == type_name and t.count for t in topics)
+    return times if len(times) == len(columns["header.stamp"]) else columns["header.stamp"]
 
 
 def open_bag(path: Path, splits: Sequence[Path] = ()) -> Storage:
@@ -256,8 +240,15 @@ def _records(path: Path) -> dict[str, dict[str, str]]:
     return records
 
 
-def _topic(path: Path, topics: Sequence[Topic], type_name: str) -> Topic:
+def _topic(path: Path, topics: Sequence[Topic], type_name: str, name: str | None = None) -> Topic:
     found = [t for t in topics if t.type_name == type_name and t.count]
+    if name is not None:
+        named = next((t for t in topics if t.name.lstrip("/") == name.lstrip("/") and t.count), None)
+        if named in found:
+            return named
+        what = f"is of type {named.type_name}" if named else "is not in the recording"
+        raise RunError(path, f"--odometry-topic: {name} {what}",
+                       f"topics of type {type_name}: {', '.join(sorted(t.name for t in found)) or 'none'}")
     if not found:
         what = ", ".join(sorted(f"{t.name} ({t.type_name})" for t in topics if t.count))[:300] or "no messages"
         other = ", or name the topic with the angle by --steering-topic" if type_name == STEERING else ""
@@ -274,24 +265,16 @@ def _topic(path: Path, topics: Sequence[Topic], type_name: str) -> Topic:
 
 def _one_by_one(path: Path, storage: Storage, topic: Topic, fields: Sequence[str],
                 store: Typestore) -> dict[str, np.ndarray]:
-    rows = []
-    for raw in storage.messages(topic.name):
-        try:
-            message = store.deserialize_cdr(raw, topic.type_name)
-        except Exception as error:  # rosbags raises whatever struct and numpy raise
-            raise RunError(path, f"a message of {topic.name} is damaged ({type(error).__name__})",
-                           "record it again, or repair the bag with `st recover`") from None
-        rows.append([field_of(message, field) for field in fields])
+    rows = [[field_of(message, field) for field in fields] for _, message in deserialised(path, storage, topic, store)]
     return {field: np.array([row[k] for row in rows]) for k, field in enumerate(fields)}
 
 
 def _odometry_rows(odometry: Mapping[str, np.ndarray]) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, int],
                                                                list[str]]:
     """(times, channels of the INS in the rows used, rows without a usable value by channel, notes)."""
-    qx, qy, qz, qw = (odometry[f"pose.pose.orientation.{k}"] for k in "xyzw")
     values = {
         "x": odometry["pose.pose.position.x"], "y": odometry["pose.pose.position.y"],
-        "yaw": np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz)),
+        "yaw": yaw_of(*(odometry[f"pose.pose.orientation.{k}"] for k in "xyzw")),
         "velocity_x": odometry["twist.twist.linear.x"], "velocity_y": odometry["twist.twist.linear.y"],
         "yaw_rate": odometry["twist.twist.angular.z"],
     }

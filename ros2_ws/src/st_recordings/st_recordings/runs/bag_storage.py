@@ -4,9 +4,9 @@ MCAP and sqlite3 are read here, because a library that looks at every definition
 one it does not understand; what else rosbag2 can write (compressed files and messages) is read by rosbags.
 """
 
-import re
 import sqlite3
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -23,8 +23,9 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.rosbag2 import ReaderError
 from rosbags.typesys.store import Typestore
 
+from ..paths import natural
 from .cdr import DAMAGE, Block, Layout, blocks, summary_of
-from .errors import RunError, share
+from .errors import RunError, share, short
 
 EXTENSIONS = (".mcap", ".db3")
 MCAP_MAGIC = b"\x89MCAP0\r\n"
@@ -127,15 +128,10 @@ def time_span(file: Path) -> tuple[int, int] | None:
         return None
 
 
-def natural(path: Path) -> tuple[list[tuple[bool, int, str]], str]:
-    """Sort key of a file name by its numbers: drive_9 comes before drive_10."""
-    parts = re.split(r"(\d+)", path.stem)
-    return [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in parts], path.suffix
-
-
 class Mcap(Storage):
     def __init__(self, files: Sequence[Path]):
         self._files: list[tuple[Path, Summary | None]] = []
+        encodings: set[str] = set()
         for file in files:
             with file.open("rb") as stream:
                 head = stream.read(8)
@@ -147,13 +143,8 @@ class Mcap(Storage):
             if summary is None and tail != MCAP_MAGIC:
                 raise RunError(file, "cannot be read as a bag (it was not closed)", NOT_CLOSED)
             self._files.append((file, summary))
-        self._refuse_other_encodings()
-
-    def _refuse_other_encodings(self) -> None:
-        encodings = {c.message_encoding for _, summary in self._files if summary for c in summary.channels.values()}
-        for file, summary in self._files:
-            if summary is None:
-                encodings |= {channel.message_encoding for _, channel, _ in islice(self.stream(file), 1000)}
+            channels = summary.channels.values() if summary else [one for _, one, _ in islice(self.stream(file), 1000)]
+            encodings |= {channel.message_encoding for channel in channels}
         if encodings and "cdr" not in encodings:
             raise RunError(self._files[0][0], f"its messages are encoded as {', '.join(sorted(map(str, encodings)))}, "
                            "and only CDR of ROS 2 can be read", "convert it to a ROS 2 bag (ROS 1: rosbags-convert)")
@@ -166,41 +157,35 @@ class Mcap(Storage):
         return found
 
     def topics(self) -> list[Topic]:
-        counts: dict[tuple[str, str], int] = {}
-        for file, summary in self._files:
-            if summary is not None:
-                assert summary.statistics is not None  # summary_of
-                for channel in summary.channels.values():
-                    schema = summary.schemas.get(channel.schema_id)
-                    key = channel.topic, schema.name if schema else ""
-                    counts[key] = counts.get(key, 0) + summary.statistics.channel_message_counts.get(channel.id, 0)
-            else:
-                for schema, channel, _ in self.stream(file):
-                    key = channel.topic, schema.name if schema else ""
-                    counts[key] = counts.get(key, 0) + 1
-        return [Topic(name, type_name, count) for (name, type_name), count in counts.items()]
-
-    def messages(self, topic: str) -> Iterator[bytes]:
+        counts: Counter[tuple[str, str]] = Counter()
         for file, summary in self._files:
             if summary is None:
-                yield from (message.data for _, channel, message in self.stream(file) if channel.topic == topic)
+                counts.update((one.topic, schema.name if schema else "") for schema, one, _ in self.stream(file))
+                continue
+            assert summary.statistics is not None  # summary_of
+            for channel in summary.channels.values():
+                schema = summary.schemas.get(channel.schema_id)
+                counts[channel.topic, schema.name if schema else ""] += \
+                    summary.statistics.channel_message_counts.get(channel.id, 0)
+        return [Topic(name, type_name, count) for (name, type_name), count in counts.items()]
+
+    def timed(self, topic: str) -> Iterator[tuple[int, bytes]]:
+        for file, summary in self._files:
+            if summary is None:
+                yield from ((message.log_time, message.data) for _, channel, message in self.stream(file)
+                            if channel.topic == topic)
                 continue
             channels = [number for number, channel in summary.channels.items() if channel.topic == topic]
             for _, block in chain.from_iterable(self._blocks(file, summary, [number]) for number in channels):
-                for start, size in zip(block.starts.tolist(), block.sizes.tolist(), strict=True):
-                    yield block.buffer[start : start + size].tobytes()
-
-    def timed(self, topic: str) -> Iterator[tuple[int, bytes]]:
-        for file, _ in self._files:
-            yield from ((message.log_time, message.data) for _, channel, message in self.stream(file)
-                        if channel.topic == topic)
+                rows = zip(block.log_time_ns.tolist(), block.starts.tolist(), block.sizes.tolist(), strict=True)
+                yield from ((ns, block.buffer[start : start + size].tobytes()) for ns, start, size in rows)
 
     @staticmethod
     def _blocks(file: Path, summary: Summary, channels: Collection[int]) -> Iterator[tuple[int, Block]]:
         try:
             yield from blocks(file, summary, channels)
         except DAMAGE as error:
-            raise RunError(file, f"cannot be read as a bag ({_short(error)})", NOT_CLOSED) from None
+            raise RunError(file, f"cannot be read as a bag ({short(error)})", NOT_CLOSED) from None
 
     @staticmethod
     def stream(file: Path) -> Iterator[Any]:
@@ -208,7 +193,7 @@ class Mcap(Storage):
             with file.open("rb") as stream:
                 yield from NonSeekingReader(stream).iter_messages(log_time_order=False)
         except (McapError, *DAMAGE) as error:
-            raise RunError(file, f"cannot be read as a bag ({_short(error)})", NOT_CLOSED) from None
+            raise RunError(file, f"cannot be read as a bag ({short(error)})", NOT_CLOSED) from None
 
     def columns(self, fields: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
         gathered = {topic.name: _Gathered(topic.type_name, names, store) for topic, names in fields.items()}
@@ -237,15 +222,15 @@ class Sqlite(Storage):
             with closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as database:
                 yield from database.execute(text, values)
         except sqlite3.Error as error:
-            raise RunError(file, f"cannot be read as a bag ({_short(error)})", "copy it again") from None
+            raise RunError(file, f"cannot be read as a bag ({short(error)})", "copy it again") from None
 
     def topics(self) -> list[Topic]:
-        counts: dict[tuple[str, str], int] = {}
+        counts: Counter[tuple[str, str]] = Counter()
         for file in self._files:
             text = ("SELECT topics.name, topics.type, COUNT(messages.id) FROM topics "
                     "LEFT JOIN messages ON messages.topic_id = topics.id GROUP BY topics.id")
             for name, type_name, count in self.query(file, text):
-                counts[name, type_name] = counts.get((name, type_name), 0) + count
+                counts[name, type_name] += count
         return [Topic(name, type_name, count) for (name, type_name), count in counts.items()]
 
     def timed(self, topic: str) -> Iterator[tuple[int, bytes]]:
@@ -271,7 +256,7 @@ class Rosbags(Storage):
             self._reader = AnyReader([path], default_typestore=store)
             self._reader.open()
         except (AnyReaderError, ReaderError, OSError, KeyError) as error:
-            raise RunError(path, f"cannot be read as a bag ({_short(error)})", NOT_CLOSED) from None
+            raise RunError(path, f"cannot be read as a bag ({short(error)})", NOT_CLOSED) from None
 
     def topics(self) -> list[Topic]:
         return [Topic(c.topic, c.msgtype, c.msgcount) for c in self._reader.connections]
@@ -298,24 +283,20 @@ class _Gathered:
         if not self.alike or not len(starts):
             return
         if self._layout is None:
-            self._layout = self._layout_of(buffer[starts[0] : starts[0] + sizes[0]].tobytes())
+            first = buffer[starts[0] : starts[0] + sizes[0]].tobytes()
+            try:
+                example = self._store.deserialize_cdr(first, self._type_name)
+                self._layout = Layout(self._store, self._type_name, example)
+            except Exception:  # rosbags raises whatever struct and numpy raise; reading one by one reports it
+                self.alike = False
+                return
         layout = self._layout
-        self.alike = layout is not None and bool(layout.fits_in(sizes).all()) and layout.fits(buffer, starts)
-        if layout is not None and self.alike:
+        self.alike = layout.fit(buffer, starts, sizes)
+        if self.alike:
             self.parts.append({field: layout.column(buffer, starts, field) for field in self._fields})
-
-    def _layout_of(self, first: bytes) -> Layout | None:
-        try:
-            return Layout(self._store, self._type_name, self._store.deserialize_cdr(first, self._type_name))
-        except Exception:  # rosbags raises whatever struct and numpy raise; reading one by one reports it
-            return None
 
     def columns(self) -> dict[str, np.ndarray]:
         return {field: np.concatenate([part[field] for part in self.parts]) for field in self._fields}
-
-
-def _short(error: Exception) -> str:
-    return (" ".join(str(error).split()) or type(error).__name__)[:120]
 
 
 def parameters(records: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, Any]]:

@@ -2,13 +2,13 @@
 
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from .errors import share
+from .errors import share, short
 from .mf4 import MAKERS_CONTAINERS
 
 MF4_EXTENSIONS = (".mf4", ".mdf")
@@ -37,10 +37,13 @@ class Lines:
     """
 
     def __init__(self, file: Path, change: Callable[[str], str] = str):
-        self._stream, self._change, self._front = file.open("rb"), change, list[str]()
-        head = self._stream.read(2)
-        self._codec = "utf-16-le" if head == _UTF16[0] else "utf-16-be" if head == _UTF16[1] else ""
-        self._stream.seek(len(head) if self._codec else 0)
+        self._change, self._front = change, list[str]()
+        with file.open("rb") as stream:
+            head = stream.read(1 << 16)
+        # Umlauts of a Windows code page are in comments and dates: replaced behind the head, they cost nothing.
+        utf8 = head.startswith(head.decode("utf-8", "ignore").encode())
+        codec = "utf-16" if head[:2] in _UTF16 else "utf-8-sig" if utf8 else "cp1252"
+        self._stream = file.open(encoding=codec, errors="replace")
         self.position, self.last = 0, ""
 
     def __iter__(self) -> "Lines":
@@ -50,24 +53,9 @@ class Lines:
         if self._front:
             self.last = self._front.pop()
             return self.last
+        self.last = self._change(next(self._stream))
         self.position += 1
-        line = self._line()
-        if not line:
-            self.position -= 1
-            raise StopIteration
-        self.last = self._change(line)
         return self.last
-
-    def _line(self) -> str:
-        raw = self._stream.readline()
-        if self._codec:
-            if raw.endswith(b"\n") and self._codec.endswith("le"):
-                raw += self._stream.read(1)
-            return raw.decode(self._codec, "replace").lstrip("\ufeff")
-        try:
-            return raw.decode("utf-8-sig" if self.position == 1 else "utf-8")
-        except UnicodeDecodeError:
-            return raw.decode("cp1252", "replace")
 
     def unread(self, line: str) -> None:
         self._front.append(line)
@@ -79,44 +67,27 @@ class Lines:
         self._stream.close()
 
 
-@dataclass
-class Found:
-    """Frames of a log, and what is wrong with it: notes for the user, without the name of the file."""
-
-    notes: list[str] = field(default_factory=list)
-    bad: list[int] = field(default_factory=list)
-
-    def finish(self, lines: int) -> None:
-        if self.bad:
-            self.notes.insert(0, f"{share(len(self.bad), lines, 'lines')} cannot be read, the first is line "
-                              f"{self.bad[0]}; they were skipped")
-
-
 @dataclass(frozen=True)
 class Format:
     """A text or binary log. extensions: lower case. mark: whether the head of a file is of it. messages: frames of
-    python-can in the order of the file; appends to Found."""
+    python-can in the order of the file; appends what is wrong with it to a list of notes, without the file's name."""
 
     name: str
     extensions: tuple[str, ...]
     mark: Callable[[bytes], bool]
-    messages: Callable[[Path, Found], Iterator[Any]]
+    messages: Callable[[Path, list[str]], Iterator[Any]]
 
 
-def _io(name: str) -> Any:
-    return import_module(f"can.io.{name}")
-
-
-def _by_line(make: Callable[[Lines, Found], Any], change: Callable[[], Callable[[str], str]] = lambda: str,
-             restart: str = "") -> Callable[[Path, Found], Iterator[Any]]:
+def _by_line(make: Callable[[Lines, list[str]], Any], change: Callable[[], Callable[[str], str]] = lambda: str,
+             restart: str = "") -> Callable[[Path, list[str]], Iterator[Any]]:
     """A reader of text that continues behind a line it cannot read.
 
     change: makes the function that changes each line of one file. restart: a line its header parser may consume.
     """
-    def messages(file: Path, found: Found) -> Iterator[Any]:
-        lines = Lines(file, change())
+    def messages(file: Path, notes: list[str]) -> Iterator[Any]:
+        lines, bad = Lines(file, change()), list[int]()
         try:
-            reader = make(lines, found)
+            reader = make(lines, notes)
             going = iter(reader)
             while True:
                 try:
@@ -124,13 +95,15 @@ def _by_line(make: Callable[[Lines, Found], Any], change: Callable[[], Callable[
                 except StopIteration:
                     break
                 except Exception:  # readers of python-can raise whatever int() and indexing raise
-                    if found.bad and found.bad[-1] == lines.position:
+                    if bad and bad[-1] == lines.position:
                         break  # at the end of the file, for what its header lacks
-                    found.bad.append(lines.position)
+                    bad.append(lines.position)
                     if restart:
                         lines.unread(restart)
                     going = iter(reader)
-            found.finish(lines.position)
+            if bad:
+                notes.insert(0, f"{share(len(bad), lines.position, 'lines')} cannot be read, the first is line "
+                                f"{bad[0]}; they were skipped")
         finally:
             lines.close()
 
@@ -150,8 +123,8 @@ def _candump_line(line: str) -> str:
     return f"({stamp}) {channel} {identifier}{kind}{data}{' T' if direction == 'TX' else ''}\n"
 
 
-def _asc(lines: Lines, found: Found) -> Any:
-    base: Any = _io("asc").ASCReader
+def _asc(lines: Lines, notes: list[str]) -> Any:
+    base: Any = import_module("can.io.asc").ASCReader
 
     class Reader(base):
         def _extract_header(self) -> None:
@@ -164,8 +137,8 @@ def _asc(lines: Lines, found: Found) -> Any:
                 return super()._datetime_to_timestamp(text)
             except ValueError:
                 note = f"its date {text[:40]!r} cannot be read; times count from the start of the log"
-                if note not in found.notes:
-                    found.notes.append(note)
+                if note not in notes:
+                    notes.append(note)
                 return 0.0
 
     return Reader(lines, relative_timestamp=False)
@@ -187,23 +160,19 @@ class _AscLines:
         match = _WEEKDAY_MONTH.match(line)
         if match is None:
             return line
-        if match[1].lower().startswith("begin"):
+        key, month, rest = match.groups()
+        if key.lower().startswith("begin"):
             self._seconds = 0.0
-        return _english_date(match)
+        name = month.lower().rstrip(".")
+        number = _MONTHS.get(name[:4]) or _MONTHS.get(name[:3])
+        hour = re.search(r"\s(\d{1,2}):", rest)
+        if hour and not 1 <= int(hour.group(1)) <= 12:
+            rest = re.sub(r"(?i)\s[ap]\.?m\.?(?=\s)", "", rest)
+        return f"{key} Mon {_ENGLISH[number - 1] if number else month}{rest}\n"
 
 
-def _english_date(match: re.Match[str]) -> str:
-    key, month, rest = match.groups()
-    name = month.lower().rstrip(".")
-    number = _MONTHS.get(name[:4]) or _MONTHS.get(name[:3])
-    hour = re.search(r"\s(\d{1,2}):", rest)
-    if hour and not 1 <= int(hour.group(1)) <= 12:
-        rest = re.sub(r"(?i)\s[ap]\.?m\.?(?=\s)", "", rest)
-    return f"{key} Mon {_ENGLISH[number - 1] if number else month}{rest}\n"
-
-
-def _trc(lines: Lines, found: Found) -> Any:
-    base: Any = _io("trc").TRCReader
+def _trc(lines: Lines, notes: list[str]) -> Any:
+    base: Any = import_module("can.io.trc").TRCReader
 
     class Reader(base):
         def _parse_line(self, line: str) -> Any:
@@ -218,7 +187,7 @@ def _trc(lines: Lines, found: Found) -> Any:
     return Reader(lines)
 
 
-def _blf(file: Path, found: Found) -> Iterator[Any]:
+def _blf(file: Path, notes: list[str]) -> Iterator[Any]:
     from can.io import blf
 
     class Reader(blf.BLFReader):
@@ -242,27 +211,21 @@ def _blf(file: Path, found: Found) -> Iterator[Any]:
             yield message
     except Exception as error:
         at = min(reader.file.tell(), size) if not reader.file.closed else size
-        what = " ".join(str(error).split())[:100] or type(error).__name__
-        found.notes.append(f"is damaged behind frame {count} ({what}); the {share(size - at, size, 'bytes')} behind "
-                           "it are not used")
+        notes.append(f"is damaged behind frame {count} ({short(error)}); the {share(size - at, size, 'bytes')} behind "
+                     "it are not used")
     finally:
         reader.stop()
     if not reader.file_size:
-        found.notes.append("was not closed by its logger: whether its end is missing is unknown")
+        notes.append("was not closed by its logger: whether its end is missing is unknown")
     elif size < reader.file_size:
-        found.notes.append(f"is cut: {share(reader.file_size - size, reader.file_size, 'bytes')} of the log are "
-                           "missing; read up to there")
+        notes.append(f"is cut: {share(reader.file_size - size, reader.file_size, 'bytes')} of the log are missing; "
+                     "read up to there")
 
 
 def _is_candump(head: bytes) -> bool:
     lines = head.replace(b"\0", b"").splitlines()[:20]
     return any(re.match(rb"\W*\(\d+\.\d+\) \S+ [0-9A-Fa-f]+#", line) or _SCREEN.match(line.decode("latin-1"))
                for line in lines)
-
-
-def _is_trc(head: bytes) -> bool:
-    return any(mark in head for mark in (b";$FILEVERSION", b";   Message Number")) or (
-        head.lstrip().startswith(b";") and b"Start time:" in head)
 
 
 def _is_asc(head: bytes) -> bool:
@@ -272,10 +235,12 @@ def _is_asc(head: bytes) -> bool:
 
 FORMATS = (
     Format("candump", (".log", ".candump"), _is_candump,
-           _by_line(lambda lines, found: _io("canutils").CanutilsLogReader(lines), lambda: _candump_line)),
+           _by_line(lambda lines, notes: import_module("can.io.canutils").CanutilsLogReader(lines),
+                    lambda: _candump_line)),
     Format("Vector ASC", (".asc",), _is_asc, _by_line(_asc, _AscLines, "\n")),
     Format("Vector BLF", (".blf",), lambda head: head.startswith(b"LOGG"), _blf),
-    Format("PEAK trace", (".trc",), _is_trc, _by_line(_trc)),
+    Format("PEAK trace", (".trc",), lambda head: b";$FILEVERSION" in head or (
+        head.lstrip().startswith(b";") and (b"Start time:" in head or b"Message Number" in head)), _by_line(_trc)),
 )
 EXTENSIONS = frozenset(e for f in FORMATS for e in f.extensions) | {*MF4_EXTENSIONS, *MAKERS_CONTAINERS}
 

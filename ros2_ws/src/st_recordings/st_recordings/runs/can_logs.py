@@ -9,8 +9,8 @@ from typing import Any
 import can
 import numpy as np
 
-from .can_formats import FORMATS, MF4_EXTENSIONS, TIMELESS, Format, Found
-from .errors import RunError, check_readable
+from .can_formats import FORMATS, MF4_EXTENSIONS, TIMELESS, Format
+from .errors import RunError, check_readable, short
 from .frames import (
     ERROR,
     EXTENDED,
@@ -29,6 +29,8 @@ from .mf4 import read_mf4, refuse_makers_container, session_of
 BLOCK = 65536
 # A wall clock, not seconds since the start of the log.
 ABSOLUTE_FROM = 1_000_000_000
+# Of the frames of a candump that begins at 0: with more that are not newer, the times are steps.
+STEPS_SHARE = 0.2
 
 
 @dataclass(frozen=True)
@@ -96,29 +98,34 @@ def _read_one(file: Path) -> tuple[Frames, int, bool, Sequence[str]]:
         known = ", ".join(["MF4", *(f.name for f in FORMATS)])
         raise RunError(file, f"this is not a CAN log of a known format ({known})",
                        "remove it from the command, or convert it")
-    notes = []
+    notes: list[str] = []
     if file.suffix.lower() not in found.extensions:
         notes.append(f"is a {found.name} log under the extension {file.suffix or '(none)'}; read as what it is")
-    frames, trouble = _through_python_can(file, found)
+    frames = _through_python_can(file, found, notes)
     start_ns = int(frames.time_ns[0])
-    return frames, start_ns, start_ns >= ABSOLUTE_FROM * 10**9, [*notes, *trouble]
+    return frames, start_ns, start_ns >= ABSOLUTE_FROM * 10**9, notes
 
 
-def _through_python_can(file: Path, kind: Format) -> tuple[Frames, list[str]]:
-    parts: list[Frames] = []
-    found = Found()
+def _through_python_can(file: Path, kind: Format, notes: list[str]) -> Frames:
+    parts, trouble = list[Frames](), list[str]()
     try:
-        messages = kind.messages(file, found)
+        messages = kind.messages(file, trouble)
         while block := list(itertools.islice(messages, BLOCK)):
             parts.append(_columns(block))
     except Exception as error:  # the readers let anything through: a head that only looks like one, a missing file
-        what = f"cannot be read as a {kind.name} log ({_short(error)})"
+        what = f"cannot be read as a {kind.name} log ({short(error)})"
         raise RunError(file, what, "copy or export it again") from None
     if not parts:
-        what = f"no whole frame is in it ({'; '.join(found.notes)})" if found.notes else "no frames are in the log"
+        what = f"no whole frame is in it ({'; '.join(trouble)})" if trouble else "no frames are in the log"
         raise RunError(file, what, "copy or export it again")
-    frames, steps = continued(in_file_order(parts))
-    return joined([frames]), found.notes + set_back(steps)
+    frames = in_file_order(parts)
+    newer = (np.diff(frames.time_ns) > 0).sum()
+    if kind.name == "candump" and frames.time_ns[0] == 0 and newer < (1 - STEPS_SHARE) * (len(frames) - 1):
+        frames = frames.shifted(np.cumsum(frames.time_ns))
+        trouble.append("its times are those since the frame before (candump -t d); they were added up")
+    frames, steps = continued(frames)
+    notes += [*trouble, *set_back(steps)]
+    return joined([frames])
 
 
 def _columns(messages: Sequence[can.Message]) -> Frames:
@@ -157,7 +164,3 @@ def _missing_splits(files: Sequence[Path]) -> list[str]:
             numbers = ", ".join(map(str, absent))
             missing.append(f"{session}: split {numbers} of the session is missing: a gap in the log")
     return missing
-
-
-def _short(error: Exception) -> str:
-    return (" ".join(str(error).split()) or type(error).__name__)[:100]

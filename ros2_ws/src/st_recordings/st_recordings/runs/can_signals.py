@@ -1,6 +1,6 @@
 """From the frames of a log to the signals of the suite: what the live CAN bridge would have published, as columns."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,9 +10,11 @@ from canedge_bridge.decode import TOLERATED, WINDOW
 from canedge_bridge.extraction import decode_log
 from canedge_bridge.ins_time import with_unix_time
 from canedge_bridge.signals import CheckSpec, MessageSpec, SignalSpec, SignalTable, load_table
+from st_core.checks import Series
 
 from .errors import RunError, share
 from .frames import ERROR, EXTENDED, REMOTE, Frames
+from .ins_log import SPEEDS, car_speed, series
 
 
 @dataclass(frozen=True)
@@ -114,6 +116,15 @@ def steering_of(signals: CanSignals, file: Path | str, table: SignalTable) -> Si
                    "log the bus that carries it (Car-CAN), or give the DBC and table of this car")
 
 
+def speeds_of(signals: CanSignals, to_reference: Callable[[np.ndarray], np.ndarray] = np.asarray
+              ) -> tuple[Series | None, Series | None]:
+    """(speed of the car by its wheels, forward speed that the INS sends on CAN). to_reference: of times of the log."""
+    found = {name: (to_reference(signal.time_ns[signal.valid]), signal.values[signal.valid])
+             for name in (*SPEEDS, "ins_velocity_x") if (signal := signals.first_of(name)) is not None}
+    ins_speed = found.pop("ins_velocity_x", None)
+    return car_speed(found), series(*ins_speed) if ins_speed else None
+
+
 def load_signal_table(dbc: Path, table: Path) -> SignalTable:
     """Raises RunError for a DBC or table that does not hold together."""
     try:
@@ -132,16 +143,16 @@ def check_frames(spec: MessageSpec, payload: np.ndarray, time_ns: np.ndarray,
     keep, valid = np.ones(n, dtype=bool), np.ones(n, dtype=bool)
     faults = []
     wrong_sum = np.zeros(n, dtype=bool)
-    if spec.checksum is not None and spec.checksum.mode is not Mode.OFF:
-        wrong_sum = ~checksum_matches(spec.checksum, payload[:, : spec.dbc.length], spec.dbc.frame_id)
-        (keep if spec.checksum.mode is Mode.DROP else valid)[wrong_sum] = False
-        if wrong_sum.any():
-            faults.append(f"checksum wrong in {wrong_sum.sum()}")
-    if spec.counter is not None and spec.counter.mode is not Mode.OFF:
-        wrong = counter_faults(spec.counter.field, payload, time_ns, wrong_sum, spec.timeout)
-        (keep if spec.counter.mode is Mode.DROP else valid)[wrong] = False
+    for name, check in (("checksum", spec.checksum), ("counter", spec.counter)):
+        if check is None or check.mode is Mode.OFF:
+            continue
+        if name == "checksum":
+            wrong = wrong_sum = ~checksum_matches(check, payload[:, : spec.dbc.length], spec.dbc.frame_id)
+        else:
+            wrong = counter_faults(check.field, payload, time_ns, wrong_sum, spec.timeout)
+        (keep if check.mode is Mode.DROP else valid)[wrong] = False
         if wrong.any():
-            faults.append(f"counter wrong in {wrong.sum()}")
+            faults.append(f"{name} wrong in {wrong.sum()}")
     possible = keep.copy()
     for signal in spec.signals:
         if np.isfinite(signal.maximum) or np.isfinite(signal.max_rate):

@@ -7,6 +7,7 @@ the definition and one example.
 
 import os
 import struct
+import zlib
 from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -117,9 +118,6 @@ class Layout:
         for field in self.fields.values():
             self._fixed[field.offset : field.offset + field.width] = False
 
-    def __len__(self) -> int:
-        return len(self.template)
-
     def _walk(self, type_name: str, value: Any, path: str, at: int) -> int:
         """Notes the fields of one (nested) message; `at` and the result count from behind the encapsulation."""
         if type_name in ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"):
@@ -175,13 +173,11 @@ class Layout:
             return values[:, 0].astype(np.int64) * 1_000_000_000 + values[:, 1].astype(np.uint32).astype(np.int64)
         return values if field.count > 1 else values[:, 0]
 
-    def fits_in(self, sizes: Any) -> Any:
-        """Whether messages of so many bytes can have this layout: the middleware fills up to a multiple of four."""
-        return (sizes >= len(self)) & (sizes < len(self) + 4)
-
-    def fits(self, buffer: np.ndarray, starts: np.ndarray) -> bool:
-        """Whether the messages at `starts` have the example's texts and sequence lengths, and so this layout."""
-        return all((buffer[starts + k] == self.template[k]).all() for k in np.nonzero(self._fixed)[0])
+    def fit(self, buffer: np.ndarray, starts: np.ndarray, sizes: np.ndarray) -> bool:
+        """Whether messages at `starts` of so many bytes have the example's texts and sequence lengths, and so this
+        layout; the middleware fills up to a multiple of four bytes."""
+        sized = ((sizes >= len(self.template)) & (sizes < len(self.template) + 4)).all()
+        return bool(sized) and all((buffer[starts + k] == self.template[k]).all() for k in np.nonzero(self._fixed)[0])
 
 
 def field_of(message: Any, path: str) -> Any:
@@ -270,14 +266,16 @@ def _content(stream: BinaryIO, chunk: ChunkIndex) -> bytes:
     record = os.pread(stream.fileno(), chunk.chunk_length, chunk.chunk_start_offset)
     if len(record) < chunk.chunk_length or record[0] != _CHUNK:
         raise ValueError("a chunk is missing")
-    name_length = struct.unpack_from("<I", record, _RECORD_HEAD + 28)[0]
+    checksum, name_length = struct.unpack_from("<II", record, _RECORD_HEAD + 24)
     data = record[_RECORD_HEAD + 28 + 4 + name_length + 8 :]
     if chunk.compression == "zstd":
-        return zstandard.ZstdDecompressor().decompress(data, max_output_size=chunk.uncompressed_size)
-    if chunk.compression == "lz4":
-        return lz4.frame.decompress(data)
-    if chunk.compression:
+        data = zstandard.ZstdDecompressor().decompress(data, max_output_size=chunk.uncompressed_size)
+    elif chunk.compression == "lz4":
+        data = lz4.frame.decompress(data)
+    elif chunk.compression:
         raise ValueError(f"compression {chunk.compression!r} is not known")
+    if checksum and zlib.crc32(data) != checksum:
+        raise ValueError(f"the chunk at byte {chunk.chunk_start_offset} is damaged: wrong checksum")
     return data
 
 

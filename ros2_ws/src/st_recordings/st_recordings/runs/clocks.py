@@ -41,19 +41,12 @@ def shared_signals(ins: Motion, can: CanSignals, latency: tuple[float, float] = 
 
     latency: of INS values on CAN, and its standard deviation [s].
     """
-    reference = _masked(ins, ins.time_ns, ins.velocity_x), _masked(ins, ins.time_ns, ins.yaw_rate)
     speed = can.first_of("ins_velocity_x") or can.first_of("vehicle_speed")
-    pairs = [_pair(f"forward velocity ({s.message})", "speed", ins.time_ns, reference[0], s, speed, latency)
-             for s in can.all_of("ins_velocity_x")]
-    pairs += [_pair(f"yaw rate ({s.message})", "rate", ins.time_ns, reference[1], s, speed, latency)
-              for s in can.all_of("ins_yaw_rate")]
-    for signal in can.all_of("ins_yaw"):
-        if ins.yaw is None:
-            continue
-        yaw = _masked(ins, ins.time_ns, ins.yaw)
-        pair = _pair(f"yaw ({signal.message})", "angle", ins.time_ns, yaw, signal, speed, latency)
-        pairs.append(replace(pair, angle=True))
-    return pairs
+    return [_pair(f"{label} ({signal.message})", kind, ins.time_ns, _masked(ins, values), signal, speed, latency)
+            for label, kind, name, values in (("forward velocity", "speed", "ins_velocity_x", ins.velocity_x),
+                                              ("yaw rate", "rate", "ins_yaw_rate", ins.yaw_rate),
+                                              ("yaw", "angle", "ins_yaw", ins.yaw)) if values is not None
+            for signal in can.all_of(name)]
 
 
 def substitute_signals(ins: Motion, can: CanSignals, steering_sign: int = 1) -> tuple[list[SharedSignal], str]:
@@ -66,7 +59,7 @@ def substitute_signals(ins: Motion, can: CanSignals, steering_sign: int = 1) -> 
     if speed is not None and speed.name != "vehicle_speed" and right and np.array_equal(speed.time_ns, right.time_ns):
         speed = replace(speed, values=(speed.values + right.values) / 2.0)  # one wheel alone shows the yaw rate too
     if speed is not None:
-        values = _masked(ins, ins.time_ns, np.abs(ins.velocity_x))
+        values = _masked(ins, np.abs(ins.velocity_x))
         return ([_pair(f"speed ({speed.message})", "speed", ins.time_ns, values, speed, speed, WHEEL_SPEED)],
                 f"{NO_INS_FRAMES}: aligned by the wheel speed, of unknown delay")
     steering = can.first_of("steering_wheel_angle")
@@ -129,15 +122,16 @@ def align_clocks(ins: Motion, can: CanSignals, offset: float | None = None, sear
     steering_sign: +1 where the decoded sensor is left positive.
     """
     ins, can, left_out = without_implausible(ins, can)
-    pairs = shared_signals(ins, can, latency)
-    warning = ""
+    pairs, warning = shared_signals(ins, can, latency), ""
     if not pairs:
         pairs, warning = substitute_signals(ins, can, steering_sign)
+    frames = [one for one in can.all_of("ins_unix_time") if np.isfinite(one.values).sum() > 1]
     if offset is not None:
         at_ns = int(pairs[0].other_time_ns[0]) if pairs else 0
         result = by_hand(round(offset * 1e9), at_ns, pairs)
-    elif ins.absolute and (frames := _time_frames(can)) is not None:
-        result = _checked_time_frame(frames, pairs if not warning else [], latency)
+    elif ins.absolute and frames:  # the finer of them
+        finest = min(frames, key=lambda s: TIME_FRAME_RESOLUTION.get(s.message, 1.0))
+        result = _checked_time_frame(finest, pairs if not warning else [], latency)
     elif not pairs:
         return refused("the CAN log and the INS recording have no signal in common; give the offset by hand"), pairs
     else:
@@ -186,19 +180,13 @@ def _checked_time_frame(frames: Signal, pairs: list[SharedSignal], latency: tupl
     return result
 
 
-def _time_frames(can: CanSignals) -> Signal | None:
-    """The finer of the time frames in the log, if the unit had its time when it sent it."""
-    found = [s for s in can.all_of("ins_unix_time") if np.isfinite(s.values).sum() > 1]
-    return min(found, key=lambda s: TIME_FRAME_RESOLUTION.get(s.message, 1.0), default=None)
-
-
 def _pair(name: str, kind: str, time_ns: np.ndarray, values: np.ndarray, signal: Signal, speed: Signal | None,
           latency: tuple[float, float]) -> SharedSignal:
     other = signal.values
     if speed is not None:
         other = standstill_masked(signal.time_ns, other, speed.time_ns, speed.values)
-    return SharedSignal(name, time_ns, values, signal.time_ns, other, *latency, SMALLEST[kind])
+    return SharedSignal(name, time_ns, values, signal.time_ns, other, *latency, SMALLEST[kind], angle=kind == "angle")
 
 
-def _masked(ins: Motion, time_ns: np.ndarray, values: np.ndarray) -> np.ndarray:
-    return standstill_masked(time_ns, values, ins.time_ns, ins.velocity_x)
+def _masked(ins: Motion, values: np.ndarray) -> np.ndarray:
+    return standstill_masked(ins.time_ns, values, ins.time_ns, ins.velocity_x)

@@ -179,12 +179,22 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
     for channel, named in layout.columns.items():
         # A name without a column may be a channel: {x: y, y: x} exchanges the axes.
         taken = found.get(named) if named not in names else None
-        number = taken[1].column if taken else _number_of(file, names, named, channel, layout)
+        alike = [number for same in (str, str.lower, plain, lambda name: plain(_splits(name)[0][0]))  # without its unit
+                 for number, name in enumerate(names) if same(name) == same(named)]
+        if not taken and not alike:
+            raise RunError(layout.source or file, f"columns: {channel}: {file.name} has no column {named[:60]!r}",
+                           f"it has {', '.join(names)[:300]}")
+        number = taken[1].column if taken else alike[0]
         stated = (unit_named(COLUMNS[channel].kind, unit) for text in (names[number], named)
                   for base, unit in _splits(text) if unit and base)
         places[channel] = _place(number, names[number], channel, next(filter(None, stated), None))
     if "compass_heading" in layout.columns and "yaw" not in layout.columns:
         places.pop("yaw", None)
+    return with_units(file, places, layout)
+
+
+def with_units(file: Path, places: dict[str, Place], layout: Layout) -> dict[str, Place]:
+    """Places with the units of the layout. Raises RunError for a unit of a channel without a column."""
     for channel, unit in layout.units.items():
         if channel not in places:
             raise RunError(layout.source or file, f"units: {channel}: {file.name} has no column for it",
@@ -201,15 +211,6 @@ def doubtful_steering(names: Sequence[str]) -> str | None:
 def _place(number: int, name: str, channel: str, unit: str | None) -> Place:
     kind = COLUMNS[channel].kind
     return Place(number, name, kind, unit or next(iter(UNITS[kind])), unit is not None)
-
-
-def _number_of(file: Path, names: Sequence[str], named: str, channel: str, layout: Layout) -> int:
-    for same in (str, str.lower, plain, lambda name: plain(_splits(name)[0][0])):  # the last one: without its unit
-        alike = [number for number, name in enumerate(names) if same(name) == same(named)]
-        if alike:
-            return alike[0]
-    raise RunError(layout.source or file, f"columns: {channel}: {file.name} has no column {named[:60]!r}",
-                   f"it has {', '.join(names)[:300]}")
 
 
 def _meanings(name: str) -> list[tuple[str, int, str | None]]:

@@ -1,6 +1,6 @@
 """Drives as tables: the columns of columns.py, or an INS log with speed and yaw rate only (for clock alignment)."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,13 +13,13 @@ from st_core.vehicle import VehicleParameters
 from .columns import Layout, doubtful_steering, find_columns
 from .csv_table import Table, header_of, known, read_table
 from .errors import RunError, share
-from .ins_log import SPEEDS, InsLog, Motion, car_speed, mostly_known, planar
+from .ins_log import SPEEDS, InsLog, car_speed, mostly_known, planar, yaw_of
 from .ncom import enu
-from .run_types import SteeringField
+from .run_types import ReadSettings, RunSource, SteeringField
 
 MOTION = ("velocity_x", "yaw_rate")
 ROAD, WHEEL, COMPASS = "road_wheel_angle", "steering_wheel_angle", "compass_heading"
-ADVICE = ("name the columns as in docs/csv_columns.md, or write a {stem}.run.yaml with the lines `csv: {name}`{can} "
+ADVICE = ("name the columns as in docs/csv_columns.md, or write a {stem}.run.yaml with the lines `{kind}: {name}`{can} "
           "and `columns: {{{channel}: NAME, ...}}`")
 STEERING_ADVICE = ("name its column, --steering-field NAME --steering-is wheel (or road), with --steering-sign -1 if "
                    "right is positive; or give the CAN log that has the steering as well")
@@ -46,10 +46,9 @@ class CsvDrive:
     origin: tuple[float, float, float] | None = None
 
 
-def read_csv(file: Path, vehicle: VehicleParameters | None = None, layout: Layout | None = None,
-             yaw_scale: float = 1.0, steering: SteeringField | None = None) -> CsvDrive:
+def read_csv(file: Path, vehicle: VehicleParameters | None = None, layout: Layout | None = None) -> CsvDrive:
     """A drive with INS and steering columns; see `drive_of`. Raises RunError."""
-    return drive_of(read_table(file, with_steering(layout or Layout(), steering)), vehicle, yaw_scale, steering)
+    return drive_of(read_table(file, layout or Layout()), vehicle)
 
 
 def with_steering(layout: Layout, steering: SteeringField | None) -> Layout:
@@ -81,7 +80,9 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
     steered = table.used & known(columns, used)
     if min(ins.sum(), steered.sum()) < 2:
         worst = max(missing, key=lambda name: missing[name], default="")
-        why = f": {worst} has no number in {missing[worst]} of {len(table.time_ns) + table.timeless}" if worst else ""
+        why = (f": {worst} has no number in {missing[worst]} of {len(table.time_ns) + table.timeless}" if worst else
+               f": {share(int(table.used.sum()), len(table.used), 'rows')} have a time later than all before"
+               if len(table.used) > 1 else "")
         raise RunError(file, f"fewer than two usable rows are in it{why}", "remove it from the command")
     values = {name: columns[name][ins] for name in INS_SIGNALS}
     values["yaw"] = np.unwrap(yaw_scale * values["yaw"])
@@ -99,50 +100,42 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
     return CsvDrive(log, taken, extras, tuple(notes), origin)
 
 
-def ins_of(table: Table) -> InsLog:
-    """The INS part of a table, for a run with its steering in a CAN log. Raises RunError."""
-    _check_columns(table, INS_SIGNALS, ", `can: [CAN LOGS]`")
+def ins_of(table: Table, needed: Sequence[str] = INS_SIGNALS) -> InsLog:
+    """The INS part of a table, for a run with its steering in a CAN log; what is not needed may be NaN. Raises
+    RunError."""
+    _check_columns(table, needed, ", `can: [CAN LOGS]`")
     notes = list(table.warnings)
     columns, origin = _with_derived(table, notes)
-    rows = table.used & known(columns, INS_SIGNALS)
+    used = [name for name in INS_SIGNALS if name in columns
+            and (name in needed or np.isfinite(columns[name]).any())]
+    rows = table.used & known(columns, used)
     if rows.sum() < 2:
         raise RunError(table.file, "fewer than two usable rows are in it", "remove it from the command")
-    _missing(table, columns, (), notes)
-    values = {name: columns[name][rows] for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS) if name in columns}
-    values["yaw"] = np.unwrap(values["yaw"])
+    _missing(table, {name: columns[name] for name in (*used, *OPTIONAL_INS_SIGNALS) if name in columns}, (), notes)
+    values = {name: columns[name][rows] for name in (*used, *OPTIONAL_INS_SIGNALS) if name in columns}
+    if "yaw" in values:
+        values["yaw"] = np.unwrap(values["yaw"])
     return planar(table.file, table.time_ns[rows], values, tuple(notes), table.absolute, origin)
 
 
-def read_motion(file: Path, layout: Layout | None = None) -> tuple[Motion, tuple[str, ...]]:
+def read_motion(source: RunSource, settings: ReadSettings) -> InsLog:
     """An INS log with at least time, forward velocity and yaw rate. Raises RunError."""
-    table = read_table(file, layout or Layout())
-    _check_columns(table, MOTION, ", `can: [CAN LOGS]`")
-    notes = list(table.warnings)
-    columns = dict(table.columns)
-    if "yaw" not in columns and COMPASS in columns:
-        columns["yaw"] = np.pi / 2 - columns[COMPASS]
-    used = (*MOTION, "yaw") if "yaw" in columns and np.isfinite(columns["yaw"]).any() else MOTION
-    rows = table.used & known(columns, used)
-    if rows.sum() < 2:
-        raise RunError(file, "fewer than two usable rows are in it", "remove it from the command")
-    if (lost := int((table.used & ~rows).sum())):
-        notes.append(f"{file}: {share(lost, len(rows), 'rows')} have no number somewhere; they were left out")
-    values = {name: columns[name][rows] for name in used}
-    return Motion(table.time_ns[rows], values["velocity_x"], values["yaw_rate"], values.get("yaw"),
-                  table.absolute), tuple(notes)
+    return ins_of(read_table(source.where, source.settings.get("layout") or Layout()), MOTION)
 
 
 def has_drive_columns(file: Path) -> bool:
     """Whether the header names all columns of a drive (not whether the rows are good)."""
-    names = header_of(file)
-    return not _lacking(find_columns(file, names, Layout()), names, ("t", *INS_SIGNALS, ROAD))
+    return not _lacking_in(file)
 
 
 def lacks_steering(file: Path) -> bool:
     """Whether the header names all columns of an INS and none of a steering angle."""
+    return _lacking_in(file) == [ROAD]
+
+
+def _lacking_in(file: Path) -> list[str]:
     names = header_of(file)
-    lacking = _lacking(find_columns(file, names, Layout()), names, ("t", *INS_SIGNALS, ROAD))
-    return lacking == [ROAD]
+    return _lacking(find_columns(file, names, Layout()), names, ("t", *INS_SIGNALS, ROAD))
 
 
 def looks_like_a_drive(file: Path) -> bool:
@@ -162,14 +155,15 @@ def _lacking(places: Iterable[str], names: Iterable[str], needed: Iterable[str])
     return [name for name in needed if name not in found]
 
 
-def _check_columns(table: Table, needed: tuple[str, ...], can: str = "") -> None:
+def _check_columns(table: Table, needed: Sequence[str], can: str = "") -> None:
     """can: line of a run.yaml with the CAN logs that belong to the table."""
     missing = _lacking(table.places, table.names, ("t", *needed))
     if missing:
         texts = [f"{name} (or {WHEEL})" if name == ROAD else name for name in missing]
         raise RunError(table.file, f"no column of the header is known as {', '.join(texts)}; it has "
                        f"{', '.join(table.names)[:200]}", STEERING_ADVICE if missing == [ROAD] else
-                       ADVICE.format(stem=table.file.stem, name=table.file.name, can=can, channel=missing[0]))
+                       ADVICE.format(stem=table.file.stem, kind=table.file.suffix[1:].lower(), name=table.file.name,
+                                     can=can, channel=missing[0]))
     doubtful = doubtful_steering(table.names)
     if ROAD in needed and ROAD not in table.places and WHEEL not in table.places:
         raise RunError(table.file, f"column {doubtful} may be of the steering wheel or of the road wheels",
@@ -186,14 +180,13 @@ def _with_derived(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray]
     columns, origin = dict(table.columns), None
     if "yaw" not in columns and COMPASS in columns:
         columns["yaw"] = np.pi / 2 - columns[COMPASS]
-    elif "yaw" not in columns:
-        x, y, z, w = (columns[f"orientation_{axis}"] for axis in "xyzw")
-        columns["yaw"] = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    if "velocity_y" not in columns:
-        c, s, (east, north) = np.cos(columns["yaw"]), np.sin(columns["yaw"]), (
-            columns[f"velocity_{axis}"] for axis in ("east", "north"))
+    elif "yaw" not in columns and columns.keys() >= QUATERNION:
+        columns["yaw"] = yaw_of(*(columns[f"orientation_{axis}"] for axis in "xyzw"))
+    if "velocity_y" not in columns and columns.keys() >= {"yaw", "velocity_east", "velocity_north"}:
+        c, s = np.cos(columns["yaw"]), np.sin(columns["yaw"])
+        east, north = columns["velocity_east"], columns["velocity_north"]
         columns["velocity_x"], columns["velocity_y"] = c * east + s * north, c * north - s * east
-    if not {"x", "y"} <= columns.keys():
+    if not {"x", "y"} <= columns.keys() and columns.keys() >= {"latitude", "longitude"}:
         latitude, longitude = columns["latitude"], columns["longitude"]
         found = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude) & table.used)
         origin = (float(latitude[found[0]]), float(longitude[found[0]]), 0.0) if len(found) else None
@@ -204,6 +197,8 @@ def _with_derived(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray]
 
 def _spread_held_positions(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
     """Positions that come slower than the rows and are repeated until the next: interpolated between the new ones."""
+    if not columns.keys() >= {"x", "y", "velocity_x"}:
+        return
     rows = np.flatnonzero(table.used & known(columns, ("x", "y", "velocity_x")))
     if len(rows) < 3:
         return
@@ -212,7 +207,7 @@ def _spread_held_positions(table: Table, columns: dict[str, np.ndarray], notes: 
     new = step > 0
     if not new.any():
         return
-    seconds = table.time_ns[rows] * 1e-9
+    seconds = (table.time_ns[rows] - table.time_ns[rows[0]]) * 1e-9
     resolution = max(float(step[new].min()), 1e-9)
     moving = np.abs(columns["velocity_x"][rows][1:]) * np.diff(seconds) > np.median(step[new]) / 20 + resolution / 20
     held = moving & ~new

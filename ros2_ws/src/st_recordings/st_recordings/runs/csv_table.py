@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from .columns import COLUMNS, UNITS, Layout, Place, find_columns, unit_named
-from .errors import RunError, check_readable, share
+from .errors import RunError, check_readable, share, short
 from .ins_log import usable_rows
 
 LATEST = 9.0e9  # s, year 2255; whole nanoseconds since 1970 do not reach much further
@@ -21,11 +21,13 @@ _GROUPS = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+"
 _GROUPED_CELL = re.compile(r"(?:^|[;\t])\s*[+-]?[1-9]\d{0,2}(?:,\d{3})+\s*(?=[;\t\r\n]|$)", re.MULTILINE)
 _NUMERIC = re.compile(r'[\s"]*[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?[\s"]*')
 # 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.2026 10:11:12,5, 10:11:12.5; the date 05/04/2026 is ambiguous.
+# 11:12.5 PM of a clock with twelve hours; 11:12.5 is what a spreadsheet writes of a time: minutes and seconds.
 _STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4})|\d\d?/\d\d?/\d{4})[T ] *)?"
-                    r"(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?) *(?:Z|UTC|([+-])(\d\d):?(\d\d))?")
-DAY = 86400.0
+                    r"(?:(\d{1,2}):)?(\d\d?):(\d\d(?:[.,]\d+)?) *(?:([AaPp])\.?[Mm]\.?)? *"
+                    r"(?:Z|UTC|([+-])(\d\d):?(\d\d))?")
+DAY, HOUR = 86400.0, 3600.0
+_DAYS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # 1970-01-01 as they count days
 _EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
-SPREADSHEET_EPOCH = 25569.0  # 1970-01-01 in days, as spreadsheets count them
 _SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # how a spreadsheet marks its delimiter
 _SPACES = re.compile(r"(?<=\d)[\u00a0\u202f\u2009'](?=\d{3}(?!\d))")
 
@@ -115,15 +117,16 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
         if first and _of_stamp(first[0].strip(' \r"')):
             body = with_seconds(body, delimiter, column, _of_stamp)
     rows = _rows(file, body, delimiter, len(names), warnings)
+    warnings += [f"{file}: column {place.name} is there {names.count(place.name)} times; the first is used"
+                 for place in places.values() if place.name and names.count(place.name) > 1]
     if "t" in places:
-        _days_to_seconds(file, rows, places["t"], warnings)
         places = {**places, "t": _with_epoch_unit(file, rows, places["t"], warnings)}
     with np.errstate(over="ignore"):
         columns = {channel: rows[:, place.column] * place.factor for channel, place in places.items()}
     columns = {channel: np.where(np.isfinite(values), values, np.nan) for channel, values in columns.items()}
     if "t" not in columns:
         return Table(file, tuple(names), places, columns, np.empty(0, np.int64), 0, np.empty(0, bool), tuple(warnings))
-    seconds = columns.pop("t")
+    seconds = _of_days(file, columns.pop("t"), places["t"], warnings)
     timed = np.abs(seconds) <= LATEST
     if not timed.any() and np.isfinite(seconds).any():
         raise RunError(file, f"times like {np.nanmax(np.abs(seconds)):.3g} in column {places['t'].name} are not in "
@@ -134,6 +137,9 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
     used = np.zeros(len(time_ns), dtype=bool)
     used[kept] = True
     warnings += [f"{file}: {note}" for note in notes]
+    if not places["t"].stated and used.sum() > 2 and (step := float(np.median(np.diff(time_ns[used])) * 1e-9)) > 1.0:
+        warnings.append(f"{file}: its times are {step:g} s apart; if they are not seconds, declare their unit in a "
+                        "run.yaml, as units: {t: ms}")
     columns = {channel: values[timed] for channel, values in columns.items()}
     return Table(file, tuple(names), places, columns, time_ns, int((~timed).sum()), used, tuple(warnings))
 
@@ -187,13 +193,14 @@ def _with_unit_row(file: Path, places: dict[str, Place], body: str, delimiter: s
     return found, rest
 
 
-def with_seconds(body: str, delimiter: str, column: int, clock: Callable[[str], tuple[float, bool] | None]) -> str:
+def with_seconds(body: str, delimiter: str, column: int, clock: Callable[[str], tuple[float, float] | None]) -> str:
     """The rows with seconds in place of times in another form; a time of day continues over midnight.
 
-    clock: of a cell, (seconds, whether they include the day); None for a cell that is not a time.
+    clock: of a cell, (seconds, after how many seconds they begin again, 0 for never); None for a cell that is not a
+    time.
     """
     rows = [line.split(delimiter) for line in body.split("\n")]
-    days, before = 0.0, 0.0
+    turns, before = 0.0, 0.0
     for row in rows:
         if len(row) <= column or not "".join(row).strip():
             continue
@@ -201,39 +208,33 @@ def with_seconds(body: str, delimiter: str, column: int, clock: Callable[[str], 
         if found is None:
             row[column] = "nan"
             continue
-        seconds, dated = found
-        if not dated and before - seconds > DAY / 2:
-            days += DAY
+        seconds, period = found
+        if period and before - seconds > period / 2:
+            turns += period
         before = seconds
-        row[column] = f"{days + seconds:.6f}"
+        row[column] = f"{turns + seconds:.6f}"
     return "\n".join(map(delimiter.join, rows))
 
 
-def _of_stamp(text: str) -> tuple[float, bool] | None:
-    """Seconds since 1970, or of the day, of a date and time; taken as UTC without a zone."""
+def _of_stamp(text: str) -> tuple[float, float] | None:
+    """Seconds since 1970, of the day or of the hour, of a date and time, and when they begin again; UTC without a
+    zone."""
     match = _STAMP.fullmatch(text)
     if match is None:
         return None
-    year, month, day, day_2, month_2, year_2, hour, minute, second, sign, hours, minutes = match.groups()
-    seconds = int(hour) * 3600 + int(minute) * 60 + float(second.replace(",", "."))
+    year, month, day, day_2, month_2, year_2, hour, minute, second, half, sign, hours, minutes = match.groups()
+    seconds = int(hour or 0) * 3600 + int(minute) * 60 + float(second.replace(",", "."))
+    if half:
+        seconds = seconds % (DAY / 2) + (DAY / 2 if half in "Pp" else 0.0)
     if sign:
         seconds -= float(f"{sign}1") * (int(hours) * 3600 + int(minutes) * 60)
     if not (year or year_2):
-        return seconds, False
+        return seconds, DAY if hour else HOUR
     try:
         dated = date(int(year or year_2), int(month or month_2), int(day or day_2))
     except ValueError:
         return None
-    return seconds + (dated - date(1970, 1, 1)).days * DAY, True
-
-
-def _days_to_seconds(file: Path, rows: np.ndarray, place: Place, warnings: list[str]) -> None:
-    """Times as a spreadsheet stores dates, in days, become seconds since 1970; as seconds they would be 100 kHz."""
-    days = rows[:, place.column] - SPREADSHEET_EPOCH
-    if not place.stated and len(days) > 2 and _EPOCH[0] <= np.nanmedian(days) * DAY <= _EPOCH[1] and (
-            np.nanmax(np.abs(np.diff(days))) > 0.0 and np.nanmedian(np.abs(np.diff(days))) < 1e-5):
-        rows[:, place.column] = days * DAY
-        warnings.append(f"{file}: times of column {place.name} are taken as days of a spreadsheet (UTC)")
+    return seconds + (dated - date(1970, 1, 1)).days * DAY, 0.0
 
 
 def _with_epoch_unit(file: Path, rows: np.ndarray, place: Place, warnings: list[str]) -> Place:
@@ -248,6 +249,19 @@ def _with_epoch_unit(file: Path, rows: np.ndarray, place: Place, warnings: list[
             warnings.append(f"{file}: times of column {place.name} are taken as {unit} since 1970")
             return found
     return place
+
+
+def _of_days(file: Path, seconds: np.ndarray, place: Place, warnings: list[str]) -> np.ndarray:
+    """The times in seconds where they are days since year 0 or 1900: no logger has steps of some microseconds."""
+    steps = np.diff(seconds[np.isfinite(seconds)])
+    if place.stated or not steps.any() or np.median(np.abs(steps)) > 2e-5:
+        return seconds
+    for origin, tool in _DAYS:
+        found = (seconds - origin) * DAY
+        if _EPOCH[0] <= np.nanmedian(found) <= _EPOCH[1]:
+            warnings.append(f"{file}: times of column {place.name} are taken as days of {tool} (UTC)")
+            return found
+    return seconds
 
 
 def _with_points(file: Path, body: str, delimiter: str) -> str:
@@ -313,9 +327,8 @@ def _rows(file: Path, body: str, delimiter: str, width: int, warnings: list[str]
             return rows
         except ValueError as second:
             error = second
-    reason = " ".join(str(error).split()).partition("; use")[0]
-    raise RunError(file, f"a row cannot be read ({reason[:120]})", "correct or remove that row (rows count from 0 "
-                   "behind the header)") from None
+    raise RunError(file, f"a row cannot be read ({short(error).partition('; use')[0]})", "correct or remove that row "
+                   "(rows count from 0 behind the header)") from None
 
 
 def _parsed(lines: list[str], delimiter: str, width: int) -> np.ndarray:

@@ -38,8 +38,8 @@ class Frames:
 
 
 def empty() -> Frames:
-    return Frames(np.zeros(0, np.int64), np.zeros(0, np.uint32), np.zeros((0, 8), np.uint8), np.zeros(0, np.uint8),
-                  np.zeros(0, np.uint8), np.zeros(0, np.uint8))
+    return Frames(np.zeros(0, np.int64), np.zeros(0, np.uint32), np.zeros((0, 8), np.uint8),
+                  *(np.zeros(0, np.uint8) for _ in range(3)))
 
 
 def in_file_order(parts: Sequence[Frames], order: np.ndarray | slice = slice(None)) -> Frames:
@@ -47,7 +47,7 @@ def in_file_order(parts: Sequence[Frames], order: np.ndarray | slice = slice(Non
     if len(parts) == 1 and isinstance(order, slice):
         return parts[0]
     width = max(p.payload.shape[1] for p in parts)
-    parts = [replace(p, payload=_widened(p.payload, width)) for p in parts]
+    parts = [replace(p, payload=np.pad(p.payload, ((0, 0), (0, width - p.payload.shape[1])))) for p in parts]
     # Column by column: never more than one of them is there a third time.
     return Frames(**{f.name: np.concatenate([getattr(p, f.name) for p in parts])[order] for f in fields(Frames)})
 
@@ -60,14 +60,6 @@ def joined(parts: Sequence[Frames]) -> Frames:
     time_ns = np.concatenate([p.time_ns for p in parts])
     rising = not (time_ns[1:] < time_ns[:-1]).any()
     return in_file_order(parts, slice(None) if rising else np.argsort(time_ns, kind="stable"))
-
-
-def _widened(payload: np.ndarray, width: int) -> np.ndarray:
-    if payload.shape[1] == width:
-        return payload
-    wide = np.zeros((len(payload), width), np.uint8)
-    wide[:, : payload.shape[1]] = payload
-    return wide
 
 
 def without_duplicates(frames: Frames) -> tuple[Frames, int]:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from st_core.checks import InsQuality, Series
+from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 from st_core.timeseries import interpolate
 
 from .errors import share
@@ -51,21 +52,28 @@ class InsLog:
 
     @property
     def motion(self) -> Motion:
-        return Motion(self.time_ns, self.velocity[0], self.rate[2], self.yaw, self.absolute)
+        yaw = self.yaw if np.isfinite(self.yaw).any() else None
+        return Motion(self.time_ns, self.velocity[0], self.rate[2], yaw, self.absolute)
 
 
 def planar(file: Path, time_ns: np.ndarray, values: Mapping[str, np.ndarray], warnings: tuple[str, ...] = (),
            absolute: bool = True, origin: tuple[float, float, float] | None = None) -> InsLog:
     """An INS recording that gives no more than the motion in the plane: attitude and vertical motion are zero.
 
-    values: x, y, yaw, velocity_x, velocity_y, yaw_rate, and acceleration_x, acceleration_y where they are known.
+    values: x, y, yaw, velocity_x, velocity_y, yaw_rate, acceleration_x, acceleration_y; NaN for those not given.
     """
     zero, unknown = np.zeros(len(time_ns)), np.full(len(time_ns), np.nan)
-    acceleration = [values.get(f"acceleration_{axis}", unknown) for axis in "xy"]
-    return InsLog(file, time_ns, np.stack([values["x"], values["y"], zero]), values["yaw"], zero, zero,
-                  np.stack([values["velocity_x"], values["velocity_y"], zero]),
-                  np.stack([zero, zero, values["yaw_rate"]]), np.stack([*acceleration, unknown]), origin,
-                  time_ns, None, warnings, absolute)
+    x, y, yaw, velocity_x, velocity_y, yaw_rate, *acceleration = (values.get(name, unknown) for name in (
+        *INS_SIGNALS, *OPTIONAL_INS_SIGNALS[:2]))
+    return InsLog(file, time_ns, np.stack([x, y, zero]), yaw, zero, zero, np.stack([velocity_x, velocity_y, zero]),
+                  np.stack([zero, zero, yaw_rate]), np.stack([*acceleration, unknown]), origin, time_ns, None, warnings,
+                  absolute)
+
+
+def yaw_of(x: np.ndarray, y: np.ndarray, z: np.ndarray, w: np.ndarray) -> np.ndarray:
+    """Yaw [rad], in (-pi, pi], of the quaternion from body to map axes, of any length but 0: that is NaN."""
+    unset = x * x + y * y + z * z + w * w == 0
+    return np.where(unset, np.nan, np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
 
 
 NEAR_NS = 100_000_000  # two wheels are compared at instants between samples no further apart
@@ -94,8 +102,13 @@ def series(time_ns: np.ndarray, values: np.ndarray) -> Series | None:
     time_ns, values = _finite(np.asarray(time_ns, np.int64), values)
     if not len(time_ns):
         return None
-    newer = np.diff(np.maximum.accumulate(time_ns), prepend=time_ns[:1] - 1) > 0
-    return Series(time_ns[newer], values[newer])
+    rows = newer(time_ns)
+    return Series(time_ns[rows], values[rows])
+
+
+def newer(time_ns: np.ndarray) -> np.ndarray:
+    """Which times are later than all before."""
+    return np.diff(np.maximum.accumulate(time_ns), prepend=time_ns[:1] - 1) > 0
 
 
 def mostly_known(values: np.ndarray | None) -> bool:
@@ -122,24 +135,15 @@ def usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list[str]]:
     longest stretch in which it was not is used. A last row with a stamp far from the others is left out.
     """
     n = len(time_ns)
-    rows = np.arange(n)
-    newer = np.ones(n, dtype=bool)
-    if n > 1:
-        newer[1:] = time_ns[1:] > np.maximum.accumulate(time_ns)[:-1]
-    lost = n - int(newer.sum())
+    rows = np.flatnonzero(newer(time_ns))
+    lost = n - len(rows)
     notes = []
-    if lost > max(LOST_SHARE * n, 1):
-        rows = _longest(time_ns)
-        steps = np.diff(time_ns)
-        back = steps[steps < 0] * 1e-9
-        if len(back) and n - len(rows) <= lost + LOST_SHARE * n:
-            notes.append(f"the clock was set back {len(back)} times, first by {-back[0]:.3f} s: "
-                         f"{share(n - len(rows), n, what)} are not used; split the recording to use them")
-        else:
-            rows = np.flatnonzero(newer)
+    back = -np.diff(time_ns)[np.diff(time_ns) < 0] * 1e-9
+    if len(back) and lost > max(LOST_SHARE * n, 1) and n - len(longest := _longest(time_ns)) <= lost + LOST_SHARE * n:
+        rows = longest
+        notes.append(f"the clock was set back {len(back)} times, first by {back[0]:.3f} s: "
+                     f"{share(n - len(rows), n, what)} are not used; split the recording to use them")
     elif lost:
-        rows = rows[newer]
-    if not notes and lost:
         notes.append(f"{share(lost, n, what)} are not newer than all before; they were left out")
     steps = np.diff(time_ns[rows])
     if len(rows) > 10 and steps[-1] > LAST_STEP * np.median(steps):
@@ -153,4 +157,4 @@ def _longest(time_ns: np.ndarray) -> np.ndarray:
     edges = np.concatenate(([0], np.flatnonzero(np.diff(time_ns) < 0) + 1, [len(time_ns)]))
     longest = int(np.argmax(np.diff(edges)))
     rows = np.arange(edges[longest], edges[longest + 1])
-    return rows[np.diff(time_ns[rows], prepend=time_ns[rows[0]] - 1) > 0]
+    return rows[newer(time_ns[rows])]

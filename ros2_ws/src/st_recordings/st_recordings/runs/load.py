@@ -35,7 +35,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
         raise source.problem
     # Hashing does not hold the interpreter; it is done when the rest is.
     with ThreadPoolExecutor(1) as pool:
-        digests = pool.submit(hashes, source)
+        digests = pool.submit(file_hashes, (*source.files, *source.can))
         loaded = _read(source, vehicle, settings)
     start_ns = int(loaded.log.ins_time_ns[0]) if len(loaded.log.ins_time_ns) else 0
     log, implausible = plausible(loaded.log, start_ns)
@@ -100,17 +100,10 @@ def check_common_time(source: RunSource, ins_ns: np.ndarray, steering_ns: np.nda
                        "check that the files belong to one drive (and the offset, if it was given by hand)")
 
 
-def hashes(source: RunSource) -> dict[str, str]:
-    """Path -> SHA-256 of every file of a run."""
-    return file_hashes((*source.files, *source.can))
-
-
 def file_hashes(paths: Iterable[Path]) -> dict[str, str]:
     """Path -> SHA-256 of files, and of the files in folders."""
-    files = [f for path in paths
-             for f in (sorted(path.iterdir()) if path.is_dir() else [path]) if f.is_file()]
     found = {}
-    for file in files:
+    for file in (f for path in paths for f in (sorted(path.iterdir()) if path.is_dir() else [path]) if f.is_file()):
         with file.open("rb") as stream:
             found[str(file)] = hashlib.file_digest(stream, "sha256").hexdigest()
     return found

@@ -57,9 +57,7 @@ def check_blocks(data: Buffer) -> Layout | None:
     """
     if len(data) < 64 + 104:
         raise Damage(f"it ends after {len(data)} bytes, inside its header")
-    walk = _Walk(data)
-    walk.file()
-    return walk.layouts[0]
+    return next(iter(_Walk(data).layouts), None)
 
 
 class _Walk:
@@ -72,24 +70,18 @@ class _Walk:
         self._open = struct.unpack_from("<H", data, 60)[0] if data[8:12] >= b"4.10" else 0
         self._seen: set[int] = set()
         self.layouts: list[Layout | None] = []  # of the data groups
-
-    def file(self) -> None:
         header = self._block(64, (b"##HD",), links=6, content=32)
         for link, name in ((1, b"##FH"), (3, b"##AT"), (4, b"##EV")):
             self._chain(header.links[link], name)
         at = header.links[0]
         while at:
             at = self._data_group(at)
-        if not self.layouts:
-            self.layouts.append(None)
 
     def _block(self, at: int, names: tuple[bytes, ...], links: int = 0, content: int = 0) -> _Block:
         """The block at a place, one of these, with at least so many links and bytes of content."""
         if at + _HEADER > self._size:
             raise Damage(f"its index points to byte {at}, it has {self._size}")
-        if at in self._seen:
-            raise Damage(f"its index leads to byte {at} twice")
-        self._seen.add(at)
+        self._visit(at)
         name = bytes(self._data[at : at + 4])
         if name not in names:
             expected = " or ".join(n[2:].decode() for n in names)
@@ -104,12 +96,15 @@ class _Walk:
             raise Damage(f"the block at byte {at} is too short for its content")
         return _Block(at, name, struct.unpack_from(f"<{count}Q", self._data, at + _HEADER), content_at, end)
 
+    def _visit(self, at: int) -> None:
+        if at in self._seen:
+            raise Damage(f"its index leads to byte {at} twice")
+        self._seen.add(at)
+
     def _chain(self, at: int, name: bytes) -> None:
         """Blocks that nothing depends on, except that they come to an end."""
         while at and at + _HEADER + 8 <= self._size and self._data[at : at + 4] == name:
-            if at in self._seen:
-                raise Damage(f"its index leads to byte {at} twice")
-            self._seen.add(at)
+            self._visit(at)
             at = struct.unpack_from("<Q", self._data, at + _HEADER)[0]
 
     def _data_group(self, at: int) -> int:
@@ -204,14 +199,14 @@ class _Walk:
 
     def _records(self, at: int, kind: bytes) -> int:
         """Bytes of records at a link: a block of them, packed or not, or a list of such blocks."""
-        held, lists = 0, 0
-        waiting = [at]
+        held, lists, waiting = 0, 0, [at]
         while waiting:
             at = waiting.pop()
             if not at:
                 continue
-            block = self._block(at, (b"##" + kind, b"##DZ", b"##DL", b"##HL"))
-            if block.name == b"##DZ":
+            packed = self._data[at : at + 4] == b"##DZ"
+            block = self._block(at, (b"##" + kind, b"##DZ", b"##DL", b"##HL"), content=24 if packed else 0)
+            if packed:
                 held += self._unpacked(block, kind)
             elif block.name == b"##DL":
                 waiting += block.links
@@ -225,8 +220,6 @@ class _Walk:
         return held
 
     def _unpacked(self, block: _Block, kind: bytes) -> int:
-        if block.content + 24 > block.end:
-            raise Damage(f"the block at byte {block.at} is too short for its content")
         what, way, columns, unpacked, packed = struct.unpack_from("<2sBxIQQ", self._data, block.content)
         if what != kind or way > _MOST_WAYS or (way % 2 and not columns):
             raise Damage(f"the block at byte {block.at} is not packed in a known way")

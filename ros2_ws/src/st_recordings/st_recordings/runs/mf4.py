@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from . import mdf_blocks
-from .errors import RunError, check_readable
+from .errors import RunError, check_readable, short
 from .frames import ERROR, EXTENDED, FD, REMOTE, SENT, Frames, continued, in_file_order, joined, set_back
 from .mdf_blocks import Damage
 
@@ -122,7 +122,7 @@ def _opened(path: Path, warnings: list[str]) -> Iterator[Any]:
     except Damage as error:
         raise RunError(path, f"the file is cut or damaged: {error}", "copy it from the logger's card again") from None
     except Exception as error:
-        raise RunError(path, f"asammdf cannot read it ({' '.join(str(error).split())[:120]})",
+        raise RunError(path, f"asammdf cannot read it ({short(error)})",
                        "copy it from the logger's card again") from None
     finally:
         if log is not None:
@@ -225,8 +225,11 @@ def _frames(name: str, signal: Any, bus: int, start_ns: int, channels: Mapping[s
 
     def member(short: str, default: int = 0) -> np.ndarray:
         channel = channels.get(short)
-        if channel is not None and channel.channel_type in VIRTUAL:
-            return np.full(n, _constant(channel), np.uint8)
+        if channel is not None and channel.channel_type in VIRTUAL:  # its conversion is 0 * row + constant
+            slope, value = getattr(channel.conversion, "a", 1.0), getattr(channel.conversion, "b", 0.0)
+            if slope or not 0 <= value <= 255 or value != int(value):
+                raise Damage(f"{channel.name} is a virtual channel and no constant")
+            return np.full(n, int(value), np.uint8)
         if short not in members:
             return np.full(n, default, np.uint8)
         column = rows[members[short]]
@@ -234,6 +237,15 @@ def _frames(name: str, signal: Any, bus: int, start_ns: int, channels: Mapping[s
             raise Damage(f"the {short} of its frames is not an integer")
         return column
 
+    seconds = signal.timestamps
+    if seconds.shape != (n,) or not (np.abs(seconds) < LONGEST_SESSION).all():  # NaN is not below either
+        raise Damage("the times of its frames are invalid")
+    payload = rows[members["DataBytes"]] if "DataBytes" in members else np.zeros((n, 8), np.uint8)
+    if payload.ndim != 2 or payload.dtype != np.uint8:
+        raise Damage("the DataBytes of its frames are not bytes")
+    if payload.shape[1] not in (8, 64):
+        width = 8 if payload.shape[1] < 8 else 64
+        payload = np.pad(payload[:, :width], ((0, 0), (0, max(width - payload.shape[1], 0))))
     identifier = member("ID").astype(np.uint32)
     extended = member("IDE").astype(bool) | (identifier > 0x7FF)
     length = _lengths(member("DataLength"), channels["DataLength"]) if "DataLength" in members else \
@@ -242,20 +254,11 @@ def _frames(name: str, signal: Any, bus: int, start_ns: int, channels: Mapping[s
     flags |= np.where(member("Dir").astype(bool), SENT, 0).astype(np.uint8)
     flags |= np.where(member("EDL").astype(bool), FD, 0).astype(np.uint8)
     return Frames(
-        time_ns=start_ns + _nanoseconds(signal.timestamps, n),
+        time_ns=start_ns + np.round(seconds * 1e9).astype(np.int64),
         id=identifier & 0x1FFF_FFFF | np.where(extended, np.uint32(EXTENDED), np.uint32(0)),
-        payload=_payload(rows[members["DataBytes"]] if "DataBytes" in members else np.zeros((n, 8), np.uint8)),
+        payload=np.ascontiguousarray(payload),
         length=length.astype(np.uint8), bus=member("BusChannel", bus).astype(np.uint8), flags=flags,
     )
-
-
-def _constant(channel: Any) -> int:
-    """Value of a virtual channel: its conversion is 0 * row + constant."""
-    conversion = channel.conversion
-    slope, value = getattr(conversion, "a", 1.0), getattr(conversion, "b", 0.0)
-    if slope or not 0 <= value <= 255 or value != int(value):
-        raise Damage(f"{channel.name} is a virtual channel and no constant")
-    return int(value)
 
 
 def _lengths(stored: np.ndarray, channel: Any) -> np.ndarray:
@@ -266,25 +269,6 @@ def _lengths(stored: np.ndarray, channel: Any) -> np.ndarray:
     if length.dtype.kind not in "biuf" or not ((length >= 0) & (length <= MOST_BYTES)).all():
         raise Damage("the lengths of its frames are invalid")
     return length
-
-
-def _nanoseconds(seconds: np.ndarray, n: int) -> np.ndarray:
-    if seconds.shape != (n,) or seconds.dtype.kind != "f":
-        raise Damage("its frames have no time each")
-    # NaN is not within, either.
-    if not (np.abs(seconds) < LONGEST_SESSION).all():
-        raise Damage("the times of its frames are invalid")
-    return np.round(seconds * 1e9).astype(np.int64)
-
-
-def _payload(column: np.ndarray) -> np.ndarray:
-    """(n, 8) bytes, (n, 64) where there may be more."""
-    if column.ndim != 2 or column.dtype != np.uint8:
-        raise Damage("the DataBytes of its frames are not bytes")
-    if column.shape[1] not in (8, 64):
-        width = 8 if column.shape[1] < 8 else 64
-        column = np.pad(column[:, :width], ((0, 0), (0, max(width - column.shape[1], 0))))
-    return np.ascontiguousarray(column)
 
 
 def _bus_of(log: Any, group: int) -> int:

@@ -22,12 +22,9 @@ class NcomLog(InsLog):
     rows: np.ndarray
 
 
-def read_ncom(file: Path, origin: tuple[float, float, float] | None = None) -> NcomLog:
-    """Decode a file.
-
-    origin: of the map frame, latitude, longitude [rad], altitude [m]; default the first fix.
-    Raises RunError for a file without NCOM packets, fix or time.
-    """
+def read_ncom(file: Path) -> NcomLog:
+    """The packets of a file with a fix; origin of the map is the first. Raises RunError for a file without NCOM
+    packets, fix or time."""
     check_readable(file)
     try:
         columns = file_decoder.decode_file(file)
@@ -51,25 +48,20 @@ def read_ncom(file: Path, origin: tuple[float, float, float] | None = None) -> N
     used, notes = usable_rows(columns.utc_ns[found], "packets")
     rows = found[used]
     warnings += [f"{file}: {note}" for note in notes]
-    return _in_our_axes(file, columns, rows, origin, tuple(warnings))
-
-
-def _in_our_axes(file: Path, columns: file_decoder.Columns, rows: np.ndarray, origin: tuple[float, float, float] | None,
-                 warnings: tuple[str, ...]) -> NcomLog:
     latitude, longitude, altitude = (c[rows] for c in (columns.latitude, columns.longitude, columns.altitude))
-    origin = origin or (float(latitude[0]), float(longitude[0]), float(altitude[0]))
+    origin = float(latitude[0]), float(longitude[0]), float(altitude[0])
     # FRD about NED -> FLU about ENU: y and z change sign, and with them pitch and the rates about them.
     flip = np.array([[1.0], [-1.0], [-1.0]])
     yaw = np.unwrap(np.pi / 2 - columns.heading[rows])
     pitch, roll = -columns.pitch[rows], columns.roll[rows]
     north, east, down = columns.velocity_ned[:, rows]
-    timed = (columns.kind == file_decoder.REGULAR) & (columns.utc_ns != file_decoder.UNKNOWN_TIME)
+    stamped = (columns.kind == file_decoder.REGULAR) & (columns.utc_ns != file_decoder.UNKNOWN_TIME)
     return NcomLog(
         file=file, time_ns=columns.utc_ns[rows], position=enu(origin, latitude, longitude, altitude),
         yaw=yaw, pitch=pitch, roll=roll, velocity=to_body(np.stack([east, north, -down]), yaw, pitch, roll),
         rate=columns.angular_rate[:, rows] * flip, acceleration=columns.acceleration[:, rows] * flip, origin=origin,
-        stamps_ns=columns.utc_ns[timed], quality=ins_quality(columns, rows), columns=columns, rows=rows,
-        warnings=warnings,
+        stamps_ns=columns.utc_ns[stamped], quality=ins_quality(columns, rows), columns=columns, rows=rows,
+        warnings=tuple(warnings),
     )
 
 

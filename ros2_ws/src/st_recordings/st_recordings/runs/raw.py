@@ -16,11 +16,11 @@ from ..paths import finite
 from . import csv
 from .can_formats import EXTENSIONS
 from .can_logs import CanLog, read_can_logs
-from .can_signals import CanSignals, Signal, decode_signals, load_signal_table, steering_of
+from .can_signals import CanSignals, Signal, decode_signals, load_signal_table, speeds_of, steering_of
 from .clocks import INS_ON_CAN, align_clocks
 from .errors import RunError, check_readable, share
 from .frames import empty
-from .ins_log import SPEEDS, InsLog, Motion, car_speed, mostly_known, series
+from .ins_log import InsLog, mostly_known
 from .readers import READERS
 from .run_types import LoadedRun, ReadSettings, RunSource, signal_files
 from .sources import find_runs
@@ -28,41 +28,51 @@ from .sources import find_runs
 
 @dataclass(frozen=True)
 class RawRun:
-    """INS and CAN files decoded and aligned, with everything that was in them: what `st import` writes down."""
+    """INS and CAN files decoded and aligned, with everything that was in them: what `st import` writes down.
 
+    dbc: by which the CAN frames were decoded. steering: None for `st align`. shared: the signals the alignment rests
+    on, or by which it can be looked at. latency: of INS frames, in words.
+    """
+
+    name: str
+    dbc: Path
     ins: InsLog
     can: CanLog
     signals: CanSignals
-    steering: Signal
+    steering: Signal | None
     alignment: Alignment
     shared: list[SharedSignal]
+    latency: str
     warnings: tuple[str, ...]
 
 
 ReadIns = Callable[[RunSource, ReadSettings], InsLog]
 
 
-def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns,
-             keep_frames: bool = True) -> RawRun:
+def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns, keep_frames: bool = True,
+             needs_steering: bool = True) -> RawRun:
     """INS recording and CAN logs of a run.
 
-    read_ins: of the INS recording. keep_frames: False leaves the raw frames out as soon as they are decoded; they are
-    most of what is in memory.
+    keep_frames: False leaves the raw frames out as soon as they are decoded; they are most of what is in memory.
     Raises RunError; a refused alignment is returned as such.
     """
     if source.problem is not None:
         raise source.problem
     check_readable(source.where)
     can = read_can_logs(source.can)
-    table = load_signal_table(*signal_files(source, settings))
+    dbc, file = signal_files(source, settings)
+    table = load_signal_table(dbc, file)
     signals = decode_signals(can.frames, table)
-    steering = steering_of(signals, can.files[0], table)
+    steering = steering_of(signals, can.files[0], table) if needs_steering else None
     if not keep_frames:
         can = replace(can, frames=empty())
-    ins = read_ins(source, settings)
-    alignment, shared = align_clocks(ins.motion, signals, **clock_settings(source, settings))
+    ins, how = read_ins(source, settings), clock_settings(source, settings)
+    alignment, shared = align_clocks(ins.motion, signals, **how)
+    given = settings.ins_can_latency or source.settings.get("ins_can_latency")
+    latency = "{:g} ± {:g} ms, {}".format(*(1e3 * value for value in how["latency"]), "given" if given else "assumed")
     faults = [f"{can.files[0]}: {message}: {fault}" for message, fault in signals.faults.items()]
-    return RawRun(ins, can, signals, steering, alignment, shared, (*ins.warnings, *can.warnings, *faults))
+    return RawRun(source.name, dbc, ins, can, signals, steering, alignment, shared, latency,
+                  (*ins.warnings, *can.warnings, *faults))
 
 
 def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings,
@@ -76,17 +86,23 @@ def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings:
 
 def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, run: RawRun) -> LoadedRun:
     """What was decoded, as a drive on the INS clock. Raises RunError, also for an alignment that must not be used."""
-    warnings = [*run.warnings, *alignment_warnings(source, run.alignment, settings)]
+    warnings, verdict, reasons = list(run.warnings), run.alignment.verdict, "; ".join(run.alignment.reasons)
+    if verdict is Verdict.REFUSED or (verdict is Verdict.DOUBTFUL and not settings.doubtful):
+        raise RunError(source.where, f"its clock cannot be aligned with that of the CAN log: {reasons}",
+                       "look at it with `st align`, and give the offset by hand if you know it (--offset)")
+    if reasons:
+        warnings.append(f"{source.where}: alignment of the clocks is {verdict}: {reasons}")
+    ins, steering = run.ins, run.steering
+    assert steering is not None
     steering_ns = steering_times(run, settings)
-    good = run.steering.valid & (np.diff(steering_ns, prepend=steering_ns[0] - 1) > 0)
-    wheel = settings.steering_sign * run.steering.values[good]
-    ins = run.ins
+    good = steering.valid & (np.diff(steering_ns, prepend=steering_ns[0] - 1) > 0)
+    wheel = settings.steering_sign * steering.values[good]
     accelerations = dict(zip(OPTIONAL_INS_SIGNALS, ins.acceleration, strict=False))
     missing = {name: int(np.isnan(values).sum()) for name, values in accelerations.items()}
     warnings += [f"{source.where}: {name}: {share(count, len(ins.time_ns), 'samples')} have no value; "
                  f"it is not {'known there' if mostly_known(accelerations[name]) else 'used'}"
                  for name, count in missing.items() if 0 < count < len(ins.time_ns)]
-    missing["road_wheel_angle"] = int((~run.steering.valid).sum())
+    missing["road_wheel_angle"] = int((~steering.valid).sum())
     try:
         log = DriveLog(
             source.name, ins_time_ns=ins.time_ns, x=ins.position[0], y=ins.position[1], yaw=ins.yaw,
@@ -100,32 +116,16 @@ def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
     about = {"reader": f"{source.kind} and CAN log", **({"origin": list(ins.origin)} if ins.origin else {}),
              "alignment": about_alignment(run.alignment),
              "settings": {"steering_sign": settings.steering_sign, "steering_latency": settings.steering_latency,
-                          "ins_can_latency": latency_in_words(source, settings)}}
-    extras = _extras(run, steering_ns, {name: count for name, count in missing.items() if count})
+                          "ins_can_latency": run.latency}}
+    extras = AuxiliaryData({"INS": ins.stamps_ns, "steering": steering_ns},
+                           {name: count for name, count in missing.items() if count},
+                           *speeds_of(run.signals, run.alignment.to_reference_ns), ins.quality)
     return LoadedRun(log, about, source.labels, tuple(warnings), run.alignment, extras)
-
-
-def _extras(run: RawRun, steering_ns: np.ndarray, missing: dict[str, int]) -> AuxiliaryData:
-    to_reference, signals = run.alignment.to_reference_ns, run.signals
-    found = {name: signal for name in (*SPEEDS, "ins_velocity_x") if (signal := signals.first_of(name)) is not None}
-    speeds = {name: (to_reference(signal.time_ns[signal.valid]), signal.values[signal.valid])
-              for name, signal in found.items()}
-    ins_speed = speeds.pop("ins_velocity_x", None)
-    return AuxiliaryData({"INS": run.ins.stamps_ns, "steering": steering_ns}, missing, car_speed(speeds),
-                  series(*ins_speed) if ins_speed else None, run.ins.quality)
-
-
-def alignment_warnings(source: RunSource, alignment: Alignment, settings: ReadSettings) -> list[str]:
-    """Raises RunError for an alignment that must not be used; else its warnings."""
-    reasons = "; ".join(alignment.reasons)
-    if alignment.verdict is Verdict.REFUSED or (alignment.verdict is Verdict.DOUBTFUL and not settings.doubtful):
-        raise RunError(source.where, f"its clock cannot be aligned with that of the CAN log: {reasons}",
-                       "look at it with `st align`, and give the offset by hand if you know it (--offset)")
-    return [f"{source.where}: alignment of the clocks is {alignment.verdict}: {reasons}"] if reasons else []
 
 
 def steering_times(run: RawRun, settings: ReadSettings) -> np.ndarray:
     """When the steering angles were true, on the INS clock [ns]."""
+    assert run.steering is not None
     return run.alignment.to_reference_ns(run.steering.time_ns) - round(settings.steering_latency * 1e9)
 
 
@@ -148,48 +148,14 @@ def clock_settings(source: RunSource, settings: ReadSettings) -> dict[str, Any]:
     return {"offset": offset, "search": settings.search, "latency": latency, "steering_sign": settings.steering_sign}
 
 
-def latency_in_words(source: RunSource, settings: ReadSettings) -> str:
-    """The latency of INS frames on the bus that the alignment rests on, and where it comes from."""
-    latency, deviation = clock_settings(source, settings)["latency"]
-    given = settings.ins_can_latency or source.settings.get("ins_can_latency")
-    return f"{latency * 1e3:g} ± {deviation * 1e3:g} ms, {'given' if given else 'assumed'}"
-
-
-@dataclass(frozen=True)
-class Pair:
-    """dbc: by which the CAN frames were decoded. shared: the signals the alignment rests on, or by which it can be
-    looked at. latency: of INS frames, in words."""
-
-    name: str
-    dbc: Path
-    motion: Motion
-    can: CanLog
-    signals: CanSignals
-    alignment: Alignment
-    shared: list[SharedSignal]
-    latency: str
-    warnings: tuple[str, ...]
-
-
-def read_pair(files: Sequence[Path], settings: ReadSettings) -> Pair:
-    """files: one INS recording (NCOM, or CSV with speed and yaw) and CAN logs, or a folder or run.yaml that names them.
-
-    No steering is needed. Raises RunError.
+def read_pair(files: Sequence[Path], settings: ReadSettings) -> RawRun:
+    """files: one INS recording (NCOM, or CSV with speed and yaw rate) and CAN logs, or a folder or run.yaml that names
+    them. No steering is needed. Raises RunError.
     """
     source = _source(files)
-    if source.kind == "csv":
-        motion, warnings = csv.read_motion(source.where, source.settings.get("layout"))
-    else:
-        read_ins = READERS[source.kind].read_ins
-        assert read_ins is not None  # only such kinds have CAN logs
-        ins = read_ins(source, settings)
-        motion, warnings = ins.motion, ins.warnings
-    can = read_can_logs(source.can)
-    dbc, table = signal_files(source, settings)
-    signals = decode_signals(can.frames, load_signal_table(dbc, table))
-    alignment, shared = align_clocks(motion, signals, **clock_settings(source, settings))
-    return Pair(source.name, dbc, motion, can, signals, alignment, shared, latency_in_words(source, settings),
-                (*warnings, *can.warnings))
+    read_ins = csv.read_motion if source.kind == "csv" else READERS[source.kind].read_ins
+    assert read_ins is not None  # only such kinds have CAN logs
+    return read_raw(source, settings, read_ins, keep_frames=False, needs_steering=False)
 
 
 def _source(files: Sequence[Path]) -> RunSource:

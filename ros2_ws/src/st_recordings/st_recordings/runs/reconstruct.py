@@ -4,7 +4,7 @@ publish them, and further channels for the checks, read only where their layout 
 
 import math
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from st_core.vehicle import VehicleParameters
 from .bag_storage import Storage, Topic, parameters, text_of
 from .cdr import CAN_FRAMES, INS_ON_CAN, INS_STATUS, NCOM, WHEEL_FIELDS, WHEEL_SPEEDS, field_of
 from .errors import RunError
-from .ins_log import SPEEDS, car_speed, series
+from .ins_log import car_speed, newer, series
 from .ncom import ins_quality, to_body
 from .run_types import SteeringField
 
@@ -114,16 +114,10 @@ class Reconstruction:
             raise RunError(self._path, f"the steering of its raw frames needs a vehicle file: {error}") from None
 
     def speeds(self) -> tuple[Series | None, Series | None]:
-        """(speed of the car by its wheels, forward speed that the INS sends on CAN)."""
-        found = {name: signal for name in SPEEDS if (signal := self._signals.first_of(name)) is not None}
-        wheels = {name: (signal.time_ns[signal.valid], signal.values[signal.valid]) for name, signal in found.items()}
-        ins = self._signals.all_of("ins_velocity_x")
-        if not ins:
-            return car_speed(wheels), None
-        order = np.argsort(np.concatenate([signal.rows for signal in ins]), kind="stable")
-        time_ns, values = (np.concatenate([getattr(signal, name) for signal in ins])[order]
-                           for name in ("time_ns", "values"))
-        return car_speed(wheels), series(time_ns, values)
+        """See `can_signals.speeds_of`."""
+        from .can_signals import speeds_of
+
+        return speeds_of(self._signals)
 
     def _descriptions(self) -> tuple[str | None, ...]:
         bridge = self._nodes.get("canedge_bridge", {})
@@ -209,8 +203,7 @@ def _packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
         return None, None
     timed = np.flatnonzero((columns.kind == file_decoder.REGULAR) & (columns.order == packet_time.NEW)
                            & (columns.utc_ns != file_decoder.UNKNOWN_TIME))
-    newer = np.diff(np.maximum.accumulate(columns.utc_ns[timed]), prepend=columns.utc_ns[timed][:1] - 1) > 0
-    rows = timed[newer]
+    rows = timed[newer(columns.utc_ns[timed])]
     if not len(rows):
         return None, None
     north, east, down = columns.velocity_ned[:, rows]
@@ -222,31 +215,18 @@ def _packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
 
 def _status(storage: Storage, topic: Topic, store: Typestore) -> InsQuality | None:
     """About one message a second, with texts of all lengths."""
-    rows = []
     try:
-        for data in storage.messages(topic.name):
-            message = store.deserialize_cdr(data, topic.type_name)
-            rows.append([field_of(message, field) for field in _STATUS])
-    except Exception:  # rosbags raises whatever struct and numpy raise; the extras are optional
+        rows = [[field_of(message, field) for field in _STATUS]
+                for _, message in deserialised("", storage, topic, store)]
+    except (RunError, AttributeError):  # the extras are optional
         return None
     if not rows:
         return None
     time_ns = np.array([row[0] for row in rows], np.int64)
     values = np.array([row[1:] for row in rows], float)
-    newer = np.diff(np.maximum.accumulate(time_ns), prepend=time_ns[0] - 1) > 0
-    time_ns, (status, mode, north, east, heading) = time_ns[newer], values[newer].T
+    used = newer(time_ns)
+    time_ns, (status, mode, north, east, heading) = time_ns[used], values[used].T
     return InsQuality(time_ns, status, mode, np.hypot(north, east), heading)
-
-
-# Prefixes of topics that the suite publishes itself, and of those that every ROS system has.
-OURS = ("/ins/", "/vehicle/", "/can/", "/predictor/", "/evaluator/", "/identifier/", "/view/", "/tf", "/diagnostics",
-        "/clock", "/rosout", "/parameter_events", "/events/")
-
-
-def unknown(topics: list[Topic], played: tuple[str, ...]) -> list[Topic]:
-    """Topics of a bag that are neither played nor of the suite."""
-    return [t for t in topics if t.count and t.name not in played
-            and not t.type_name.startswith("st_msgs/") and not t.name.startswith(OURS)]
 
 
 def steering_topic(where: Any, topics: list[Topic], steering: SteeringField, store: Typestore) -> Topic:
@@ -297,16 +277,22 @@ def stamp_of(message: Any, log_ns: int) -> int:
     return (stamp.sec * 1_000_000_000 + stamp.nanosec if stamp else 0) or log_ns
 
 
-def steering_columns(where: Any, storage: Storage, topic: Topic, steering: SteeringField,
-                     store: Typestore) -> dict[str, np.ndarray]:
-    """The fields of st_msgs/Steering, of a topic of another type. What is not measured is NaN. Raises RunError."""
-    stamps, angles = [], []
+def deserialised(where: Any, storage: Storage, topic: Topic, store: Typestore) -> Iterator[tuple[int, Any]]:
+    """(log time [ns], message) of a topic. Raises RunError for a damaged one."""
     for log_ns, data in storage.timed(topic.name):
         try:
             message = store.deserialize_cdr(data, topic.type_name)
         except Exception as error:  # rosbags raises whatever struct and numpy raise
             raise RunError(where, f"a message of {topic.name} is damaged ({type(error).__name__})",
                            "record it again, or repair the bag with `st recover`") from None
+        yield log_ns, message
+
+
+def steering_columns(where: Any, storage: Storage, topic: Topic, steering: SteeringField,
+                     store: Typestore) -> dict[str, np.ndarray]:
+    """The fields of st_msgs/Steering, of a topic of another type. What is not measured is NaN. Raises RunError."""
+    stamps, angles = [], []
+    for log_ns, message in deserialised(where, storage, topic, store):
         stamps.append(stamp_of(message, log_ns))
         angles.append(steering_value(where, message, steering))
     values, missing = np.array(angles), np.full(len(angles), math.nan)

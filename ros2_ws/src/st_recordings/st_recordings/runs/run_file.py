@@ -1,6 +1,6 @@
 """A run.yaml: which files make a run, and how they are to be read, corrected and labelled."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from st_core.errors import ConfigurationError, StCoreError
 from .can_formats import EXTENSIONS as CAN_EXTENSIONS
 from .can_formats import is_can_log
 from .columns import COLUMNS, UNITS, Layout, unit_named
-from .errors import RunError
+from .errors import RunError, short
 from .readers import READERS, reader_of
 from .run_types import Label, RunSource
 
@@ -32,7 +32,7 @@ def read_run_file(path: Path) -> RunSource:
     try:
         content = yaml_text.load(path.read_text(encoding="utf-8"))
     except (OSError, ConfigurationError, UnicodeDecodeError) as error:
-        raise RunError(path, f"invalid YAML: {' '.join(str(error).split())[:200]}") from None
+        raise RunError(path, f"invalid YAML: {short(error)}") from None
     if not isinstance(content, dict):
         raise RunError(path, "does not hold keys and values", f"known keys are {', '.join(_KEYS)}")
     unknown = [key for key in content if key not in _KEYS]
@@ -45,21 +45,17 @@ def read_run_file(path: Path) -> RunSource:
     file = _existing(path, keys[0], content[keys[0]])
     reader = reader_of(file, keys[0])
     assert reader is not None  # the key is one of theirs
-    logs: list[Path] = []
-    for text in _listed(path, "can", content.get("can", [])):
-        logs += [f for entry in _matching(path, text) for f in (sorted(entry.rglob("*")) if entry.is_dir() else [entry])
-                 if f.is_file() and f.suffix.lower() in CAN_EXTENSIONS and (f == entry or is_can_log(f))]
+    logs = _logs(path, content.get("can", []))
     if reader.needs_can and not logs:
         raise RunError(path, "no CAN log under the key can", "list the logs, a folder of them, or a pattern")
-    offset = content.get("offset")
-    if offset is not None and (isinstance(offset, bool) or not isinstance(offset, int | float)):
-        raise RunError(path, f"offset: {offset!r} is not a number of seconds")
-    settings: dict[str, Any] = {key: _existing(path, key, content[key]) for key in ("dbc", "signals") if key in content}
-    if offset is not None:
-        settings["offset"] = float(offset)
-    if "ins_can_latency" in content:
-        settings["ins_can_latency"] = _latency(path, content["ins_can_latency"])
-    settings |= _reading(path, content, keys[0])
+    for key in ("columns", "units"):
+        if key in content and keys[0] not in ("csv", "vbo"):
+            raise RunError(path, f"{key}: only a csv or vbo has columns; the units of others are known",
+                           "correct: changes values of every kind of recording")
+    settings = {key: read(path, content[key]) for key, read in _SETTINGS.items() if content.get(key) is not None}
+    if "columns" in content or "units" in content:
+        settings["layout"] = Layout(_columns(path, content.get("columns", {})), _units(path, content.get("units", {})),
+                                    path)
     default = path.parent.name if path.name == RUN_FILE else path.name.removesuffix(RUN_SUFFIX)
     name = str(content.get("name", default))  # results are stored under it
     if not name.isprintable() or name in ("", ".", "..") or "/" in name or "\\" in name:
@@ -67,14 +63,23 @@ def read_run_file(path: Path) -> RunSource:
     return RunSource(name, reader.kind, (file,), tuple(logs), _labels(path, content.get("labels", [])), settings)
 
 
-def _matching(path: Path, text: str) -> list[Path]:
-    if not any(c in text for c in "*?["):
-        return [_existing(path, "can", text)]
-    try:
-        return sorted(path.parent.glob(text))
-    except (ValueError, NotImplementedError, OSError) as error:
-        raise RunError(path, f"can: {text[:100]!r} is not a pattern ({error})",
-                       "patterns are relative to the run file; * is a part of a name, **/ are folders") from None
+def _logs(path: Path, value: Any) -> list[Path]:
+    entries = [value] if isinstance(value, str) else value
+    if not isinstance(entries, list) or not all(isinstance(e, str) for e in entries):
+        raise RunError(path, "can: expected a file or a list of files")
+    found: list[Path] = []
+    for text in entries:
+        try:
+            is_pattern = any(c in text for c in "*?[")
+            matching = sorted(path.parent.glob(text)) if is_pattern else [_existing(path, "can", text)]
+        except RunError:
+            raise
+        except (ValueError, NotImplementedError, OSError) as error:
+            raise RunError(path, f"can: {text[:100]!r} is not a pattern ({error})",
+                           "patterns are relative to the run file; * is a part of a name, **/ are folders") from None
+        found += [f for entry in matching for f in (sorted(entry.rglob("*")) if entry.is_dir() else [entry])
+                  if f.is_file() and f.suffix.lower() in CAN_EXTENSIONS and (f == entry or is_can_log(f))]
+    return found
 
 
 def _latency(path: Path, value: Any) -> tuple[float, float]:
@@ -87,6 +92,12 @@ def _latency(path: Path, value: Any) -> tuple[float, float]:
     raise RunError(path, f"ins_can_latency: {value!r} is not [latency, standard deviation] in seconds, each 0 to 1")
 
 
+def _number(path: Path, key: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise RunError(path, f"{key}: {str(value)[:40]!r} is not a number")
+    return float(value)
+
+
 def _existing(path: Path, key: str, text: Any) -> Path:
     try:
         if isinstance(text, str) and (path.parent / text).exists():
@@ -94,13 +105,6 @@ def _existing(path: Path, key: str, text: Any) -> Path:
     except (OSError, ValueError):  # a name no file can have
         pass
     raise RunError(path, f"{key}: there is no {str(text)[:200]!r} in its folder")
-
-
-def _listed(path: Path, key: str, value: Any) -> list[str]:
-    entries = [value] if isinstance(value, str) else value
-    if not isinstance(entries, list) or not all(isinstance(e, str) for e in entries):
-        raise RunError(path, f"{key}: expected a file or a list of files")
-    return entries
 
 
 def _labels(path: Path, value: Any) -> tuple[Label, ...]:
@@ -112,23 +116,6 @@ def _labels(path: Path, value: Any) -> tuple[Label, ...]:
         if not label.start < label.end:
             raise RunError(path, f"labels: {label.name} ends ({label.end:g} s) before it starts ({label.start:g} s)")
     return labels
-
-
-def _reading(path: Path, content: Mapping[str, Any], kind: str) -> dict[str, Any]:
-    """layout, correct and leave_out, as far as they are given. kind: key of the recording. Raises RunError."""
-    for key in ("columns", "units"):
-        if key in content and kind not in ("csv", "vbo"):
-            raise RunError(path, f"{key}: only a csv or vbo has columns; the units of others are known",
-                           "correct: changes values of every kind of recording")
-    settings: dict[str, Any] = {}
-    if "columns" in content or "units" in content:
-        settings["layout"] = Layout(_columns(path, content.get("columns", {})), _units(path, content.get("units", {})),
-                                    path)
-    if "correct" in content:
-        settings["correct"] = _corrections(path, content["correct"])
-    if "leave_out" in content:
-        settings["leave_out"] = _stretches(path, content["leave_out"])
-    return settings
 
 
 def _columns(path: Path, value: Any) -> dict[str, str]:
@@ -153,12 +140,9 @@ def _units(path: Path, value: Any) -> dict[str, str]:
 def _corrections(path: Path, value: Any) -> dict[str, Correction]:
     corrections = {}
     for channel, given in _mapping(path, "correct", value, CHANNELS).items():
-        taken = CHANNELS[channel]
-        entries = _mapping(path, f"correct: {channel}", given, taken)
-        for key, number in entries.items():
-            if isinstance(number, bool) or not isinstance(number, int | float) or not np.isfinite(number):
-                raise RunError(path, f"correct: {channel}: {key}: {str(number)[:40]!r} is not a number")
-        corrections[channel] = Correction(**{key: float(number) for key, number in entries.items()})
+        entries = _mapping(path, f"correct: {channel}", given, CHANNELS[channel])
+        corrections[channel] = Correction(**{key: _number(path, f"correct: {channel}: {key}", number)
+                                             for key, number in entries.items()})
     try:
         check_corrections(corrections)
     except StCoreError as error:
@@ -185,3 +169,10 @@ def _mapping(path: Path, key: str, value: Any, known: Any) -> dict[str, Any]:
     if unknown:
         raise RunError(path, f"{key}: {unknown[0]} is not known", f"known are {', '.join(known)}")
     return value
+
+
+_SETTINGS: Mapping[str, Callable[[Path, Any], Any]] = {
+    "dbc": lambda path, value: _existing(path, "dbc", value),
+    "signals": lambda path, value: _existing(path, "signals", value),
+    "offset": lambda path, value: _number(path, "offset", value),
+    "ins_can_latency": _latency, "correct": _corrections, "leave_out": _stretches}

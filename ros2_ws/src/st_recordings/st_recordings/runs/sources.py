@@ -1,13 +1,14 @@
 """Which files make a run: the same stem, one folder, one list of files, the splits of a bag, or a run.yaml."""
 
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from dataclasses import replace
 from pathlib import Path
 
 from st_core import yaml_text
 
+from ..paths import natural
 from .bag_storage import EXTENSIONS as BAG_EXTENSIONS
-from .bag_storage import natural, time_span
+from .bag_storage import time_span
 from .can_formats import EXTENSIONS as CAN_EXTENSIONS
 from .can_formats import is_can_log
 from .errors import RunError
@@ -95,6 +96,7 @@ def _from_files(files: Sequence[Path], given: bool) -> list[RunSource]:
             what = f"the extension {file.suffix or '(none)'} is not one of a recording"
             advice = ("convert the ROS 1 bag with rosbags-convert" if file.suffix.lower() == ".bag" else
                       "a DBC belongs to --dbc or into the folder of --car" if file.suffix.lower() == ".dbc" else
+                      "unpack it first" if file.suffix.lower() in (".gz", ".zip", ".7z", ".bz2", ".xz", ".zst") else
                       f"known are {known}, folders of bags, and run.yaml")
             runs.append(_failed(file, RunError(file, what, advice)))
     for group in _splits([f for f in readers if f.suffix.lower() in BAG_EXTENSIONS and f.is_file()]):
@@ -149,14 +151,12 @@ def _logs_of(file: Path, files: Sequence[Path]) -> list[Path]:
 def _splits(files: Sequence[Path]) -> list[list[Path]]:
     """Bag files that follow each other, drive_0, drive_1, ...: each begins where the one before ended."""
     groups: list[list[Path]] = []
-    for before, file in pairwise(sorted(files, key=lambda f: (f.parent, natural(f)))):
-        if not _follows(before, file):
-            continue
-        if groups and groups[-1][-1] == before:
+    for file in sorted(files, key=lambda f: (f.parent, natural(f))):
+        if groups and _follows(groups[-1][-1], file):
             groups[-1].append(file)
         else:
-            groups.append([before, file])
-    return groups
+            groups.append([file])
+    return [group for group in groups if len(group) > 1]
 
 
 def _follows(before: Path, file: Path) -> bool:
@@ -197,5 +197,5 @@ def _with_own_names(runs: Sequence[RunSource]) -> list[RunSource]:
         while name in taken:
             name, number = f"{run.name}_{number}", number + 1
         taken.add(name)
-        named.append(RunSource(name, run.kind, run.files, run.can, run.labels, run.settings, run.problem))
+        named.append(replace(run, name=name))
     return named

@@ -5,12 +5,13 @@ Source: Racelogic, VBO file format. Latitude and longitude are in minutes of arc
 """
 
 import re
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
-from .columns import COLUMNS, UNITS, Layout, Place, find_columns, plain, unit_named
+from .columns import COLUMNS, UNITS, Layout, Place, find_columns, plain, unit_named, with_units
 from .csv_table import DAY, Table, table_of, text_of, with_seconds
 from .errors import RunError, check_readable
 
@@ -25,6 +26,8 @@ _DEFAULT_UNITS = {"angular rate": "deg/s", "acceleration": "g", "angle": "deg", 
 TRUE_HEADING = ("trueheading", "truehead", "headingtrue", "heading2", "dualantennaheading")
 MIN_HEADING_AGREEMENT = 0.5
 """Correlation of a yaw rate channel with the derivative of the heading below which it is not used."""
+MIN_TURN_RATE = 0.01
+"""rad/s, median of the heading's derivative from which the two are compared: 0.1 deg of noise at 5 Hz makes as much."""
 
 
 def read_vbo(file: Path, layout: Layout) -> Table:
@@ -40,7 +43,7 @@ def read_vbo(file: Path, layout: Layout) -> Table:
     if not {"column names", "data"} <= sections.keys():
         raise RunError(file, "this is not a VBO file: sections [column names] and [data] are missing",
                        "correct its extension")
-    names = sections["column names"].split()
+    names = [name.strip('"') for name in re.findall(r'"[^"\n]*"|\S+', sections["column names"])]
     places = _places(file, names, sections, layout)
     warnings: list[str] = []
     body = re.sub(r"[ \t]+", " ", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", sections["data"]))
@@ -58,13 +61,11 @@ def read_vbo(file: Path, layout: Layout) -> Table:
 def _places(file: Path, names: list[str], sections: dict[str, str], layout: Layout) -> dict[str, Place]:
     """Channels of the columns: the standard ones, then those with the names of CSV columns."""
     units = _units(names, sections)
-    found = find_columns(file, names, Layout(layout.columns, {}, layout.source))
     places = {}
-    for channel, place in found.items():
-        kind = COLUMNS[channel].kind
-        stated = unit_named(kind, units.get(place.name, ""))
-        places[channel] = Place(place.column, place.name, kind, stated or _DEFAULT_UNITS.get(kind, place.unit),
-                                stated is not None)
+    for channel, place in find_columns(file, names, Layout(layout.columns, {}, layout.source)).items():
+        stated = unit_named(place.kind, units.get(place.name, ""))
+        places[channel] = replace(place, unit=stated or _DEFAULT_UNITS.get(place.kind, place.unit),
+                                  stated=stated is not None)
     for number, name in enumerate(names):
         if (standard := _STANDARD.get(name.lower())) and standard[0] not in layout.columns:
             channel, unit = standard
@@ -75,12 +76,7 @@ def _places(file: Path, names: list[str], sections: dict[str, str], layout: Layo
             places["true_heading"] = Place(number, name, "angle", unit, True)
     if "yaw" in places and "compass_heading" in places and "yaw" not in layout.columns:
         places.pop("yaw")
-    for channel, unit in layout.units.items():
-        if channel not in places:
-            raise RunError(layout.source or file, f"units: {channel}: {file.name} has no column for it")
-        place = places[channel]
-        places[channel] = Place(place.column, place.name, place.kind, unit, True)
-    return places
+    return with_units(file, places, layout)
 
 
 def _units(names: list[str], sections: dict[str, str]) -> dict[str, str]:
@@ -105,14 +101,14 @@ def _midnight(text: str) -> float:
         return 0.0
 
 
-def _seconds(text: str, midnight: float) -> tuple[float, bool] | None:
+def _seconds(text: str, midnight: float) -> tuple[float, float] | None:
     """UTC [s] of HHMMSS.ss on a day; the next days are not in it."""
     try:
         clock = float(text)
     except ValueError:
         return None
     seconds = clock // 10000 * 3600 + clock // 100 % 100 * 60 + clock % 100
-    return (midnight + seconds, False) if 0 <= seconds < DAY + 1 else None
+    return (midnight + seconds, DAY) if 0 <= seconds < DAY + 1 else None
 
 
 def _with_motion(table: Table, names: list[str], warnings: list[str]) -> Table:
@@ -141,23 +137,26 @@ def _with_motion(table: Table, names: list[str], warnings: list[str]) -> Table:
 def _set_yaw_rate(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
     """A yaw rate channel with the sign of the heading; else the derivative of the heading."""
     rows = np.flatnonzero(table.used & np.isfinite(columns["yaw"]))
-    if len(rows) < 3:
-        return
     derived = np.full(len(columns["yaw"]), np.nan)
-    derived[rows] = np.gradient(np.unwrap(columns["yaw"][rows]), table.time_ns[rows] * 1e-9)
-    if "yaw_rate" in columns:
-        both = np.isfinite(columns["yaw_rate"]) & np.isfinite(derived) & (np.abs(columns["velocity_x"]) > 3.0)
-        agreement = np.corrcoef(columns["yaw_rate"][both], derived[both])[0, 1] if both.sum() > 10 else 0.0
-        if abs(agreement) >= MIN_HEADING_AGREEMENT:
-            if agreement < 0:
-                columns["yaw_rate"] = -columns["yaw_rate"]
-                notes.append(f"{table.file}: the yaw rate counts right turns positive; its sign was changed")
-            return
+    if len(rows) > 2:
+        derived[rows] = np.gradient(np.unwrap(columns["yaw"][rows]), table.time_ns[rows] * 1e-9)
+    if "yaw_rate" not in columns:
+        notes.append(f"{table.file}: no yaw rate channel; the derivative of the heading is used")
+        columns["yaw_rate"] = derived
+        return
+    both = np.isfinite(columns["yaw_rate"]) & np.isfinite(derived) & (np.abs(columns["velocity_x"]) > 3.0)
+    measured, expected = columns["yaw_rate"][both], derived[both]
+    if both.sum() <= 10 or np.median(np.abs(expected)) < MIN_TURN_RATE:
+        return  # on a straight the derivative is noise
+    # Without subtracting means: both are constant in a steady turn.
+    agreement = measured @ expected / max(np.linalg.norm(measured) * np.linalg.norm(expected), 1e-12)
+    if agreement < -MIN_HEADING_AGREEMENT:
+        columns["yaw_rate"] = -columns["yaw_rate"]
+        notes.append(f"{table.file}: the yaw rate counts right turns positive; its sign was changed")
+    elif agreement < MIN_HEADING_AGREEMENT:
         notes.append(f"{table.file}: the yaw rate channel does not agree with the heading (correlation "
                      f"{agreement:.2f}); the derivative of the heading is used")
-    else:
-        notes.append(f"{table.file}: no yaw rate channel; the derivative of the heading is used")
-    columns["yaw_rate"] = derived
+        columns["yaw_rate"] = derived
 
 
 def _wrapped(angle: np.ndarray) -> np.ndarray:

@@ -16,9 +16,9 @@ from ..results import versions
 from .bag import definitions
 from .cdr import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS, typestore
 from .errors import RunError
-from .load import check_common_time, hashes, treated
+from .load import check_common_time, file_hashes, treated
 from .ncom import NcomLog
-from .raw import RawRun, about_alignment, as_drive, latency_in_words, read_raw, steering_times
+from .raw import RawRun, about_alignment, as_drive, read_raw, steering_times
 from .readers.ncom import read_ins
 from .rows import Covariances, Messages, Serialiser, in_time_order
 from .run_types import LoadedRun, ReadSettings, RunSource
@@ -89,8 +89,8 @@ class _Blocks:
 
     def __init__(self, run: RawRun, vehicle: VehicleParameters, settings: ReadSettings, serialiser: Serialiser):
         self._run, self._vehicle, self._settings, self._make = run, vehicle, settings, serialiser
-        assert isinstance(run.ins, NcomLog)  # as read_ins of it
-        self._ins, columns = run.ins, run.ins.columns
+        assert isinstance(run.ins, NcomLog) and run.steering is not None  # as read_ins of it
+        self._ins, self._steering, columns = run.ins, run.steering, run.ins.columns
         self._covariances = Covariances(columns)
         structure_b = columns.navigation_status == 11
         self._packets = np.nonzero(~structure_b)[0]
@@ -113,8 +113,8 @@ class _Blocks:
         packets = _between(self._packet_ns, start_ns, end_ns)
         parts.append(make.ncom(self._ins.columns.raw[self._packets[packets]], self._packet_ns[packets]))
         rows = _between(self._steering_ns, start_ns, end_ns)
-        wheel = self._settings.steering_sign * run.steering.values[rows]
-        parts.append(make.steering(self._steering_ns[rows], wheel, run.steering.valid[rows], self._vehicle))
+        wheel = self._settings.steering_sign * self._steering.values[rows]
+        parts.append(make.steering(self._steering_ns[rows], wheel, self._steering.valid[rows], self._vehicle))
         for wheels in self._wheels:
             rows = _between(wheels.time_ns, start_ns, end_ns)
             parts.append(Messages(wheels.topic, wheels.type_name, wheels.time_ns[rows], wheels.data,
@@ -149,11 +149,11 @@ def _records(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
             "map_origin": json.dumps({"latitude_deg": np.degrees(latitude), "longitude_deg": np.degrees(longitude),
                                       "altitude_m": altitude}),
             "steering_sign": str(settings.steering_sign), "steering_latency_s": str(settings.steering_latency),
-            "ins_can_latency": latency_in_words(source, settings),
+            "ins_can_latency": run.latency,
             "vehicle": vehicle.name, "vehicle_hash": vehicle.hash,
             "labels": json.dumps([[entry.name, entry.start, entry.end] for entry in source.labels]),
         },
         "alignment": alignment,
-        "files_sha256": hashes(source),
+        "files_sha256": file_hashes((*source.files, *source.can)),
         "versions": versions(),
     }

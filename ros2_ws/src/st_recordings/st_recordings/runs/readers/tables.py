@@ -12,6 +12,7 @@ from ..columns import Layout
 from ..csv_table import Table, read_table
 from ..ins_log import InsLog
 from ..run_types import LoadedRun, ReadSettings, RunSource
+from ..vbo import read_vbo
 from . import Reader, register
 
 
@@ -31,12 +32,6 @@ def _register(kind: str, table_of: Callable[[Path, Layout], Table], **more: Call
     register(Reader(kind, kind, (f".{kind}",), read, read_ins, scales_yaw=True, **more))
 
 
-def _read_vbo(file: Path, layout: Layout) -> Table:
-    from ..vbo import read_vbo
-
-    return read_vbo(file, layout)
-
-
 _register("csv", read_table, has_drive=csv.has_drive_columns, is_incomplete=csv.looks_like_a_drive,
           lacks_steering=csv.lacks_steering)
-_register("vbo", _read_vbo)
+_register("vbo", read_vbo)
