@@ -68,8 +68,8 @@ def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns, keep_
         can = replace(can, frames=empty())
     ins, how = read_ins(source, settings), clock_settings(source, settings)
     alignment, shared = align_clocks(ins.motion, signals, **how)
-    given = settings.ins_can_latency or source.settings.get("ins_can_latency")
-    latency = "{:g} ± {:g} ms, {}".format(*(1e3 * value for value in how["latency"]), "given" if given else "assumed")
+    known = "given" if settings.ins_can_latency or source.settings.get("ins_can_latency") else "assumed"
+    latency = "{:g} ± {:g} ms, ".format(*(1e3 * value for value in how["latency"])) + known
     faults = [f"{can.files[0]}: {message}: {fault}" for message, fault in signals.faults.items()]
     return RawRun(source.name, dbc, ins, can, signals, steering, alignment, shared, latency,
                   (*ins.warnings, *can.warnings, *faults))
