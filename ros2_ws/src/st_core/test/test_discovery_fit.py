@@ -10,7 +10,7 @@ from st_core.augmented import augment
 from st_core.channels import OF_COLUMN
 from st_core.discovery import DiscoverySettings, fit_effects
 from st_core.discovery.fit import FOLDS, Problem, Slopes, bounded
-from st_core.discovery.loss import FURTHEST, NU, Errors, Loss, rho, weight
+from st_core.discovery.loss import MAX_SCALED_ERROR, NU, Errors, Loss, rho, weight
 from st_core.discovery.space import GAIN, Space
 from st_core.discovery.windows import LOOKUP_CACHE_SIZE, Signals, Windows
 from st_core.log import INS_SIGNALS
@@ -125,7 +125,7 @@ def test_prediction_that_diverges_is_far_off_and_says_nothing_of_slopes():
     problem.errors.noise[7] = np.nan  # measured, lost by a later vector only
     problem.errors.noise[8] = 1e9
     after = loss.by_window(problem.start)
-    assert after[7] == after[8] == pytest.approx(4 * len(COLUMNS) * rho(np.array(FURTHEST)))
+    assert after[7] == after[8] == pytest.approx(4 * len(COLUMNS) * rho(np.array(MAX_SCALED_ERROR)))
     np.testing.assert_array_equal(np.delete(after, (7, 8)), np.delete(before, (7, 8)))
     q = loss.quadratic(problem.errors.at(problem.start), problem.errors.signatures)
     assert not q.gradient[7:9].any() and not q.hessian[7:9].any()

@@ -8,7 +8,7 @@ import pytest
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
 from st_core.discovery.where import survey
-from st_core.discovery.where_parts import PLACE, Range, Samples, cells, changes, excesses, membership, words
+from st_core.discovery.where_parts import CELL_SIZE, Range, Samples, cells, changes, excesses, membership, words
 from st_core.log import DriveLog
 from st_core.prediction import predict
 from st_core.types import InputSequence, VehicleState
@@ -109,7 +109,7 @@ def test_place_that_is_bad_on_every_pass():
     near = np.hypot(x - 60.0, y) < 15.0
     squares = {"yaw_rate": base.squares["yaw_rate"] * np.where(near, 16.0, 1.0)}
     worst = max(cells(replace(base, x=x, y=y, squares=squares), "yaw_rate", 0.001), key=lambda c: c.interval[0])
-    assert math.hypot(worst.x - 60.0, worst.y) < 1.5 * PLACE and worst.step > 2.0 and worst.p < 1e-3
+    assert math.hypot(worst.x - 60.0, worst.y) < 1.5 * CELL_SIZE and worst.step > 2.0 and worst.p < 1e-3
 
 
 @pytest.mark.parametrize(("low", "high", "said"), [

@@ -15,10 +15,10 @@ from .space import Space
 
 FLIPS = 400  # of the signs of blocks: enough to resolve a p-value of 0.01
 TWO_SIDED = float(stats.norm.ppf(0.975))
-FLATTEST = 0.3  # of the curvature of the reweighted squares: errors far out may bend the loss down by no more
-HELD = 0.05  # of the whole curvature: a part of the driving need not show everything else alone
+MIN_CURVATURE = 0.3  # of the curvature of the reweighted squares: errors far out may bend the loss down by no more
+PART_PRIOR = 0.05  # of the whole curvature: a part of the driving need not show everything else alone
 UNNAMED = 0.5  # usual sizes: standard deviation of an effect that is not in the set, for intervals of those that are
-LEAST_OF_A_PART = 0.02  # of the information; a part with less is ignored
+MIN_INFORMATION_SHARE = 0.02  # of the information; a part with less is ignored
 
 
 @dataclass(frozen=True)
@@ -352,13 +352,13 @@ def joint(problem: Problem, fit: Fit) -> Joint:
 
 
 def _no_flatter(bent: np.ndarray, whole: np.ndarray) -> np.ndarray:
-    """A curvature that is FLATTEST of `whole`, that of the reweighted squares, at the least in any direction."""
+    """A curvature that is MIN_CURVATURE of `whole`, that of the reweighted squares, at the least in any direction."""
     if not len(bent):
         return bent
     root = np.linalg.cholesky(whole + 1e-9 * (np.trace(whole) / len(whole) + 1e-12) * np.eye(len(whole)))
     values, vectors = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, bent).T))
     turn = root @ vectors
-    return (turn * np.maximum(values, FLATTEST)) @ turn.T
+    return (turn * np.maximum(values, MIN_CURVATURE)) @ turn.T
 
 
 def of_null(problem: Problem, fit: Fit, effect: str) -> float:
@@ -392,14 +392,14 @@ def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, called:
     everything = inverse(whole)
     blocks = fit.quadratic.summed(problem.block, problem.blocks).gradient @ turn
     design = max(float((everything @ (blocks.T @ blocks) @ everything)[0, 0] / max(everything[0, 0], 1e-30)), 0.5)
-    hold = HELD * whole / len(h)
+    hold = PART_PRIOR * whole / len(h)
     hold[0, :] = hold[:, 0] = 0.0
     shares, variances, names = [], [], []
     total = 1.0 / max(everything[0, 0], 1e-30)
     for k in range(len(h)):
         own_inverse = inverse(h[k] + hold)
         information = 1.0 / max(own_inverse[0, 0], 1e-30)
-        if h[k, 0, 0] <= 0.0 or information < LEAST_OF_A_PART * total:
+        if h[k, 0, 0] <= 0.0 or information < MIN_INFORMATION_SHARE * total:
             continue
         shares.append(1.0 + float((own_inverse @ g[k])[0]))
         variances.append(design / information)

@@ -10,12 +10,12 @@ import numpy as np
 from .loss import Loss, Quadratic, rho
 from .space import GAIN, Quantities, prior_deviations
 
-ITERATIONS, SHARES = 5, (1.0, 0.5, 0.2)  # of a fit; of a step, until the loss falls
-NEAR, MOST_KEPT = 0.25, 4  # usual sizes: slopes of a point so near will do; points remembered
-SETTLED = 2e-4  # fall of the loss for each scored number: a step that gains less is the last
+ITERATIONS, STEP_SHARES = 5, (1.0, 0.5, 0.2)  # of a fit; of a step, until the loss falls
+SLOPES_VALID_WITHIN, SLOPES_CACHE_SIZE = 0.25, 4  # usual sizes: slopes of a point so near will do; points remembered
+MIN_LOSS_FALL = 2e-4  # fall of the loss for each scored number: a step that gains less is the last
 FOLDS = 8  # of the blocks, each held out once
-MOST = 5.0  # scales of the start: a larger error counts as that, or a few lost windows were all that counts
-FAR = 100.0  # m: a prediction that diverges is that far off
+MAX_SCALED = 5.0  # scales of the start: a larger error counts as that, or a few lost windows were all that counts
+DIVERGED = 100.0  # m: a prediction that diverges is that far off
 TRUSTED = 0.05  # for each scored error: a fold that costs more by the quadratic is simulated
 RIDGE = 1e-6  # of the mean curvature: keeps solutions finite where driving shows nothing
 
@@ -133,9 +133,9 @@ class Problem:
         return np.maximum(self.sizes(self.errors.at(self.start)), 1e-12)
 
     def sizes(self, rows: np.ndarray) -> np.ndarray:
-        """(c,) root mean square error of each column over the horizon [SI]; one that is beyond MOST times what two
-        thirds of the start's are below counts as that."""
-        most = MOST * self._scale_of_start
+        """(c,) root mean square error of each column over the horizon [SI]; one beyond
+        MAX_SCALED times what two thirds of the start's are below counts as that."""
+        most = MAX_SCALED * self._scale_of_start
         square = np.square(np.clip(np.nan_to_num(rows, nan=np.inf), -most, most))
         points = np.where(self.loss.known, square, 0.0).sum(axis=0) / np.maximum(self.loss.known.sum(axis=0), 1)
         return np.sqrt(points.reshape(len(self.errors.windows.time), -1).mean(axis=0))
@@ -234,11 +234,11 @@ class Problem:
     def everything(self, vector: np.ndarray) -> Slopes:
         """Slopes of the whole library: those of a nearby point that follow the step, else recomputed."""
         for known in reversed(self._whole):
-            if np.abs((vector - known.vector) / self.space.scale).max() < NEAR:
+            if np.abs((vector - known.vector) / self.space.scale).max() < SLOPES_VALID_WITHIN:
                 return self._follow(known, vector, np.zeros(0, int))
         which = np.arange(len(self.space))
         new = Slopes(vector, which, np.nan_to_num(self.loss.slopes(vector, which), posinf=0.0, neginf=0.0))
-        self._whole = [*self._whole[-MOST_KEPT + 1:], new]
+        self._whole = [*self._whole[-SLOPES_CACHE_SIZE + 1:], new]
         return new
 
     def moved(self, vector: np.ndarray, which: np.ndarray, step: np.ndarray) -> np.ndarray:
@@ -273,7 +273,7 @@ class Problem:
         for _ in range(iterations if len(which) else 0):
             q = self.loss.quadratic(self.errors.at(vector), slopes.of(which))
             step = self.solve(q, names, vector, which)
-            for share in SHARES:
+            for share in STEP_SHARES:
                 trial = self.moved(vector, which, share * step)
                 lower = self.cost(names, trial, which)
                 if lower < cost:
@@ -282,7 +282,7 @@ class Problem:
                 break
             gained, vector, cost = cost - lower, trial, lower
             slopes = self._follow(slopes, vector, new)
-            if gained < SETTLED * self.number:
+            if gained < MIN_LOSS_FALL * self.number:
                 break
         return self.about(names, vector, which, slopes)
 
@@ -403,9 +403,9 @@ class Problem:
         return last + columns.index("position_lateral"), last + columns.index("position_longitudinal")
 
     def position(self, rows: np.ndarray) -> np.ndarray:
-        """(n,) position error at the end of the horizon [m], FAR at the most; NaN where it was not measured."""
+        """(n,) position error at the end of the horizon [m], DIVERGED at the most; NaN where it was not measured."""
         if "position_lateral" not in self.errors.windows.columns:
             return np.full(len(rows), np.nan)
         ends = list(self.end_of)
-        error = np.minimum(np.nan_to_num(np.hypot(*rows[:, ends].T), nan=FAR), FAR)
+        error = np.minimum(np.nan_to_num(np.hypot(*rows[:, ends].T), nan=DIVERGED), DIVERGED)
         return np.where(self.loss.known[:, ends].all(axis=1), error, np.nan)

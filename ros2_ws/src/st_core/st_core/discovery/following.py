@@ -23,13 +23,13 @@ from .loss import Errors, Loss
 from .result import FoundEffect, NextManoeuvre, Separability
 from .windows import STEP, Windows, added_acceleration
 
-TIMES = 3  # each manoeuvre is driven, the minimum of ISO 7401
+REPETITIONS = 3  # each manoeuvre is driven, the minimum of ISO 7401
 MIN_SEPARATION = 3.0  # standard deviations a pair must be put apart
-FASTER = 1.15  # times the speed driven: the size of errors further off is unknown
-MOST_LATERAL = 9.0  # m/s^2: beyond that the simulation of the base is unreliable
+MAX_SPEED_RATIO = 1.15  # times the speed driven: the size of errors further off is unknown
+MAX_LATERAL_ACCELERATION = 9.0  # m/s^2: beyond that the simulation of the base is unreliable
 PERIOD = STEP / 2
 """s, of the simulated log."""
-LEAD = 4.0
+LEAD_TIME = 4.0
 """s before the start in which the hands come to where they are at the start, so that the drive begins steadily."""
 
 
@@ -38,14 +38,14 @@ def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameter
 
     Hands as the understeer of the vehicle file requires, so that the lateral acceleration aimed at is reached.
     """
-    lead, steps = round(LEAD / PERIOD), round(manoeuvre.duration / PERIOD)
+    lead, steps = round(LEAD_TIME / PERIOD), round(manoeuvre.duration / PERIOD)
     times = 0.5 * PERIOD * np.arange(-2 * lead, 2 * steps + 1)
     understeer = max(vehicle.wheelbase * understeer_coefficient(vehicle), 0.0)
     begun = np.maximum(times, 0.0)
-    angle = manoeuvre.steering(begun, vehicle.wheelbase, understeer) * np.clip(2.0 + times / LEAD * 2.0, 0.0, 1.0)
+    angle = manoeuvre.steering(begun, vehicle.wheelbase, understeer) * np.clip(2.0 + times / LEAD_TIME * 2.0, 0.0, 1.0)
     forward = np.where(times < 0.0, 0.0, manoeuvre.forward(begun))
     start = VehicleState(0.0, 0.0, manoeuvre.speed, 0.0, 0.0, 0.0)
-    times_ns = np.round((times + LEAD) * 1e9).astype(np.int64)
+    times_ns = np.round((times + LEAD_TIME) * 1e9).astype(np.int64)
     wheels = np.interp(times_ns, *corrected_steering(model, times_ns, angle, 0.1))
     path = predict(model, vehicle, start, InputSequence(wheels, forward), (lead + steps) * PERIOD, PERIOD)
     states = tuple(path.states[lead:].T)
@@ -64,7 +64,7 @@ def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameter
 
 @dataclass(frozen=True, eq=False)
 class Catalogue:
-    """Curvature of the loss, (p, p), that each manoeuvre adds when driven TIMES times, by its name."""
+    """Curvature of the loss, (p, p), that each manoeuvre adds when driven REPETITIONS times, by its name."""
 
     curvature: dict[str, np.ndarray]
 
@@ -73,7 +73,7 @@ def simulated(windows: Windows, base: Model) -> Iterator[tuple[Manoeuvre, Window
     """All manoeuvres at speeds like those driven, simulated with the bare base model: size and kind of the motion are
     what matters here. The windows of one drive each, with the channels that were recorded."""
     model = augment(base, {})
-    fastest = FASTER * float(np.nanquantile(windows.speeds, 0.95))
+    fastest = MAX_SPEED_RATIO * float(np.nanquantile(windows.speeds, 0.95))
     settings = replace(windows.settings, windows=50)
     for manoeuvre in CATALOGUE:
         if manoeuvre.speed > fastest:
@@ -83,8 +83,8 @@ def simulated(windows: Windows, base: Model) -> Iterator[tuple[Manoeuvre, Window
         except StCoreError:
             continue  # the base spins there
         lateral = np.abs(log.velocity_x * log.yaw_rate)
-        if (lateral > MOST_LATERAL).any():
-            log = log.slice(0, int(log.ins_time_ns[max(int(np.argmax(lateral > MOST_LATERAL)) - 1, 1)]))
+        if (lateral > MAX_LATERAL_ACCELERATION).any():
+            log = log.slice(0, int(log.ins_time_ns[max(int(np.argmax(lateral > MAX_LATERAL_ACCELERATION)) - 1, 1)]))
         if log.overlap < settings.horizon + 3.0:
             continue
         unknown: dict[str, Any] = {n: None for n in OPTIONAL_INS_SIGNALS if getattr(windows.joined, n) is None}
@@ -101,7 +101,7 @@ def catalogue(problem: Problem, fit: Fit) -> Catalogue:
         loss.scale = problem.loss.scale
         rows = loss.errors.at(fit.vector)
         q = loss.quadratic(0.0 * np.nan_to_num(rows), loss.slopes(fit.vector, np.arange(len(space))))
-        result[manoeuvre.name] = TIMES * q.hessian.sum(axis=0)
+        result[manoeuvre.name] = REPETITIONS * q.hessian.sum(axis=0)
     return Catalogue(result)
 
 
@@ -155,7 +155,7 @@ def following(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], driven
         return None
     strength, pair = weakest[name]
     chosen = next(m for m in CATALOGUE if m.name == name)
-    return NextManoeuvre(name, pair, strength, {n: s for n, (s, _) in weakest.items()}, TIMES, chosen.duration,
+    return NextManoeuvre(name, pair, strength, {n: s for n, (s, _) in weakest.items()}, REPETITIONS, chosen.duration,
                          chosen.speed, f"{pair[0]} and {pair[1]} differ most there of all manoeuvres of the catalogue")
 
 

@@ -4,9 +4,9 @@ import numpy as np
 
 from .windows import Windows
 
-CELL = 50.0  # m, side of a place on the map
-SHARED = 0.2  # of the places of the shorter of two runs: then they are of one site
-FEWEST = 5  # runs; with fewer each is divided into stretches
+PLACE_SIZE = 50.0  # m, side of a place on the map
+SAME_SITE_SHARE = 0.2  # of the places of the shorter of two runs: then they are of one site
+MIN_RUNS = 5  # runs; with fewer each is divided into stretches
 TIMES = ("the first third of the runs", "the second third", "the last third")
 KINDS = ("slow and gentle", "fast and gentle", "slow and hard", "fast and hard")
 
@@ -31,7 +31,7 @@ def levels(windows: Windows) -> dict[str, Level]:
 
 def runs(windows: Windows) -> Level:
     numbers = np.unique(windows.run)
-    if len(numbers) >= FEWEST:
+    if len(numbers) >= MIN_RUNS:
         return windows.run, list(windows.names)
     pieces = int(np.ceil(6 / len(numbers)))
     part = np.zeros(len(windows), int)
@@ -51,15 +51,15 @@ def sites(windows: Windows) -> np.ndarray:
     site = list(range(len(visited)))
     for i, a in enumerate(visited):
         for j, b in enumerate(visited[:i]):
-            if len(a & b) > SHARED * max(min(len(a), len(b)), 1):
+            if len(a & b) > SAME_SITE_SHARE * max(min(len(a), len(b)), 1):
                 site = [site[j] if s == site[i] else s for s in site]
     return np.unique(np.array(site), return_inverse=True)[1][windows.run]
 
 
 def places(x: np.ndarray, y: np.ndarray) -> Level:
-    cells = np.stack([np.floor(x / CELL), np.floor(y / CELL)], axis=1)
+    cells = np.stack([np.floor(x / PLACE_SIZE), np.floor(y / PLACE_SIZE)], axis=1)
     unique, number = np.unique(cells, axis=0, return_inverse=True)
-    return number.ravel(), [f"east {CELL * (a + 0.5):.0f} m, north {CELL * (b + 0.5):.0f} m" for a, b in unique]
+    return number.ravel(), [f"east {east:.0f} m, north {north:.0f} m" for east, north in PLACE_SIZE * (unique + 0.5)]
 
 
 def conditions(speed: np.ndarray, lateral: np.ndarray) -> Level:

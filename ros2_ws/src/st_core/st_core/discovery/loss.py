@@ -19,9 +19,9 @@ from .space import Space
 from .windows import Windows
 
 NU = 4.0  # degrees of freedom: errors beyond two scales count less and less
-BEND = 0.1  # of the usual size: step of the difference quotients
-FURTHEST = 100.0  # scales; a prediction that diverges is that far off, and no further
-KEPT = 64  # rows of errors remembered
+DIFFERENCE_STEP = 0.1  # of the usual size: step of the difference quotients
+MAX_SCALED_ERROR = 100.0  # scales; a prediction that diverges is that far off, and no further
+ERROR_CACHE_SIZE = 64  # rows of errors remembered
 
 
 def rho(z: np.ndarray) -> np.ndarray:
@@ -66,7 +66,7 @@ class Errors:
         if key not in self._kept:
             self.calls += 1
             values = self.windows.errors(self.space.at(vector).lean(), float(vector[-1])).values
-            while len(self._kept) >= KEPT:
+            while len(self._kept) >= ERROR_CACHE_SIZE:
                 self._kept.pop(next(iter(self._kept)), None)
             self._kept[key] = values.reshape(len(values), -1)
         return self._kept[key]
@@ -102,8 +102,8 @@ class Loss:
 
     def scaled(self, rows: np.ndarray) -> np.ndarray:
         """(n, m) z of rows of errors; 0 where nothing was measured."""
-        z = np.nan_to_num(rows / self.scale, nan=FURTHEST, posinf=FURTHEST, neginf=-FURTHEST)
-        return np.where(self.known, np.clip(z, -FURTHEST, FURTHEST), 0.0)
+        z = np.nan_to_num(rows / self.scale, nan=MAX_SCALED_ERROR, posinf=MAX_SCALED_ERROR, neginf=-MAX_SCALED_ERROR)
+        return np.where(self.known, np.clip(z, -MAX_SCALED_ERROR, MAX_SCALED_ERROR), 0.0)
 
     def by_window(self, vector: np.ndarray) -> np.ndarray:
         return rho(self.scaled(self.errors.at(vector))).sum(axis=1)
@@ -113,7 +113,7 @@ class Loss:
 
     def slopes(self, vector: np.ndarray, which: np.ndarray) -> np.ndarray:
         """(p, n, m) fall of the errors [SI] per usual size of each of the parameters `which`, by differences."""
-        step = BEND * self.space.scale[which] * self.space.sign[which]
+        step = DIFFERENCE_STEP * self.space.scale[which] * self.space.sign[which]
         there = vector[which] + step
         step = np.where((there < self.space.low[which]) | (there > self.space.high[which]), -step, step)
         moved = np.tile(vector, (len(which), 1))
@@ -126,10 +126,10 @@ class Loss:
     def quadratic(self, rows: np.ndarray, slopes: np.ndarray) -> Quadratic:
         """About the point with these errors (n, m) and slopes (p, n, m)."""
         z = self.scaled(rows)
-        far = FURTHEST / BEND
+        far = MAX_SCALED_ERROR / DIFFERENCE_STEP
         j = np.where(self.known, np.clip(np.nan_to_num(slopes / self.scale, nan=0.0, posinf=0.0, neginf=0.0),
                                          -far, far), 0.0)
-        j = np.where(np.abs(z) < FURTHEST, j, 0.0)  # a diverged window does not respond to small changes
+        j = np.where(np.abs(z) < MAX_SCALED_ERROR, j, 0.0)  # a diverged window does not respond to small changes
         w = weight(z)
         jw = np.moveaxis(j * w, 1, 0)  # (n, p, m)
         return Quadratic(rho(z).sum(axis=1), (jw @ z[:, :, None])[:, :, 0], jw @ np.transpose(j, (1, 2, 0)))
@@ -137,7 +137,7 @@ class Loss:
     def curvature(self, rows: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """(p, p) half the second derivative of the loss, errors taken as linear: errors far out count against it."""
         z = self.scaled(rows)
-        j = np.where(self.known & (np.abs(z) < FURTHEST), np.nan_to_num(slopes / self.scale), 0.0)
+        j = np.where(self.known & (np.abs(z) < MAX_SCALED_ERROR), np.nan_to_num(slopes / self.scale), 0.0)
         bend = 0.5 * (NU + 1.0) * (NU - np.square(z)) / np.square(NU + np.square(z))
         flat = j.reshape(len(j), -1)
         return (flat * bend.ravel()) @ flat.T

@@ -17,9 +17,9 @@ from .settings import DiscoverySettings
 from .space import Quantities, Space, known_quantities
 from .windows import Windows
 
-LOOSE = 3.0  # usual sizes: how far from the vehicle file a healthy car may be before its drives are used
-ROUNDS, SETTLED = 8, 0.02  # fits, and the step in usual sizes that ends the fit
-FIXED = 1e6  # curvature of what stays
+JOINT_DEVIATION = 3.0  # usual sizes: how far from the vehicle file a healthy car may be before its drives are used
+MAX_FITS, FINAL_STEP = 8, 0.02  # fits, and the step in usual sizes that ends the fit
+FIXED_CURVATURE = 1e6  # curvature of what stays
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +45,9 @@ def learn(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, se
     drive.
     """
     windows = Windows(runs, vehicle, settings)
-    held = np.eye(len(space)) / LOOSE**2
+    held = np.eye(len(space)) / JOINT_DEVIATION**2
     composite = space.indices(*(n for n in space.hypotheses if get_effect(n).members))
-    held[composite, composite] = FIXED  # its members describe the same
+    held[composite, composite] = FIXED_CURVATURE  # its members describe the same
     quantities = known_quantities(space, vehicle)
     fits = []
     for start in (space.null, textbook(space)):
@@ -120,7 +120,7 @@ def _fitted(loss: Loss, windows: Windows, held: np.ndarray, quantities: Quantiti
     held it: `held` and the prior of the vehicle file)."""
     space = loss.space
     file = Problem(loss, space.null, windows.block, quantities=quantities)
-    for _ in range(ROUNDS):
+    for _ in range(MAX_FITS):
         tick()
         file.renew_design(vector)
         whole = held + np.diag(file.known)
@@ -129,6 +129,6 @@ def _fitted(loss: Loss, windows: Windows, held: np.ndarray, quantities: Quantiti
         step = float(np.abs((fit.vector - vector) / space.scale).max())
         vector = fit.vector
         loss.rescale(vector)
-        if step < SETTLED:
+        if step < FINAL_STEP:
             break
     return vector, whole

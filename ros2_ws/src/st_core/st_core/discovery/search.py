@@ -16,10 +16,11 @@ from .result import Reason
 from .settings import Limits
 
 CONTENDERS = 4  # refitted through the simulator in a step
-NEAR = 0.5  # of the best one's gain: contenders below that are not looked at
-LOOSE, FIXED = 3.0, 1e9  # usual sizes: how far everything at once may go; curvature of what may not
-JOINT, SETTLED = 4, 0.1  # fits of many effects at once, and the step in usual sizes that ends the fit
-EXCHANGES = 3  # rounds
+CONTENDER_SHARE = 0.5  # of the best one's gain: contenders below that are not refitted
+JOINT_DEVIATION = 3.0  # usual sizes: prior of everything fitted at once
+FIXED_CURVATURE = 1e9  # of what is not fitted
+JOINT_FITS, JOINT_STEP = 4, 0.1  # fits of many effects at once; the step in usual sizes that ends them
+EXCHANGE_ROUNDS = 3
 
 Near = tuple[tuple[str, ...], np.ndarray]  # names of a set, vector of its fit
 
@@ -56,29 +57,29 @@ class Search:
         self.problem, self.limits, self.levels, self.sensors, self.tick = problem, limits, levels, sensors, tick
         self._judge = judge
         self.seed = seed
-        self._seen: set[frozenset[str]] = set()
-        self._fixed: frozenset[str] = frozenset()  # of every set
-        self._tried: list[tuple[np.ndarray, Near, float]] = []
+        self._visited: set[frozenset[str]] = set()
+        self._required: frozenset[str] = frozenset()  # of every set
+        self._fits_tried: list[tuple[np.ndarray, Near, float]] = []
 
     def run(self) -> Found:
         """The best of three starts: nothing; what that found and all physics at once; everything at once."""
         p = self.problem
         p.renew_design(p.start)
-        first = self._from(p.fit((), p.everything(p.start)))
+        first = self._step_from(p.fit((), p.everything(p.start)))
         assert first is not None  # there has been no other start
         answers: list[Found | None] = [first]
         library = [n for n in p.space.hypotheses if n not in p.space.on_top]
         physics = [n for n in library if get_effect(n).kind == "physics"]
         for names in ([*first.fit.names, *physics], [n for n in library if not get_effect(n).members]):
-            start = self._pruned(first.fit.vector, list(dict.fromkeys(names)))
-            answers.append(self._from(self._cleaned(start)) if start else None)
-        found = self._settled(self._best([a for a in answers if a]))
+            start = self._prune(first.fit.vector, list(dict.fromkeys(names)))
+            answers.append(self._step_from(self._drop_failing(start)) if start else None)
+        found = self._exchange_until_accepted(self._select([a for a in answers if a]))
         found.order = sorted(found.fit.names, key=lambda n: -found.evidence[n].gain)
-        found.near = self._near(found)
-        self._shared(found)
+        found.near = self._near_sets(found)
+        self._add_partial_rivals(found)
         return found
 
-    def _shared(self, found: Found) -> None:
+    def _add_partial_rivals(self, found: Found) -> None:
         """Rivals that take a part only: what comes on top of the measured car, a load, at the largest value that these
         drives do not exclude, if that is relevant. What is nearer to the vehicle file with it has it as an alternative,
         and its values with it count as nearly as good: only stiffness over load acts."""
@@ -86,9 +87,9 @@ class Search:
         for other in (n for n in p.space.on_top if n not in names):
             if p.space.overlaps(other, names) or not names:
                 continue
-            fit = self._more(found.fit, other, found.scores.gains[other][1] if other in found.scores.gains
+            fit = self._refit_with(found.fit, other, found.scores.gains[other][1] if other in found.scores.gains
                              else found.fit.vector)
-            there, index = self._largest(fit, other), p.space.indices(other)
+            there, index = self._upper_end(fit, other), p.space.indices(other)
             if np.abs((there - p.start) / p.space.scale)[index].max() < self.limits.size:
                 continue
             own = p.space.indices(*(n for n in names if n in twins_of(other)))
@@ -100,7 +101,7 @@ class Search:
                 found.rivals[name] = [*(r for r in found.rivals.get(name, ()) if r.name != other), rival]
                 found.near.append((fit.names, there))
 
-    def _largest(self, fit: Fit, name: str) -> np.ndarray:
+    def _upper_end(self, fit: Fit, name: str) -> np.ndarray:
         """The vector at the upper end of the 95 % interval of an effect of one number, all else following."""
         spread, k = covariance(self.problem, fit), int(np.searchsorted(fit.which, self.problem.space.indices(name)[0]))
         step = TWO_SIDED * spread[:, k] / np.sqrt(max(spread[k, k], 1e-12))
@@ -109,67 +110,67 @@ class Search:
     def corrections(self, answer: Fit) -> Fit:
         """What predicts better than an answer of another problem, with all effects of that and more; the answer as it
         is here where nothing is better."""
-        self._fixed = frozenset(answer.names)
+        self._required = frozenset(answer.names)
         p = self.problem
-        found = self._from(p.fit(answer.names, p.everything(answer.vector), answer.vector))
+        found = self._step_from(p.fit(answer.names, p.everything(answer.vector), answer.vector))
         assert found is not None  # there has been no other start
-        return self._held(found).fit
+        return self._drop_rejected(found).fit
 
-    def _near(self, found: Found) -> list[Near]:
+    def _near_sets(self, found: Found) -> list[Near]:
         """Sets tried that are worse by less than `limits.unexplained_share` of what is left; none if that is noise."""
         p, limits = self.problem, self.limits
         if max((e.left for e in found.evidence.values()), default=0.0) <= limits.left:
             return []
         most = found.fit.held_out.sum() + limits.unexplained_share * p.number
-        return [near for scale, near, loss in self._tried if scale is p.loss.scale and loss < most]
+        return [near for scale, near, loss in self._fits_tried if scale is p.loss.scale and loss < most]
 
-    def _from(self, fit: Fit, revisit: bool = False) -> Found | None:
+    def _step_from(self, fit: Fit, revisit: bool = False) -> Found | None:
         """Steps until nothing is accepted; None if they lead to a set of another start, unless `revisit`."""
         found = Found(fit, list(fit.names))
         here: set[frozenset[str]] = set()
         while True:
             key = frozenset(found.fit.names)
-            if key in self._seen - here and not revisit:
+            if key in self._visited - here and not revisit:
                 return None
             if key in here:
                 return found
             here.add(key)
-            self._seen.add(key)
+            self._visited.add(key)
             added = self._forward(found) if len(found.fit.names) < self.limits.most else None
             if added is None:
                 return found
-            found.fit = self._renewed(self._backward(added, found.scores))
+            found.fit = self._rescale(self._backward(added, found.scores))
             found.order = [n for n in dict.fromkeys((*found.order, *added.names)) if n in found.fit.names]
             found.known = None
 
-    def _renewed(self, fit: Fit) -> Fit:
+    def _rescale(self, fit: Fit) -> Fit:
         """At the scale and the design effect of its own errors."""
         self.problem.loss.rescale(fit.vector)
         self.problem.renew_design(fit.vector)
         return self.problem.renewed(fit)
 
-    def _cleaned(self, fit: Fit) -> Fit:
+    def _drop_failing(self, fit: Fit) -> Fit:
         """Without the effects that fail the test, weakest first."""
         while fit.names:
             found = Found(fit, list(fit.names), known=self._scores(fit))
-            weakest = self._measured(found, self.limits.relevant)
+            weakest = self._weakest_failing(found, self.limits.relevant)
             if not weakest:
                 break
-            fit = self._renewed(self._less(fit, weakest))
+            fit = self._rescale(self._refit_without(fit, weakest))
         return fit
 
     def _scores(self, fit: Fit) -> Scores:
         return screen(self.problem, fit, np.random.default_rng(self.seed))
 
-    def _less(self, fit: Fit, name: str) -> Fit:
+    def _refit_without(self, fit: Fit, name: str) -> Fit:
         self.tick()
-        return self._kept(self.problem.fit(tuple(n for n in fit.names if n != name), fit.slopes, iterations=2))
+        return self._remember(self.problem.fit(tuple(n for n in fit.names if n != name), fit.slopes, iterations=2))
 
-    def _kept(self, fit: Fit) -> Fit:
-        self._tried.append((self.problem.loss.scale, (fit.names, fit.vector), float(fit.held_out.sum())))
+    def _remember(self, fit: Fit) -> Fit:
+        self._fits_tried.append((self.problem.loss.scale, (fit.names, fit.vector), float(fit.held_out.sum())))
         return fit
 
-    def _best(self, answers: list[Found]) -> Found:
+    def _select(self, answers: list[Found]) -> Found:
         """At the scale of the one with the smallest errors; one effect more must pay for itself."""
         p = self.problem
         if len(answers) > 1:
@@ -186,24 +187,25 @@ class Search:
         self.tick()
         found.known = found.known or self._scores(found.fit)
         gains = found.scores.gains
-        least = max(limits.negligible * p.number, NEAR * max((g.sum() for g, _ in gains.values()), default=0.0))
+        largest = max((gain.sum() for gain, _ in gains.values()), default=0.0)
+        least = max(limits.negligible * p.number, CONTENDER_SHARE * largest)
         # What comes on top of the measured car is tried in the place of what it acts like only, by exchange.
         ranked = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum())
-                  if gains[e][0].sum() > NEAR * least and e not in p.space.on_top]
+                  if gains[e][0].sum() > CONTENDER_SHARE * least and e not in p.space.on_top]
         # What is significant comes first: where much is noise, something gains more by chance.
         library = len(p.space.hypotheses)
         significant = [e for e in ranked if chance(found.scores.own[e], gains[e][0], found.scores, library)
                   <= limits.false_alarm]
         contenders = (significant or ranked)[:CONTENDERS]
         contenders += [m for e in contenders for m in get_effect(e).members if m in gains and m not in contenders]
-        fits = {effect: self._more(found.fit, effect, gains[effect][1]) for effect in contenders}
+        fits = {effect: self._refit_with(found.fit, effect, gains[effect][1]) for effect in contenders}
         if not fits:
             return None
-        without, fits = self._finer(found.fit, fits)
+        without, fits = self._refine(found.fit, fits)
         best, found.refused = 0.0, {}  # of those that are sure, but no effect of the car everywhere
-        for effect in self._in_turn(fits, without):
+        for effect in self._members_first(fits, without):
             gain = self._gain(without, fits[effect])
-            if gain < NEAR * best:
+            if gain < CONTENDER_SHARE * best:
                 break
             e = self._evidence(without, fits[effect], effect, found.scores)
             verdict = self._judge(e, limits)
@@ -212,32 +214,32 @@ class Search:
             found.refused[effect] = e, verdict, fits[effect]
             if verdict.rule not in (CHANCE, NULL):
                 best = max(best, gain)
-        return self._by_sensors(found, without, [n for n in gains if n not in fits])
+        return self._add_confirmed(found, without, [n for n in gains if n not in fits])
 
-    def _by_sensors(self, found: Found, without: Fit, names: list[str]) -> Fit | None:
+    def _add_confirmed(self, found: Found, without: Fit, names: list[str]) -> Fit | None:
         """The first effect more that the sensors show among themselves, however little the errors show of it."""
         for effect in names:
             shown = null_by_sensors(self.problem.space, effect, self.sensors)
             if self.problem.prior is not None or shown is None or shown > self.limits.false_alarm:
                 continue
-            fit = self._more(without, effect, found.scores.gains[effect][1])
+            fit = self._refit_with(without, effect, found.scores.gains[effect][1])
             if self._judge(self._evidence(without, fit, effect, found.scores), self.limits).rule == STATED:
                 return fit
         return None
 
-    def _more(self, fit: Fit, effect: str, there: np.ndarray, around: Slopes | None = None) -> Fit:
+    def _refit_with(self, fit: Fit, effect: str, there: np.ndarray, around: Slopes | None = None) -> Fit:
         """A fit with an effect more, begun where the quadratic promises most. around: slopes, of `fit` if not given."""
         p = self.problem
         self.tick()
         better = p.loss.total(there) < p.loss.total(fit.vector)
         slopes = p.everything(fit.vector) if around is None else around
-        return self._kept(p.fit((*fit.names, effect), slopes, there if better else fit.vector, (effect,), 2))
+        return self._remember(p.fit((*fit.names, effect), slopes, there if better else fit.vector, (effect,), 2))
 
     @staticmethod
     def _gain(without: Fit, fit: Fit) -> float:
         return float((without.held_out - fit.held_out).sum())
 
-    def _in_turn(self, fits: Mapping[str, Fit], without: Fit) -> list[str]:
+    def _members_first(self, fits: Mapping[str, Fit], without: Fit) -> list[str]:
         """Best first; a member precedes its composite unless that is clearly better."""
         gain = {e: self._gain(without, f) for e, f in fits.items()}
         order = sorted(fits, key=lambda e: -gain[e])
@@ -249,12 +251,12 @@ class Search:
                 order.insert(max(order.index(m) for m in near) + 1, name)
         return order
 
-    def _finer(self, without: Fit, fits: dict[str, Fit]) -> tuple[Fit, dict[str, Fit]]:
+    def _refine(self, without: Fit, fits: dict[str, Fit]) -> tuple[Fit, dict[str, Fit]]:
         """Contenders refitted at the scale of the best: large errors mask their differences."""
         p = self.problem
         best = max(fits, key=lambda e: self._gain(without, fits[e]))
         gain = self._gain(without, fits[best])
-        near = {e: f for e, f in fits.items() if self._gain(without, f) > NEAR * gain}
+        near = {e: f for e, f in fits.items() if self._gain(without, f) > CONTENDER_SHARE * gain}
         if len(near) < 2 or gain < 10.0 * self.limits.negligible * p.number:
             return without, fits
         p.loss.rescale(fits[best].vector)
@@ -267,12 +269,12 @@ class Search:
     def _backward(self, fit: Fit, scores: Scores) -> Fit:
         """Without what the other effects make superfluous."""
         p = self.problem
-        while len(fit.names) > max(len(self._fixed), 1):
-            promised = {n: self.promised(fit, n) for n in fit.names if n not in self._fixed}
+        while len(fit.names) > max(len(self._required), 1):
+            promised = {n: self.promised(fit, n) for n in fit.names if n not in self._required}
             weakest = min(promised, key=promised.__getitem__)
             if promised[weakest] > 3.0 * self.limits.relevant * p.number:
                 return fit
-            without = self._less(fit, weakest)
+            without = self._refit_without(fit, weakest)
             if self._judge(self._evidence(without, fit, weakest, scores), self.limits).rule == STATED:
                 return fit
             fit = without
@@ -285,21 +287,22 @@ class Search:
         rest = tuple(n for n in fit.names if n not in names)
         removed = np.isin(fit.which, np.setdiff1d(p.space.indices(*names), p.space.indices(*rest)))
         step = np.where(removed, ((p.start - fit.vector) / p.space.scale)[fit.which], 0.0)
-        return _held_at(p, q, fit.vector, fit.which, step, ~removed)[0]
+        return _constrained_step(p, q, fit.vector, fit.which, step, ~removed)[0]
 
-    def _pruned(self, vector: np.ndarray, names: list[str]) -> Fit | None:
+    def _prune(self, vector: np.ndarray, names: list[str]) -> Fit | None:
         """From many effects at once, held a little, without those that are missed least; None if that is not new."""
         p = self.problem
         scale, design = p.loss.scale.copy(), p.design
         free = np.isin(np.arange(len(p.space)), p.which(names))
-        loose = Problem(p.loss, p.start, p.block, np.diag(np.where(free, np.maximum(LOOSE**-2, p.known), FIXED)))
+        curvature = np.where(free, np.maximum(JOINT_DEVIATION**-2, p.known), FIXED_CURVATURE)
+        joint = Problem(p.loss, p.start, p.block, np.diag(curvature))
         p.loss.rescale(vector)
-        for _ in range(JOINT):
+        for _ in range(JOINT_FITS):
             self.tick()
             before = vector
-            vector = loose.fit((), p.everything(vector), vector, iterations=2).vector
+            vector = joint.fit((), p.everything(vector), vector, iterations=2).vector
             p.loss.rescale(vector)
-            if np.abs((vector - before) / p.space.scale).max() < SETTLED:
+            if np.abs((vector - before) / p.space.scale).max() < JOINT_STEP:
                 break
         everything = p.everything(vector)
         q = p.loss.quadratic(p.errors.at(vector), everything.values)
@@ -307,7 +310,7 @@ class Search:
 
         def cost(kept: list[str]) -> float:
             free = np.isin(everything.which, p.which(kept))
-            return _held_at(p, q, vector, everything.which, np.where(free, 0.0, back), free)[0]
+            return _constrained_step(p, q, vector, everything.which, np.where(free, 0.0, back), free)[0]
         while names:
             now = cost(names)
             missed = {n: cost([m for m in names if m != n]) - now for n in names}
@@ -315,51 +318,51 @@ class Search:
             if missed[weakest] > self.limits.relevant * p.number and len(names) <= self.limits.most:
                 break
             names.remove(weakest)
-        if not names or frozenset(names) in self._seen:
+        if not names or frozenset(names) in self._visited:
             p.loss.scale, p.design = scale, design
             return None
-        return self._renewed(p.fit(tuple(names), everything, iterations=2))
+        return self._rescale(p.fit(tuple(names), everything, iterations=2))
 
-    def _settled(self, found: Found) -> Found:
+    def _exchange_until_accepted(self, found: Found) -> Found:
         """Exchanges where that is better, and without what the test rejects, until all are accepted."""
-        for _ in range(EXCHANGES):
-            found = self._held(found)
-            better = self._exchanged(found)
+        for _ in range(EXCHANGE_ROUNDS):
+            found = self._drop_rejected(found)
+            better = self._exchange(found)
             if better is None:
                 return found
-            further = self._from(self._renewed(better), revisit=True)
+            further = self._step_from(self._rescale(better), revisit=True)
             assert further is not None  # may revisit
             further.order = [n for n in dict.fromkeys((*found.order, *further.fit.names)) if n in further.fit.names]
             found = further
-        return self._held(found)
+        return self._drop_rejected(found)
 
-    def _held(self, found: Found) -> Found:
+    def _drop_rejected(self, found: Found) -> Found:
         """With what fails the test left out; evidence filled in."""
-        while weakest := self._measured(found):
-            fit = self._renewed(found.without[weakest])
+        while weakest := self._weakest_failing(found):
+            fit = self._rescale(found.without[weakest])
             refused = {weakest: (found.evidence[weakest], self._judge(found.evidence[weakest], self.limits), found.fit)}
             found = Found(fit, [n for n in found.order if n != weakest], refused={**found.refused, **refused})
         return found
 
-    def _measured(self, found: Found, sure: float = np.inf) -> str:
+    def _weakest_failing(self, found: Found, sure: float = np.inf) -> str:
         """Fill in `evidence` and `without`. The weakest effect that fails the test; "" if none does. sure: of the size
         of the errors; no refit without an effect that costs three times that at least."""
         p = self.problem
         found.known = found.known or self._scores(found.fit)
         found.evidence, found.without = {}, {}
-        for name in (n for n in found.fit.names if n not in self._fixed):
+        for name in (n for n in found.fit.names if n not in self._required):
             promised = self.promised(found.fit, name) / p.number
             if promised > 3.0 * sure:
                 without = found.without[name] = found.fit
                 e = self._evidence(found.fit, found.fit, name, found.scores)
                 found.evidence[name] = replace(e, gain=promised, chance=0.0)
                 continue
-            without = found.without[name] = self._less(found.fit, name)
+            without = found.without[name] = self._refit_without(found.fit, name)
             found.evidence[name] = self._evidence(without, found.fit, name, found.scores)
         failing = [n for n, e in found.evidence.items() if self._judge(e, self.limits).rule != STATED]
         return min(failing, key=lambda n: found.evidence[n].gain, default="")
 
-    def _exchanged(self, found: Found) -> Fit | None:
+    def _exchange(self, found: Found) -> Fit | None:
         """Fill in `rivals`. The fit with one effect exchanged that is better than the present one; None if none is."""
         p, better = self.problem, None
         around = p.everything(found.fit.vector)
@@ -367,36 +370,36 @@ class Search:
         found.rivals = {}
         for name, without in found.without.items():
             gain = self._gain(without, found.fit)
-            others = {n: self._in_place(q, found.fit, without.names, n) for n in p.space.hypotheses
+            others = {n: self._exchange_step(q, found.fit, without.names, n) for n in p.space.hypotheses
                       if n != name and not p.space.overlaps(n, without.names)}
             found.rivals[name] = []
             for other in sorted(others, key=lambda n: others[n][0])[:CONTENDERS // 2]:
                 if others[other][0] > (1.0 - 0.5 * self.limits.rival) * gain:
                     continue
-                fit = self._more(without, other, others[other][1], around)
+                fit = self._refit_with(without, other, others[other][1], around)
                 difference = fit.held_out - found.fit.held_out
                 rival = Rival(other, name, 1.0 - float(difference.sum()) / max(gain, 1e-12), no_worse(difference),
                               float(difference.sum()) / p.number, self._evidence(without, fit, other, found.scores),
                               p.space.values(other, fit.vector))
                 found.rivals[name].append(rival)
                 better_for_certain = rival.worse > 1.0 - self.limits.doubt
-                if better_for_certain and frozenset(fit.names) not in self._seen and self._judge(
+                if better_for_certain and frozenset(fit.names) not in self._visited and self._judge(
                         rival.evidence, self.limits).rule == STATED and (
                         better is None or fit.held_out.sum() < better.held_out.sum()):
                     better = fit
         return better
 
-    def _in_place(self, q: Quadratic, fit: Fit, rest: tuple[str, ...], other: str) -> tuple[float, np.ndarray]:
+    def _exchange_step(self, q: Quadratic, fit: Fit, rest: tuple[str, ...], other: str) -> tuple[float, np.ndarray]:
         """(loss more, vector) with another effect in the place of one, by the quadratic of everything about the fit."""
         p = self.problem
         everything = np.arange(len(p.space))
         free = np.isin(everything, p.which((*rest, other)))
-        cost, d = _held_at(p, q, fit.vector, everything, np.where(free, 0.0, (p.start - fit.vector) / p.space.scale),
-                           free)
+        back = np.where(free, 0.0, (p.start - fit.vector) / p.space.scale)
+        cost, d = _constrained_step(p, q, fit.vector, everything, back, free)
         return cost, p.moved(fit.vector, everything, d)
 
 
-def _held_at(problem: Problem, q: Quadratic, vector: np.ndarray, which: np.ndarray, fixed: np.ndarray,
+def _constrained_step(problem: Problem, q: Quadratic, vector: np.ndarray, which: np.ndarray, fixed: np.ndarray,
              free: np.ndarray) -> tuple[float, np.ndarray]:
     """(loss more, the best step) with some parts of the step `fixed`, the others `free`. q: about a vector, of `which`.
     """

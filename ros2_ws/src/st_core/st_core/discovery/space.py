@@ -15,7 +15,7 @@ from ..models import Model, get_model
 from ..vehicle import DEFAULT_UNCERTAINTIES, VehicleParameters, quantity, value_of
 from .settings import DiscoverySettings
 
-NUDGE = 0.02  # of the usual size of an effect: step of the difference quotient
+DIFFERENCE_STEP = 0.02  # of the usual size of an effect: step of the difference quotient
 GAIN = "acceleration_gain"
 GAIN_USUAL, GAIN_BOUNDS = 0.05, (-0.3, 0.5)  # body roll of 5 mrad s^2/m, times g
 
@@ -162,7 +162,7 @@ def _known(space: Space, vehicle: VehicleParameters, i: int) -> Known | None:
     if effect.fold is None or parameter.deviation < math.inf:
         return None
     null = {p.name: p.null for p in effect.parameters} | space.values(free.effect, space.null)
-    step = NUDGE * free.usual * free.sign
+    step = DIFFERENCE_STEP * free.usual * free.sign
     for change in (step, -step):
         try:
             before, after = (effect.fold(vehicle, effect.Theta(**null | {free.parameter: value}, car=()))

@@ -17,11 +17,11 @@ from ..vehicle import VehicleParameters
 from .result import WhereStatement
 from .settings import DiscoverySettings
 from .where_parts import (
+    CELL_SIZE,
     EVERYWHERE,
-    FALSE_DISCOVERIES,
-    PLACE,
-    RELEVANT_STEP,
-    SHUFFLES,
+    FALSE_DISCOVERY_RATE,
+    MIN_STEP_RATIO,
+    PERMUTATIONS,
     BinExcess,
     Cell,
     Part,
@@ -34,11 +34,11 @@ from .where_parts import (
 )
 from .windows import STEP, Errors, Windows
 
-SHORT = 1.0  # s; errors of velocity, rate and acceleration over this much show where they arise
+SHORT_HORIZON = 1.0  # s; errors of velocity, rate and acceleration over this much show where they arise
 RESAMPLES = 1000  # of the bootstrap
-MOST_RANGES = 3  # statements about conditions per channel
-SIDED = ("lateral acceleration", "steering angle", "steering rate")
-CONTRAST = 1.15  # a range is reported when it is so many times worse than the channel everywhere
+MAX_RANGES = 3  # statements about conditions per channel
+SIGNED = ("lateral acceleration", "steering angle", "steering rate")
+MIN_CONTRAST = 1.15  # a range is reported when it is so many times worse than the channel everywhere
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ def survey(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehiclePara
     ranges, members = membership(samples)
     bins = excesses(samples, members, ranges, expected, sigma, settings.seed, RESAMPLES)
     parts, places = [], []
-    shuffles = min(RESAMPLES, SHUFFLES)
+    shuffles = min(RESAMPLES, PERMUTATIONS)
     for channel in samples.squares:
         parts += changes(samples, channel, sigma[channel], settings.block, settings.seed, shuffles)
         places += cells(samples, channel, sigma[channel])
@@ -110,7 +110,7 @@ def sample(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehiclePara
 
 
 def _squares(errors: Errors) -> dict[str, np.ndarray]:
-    short = errors.time <= max(SHORT, float(errors.time[0]))
+    short = errors.time <= max(SHORT_HORIZON, float(errors.time[0]))
     found: dict[str, np.ndarray] = {}
     for index, column in enumerate(errors.columns):
         channel, square = OF_COLUMN[column], np.square(errors.values[..., index])
@@ -124,7 +124,7 @@ def _of_run(log: DriveLog, seconds: np.ndarray, horizon: float) -> dict[str, np.
     signals = LogSignals(log, 0.1, 5.0, "zero_phase")
     begin = max((int(t[0]) for t in (log.ins_time_ns, log.steering_time_ns) if len(t)), default=0)
     starts = begin + np.round(seconds / NANOSECOND).astype(np.int64)
-    after = np.round(np.arange(0.0, min(SHORT, horizon) + STEP / 2, STEP) / NANOSECOND).astype(np.int64)
+    after = np.round(np.arange(0.0, min(SHORT_HORIZON, horizon) + STEP / 2, STEP) / NANOSECOND).astype(np.int64)
     times = starts[:, None] + after
     x, y = signals.ins_at(starts, "x", "y")
     speed, yaw_rate, acceleration = signals.ins_at(times, "velocity_x", "yaw_rate", "velocity_x_dot")
@@ -142,7 +142,7 @@ def _significant(found: list[Cell]) -> list[Cell]:
     if not found:
         return []
     adjusted = stats.false_discovery_control([c.p for c in found], method="bh")
-    return [c for c, q in zip(found, adjusted, strict=True) if q <= FALSE_DISCOVERIES and c.step >= RELEVANT_STEP]
+    return [c for c, q in zip(found, adjusted, strict=True) if q <= FALSE_DISCOVERY_RATE and c.step >= MIN_STEP_RATIO]
 
 
 def _statements(channel: str, bins: Sequence[BinExcess], parts: Sequence[Part], places: Sequence[Cell],
@@ -153,9 +153,9 @@ def _statements(channel: str, bins: Sequence[BinExcess], parts: Sequence[Part], 
     whole = next(b for b in mine if b.range.quantity == EVERYWHERE)
     collected = [_range_statement(group, mine, whole, learnt) for group in _groups(mine)]
     # Ranked by what is sure: a range with few observations can seem very bad by chance.
-    clear = sorted((s for s in collected if s.interval[0] > 1.0 and s.excess >= CONTRAST * whole.excess),
+    clear = sorted((s for s in collected if s.interval[0] > 1.0 and s.excess >= MIN_CONTRAST * whole.excess),
                   key=lambda s: -s.interval[0])
-    statements = [*clear[:MOST_RANGES]]
+    statements = [*clear[:MAX_RANGES]]
     if whole.significant:
         statements.append(WhereStatement(channel, EVERYWHERE, whole.excess, whole.interval))
     statements += [_part_statement(part, whole, samples) for part in parts if part.channel == channel]
@@ -192,7 +192,7 @@ def _range_statement(group: Sequence[BinExcess], mine: Sequence[BinExcess], whol
     assert low is not None and high is not None  # of all but the directions
     condition = words(quantity, unit, low, high)
     sides = {b.range.label: b for b in mine if b.range.quantity == "direction" and b.range.label != "straight"}
-    if quantity in SIDED and group[0].range.low and len(sides) == 2 and all(b.significant for b in sides.values()):
+    if quantity in SIGNED and group[0].range.low and len(sides) == 2 and all(b.significant for b in sides.values()):
         condition += ", both directions"
     if learnt and not all(b.covered for b in group):
         condition += " (the reference was hardly there)"
@@ -221,12 +221,12 @@ def _place_statements(places: Sequence[Cell], whole: BinExcess) -> list[WhereSta
         cluster = [left.pop(0)]
         grown = True
         while grown:
-            near = [c for c in left if any(max(abs(c.x - o.x), abs(c.y - o.y)) < 1.6 * PLACE for o in cluster)]
+            near = [c for c in left if any(max(abs(c.x - o.x), abs(c.y - o.y)) < 1.6 * CELL_SIZE for o in cluster)]
             grown = bool(near)
             cluster += near
             left = [c for c in left if c not in near]
         x, y = (float(np.mean([getattr(c, axis) for c in cluster])) for axis in ("x", "y"))
-        reach = max(math.hypot(c.x - x, c.y - y) for c in cluster) + 0.5 * PLACE
+        reach = max(math.hypot(c.x - x, c.y - y) for c in cluster) + 0.5 * CELL_SIZE
         step = float(np.mean([c.step for c in cluster]))
         low, high = (float(np.mean([c.interval[k] for c in cluster])) for k in (0, 1))
         text = f"within {reach:.0f} m of east {x:.0f} m, north {y:.0f} m, on every pass"

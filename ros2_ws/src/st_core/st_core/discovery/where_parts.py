@@ -28,17 +28,17 @@ from ..binning import LATERAL_ACCELERATION, SPEED, STEERING_RATE
 
 STEERING_ANGLE = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)  # rad at the road wheels, magnitude
 FORWARD_ACCELERATION = (-math.inf, -2.0, -0.7, 0.7, 2.0)  # m/s^2
-TURNING = 0.5  # m/s^2; below that a stretch is straight
-FEWEST_BLOCKS = 4  # for an interval to mean something
-FALSE_DISCOVERIES = 0.05  # share among the bins called significant
-RELEVANT = 1.25  # times the floor; less is not relevant, however significant
+MIN_TURNING = 0.5  # m/s^2; below that a stretch is straight
+MIN_BLOCKS = 4  # for an interval to mean something
+FALSE_DISCOVERY_RATE = 0.05  # share among the bins called significant
+MIN_FLOOR_RATIO = 1.25  # times the floor; less is not relevant, however significant
 
-PLACE = 20.0  # m, side of a cell of the map
-SHORTEST = 8.0  # s, of a part between change points
-LARGEST_P = 0.01
-RELEVANT_STEP = 1.5  # times, of root mean squares
-MOST_CHANGES = 3
-SHUFFLES = 299  # enough to resolve a p of 0.01
+CELL_SIZE = 20.0  # m, side of a cell of the map
+MIN_PART_DURATION = 8.0  # s, of a part between change points
+MAX_P_VALUE = 0.01
+MIN_STEP_RATIO = 1.5  # times, of root mean squares
+MAX_CHANGES = 3
+PERMUTATIONS = 299  # enough to resolve a p of 0.01
 
 EVERYWHERE = "everywhere"
 
@@ -99,7 +99,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Cell:
-    """A place of PLACE x PLACE, centre in the map frame [m]. step: level over that elsewhere under like conditions."""
+    """A square of CELL_SIZE, centre in the map frame [m]. step: level over that elsewhere under like conditions."""
 
     channel: str
     x: float
@@ -123,8 +123,8 @@ def membership(samples: Samples) -> tuple[tuple[Range, ...], np.ndarray]:
         for low, high in zip(edges, (*edges[1:], math.inf), strict=True):
             ranges.append(Range(quantity, words(quantity, unit, low, high), low, high))
             columns.append((values >= low) & (values < high))
-    for label, rows in (("left", lateral >= TURNING), ("straight", np.abs(lateral) < TURNING),
-                        ("right", lateral <= -TURNING)):
+    for label, rows in (("left", lateral >= MIN_TURNING), ("straight", np.abs(lateral) < MIN_TURNING),
+                        ("right", lateral <= -MIN_TURNING)):
         ranges.append(Range("direction", label))
         columns.append(rows)
     return tuple(ranges), np.stack(columns, axis=1)
@@ -161,12 +161,12 @@ def excesses(samples: Samples, members: np.ndarray, ranges: tuple[Range, ...], r
         else:
             there = _means(reference.squares[channel], reference.block, expected_members,
                            np.random.default_rng((seed, number, 1)), resamples)
-            covered = there.blocks >= FEWEST_BLOCKS
+            covered = there.blocks >= MIN_BLOCKS
             # Where the reference was hardly ever: the largest of what it shows anywhere, so as not to cry wolf.
             most = int(np.nanargmax(np.where(covered, there.mean, -1.0)))
             expected = np.where(covered, there.mean, there.mean[most])
             spread = np.where(covered, there.deviation, there.deviation[most])
-        for k in np.flatnonzero(here.blocks >= FEWEST_BLOCKS):
+        for k in np.flatnonzero(here.blocks >= MIN_BLOCKS):
             found.append(_excess(channel, ranges[k], float(here.mean[k]), float(expected[k]),
                                  math.hypot(here.deviation[k], spread[k]), int(here.blocks[k]), bool(covered[k])))
     return judged(found)
@@ -211,12 +211,12 @@ def _excess(channel: str, part: Range, mean: float, expected: float, deviation: 
 
 
 def judged(found: list[BinExcess]) -> tuple[BinExcess, ...]:
-    """`significant` by Benjamini and Hochberg over all of them; and at least RELEVANT times the floor."""
+    """`significant` by Benjamini and Hochberg over all of them; and at least MIN_FLOOR_RATIO times the floor."""
     if not found:
         return ()
     p = np.array([f.p for f in found])
     adjusted = stats.false_discovery_control(p, method="bh")
-    return tuple(replace(f, significant=bool(q <= FALSE_DISCOVERIES and f.excess >= RELEVANT))
+    return tuple(replace(f, significant=bool(q <= FALSE_DISCOVERY_RATE and f.excess >= MIN_FLOOR_RATIO))
                  for f, q in zip(found, adjusted, strict=True))
 
 
@@ -249,7 +249,7 @@ def changes(samples: Samples, channel: str, noise: float, block: float, seed: in
             continue
         time, values = _seconds(samples.time[rows], left[rows])
         size = max(1, round(block))
-        edges = sorted(_edges(values, 0, len(values), size, rng, resamples, MOST_CHANGES))
+        edges = sorted(_edges(values, 0, len(values), size, rng, resamples, MAX_CHANGES))
         cuts = [0, *(k for k, _ in edges), len(values)]
         if len(cuts) == 2:
             continue
@@ -257,7 +257,7 @@ def changes(samples: Samples, channel: str, noise: float, block: float, seed: in
         for a, b in itertools.pairwise(cuts):
             rest = np.concatenate((values[:a], values[b:]))
             step = math.exp(0.5 * float(values[a:b].mean() - rest.mean()))
-            if step >= RELEVANT_STEP:
+            if step >= MIN_STEP_RATIO:
                 parts.append(Part(channel, int(run), float(time[a]), float(time[b - 1] + 1.0), step, p))
     return parts
 
@@ -272,7 +272,7 @@ def _seconds(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def _edges(values: np.ndarray, first: int, last: int, block: int, rng: np.random.Generator, resamples: int,
            left: int) -> list[tuple[int, float]]:
     part = values[first:last]
-    shortest = round(SHORTEST)
+    shortest = round(MIN_PART_DURATION)
     if left < 1 or len(part) < 2 * shortest:
         return []
     sizes = _cusum(part[None])[0]
@@ -284,7 +284,7 @@ def _edges(values: np.ndarray, first: int, last: int, block: int, rng: np.random
     shuffled = np.stack([pieces[rng.permutation(len(pieces))].ravel() for _ in range(resamples)])
     largest = _cusum(shuffled).max(axis=1)
     p = (1 + int((largest >= sizes[at]).sum())) / (1 + resamples)
-    if p > LARGEST_P:
+    if p > MAX_P_VALUE:
         return []
     middle = first + at
     return [(middle, p), *_edges(values, first, middle, block, rng, resamples, left - 1),
@@ -299,21 +299,21 @@ def _cusum(rows: np.ndarray) -> np.ndarray:
 
 
 def cells(samples: Samples, channel: str, noise: float) -> list[Cell]:
-    """Places passed at least FEWEST_BLOCKS times (blocks), with p that conditions explain their errors."""
+    """Places passed at least MIN_BLOCKS times (blocks), with p that conditions explain their errors."""
     left = remainders(samples, samples.squares[channel], noise)
     known = np.isfinite(left) & np.isfinite(samples.x) & np.isfinite(samples.y)
-    key = np.stack([np.floor(samples.x[known] / PLACE), np.floor(samples.y[known] / PLACE)], axis=1)
+    key = np.stack([np.floor(samples.x[known] / CELL_SIZE), np.floor(samples.y[known] / CELL_SIZE)], axis=1)
     unique, index = np.unique(key, axis=0, return_inverse=True)
     index = np.ravel(index)
     found = []
     for k, (column, row) in enumerate(unique):
         rows = np.flatnonzero(known)[index == k]
         means = np.array([left[rows[samples.block[rows] == b]].mean() for b in np.unique(samples.block[rows])])
-        if len(means) < FEWEST_BLOCKS:
+        if len(means) < MIN_BLOCKS:
             continue
         deviation = max(float(means.std(ddof=1)) / math.sqrt(len(means)), 1e-6)
         mean, reach = float(means.mean()), float(stats.t.ppf(0.975, len(means) - 1)) * deviation
-        found.append(Cell(channel, float(PLACE * (column + 0.5)), float(PLACE * (row + 0.5)), math.exp(0.5 * mean),
-                          (math.exp(0.5 * (mean - reach)), math.exp(0.5 * (mean + reach))),
+        found.append(Cell(channel, float(CELL_SIZE * (column + 0.5)), float(CELL_SIZE * (row + 0.5)),
+                          math.exp(0.5 * mean), (math.exp(0.5 * (mean - reach)), math.exp(0.5 * (mean + reach))),
                           float(stats.t.sf(mean / deviation, len(means) - 1))))
     return found

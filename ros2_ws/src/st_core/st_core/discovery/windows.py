@@ -32,12 +32,12 @@ from .settings import DiscoverySettings
 STEP = 0.05  # s, of the integration
 SIDESLIP_SETTLING_TIME = 0.75  # s until a guessed sideslip is forgotten
 MARGIN_NS = 600_000_000  # at both ends of a run: a delayed or early steering is known there too
-LONGEST_GAP = 0.1  # s: nothing is interpolated across a longer one, as in PredictionSettings.maximum_gap
-SLOWEST = 1.5  # m/s. Slower windows show no lateral motion
+MAX_GAP = 0.1  # s: nothing is interpolated across a longer one, as in PredictionSettings.maximum_gap
+MIN_SPEED = 1.5  # m/s. Slower windows show no lateral motion
 PAUSE_NS = 5_000_000_000  # between runs laid out on one clock
 RECORDING_CACHE_SIZE = 4  # recordings as the last models correct them, and what follows from them
 LOOKUP_CACHE_SIZE = 8  # sets of instants remembered, with where they lie between the samples
-SHARES = (0.1, 0.25, 0.5, 1.0)  # of the horizon: where it is scored
+SCORED_SHARES = (0.1, 0.25, 0.5, 1.0)  # of the horizon: where it is scored
 
 
 class Signals(LogSignals):
@@ -120,7 +120,7 @@ class Errors:
 def score_points(settings: DiscoverySettings) -> np.ndarray:
     """Multiples of STEP after the start at which errors are taken."""
     first = 0.0 if "velocity_y" in settings.channels else SIDESLIP_SETTLING_TIME
-    points = np.maximum(np.round((first + settings.horizon * np.array(SHARES)) / STEP), 1).astype(int)
+    points = np.maximum(np.round((first + settings.horizon * np.array(SCORED_SHARES)) / STEP), 1).astype(int)
     return np.unique(points)
 
 
@@ -162,7 +162,7 @@ class Windows:
         starts, run, seconds = _starts(runs, offsets, horizon * STEP, settings)
         around = np.unique(np.concatenate([self._points - 1, self._points, self._points + 1]))
         self._around = np.searchsorted(around, np.stack([self._points - 1, self._points, self._points + 1]))
-        signals = Signals(prepared(joined, vehicle, settings), LONGEST_GAP)
+        signals = Signals(prepared(joined, vehicle, settings), MAX_GAP)
         self._batch = Batch(signals, starts, horizon * STEP, STEP, points=np.round(around * STEP, 6))
         times = starts[:, None] + np.round(self._points * (STEP / NANOSECOND)).astype(np.int64)
         self._times, self._measured = times, self._readings(times)
@@ -184,7 +184,7 @@ class Windows:
 
     def _readings(self, times: np.ndarray) -> dict[str, np.ndarray]:
         log, width = self.joined, round(2 * STEP / NANOSECOND)
-        signals = Signals(log, LONGEST_GAP)
+        signals = Signals(log, MAX_GAP)
         names = {"x": False, "y": False, "yaw": False, "velocity_x": False} | {
             name: channel.smoothed for channel in self.channels for name in channel.signals}
         result = {}
@@ -208,7 +208,7 @@ class Windows:
         whatever the model. MARGIN_NS around a gap, as at the ends of a run."""
         until = np.full(len(self), np.iinfo(np.int64).max)
         for time_ns in (self.joined.steering_time_ns, self.joined.ins_time_ns):
-            gaps = np.flatnonzero(np.diff(time_ns) > LONGEST_GAP / NANOSECOND)
+            gaps = np.flatnonzero(np.diff(time_ns) > MAX_GAP / NANOSECOND)
             first = np.searchsorted(time_ns[gaps + 1], self.starts_ns - MARGIN_NS, side="right")
             until = np.minimum(until, np.append(time_ns[gaps], until.max())[first] - MARGIN_NS // 2)
         return self._times <= until[:, None]
@@ -290,7 +290,7 @@ def _join(runs: Sequence[DriveLog]) -> tuple[DriveLog, list[int]]:
 
 def _starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: float,
             settings: DiscoverySettings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Instants, run and seconds into the run of all windows driven faster than SLOWEST."""
+    """Instants, run and seconds into the run of all windows driven faster than MIN_SPEED."""
     length = round(horizon / NANOSECOND)
     usable = sum(max(run.overlap - horizon, 0.0) for run in runs)
     interval = max(settings.interval, usable / settings.windows)
@@ -303,7 +303,7 @@ def _starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: float,
         end = min(int(run.ins_time_ns[-1]), int(run.steering_time_ns[-1]))
         times = np.arange(begin + MARGIN_NS, end - length - MARGIN_NS // 2, spacing, dtype=np.int64)
         here, there = (np.interp(t - begin, run.ins_time_ns - begin, run.velocity_x) for t in (times, times + length))
-        times = times[(here > SLOWEST) & (there > SLOWEST)]
+        times = times[(here > MIN_SPEED) & (there > MIN_SPEED)]
         starts.append(times + offset)
         number.append(np.full(len(times), i))
         seconds.append((times - begin) * NANOSECOND)

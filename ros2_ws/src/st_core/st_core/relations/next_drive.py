@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..discovery.following import MIN_SEPARATION, TIMES, simulated
+from ..discovery.following import MIN_SEPARATION, REPETITIONS, simulated
 from ..discovery.loss import Errors, Loss
 from ..discovery.windows import Windows
 from ..effects._law import COUNT
@@ -22,8 +22,9 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class Option:
-    """One manoeuvre, driven TIMES times and added to the runs. deviation: (k,) expected standard deviation of the curve
-    [its unit]. apart: by rival, separation from it in standard deviations. seconds: of one drive in each thin range."""
+    """One manoeuvre, driven REPETITIONS times and added to the runs. deviation: (k,) expected standard deviation of the
+    curve [its unit]. apart: by rival, separation from it in standard deviations. seconds: of one drive in each thin
+    range."""
 
     manoeuvre: Manoeuvre
     deviation: np.ndarray
@@ -86,13 +87,13 @@ def next_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, riva
         loss = _loss(fits, windows, candidate, fit)
         rows = 0.0 * np.nan_to_num(loss.errors.at(fit.vector))
         slopes = loss.slopes(fit.vector, fit.which)
-        more = TIMES * loss.quadratic(rows, slopes).hessian.sum(axis=0)
+        more = REPETITIONS * loss.quadratic(rows, slopes).hessian.sum(axis=0)
         narrower = np.sqrt(_variance(curvature + more + fit.penalty, splines) / np.maximum(variance, 1e-30))
         apart = {}
         for name, other in rivals.items():
             assert other.candidate is not None
             theirs = _loss(fits, windows, other.candidate, other).slopes(other.vector, fits.relation)
-            apart[name] = _strength(recorded[name] + TIMES * _joint(loss, rows, slopes, theirs, fit), fit, other,
+            apart[name] = _strength(recorded[name] + REPETITIONS * _joint(loss, rows, slopes, theirs, fit), fit, other,
                                     design)
         u = driven(windows, windows.vehicle)[candidate.quantity]
         size = np.abs(u) if candidate.parity == ODD else u

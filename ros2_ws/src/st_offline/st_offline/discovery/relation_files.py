@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from st_core.discovery.following import TIMES
+from st_core.discovery.following import REPETITIONS
 from st_core.effects import Effect, load_file, source_file
 from st_core.model_file import Estimate, ModelFile, Provenance
 from st_core.relations import Candidate, Relation, RelationSearch
@@ -241,5 +241,5 @@ def _drives(one: Relation) -> dict:
             "tells_apart": {"manoeuvre": apart[0].manoeuvre.name, "from": apart[1]} if apart else None,
             "pins_down": precise.manoeuvre.name if precise else None, "apart_now": dict(drives.now), "options": [
                 {"manoeuvre": o.manoeuvre.name, "speed": o.manoeuvre.speed, "lateral": o.manoeuvre.lateral,
-                 "duration": o.manoeuvre.duration, "times": TIMES, "largest_deviation": float(o.deviation.max()),
+                 "duration": o.manoeuvre.duration, "times": REPETITIONS, "largest_deviation": float(o.deviation.max()),
                  "apart": dict(o.apart), "seconds_in_thin": list(o.seconds)} for o in drives.options]}

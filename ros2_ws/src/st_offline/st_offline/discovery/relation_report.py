@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from st_core.discovery import Discovery
-from st_core.discovery.following import TIMES
+from st_core.discovery.following import REPETITIONS
 from st_core.relations import Relation, RelationSearch
 from st_core.relations.candidates import ODD, QUANTITIES
 from st_core.relations.next_drive import OF_A_PLACE, Option
@@ -192,4 +192,4 @@ def _ranges(one: Relation, of: Sequence[tuple[float, float]]) -> str:
 
 def _manoeuvre(option: Option) -> str:
     m = option.manoeuvre
-    return f"{m.name}, {TIMES} times {m.duration:.0f} s ({m.meaning.replace('^2', '²')}, from {m.speed:.1f} m/s)"
+    return f"{m.name}, {REPETITIONS} times {m.duration:.0f} s ({m.meaning.replace('^2', '²')}, from {m.speed:.1f} m/s)"
