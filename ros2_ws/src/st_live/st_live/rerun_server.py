@@ -4,17 +4,11 @@ Rerun's page requests four external addresses (a font, usage data, a release che
 Content-Security-Policy makes the browser refuse them.
 """
 
-import argparse
-import atexit
 import http.client
 import importlib.util
 import json
-import os
 import shutil
-import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
 import webbrowser
@@ -26,7 +20,7 @@ from urllib.parse import quote
 from rich.console import Console
 from st_ros.scheduling import lower
 
-from .suite import VIEW_NICE, Child, Processes, SuiteError
+from .suite import VIEW_NICE, Processes, SuiteError
 
 LOOPBACK = "127.0.0.1"
 READY_TIMEOUT = 20.0  # s
@@ -34,8 +28,6 @@ STOP_TIMEOUT = 3.0  # s until a process is killed
 WITHOUT_RERUN = ("rerun-sdk is not installed (with a sourced ROS its numpy 2 does not fit): "
                  "RViz, Foxglove and PlotJuggler show the same, see docs/manual/viewing.md")
 HOP_BY_HOP = {"connection", "keep-alive", "transfer-encoding", "date", "server"}
-
-
 POLICY = ("default-src 'self' data: blob:; connect-src 'self' data: blob:; "
           "script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
           "worker-src 'self' blob:")
@@ -82,58 +74,47 @@ class _Handler(BaseHTTPRequestHandler):
         """No log of requests."""
 
 
-def page_server(port: int, source_port: int, recording: Path) -> ThreadingHTTPServer:
-    """Server on the loopback interface. Raises OSError if the port is in use."""
-    handler = type("Handler", (_Handler,), {"source_port": source_port, "recording": recording})
-    return ThreadingHTTPServer((LOOPBACK, port), handler)
-
-
-def rerun_server(settings: Path, port: int, recording: str) -> subprocess.Popen:
-    """Server of Rerun's page. settings: folder for its own files, with usage data switched off.
-
-    recording: address of the recording. For an address Rerun starts no server of recordings, which would need 3 % of a
-    core while idle.
-    """
-    (settings / "rerun").mkdir(parents=True, exist_ok=True)
-    (settings / "rerun" / "analytics.json").write_text(json.dumps({
+def settings_of_rerun(folder: Path) -> dict[str, str]:
+    """Environment of a Rerun that keeps its own files in `folder`, with usage data switched off."""
+    (folder / "rerun").mkdir(parents=True, exist_ok=True)
+    (folder / "rerun" / "analytics.json").write_text(json.dumps({
         "analytics_enabled": False, "analytics_id": "", "metadata": {},
-        "config_file_path": str(settings / "rerun" / "analytics.json"), "data_dir_path": str(settings / "rerun")}))
-    # The program itself: the command `rerun` is a script, whose end would leave the program running.
-    found = importlib.util.find_spec("rerun_cli")
-    assert found and found.submodule_search_locations
-    program = Path(found.submodule_search_locations[0], "rerun")
-    command = [str(program), recording, "--serve-web", "--bind", LOOPBACK, "--web-viewer-port", str(port),
-               "--hide-welcome-screen"]
-    if shutil.which("setpriv"):
-        command = ["setpriv", "--pdeathsig", "TERM", *command]
-    own = {"XDG_CONFIG_HOME": str(settings), "XDG_DATA_HOME": str(settings), "XDG_CACHE_HOME": str(settings)}
-    return subprocess.Popen(command, env=os.environ | own, stdin=subprocess.DEVNULL)
+        "config_file_path": str(folder / "rerun" / "analytics.json"), "data_dir_path": str(folder / "rerun")}))
+    return dict.fromkeys(("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_CACHE_HOME"), str(folder))
 
 
 class RecordingView:
-    """The server of recordings as a process of its own. Use as a context: leaving it ends the process.
+    """The server of a recording. Use as a context: leaving it ends Rerun's process.
 
     folder: for settings and logs. file: a recording, .rrd. Raises SuiteError without rerun-sdk, or on a failed start.
     """
 
     def __init__(self, folder: Path, file: Path):
         check_rerun("st view")
+        lower(VIEW_NICE)
+        with socket.socket() as probe:
+            probe.bind((LOOPBACK, 0))
+            source = probe.getsockname()[1]
+        handler = type("Handler", (_Handler,), {"source_port": source, "recording": file})
+        self._page = ThreadingHTTPServer((LOOPBACK, 0), handler)
+        threading.Thread(target=self._page.serve_forever, name="page", daemon=True).start()
+        recording = f"http://{LOOPBACK}:{self._page.server_port}{RECORDING}"
+        self.url = f"http://{LOOPBACK}:{self._page.server_port}/?url={quote(recording, safe='')}"
         self._processes = Processes(folder)
-        atexit.register(self._processes.stop, timeout=STOP_TIMEOUT)
-        page, source = free_ports(2)
-        self._server = self._processes.start("view_server", [
-            sys.executable, "-m", "st_live.rerun_server", str(file.absolute()), "--settings",
-            str(folder / "settings"), "--page-port", str(page), "--source-port", str(source)])
-        self._wait_until_ready(self._server, (page, source))
-        self.url = f"http://{LOOPBACK}:{page}/?url={quote(f'http://{LOOPBACK}:{page}{RECORDING}', safe='')}"
-
-    @staticmethod
-    def _wait_until_ready(server: Child, ports: tuple[int, ...]) -> None:
+        self._processes.environment |= settings_of_rerun(folder / "settings")
+        # The program itself: the command `rerun` is a script, whose end would leave the program running. For an address
+        # it starts no server of recordings, which would need 3 % of a core while idle.
+        found = importlib.util.find_spec("rerun_cli")
+        assert found and found.submodule_search_locations
+        self._rerun = self._processes.start("rerun", [
+            str(Path(found.submodule_search_locations[0], "rerun")), recording, "--serve-web", "--bind", LOOPBACK,
+            "--web-viewer-port", str(source), "--hide-welcome-screen"])
         end = time.monotonic() + READY_TIMEOUT
-        while not all(map(listens, ports)):
-            if server.process.poll() is not None or time.monotonic() > end:
-                output = server.last_lines() or "no output"
-                raise SuiteError(f"the server of the view did not start: {output} (log: {server.log})")
+        while not _listens(source):
+            if self._rerun.process.poll() is not None or time.monotonic() > end:
+                self._processes.stop(timeout=STOP_TIMEOUT)
+                output = self._rerun.last_lines() or "no output"
+                raise SuiteError(f"the server of the view did not start: {output} (log: {self._rerun.log})")
             time.sleep(0.1)
 
     def show(self, console: Console) -> None:
@@ -143,7 +124,7 @@ class RecordingView:
             webbrowser.open(self.url)
         console.print("Ctrl-C ends the view.")
         try:
-            self._server.process.wait()
+            self._rerun.process.wait()
         except KeyboardInterrupt:
             console.print()
 
@@ -152,53 +133,15 @@ class RecordingView:
 
     def __exit__(self, *_: object) -> None:
         self._processes.stop(timeout=STOP_TIMEOUT)
+        self._page.shutdown()
+
+
+def _listens(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex((LOOPBACK, port)) == 0
 
 
 def check_rerun(option: str) -> None:
     """Raises SuiteError where rerun-sdk is not installed."""
     if importlib.util.find_spec("rerun") is None:
         raise SuiteError(f"{option}: {WITHOUT_RERUN}")
-
-
-def free_ports(count: int) -> list[int]:
-    """Free TCP ports of the loopback interface."""
-    probes = [socket.socket() for _ in range(count)]
-    try:
-        for probe in probes:
-            probe.bind((LOOPBACK, 0))
-        return [probe.getsockname()[1] for probe in probes]
-    finally:
-        for probe in probes:
-            probe.close()
-
-
-def listens(port: int) -> bool:
-    with socket.socket() as probe:
-        return probe.connect_ex((LOOPBACK, port)) == 0
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("file", type=Path, help="recording to show, .rrd")
-    parser.add_argument("--settings", type=Path, required=True, help="folder for Rerun's own files")
-    parser.add_argument("--page-port", type=int, required=True)
-    parser.add_argument("--source-port", type=int, required=True, help="of Rerun's own server of the page")
-    options = parser.parse_args()
-    server = page_server(options.page_port, options.source_port, options.file)
-    lower(VIEW_NICE)
-    recording = f"http://{LOOPBACK}:{options.page_port}{RECORDING}"
-    rerun = rerun_server(options.settings, options.source_port, recording)
-
-    def stop(*_: object) -> None:
-        rerun.terminate()
-
-    signal.signal(signal.SIGINT, stop)
-    signal.signal(signal.SIGTERM, stop)
-    threading.Thread(target=server.serve_forever, name="page", daemon=True).start()
-    status = rerun.wait()
-    server.shutdown()
-    return 0 if status in (0, -signal.SIGTERM) else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
