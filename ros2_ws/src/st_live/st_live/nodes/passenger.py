@@ -6,7 +6,6 @@ stopped or killed without delaying a prediction.
 
 import argparse
 import math
-import signal
 import sys
 import threading
 import time
@@ -16,13 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from st_core.frames import cg_to_ins_position, map_to_body
 from st_core.palette import colour_of
 from st_core.types import InsSample
@@ -30,8 +27,8 @@ from st_core.vehicle import VehicleParameters
 from st_msgs.msg import InsStatus, Prediction, PredictionError, PredictorStatus, Steering
 from st_predictor import convert
 from st_recordings.car import read_vehicle
+from st_ros import spin
 from st_ros.polling import PolledSubscription
-from st_ros.scheduling import lower
 
 from ..page import PageServer
 from ..suite import VIEW_NICE
@@ -201,35 +198,26 @@ class PassengerNode(Node):
         super().__init__("passenger")
         self._frames, self._server = frames, server
         self._subscriptions_by_topic = {"predictor/status": self._subscribe("predictor/status")}
-        self.stop = threading.Event()
+        self.create_timer(PERIOD, self._show, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _subscribe(self, topic: str) -> PolledSubscription:
         kind = TOPICS[topic]
         qos = QoSProfile(depth=DEPTH.get(kind, NEWEST), reliability=ReliabilityPolicy.BEST_EFFORT)
         return PolledSubscription(self, TYPES[kind], topic, qos)
 
-    def run(self) -> None:
-        executor = SingleThreadedExecutor(context=self.context)
-        executor.add_node(self)
-        due, started = time.monotonic(), False
-        while not self.stop.is_set():
-            executor.spin_once(timeout_sec=0.0)
-            for topic, subscription in self._subscriptions_by_topic.items():
-                for message, received_ns, _ in subscription.take():
-                    waited = max((time.time_ns() - received_ns) * 1e-9, 0.0)  # in the queue
-                    self._frames.take(topic, message, time.monotonic() - waited)
-                    started = True
-            if started and len(self._subscriptions_by_topic) == 1:
-                # Not before: a player of recordings counts the subscribers of its topics before it begins.
-                self._subscriptions_by_topic |= {
-                    topic: self._subscribe(topic) for topic, kind in TOPICS.items()
-                    if topic not in self._subscriptions_by_topic and TYPES[kind]}
-            if self._server.clients:
-                self._server.publish(self._frames.frame(time.monotonic()))
-            due = max(due + PERIOD, time.monotonic())  # frames missed are not made up for
-            self.stop.wait(max(due - time.monotonic(), 0.01))
-        executor.shutdown()
-        self.destroy_node()
+    def _show(self) -> None:
+        started = False
+        for topic, subscription in self._subscriptions_by_topic.items():
+            for message, received_ns, _ in subscription.take():
+                waited = max((time.time_ns() - received_ns) * 1e-9, 0.0)  # in the queue
+                self._frames.take(topic, message, time.monotonic() - waited)
+                started = True
+        if started and len(self._subscriptions_by_topic) == 1:
+            # Not before: a player of recordings counts the subscribers of its topics before it begins.
+            self._subscriptions_by_topic |= {topic: self._subscribe(topic) for topic, kind in TOPICS.items()
+                                             if topic not in self._subscriptions_by_topic and TYPES[kind]}
+        if self._server.clients:
+            self._server.publish(self._frames.frame(time.monotonic()))
 
 
 def main() -> int:
@@ -248,17 +236,11 @@ def main() -> int:
     except OSError as error:
         print(f"{options.address}:{options.port}: {error.strerror or error}", file=sys.stderr)
         return 2
-    lower(VIEW_NICE)
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node = PassengerNode(PassengerFrames(car, options.map_frame), server)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: node.stop.set())
     threading.Thread(target=server.serve_forever, name="page", daemon=True).start()
     print(f"serving on {options.address}:{server.port}", flush=True)
-    node.run()
+    status = spin.run(lambda: PassengerNode(PassengerFrames(car, options.map_frame), server), nice=VIEW_NICE)
     server.stop()
-    rclpy.try_shutdown()
-    return 0
+    return status
 
 
 if __name__ == "__main__":

@@ -1,20 +1,16 @@
 """Relay to Foxglove: topics of the suite over a WebSocket, byte for byte, for machines without foxglove_bridge."""
 
 import argparse
-import signal
 import sys
-import time
 from fnmatch import fnmatchcase
-from types import FrameType
 
 import foxglove
-import rclpy
 from foxglove import Channel, Schema
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from st_recordings.bag_metadata import UnknownTypeError, definition
+from st_ros import spin
 from st_ros.polling import PolledSubscription, message_class
 
 # Topics for viewers; raw packets and frames are not relayed.
@@ -25,32 +21,23 @@ PERIOD = 0.02  # s between emptying the queues
 DISCOVERY_PERIOD = 0.5  # s between searches for new topics
 
 
-class Relay:
+class RelayNode(Node):
     def __init__(self) -> None:
-        self.stop = False
-        self._node = Node("foxglove_relay")
+        super().__init__("foxglove_relay")
         self._open: dict[str, tuple[PolledSubscription, Channel] | None] = {}
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(PERIOD, self._forward, clock=steady)
+        self.create_timer(DISCOVERY_PERIOD, self._open_new_topics, clock=steady)
 
-    def spin(self) -> None:
-        executor = SingleThreadedExecutor()
-        executor.add_node(self._node)
-        discovery_due = 0.0
-        while not self.stop:
-            executor.spin_once(timeout_sec=0.0)
-            if time.monotonic() >= discovery_due:
-                discovery_due = time.monotonic() + DISCOVERY_PERIOD
-                self._open_new_topics()
-            for subscription, channel in filter(None, self._open.values()):
-                for data, received_ns, _ in subscription.take(DEPTH):
-                    channel.log(bytes(data), log_time=received_ns)
-            time.sleep(PERIOD)
-        executor.shutdown()
-        self._node.destroy_node()
+    def _forward(self) -> None:
+        for subscription, channel in filter(None, self._open.values()):
+            for data, received_ns, _ in subscription.take(DEPTH):
+                channel.log(bytes(data), log_time=received_ns)
 
     def _open_new_topics(self) -> None:
-        for topic, types in self._node.get_topic_names_and_types():
+        for topic, types in self.get_topic_names_and_types():
             if topic not in self._open and any(fnmatchcase(topic, f"*{p}") for p in TOPICS):
-                publishers = self._node.get_publishers_info_by_topic(topic)
+                publishers = self.get_publishers_info_by_topic(topic)
                 if publishers:
                     self._open[topic] = self._relay(topic, types[0], publishers)
 
@@ -70,7 +57,7 @@ class Relay:
             durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
         schema = Schema(name=type_name, encoding="ros2msg", data=text.encode())
         print(f"{topic} ({type_name})", flush=True)
-        return (PolledSubscription(self._node, message_type, topic, qos, raw=True),
+        return (PolledSubscription(self, message_type, topic, qos, raw=True),
                 Channel(topic, message_encoding="cdr", schema=schema))
 
 
@@ -85,18 +72,9 @@ def main() -> int:
         print(f"{options.host}:{options.port}: {error}", file=sys.stderr)
         return 2
     print(f"serving on {options.host}:{server.port}", flush=True)
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    relay = Relay()
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        relay.stop = True
-
-    signal.signal(signal.SIGINT, stop)
-    signal.signal(signal.SIGTERM, stop)
-    relay.spin()
+    status = spin.run(RelayNode)
     server.stop()
-    rclpy.try_shutdown()
-    return 0
+    return status
 
 
 if __name__ == "__main__":
