@@ -1,6 +1,6 @@
 """Gates passed by a controller, its constraint unchanged and tightened by the band: 50 cars; docs/measurements/mpc.md.
 
-Two minutes of processor time; ST_CORRIDOR_SEEDS changes the number of cars.
+Fifteen minutes of processor time; ST_CORRIDOR_SEEDS changes the number of cars.
 """
 
 import os
