@@ -31,12 +31,17 @@ class Run(NamedTuple):
     statuses: dict[str, int]
 
 
+def graph_of(node, names) -> dict[str, tuple[set[str], set[str]]]:
+    return {n: ({topic for topic, _ in node.get_publisher_names_and_types_by_node(n, "/")},
+                {topic for topic, _ in node.get_subscriber_names_and_types_by_node(n, "/")}) for n in names}
+
+
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> Run:
     folder: Path = tmp_path_factory.mktemp("faults")
     with running(folder) as rig:
         for _ in range(20):  # the recorder subscribes to what it finds, a moment after all nodes are well
-            graph = rig.monitor.graph(rig.names)
+            graph = graph_of(rig.monitor._node, rig.names)
             if {"/can/frames", "/vehicle/steering", "/ins/ncom"} <= graph["recorder"][1]:
                 break
             rig.run(0.5)

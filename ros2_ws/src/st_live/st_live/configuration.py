@@ -2,9 +2,9 @@
 the virtual Leaf on a free UDP port and CAN group of the loopback interface."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from st_core.bands import Bands
 from st_core.course import Course
@@ -24,6 +24,7 @@ from st_sim.settings import SimulationError
 
 from .suite import Parameters, Suite, SuiteError, find_executable, free_udp_port, merge
 
+T = TypeVar("T")
 REPLAY_NODES = ("recorder", "evaluator", "predictor")  # in the order of their start: subscribers first
 TRUNCATED = "{} is truncated: its recorder was killed; later data are not {}"
 LEAF_TIMEOUT = 20.0  # s until the virtual Leaf sends
@@ -124,12 +125,9 @@ def load_model(model: Path | None, effects: Path | None, car: VehicleParameters,
         if effects is not None:
             raise SuiteError(f"--effects {effects}: only a --model uses effects; give one")
         return MODELS["nonlinear"]
-    try:
-        if effects is not None:
-            load_folder(str(effects.absolute()))
-        file = ModelFile.from_yaml(model.read_text(encoding="utf-8"), str(model))
-    except (OSError, UnicodeDecodeError) as error:
-        raise SuiteError(f"{model}: cannot be read: {error}") from None
+    if effects is not None:
+        load_folder(str(effects.absolute()))
+    file = _parsed("--model", model, ModelFile.from_yaml)
     try:
         file.check_vehicle(car, origin)
     except StCoreError as error:
@@ -151,12 +149,7 @@ def add_files(parameters: Parameters, bands: Path | None, course: Path | None,
     if bands:
         _check_bands(bands, predictor)
     if course:
-        try:
-            Course.from_yaml(course.read_text(encoding="utf-8"), str(course))
-        except (OSError, UnicodeDecodeError) as error:
-            raise SuiteError(f"--course {course}: cannot be read: {error}") from None
-        except StCoreError as error:
-            raise SuiteError(f"--course {error}") from None
+        _parsed("--course", course, Course.from_yaml)
     for name, file in (("bands_file", bands), ("course_file", course)):
         if file:
             predictor[name] = str(file.absolute())
@@ -164,29 +157,28 @@ def add_files(parameters: Parameters, bands: Path | None, course: Path | None,
     return copy
 
 
-def _check_bands(bands: Path, predictor: Mapping[str, Any]) -> None:
+def _parsed(option: str, file: Path, parse: Callable[[str, str], T]) -> T:
+    """The content of a file given as an option. Raises SuiteError, one line."""
     try:
-        file = Bands.from_yaml(bands.read_text(encoding="utf-8"), str(bands))
-        vehicle = Path(predictor["vehicle_file"])
-        car = VehicleParameters.from_yaml(vehicle.read_text(encoding="utf-8"), str(vehicle))
+        return parse(file.read_text(encoding="utf-8"), str(file))
     except (OSError, UnicodeDecodeError) as error:
-        raise SuiteError(f"--bands {bands}: cannot be read: {error}") from None
+        raise SuiteError(f"{option} {file}: cannot be read: {error}") from None
     except StCoreError as error:
-        raise SuiteError(f"--bands {error}") from None
+        raise SuiteError(f"{option} {error}") from None
+
+
+def _check_bands(bands: Path, predictor: Mapping[str, Any]) -> None:
+    file = _parsed("--bands", bands, Bands.from_yaml)
+    car = read_vehicle(Path(predictor["vehicle_file"]))
+    hashes = dict.fromkeys(predictor["models"], "")  # of the model file; "" for a built-in model
+    if name := predictor.get("model_file"):
+        model = _parsed("--model", Path(name), ModelFile.from_yaml)
+        hashes[model.model().name] = model.hash
     settings = {name: predictor[name] for name in PredictionSettings.__dataclass_fields__ if name in predictor}
     try:
-        file.check(car, _model_hashes(predictor), EvaluationSettings(PredictionSettings(**settings)))
+        file.check(car, hashes, EvaluationSettings(PredictionSettings(**settings)))
     except StCoreError as error:
         raise SuiteError(f"--bands {bands}: {error}") from None
-
-
-def _model_hashes(predictor: Mapping[str, Any]) -> dict[str, str]:
-    """Hash of the model file by model, "" for a built-in model."""
-    hashes = dict.fromkeys(predictor["models"], "")
-    if name := predictor.get("model_file"):
-        file = ModelFile.from_yaml(Path(name).read_text(encoding="utf-8"), name)
-        hashes[file.model().name] = file.hash
-    return hashes
 
 
 def recordings_of(path: Path) -> tuple[Path, list[Path]]:

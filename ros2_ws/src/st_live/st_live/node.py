@@ -5,7 +5,6 @@ import contextlib
 import math
 import threading
 import time
-from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -92,11 +91,6 @@ class Monitor:
                 break
             time.sleep(0.05)
         return missing
-
-    def graph(self, names: Iterable[str]) -> dict[str, tuple[set[str], set[str]]]:
-        """Node -> (topics it publishes, topics it subscribes)."""
-        return {n: ({topic for topic, _ in self._node.get_publisher_names_and_types_by_node(n, "/")},
-                    {topic for topic, _ in self._node.get_subscriber_names_and_types_by_node(n, "/")}) for n in names}
 
     def last_status(self, name: str) -> float:
         """Time of the newest /diagnostics of a node [s, monotonic]; minus infinity: never."""

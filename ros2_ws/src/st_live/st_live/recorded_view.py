@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -16,7 +16,7 @@ from st_core.vehicle import VehicleParameters
 from st_predictor import convert
 from st_predictor.map_drawing import History, Ribbon, car_outline
 from st_recordings.recorded import configuration_of
-from st_recordings.results import BandCounts, band_lines
+from st_recordings.results import band_lines
 from st_recordings.runs.bag import definitions, open_bag, read_bag
 from st_recordings.runs.cdr import typestore
 from st_ros.stamps import to_nanoseconds
@@ -233,14 +233,6 @@ class Scene:
         self._rr.set_time(TIMELINE, timestamp=np.datetime64(time_ns, "ns"))
 
 
-class Row(BandCounts, Protocol):
-    """One model and mode of st_msgs/ErrorSummary."""
-
-    n_starts: int
-    longitudinal_rmse: float
-    lateral_rmse: float
-
-
 def draw(path: Path, file: Path, vehicle: Path | None = None) -> int:
     """Draw a bag, or the bag in the folder of a run, into `file` (.rrd); returns the number of pictures.
 
@@ -327,8 +319,11 @@ class Feed:
             self._health[s.name] = (level, s.name, s.message)
 
 
-def error_text(rows: Sequence[Row], ticks: str, health: Sequence[tuple[int, str, str]]) -> str:
-    """Markdown of the running errors and of the checks not OK. health: (level, name, message) of every check."""
+def error_text(rows: Sequence[Any], ticks: str, health: Sequence[tuple[int, str, str]]) -> str:
+    """Markdown of the running errors and of the checks not OK.
+
+    rows: statistics of st_msgs/ErrorSummary. health: (level, name, message) of every check.
+    """
     lines = ["| model | mode | starts | RMSE long., m | lat., m |", "|---|---|--:|--:|--:|"]
     for mode in ("forecast", "hindsight"):
         for row in (r for r in rows if r.mode == mode and r.n_starts):

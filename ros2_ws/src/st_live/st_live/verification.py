@@ -38,7 +38,6 @@ from .configuration import TRUNCATED, recordings_of
 from .suite import SuiteError
 
 OTHER_MODES: tuple[Mode, ...] = ("plan", "course")
-SETTINGS = ("horizon", "step", "minimum_speed", "stale_after", "maximum_gap", "filter_cutoff")
 # The filter of the forward acceleration starts with the first sample each node receives, which differs between nodes.
 # After this many time constants 2e-9 of that difference remains.
 SETTLING_TIME_CONSTANTS = 20.0
@@ -129,7 +128,8 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
 
 def _settings(recorded: RecordedConfiguration) -> PredictionSettings:
     given = {**recorded.nodes.get("evaluator", {}), **recorded.nodes.get("predictor", {})}
-    return PredictionSettings(**{key: float(given[key]) for key in SETTINGS if key in given})
+    names = PredictionSettings.__dataclass_fields__.keys() & given.keys()
+    return PredictionSettings(**{name: float(given[name]) for name in names})
 
 
 def settled(starts_ns: np.ndarray, ins_time_ns: np.ndarray, cutoff: float) -> np.ndarray:

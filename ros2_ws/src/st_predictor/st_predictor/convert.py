@@ -3,7 +3,6 @@
 import math
 from array import array
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
@@ -18,13 +17,9 @@ from st_core.planned_inputs import PlannedInputs
 from st_core.prediction import Start
 from st_core.types import InputSequence, InsSample, Trajectory
 from st_core.vehicle import VehicleParameters
-from st_msgs.msg import ErrorStatistics, Prediction, PredictionError
+from st_msgs.msg import ErrorStatistics, InputPlan, PlannedPrediction, Prediction, PredictionError
 from st_recordings.bag_metadata import INFINITE_NS, Qos
-from st_ros.polling import message_class
 from st_ros.stamps import from_nanoseconds, to_nanoseconds
-
-if TYPE_CHECKING:
-    from st_msgs.msg import InputPlan, PlannedPrediction
 
 from .map_drawing import BAND_MODE, Path, ribbon
 
@@ -32,9 +27,7 @@ from .map_drawing import BAND_MODE, Path, ribbon
 QUATERNION_TOLERANCE = 0.01
 # rmw's own value for "never"; rclpy turns it into this many nanoseconds or more.
 _NEVER_NS = 9_223_372_036 * 1_000_000_000
-# None in a workspace that was built before these messages existed: plans are off there.
 OTHER_MODES: tuple[Mode, ...] = ("plan", "course")  # inputs over the horizon other than held ones
-PLAN, PLANNED = (message_class(f"st_msgs/msg/{name}") for name in ("InputPlan", "PlannedPrediction"))
 
 
 def ins_sample(message: Odometry, map_frame: str) -> InsSample | str:
@@ -92,7 +85,7 @@ def prediction_message(
     return message
 
 
-def planned_inputs(message: "InputPlan", base_frame: str, vehicle: VehicleParameters) -> PlannedInputs | str:
+def planned_inputs(message: InputPlan, base_frame: str, vehicle: VehicleParameters) -> PlannedInputs | str:
     """The plan of a message, or why it cannot be used. Speed and curvature are those of the CG of the vehicle."""
     if message.header.frame_id != base_frame:
         return f"plan: header.frame_id is {message.header.frame_id!r}, expected {base_frame!r} (parameter plan_frame)"
@@ -114,11 +107,10 @@ def planned_inputs(message: "InputPlan", base_frame: str, vehicle: VehicleParame
 
 
 def planned_message(start: Start, model: str, plan_ns: int, inputs: InputSequence, trajectory: Trajectory,
-                    vehicle: VehicleParameters, map_frame: str, configuration_hash: str) -> "PlannedPrediction":
+                    vehicle: VehicleParameters, map_frame: str, configuration_hash: str) -> PlannedPrediction:
     """The message without issued_at and compute_time. plan_ns: stamp of the plan, 0 for a course; inputs: on the
     half-step grid."""
-    assert PLANNED is not None
-    message = PLANNED(
+    message = PlannedPrediction(
         model=model, step=trajectory.step, configuration_hash=configuration_hash, plan_stamp=from_nanoseconds(plan_ns),
         cg_to_ins_x=float(vehicle.cg_to_ins_x), cg_to_ins_y=float(vehicle.cg_to_ins_y),
         road_wheel_angle=_float64(inputs.road_wheel_angle), velocity_x_dot=_float64(inputs.velocity_x_dot))
@@ -126,7 +118,7 @@ def planned_message(start: Start, model: str, plan_ns: int, inputs: InputSequenc
     return message
 
 
-def _fill_trajectory(message: "Prediction | PlannedPrediction", start: Start, trajectory: Trajectory,
+def _fill_trajectory(message: Prediction | PlannedPrediction, start: Start, trajectory: Trajectory,
                      map_frame: str) -> None:
     message.header.stamp = from_nanoseconds(start.time_ns)
     message.header.frame_id = map_frame
@@ -134,7 +126,7 @@ def _fill_trajectory(message: "Prediction | PlannedPrediction", start: Start, tr
         _float64, trajectory.states.T)
 
 
-def read_trajectory(message: "Prediction | PlannedPrediction") -> tuple[int, Trajectory] | str:
+def read_trajectory(message: Prediction | PlannedPrediction) -> tuple[int, Trajectory] | str:
     """(start_ns, trajectory) of a prediction message, or why it cannot be used."""
     columns = [message.x, message.y, message.velocity_x, message.velocity_y, message.yaw, message.yaw_rate]
     if len({len(c) for c in columns}) != 1 or len(message.x) < 2:

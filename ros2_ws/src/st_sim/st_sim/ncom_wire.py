@@ -117,12 +117,7 @@ CYCLE = 200
 MINUTES, INNOVATIONS, RECEIVER, IMU_COUNTERS, TIMES = 0, 1, 2, 18, 23
 UP_TIME_AT_START = 1800.0
 
-_DEG = math.degrees
 _RTK, _SATELLITES = 6, 14
-
-
-def _xyz(prefix: str, x: float, y: float, z: float, suffix: str = "") -> dict[str, float]:
-    return {f"{prefix}{axis}{suffix}": value for axis, value in zip("XYZ", (x, y, z), strict=True)}
 
 
 def _receiver(name: str) -> dict[str, float]:
@@ -131,70 +126,29 @@ def _receiver(name: str) -> dict[str, float]:
     return {f"{name}.{key}": value for key, value in values.items()}
 
 
-# Constant values, typical for the unit; the suite evaluates accuracies, origin, UTC offset and undulation of them.
+# Constant values. Channels that nothing of the suite evaluates are sent without values.
 _FIXED: Mapping[int, Mapping[str, float | str]] = {
-    **{channel: {} for channel in (24, 43, 45, 46, 47, 49, 51, 52, 53, 54, 60, 61, 62, 63, 65, 74)},
+    **{channel: {} for channel in (*range(6, 12), *range(13, 16), 17, 21, 22, 24, 26, *range(28, 30), *range(31, 37),
+                                   38, 39, *range(41, 48), *range(49, 55), *range(57, 66), *range(72, 77), 78)},
     3: {"NorthAcc": ACCURACY["position"], "EastAcc": ACCURACY["position"], "AltAcc": 2 * ACCURACY["position"]},
     4: {"VnAcc": ACCURACY["velocity"], "VeAcc": ACCURACY["velocity"], "VdAcc": 1.5 * ACCURACY["velocity"],
         "ProcessingMethod": 1},
-    5: {"HeadingAcc": _DEG(ACCURACY["heading"]), "PitchAcc": _DEG(ACCURACY["level"]),
-        "RollAcc": _DEG(ACCURACY["level"])},
-    6: {**{f"W{a}Bias": 0.002 for a in "xyz"}, "GpsPrimary.NumGpsL1": 9, "GpsPrimary.NumGpsL2": 9},
-    7: {**{f"A{a}Bias": 0.004 for a in "xyz"}, "GpsSecondary.NumGpsL1": 9, "GpsSecondary.NumGpsL2": 8},
-    8: {f"W{a}Sf": 1e-4 for a in "xyz"},
-    9: {f"W{a}BiasAcc": 0.0005 for a in "xyz"},
-    10: {f"A{a}BiasAcc": 0.001 for a in "xyz"},
-    11: {f"W{a}SfAcc": 1e-4 for a in "xyz"},
+    5: {"HeadingAcc": math.degrees(ACCURACY["heading"]), "PitchAcc": math.degrees(ACCURACY["level"]),
+        "RollAcc": math.degrees(ACCURACY["level"])},
     12: {"GAPx": 0.35, "GAPy": 0.0, "GAPz": -1.05},
-    13: {"AtH": 0.0, "AtP": 0.0, "BaseLineLength": 1.2, "HeadNumGpsAvailable": 9, "HeadNumGpsUsed": 8},
-    14: {"GAPxAcc": 0.01, "GAPyAcc": 0.01, "GAPzAcc": 0.01, "NumGpsUsedInPos": 9, "NumGloUsedInPos": 5},
-    15: {"AtHAcc": 0.08, "AtPAcc": 0.1, "BaseLineLengthAcc": 0.003},
     16: {"Imu2VehHeading": 0.0, "Imu2VehPitch": 0.0, "Imu2VehRoll": 0.0, "TimeUtcOffset": -18},
-    17: {"GpsSecondary.Chars": 9123, "GpsSecondary.Pkts": 611, "GpsSecondary.CharsSkipped": 0,
-         "GpsSecondary.OldPkts": 0},
     19: {"DevId": "250101.1"},
     20: {"GpsDiffAge": 1.0, "BaseStationId": "0021"},
-    21: {"DiskSpace": 12_000_000 * 1024, "FileSize": 20_000 * 1024},
-    22: {"TimeMismatch": 0, "ImuTimeDiff": 0, "ImuTimeMargin": 2, "ImuLoopTime": 10, "OpLoopTime": 4},
-    26: _xyz("RemoteLeverArm", 0.0, 0.0, 0.0),
     27: {"HeadQuality": 3, "HeadSearchType": 3, "HeadSearchStatus": 0, "HeadSearchReady": 1, "HeadSearchInit": 40,
          "HeadSearchNum": 1},
-    28: {"HeadSearchMaster": 12, "HeadSearchSlave1": 5, "HeadSearchSlave2": 25, "HeadSearchSlave3": 29,
-         "HeadSearchTime": 21, "HeadSearchConstr": 1},
-    29: {"OptionLevel": 1, "OptionVibration": 0, "OptionGpsAcc": 1, "OptionUdp": 0, "OptionSer1": 0, "OptionSer2": 0,
-         "OptionHeading": 3, "OptionHeave": 2},
     30: {"OsVersion1": 1, "OsVersion2": 2, "OsVersion3": 3, "OsScriptId": "250101", "SerialNumber": 4711},
-    31: {"ImuType": 4, "GpsPrimary.Type": 14, "GpsSecondary.Type": 14},
-    32: {"InnZeroVelX": 0.1, "InnNoSlipH": -0.2},
-    33: _xyz("ZeroVelLeverArm", 0.0, 0.0, 0.35),
-    34: _xyz("ZeroVelLeverArm", 0.05, 0.05, 0.05, "Acc"),
-    35: _xyz("NoSlipLeverArm", -1.126, 0.0, 0.35),
-    36: _xyz("NoSlipLeverArm", 0.05, 0.05, 0.05, "Acc"),
     37: {"HeadingMisAlign": 0.0, "HeadingMisAlignAcc": 0.05, "NumSatsUsedPos": _SATELLITES,
          "NumSatsUsedVel": _SATELLITES, "NumSatsUsedAtt": 8},
-    38: {"OptionSZVDelay": 2, "OptionSZVPeriod": 1.0, "OptionTopSpeed": 70.0, "OptionInitSpeed": 5.0, "OptionSer3": 0},
-    39: {"OptionNSDelay": 2.0, "OptionNSPeriod": 0.2, "OptionNSAngleStd": 0.2, "OptionNSHAccel": 1.0,
-         "OptionNSVAccel": 1.0, "OptionNSSpeed": 5.0, "OptionNSRadius": 20.0},
     40: {"NcomVersion": 22, "OutputLatency": 0.0, "SerialNumber24": 4711},
-    41: {"OptionSer1Baud": 11, "OptionSer2Baud": 11, "OptionSer3Baud": 0, "OptionCanBaud": 5},
-    42: {"OptionHLDelay": 2, "OptionHLPeriod": 1.0, "OptionHLAngleStd": 0.2, "OptionStatDelay": 2,
-         "OptionStatSpeed": 0.1},
-    44: {"WarmupStatus": 0x1F},
     48: {"Undulation": UNDULATION, "HDOP": 0.7, "PDOP": 1.3, "OutputDatum": 0, "DatumEllipsoid": 0,
          "DatumEarthFrame": 0},
-    50: {"CmdChars": 0, "CmdPkts": 0, "CmdCharsSkipped": 0, "CmdErrors": 0},
     55: _receiver("GpsPrimary"),
     56: _receiver("GpsSecondary"),
-    57: {"GAPx": 0.35, "GAPy": 0.0, "GAPz": -1.05},
-    58: {"VehicleToOutputHeading": 0.0, "VehicleToOutputPitch": 0.0, "VehicleToOutputRoll": 0.0},
-    59: {"ImuMissedPkts": 0, "ImuResetCount": 0, "ImuErrorCount": 0, "ImuCalibrationDay": 16000,
-         "ImuTemperature": 38.5},
-    64: {"DualPortRamStatus": 9, "GpsPrimary.PosRate": 3, "GpsPrimary.VelRate": 3},
-    72: {"AxSf": 1e-4, "AySf": 1e-4, "AzSf": 1e-4},
-    73: {"AxSfAcc": 1e-4, "AySfAcc": 1e-4, "AzSfAcc": 1e-4},
-    75: {"SupplyVoltage": 12.4, "ImuRate": 100.0},
-    76: {"DiffChars": 0, "DiffPkts": 0, "DiffCharsSkipped": 0, "NtripStatus": 6, "WifiStatus": 1},
-    78: {"CanTx": 0, "CanRx": 0, "CanTxOkPercent": 100, "CanRxOkPercent": 100, "CanErrors": 0, "CanLastError": 0},
 }
 _EVERY_10, _EVERY_25, _EVERY_50 = (0, 1), (32, 45), (3, 4, 5, 20, 24, 43, 65, 66, 67)
 _EVERY_200 = (46, 47, 49, 50, 51, 52, 53, 54, 58, 60, 61, 62, 63, 64, 72, 73, 74, 75, 76, 78)

@@ -7,6 +7,7 @@ import json
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -39,7 +40,7 @@ _SENSOR_GROUPS = ("ins", "can")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Exit status: 0, also after SIGINT or SIGTERM with files closed; 2, with a line on stderr, for a bad argument."""
-    stop = _Stop()
+    stop = _stop_request()
     try:
         options = _parser().parse_args(arguments)
         if options.list:
@@ -69,23 +70,16 @@ def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-class _Stop:
-    """Callable that returns True after SIGINT or SIGTERM."""
-
-    def __init__(self) -> None:
-        self._received = False
-        for number in (signal.SIGINT, signal.SIGTERM):
-            # ValueError: not in the main thread (tests, embedding programs), which receives no signals.
-            with contextlib.suppress(ValueError):
-                signal.signal(number, self._receive)
-                # The interpreter removes handlers before it exits; a signal would then turn success into failure.
-                atexit.register(signal.signal, number, signal.SIG_IGN)
-
-    def _receive(self, *_: object) -> None:
-        self._received = True
-
-    def __call__(self) -> bool:
-        return self._received
+def _stop_request() -> Callable[[], bool]:
+    """A function that returns True after SIGINT or SIGTERM."""
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        # ValueError: not in the main thread (tests, embedding programs), which receives no signals.
+        with contextlib.suppress(ValueError):
+            signal.signal(number, lambda *_: stop.set())
+            # The interpreter removes handlers before it exits; a signal would then turn success into failure.
+            atexit.register(signal.signal, number, signal.SIG_IGN)
+    return stop.is_set
 
 
 @dataclass(frozen=True)

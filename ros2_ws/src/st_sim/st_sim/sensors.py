@@ -87,14 +87,8 @@ class Ins:
         self._lever = (car.cg_to_ins_x - settings["cg_shift"] + settings["ins_lever_error"], car.cg_to_ins_y)
         scale = settings["ins_noise"]
         draw = normal_stream(np.random.default_rng([seed, 3]))
-        self._noise = (
-            {
-                name: _Noise(scale * white, scale * slow, time, interval, draw)
-                for name, (white, slow, time) in NOISE.items()
-            }
-            if scale
-            else {}
-        )
+        self._noise = {name: _Noise(scale * white, scale * slow, time, interval, draw)
+                       for name, (white, slow, time) in NOISE.items() if scale}
 
     def read(self, truth: Truth) -> InsReading:
         x, y, vx, vy = truth.at_point(*self._lever)
@@ -138,10 +132,8 @@ class Ins:
 
     def _add_noise(self, r: InsReading, rough: float) -> None:
         n = self._noise
-        r.x, r.y, r.z = r.x + n["x"](), r.y + n["y"](), r.z + n["z"]()
-        r.velocity_x, r.velocity_y = r.velocity_x + n["velocity_x"](), r.velocity_y + n["velocity_y"]()
-        r.velocity_z += n["velocity_z"]()
-        r.yaw, r.roll, r.pitch = r.yaw + n["yaw"](), r.roll + n["roll"](), r.pitch + n["pitch"]()
+        for name in ("x", "y", "z", "velocity_x", "velocity_y", "velocity_z", "yaw", "roll", "pitch"):
+            setattr(r, name, getattr(r, name) + n[name]())
         wx, wy, wz = r.rates
         r.rates = (wx + n["rate_x"](rough), wy + n["rate_y"](rough), wz + n["rate_z"](rough))
         fx, fy, fz = r.specific_force

@@ -44,17 +44,8 @@ def demo(
 ) -> None:
     """Drive the virtual Leaf, or a recorded drive, through bridges and nodes; show how well each model predicts."""
     # Imported when it runs: the drawing and ROS libraries take a second that `st --help` need not wait.
-    from st_live.configuration import (
-        VirtualCar,
-        add_files,
-        live_parameters,
-        model_parameters,
-        vehicle_file,
-        vehicle_name,
-    )
+    from st_live import configuration, report, session
     from st_live.page import LiveView
-    from st_live.report import conclude
-    from st_live.session import run
     from st_live.suite import SuiteError
     from st_recordings.paths import new_folder
 
@@ -69,16 +60,17 @@ def demo(
     options += ["--duration", str(duration + AFTERWARDS)] if duration else []
     options += [word for e in effect for word in ("--effect", e)]
     with shared.refusals("demo", SuiteError):
-        car = VirtualCar(vehicle_file(vehicle), options, plant_vehicle and plant_vehicle.absolute())
-        further = model_parameters(model, effects, car.vehicle)
+        car = configuration.VirtualCar(configuration.vehicle_file(vehicle), options,
+                                       plant_vehicle and plant_vehicle.absolute())
+        further = configuration.model_parameters(model, effects, car.vehicle)
         page = LiveView(view, view_address, view_save)
         folder = new_folder(output, f"demo-{what}")
-        parameters = add_files(
-            live_parameters(folder, car.vehicle, car.bridge_parameters(), further, record == "all"), bands, course,
-            adaptive)
-        outcome = run(folder, parameters, what, duration, car.start, console, page)
-    source = "recorded drive" if drive else "virtual Leaf"
-    about = {"what": what, "source": source, "vehicle": vehicle_name(car.vehicle), "seed": seed}
-    status = conclude(folder, outcome, about, console)
+        parameters = configuration.live_parameters(folder, car.vehicle, car.bridge_parameters(), further,
+                                                   record == "all")
+        parameters = configuration.add_files(parameters, bands, course, adaptive)
+        outcome = session.run(folder, parameters, what, duration, car.start, console, page)
+    about = {"what": what, "source": "recorded drive" if drive else "virtual Leaf",
+             "vehicle": configuration.vehicle_name(car.vehicle), "seed": seed}
+    status = report.conclude(folder, outcome, about, console)
     page.finish(folder, console)
     raise typer.Exit(status)

@@ -6,23 +6,15 @@ from typing import Literal
 
 import typer
 
-from ._options import (
-    CarName,
-    EffectsOfFile,
-    VehicleFile,
-    load_vehicle_or_default,
-    refusals,
-    report_default_car,
-    resolve_car,
-)
+from . import _options as shared
 
 
 def export(
     model: str = typer.Argument(..., help="kinematic, linear, nonlinear, or a model file (.yaml).", show_default=False),
     kind: Literal["casadi", "c"] = typer.Option("casadi", "--format", help="CasADi functions, or C with a header."),
-    effects: EffectsOfFile = None,
-    car: CarName = None,
-    vehicle: VehicleFile = None,
+    effects: shared.EffectsOfFile = None,
+    car: shared.CarName = None,
+    vehicle: shared.VehicleFile = None,
     output: Path | None = typer.Option(None, help="Folder of the files; default runs/export-<time>."),
     substeps: int = typer.Option(1, help="Integration steps within one step h.", min=1, max=64),
     bands: Path | None = typer.Option(
@@ -45,9 +37,9 @@ def export(
     from st_offline.model_export import export as write
     from st_offline.model_export import load_model
 
-    with refusals("export", OSError):
-        named = resolve_car(car, vehicle)[0]
-        parameters, file = load_vehicle_or_default(named)
+    with shared.refusals("export", OSError):
+        named = shared.resolve_car(car, vehicle)[0]
+        parameters, file = shared.load_vehicle_or_default(named)
         if effects is not None:
             load_folder(str(effects.absolute()))
         chosen, its = load_model(model, parameters, str(file), named is not None)
@@ -55,6 +47,6 @@ def export(
         folder = new_folder(output, "export")
         written = write(chosen, its, folder, kind, substeps, free, tested)
     if named is None and its is parameters:
-        report_default_car("export", file)
+        shared.report_default_car("export", file)
     for path in written:
         typer.echo(path)

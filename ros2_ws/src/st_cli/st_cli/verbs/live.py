@@ -37,17 +37,8 @@ def live(
 ) -> None:
     """Listen to the RT3000 and the car's CAN bus; predict, score and record until Ctrl-C."""
     # Imported when it runs, see demo.py.
-    from st_live.configuration import (
-        add_files,
-        bridge_parameters,
-        live_parameters,
-        model_parameters,
-        vehicle_file,
-        vehicle_name,
-    )
+    from st_live import configuration, report, session
     from st_live.page import LiveView
-    from st_live.report import conclude
-    from st_live.session import run
     from st_live.suite import SuiteError
     from st_recordings.paths import new_folder
 
@@ -56,18 +47,19 @@ def live(
     bus = {"interface": can_interface, "channel": can_channel}
     with shared.refusals("live", SuiteError):
         named = shared.resolve_live_car(car, vehicle, dbc, signals, steering_sign, steering_latency)
-        vehicle = vehicle_file(named.vehicle)
-        further = model_parameters(model, effects, vehicle)
+        vehicle = configuration.vehicle_file(named.vehicle)
+        further = configuration.model_parameters(model, effects, vehicle)
         page = LiveView(view, view_address, view_save)
         folder = new_folder(output, "live")
-        bridges = bridge_parameters(vehicle, ins, bus | named.steering, named.dbc, named.signals)
-        parameters = add_files(live_parameters(folder, vehicle, bridges, further, record == "all"), bands, course,
-                               adaptive)
+        bridges = configuration.bridge_parameters(vehicle, ins, bus | named.steering, named.dbc, named.signals)
+        parameters = configuration.live_parameters(folder, vehicle, bridges, further, record == "all")
+        parameters = configuration.add_files(parameters, bands, course, adaptive)
         if named.vehicle is None:
             shared.report_default_car("live", vehicle)
-        outcome = run(folder, parameters, "live", duration, None, console, page, supervised=True,
-                      realtime=realtime)
-    source = f"{can_interface}:{can_channel}, NCOM port {ncom_port}"
-    status = conclude(folder, outcome, {"what": "live", "source": source, "vehicle": vehicle_name(vehicle)}, console)
+        outcome = session.run(folder, parameters, "live", duration, None, console, page, supervised=True,
+                              realtime=realtime)
+    about = {"what": "live", "source": f"{can_interface}:{can_channel}, NCOM port {ncom_port}",
+             "vehicle": configuration.vehicle_name(vehicle)}
+    status = report.conclude(folder, outcome, about, console)
     page.finish(folder, console)
     raise typer.Exit(status)

@@ -11,6 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from st_core.frames import cg_to_ins_position, map_to_body
 from st_core.palette import colour_of
 from st_core.types import InsSample
 from st_core.vehicle import VehicleParameters
-from st_msgs.msg import InsStatus, Prediction, PredictionError, PredictorStatus, Steering
+from st_msgs.msg import InsStatus, PlannedPrediction, Prediction, PredictionError, PredictorStatus, Steering
 from st_predictor import convert
 from st_recordings.car import read_vehicle
 from st_ros import spin
@@ -51,7 +52,7 @@ TOPICS = {
 }
 PERIOD = 0.1  # s between frames
 TYPES = {"status": PredictorStatus, "ins_status": InsStatus, "odometry": Odometry, "steering": Steering,
-         "prediction": Prediction, "plan": convert.PLANNED, "course": convert.PLANNED, "error": PredictionError,
+         "prediction": Prediction, "plan": PlannedPrediction, "course": PlannedPrediction, "error": PredictionError,
          "diagnostics": DiagnosticArray}
 # Messages kept of a topic: a few of the frequent ones; scores of one instant arrive together.
 DEPTH = {"error": 200, "diagnostics": 50}
@@ -77,7 +78,8 @@ class PassengerFrames:
         self._errors: dict[str, dict[str, tuple[float, dict[str, float]]]] = {mode: {} for mode in INPUTS}
         self._health: dict[str, tuple[float, dict[str, tuple[int, str]]]] = {}  # received [s], checks; by node
         self._takers: dict[str, Callable[[Any, float], None]] = {
-            name: getattr(self, f"_take_{name}") for name in set(TOPICS.values())}
+            name: partial(self._take_prediction, mode=name) if name in convert.OTHER_MODES
+            else getattr(self, f"_take_{name}") for name in set(TOPICS.values())}
 
     def take(self, topic: str, message: Any, now: float) -> None:
         """A message of one of TOPICS, received at `now`."""
@@ -165,12 +167,6 @@ class PassengerFrames:
         if not isinstance(content, str) and np.isfinite(content[1].states).all():
             self._predictions[mode][message.model] = now, message
 
-    def _take_plan(self, message: Any, now: float) -> None:
-        self._take_prediction(message, now, "plan")
-
-    def _take_course(self, message: Any, now: float) -> None:
-        self._take_prediction(message, now, "course")
-
     def _take_error(self, message: Any, now: float) -> None:
         """Errors [m] at the end of the horizon [s] that has just passed."""
         if message.complete and message.mode in INPUTS:
@@ -214,8 +210,8 @@ class PassengerNode(Node):
                 started = True
         if started and len(self._subscriptions_by_topic) == 1:
             # Not before: a player of recordings counts the subscribers of its topics before it begins.
-            self._subscriptions_by_topic |= {topic: self._subscribe(topic) for topic, kind in TOPICS.items()
-                                             if topic not in self._subscriptions_by_topic and TYPES[kind]}
+            self._subscriptions_by_topic |= {topic: self._subscribe(topic) for topic in TOPICS
+                                             if topic not in self._subscriptions_by_topic}
         if self._server.clients:
             self._server.publish(self._frames.frame(time.monotonic()))
 

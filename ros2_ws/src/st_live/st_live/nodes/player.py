@@ -91,36 +91,18 @@ def issued_at_of(data: bytes) -> int:
     return seconds * 1_000_000_000 + nanoseconds
 
 
-class Translator:
-    """Converts messages with a steering angle in one of their fields to Steering."""
-
-    def __init__(self, bag: Path, steering: SteeringField, scale: float, ratio: float, offset: float):
-        """scale: of the number, to rad and left +. ratio [1], offset [rad] of the steering wheel; 1 and 0 for
-        an angle of the road wheels."""
-        self._bag, self._steering, self._scale = bag, steering, scale
-        self._ratio, self._offset = ratio, offset
-
-    def steering(self, message: Any, log_ns: int) -> Steering:
-        value = self._scale * steering_value(self._bag, message, self._steering)
-        wheel = value if self._steering.quantity == "wheel" else math.nan
-        translated = Steering(steering_wheel_angle=wheel, road_wheel_angle=(value - self._offset) / self._ratio,
-                              valid=math.isfinite(value))
-        translated.header.stamp = from_nanoseconds(instant_of(message, log_ns))
-        return translated
-
-
 class Player:
     def __init__(self, options: argparse.Namespace):
         self.stop = False
         self._bag, self._rate = options.bag, options.rate
         self._played = dict(zip((options.odometry, options.steering), INPUTS, strict=True))
         self._steering = options.steering
-        self._translator = None
+        self._field = None
         if options.steering_field:
-            field = SteeringField(options.steering, options.steering_field,
-                                  "wheel" if options.steering_wheel else "road")
-            self._translator = Translator(options.bag, field, options.steering_scale,
-                                          *(options.steering_wheel or (1.0, 0.0)))
+            self._field = SteeringField(options.steering, options.steering_field,
+                                        "wheel" if options.steering_wheel else "road")
+        # Scale of the number to rad and left +; ratio [1] and offset [rad] of the steering wheel.
+        self._scale, (self._ratio, self._offset) = options.steering_scale, options.steering_wheel or (1.0, 0.0)
         self._node = Node("player")
         self._clock = self._node.create_publisher(Clock, "/clock", QoSProfile(depth=DEPTH))
         self._followers = [] if self._rate > 0 else [
@@ -147,9 +129,9 @@ class Player:
                     self._report((clock_ns - first) * 1e-9, total)
                 if self.stop:
                     break
-                if self._translator and connection.topic == self._steering:
+                if self._field and connection.topic == self._steering:
                     message = reader.deserialize(data, connection.msgtype)
-                    publishers[connection.topic].publish(self._translator.steering(message, log_ns))
+                    publishers[connection.topic].publish(self._translated(message, self._field, log_ns))
                 else:
                     publishers[connection.topic].publish(bytes(data))
             self._advance(clock_ns + CLOCK_STEP_NS, first, began)
@@ -168,12 +150,20 @@ class Player:
             elif connection.topic.endswith(ORIGIN) and connection.msgtype == "sensor_msgs/msg/NavSatFix":
                 self._played[connection.topic] = ORIGIN
             if connection.topic in self._played and connection.topic not in publishers:
-                translated = self._translator and connection.topic == self._steering
+                translated = self._field and connection.topic == self._steering
                 message_type = Steering if translated else message_class(connection.msgtype)
                 name = self._played[connection.topic]
                 qos = LATCHED if name == ORIGIN else QoSProfile(depth=DEPTH)
                 publishers[connection.topic] = self._node.create_publisher(message_type, name, qos)
         return publishers
+
+    def _translated(self, message: Any, field: SteeringField, log_ns: int) -> Steering:
+        value = self._scale * steering_value(self._bag, message, field)
+        wheel = value if field.quantity == "wheel" else math.nan
+        translated = Steering(steering_wheel_angle=wheel, road_wheel_angle=(value - self._offset) / self._ratio,
+                              valid=math.isfinite(value))
+        translated.header.stamp = from_nanoseconds(instant_of(message, log_ns))
+        return translated
 
     def _wait_for_subscribers(self, publishers: Sequence[Publisher]) -> bool:
         """Whether recorder, predictor and evaluator have subscribed to odometry, steering and clock in time."""

@@ -12,6 +12,7 @@ from st_core.planned_inputs import PlannedInputs
 from st_core.prediction import Predictor, Start
 from st_core.types import InputSequence
 from st_core.vehicle import VehicleParameters
+from st_msgs.msg import InputPlan
 from st_recordings.runs.ncom import origin_offset
 from st_ros import diagnostics
 from st_ros.diagnostics import Check
@@ -29,9 +30,7 @@ class PlanInput:
     """Subscribes to plan/inputs. A plan that cannot be used is refused with its reason; forecasts then hold inputs."""
 
     def __init__(self, node: Node, frame: str, vehicle: VehicleParameters):
-        self._subscription = None
-        if convert.PLAN:
-            self._subscription = PolledSubscription(node, convert.PLAN, "plan/inputs", QoSProfile(depth=QUEUE_DEPTH))
+        self._subscription = PolledSubscription(node, InputPlan, "plan/inputs", QoSProfile(depth=QUEUE_DEPTH))
         self._frame, self._vehicle = frame, vehicle
         self._plan: PlannedInputs | str | None = None
         self._received_at = float("-inf")
@@ -40,7 +39,7 @@ class PlanInput:
 
     def drain(self) -> None:
         """Take the waiting messages."""
-        for message, _, _ in self._subscription.take(QUEUE_DEPTH) if self._subscription else ():
+        for message, _, _ in self._subscription.take(QUEUE_DEPTH):
             self._counts["received"] += 1
             self._plan = convert.planned_inputs(message, self._frame, self._vehicle)
             self._received_at = time.monotonic()
@@ -63,8 +62,6 @@ class PlanInput:
 
     def check(self, predicts: bool) -> Check:
         """For the diagnostics. predicts: whether the newest tick made predictions."""
-        if self._subscription is None:
-            return Check("plan", diagnostics.OK, "off: st_msgs was built without InputPlan; build the workspace")
         if not predicts:
             return Check("plan", diagnostics.OK, NOT_USED, self._counts)
         if self._plan is None:

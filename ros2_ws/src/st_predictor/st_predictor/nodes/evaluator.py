@@ -15,7 +15,7 @@ from st_core.evaluation import ErrorStatistics, Evaluator, Mode, Score
 from st_core.models import get_model
 from st_core.prediction import predict
 from st_core.types import ControlInput, Trajectory, VehicleState
-from st_msgs.msg import ErrorSummary, Prediction, PredictionError
+from st_msgs.msg import ErrorSummary, PlannedPrediction, Prediction, PredictionError
 from st_recordings.mcap import BagWriter, Qos
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
@@ -63,13 +63,11 @@ class EvaluatorNode(Node):
         self._refused = ""
         self._bag, self._bag_topics = self._open_bag(values, settings)
         qos = QoSProfile(depth=QUEUE_DEPTH)
-        self._predictions: dict[tuple[Mode, str], PolledSubscription] = {}
-        for model in self._models:
-            self._predictions["forecast", model] = PolledSubscription(
-                self, Prediction, f"predictor/{model}/prediction", qos)
-            for mode in convert.OTHER_MODES if convert.PLANNED else ():
-                self._predictions[mode, model] = PolledSubscription(
-                    self, convert.PLANNED, f"predictor/{model}/{mode}", qos)
+        self._predictions: dict[tuple[Mode, str], PolledSubscription] = {
+            **{("forecast", model): PolledSubscription(self, Prediction, f"predictor/{model}/prediction", qos)
+               for model in self._models},
+            **{(mode, model): PolledSubscription(self, PlannedPrediction, f"predictor/{model}/{mode}", qos)
+               for mode in convert.OTHER_MODES for model in self._models}}
         error_qos = QoSProfile(depth=ERROR_DEPTH)
         self._error_publisher = self.create_publisher(PredictionError, "evaluator/errors", error_qos)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -2,7 +2,6 @@
 
 import math
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 
 from nav_msgs.msg import Odometry
@@ -10,7 +9,6 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from st_core.identification.online import NAMES, OnlineFit, OnlineIdentifier, Tracked, fit_recent
-from st_core.vehicle import VehicleParameters
 from st_msgs.msg import Steering, TrackedParameter, TrackedParameters
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
@@ -29,21 +27,13 @@ LEVELS = {"unestimated": diagnostics.OK, "estimated": diagnostics.OK, "invalid":
 FAR_OFF = 3.0  # standard deviations from the vehicle file's value, beyond which an estimate is a warning
 
 
-@dataclass(frozen=True)
-class _Source:
-    """A vehicle file and its text, to detect a change."""
-
-    text: str
-    vehicle: VehicleParameters
-
-
 class IdentifierNode(Node):
     def __init__(self) -> None:
         super().__init__("identifier")
         self._values = parameters.declare(self, params.IDENTIFIER)
         self._file = Path(self._values.vehicle_file)
-        vehicle = params.load_vehicle(self._values)
-        self._source = _Source(self._file.read_text(), vehicle)
+        self._vehicle = vehicle = params.load_vehicle(self._values)
+        self._text = self._file.read_text()
         self._problem = ""
         self._core = OnlineIdentifier(vehicle)
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="fit")
@@ -90,7 +80,7 @@ class IdentifierNode(Node):
 
     def _publish(self) -> None:
         self._reload_vehicle_file()
-        vehicle, seconds = self._source.vehicle, self._core.seconds
+        vehicle, seconds = self._vehicle, self._core.seconds
         message = TrackedParameters(vehicle=vehicle.name, vehicle_hash=vehicle.hash, resets=self._resets,
                                     seconds_used=seconds.used, seconds_rejected=float(sum(seconds.rejected.values())))
         message.header.stamp = self.get_clock().now().to_msg()
@@ -104,15 +94,15 @@ class IdentifierNode(Node):
         """Reset the estimates when the values of the vehicle file have changed; an unreadable file changes nothing."""
         try:
             text = self._file.read_text()
-            if text == self._source.text:
+            if text == self._text:
                 self._problem = ""
                 return
             vehicle = params.load_vehicle(self._values)
         except (OSError, UnicodeDecodeError, ConfigurationError) as error:
             self._problem = " ".join(str(error).split())
             return
-        changed = vehicle.hash != self._source.vehicle.hash
-        self._source, self._problem = _Source(text, vehicle), ""
+        changed = vehicle.hash != self._vehicle.hash
+        self._vehicle, self._text, self._problem = vehicle, text, ""
         if changed:
             self._core.reset(vehicle)
             self._fit = None  # a fit that still runs is of the old file
@@ -121,7 +111,7 @@ class IdentifierNode(Node):
             self.get_logger().info(f"{self._file} has changed: all estimates are reset")
 
     def _file_value(self, one: Tracked) -> float:
-        return float(getattr(self._source.vehicle, one.parameter, 1.0))
+        return float(getattr(self._vehicle, one.parameter, 1.0))
 
     def _checks(self) -> list[Check]:
         seconds = self._core.seconds

@@ -17,7 +17,7 @@ from st_core.filtering import NANOSECOND
 from st_core.models import get_model
 from st_core.prediction import Predictor, Skip, Start, configuration_hash
 from st_core.types import InputSequence, InsSample, Trajectory
-from st_msgs.msg import Prediction, PredictorStatus
+from st_msgs.msg import PlannedPrediction, Prediction, PredictorStatus
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
 
@@ -147,8 +147,8 @@ class PredictorNode(Node):
                     self.create_publisher(Prediction, f"predictor/{model}/prediction", qos))
             for model in self._core.models
         }
-        self._other_outputs = {(mode, model): self.create_publisher(convert.PLANNED, f"predictor/{model}/{mode}", qos)
-                               for mode in convert.OTHER_MODES for model in self._core.models if convert.PLANNED}
+        self._other_outputs = {(mode, model): self.create_publisher(PlannedPrediction, f"predictor/{model}/{mode}", qos)
+                               for mode in convert.OTHER_MODES for model in self._core.models}
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._status_publisher = self.create_publisher(PredictorStatus, "predictor/status", latched)
 
@@ -233,7 +233,7 @@ class PredictorNode(Node):
     def _publish_other(self, start: Start, mode: Mode, inputs: InputSequence, plan_ns: int,
                        issued: dict[str, dict[Mode, Trajectory]]) -> None:
         """Predictions of all models with the inputs of a plan or course, added to `issued`."""
-        for model in self._outputs if convert.PLANNED else ():
+        for model in self._outputs:
             began = time.perf_counter()
             own = self._core.model_inputs(model, inputs)
             trajectory = self._core.run(start, model, own)
