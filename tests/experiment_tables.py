@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 from st_core.identification.cg_height import Lift
-from st_core.identification.magic_formula import FlatPlank, force
+from st_core.identification.magic_formula import FlatPlank
 from st_core.identification.mass_and_cg import Weighings
 from st_core.identification.steering_ratio import Turntable
+from st_core.tyres import tyre_force
 from st_core.vehicle import VehicleParameters
 
 SCALE_NOISE, SCALE_ERROR, SCALE_STEP = 0.8, 0.5, 0.5  # kg: from weighing to weighing, of a scale, of its display
@@ -69,7 +70,7 @@ def flat_plank(car: VehicleParameters, tyre: str, seed: int) -> FlatPlank:
     random = np.random.default_rng(seed)
     slip = np.tile(np.radians(np.arange(-12.0, 12.5, 1.0)), 3)
     load = np.repeat([3300.0, 4250.0, 5200.0], len(slip) // 3) + random.normal(0.0, LOAD_NOISE, len(slip))
-    true = force(load, slip, getattr(car, tyre)._replace(lambda_ky=1.0))
+    true = tyre_force(slip, load, getattr(car, tyre)._replace(lambda_ky=1.0))
     return FlatPlank(tyre, load, slip, true + random.normal(0.0, FORCE_NOISE, len(slip)), tyre)
 
 

@@ -45,12 +45,6 @@ class LogPrediction:
     time: np.ndarray
     states: np.ndarray
 
-    def __getattr__(self, name: str) -> np.ndarray:
-        """x, y, velocity_x, velocity_y, yaw, yaw_rate: (n, k)."""
-        if name not in STATE_NAMES:
-            raise AttributeError(name)
-        return self.states[:, :, STATE_NAMES.index(name)]
-
 
 @dataclass(frozen=True, eq=False)
 class Recording:

@@ -293,7 +293,10 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
         method="time frame", verdict=Verdict.GOOD, overlap=float(time[-1] - time[0]),
     )
     # Of the offsets, not of what the line leaves of them: a step has tilted the line.
-    step = clock_step([WindowLag(t, v, scale) for t, v in _thinned(time - middle, offset - np.median(offset))])
+    edges = np.linspace(0, len(time), min(len(time), MOST_WINDOWS) + 1).astype(int)
+    usual = float(np.median(offset))
+    step = clock_step([WindowLag(float(np.median(time[a:b])) - middle, float(np.median(offset[a:b])) - usual, scale)
+                       for a, b in pairwise(edges)])
     if step and abs(step[1]) > STEP_TOO_LARGE:
         return replace(result, verdict=Verdict.REFUSED, reasons=(step_reason(step[1], step[0]),))
     doubts = []
@@ -313,9 +316,3 @@ def _medians(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarra
         return time, value
     groups = list(pairwise(edges))
     return np.array([np.median(time[a:b]) for a, b in groups]), np.array([np.median(value[a:b]) for a, b in groups])
-
-
-def _thinned(time: np.ndarray, value: np.ndarray) -> list[tuple[float, float]]:
-    """At most MOST_WINDOWS medians of neighbours."""
-    edges = np.linspace(0, len(time), min(len(time), MOST_WINDOWS) + 1).astype(int)
-    return [(float(np.median(time[a:b])), float(np.median(value[a:b]))) for a, b in pairwise(edges)]

@@ -89,6 +89,12 @@ def magic_formula_force(slip, stiffness_factor, peak, curvature, tyre: MagicForm
     return peak * sin(tyre.p_cy1 * tyre.lambda_cy * atan(x - e * (x - atan(x))))
 
 
+def tyre_force(slip, load, tyre: MagicFormula):
+    """F_y [N] of one tyre at a slip angle [rad] and load [N]."""
+    b, d, e = magic_formula_coefficients(load, tyre)
+    return magic_formula_force(slip, b, d, e, tyre)
+
+
 def stiffness_scale(cornering_stiffness: float, static_load: float, tyre: MagicFormula) -> float:
     """lambda_ky = C / (2 |K|) [1], K at lambda_ky = 1 and the static load of ONE tyre [N]; C of the AXLE [N/rad].
 

@@ -93,9 +93,6 @@ def test_only_the_points_asked_for(leaf, log, backend):
     some = predict_log("nonlinear", leaf, log, starts, 3.0, points=(0.5, 1.0, 3.0), backend=backend)
     np.testing.assert_array_equal(some.states, whole.states[:, [10, 20, 60]])
     np.testing.assert_allclose(some.time, [0.5, 1.0, 3.0])
-    np.testing.assert_array_equal(some.yaw, some.states[:, :, 4])
-    with pytest.raises(AttributeError):
-        _ = some.heading
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

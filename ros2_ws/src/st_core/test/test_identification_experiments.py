@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from experiment_tables import axle_lift, flat_plank, turntable, weighings
 from st_core.identification.cg_height import LiftedCar, cg_height, pitch_from_lift
-from st_core.identification.magic_formula import fit_tyre, force, magic_formula
+from st_core.identification.magic_formula import fit_tyre, magic_formula
 from st_core.identification.mass_and_cg import mass_and_cg, swapped_axles
 from st_core.identification.result import IdentificationError
 from st_core.identification.steering_ratio import steering_ratio
-from st_core.tyres import magic_formula_coefficients, magic_formula_stiffness
+from st_core.tyres import magic_formula_coefficients, magic_formula_stiffness, tyre_force
 
 SEEDS = range(50)
 NEEDED = 45
@@ -201,7 +201,7 @@ def test_flat_plank_finds_forces_and_parameters(leaf, tyre):
         fitted = start_of(leaf, tyre)._replace(lambda_ky=1.0, **values)
         for load in (3300.0, 4250.0, 5200.0):
             peak = magic_formula_coefficients(load, truth)[1]
-            worst.append(np.abs(force(load, grid, fitted) - force(load, grid, truth)).max() / peak)
+            worst.append(np.abs(tyre_force(grid, load, fitted) - tyre_force(grid, load, truth)).max() / peak)
     assert set(hits) == {"p_cy1", "p_dy1", "p_dy2", "p_ey1", "p_ey2", "p_ky1", "p_ky2", "p_ky4"}
     assert min(hits.values()) >= NEEDED, hits
     assert max(worst) < 0.01

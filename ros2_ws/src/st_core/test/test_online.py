@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from driven import Sensors, drive
 from st_core.augmented import augment
-from st_core.identification.online import NAMES, OnlineIdentifier
+from st_core.identification.online import NAMES, OnlineIdentifier, fit_recent
 from st_core.types import InsSample
 from winding_road import Truth, winding_road
 
@@ -21,7 +21,8 @@ def track(car, rows, tracker=None):
         time = round(row[0] * 1e9) + 1
         tracker.add_steering(time, row[7])
         tracker.add_ins(InsSample(time, *row[1:7]))
-        tracker.update()
+        if tracker.due:
+            tracker.take(fit_recent(*tracker.snapshot()))
     return tracker
 
 

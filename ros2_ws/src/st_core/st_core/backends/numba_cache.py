@@ -30,7 +30,9 @@ def enable(kernel, fingerprint: str) -> Path | None:
     key = hashlib.sha256("\n".join((fingerprint, *_surroundings())).encode()).hexdigest()[:32]
     for base in _candidates():
         try:
-            folder = _make(base, key)
+            folder = base / key
+            folder.mkdir(parents=True, exist_ok=True)
+            os.utime(folder)  # marks it as used; fails in another user's folder
             _attach(kernel, folder, key)
         except (OSError, RuntimeError, AttributeError):  # not writable, or another numba
             continue
@@ -67,13 +69,6 @@ def _candidates() -> Iterator[Path]:
     yield Path(__file__).parent / "__pycache__" / "kernels"
     with contextlib.suppress(RuntimeError):  # no home
         yield Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "st_core" / "kernels"
-
-
-def _make(base: Path, key: str) -> Path:
-    folder = base / key
-    folder.mkdir(parents=True, exist_ok=True)
-    os.utime(folder)  # marks it as used; fails in another user's folder
-    return folder
 
 
 def _attach(kernel, folder: Path, key: str) -> None:

@@ -39,7 +39,6 @@ PLACES = {
     "sensor_heading": ("rad", "on the heading of the INS"),
 }
 """Where a law can act: unit, and meaning with its sign."""
-GRAVITY = 9.81
 
 
 class Car(NamedTuple):
@@ -48,8 +47,7 @@ class Car(NamedTuple):
 
 
 def load(vehicle) -> Car:
-    per_length = GRAVITY * vehicle.mass / vehicle.wheelbase
-    return Car(per_length * vehicle.cg_to_rear_axle, per_length * vehicle.cg_to_front_axle)
+    return Car(2.0 * vehicle.static_tyre_load_front, 2.0 * vehicle.static_tyre_load_rear)
 
 
 def bump(t):

@@ -8,7 +8,6 @@ of it. With its own slope and limit it is within 2 % of the peak of brush and Ma
 """
 
 from ..ops import sqrt
-from ..tyres import GRAVITY
 from ._base import Effect, Parameter, register
 
 PARAMETERS = (
@@ -38,7 +37,7 @@ class FrontSaturation(Effect):
 
     @staticmethod
     def constants(vehicle):
-        return GRAVITY * vehicle.mass * vehicle.cg_to_rear_axle / vehicle.wheelbase
+        return 2.0 * vehicle.static_tyre_load_front
 
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, at, given, theta):

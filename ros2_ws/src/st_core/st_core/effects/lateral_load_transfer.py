@@ -16,7 +16,7 @@ from ..models.nonlinear_tyre import Parameters as TyreParameters
 from ..models.nonlinear_tyre import axle_loads
 from ..models.nonlinear_tyre import parameters as tyre_parameters
 from ..ops import sin, tan
-from ..tyres import magic_formula_coefficients, magic_formula_force
+from ..tyres import tyre_force
 from ._base import Effect, Parameter, register
 
 
@@ -24,12 +24,6 @@ class Car(NamedTuple):
     tyres: TyreParameters
     track_width: float
     load_transfer_front: float
-
-
-def tyre_force(slip, load, tyre):
-    """One tyre [N]."""
-    b, d, e = magic_formula_coefficients(load, tyre)
-    return magic_formula_force(slip, b, d, e, tyre)
 
 
 def pair(slip, load, moved, tyre):

@@ -1,6 +1,5 @@
 """Saturation of a linear rear axle, without a tyre curve in the vehicle file; the equation of `front_saturation`."""
 
-from ..tyres import GRAVITY
 from ._base import Effect, register
 from .front_saturation import PARAMETERS, saturated
 
@@ -18,7 +17,7 @@ class RearSaturation(Effect):
 
     @staticmethod
     def constants(vehicle):
-        return GRAVITY * vehicle.mass * vehicle.cg_to_front_axle / vehicle.wheelbase
+        return 2.0 * vehicle.static_tyre_load_rear
 
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, at, given, theta):

@@ -45,7 +45,7 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
              & (np.abs(run.velocity_x * run.yaw_rate) <= MAXIMUM_ACCELERATION) for run in runs]
     kept, times = list(zip(runs, masks, strict=True)), [run.time for run in runs]
     covered = (coverage("speed", "m/s", SPEED_EDGES[:5], [run.velocity_x[m] for run, m in kept], times, 5.0, 1),
-               coverage("curvature", "1/m", CURVATURE_EDGES, [(run.yaw_rate / run.velocity_x)[m] for run, m in kept],
+               coverage("curvature", "1/m", CURVATURE_EDGES, [run.yaw_rate[m] / run.velocity_x[m] for run, m in kept],
                         times, 2.0, 3))
     require(covered, "Drive slowly (2 to 8 m/s): straight on, and bends to both sides.")
     columns = [_columns(run, mask, vehicle) for run, mask in kept]

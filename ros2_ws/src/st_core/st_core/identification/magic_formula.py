@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from ..regression import correlation_of
-from ..tyres import MagicFormula, magic_formula_coefficients, magic_formula_force, magic_formula_stiffness
+from ..tyres import MagicFormula, magic_formula_stiffness, tyre_force
 from ..vehicle import TYRE_QUANTITIES
 from .bounded_fit import CurveFit, Residuals, fit_curve, profile_interval
 from .result import Coverage, Estimate, Identification, IdentificationError, Status, strong_correlations
@@ -156,12 +156,6 @@ class TyreFit:
         return float(value), float(math.sqrt(max(gradient @ self.fit.covariance @ gradient, 0.0)))
 
 
-def force(table_load: np.ndarray, slip: np.ndarray, tyre: MagicFormula) -> np.ndarray:
-    """F_y (n,) of one tyre at loads [N] and slip angles [rad]."""
-    stiffness_factor, peak, curvature = magic_formula_coefficients(table_load, tyre)
-    return magic_formula_force(slip, stiffness_factor, peak, curvature, tyre)
-
-
 def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
     """The fit in two stages, then of all at once. start: nominal_load, and what is not fitted.
 
@@ -221,7 +215,7 @@ def magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
     grid = np.linspace(data.slip.min(), data.slip.max(), 121)
     figure = {"tyre": data.tyre, "load": data.load, "slip": data.slip, "force": data.force, "levels": levels,
               "level": level, "residuals": fit.residuals, "grid": grid, "names": found.names[:-1],
-              "curves": np.stack([force(load, grid + fit.values[-1], tyre) for load in levels]),
+              "curves": np.stack([tyre_force(grid + fit.values[-1], load, tyre) for load in levels]),
               "stiffness": np.array([found.stiffness(load) for load in levels])}
     warnings = [*_warnings(data, found, peak), *strong_correlations([e.parameter for e in estimates], correlation,
                                                                     0.98)]
@@ -256,7 +250,7 @@ def _load_dependency(data: FlatPlank, first: MagicFormula, free: Sequence[str]) 
     start = {"p_dy2": -0.1, "p_ey2": 0.0, "p_ky2": 2.0, "p_ky4": 2.0}
 
     def residuals(values: np.ndarray) -> np.ndarray:
-        return force(data.load, data.slip, tyre(np.moveaxis(values, -1, 0)[..., None])) - data.force
+        return tyre_force(data.slip, data.load, tyre(np.moveaxis(values, -1, 0)[..., None])) - data.force
 
     return tyre(fit_curve(residuals, [[start[k] for k in free]], low, high).values.tolist())
 
@@ -270,7 +264,7 @@ def _fit(data: FlatPlank, starts: Sequence[MagicFormula], names: Sequence[str]) 
 def _residuals(data: FlatPlank, start: MagicFormula, names: Sequence[str]) -> Residuals:
     def residuals(values: np.ndarray) -> np.ndarray:
         columns = np.moveaxis(values, -1, 0)[..., None]
-        return force(data.load, data.slip + columns[-1], _with(start, names, columns)) - data.force
+        return tyre_force(data.slip + columns[-1], data.load, _with(start, names, columns)) - data.force
 
     return residuals
 
@@ -300,7 +294,7 @@ def _warnings(data: FlatPlank, found: TyreFit, peak: float) -> list[str]:
         sentences.append(f"The curves are shifted by {math.degrees(shift):+.2f} deg of slip angle (conicity, "
                          "plysteer, or the wheel's zero); the models' tyre is symmetric and leaves that out.")
     grid = np.linspace(data.slip.min(), data.slip.max(), 61)
-    apart = max(float(np.abs(force(load, grid, found.staged) - force(load, grid, found.tyre)).max())
+    apart = max(float(np.abs(tyre_force(grid, load, found.staged) - tyre_force(grid, load, found.tyre)).max())
                 for load in found.levels)
     if apart > 0.01 * peak:
         sentences.append(f"Nominal load first and all loads at once differ by up to {apart:.0f} N, "

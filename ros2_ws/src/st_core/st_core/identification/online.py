@@ -174,11 +174,6 @@ class OnlineIdentifier:
         """The result of a fit to a snapshot."""
         self._fit = fit
 
-    def update(self) -> None:
-        """Fit now, where one is due."""
-        if self.due:
-            self.take(fit_recent(*self.snapshot()))
-
     def tracked(self) -> tuple[Tracked, ...]:
         """What is known of each parameter; a value that is not estimated carries the reason."""
         missing, trouble = self._missing(), self._trouble()
