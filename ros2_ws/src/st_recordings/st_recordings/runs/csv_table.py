@@ -119,14 +119,14 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
     rows = _rows(file, body, delimiter, len(names), warnings)
     warnings += [f"{file}: column {place.name} is there {names.count(place.name)} times; the first is used"
                  for place in places.values() if place.name and names.count(place.name) > 1]
-    if "t" in places:
-        places = {**places, "t": _with_epoch_unit(file, rows, places["t"], warnings)}
     with np.errstate(over="ignore"):
         columns = {channel: rows[:, place.column] * place.factor for channel, place in places.items()}
+    if "t" in places:
+        columns["t"] = _seconds(file, rows[:, places["t"].column], places["t"], warnings)
     columns = {channel: np.where(np.isfinite(values), values, np.nan) for channel, values in columns.items()}
     if "t" not in columns:
         return Table(file, tuple(names), places, columns, np.empty(0, np.int64), 0, np.empty(0, bool), tuple(warnings))
-    seconds = _of_days(file, columns.pop("t"), places["t"], warnings)
+    seconds = columns.pop("t")
     timed = np.abs(seconds) <= LATEST
     if not timed.any() and np.isfinite(seconds).any():
         raise RunError(file, f"times like {np.nanmax(np.abs(seconds)):.3g} in column {places['t'].name} are not in "
@@ -237,31 +237,20 @@ def _of_stamp(text: str) -> tuple[float, float] | None:
     return seconds + (dated - date(1970, 1, 1)).days * DAY, 0.0
 
 
-def _with_epoch_unit(file: Path, rows: np.ndarray, place: Place, warnings: list[str]) -> Place:
-    """The place of the time with its unit, if that follows from times since 1970."""
-    times = np.abs(rows[:, place.column])
-    times = times[np.isfinite(times)]
-    if place.stated or not len(times) or np.median(times) <= LATEST:
-        return place
-    for unit in ("ms", "us", "ns"):
-        found = replace(place, unit=unit)
-        if _EPOCH[0] <= np.median(times) * found.factor <= _EPOCH[1]:
-            warnings.append(f"{file}: times of column {place.name} are taken as {unit} since 1970")
-            return found
-    return place
-
-
-def _of_days(file: Path, seconds: np.ndarray, place: Place, warnings: list[str]) -> np.ndarray:
-    """The times in seconds where they are days since year 0 or 1900: no logger has steps of some microseconds."""
-    steps = np.diff(seconds[np.isfinite(seconds)])
-    if place.stated or not steps.any() or np.median(np.abs(steps)) > 2e-5:
-        return seconds
-    for origin, tool in _DAYS:
-        found = (seconds - origin) * DAY
-        if _EPOCH[0] <= np.nanmedian(found) <= _EPOCH[1]:
-            warnings.append(f"{file}: times of column {place.name} are taken as days of {tool} (UTC)")
-            return found
-    return seconds
+def _seconds(file: Path, times: np.ndarray, place: Place, warnings: list[str]) -> np.ndarray:
+    """Times [s] by their unit; without one, since 1970 where they are such times in ms, us, ns or days."""
+    finite = times[np.isfinite(times)]
+    median, steps = np.median(np.abs(finite)) if len(finite) else 0.0, np.abs(np.diff(finite))
+    meanings: list[tuple[float, float, str]] = []
+    if median > LATEST:
+        meanings = [(0.0, UNITS["time"][unit][0], f"{unit} since 1970") for unit in ("ms", "us", "ns")]
+    elif steps.any() and np.median(steps) < 2e-5:  # no logger is as fast
+        meanings = [(origin, DAY, f"days of {tool} (UTC)") for origin, tool in _DAYS]
+    for origin, factor, meaning in meanings if not place.stated else ():
+        if _EPOCH[0] <= (median - origin) * factor <= _EPOCH[1]:
+            warnings.append(f"{file}: times of column {place.name} are taken as {meaning}")
+            return (times - origin) * factor
+    return times * place.factor
 
 
 def _with_points(file: Path, body: str, delimiter: str) -> str:
