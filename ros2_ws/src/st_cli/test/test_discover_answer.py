@@ -98,7 +98,7 @@ def test_a_file_that_holds_one_of_two_names_says_so(logs):
     assert any("the first of yaw inertia × 0.8600 or mass × 1.020; these drives do not separ" in t for t in told)
     more = replace(found, minor=found.effects)
     told = report_text.to_do(more, replace(mended, text="name: x", error=(0.33, 0.31)))
-    assert any("alone it changes the position error after 5 s from 0.33 m to 0.31 m" in t for t in told)
+    assert any("alone it reduces the position error after 5 s by 6%" in t for t in told)
 
 
 def test_changes_of_the_vehicle_file_have_their_unit():

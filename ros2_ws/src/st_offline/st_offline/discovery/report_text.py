@@ -308,8 +308,8 @@ def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
     if update is not None and update.folded:
         entries = (keys(update.changes) if len(update.changes) <= MAX_KEYS else
                    f"{len(update.changes)} entries are corrected")
-        alone = (f"; alone it changes the position error after 5 s from {metres(update.error[0])} to "
-                 f"{metres(update.error[1])}" if found.minor or found.effective else "")
+        alone = (f"; alone it reduces the position error after 5 s by {1.0 - update.error[1] / update.error[0]:.0%}"
+                 if (found.minor or found.effective) and update.error[0] > 0.0 else "")
         lines.append(f"use vehicle.yaml: {entries}, for {', '.join(map(plain, update.folded))}{alone}")
         lines += [f"vehicle.yaml contains the first of {by_any_name(found, e)}; these drives do not separate them: "
                   "measure one of them on the car" for e in found.effects if e.name in update.folded and e.alternatives]
