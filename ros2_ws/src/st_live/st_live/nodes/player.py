@@ -102,7 +102,9 @@ class Player:
             self._field = SteeringField(options.steering, options.steering_field,
                                         "wheel" if options.steering_wheel else "road")
         # Scale of the number to rad and left +; ratio [1] and offset [rad] of the steering wheel.
-        self._scale, (self._ratio, self._offset) = options.steering_scale, options.steering_wheel or (1.0, 0.0)
+        self._scale: float = options.steering_scale
+        wheel: Sequence[float] = options.steering_wheel or (1.0, 0.0)
+        self._ratio, self._offset = wheel
         self._node = Node("player")
         self._clock = self._node.create_publisher(Clock, "/clock", QoSProfile(depth=DEPTH))
         self._followers = [] if self._rate > 0 else [
