@@ -36,12 +36,13 @@ from .recordings import write
 Work = importlib.import_module("st_core.discovery.discover")._Work  # the package exports the function of that name
 PAGE = project_root() / "docs" / "measurements" / "discovery_limits.md"
 LINES = project_root() / ".st" / "strangers" / "ablation.jsonl"
-DIVERSE = ("light_ev_ratio", "suv_worn_rear", "van_lever", "escort_ratio", "saloon_worn_front", "bmw_320i_gyro_bias")
+DIVERSE = ("light_ev_ratio", "suv_worn_rear", "van_lever", "escort_ratio", "saloon_worn_front", "bmw_320i_gyro_bias",
+           "hatchback_load", "light_ev_load", "estate_healthy")
 FACTORS = (0.5, 2.0)
-LIMITS = ("file", "peak", "unexplained_share", "left")
+LIMITS = ("file", "size", "peak", "unexplained_share", "left")
 CONSTANTS = {"UNNAMED": evidence, "TRUSTED": fit, "ACTS": axles, "STEEPEST": axles, "SLOPE_AT": axles, "DRAWS": axles,
              "GAIN_SPEED": axles}
-SEARCHED = ("file", "TRUSTED")
+SEARCHED = ("file", "size", "TRUSTED")
 """Numbers that act during the search; all others after it."""
 
 
