@@ -300,12 +300,6 @@ def _unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
     return unit
 
 
-def _number(value: object) -> float:
-    """Number that cantools returns without choices."""
-    assert isinstance(value, int | float)
-    return value
-
-
 def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
     """Raises TableError for a layout that cannot reach both sides of its range: unsigned, a wheel never turns right."""
     low, high = spec.minimum, spec.maximum
@@ -315,7 +309,7 @@ def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
         return
     raw_low = -(2 ** (spec.dbc.length - 1)) if spec.dbc.is_signed else 0
     raw_high = raw_low + 2**spec.dbc.length - 1
-    physical = [_number(spec.dbc.conversion.raw_to_scaled(raw, decode_choices=False)) for raw in (raw_low, raw_high)]
+    physical = [raw * spec.dbc.scale + spec.dbc.offset for raw in (raw_low, raw_high)]
     if spec.sign_signal is not None:
         physical += [-value for value in physical]
     ends = [(spec.gain * value + spec.bias) / spec.factor for value in physical]

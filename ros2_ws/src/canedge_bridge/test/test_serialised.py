@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
-from canedge_bridge.convert import serialised_frame, serialised_frames
+from canedge_bridge.node import serialised_frame, serialised_frames
 from rclpy.serialization import deserialize_message, serialize_message
 from st_msgs.msg import CanFrame, CanFrames
 
