@@ -293,9 +293,8 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
         method="time frame", verdict=Verdict.GOOD, overlap=float(time[-1] - time[0]),
     )
     # Of the offsets, not of what the line leaves of them: a step has tilted the line.
-    edges = np.linspace(0, len(time), min(len(time), MOST_WINDOWS) + 1).astype(int)
-    usual = float(np.median(offset))
-    step = clock_step([WindowLag(float(np.median(time[a:b])) - middle, float(np.median(offset[a:b])) - usual, scale)
+    usual, edges = np.median(offset), np.linspace(0, len(time), min(len(time), MOST_WINDOWS) + 1).astype(int)
+    step = clock_step([WindowLag(float(np.median(time[a:b])) - middle, float(np.median(offset[a:b]) - usual), scale)
                        for a, b in pairwise(edges)])
     if step and abs(step[1]) > STEP_TOO_LARGE:
         return replace(result, verdict=Verdict.REFUSED, reasons=(step_reason(step[1], step[0]),))

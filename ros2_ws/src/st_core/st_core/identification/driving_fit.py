@@ -19,6 +19,15 @@ from ..discovery.loss import Errors, Loss
 from ..discovery.settings import DiscoverySettings
 from ..discovery.space import Space
 from ..discovery.windows import STEP, Windows
+from ..effects.front_stiffness import FrontStiffness
+from ..effects.heading_misalignment import HeadingMisalignment
+from ..effects.rear_stiffness import RearStiffness
+from ..effects.sensor_lever_arm import SensorLeverArm
+from ..effects.steering_delay import SteeringDelay
+from ..effects.steering_offset import SteeringOffset
+from ..effects.steering_ratio import SteeringRatio
+from ..effects.tyre_relaxation import TyreRelaxation
+from ..effects.yaw_inertia import YawInertia
 from ..errors import StCoreError
 from ..filtering import NANOSECOND
 from ..log import DriveLog
@@ -27,7 +36,7 @@ from ..regression import Spread, blocks
 from ..vehicle import VehicleParameters
 from .result import IdentificationError
 
-MISALIGNMENT, DELAY, RELAXATION = "ins_misalignment", "steering_delay", "tyre_relaxation"
+MISALIGNMENT, DELAY, RELAXATION = "ins_misalignment", SteeringDelay.name, TyreRelaxation.name
 ROUNDS, SETTLED = 6, 0.02
 """Fits with the scale of the errors left by the one before, and the relative change of it at which they end."""
 NEAR_BOUND = 1e-3
@@ -60,21 +69,21 @@ def _scaled(effect: str, key: str, unit: str) -> FreeParameter:
 
 def _offset(car: VehicleParameters, values: Values) -> float:
     """delta = (delta_h - o_file) / (factor i_file) + angle, so o = o_file - angle factor i_file."""
-    factor = values.get("steering_ratio.factor", 1.0)
-    return car.steering_wheel_offset - values["steering_offset.angle"] * factor * car.steering_ratio
+    factor = values.get(f"{SteeringRatio.name}.factor", 1.0)
+    return car.steering_wheel_offset - values[f"{SteeringOffset.name}.angle"] * factor * car.steering_ratio
 
 
 FREE: Mapping[str, FreeParameter] = {
-    "cornering_stiffness_front": _scaled("front_stiffness", "cornering_stiffness_front", "N/rad"),
-    "cornering_stiffness_rear": _scaled("rear_stiffness", "cornering_stiffness_rear", "N/rad"),
-    "yaw_inertia": _scaled("yaw_inertia", "yaw_inertia", "kg m^2"),
-    "steering_ratio": _scaled("steering_ratio", "steering_ratio", "1"),
-    "steering_wheel_offset": FreeParameter("steering_offset", "rad", _offset, usual=0.02),
+    "cornering_stiffness_front": _scaled(FrontStiffness.name, "cornering_stiffness_front", "N/rad"),
+    "cornering_stiffness_rear": _scaled(RearStiffness.name, "cornering_stiffness_rear", "N/rad"),
+    "yaw_inertia": _scaled(YawInertia.name, "yaw_inertia", "kg m^2"),
+    "steering_ratio": _scaled(SteeringRatio.name, "steering_ratio", "1"),
+    "steering_wheel_offset": FreeParameter(SteeringOffset.name, "rad", _offset, usual=0.02),
     "cg_to_ins_x": FreeParameter(
-        "sensor_lever_arm", "m", lambda car, values: car.cg_to_ins_x + values["sensor_lever_arm.x"], usual=0.1),
+        SensorLeverArm.name, "m", lambda car, values: car.cg_to_ins_x + values[f"{SensorLeverArm.name}.x"], usual=0.1),
     # Heading the unit reports too far to the left.
-    MISALIGNMENT: FreeParameter("heading_misalignment", "rad", lambda car, values: values["heading_misalignment.angle"],
-                                usual=0.005),
+    MISALIGNMENT: FreeParameter(HeadingMisalignment.name, "rad",
+                                lambda car, values: values[f"{HeadingMisalignment.name}.angle"], usual=0.005),
     # The wheels after the measured angle.
     DELAY: FreeParameter(DELAY, "s", lambda car, values: values[f"{DELAY}.time"], usual=0.02),
     # Distance rolled until 63 % of a slip step is force.

@@ -56,15 +56,14 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
 
     regressors = np.stack([speed, rate, speed**2 * rate], axis=1)
     theta, spread, _ = group.regression(regressors, across)
-    covariance = spread.covariance
     estimates = [_estimate("cg_to_ins_x", theta[1] - vehicle.cg_to_rear_axle, spread, 1, 1.0, "m", used,
                            f"{theta[1]:.3f} m ahead of the rear axle", 0.1),
                  _estimate(MISALIGNMENT, -theta[0], spread, 0, 1.0, "rad", used,
                            f"{np.rad2deg(-theta[0]):+.2f} deg, reported heading against the car's axis", 0.005)]
-    correlation = correlation_of(covariance[np.ix_([1, 0], [1, 0])] * np.array([[1, -1], [-1, 1]]))
-    together = correlation_of(covariance)[1:, 1:]
+    correlation = correlation_of(spread.covariance[np.ix_([1, 0], [1, 0])] * np.array([[1, -1], [-1, 1]]))
+    together = correlation_of(spread.covariance)[1:, 1:]
     warnings = [*noticed, *strong_correlations(["lever arm", "rear slip"], together),
-                _stiffness_words(theta[2], covariance[2, 2], vehicle)]
+                _stiffness_words(theta[2], spread.covariance[2, 2], vehicle)]
     across_estimate = _across(speed, rate, angle, group, vehicle, used)
     if isinstance(across_estimate, str):
         warnings.append(across_estimate)

@@ -61,11 +61,7 @@ def mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncertainty: f
         raise IdentificationError(f"the weighings of one loading differ by {np.ptp(masses):.1f} kg of {mass:.1f} kg: "
                                   "not the same car; weigh again, or note what was in it")
     scatter = np.cov(masses, distances) / n if n > 1 else np.zeros((2, 2))
-    # d l_f / d reading: -l_f / m in front, (l - l_f) / m behind.
-    slopes = np.array([-front, -front, wheelbase - front, wheelbase - front]) / mass
-    gradient = np.stack([np.ones(4), slopes])
-    covariance = scatter + weighings.scale_uncertainty**2 * gradient @ gradient.T
-    covariance[1, 1] += (front / wheelbase * wheelbase_uncertainty) ** 2
+    covariance = scatter + _scale_covariance(weighings.scale_uncertainty, mass, front, wheelbase, wheelbase_uncertainty)
     spreads = np.sqrt(np.diag(covariance)).tolist()
     intervals = [symmetric_interval(value, spreads[i], welch_freedom(scatter[i, i], covariance[i, i], n - 1))
                  for i, value in enumerate((mass, front))]
@@ -79,12 +75,7 @@ def mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncertainty: f
                  f"{100 * (1 - front / wheelbase):.1f} % of the load is on the front axle and {100 * left:.1f} % on "
                  f"the left wheels, so the CG is {front:.3f} m behind the front axle."),
     )
-    warnings = []
-    mean = chosen.mean(axis=0)
-    cross = (mean[0] + mean[3]) / mean.sum()
-    if abs(cross - 0.5) > 0.02:
-        warnings.append(f"The diagonal front left + rear right carries {100 * cross:.1f} %: the car is twisted between "
-                        "its wheels, or the floor under the scales is uneven; mass and CG along the car stay right.")
+    warnings = _side_warnings(chosen.mean(axis=0))
     if n == 1:
         warnings.append("One weighing: its interval rests on the scales' uncertainty alone. Roll the car off and on "
                         "and weigh again, three times at least.")
@@ -124,3 +115,19 @@ def _checked(weighings: Weighings) -> np.ndarray:
         raise IdentificationError(f"scale uncertainty {weighings.scale_uncertainty:g} kg: give the standard "
                                   "uncertainty of one scale, above 0")
     return readings
+
+
+def _scale_covariance(scale: float, mass: float, front: float, wheelbase: float, wheelbase_spread: float) -> np.ndarray:
+    """Covariance of (mass, l_f) by the four scales' own errors and the wheelbase's."""
+    # d l_f / d reading: -l_f / m in front, (l - l_f) / m behind.
+    gradient = np.stack([np.ones(4), np.array([-front, -front, wheelbase - front, wheelbase - front]) / mass])
+    covariance = scale**2 * gradient @ gradient.T
+    covariance[1, 1] += (front / wheelbase * wheelbase_spread) ** 2
+    return covariance
+
+
+def _side_warnings(mean: np.ndarray) -> list[str]:
+    cross = (mean[0] + mean[3]) / mean.sum()
+    return [] if abs(cross - 0.5) <= 0.02 else [
+        f"The diagonal front left + rear right carries {100 * cross:.1f} %: the car is twisted between its wheels, or "
+        "the floor under the scales is uneven; mass and CG along the car stay right."]
