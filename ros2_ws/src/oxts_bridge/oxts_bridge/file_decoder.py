@@ -123,10 +123,6 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
     has_status = _HAS_STATUS[status]
     gps_ns, order, jumps = _times(raw, status, milliseconds, (channel == 0) & has_status)
     kind = _KIND[status]
-    # UTC offsets apply from the packet that carries them on.
-    carry = np.flatnonzero((channel == UTC_CHANNEL) & _HAS_MINUTE[status])
-    offsets = _UTC_OFFSET[raw[carry, BATCH_S.stop - 1]]
-    carry, offsets = carry[offsets != _NO_OFFSET], offsets[offsets != _NO_OFFSET]
     _trigger_times(raw, kind, gps_ns, order)
     heading, pitch, roll = _i24(buffer, n, ncom.ANGLES_AT, ncom.ANGLE_UNIT)
 
@@ -138,7 +134,7 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
         kind=kind,
         order=order,
         gps_ns=gps_ns,
-        utc_ns=utc_times(gps_ns, UNKNOWN_TIME, carry, offsets),
+        utc_ns=_utc_times(raw, status, channel, gps_ns),
         milliseconds=milliseconds,
         navigation_status=status,
         channel=channel,
@@ -159,6 +155,14 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
     _count(columns)
     _mask(columns)
     return columns
+
+
+def _utc_times(raw: np.ndarray, status: np.ndarray, channel: np.ndarray, gps_ns: np.ndarray) -> np.ndarray:
+    """UTC [ns]; an offset applies from the packet that carries it on."""
+    carry = np.flatnonzero((channel == UTC_CHANNEL) & _HAS_MINUTE[status])
+    offsets = _UTC_OFFSET[raw[carry, BATCH_S.stop - 1]]
+    known = offsets != _NO_OFFSET
+    return utc_times(gps_ns, UNKNOWN_TIME, carry[known], offsets[known])
 
 
 def _times(raw: np.ndarray, status: np.ndarray, milliseconds: np.ndarray,

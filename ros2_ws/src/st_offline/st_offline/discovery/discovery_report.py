@@ -119,7 +119,7 @@ def write_page(file: Path, found: Discovery, update: VehicleUpdate | None, conte
 
 def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Table]]:
     """The folded tables of the page, narrow and wide ones, each sorted by the size of what it lists."""
-    plain, metres = quantities.plain, quantities.metres
+    metres = quantities.metres
     channels = []
     for name, g in sorted(found.gap.items(), key=lambda item: item[1].augmented / max(item[1].base, 1e-12)):
         up, unit = quantities.factor(g.unit), quantities.shown_unit(g.unit)
@@ -138,13 +138,6 @@ def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Tabl
                      f"{c.interval[0]:.4g} to {c.interval[1]:.4g}", f"{c.file:.4g}")
                     for c in sorted(found.combinations, key=lambda c: -abs(c.value - c.file)
                                     / max(c.interval[1] - c.interval[0], 1e-12))]
-    tried = [c for c in found.candidates if c.name not in {e.name for e in (*found.effects, *found.minor)}]
-    candidates = [(plain(c.name), quantities.fitted(c.name, c.parameters), f"{100 * c.gain:.1f}", c.verdict, c.why)
-                  for c in sorted(tried, key=lambda c: (c.verdict not in VERDICTS, -c.gain))[:MAX_ROWS]]
-    hidden = [(plain(n.name), n.reason, n.manoeuvre) for n in sorted(
-        found.not_testable, key=lambda n: report_text.rank(n.name))[:MAX_ROWS]]
-    options = found.next_manoeuvre.options if found.next_manoeuvre else {}
-    driven = ", ".join(f"{name} {strength:.1f}" for name, strength in sorted(options.items(), key=lambda o: -o[1]))
     narrow = [
         Table("Corrections of the vehicle file", "The values and intervals of the effects, in the keys and SI units of "
               "the file.", ("key", "file given", "vehicle.yaml", "95 %"), changes),
@@ -160,7 +153,19 @@ def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Tabl
         Table("What acts together", "Predictions depend on these. A single effect has another interval: it also "
               "depends on the deviations of the vehicle file.", ("combination", "value", "95 %", "vehicle file"),
               combinations)]
-    wide = [
+    return {"narrow": [one for one in narrow if one.rows], "wide": [one for one in _wide_tables(found) if one.rows]}
+
+
+def _wide_tables(found: Discovery) -> list[Table]:
+    plain = quantities.plain
+    tried = [c for c in found.candidates if c.name not in {e.name for e in (*found.effects, *found.minor)}]
+    candidates = [(plain(c.name), quantities.fitted(c.name, c.parameters), f"{100 * c.gain:.1f}", c.verdict, c.why)
+                  for c in sorted(tried, key=lambda c: (c.verdict not in VERDICTS, -c.gain))[:MAX_ROWS]]
+    hidden = [(plain(n.name), n.reason, n.manoeuvre) for n in sorted(
+        found.not_testable, key=lambda n: report_text.rank(n.name))[:MAX_ROWS]]
+    options = found.next_manoeuvre.options if found.next_manoeuvre else {}
+    driven = ", ".join(f"{name} {strength:.1f}" for name, strength in sorted(options.items(), key=lambda o: -o[1]))
+    return [
         Table("Names that are not separable", "Apart: what the first leaves unexplained of the second."
               + (f" After the next drive, of the pair it separates least: {driven}." if driven else ""),
               report_text.PAIR_HEAD, report_text.pair_rows(found)),
@@ -170,7 +175,6 @@ def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Tabl
               f"the first {len(candidates)} of {len(tried)}; all in discovery.json"),
         Table("What these drives cannot show", "", ("effect", "why", "drive"), hidden,
               f"the first {len(hidden)} of {len(found.not_testable)}")]
-    return {"narrow": [one for one in narrow if one.rows], "wide": [one for one in wide if one.rows]}
 
 
 def _limit(key: str, value: float) -> str:

@@ -293,8 +293,8 @@ def corrections(found: Discovery) -> list[str]:
     return [f"{names}{fall}: improves the prediction, not a property; in model.yaml, marked effective"]
 
 
-def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
-    """What the user may do with the answer."""
+def _vehicle_lines(found: Discovery, update: VehicleUpdate | None) -> list[str]:
+    """What the user may do about the vehicle file."""
     lines = []
     if update is not None and not update.text and not update.improves:
         where = f", and increase it in {', '.join(update.worse)}" if update.worse else ""
@@ -313,6 +313,12 @@ def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
         lines.append(f"use vehicle.yaml: {entries}, for {', '.join(map(plain, update.folded))}{alone}")
         lines += [f"vehicle.yaml contains the first of {by_any_name(found, e)}; these drives do not separate them: "
                   "measure one of them on the car" for e in found.effects if e.name in update.folded and e.alternatives]
+    return lines
+
+
+def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
+    """What the user may do with the answer."""
+    lines = _vehicle_lines(found, update)
     for name, change_of in (update.kept if update is not None else {}).items():
         lines.append(f"{plain(name)} is in model.yaml: these recordings contain the road wheel angle, or play in the "
                      "steering acts before it, and no entry of a vehicle file corrects that; for recordings of the "

@@ -115,15 +115,19 @@ def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
                for key, change in _changes(request.vehicle, car).items()}
     if SLIP_SPEED in changes:  # it follows from the others
         changes[SLIP_SPEED] = (*changes[SLIP_SPEED][:2], car.minimum_slip_speed, car.minimum_slip_speed)
-    runs, date = [run for run in found.runs if run.role == "suspect"], f"{datetime.now(UTC):%Y-%m-%d}"
-    source = (f"st discover, {date}, {len(runs)} run{'' if len(runs) == 1 else 's'}, "
-              f"{sum(run.seconds for run in runs):.0f} s: {', '.join(e.name for e in folded)}")
-    about = Provenance(None, "st discover", ", ".join(run.name for run in runs), date)
-    text = updated_text(request, car, changes, source, about)
+    text = updated_text(request, car, changes, *_origin(found, folded))
     vehicle = VehicleParameters.from_yaml(text, "vehicle.yaml")
     shown = {key: change for key, change in changes.items() if not key.endswith("lambda_ky")}
     return VehicleUpdate(vehicle, text, model, tuple(effect.name for effect in folded), shown, kept, error,
                          worse, objections(vehicle, request.vehicle))
+
+
+def _origin(found: Discovery, folded: Sequence[type[Effect]]) -> tuple[str, Provenance]:
+    """(source of the values, provenance of the file)."""
+    runs, date = [run for run in found.runs if run.role == "suspect"], f"{datetime.now(UTC):%Y-%m-%d}"
+    source = (f"st discover, {date}, {len(runs)} run{'' if len(runs) == 1 else 's'}, "
+              f"{sum(run.seconds for run in runs):.0f} s: {', '.join(e.name for e in folded)}")
+    return source, Provenance(None, "st discover", ", ".join(run.name for run in runs), date)
 
 
 def _held_out_error(found: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],

@@ -110,8 +110,8 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         signals = task.settings.signals(run.log)
         bands = load_bands(task, models)
         scorer = Scorer(bands, signals) if bands else None
-        adaptive = AdaptiveScorer(bands, signals, times(task.settings.prediction.horizon, task.settings.prediction.step)
-                                  ) if task.adaptive else None
+        until = times(task.settings.prediction.horizon, task.settings.prediction.step)
+        adaptive = AdaptiveScorer(bands, signals, until) if task.adaptive else None
 
         def watch(starts: np.ndarray, block: Block) -> None:
             for one in filter(None, (scorer, adaptive)):
@@ -126,19 +126,9 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
             if isinstance(findings, Refused):
                 raise findings
     marks.append(time.perf_counter())
-    if not any(errors.n_starts for errors in evaluation.errors.values()):
-        length = float(evaluation.horizon[-1])
-        why = ", ".join(f"{reason} ({count} starts)" for reason, count in
-                        {**evaluation.skipped, **evaluation.incomplete}.items())
-        raise RunError(source.where, f"nothing to score: {why}" if run.log.overlap >= length else
-                       f"nothing to score: INS and steering overlap for {run.log.overlap:.1f} s, one horizon is "
-                       f"{length:g} s")
-    folder = task.folder / "runs" / slug(source.name) if task.folder else None
-    if folder:
-        folder.mkdir(parents=True, exist_ok=True)
-        write_starts(folder / "starts.csv", evaluation)
-    place = Place(folder, task.formats, f"{slug(source.name)}-")
-    figures = run_figures(Drawing(evaluation, models, task.vehicle, signals, task.starts, place))
+    _require_scores(source, run, evaluation)
+    figures = run_figures(Drawing(evaluation, models, task.vehicle, signals, task.starts,
+                                  _place(task, source.name, evaluation)))
     marks.append(time.perf_counter())
     about = {
         "duration": run.log.duration, "overlap": run.log.overlap, "n_predictions": len(evaluation.starts_ns),
@@ -155,6 +145,28 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         source.name, "", ranking(evaluation), about, tables.by_model(evaluation), tables.by_second(evaluation),
         tables.by_bin(evaluation), tables.by_manoeuvre(evaluation, parts), figures, sums,
         dict(zip(("read", "predict", "draw"), np.diff(marks).tolist(), strict=True)))
+
+
+def _place(task: Task, name: str, evaluation: LogEvaluation) -> Place:
+    """Where the figures of a run go; the folder also gets starts.csv."""
+    folder = task.folder / "runs" / slug(name) if task.folder else None
+    if folder:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_starts(folder / "starts.csv", evaluation)
+    return Place(folder, task.formats, f"{slug(name)}-")
+
+
+def _require_scores(source: RunSource, run: LoadedRun, evaluation: LogEvaluation) -> None:
+    """Raises RunError with the reasons if no prediction was scored."""
+    if any(errors.n_starts for errors in evaluation.errors.values()):
+        return
+    length = float(evaluation.horizon[-1])
+    if run.log.overlap < length:
+        raise RunError(source.where, f"nothing to score: INS and steering overlap for {run.log.overlap:.1f} s, one "
+                       f"horizon is {length:g} s")
+    skipped = {**evaluation.skipped, **evaluation.incomplete}
+    raise RunError(source.where, "nothing to score: " + ", ".join(
+        f"{reason} ({count} starts)" for reason, count in skipped.items()))
 
 
 def _findings(source: RunSource, run: LoadedRun, task: Task, models: Sequence[Model]) -> list[dict[str, Any]] | Refused:
