@@ -127,8 +127,8 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
                 raise findings
     marks.append(time.perf_counter())
     _require_scores(source, run, evaluation)
-    figures = run_figures(Drawing(evaluation, models, task.vehicle, signals, task.starts,
-                                  _place(task, source.name, evaluation)))
+    place = _place(task, source.name, evaluation)
+    figures = run_figures(Drawing(evaluation, models, task.vehicle, signals, task.starts, place))
     marks.append(time.perf_counter())
     about = {
         "duration": run.log.duration, "overlap": run.log.overlap, "n_predictions": len(evaluation.starts_ns),
@@ -136,11 +136,10 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         "labels": "given" if run.labels else "detected", "alignment": about_alignment(run.alignment),
         "warnings": list(run.warnings), "provenance": dict(run.provenance), "inputs_ahead": list(ahead),
         "findings": findings}
-    sums: dict[str, Any] = {}
+    sums: dict[str, Any] = adaptive.sums() if adaptive else {}
     if scorer:
-        sums = scorer.sums(run.provenance["files"]) | share_sums(models, task.vehicle, signals, task.settings,
-                                                                 intervals_of(model_files(task)))
-    sums |= adaptive.sums() if adaptive else {}
+        shares = share_sums(models, task.vehicle, signals, task.settings, intervals_of(model_files(task)))
+        sums = scorer.sums(run.provenance["files"]) | shares | sums
     return RunReport(
         source.name, "", ranking(evaluation), about, tables.by_model(evaluation), tables.by_second(evaluation),
         tables.by_bin(evaluation), tables.by_manoeuvre(evaluation, parts), figures, sums,
