@@ -1,6 +1,6 @@
 """Physical values of DBC signals: one frame for the live bridge, all frames of a log as arrays.
 
-cantools decodes single frames. A log is decoded in columns, equal to its values to the last bit. Checked by:
+cantools decodes single frames. A log is decoded in columns, bit-identical to the values of cantools. Checked by:
 test_extraction.py, test_log_decode.py.
 """
 
@@ -16,30 +16,30 @@ from cantools.database.can import Signal as DbcSignal
 EXTENDED = 0x8000_0000
 """Added to the identifier of a 29-bit frame in the `ids` of `decode_log`."""
 PADDING = frozenset((0x00, 0x55, 0xAA, 0xCC, 0xFF))
-"""Bytes with which controllers fill a frame up to the next length it can have."""
+"""Bytes that controllers append to fill a frame up to the next valid length."""
 
 
 def without_padding(data: bytes, length: int) -> bytes | None:
-    """The first `length` bytes of a frame; None for a frame that is shorter, or longer by anything but padding."""
-    rest = data[length:]
-    if len(data) < length or (rest and (rest[0] not in PADDING or rest.count(rest[0]) != len(rest))):
+    """The first `length` bytes of a frame; None if it is shorter, or if anything but padding follows."""
+    tail = data[length:]
+    if len(data) < length or (tail and (tail[0] not in PADDING or tail.count(tail[0]) != len(tail))):
         return None
     return data[:length]
 
 
 def has_length(payload: np.ndarray, lengths: np.ndarray, length: int) -> np.ndarray:
-    """Frames that `without_padding` takes: (n,) bool of payload (n, width) and lengths (n,) in bytes."""
+    """Mask (n,) of the frames that `without_padding` accepts. payload: (n, width) uint8. lengths: (n,), in bytes."""
     fits = lengths == length
     longer = np.flatnonzero(lengths > length)
     if longer.size:
-        rest = payload[longer, length:]
+        tail = payload[longer, length:]
         inside = np.arange(length, payload.shape[1]) < lengths[longer, None]
-        fits[longer] = np.isin(rest[:, 0], list(PADDING)) & ((rest == rest[:, :1]) | ~inside).all(axis=1)
+        fits[longer] = np.isin(tail[:, 0], list(PADDING)) & ((tail == tail[:, :1]) | ~inside).all(axis=1)
     return fits
 
 
 def decode_frame(message: DbcMessage, data: bytes) -> Mapping[str, float]:
-    """DBC name -> physical value of the signals that a frame carries. data: as many bytes as the message has."""
+    """DBC name -> physical value of the signals that a frame carries. data: exactly as long as the message."""
     try:
         return cast("dict[str, float]", message.decode(data, decode_choices=False))
     except DecodeError:  # a selector value that the DBC does not list: the other signals are valid
@@ -48,18 +48,21 @@ def decode_frame(message: DbcMessage, data: bytes) -> Mapping[str, float]:
 
 
 def gates(message: DbcMessage, signal: DbcSignal) -> list[tuple[DbcSignal, frozenset[int]]]:
-    """(selector, its raw values) that must all hold for a multiplexed signal to be in a frame; empty for others."""
-    found = []
+    """Conditions for a multiplexed signal to be in a frame: (selector, raw values it may have), from the inside out.
+
+    All must hold; empty for a signal that is not multiplexed.
+    """
+    conditions = []
     while signal.multiplexer_signal:
         selector = message.get_signal_by_name(signal.multiplexer_signal)
-        found.append((selector, frozenset(signal.multiplexer_ids or ())))
+        conditions.append((selector, frozenset(signal.multiplexer_ids or ())))
         signal = selector
-    return found
+    return conditions
 
 
 @dataclass(frozen=True)
 class MessageColumns:
-    """All frames of one message. rows: their places in the arrays given. signals: DBC name -> physical values, NaN
+    """All frames of one message. rows: their indices in the input arrays. signals: DBC name -> physical values, NaN
     where a multiplexed signal is not in the frame."""
 
     rows: np.ndarray
@@ -68,7 +71,7 @@ class MessageColumns:
 
 def decode_log(database: Any, ids: np.ndarray, payload: np.ndarray, lengths: np.ndarray,
                messages: Iterable[str] | None = None) -> dict[str, MessageColumns]:
-    """Every frame of the messages of a DBC, in the order given; a message without a frame is left out.
+    """Decoded frames by message name, each message in input order; messages without a frame are left out.
 
     database: from `signals.load_dbc`. ids: (n,) integer, plus EXTENDED for 29-bit frames. payload: (n, 8 or more)
     uint8, bytes after the frame's end are ignored. lengths: (n,) bytes in the frame; a frame that is shorter than in
@@ -78,13 +81,14 @@ def decode_log(database: Any, ids: np.ndarray, payload: np.ndarray, lengths: np.
     payload = np.ascontiguousarray(payload, dtype=np.uint8)
     ids, lengths = np.asarray(ids, dtype=np.uint32), np.asarray(lengths)
     if payload.ndim != 2 or payload.shape[0] != ids.size or payload.shape[1] < 8 or lengths.shape != ids.shape:
-        raise ValueError(f"expected (n,), (n, 8 or more), (n,), not {ids.shape}, {payload.shape}, {lengths.shape}")
-    chosen = database.messages if messages is None else map(database.get_message_by_name, messages)
+        raise ValueError("ids, payload, lengths: expected shapes (n,), (n, 8 or more), (n,), "
+                         f"not {ids.shape}, {payload.shape}, {lengths.shape}")
+    selected = database.messages if messages is None else map(database.get_message_by_name, messages)
     # numpy sorts 16-bit integers by radix, several times as fast; only 29-bit identifiers need more.
     order = np.argsort(ids.astype(np.uint16) if ids.size and ids.max() < 2**16 else ids, kind="stable")
     sorted_ids = ids[order]
     decoded = {}
-    for message in chosen:
+    for message in selected:
         key = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
         first, last = np.searchsorted(sorted_ids, [key, key + 1])
         rows = order[first:last]
@@ -98,8 +102,8 @@ def raw_column(signal: DbcSignal, payload: np.ndarray) -> np.ndarray:
     """The bits of one signal in (n, width) payload bytes, right-aligned uint64."""
     first, lead = signal.start // 8, 7 - signal.start % 8 if signal.byte_order == "big_endian" else signal.start % 8
     window = np.zeros((len(payload), 9), np.uint8)
-    there = payload[:, first : first + 9]
-    window[:, : there.shape[1]] = there
+    available = payload[:, first : first + 9]
+    window[:, : available.shape[1]] = available
     mask = np.uint64((1 << signal.length) - 1)
     end = lead + signal.length
     if signal.byte_order == "little_endian":

@@ -1,4 +1,4 @@
-"""Diagnostics of the CAN bridge."""
+"""Diagnostic checks of the CAN bridge."""
 
 import time
 from collections.abc import Callable
@@ -11,55 +11,55 @@ from .receiver import BusState, ReceiverStatus
 
 _LEVELS = {BusState.OK: OK, BusState.SILENT: WARN, BusState.ERROR_PASSIVE: WARN, BusState.BUS_OFF: ERROR,
            BusState.DOWN: ERROR, BusState.GONE: ERROR}
-# After the start a bus is given this long before a missing signal is an error.
-_GRACE = 2.0
+# A signal missing for this long after the start is not an error yet [s].
+_START_UP_TIME = 2.0
 
 
 class Health:
-    """Builds the checks from the counts of the decoder and the receiver; the rates are since the call before."""
+    """Builds the checks from the counts of the decoder and the receiver; rates are averages since the previous call."""
 
     def __init__(self, bus_name: str, decoder: Decoder, receiver_status: Callable[[], ReceiverStatus],
                  now_ns: Callable[[], int]):
-        """now_ns: the clock that the frames are stamped with [ns since 1970]."""
+        """now_ns: clock that stamps the frames [ns since 1970]."""
         self._bus_name = bus_name
         self._decoder = decoder
         self._receiver_status = receiver_status
         self._now_ns = now_ns
-        self._started = self._before = time.monotonic()
-        self._frames_before = 0
+        self._started_at = self._rated_at = time.monotonic()
+        self._previous_frames = 0
         self._rate = 0.0
-        self._bad_before = 0
-        self._good_before: dict[str, int] = {}
+        self._previous_bad = 0
+        self._previous_good: dict[str, int] = {}
         self._rates: dict[str, float] = {}
 
     def checks(self) -> list[Check]:
         implausible = self._decoder.implausible_signals()
-        plausibility = Check("plausibility", OK, "decoded signals are possible")
+        plausibility = Check("plausibility", OK, "all decoded signals are plausible")
         if implausible:
             plausibility = Check("plausibility", ERROR, "; ".join(implausible) + "; the signal is withheld")
-        return [self._bus(), self._needed(), self._frames(), plausibility]
+        return [self._bus(), self._signals(), self._frames(), plausibility]
 
     def _bus(self) -> Check:
         status = self._receiver_status()
         now = time.monotonic()
-        # Called out of turn when the bus changes: a rate over a few milliseconds would be noise.
-        elapsed = now - self._before
+        # Every change of the bus state calls this as well: a rate over a few milliseconds would be noise.
+        elapsed = now - self._rated_at
         if elapsed > 0.5:
-            self._rate = (status.frames - self._frames_before) / elapsed
-            self._before, self._frames_before = now, status.frames
+            self._rate = (status.frames - self._previous_frames) / elapsed
+            self._rated_at, self._previous_frames = now, status.frames
             good = {name: self._decoder.statistics(name).good for name in self._decoder.table.messages}
-            self._rates = {name: (count - self._good_before.get(name, 0)) / elapsed for name, count in good.items()}
-            self._good_before = good
+            self._rates = {name: (count - self._previous_good.get(name, 0)) / elapsed for name, count in good.items()}
+            self._previous_good = good
         values = {
             "state": status.state, "rate [frames/s]": self._rate, "frames": status.frames,
             "error frames": status.error_frames, "last error frame": status.last_error, "times opened": status.opened,
             "failures": status.failures, "frames not handled": status.callback_errors,
             "receive delay median [ms]": 1e3 * status.delay, "receive delay maximum [ms]": 1e3 * status.delay_maximum,
         }
-        what = f"{self._bus_name} {status.state}" + (f": {status.reason}" if status.reason else "")
-        return Check("bus", _LEVELS[status.state], what, values)
+        text = f"{self._bus_name} {status.state}" + (f": {status.reason}" if status.reason else "")
+        return Check("bus", _LEVELS[status.state], text, values)
 
-    def _needed(self) -> Check:
+    def _signals(self) -> Check:
         now_ns = self._now_ns()
         values: dict[str, Any] = {}
         missing: list[str] = []
@@ -70,16 +70,17 @@ class Health:
             for signal in message.signals:
                 values[f"{signal.name} ({message.name}) age [s]"] = "never seen" if age is None else age
             names = ", ".join(s.name for s in message.signals)
-            late = "no frame yet" if age is None else f"no good frame for {age:.1f} s"
+            fault = "no frame yet" if age is None else f"no good frame for {age:.1f} s"
             if age is None and message.needed:
-                missing.append(f"{names} ({message.name}): {late}")
+                missing.append(f"{names} ({message.name}): {fault}")
             elif age is not None and age > message.timeout:
-                (missing if message.needed else stale).append(f"{names} ({message.name}): {late}")
-        if missing and time.monotonic() - self._started > _GRACE:
+                (missing if message.needed else stale).append(f"{names} ({message.name}): {fault}")
+        if missing and time.monotonic() - self._started_at > _START_UP_TIME:
             return Check("signals", ERROR, "; ".join(missing), values)
         if stale:
             return Check("signals", WARN, "; ".join(stale), values)
-        return Check("signals", OK, "waiting for the first frames" if missing else "needed signals are fresh", values)
+        text = "waiting for the first frames" if missing else "needed signals are up to date"
+        return Check("signals", OK, text, values)
 
     def _frames(self) -> Check:
         values: dict[str, Any] = {}
@@ -98,7 +99,7 @@ class Health:
                     + counts.implausible)
         values["unknown identifiers"] = self._decoder.frames.unknown
         values["remote frames"] = self._decoder.frames.remote
-        new, self._bad_before = bad - self._bad_before, bad
+        new, self._previous_bad = bad - self._previous_bad, bad
         if new:
             return Check("frames", WARN, f"{new} bad frames since the last report, {bad} since start", values)
         return Check("frames", OK, f"no bad frame since the last report, {bad} since start", values)

@@ -32,9 +32,9 @@ from .transport import check_channel, id_filters, open_bus
 QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 FRAMES_PERIOD = 0.1  # s; raw frames are not time-critical
 
-_LITTLE_ENDIAN = b"\0\1\0\0"  # what CDR begins with
-_FRAME = struct.Struct("<iII4?I")  # stamp, id, flags, length of the data
-_STAMP = 8  # bytes of it
+_LITTLE_ENDIAN = b"\0\1\0\0"  # header of a CDR message
+_FRAME = struct.Struct("<iII4?I")  # stamp (8 bytes), identifier, flags, data length
+_STAMP_SIZE = 8
 _WHEEL_SPEEDS = {
     "wheel_speed_front_left": "front_left", "wheel_speed_front_right": "front_right",
     "wheel_speed_rear_left": "rear_left", "wheel_speed_rear_right": "rear_right", "vehicle_speed": "vehicle_speed",
@@ -192,28 +192,28 @@ def _read_vehicle(file: str) -> VehicleParameters:
 
 def to_wheel_speeds(decoded: Decoded) -> WheelSpeeds | None:
     """st_msgs/WheelSpeeds; None if the frame has no speed."""
-    fields = _picked(decoded, _WHEEL_SPEEDS)
+    fields = _message_fields(decoded, _WHEEL_SPEEDS)
     return WheelSpeeds(header=_header(decoded.time_ns), valid=decoded.valid, **fields) if fields else None
 
 
 def to_ins_on_can(decoded: Decoded) -> InsOnCan | None:
     """st_msgs/InsOnCan; None if the frame has no signal of the INS."""
-    fields = _picked(decoded, _INS)
+    fields = _message_fields(decoded, _INS)
     return InsOnCan(header=_header(decoded.time_ns), **fields) if fields else None
 
 
 def serialised_frame(frame: can.Message, time_ns: int) -> bytes:
-    """st_msgs/CanFrame as CDR, aligned to four bytes: a tenth of what filling and serialising a message costs."""
+    """st_msgs/CanFrame as CDR, padded to four bytes; ten times faster than filling and serialising a message."""
     data, (seconds, nanoseconds) = bytes(frame.data), divmod(time_ns, 1_000_000_000)
     return _FRAME.pack(seconds, nanoseconds, frame.arbitration_id, frame.is_extended_id, frame.is_error_frame,
                        frame.is_remote_frame, frame.is_fd, len(data)) + data + bytes(-len(data) % 4)
 
 
 def serialised_frames(frames: list[bytes], bus: str) -> bytes:
-    """st_msgs/CanFrames as CDR. frames: of `serialised_frame`, at least one, in order of arrival. bus:
+    """st_msgs/CanFrames as CDR. frames: at least one `serialised_frame`, in order of arrival. bus:
     interface:channel."""
     name = bus.encode() + b"\0"
-    head = frames[0][:_STAMP] + struct.pack("<I", len(name)) + name + bytes(-len(name) % 4)
+    head = frames[0][:_STAMP_SIZE] + struct.pack("<I", len(name)) + name + bytes(-len(name) % 4)
     return b"".join((_LITTLE_ENDIAN, head, struct.pack("<I", len(frames)), *frames))
 
 
@@ -221,8 +221,8 @@ def _header(time_ns: int) -> Header:
     return Header(stamp=from_nanoseconds(time_ns))
 
 
-def _picked(decoded: Decoded, names: dict[str, str]) -> dict[str, float]:
-    """The message fields this frame fills, the others NaN; empty if it fills none."""
+def _message_fields(decoded: Decoded, names: dict[str, str]) -> dict[str, float]:
+    """Value of each message field, NaN where the frame has none; empty if the frame fills no field."""
     if not any(name in decoded.values for name in names):
         return {}
     return {field: decoded.values.get(name, math.nan) for name, field in names.items()}

@@ -1,6 +1,6 @@
 """The receive side of a CAN bus: one supervised thread that opens, reads, detects faults and reconnects.
 
-python-can's Notifier is not used: its thread ends at the first exception, and with it the data, for good.
+python-can's Notifier is not used: its thread ends at the first exception, and no data arrive after that.
 """
 
 import errno
@@ -16,14 +16,16 @@ import can
 
 from .transport import link_is_up
 
+# Delay before the bus is reopened [s], doubled after each failure.
 BACK_OFF_FIRST, BACK_OFF_LAST = 0.1, 5.0
-# Longest time that recv blocks [s]: the delay with which stop(), silence and a removed interface are detected.
-_POLL = 0.2
-# All controllers report entering error-passive, some do not report leaving it: assumed after this time without an
-# error frame [s].
-_PASSIVE_FOR = 5.0
-# Some adapters stamp with the time since power-on; a stamp this far from the host's clock is of another clock [ns].
-_FOREIGN_CLOCK_NS = 86_400 * 10**9
+# Timeout of recv [s]; stop(), silence and a removed interface are detected within it.
+_RECEIVE_TIMEOUT = 0.2
+# All controllers report entering error-passive, but some do not report leaving it: the state ends after this time
+# without an error frame [s].
+_ERROR_PASSIVE_TIMEOUT = 5.0
+# Some adapters stamp frames with the time since power-on: a stamp further from the host's clock than this is replaced
+# by the host's time [ns].
+_MAX_STAMP_OFFSET_NS = 86_400 * 10**9
 
 
 class BusState(StrEnum):
@@ -31,7 +33,7 @@ class BusState(StrEnum):
 
     OK = "ok"                        # frames are received
     SILENT = "silent"                # open, no error, but no frame for a while
-    ERROR_PASSIVE = "error-passive"  # so many errors that the controller no longer reports errors on the bus
+    ERROR_PASSIVE = "error-passive"  # after many errors, the controller no longer signals errors on the bus
     BUS_OFF = "bus-off"              # the controller has disconnected itself
     DOWN = "down"                    # the interface exists but is switched off
     GONE = "gone"                    # no such interface, or it cannot be opened
@@ -39,10 +41,10 @@ class BusState(StrEnum):
 
 @dataclass
 class ReceiverStatus:
-    """Snapshot: state, reason (one line, empty without a fault) and counts since start.
+    """Snapshot of the receiver: state, reason (one line, empty without a fault) and counts since the start.
 
-    delay, delay_maximum: from the receive stamp until the frame was handed over [s], median and maximum of the last
-    frames; NaN before the first.
+    delay, delay_maximum: from the receive stamp to the callback [s], median and maximum of the last 512 frames; NaN
+    before the first.
     """
 
     state: BusState = BusState.GONE
@@ -60,12 +62,12 @@ class ReceiverStatus:
 class Receiver:
     """Calls `on_frame(frame, time_ns)` in its own thread for every frame, data and error frames alike.
 
-    open_bus: opens the bus; called again, after 0.1 s doubling to 5 s, as long as it raises.
+    open_bus: opens the bus; retried while it raises, after 0.1 s, doubled up to 5 s.
     on_state(state, reason): called in the same thread at every change of state or reason.
     silence: seconds without a frame after which an open bus counts as silent.
-    network_interface: its name, to detect that it is switched off or removed, which not every socket reports; "" for
-    a bus without one.
-    An exception in `on_frame` is counted, passed to `on_trouble` and does not end the thread.
+    network_interface: name of the interface, to detect that it is down or removed, which not every socket reports; ""
+    for a bus without one.
+    on_trouble: called with every exception of a callback or of closing the bus; none ends the thread.
     """
 
     def __init__(self, open_bus: Callable[[], can.BusABC], on_frame: Callable[[can.Message, int], None], *,
@@ -85,7 +87,7 @@ class Receiver:
         self._bus: can.BusABC | None = None
         self._back_off = BACK_OFF_FIRST
         self._last_frame_at = 0.0
-        self._last_error_frame = 0.0
+        self._last_error_frame_at = 0.0
         self._thread = threading.Thread(target=self._run, name="can receiver", daemon=True)
 
     def start(self) -> None:
@@ -114,9 +116,9 @@ class Receiver:
                 self._last_frame_at = time.monotonic()
                 with self._lock:
                     self._status.opened += 1
-                self._set(BusState.SILENT, "no frame yet")
-            except Exception as error:  # whatever a driver raises, the thread continues
-                self._failed(error)
+                self._set_state(BusState.SILENT, "no frame yet")
+            except Exception as error:  # The thread survives whatever a driver raises.
+                self._handle_failure(error)
         self._close()
 
     def _close(self) -> None:
@@ -128,20 +130,20 @@ class Receiver:
                 self._on_trouble(error)
 
     def _receive(self, bus: can.BusABC) -> None:
-        frame = bus.recv(_POLL)
+        frame = bus.recv(_RECEIVE_TIMEOUT)
         if frame is None:
             self._handle_silence()
             return
         now_ns = time.time_ns()
         # python-can hands the kernel's nanoseconds over as a float: exact to 0.24 us.
         time_ns = round(frame.timestamp * 1e9)
-        if abs(now_ns - time_ns) > _FOREIGN_CLOCK_NS:
+        if abs(now_ns - time_ns) > _MAX_STAMP_OFFSET_NS:
             time_ns = now_ns
         self._back_off = BACK_OFF_FIRST
         if frame.is_error_frame:
-            self._error_frame(frame)
+            self._count_error_frame(frame)
         else:
-            self._data_frame(time_ns, now_ns)
+            self._count_data_frame(time_ns, now_ns)
         try:
             self._on_frame(frame, time_ns)
         except Exception as error:
@@ -149,7 +151,7 @@ class Receiver:
                 self._status.callback_errors += 1
             self._on_trouble(error)
 
-    def _data_frame(self, time_ns: int, now_ns: int) -> None:
+    def _count_data_frame(self, time_ns: int, now_ns: int) -> None:
         status = self._status
         self._last_frame_at = time.monotonic()
         with self._lock:
@@ -157,22 +159,22 @@ class Receiver:
             status.frames += 1
         passive = status.state is BusState.ERROR_PASSIVE and self._errors_are_recent()
         if status.state is not BusState.OK and not passive:
-            self._set(BusState.OK, "")
+            self._set_state(BusState.OK, "")
 
-    def _error_frame(self, frame: can.Message) -> None:
+    def _count_error_frame(self, frame: can.Message) -> None:
         text, state = describe(frame)
-        self._last_error_frame = time.monotonic()
+        self._last_error_frame_at = time.monotonic()
         with self._lock:
             self._status.error_frames += 1
             self._status.last_error = text
         if state is BusState.OK:
             if self._status.state in (BusState.BUS_OFF, BusState.ERROR_PASSIVE):
-                self._set(BusState.SILENT, f"{text}, no frame yet")
+                self._set_state(BusState.SILENT, f"{text}, no frame yet")
         elif state is not None:
-            self._set(state, text)
+            self._set_state(state, text)
 
     def _errors_are_recent(self) -> bool:
-        return time.monotonic() - self._last_error_frame < _PASSIVE_FOR
+        return time.monotonic() - self._last_error_frame_at < _ERROR_PASSIVE_TIMEOUT
 
     def _handle_silence(self) -> None:
         state = self._status.state
@@ -180,28 +182,28 @@ class Receiver:
         if up is None and self._network_interface:
             raise can.CanOperationError(f"interface {self._network_interface} has vanished", errno.ENODEV)
         if up is False:
-            self._set(BusState.DOWN, f"interface {self._network_interface} is down")
+            self._set_state(BusState.DOWN, f"interface {self._network_interface} is down")
             return
         self._back_off = BACK_OFF_FIRST
         quiet = time.monotonic() - self._last_frame_at > self._silence
         if state is BusState.DOWN:
-            self._set(BusState.SILENT, "interface is up again, no frame yet")
+            self._set_state(BusState.SILENT, "interface is up again, no frame yet")
         elif quiet and (state is BusState.OK or (state is BusState.ERROR_PASSIVE and not self._errors_are_recent())):
-            self._set(BusState.SILENT, f"no frame for more than {self._silence:g} s")
+            self._set_state(BusState.SILENT, f"no frame for more than {self._silence:g} s")
 
-    def _failed(self, error: Exception) -> None:
-        """A socket receives again after its network was down; every other failure needs a new one."""
+    def _handle_failure(self, error: Exception) -> None:
+        """Report a failure and wait. A socket recovers when its network is up again; other failures need a new one."""
         with self._lock:
             self._status.failures += 1
         if _errno(error) == errno.ENETDOWN and self._bus is not None:
-            self._set(BusState.DOWN, f"interface is down: {_line(error)}")
+            self._set_state(BusState.DOWN, f"interface is down: {_error_line(error)}")
         else:
             self._close()
-            self._set(BusState.GONE, _line(error))
+            self._set_state(BusState.GONE, _error_line(error))
         self._stop.wait(self._back_off)
         self._back_off = min(2 * self._back_off, BACK_OFF_LAST)
 
-    def _set(self, state: BusState, reason: str) -> None:
+    def _set_state(self, state: BusState, reason: str) -> None:
         changed = (self._status.state, self._status.reason) != (state, reason)
         with self._lock:
             self._status.state, self._status.reason = state, reason
@@ -213,7 +215,7 @@ class Receiver:
 
 
 def _errno(error: BaseException) -> int | None:
-    """Error number of python-can (`error_code`), of an OSError, or of the cause of either."""
+    """Error number of a python-can error (`error_code`), an OSError, or the cause of either; None without one."""
     for candidate in (error, error.__cause__, error.__context__):
         code = getattr(candidate, "error_code", None) or getattr(candidate, "errno", None)
         if code:
@@ -221,7 +223,7 @@ def _errno(error: BaseException) -> int | None:
     return None
 
 
-def _line(error: Exception) -> str:
+def _error_line(error: Exception) -> str:
     if _errno(error) == errno.EAFNOSUPPORT:
         return "this kernel has no SocketCAN (module can_raw)"
     return " ".join(str(error).split()) or type(error).__name__
@@ -248,9 +250,9 @@ _PASSIVE = 0x30
 
 
 def describe(frame: can.Message) -> tuple[str, BusState | None]:
-    """Classes of an error frame in words, and the state of the bus that it reports, None if it reports none.
+    """Text of an error frame's classes, and the bus state it reports; None if it reports none.
 
-    Never raises; a frame without a known bit is "unknown error class" with its identifier.
+    Never raises; a frame without a known class bit gives "unknown error class" with its identifier.
     """
     bits = frame.arbitration_id
     data = bytes(frame.data).ljust(8, b"\0")
@@ -260,7 +262,7 @@ def describe(frame: can.Message) -> tuple[str, BusState | None]:
         0x008: ", ".join(name for bit, name in _PROTOCOL.items() if data[2] & bit),
         0x200: f"transmit {data[6]}, receive {data[7]}",
     }
-    words = [f"{name} ({details[bit]})" if details.get(bit) else name for bit, name in _CLASSES.items() if bits & bit]
+    texts = [f"{name} ({details[bit]})" if details.get(bit) else name for bit, name in _CLASSES.items() if bits & bit]
     state = None
     if bits & _RESTARTED or (bits & _CONTROLLER and data[1] & _ACTIVE):
         state = BusState.OK
@@ -268,4 +270,4 @@ def describe(frame: can.Message) -> tuple[str, BusState | None]:
         state = BusState.ERROR_PASSIVE
     if bits & _BUS_OFF:
         state = BusState.BUS_OFF
-    return ", ".join(words) or f"unknown error class {bits:#x}", state
+    return ", ".join(texts) or f"unknown error class {bits:#x}", state

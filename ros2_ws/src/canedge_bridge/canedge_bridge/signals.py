@@ -26,14 +26,14 @@ CANONICAL_SIGNALS = {
     "gps_time": "s", "gps_utc_offset": "s",
 }
 ANGLES = frozenset({"ins_yaw"})
-# Largest plausible factor or offset.
-LARGEST = 1e12
+# Largest plausible factor or offset of a DBC signal.
+MAX_SCALING = 1e12
 # Angle to each side that a steering wheel sensor must reach if the table gives no range [rad].
 MIN_STEERING_SPAN = math.radians(180)
 
-_BLOCK = re.compile(r"^BO_ +(?P<id>\d+) +(?P<name>\w+) *:.*\n(?:[ \t]+SG_.*\n|[ \t]*\n(?=[ \t]+SG_))*", re.MULTILINE)
-_EXTRA = re.compile(r"^(?:SIG_VALTYPE_|SG_MUL_VAL_) +(?P<id>\d+) .*;", re.MULTILINE)
-# Unit of a DBC -> (SI unit, factor), and its spellings in DBC files, in any case.
+_MESSAGE = re.compile(r"^BO_ +(?P<id>\d+) +(?P<name>\w+) *:.*\n(?:[ \t]+SG_.*\n|[ \t]*\n(?=[ \t]+SG_))*", re.MULTILINE)
+_SIGNAL_ATTRIBUTE = re.compile(r"^(?:SIG_VALTYPE_|SG_MUL_VAL_) +(?P<id>\d+) .*;", re.MULTILINE)
+# DBC unit -> (SI unit, factor), and its other spellings in DBC files, case ignored.
 UNITS = {
     "": ("", 1.0), "deg": ("rad", math.pi / 180), "rad": ("rad", 1.0), "deg/s": ("rad/s", math.pi / 180),
     "rad/s": ("rad/s", 1.0), "km/h": ("m/s", 1 / 3.6), "m/s": ("m/s", 1.0), "mph": ("m/s", 0.44704), "s": ("s", 1.0),
@@ -45,11 +45,11 @@ _SPELLINGS = {
     "km/h": ("kph", "kmh", "kmph", "km/hr", "kilometers/hour"), "m/s": ("mps", "m/sec"), "mph": ("mi/h", "mile/h"),
     "s": ("sec", "seconds"), "ms": ("msec",), "min": ("minutes",), "h": ("hours",),
 }
-_UNIT_OF = {text: unit for unit, others in _SPELLINGS.items() for text in (unit, *others)}
+_UNIT_OF = {text: unit for unit, spellings in _SPELLINGS.items() for text in (unit, *spellings)}
 
 
 def unit_of(text: str | None) -> str | None:
-    """Key of UNITS for a unit of a DBC or a table, None for an unknown one."""
+    """Key of UNITS for a unit as written in a DBC or a table; None if unknown."""
     return _UNIT_OF.get((text or "").strip().lower().replace(" ", ""))
 
 
@@ -57,7 +57,7 @@ def unit_of(text: str | None) -> str | None:
 class SignalSpec:
     """One DBC signal and its conversion: si = gain * physical + bias, physical in the DBC's unit.
 
-    minimum, maximum: physically possible range; max_rate: largest rate of change [per s]; all three of
+    minimum, maximum: physically possible range; max_rate: largest rate of change [per s]; all three apply to
     sign * scale * physical + offset, in the DBC's unit. sign_signal: 1 makes physical negative, for a sensor that sends
     magnitude and sign separately.
     """
@@ -95,7 +95,7 @@ class CheckSpec:
 
 @dataclass(frozen=True)
 class Sample:
-    """A recorded frame and the value of one signal in it, in the unit of the DBC; the sign is not checked."""
+    """A recorded frame and the value of one of its signals in the DBC's unit; the sign is not checked."""
 
     data: bytes
     signal: str
@@ -134,7 +134,7 @@ class MessageSpec:
 
 @dataclass(frozen=True)
 class SignalTable:
-    """messages: rows with a message in the DBC. absent: rows, not needed, without one."""
+    """Checked contents of both files. messages: rows with a message in the DBC. absent: optional rows without one."""
 
     dbc_file: Path
     signals_file: Path
@@ -153,7 +153,7 @@ class SignalTable:
 
 
 def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Iterable[str] = ()) -> SignalTable:
-    """Read both files and check one against the other.
+    """The signal table of a DBC and its YAML file, checked against each other.
 
     needed: message names that replace the table's own `needed` (for a bus that carries only some of the messages).
     Raises TableError, one line naming file, key and limit: unreadable file, misspelt key, unit other than the DBC's, a
@@ -174,7 +174,7 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Iterable[
     for name in rows:
         row = rows.entry(name)
         if [m.name for m in database.messages].count(name) > 1:
-            raise TableError(f"{dbc_path}: has {name} more than once; leave one")
+            raise TableError(f"{dbc_path}: has {name} more than once; keep one")
         is_needed = name in required if required else row.boolean("needed")
         if name in known:
             messages[name] = replace(_message(row, known[name], dbc_path), needed=is_needed)
@@ -186,10 +186,10 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Iterable[
 
 
 def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
-    """Database of a DBC file; if it has mistakes, of the given messages alone.
+    """cantools database of a DBC file; if the file is invalid, of the given messages only.
 
-    Public DBC files of real cars have overlapping signals, identifiers of 29 bits without their mark or names that
-    begin with a digit, in messages that are not used. Raises TableError where these messages cannot be parsed either.
+    Public DBC files of real cars have overlapping signals, 29-bit identifiers without the extended flag or names that
+    begin with a digit, in messages that are not used. Raises TableError if the given messages cannot be parsed either.
     """
     try:
         text = path.read_bytes().decode("cp1252", "replace")  # the encoding that cantools assumes for DBC
@@ -197,26 +197,26 @@ def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
         raise TableError(f"{path}: cannot be read: {error.strerror}") from None
     try:
         return cantools.database.load_string(text, "dbc", strict=False)
-    except Exception as error:  # cantools passes on every exception of its parsers
-        first = error
+    except Exception as error:  # cantools lets every exception of its parsers through
+        reason = error
     try:
         reduced = _reduced(text, frozenset(messages))
         if reduced:
             return cantools.database.load_string(reduced, "dbc", strict=False)
     except Exception as error:
-        first = error
-    raise TableError(f"{path}: is not a valid DBC: {words(first)}")
+        reason = error
+    raise TableError(f"{path}: is not a valid DBC: {words(reason)}")
 
 
 def _reduced(text: str, names: frozenset[str]) -> str:
-    """A DBC of the named messages alone, with the lines on float and multiplexed signals; empty for none of them."""
-    kept, ids = [], set()
-    for block in _BLOCK.finditer(text):
+    """Text of a DBC with only the named messages and their float and multiplexing attributes; empty if it has none."""
+    blocks, ids = [], set()
+    for block in _MESSAGE.finditer(text):
         if block["name"] in names:
-            kept.append(block[0])
+            blocks.append(block[0])
             ids.add(block["id"])
-    extra = [line[0] for line in _EXTRA.finditer(text) if line["id"] in ids]
-    return 'VERSION ""\n\nBS_:\n\nBU_: X\n\n' + "\n".join([*kept, "", *extra, ""]) if kept else ""
+    attributes = [line[0] for line in _SIGNAL_ATTRIBUTE.finditer(text) if line["id"] in ids]
+    return 'VERSION ""\n\nBS_:\n\nBU_: X\n\n' + "\n".join([*blocks, "", *attributes, ""]) if blocks else ""
 
 
 def _message(row: Entry, dbc: DbcMessage, dbc_path: Path) -> MessageSpec:
@@ -253,8 +253,8 @@ def _check_layout(dbc: DbcMessage, dbc_path: Path) -> None:
     for signal in dbc.signals:
         if signal.start < 0:
             raise TableError(f"{dbc_path}: {dbc.name}.{signal.name}: start bit {signal.start}; expected 0 or more")
-        if not all(abs(number) <= LARGEST for number in (signal.scale, signal.offset)):
-            raise TableError(f"{dbc_path}: {dbc.name}.{signal.name}: factor or offset beyond {LARGEST:g}")
+        if not all(abs(number) <= MAX_SCALING for number in (signal.scale, signal.offset)):
+            raise TableError(f"{dbc_path}: {dbc.name}.{signal.name}: factor or offset beyond {MAX_SCALING:g}")
 
 
 def _find(dbc: DbcMessage, name: str, dbc_path: Path, row: Entry) -> DbcSignal:
@@ -283,7 +283,7 @@ def _signal(entry: Entry, message: DbcMessage, dbc: DbcSignal, dbc_path: Path) -
 
 
 def _unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
-    """The unit of the table, which must agree with that of the DBC where the DBC gives a known one."""
+    """Unit of a signal in the table; raises TableError if the DBC gives another known unit."""
     text = entry.text("unit")
     unit, given = unit_of(text), unit_of(dbc.unit)
     origin = f"{entry.origin}: {entry.path}.unit"
@@ -293,15 +293,15 @@ def _unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
     if UNITS[unit][0] != si_unit:
         possible = " or ".join(u for u, (si, _) in UNITS.items() if si == si_unit)
         missing = f", and {dbc_path} gives no unit" if not (dbc.unit or "") and not unit else ""
-        raise TableError(f"{origin}: {text!r} cannot become {si_unit!r} ({name}){missing}; write {possible!r}, "
-                         "the unit of the sensor")
+        raise TableError(f"{origin}: {text!r} cannot be converted to {si_unit!r} ({name}){missing}; "
+                         f"write {possible!r}, the unit of the sensor")
     if given and given != unit:
         raise TableError(f"{origin}: {text!r}, but {dbc_path} gives {dbc.unit!r}")
     return unit
 
 
 def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
-    """Raises TableError for a layout that cannot reach both sides of its range: unsigned, a wheel never turns right."""
+    """Raises TableError for a layout that cannot reach both ends of its range, such as an unsigned steering angle."""
     low, high = spec.minimum, spec.maximum
     if not math.isfinite(high) and spec.name == "steering_wheel_angle":
         low, high = -MIN_STEERING_SPAN / spec.factor, MIN_STEERING_SPAN / spec.factor
@@ -313,14 +313,14 @@ def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
     if spec.sign_signal is not None:
         physical += [-value for value in physical]
     ends = [(spec.gain * value + spec.bias) / spec.factor for value in physical]
-    # Half of the range: some sensors end before the physically possible angle, none at straight ahead.
+    # Half of the range suffices: some sensors end short of the possible angle, none near straight ahead.
     if min(ends) > low / 2 or max(ends) < high / 2:
         order = "low byte first" if spec.dbc.byte_order == "little_endian" else "high byte first"
         raise TableError(
             f"{dbc_path}: {spec.dbc.name} can only decode to {min(ends):g} .. {max(ends):g} {spec.unit}, but "
             f"{entry.origin} ({entry.path}.range) expects {low:g} .. {high:g}: its layout "
             f"({spec.dbc.length} bits, {order}, {'signed' if spec.dbc.is_signed else 'unsigned'}, "
-            f"factor {spec.dbc.scale:g}) decodes it incorrectly; where the sign has a signal of its own, name it as "
+            f"factor {spec.dbc.scale:g}) decodes it incorrectly; if the sign has a signal of its own, name it as "
             "sign_signal")
 
 
@@ -333,13 +333,14 @@ def _check(entry: Entry, dbc: DbcMessage, dbc_path: Path, row: Entry, with_rule:
         raise TableError(f"{entry.origin}: {entry.path}.signal: {signal.name} cannot be a counter or checksum: "
                          f"in {dbc_path} it is not unsigned and inside one byte")
     if rule is not None and rule.bits != signal.length:
-        raise TableError(f"{entry.origin}: {entry.path}.rule: is {rule.bits} bits, {signal.name} {signal.length}")
+        raise TableError(f"{entry.origin}: {entry.path}.rule: needs {rule.bits} bits, "
+                         f"{signal.name} has {signal.length}")
     mode = Mode(entry.choice("check", [str(m) for m in Mode]))
     return CheckSpec(signal.name, Field(signal.start // 8, shift, signal.length), mode, rule)
 
 
 def _sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...], dbc_path: Path) -> Sample:
-    """Raises TableError when the recorded frame decodes to something else than it must."""
+    """Raises TableError if the recorded frame does not decode to its expected value."""
     entry.only("data", "signal", "value", "unit")
     try:
         data = bytes.fromhex(entry.text("data"))
@@ -348,14 +349,14 @@ def _sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...], dbc_
     spec = {s.dbc.name: s for s in signals}[entry.choice("signal", [s.dbc.name for s in signals])]
     expected = entry.number("value", -1e9, 1e9)
     entry.choice("unit", (spec.unit,))
-    shown = f"the recorded frame {data.hex(' ').upper()} of {dbc.name}"
+    frame = f"the recorded frame {data.hex(' ').upper()} of {dbc.name}"
     if len(data) != dbc.length:
-        raise TableError(f"{entry.origin}: {entry.path}.data: {shown} has {len(data)} bytes, the DBC "
+        raise TableError(f"{entry.origin}: {entry.path}.data: {frame} has {len(data)} bytes, the DBC "
                          f"gives {dbc.length}")
-    physical = cast("dict[str, float]", dbc.decode(data, decode_choices=False))  # of a plain message
+    physical = cast("dict[str, float]", dbc.decode(data, decode_choices=False))  # not a container message
     value = (spec.gain * physical[spec.dbc.name] + spec.bias) / spec.factor
-    # The sign is set by steering_sign: the counting direction of the sensor is a property of the car.
+    # The sign is not compared: the car's steering_sign corrects the direction of the sensor.
     if not math.isclose(abs(value), abs(expected), rel_tol=1e-6, abs_tol=abs(spec.dbc.scale) / 2):
-        raise TableError(f"{dbc_path}: {spec.dbc.name} decodes {shown} incorrectly: {value:g} {spec.unit} instead of "
+        raise TableError(f"{dbc_path}: {spec.dbc.name} decodes {frame} incorrectly: {value:g} {spec.unit} instead of "
                          f"{expected:g} ({entry.origin}: {entry.path}); its byte order, start bit or factor is wrong")
     return Sample(data, spec.dbc.name, expected)

@@ -95,7 +95,7 @@ def test_order_of_arrival_is_kept():
 
 def test_what_it_does_not_take():
     ids, payload, lengths = arrays([(2, bytes(5))])
-    with pytest.raises(ValueError, match=r"expected \(n,\)"):
+    with pytest.raises(ValueError, match=r"expected shapes \(n,\)"):
         decode_log(DATABASE, ids, payload[:, :5], lengths)
     with pytest.raises(KeyError):
         decode_log(DATABASE, ids, payload, lengths, ["Nobody"])

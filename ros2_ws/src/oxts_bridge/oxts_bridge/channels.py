@@ -17,9 +17,9 @@ LONG_RANGE_CHANNEL = 57
 TRIGGER_CHANNELS = {24: "TrigTime", 43: "Trig2Time", 65: "DigitalOutTime", 79: "Trig3Time", 80: "Trig4Time",
                     81: "DigitalOut2Time"}
 
-AGE = Validity("b6 < 150", lambda raw, data: data[6] < 150, flag=6)
-ZERO = Validity("b6 = 0", lambda raw, data: data[6] == 0, flag=6)
-NOT_255 = Validity("b6 < 255", lambda raw, data: data[6] < 255, flag=6)
+FRESH = Validity("b6 < 150", lambda raw, data: data[6] < 150, flag=6)
+B6_ZERO = Validity("b6 = 0", lambda raw, data: data[6] == 0, flag=6)
+B6_NOT_255 = Validity("b6 < 255", lambda raw, data: data[6] < 255, flag=6)
 HIGH_BIT = Validity("bit 7 = 0", lambda raw, data: raw < 0x80, mark=0xFF)
 NOT_NEGATIVE = Validity(">= 0", lambda raw, data: raw >= 0, mark=-1)
 POSITIVE = Validity("> 0", lambda raw, data: raw > 0, mark=0)
@@ -37,8 +37,8 @@ def not_(*marks: int) -> Validity:
     return Validity("not " + ", ".join(map(str, marks)), lambda raw, data: raw not in marks, mark=marks[0])
 
 
-def aged_not(*marks: int) -> Validity:
-    """As not_(), and the age in b6 must be below 150."""
+def fresh_not(*marks: int) -> Validity:
+    """As not_(), and the age in byte 6 must be below 150."""
     return Validity(
         "b6 < 150 and not " + ", ".join(map(str, marks)),
         lambda raw, data: data[6] < 150 and raw not in marks,
@@ -48,24 +48,24 @@ def aged_not(*marks: int) -> Validity:
 
 BYTE = not_(0xFF)
 WORD = not_(0xFFFF)
-# Units mark an unknown undulation by 0x8000; the manual prints 0xFFFF, which without HDOP and PDOP is not -5 mm either.
-UNDULATION = Validity("not -32768, nor -1 without HDOP and PDOP",
+# Units mark an unknown undulation as 0x8000; the manual prints 0xFFFF (-5 mm), also invalid if HDOP and PDOP are.
+UNDULATION = Validity("not -32768, and not -1 while HDOP and PDOP are invalid",
                       lambda raw, data: raw != -0x8000 and (raw != -1 or data[2:4] != b"\xff\xff"), mark=-0x8000)
 NIBBLE = not_(0xF)
 
 
-def _b(name: str, at: int, unit: str = "1", scale: float = 1, offset: float = 0) -> Field:
+def _byte(name: str, at: int, unit: str = "1", scale: float = 1, offset: float = 0) -> Field:
     """One byte, 0xFF = invalid."""
     return F(name, "u8", at, unit, scale, offset, BYTE)
 
 
-def _w(name: str, at: int, unit: str = "1", scale: float = 1, offset: float = 0) -> Field:
+def _word(name: str, at: int, unit: str = "1", scale: float = 1, offset: float = 0) -> Field:
     """Two bytes, 0xFFFF = invalid."""
     return F(name, "u16", at, unit, scale, offset, WORD)
 
 
 def _xyz(names: Iterable[str], kind: str, scale: float, unit: str, validity: Validity) -> list[Field]:
-    """Three two-byte values in a row."""
+    """Three consecutive two-byte values from byte 0."""
     return [F(name, kind, 2 * i, unit, scale, 0, validity) for i, name in enumerate(names)]
 
 
@@ -74,20 +74,20 @@ def _axes(prefix: str, suffix: str = "") -> list[str]:
 
 
 def _lever(prefix: str) -> list[Field]:
-    return _xyz(_axes(prefix), "i16", 1e-3, "m", ZERO)
+    return _xyz(_axes(prefix), "i16", 1e-3, "m", B6_ZERO)
 
 
 def _lever_accuracy(prefix: str) -> list[Field]:
-    return _xyz(_axes(prefix, "Acc"), "u16", 1e-4, "m", ZERO)
+    return _xyz(_axes(prefix, "Acc"), "u16", 1e-4, "m", B6_ZERO)
 
 
 def _angles(prefix: str) -> list[Field]:
     names = [prefix + angle for angle in ("Heading", "Pitch", "Roll")]
-    return _xyz(names, "i16", degrees(1e-4), "deg", ZERO)
+    return _xyz(names, "i16", degrees(1e-4), "deg", B6_ZERO)
 
 
 def _innovations(*names: str, first: int = 0) -> list[Field]:
-    """Units of the current accuracy; |value| < 1 is good."""
+    """Filter innovations in units of their current standard deviation; |value| < 1 is good."""
     return [F(name, "shifted", first + i, "sigma", 0.1, 0, BIT0) for i, name in enumerate(names)]
 
 
@@ -102,10 +102,10 @@ def _receiver_counters(receiver: str) -> list[Field]:
 def _receiver_status(receiver: str) -> list[Field]:
     return [F(f"{receiver}.AntStatus", "bits0+2", 0, validity=not_(3)),
             F(f"{receiver}.AntPower", "bits2+2", 0, validity=not_(3, 2)),
-            _b(f"{receiver}.CpuUsed", 1, "%"), _b(f"{receiver}.CoreNoise", 2, "%"),
-            _b(f"{receiver}.SerBaud", 3), _b(f"{receiver}.NumSats", 4),
-            _b(f"{receiver}.PosMode", 5), _b(f"{receiver}.CoreTemp", 6, "degC", 1, -70),
-            _b(f"{receiver}.SupplyVolt", 7, "V", 0.1)]
+            _byte(f"{receiver}.CpuUsed", 1, "%"), _byte(f"{receiver}.CoreNoise", 2, "%"),
+            _byte(f"{receiver}.SerBaud", 3), _byte(f"{receiver}.NumSats", 4),
+            _byte(f"{receiver}.PosMode", 5), _byte(f"{receiver}.CoreTemp", 6, "degC", 1, -70),
+            _byte(f"{receiver}.SupplyVolt", 7, "V", 0.1)]
 
 
 def _nibbles(at: int, low: str, high: str) -> list[Field]:
@@ -125,30 +125,31 @@ TABLE: dict[int, list[Field]] = {
         F("GpsAttMode", "u8", 7, validity=HIGH_BIT)],
     1: _innovations("InnPosX", "InnPosY", "InnPosZ", "InnVelX", "InnVelY", "InnVelZ", "InnPitch", "InnHeading"),
     2: _receiver_counters("GpsPrimary"),
-    3: [*_xyz(("NorthAcc", "EastAcc", "AltAcc"), "u16", 1e-3, "m", AGE), _b("UmacStatus", 7)],
-    4: [*_xyz(("VnAcc", "VeAcc", "VdAcc"), "u16", 1e-3, "m/s", AGE), F("ProcessingMethod", "u8", 7, validity=POSITIVE)],
-    5: _xyz(("HeadingAcc", "PitchAcc", "RollAcc"), "u16", degrees(1e-5), "deg", AGE),
-    6: [*_xyz(("WxBias", "WyBias", "WzBias"), "i16", degrees(5e-6), "deg/s", AGE),
+    3: [*_xyz(("NorthAcc", "EastAcc", "AltAcc"), "u16", 1e-3, "m", FRESH), _byte("UmacStatus", 7)],
+    4: [*_xyz(("VnAcc", "VeAcc", "VdAcc"), "u16", 1e-3, "m/s", FRESH),
+        F("ProcessingMethod", "u8", 7, validity=POSITIVE)],
+    5: _xyz(("HeadingAcc", "PitchAcc", "RollAcc"), "u16", degrees(1e-5), "deg", FRESH),
+    6: [*_xyz(("WxBias", "WyBias", "WzBias"), "i16", degrees(5e-6), "deg/s", FRESH),
         *_nibbles(7, "GpsPrimary.NumGpsL1", "GpsPrimary.NumGpsL2")],
-    7: [*_xyz(("AxBias", "AyBias", "AzBias"), "i16", 1e-4, "m/s^2", AGE),
+    7: [*_xyz(("AxBias", "AyBias", "AzBias"), "i16", 1e-4, "m/s^2", FRESH),
         *_nibbles(7, "GpsSecondary.NumGpsL1", "GpsSecondary.NumGpsL2")],
-    8: [*_xyz(("WxSf", "WySf", "WzSf"), "i16", 1e-6, "1", AGE),
+    8: [*_xyz(("WxSf", "WySf", "WzSf"), "i16", 1e-6, "1", FRESH),
         *_nibbles(7, "GpsExternal.NumGpsL1", "GpsExternal.NumGpsL2")],
-    9: [*_xyz(("WxBiasAcc", "WyBiasAcc", "WzBiasAcc"), "u16", degrees(1e-6), "deg/s", AGE),
+    9: [*_xyz(("WxBiasAcc", "WyBiasAcc", "WzBiasAcc"), "u16", degrees(1e-6), "deg/s", FRESH),
         *_nibbles(7, "GpsPrimary.NumGloL1", "GpsPrimary.NumGloL2")],
-    # The manual prints low = L2, high = L1 for channel 10 alone; taken as a misprint, as in channels 9 and 11.
-    10: [*_xyz(("AxBiasAcc", "AyBiasAcc", "AzBiasAcc"), "u16", 1e-5, "m/s^2", AGE),
+    # The manual prints low = L2, high = L1 for channel 10 alone. A misprint: channels 9 and 11 have low = L1.
+    10: [*_xyz(("AxBiasAcc", "AyBiasAcc", "AzBiasAcc"), "u16", 1e-5, "m/s^2", FRESH),
          *_nibbles(7, "GpsSecondary.NumGloL1", "GpsSecondary.NumGloL2")],
-    11: [*_xyz(("WxSfAcc", "WySfAcc", "WzSfAcc"), "u16", 1e-6, "1", AGE),
+    11: [*_xyz(("WxSfAcc", "WySfAcc", "WzSfAcc"), "u16", 1e-6, "1", FRESH),
          *_nibbles(7, "GpsExternal.NumGloL1", "GpsExternal.NumGloL2")],
-    12: _xyz(("GAPx", "GAPy", "GAPz"), "i16", 1e-3, "m", AGE),
-    13: [F("AtH", "i16", 0, "deg", degrees(1e-4), 0, AGE), F("AtP", "i16", 2, "deg", degrees(1e-4), 0, AGE),
-         F("BaseLineLength", "u16", 4, "m", 1e-3, 0, aged_not(0, 0xFFFF)),
+    12: _xyz(("GAPx", "GAPy", "GAPz"), "i16", 1e-3, "m", FRESH),
+    13: [F("AtH", "i16", 0, "deg", degrees(1e-4), 0, FRESH), F("AtP", "i16", 2, "deg", degrees(1e-4), 0, FRESH),
+         F("BaseLineLength", "u16", 4, "m", 1e-3, 0, fresh_not(0, 0xFFFF)),
          *_nibbles(7, "HeadNumGpsAvailable", "HeadNumGpsUsed")],
-    14: [*_xyz(("GAPxAcc", "GAPyAcc", "GAPzAcc"), "u16", 1e-4, "m", AGE),
+    14: [*_xyz(("GAPxAcc", "GAPyAcc", "GAPzAcc"), "u16", 1e-4, "m", FRESH),
          *_nibbles(7, "NumGpsUsedInPos", "NumGloUsedInPos")],
-    15: [F("AtHAcc", "u16", 0, "deg", degrees(1e-5), 0, AGE), F("AtPAcc", "u16", 2, "deg", degrees(1e-5), 0, AGE),
-         F("BaseLineLengthAcc", "u16", 4, "m", 1e-4, 0, aged_not(0xFFFF)),
+    15: [F("AtHAcc", "u16", 0, "deg", degrees(1e-5), 0, FRESH), F("AtPAcc", "u16", 2, "deg", degrees(1e-5), 0, FRESH),
+         F("BaseLineLengthAcc", "u16", 4, "m", 1e-4, 0, fresh_not(0xFFFF)),
          *_nibbles(7, "HeadNumGloAvailable", "HeadNumGloUsed")],
     16: [*_angles("Imu2Veh"), F("TimeUtcOffset", "shifted", 7, "s", 1, 0, BIT0)],
     17: _receiver_counters("GpsSecondary"),
@@ -157,28 +158,28 @@ TABLE: dict[int, list[Field]] = {
     20: [F("GpsDiffAge", "i16", 0, "s", 0.01, 0, not_(-1)), F("BaseStationId", "text4", 2)],
     21: [F("DiskSpace", "i32", 0, "byte", 1024, 0, NOT_NEGATIVE),
          F("FileSize", "i32", 4, "byte", 1024, 0, NOT_NEGATIVE)],
-    22: [_w("TimeMismatch", 0), _b("ImuTimeDiff", 2, "ms"), _b("ImuTimeMargin", 3, "ms"), _w("ImuLoopTime", 4, "ms"),
-         _w("OpLoopTime", 6, "ms")],
-    23: [_w("BnsLag", 0, "ms"), _w("UpTimeCode", 2), _b("GPSPosReject", 4), _b("GPSVelReject", 5),
-         _b("GPSAttReject", 6), F("PtpStatus", "u8", 7, validity=POSITIVE)],
+    22: [_word("TimeMismatch", 0), _byte("ImuTimeDiff", 2, "ms"), _byte("ImuTimeMargin", 3, "ms"),
+         _word("ImuLoopTime", 4, "ms"), _word("OpLoopTime", 6, "ms")],
+    23: [_word("BnsLag", 0, "ms"), _word("UpTimeCode", 2), _byte("GPSPosReject", 4), _byte("GPSVelReject", 5),
+         _byte("GPSAttReject", 6), F("PtpStatus", "u8", 7, validity=POSITIVE)],
     24: _trigger(24),
     25: [F("OldRefX", "i24", 0, "m", 1.2e-3, 0, not_(-0x800000, 0x7FFFFF)),
          F("OldRefY", "i24", 3, "m", 1.2e-3, 0, not_(-0x800000, 0x7FFFFF)),
          F("OldRefHeading", "i16", 6, "deg", degrees(1e-4), 0, not_(-0x8000))],
     26: _lever("RemoteLeverArm"),
-    27: [_b("HeadQuality", 0), _b("HeadSearchType", 1), _b("HeadSearchStatus", 2), _b("HeadSearchReady", 3),
-         _w("HeadSearchInit", 4), _w("HeadSearchNum", 6)],
-    28: [_b("HeadSearchMaster", 0, "PRN", 1, 1), _b("HeadSearchSlave1", 1, "PRN", 1, 1),
-         _b("HeadSearchSlave2", 2, "PRN", 1, 1), _b("HeadSearchSlave3", 3, "PRN", 1, 1),
+    27: [_byte("HeadQuality", 0), _byte("HeadSearchType", 1), _byte("HeadSearchStatus", 2), _byte("HeadSearchReady", 3),
+         _word("HeadSearchInit", 4), _word("HeadSearchNum", 6)],
+    28: [_byte("HeadSearchMaster", 0, "PRN", 1, 1), _byte("HeadSearchSlave1", 1, "PRN", 1, 1),
+         _byte("HeadSearchSlave2", 2, "PRN", 1, 1), _byte("HeadSearchSlave3", 3, "PRN", 1, 1),
          F("HeadSearchTime", "u16", 4, "s"), F("HeadSearchConstr", "u16", 6)],
     29: [*(F(name, "u8", i, validity=HIGH_BIT) for i, name in enumerate(
         ("OptionLevel", "OptionVibration", "OptionGpsAcc", "OptionUdp", "OptionSer1", "OptionSer2", "OptionHeading"))),
         F("OptionHeave", "u8", 7, validity=HIGH_BIT)],
-    30: [_b("OsVersion1", 0), _b("OsVersion2", 1), _b("OsVersion3", 2),
-         F("OsScriptId", "digits6", 3, validity=NOT_NEGATIVE), _w("SerialNumber", 6)],
-    31: [_b("ImuType", 0), _b("GpsPrimary.Type", 1),
-         _b("GpsSecondary.Type", 2), _b("InterPcbType", 3),
-         _b("FrontPcbType", 4), _b("InterSwId", 5), _b("HwConfig", 6),
+    30: [_byte("OsVersion1", 0), _byte("OsVersion2", 1), _byte("OsVersion3", 2),
+         F("OsScriptId", "digits6", 3, validity=NOT_NEGATIVE), _word("SerialNumber", 6)],
+    31: [_byte("ImuType", 0), _byte("GpsPrimary.Type", 1),
+         _byte("GpsSecondary.Type", 2), _byte("InterPcbType", 3),
+         _byte("FrontPcbType", 4), _byte("InterSwId", 5), _byte("HwConfig", 6),
          *(F(name, f"ibits{bit}+1", 7, validity=INVERTED_B7) for name, bit in (
              ("PsrDiffEnabled", 0), ("SBASEnabled", 1), ("OmniVBSEnabled", 3), ("OmniHPEnabled", 4),
              ("L1DiffEnabled", 5), ("L1L2DiffEnabled", 6)))],
@@ -188,34 +189,35 @@ TABLE: dict[int, list[Field]] = {
     34: _lever_accuracy("ZeroVelLeverArm"),
     35: _lever("NoSlipLeverArm"),
     36: _lever_accuracy("NoSlipLeverArm"),
-    37: [F("HeadingMisAlign", "i16", 0, "deg", degrees(1e-4), 0, NOT_255),
-         F("HeadingMisAlignAcc", "u16", 2, "deg", degrees(1e-5), 0, NOT_255), _b("NumSatsUsedPos", 4),
-         _b("NumSatsUsedVel", 5), _b("NumSatsUsedAtt", 7)],
-    38: [_b("OptionSZVDelay", 0, "s"), _b("OptionSZVPeriod", 1, "s", 0.1), _w("OptionTopSpeed", 2, "m/s", 0.5),
-         _b("OptionInitSpeed", 4, "m/s", 0.1), F("OptionSer3", "u8", 5, validity=HIGH_BIT)],
-    39: [_b("OptionNSDelay", 0, "s", 0.1), _b("OptionNSPeriod", 1, "s", 0.02),
-         _w("OptionNSAngleStd", 2, "deg", degrees(1e-5)), _b("OptionNSHAccel", 4, "m/s^2", 0.04),
-         _b("OptionNSVAccel", 5, "m/s^2", 0.04), _b("OptionNSSpeed", 6, "m/s", 0.1), _b("OptionNSRadius", 7, "m", 0.5)],
-    40: [F("NcomVersion", "u16", 0, validity=POSITIVE), _w("OutputLatency", 2, "s", 0.01),
+    37: [F("HeadingMisAlign", "i16", 0, "deg", degrees(1e-4), 0, B6_NOT_255),
+         F("HeadingMisAlignAcc", "u16", 2, "deg", degrees(1e-5), 0, B6_NOT_255), _byte("NumSatsUsedPos", 4),
+         _byte("NumSatsUsedVel", 5), _byte("NumSatsUsedAtt", 7)],
+    38: [_byte("OptionSZVDelay", 0, "s"), _byte("OptionSZVPeriod", 1, "s", 0.1), _word("OptionTopSpeed", 2, "m/s", 0.5),
+         _byte("OptionInitSpeed", 4, "m/s", 0.1), F("OptionSer3", "u8", 5, validity=HIGH_BIT)],
+    39: [_byte("OptionNSDelay", 0, "s", 0.1), _byte("OptionNSPeriod", 1, "s", 0.02),
+         _word("OptionNSAngleStd", 2, "deg", degrees(1e-5)), _byte("OptionNSHAccel", 4, "m/s^2", 0.04),
+         _byte("OptionNSVAccel", 5, "m/s^2", 0.04), _byte("OptionNSSpeed", 6, "m/s", 0.1),
+         _byte("OptionNSRadius", 7, "m", 0.5)],
+    40: [F("NcomVersion", "u16", 0, validity=POSITIVE), _word("OutputLatency", 2, "s", 0.01),
          F("SerialNumber24", "u24", 4, validity=not_(0xFFFFFF))],
     41: [F("OptionSer1Baud", "u8", 0), F("OptionSer2Baud", "u8", 1), F("OptionSer3Baud", "u8", 2),
          F("OptionCanBaud", "u8", 3),
          *(F(f"WifiIp{i}", "u8", 3 + i, validity=BYTE) for i in (1, 2, 3, 4))],
-    42: [_b("OptionHLDelay", 0, "s"), _b("OptionHLPeriod", 1, "s", 0.1),
-         _w("OptionHLAngleStd", 2, "deg", degrees(1e-5)), _b("OptionStatDelay", 4, "s"),
-         _b("OptionStatSpeed", 5, "m/s", 0.01), F("GnssSources", "u8", 6, validity=HIGH_BIT)],
+    42: [_byte("OptionHLDelay", 0, "s"), _byte("OptionHLPeriod", 1, "s", 0.1),
+         _word("OptionHLAngleStd", 2, "deg", degrees(1e-5)), _byte("OptionStatDelay", 4, "s"),
+         _byte("OptionStatSpeed", 5, "m/s", 0.01), F("GnssSources", "u8", 6, validity=HIGH_BIT)],
     43: _trigger(43),
-    44: [_w("WSpeedScale", 0, "pulse/m", 0.1), _w("WSpeedScaleStd", 2, "%", 0.002),
-         _b("OptionWSpeedDelay", 4, "s", 0.1), _b("OptionWSpeedZVDelay", 5, "s", 0.1),
-         _b("OptionWSpeedNoiseStd", 6, "pulse", 0.1), _b("WarmupStatus", 7)],
+    44: [_word("WSpeedScale", 0, "pulse/m", 0.1), _word("WSpeedScaleStd", 2, "%", 0.002),
+         _byte("OptionWSpeedDelay", 4, "s", 0.1), _byte("OptionWSpeedZVDelay", 5, "s", 0.1),
+         _byte("OptionWSpeedNoiseStd", 6, "pulse", 0.1), _byte("WarmupStatus", 7)],
     45: [F("WSpeedCount", "u32", 0, "pulse"), F("WSpeedMilliseconds", "u16", 4, "ms", validity=MINUTE_MS),
-         _b("WSpeedTimeUnchanged", 6, "s", 0.1), _b("GadStatus", 7)],
+         _byte("WSpeedTimeUnchanged", 6, "s", 0.1), _byte("GadStatus", 7)],
     46: _lever("WSpeedLeverArm"),
     47: _lever_accuracy("WSpeedLeverArm"),
-    48: [F("Undulation", "i16", 0, "m", 5e-3, 0, UNDULATION), _b("HDOP", 2, "1", 0.1), _b("PDOP", 3, "1", 0.1),
-         _b("OutputDatum", 5), _b("DatumEllipsoid", 6), _b("DatumEarthFrame", 7)],
-    49: [_w("OmniStarFreq", 0, "Hz", 1000, 1.52e9), _b("OmniStarSNR", 2, "dB", 0.2),
-         _b("OmniStarLockTime", 3, "s"),
+    48: [F("Undulation", "i16", 0, "m", 5e-3, 0, UNDULATION), _byte("HDOP", 2, "1", 0.1), _byte("PDOP", 3, "1", 0.1),
+         _byte("OutputDatum", 5), _byte("DatumEllipsoid", 6), _byte("DatumEarthFrame", 7)],
+    49: [_word("OmniStarFreq", 0, "Hz", 1000, 1.52e9), _byte("OmniStarSNR", 2, "dB", 0.2),
+         _byte("OmniStarLockTime", 3, "s"),
          *(F(f"OmniStatus{name}", f"bits{bit}+1", 4, validity=OMNISTAR_STATUS) for bit, name in enumerate((
              "VbsExpired", "VbsOutOfRegion", "VbsNoRemoteSites", "HpExpired", "HpOutOfRegion", "HpNoRemoteSites",
              "HpNotConverged", "HpKeyInvalid"))),
@@ -227,14 +229,14 @@ TABLE: dict[int, list[Field]] = {
     57: _xyz(("GAPx", "GAPy", "GAPz"), "i16", 1e-3, "m", LONG_RANGE),  # times b7, see decode_channel()
     58: _angles("VehicleToOutput"),
     59: [F("ImuMissedPkts", "u16", 0, cyclic=16), F("ImuResetCount", "u8", 2, cyclic=8),
-         F("ImuErrorCount", "u8", 3, cyclic=8), _w("ImuCalibrationDay", 4, "day"),
-         _w("ImuTemperature", 6, "degC", 0.01, -70)],
+         F("ImuErrorCount", "u8", 3, cyclic=8), _word("ImuCalibrationDay", 4, "day"),
+         _word("ImuTemperature", 6, "degC", 0.01, -70)],
     60: _angles("Ned2Surf"),
     61: _receiver_counters("GpsExternal"),
     62: _receiver_status("GpsExternal"),
     63: [F("AngAccFiltFreq", "f32", 0, "Hz"), F("AngAccFiltZeta", "f32", 4)],
-    64: [_b("CpuPcbType", 0), _b("GpsExternal.Type", 1),
-         _b("GpsExternal.Format", 2), _b("DualPortRamStatus", 3),
+    64: [_byte("CpuPcbType", 0), _byte("GpsExternal.Type", 1),
+         _byte("GpsExternal.Format", 2), _byte("DualPortRamStatus", 3),
          F("GpsPrimary.PosRate", "lo4", 4, validity=NIBBLE), F("GpsPrimary.VelRate", "hi4", 4, validity=NIBBLE),
          F("GpsPrimary.RawRate", "lo4", 5, validity=NIBBLE), F("GpsSecondary.RawRate", "hi4", 5, validity=NIBBLE),
          # By the vendor's convention, a unit that sends this channel has GPS but not BeiDou; neither has a bit.
@@ -242,22 +244,23 @@ TABLE: dict[int, list[Field]] = {
          *(F(name, f"ibits{bit}+1", 6, validity=INVERTED_B6) for bit, name in enumerate(
              ("GnssGlonassEnabled", "GnssGalileoEnabled", "RawRngEnabled", "RawDopEnabled", "RawL1Enabled",
               "RawL2Enabled", "RawL5Enabled"))),
-         _b("ProductType", 7)],
+         _byte("ProductType", 7)],
     65: _trigger(65),
     66: [F("RefLat", "i32", 0, "deg", 1e-7, 0, not_(-(1 << 31))),
          F("RefLon", "i32", 4, "deg", 1e-7, 0, not_(-(1 << 31)))],
     67: [F("RefAlt", "i32", 0, "m", 1e-3, 0, not_(-(1 << 31))),
          F("RefHeading", "i32", 4, "deg", 1e-7, 0, not_(-(1 << 31)))],
-    72: [*_xyz(("AxSf", "AySf", "AzSf"), "i16", 1e-6, "1", AGE), *_nibbles(7, "DiffNumGpsL1", "DiffNumGpsL2")],
-    73: [*_xyz(("AxSfAcc", "AySfAcc", "AzSfAcc"), "u16", 1e-6, "1", AGE), *_nibbles(7, "DiffNumGloL1", "DiffNumGloL2")],
+    72: [*_xyz(("AxSf", "AySf", "AzSf"), "i16", 1e-6, "1", FRESH), *_nibbles(7, "DiffNumGpsL1", "DiffNumGpsL2")],
+    73: [*_xyz(("AxSfAcc", "AySfAcc", "AzSfAcc"), "u16", 1e-6, "1", FRESH),
+         *_nibbles(7, "DiffNumGloL1", "DiffNumGloL2")],
     74: [F("LinAccFiltFreq", "f32", 0, "Hz"), F("LinAccFiltZeta", "f32", 4)],
-    75: [_w("FirmwareExpiryDay", 0, "day"), _b("SupplyVoltage", 2, "V", 0.2), _w("ImuRate", 3, "Hz", 0.02)],
+    75: [_word("FirmwareExpiryDay", 0, "day"), _byte("SupplyVoltage", 2, "V", 0.2), _word("ImuRate", 3, "Hz", 0.02)],
     76: [*(F(name, "u16", 2 * i, cyclic=16)
            for i, name in enumerate(("DiffChars", "DiffPkts", "DiffCharsSkipped"))),
-         _b("NtripStatus", 6), _b("WifiStatus", 7)],
-    77: [_b("DiffFormat", 0), _b("DiffType", 1), _b("DiffNumStations", 2)],
-    78: [F("CanTx", "u16", 0, cyclic=16), F("CanRx", "u16", 2, cyclic=16), _b("CanTxOkPercent", 4, "%"),
-         _b("CanRxOkPercent", 5, "%"), F("CanErrors", "u8", 6, cyclic=8), F("CanLastError", "u8", 7)],
+         _byte("NtripStatus", 6), _byte("WifiStatus", 7)],
+    77: [_byte("DiffFormat", 0), _byte("DiffType", 1), _byte("DiffNumStations", 2)],
+    78: [F("CanTx", "u16", 0, cyclic=16), F("CanRx", "u16", 2, cyclic=16), _byte("CanTxOkPercent", 4, "%"),
+         _byte("CanRxOkPercent", 5, "%"), F("CanErrors", "u8", 6, cyclic=8), F("CanLastError", "u8", 7)],
     79: _trigger(79),
     80: _trigger(80),
     81: _trigger(81),
@@ -267,8 +270,8 @@ TABLE: dict[int, list[Field]] = {
     88: _innovations("InnVerticalSlip"),
     89: [*_lever("VerticalSlipLeverArm"), F("WifiApStatus", "u8", 7, validity=POSITIVE)],
     90: [*_lever_accuracy("VerticalSlipLeverArm"), F("WifiRegion", "u8", 7)],
-    91: [F("PitchMisalign", "i16", 0, "deg", degrees(1e-4), 0, ZERO),
-         F("PitchMisalignAcc", "u16", 2, "deg", degrees(1e-5), 0, ZERO)],
+    91: [F("PitchMisalign", "i16", 0, "deg", degrees(1e-4), 0, B6_ZERO),
+         F("PitchMisalignAcc", "u16", 2, "deg", degrees(1e-5), 0, B6_ZERO)],
     93: [*_nibbles(1, "NumGalUsedInPos", "NumBdsUsedInPos"), F("NmeaEnabled", "lo4", 2), F("PtpEpoch", "hi4", 2),
          F("PpsStatus", "lo4", 3, validity=NIBBLE), F("LidarIpLastByte", "u8", 4),
          F("TimingSource", "lo4", 5, validity=NIBBLE)],
@@ -279,7 +282,7 @@ TABLE: dict[int, list[Field]] = {
          *_nibbles(4, "GpsSecondary.NumBdsB1", "GpsSecondary.NumBdsB2"),
          *_nibbles(5, "GpsExternal.NumBdsB1", "GpsExternal.NumBdsB2"), *_nibbles(6, "DiffNumGalE1", "DiffNumGalE5"),
          *_nibbles(7, "DiffNumBdsB1", "DiffNumBdsB2")],
-    95: [F("GadStreamId", "u8", 0, validity=POSITIVE), _b("GadRejected", 1),
+    95: [F("GadStreamId", "u8", 0, validity=POSITIVE), _byte("GadRejected", 1),
          *_innovations("GadInn1", "GadInn2", "GadInn3", first=2), F("GadTime", "u16", 5, "s", 1e-3, 0, MINUTE_MS)],
 }
 
@@ -299,17 +302,17 @@ def decode_channel(channel: int, data: bytes) -> dict[str, Value]:
     """
     word = int.from_bytes(data, "little")
     values = {name: decode(word, data) for name, decode in _DECODERS.get(channel, ())}
-    # 0xFF: the numbers are saturated
+    # A factor of 0xFF marks saturated numbers, which are not multiplied.
     if channel == LONG_RANGE_CHANNEL and values["GAPx"] is not None and data[7] != 0xFF:
         values = {name: value * data[7] for name, value in values.items()}
     return values
 
 
 def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
-    """The 8 bytes of a channel; a missing field, None or NaN becomes invalid (0 where the field has no such mark).
+    """The 8 bytes of a channel; a missing field, None or NaN becomes invalid (0 where the field cannot express that).
 
     decode_channel(n, encode_channel(n, v)) equals v within the resolution of each field. Raises NcomError for an
-    unknown channel or field, a code out of range, and an incomplete group of values with one validity byte.
+    unknown channel or field, a value out of range, and an incomplete group of values that share a validity byte.
     """
     fields = FIELDS.get(channel)
     if fields is None:
@@ -342,7 +345,7 @@ def _encode_long_range(values: Mapping[str, Value]) -> bytes:
         raise NcomError("channel 57: GAPx, GAPy, GAPz are valid together or not at all")
     factor = max(1, -(-max(abs(round(length * 1000)) for length in lengths) // 0x7FFF))
     if factor > 0xFE:
-        raise NcomError(f"channel 57: a lever arm of {max(map(abs, lengths))} m does not fit (8322 m)")
+        raise NcomError(f"channel 57: a lever arm of {max(map(abs, lengths))} m does not fit; at most 8322 m")
     buffer = bytearray(b"\0" * 7 + bytes([factor]))
     for field, length in zip(TABLE[LONG_RANGE_CHANNEL], lengths, strict=True):
         field.encode(buffer, length / factor)
@@ -356,5 +359,5 @@ def utc_offset(data: bytes) -> int | None:
 
 
 def known(channel: int) -> bool:
-    """Whether the layout of a channel is published; other channels are counted and not decoded."""
+    """Whether the layout of a channel is published; other channels are only counted."""
     return channel in TABLE

@@ -1,4 +1,4 @@
-"""ROS messages and publishers of the bridge.
+"""Publishers of the bridge and the ROS messages they fill.
 
 Frequent messages are filled in place and published again: publishing copies them, and constructing an Odometry costs
 more than all other work on a packet. Frames, signs and units: REP-103.
@@ -26,12 +26,12 @@ from .ncom import BY_STATUS, Counters, fix_status, mode_text
 from .status import StatusTracker
 from .stream import Received
 
-# Variance of an unknown quantity in messages that cannot express "unknown": so large that filters ignore the value,
-# finite so that none fails.
+# Variance of an unknown quantity in messages that cannot express "unknown": large enough for filters to ignore the
+# value, finite so that no filter fails.
 UNKNOWN_VARIANCE = 1e6
 _UNKNOWN_BLOCK = (UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, UNKNOWN_VARIANCE)
 
-# Depth: four seconds at 250 Hz, which a subscriber that was blocked (busy machine, suspended laptop) still receives.
+# Depth: four seconds at 250 Hz, so that a briefly blocked subscriber (busy machine, suspended laptop) loses nothing.
 QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 TF_QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -103,8 +103,11 @@ class Publishers:
             self._out["time_reference"].publish(message)
 
     def motion(self, stamp_ns: int, motion: Motion, position: Vector | None, accuracy: Accuracy, now: float) -> None:
-        """Odometry (pose of the INS point in the map frame, ENU; twist in its axes, FLU), transform odom to base, and
-        velocity; position: ENU in the map frame [m], None without an origin."""
+        """Publish odometry, the transform odom to base, and velocity.
+
+        Odometry: pose of the INS point in the map frame (ENU), twist in vehicle axes (FLU). position: ENU in the map
+        frame [m], None without an origin.
+        """
         if position is not None:
             if self._out["odometry"].has_subscribers(now):
                 message = self._odometry
@@ -131,7 +134,7 @@ class Publishers:
         """sensor_msgs/NavSatFix; its altitude is above the ellipsoid, NaN while the geoid undulation is unknown."""
         if not self._out["nav_sat_fix"].has_subscribers(now):
             return
-        # Above the ellipsoid = altitude + undulation: the manual prints a minus, real recordings show the plus.
+        # Height above the ellipsoid = altitude + undulation; the manual prints a minus, but recordings need the plus.
         undulation = 0.0 if self._settings.altitude_is_ellipsoidal else status.number("Undulation")
         message, variances = self._fix, accuracy.position_variances
         set_stamp(message.header, stamp_ns)
@@ -173,12 +176,12 @@ class Publishers:
         if self._status is not None:
             self._status.publish(message)
 
-    def origin(self, stamp_ns: int, degrees: tuple[float, float, float]) -> None:
-        """Origin of the map frame: latitude, longitude [deg], altitude [m] as the unit sends it."""
+    def origin(self, stamp_ns: int, geodetic: tuple[float, float, float]) -> None:
+        """Publish the map origin; geodetic: latitude, longitude [deg], altitude [m] as the unit sends it."""
         if self._origin is not None:
             message = NavSatFix(header=Header(frame_id=self._settings.map_frame))
             set_stamp(message.header, stamp_ns)
-            message.latitude, message.longitude, message.altitude = degrees
+            message.latitude, message.longitude, message.altitude = geodetic
             self._origin.publish(message)
 
     def clock(self, utc_ns: int) -> None:
@@ -214,11 +217,11 @@ def _set_vector(message: Any, vector: Vector) -> None:
     message.x, message.y, message.z = vector
 
 
-def _set_block(covariance: Any, at: int, block: tuple[float, ...]) -> None:
-    """Set a 3 x 3 block of a 6 x 6 matrix, its first element at index `at`."""
-    covariance[at], covariance[at + 1], covariance[at + 2] = block[0:3]
-    covariance[at + 6], covariance[at + 7], covariance[at + 8] = block[3:6]
-    covariance[at + 12], covariance[at + 13], covariance[at + 14] = block[6:9]
+def _set_block(covariance: Any, first: int, block: tuple[float, ...]) -> None:
+    """Set a 3 x 3 block of a 6 x 6 matrix, its first element at index `first`."""
+    covariance[first], covariance[first + 1], covariance[first + 2] = block[0:3]
+    covariance[first + 6], covariance[first + 7], covariance[first + 8] = block[3:6]
+    covariance[first + 12], covariance[first + 13], covariance[first + 14] = block[6:9]
 
 
 def _set_diagonal(covariance: Any, step: int, variances: Vector) -> None:
@@ -243,7 +246,7 @@ def _velocity_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, ...
 
 
 def _orientation_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, ...] | None:
-    """None while unknown."""
+    """Row-major 3 x 3 [rad^2], None while unknown."""
     if not accuracy.attitude_known:
         return None
     return motion.attitude.orientation_covariance(accuracy.roll, accuracy.pitch, accuracy.heading)
@@ -285,7 +288,7 @@ def make_status(stamp_ns: int, ins_frame: str, navigation_status: int, status: S
     message.output_latency = number("OutputLatency")
     message.differential_age = number("GpsDiffAge")
     message.antenna_lever_arm = [number("GAPx"), number("GAPy"), number("GAPz")]
-    # Units numbered above 65535 use channel 40.
+    # Serial numbers above 65535 are sent in channel 40 instead.
     message.serial_number = _integer(get("SerialNumber") if get("SerialNumber") is not None else get("SerialNumber24"))
     message.firmware = str(get("DevId") or "")
     message.seen_channels = sorted(status.seen)

@@ -1,7 +1,8 @@
 """Columns that the vendor's tools derive from the packets: level-frame values, speed, slip, distance, ISO axes.
 
-Conventions (ncom.md section 10): level frame = forward, right, down; Iso = forward, left, up. Only from valid
-navigation (status 3, 4, 21, 22); NaN where an input is missing. Checked by: tests/golden/test_ncom_vectors.py.
+Conventions (ncom.md section 10): level frame = forward, right, down; Iso = forward, left, up. Only packets with valid
+navigation (status 3, 4, 21, 22) have values; NaN where an input is missing.
+Checked by: tests/golden/test_ncom_vectors.py.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,11 +15,11 @@ from .file_decoder import EMPTY, REGULAR, UNKNOWN_TIME, Columns
 from .ncom import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS
 
 EARTH_RATE = 7.2921151467e-5  # rad/s
-# Accuracy of the horizontal speed where the unit has not sent one [m/s].
+# Accuracy of the horizontal speed until the unit sends one [m/s].
 UNKNOWN_SPEED_ACCURACY = 0.14
-# Distance is not integrated across a backward step of the packet time or a longer one [s]: a joined file, a set clock.
+# Distance is not integrated across a longer or a backward step of the packet time [s]: joined files, a changed clock.
 LONGEST_STEP = 10.0
-# Two successive steps are even, and a sampling rate is derived from them, if their ratio is within this of 1.
+# Two successive steps give the sampling rate if they are equal within this fraction.
 _STEP_TOLERANCE = 0.01
 
 
@@ -62,12 +63,12 @@ def derive(columns: Columns, settings: Settings) -> Mapping[str, np.ndarray]:
 def float_seconds(columns: Columns) -> np.ndarray:
     """GPS seconds since 1980-01-06, NaN unknown.
 
-    Minutes and the rest are added as floats, as in the vendor's tools: the rounding of 2e-7 s in the difference of two
-    times is part of their values of Y and Dist.
+    Minutes and milliseconds are added as floats, as in the vendor's tools: the rounding of 2e-7 s in a time difference
+    affects their angular accelerations and distances.
     """
     known = columns.gps_ns != UNKNOWN_TIME
-    minutes, rest = np.divmod(np.where(known, columns.gps_ns, 0), 60_000_000_000)
-    milliseconds, fine = np.divmod(rest, 1_000_000)
+    minutes, remainder = np.divmod(np.where(known, columns.gps_ns, 0), 60_000_000_000)
+    milliseconds, fine = np.divmod(remainder, 1_000_000)
     return np.where(known, minutes * 60.0 + milliseconds * 0.001 + fine * 1e-9, np.nan)
 
 
@@ -118,28 +119,28 @@ def _forward_fill(changes: list[tuple[int, float]], count: int) -> np.ndarray:
 
 
 def _distances(out: dict, columns: Columns, seconds: np.ndarray) -> None:
-    """Trapezoidal integral of speed; trigger packets get its value at their time without advancing it."""
+    """Trapezoidal integral of speed; a trigger packet gets the distance at its time without advancing it."""
     for name, speed in (("Dist2d", out["Speed2d"]), ("Dist3d", out["Speed3d"])):
         usable = ~np.isnan(speed) & ~np.isnan(seconds)
         series = np.flatnonzero(usable & (columns.kind == REGULAR) & (columns.order == 0))
-        series = series[_sets_minute(columns, series) :]
+        series = series[_count_skipped_packets(columns, series) :]
         distance = np.full(len(speed), np.nan)
         if len(series):
             step = np.diff(seconds[series])
             step[(step < 0) | (step > LONGEST_STEP)] = 0.0
             total = np.concatenate([[0.0], np.cumsum(0.5 * (speed[series][1:] + speed[series][:-1]) * step)])
-            others = np.flatnonzero(usable & ~np.isin(np.arange(len(speed)), series))
+            remaining = np.flatnonzero(usable & ~np.isin(np.arange(len(speed)), series))
             distance[series] = total
-            before = np.searchsorted(series, others) - 1
-            others, before = others[before >= 0], before[before >= 0]
+            before = np.searchsorted(series, remaining) - 1
+            remaining, before = remaining[before >= 0], before[before >= 0]
             last = series[before]
-            further = np.where(columns.kind[others] == REGULAR, 0.0, seconds[others] - seconds[last])
-            distance[others] = total[before] + 0.5 * (speed[others] + speed[last]) * further
+            elapsed = np.where(columns.kind[remaining] == REGULAR, 0.0, seconds[remaining] - seconds[last])
+            distance[remaining] = total[before] + 0.5 * (speed[remaining] + speed[last]) * elapsed
         out[name] = distance
 
 
-def _sets_minute(columns: Columns, series: np.ndarray) -> int:
-    """1 if the first packet of the series sets the minute, else 0; the vendor's tools start the distance after it."""
+def _count_skipped_packets(columns: Columns, series: np.ndarray) -> int:
+    """Packets to skip: 1 if the first of the series sets the minute (the vendor's tools start after it), else 0."""
     if not len(series) or columns.channel[series[0]] != 0:
         return 0
     earlier = slice(0, series[0])
@@ -175,14 +176,15 @@ def _filtered(out: dict, columns: Columns, seconds: np.ndarray, settings: Settin
 def low_pass(
     seconds: np.ndarray, values: np.ndarray, settings: Sequence[tuple[int, float | None, float | None]]
 ) -> np.ndarray:
-    """Second-order low-pass that units announce in channels 63 and 74 and leave to the receiver.
+    """Values after the second-order low-pass whose settings a unit sends in channels 63 and 74.
 
         b = (K^2, 2 K^2, K^2) / D,  a = (1, 2 (K^2 - 1) / D, (K^2 - 2 z K + 1) / D),
         K = tan(pi fc / fs),  D = K^2 + 2 z K + 1
 
-    settings: (index of its first sample, cutoff fc [Hz], damping ratio z); both 0: off (output = input), None: as
-    before. NaN until a setting with fc < fs / 2 and three evenly spaced samples; the first of them is the initial
-    steady state. Source: ncom.md section 10. Checked by: tests/golden/test_ncom_vectors.py (case filters).
+    settings: (index of its first sample, cutoff fc [Hz], damping ratio z); both 0: off (output = input), None:
+    unchanged. NaN until there are a setting with fc < fs / 2 and three evenly spaced samples; the filter starts in
+    steady state at the first of these.
+    Source: ncom.md section 10. Checked by: tests/golden/test_ncom_vectors.py (case filters).
     """
     output = np.full(len(values), np.nan)
     changes: list[tuple[int, tuple[float, float]]] = []
@@ -215,7 +217,10 @@ def low_pass(
 def _without_gravity(
     columns: Columns, velocity: np.ndarray, heading: np.ndarray, level: list[list[np.ndarray]], acceleration: np.ndarray
 ) -> np.ndarray:
-    """Acceleration of the vehicle over ground in vehicle axes (FRD): a = A + R_no^T (g - (2 w_ie + w_en) x v)."""
+    """Acceleration relative to the ground [m/s^2], vehicle axes (FRD): a = A + R_no^T (g - (2 w_ie + w_en) x v).
+
+    A: specific force. w_ie: rotation of the earth, w_en: of the local frame as it moves over the earth.
+    """
     latitude, height = columns.latitude, columns.altitude
     north, east, down = velocity
     s, c = np.sin(latitude), np.cos(latitude)
@@ -225,14 +230,14 @@ def _without_gravity(
     turn_north = 2 * EARTH_RATE * c + east / (normal + height)
     turn_east = -north / (meridian + height)
     turn_down = -2 * EARTH_RATE * s - east * s / c / (normal + height)
-    extra = np.array(
+    correction = np.array(
         [
             -(turn_east * down - turn_down * east),
             -(turn_down * north - turn_north * down),
             gravity(latitude, height) - (turn_north * east - turn_east * north),
         ]
     )
-    return acceleration + _apply_transposed(level, _to_level_heading(extra, heading))
+    return acceleration + _apply_transposed(level, _to_level_heading(correction, heading))
 
 
 def gravity(latitude: np.ndarray, height: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """A whole NCOM file as numpy columns, with the same packets, times and counts as stream.NcomParser.
 
-This second implementation is 30 times faster than the parser; tests/golden and test_stream.py compare both.
+This second implementation is 30 times faster than the parser; tests/golden and test_stream.py compare the two.
 """
 
 from dataclasses import dataclass
@@ -17,8 +17,8 @@ KINDS = ("empty", "regular", "status", "trigger")
 EMPTY, REGULAR, STATUS, TRIGGER = range(4)
 UNKNOWN_TIME = np.iinfo(np.int64).min
 
-# Rows checked at once: small right after a fault, then growing, so that a clean file is a few large steps.
-_FIRST_ROWS, _MOST_ROWS = 64, 1 << 16
+# Rows checked per step: few right after a fault, then growing, so that a clean file takes a few large steps.
+_FIRST_ROWS, _MAX_ROWS = 64, 1 << 16
 
 _KIND = np.array([KINDS.index(rule.kind) for rule in BY_STATUS], np.int8)
 _HAS_TIME = np.array([rule.time for rule in BY_STATUS])
@@ -42,7 +42,7 @@ class Columns:
     gps_ns: since 1980-01-06, utc_ns: since 1970, UNKNOWN_TIME where unknown.  milliseconds, navigation_status,
     channel: as sent. acceleration [m/s^2], angular_rate [rad/s]: (3, n), vehicle FRD.  latitude, longitude [rad],
     altitude [m] as sent.  velocity_ned: (3, n) [m/s].  heading, pitch, roll [rad].  NaN = invalid.
-    approximate: before the first fix.  has_status: batch S is valid.
+    approximate: navigation before the first fix.  has_status: batch S is valid.
     """
 
     offset: np.ndarray
@@ -77,7 +77,7 @@ class Columns:
 
 
 def decode_file(source: str | Path | bytes) -> Columns:
-    """Columns of a file (path) or of its bytes.
+    """Columns of an NCOM file, given as a path or as its bytes.
 
     Raises NcomError, naming the file and its content, if it contains no packet; OSError if it cannot be read.
     """
@@ -105,7 +105,7 @@ def find_packets(data: bytes, counters: Counters) -> np.ndarray:
         run = count if good.all() else int(good.argmin())
         found.append(np.arange(at, at + run * PACKET_SIZE, PACKET_SIZE))
         at += run * PACKET_SIZE
-        rows = min(_MOST_ROWS, 4 * rows)
+        rows = min(_MAX_ROWS, 4 * rows)
         if run < count:
             at, rows = next_packet(data, at, True, counters)[0], _FIRST_ROWS
     next_packet(data, at, True, counters)  # counts the bytes after the last packet
@@ -152,17 +152,17 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
         counters=counters,
         time_jumps=jumps,
     )
-    _count(columns)
-    _mask(columns)
+    _fill_counters(columns)
+    _mask_invalid(columns)
     return columns
 
 
 def _utc_times(raw: np.ndarray, status: np.ndarray, channel: np.ndarray, gps_ns: np.ndarray) -> np.ndarray:
-    """UTC [ns]; an offset applies from the packet that carries it on."""
-    carry = np.flatnonzero((channel == UTC_CHANNEL) & _HAS_MINUTE[status])
-    offsets = _UTC_OFFSET[raw[carry, BATCH_S.stop - 1]]
+    """UTC [ns since 1970]; an offset applies from the packet that carries it onwards."""
+    carriers = np.flatnonzero((channel == UTC_CHANNEL) & _HAS_MINUTE[status])
+    offsets = _UTC_OFFSET[raw[carriers, BATCH_S.stop - 1]]
     known = offsets != _NO_OFFSET
-    return utc_times(gps_ns, UNKNOWN_TIME, carry[known], offsets[known])
+    return utc_times(gps_ns, UNKNOWN_TIME, carriers[known], offsets[known])
 
 
 def _times(raw: np.ndarray, status: np.ndarray, milliseconds: np.ndarray,
@@ -181,7 +181,7 @@ def _times(raw: np.ndarray, status: np.ndarray, milliseconds: np.ndarray,
 
 
 def _rows(data: bytes, offset: np.ndarray) -> np.ndarray:
-    """(n, 72) bytes; a view where the packets lie back to back."""
+    """(n, 72) bytes; a view of the data if the packets are contiguous."""
     bytes_ = np.frombuffer(data, np.uint8)
     breaks = np.flatnonzero(np.diff(offset) != PACKET_SIZE) + 1
     starts, ends = [0, *breaks], [*breaks, len(offset)]
@@ -198,7 +198,7 @@ def _i24(buffer: memoryview, n: int, at: int, unit: float) -> np.ndarray:
 
 
 def _trigger_times(raw: np.ndarray, kind: np.ndarray, gps_ns: np.ndarray, order: np.ndarray) -> None:
-    before = b""
+    previous = b""
     for i in np.flatnonzero(kind == TRIGGER):
         packet = raw[i].tobytes()
         time = trigger_nanoseconds(packet[BATCH_S]) if packet[ncom.CHANNEL_AT] in TRIGGER_CHANNELS else None
@@ -206,11 +206,11 @@ def _trigger_times(raw: np.ndarray, kind: np.ndarray, gps_ns: np.ndarray, order:
             kind[i] = EMPTY
         else:
             gps_ns[i] = time
-            order[i] = DUPLICATE if packet == before else NEW
-        before = packet
+            order[i] = DUPLICATE if packet == previous else NEW
+        previous = packet
 
 
-def _count(columns: Columns) -> None:
+def _fill_counters(columns: Columns) -> None:
     counters, raw, status, order = columns.counters, columns.raw, columns.navigation_status, columns.order
     first = np.add.reduce(raw[:, 1:ncom.CHECKSUM_1_AT], axis=1, dtype=np.uint8)
     second = first + np.add.reduce(raw[:, ncom.CHECKSUM_1_AT:ncom.CHECKSUM_2_AT], axis=1, dtype=np.uint8)
@@ -226,7 +226,7 @@ def _count(columns: Columns) -> None:
     counters.late = int((order == LATE).sum())
 
 
-def _mask(columns: Columns) -> None:
+def _mask_invalid(columns: Columns) -> None:
     """Set NaN where the navigation status declares values invalid, and for impossible positions."""
     status, usable = columns.navigation_status, columns.kind != EMPTY
     no_imu = ~(_HAS_IMU[status] & usable)

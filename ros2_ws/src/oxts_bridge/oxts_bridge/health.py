@@ -1,4 +1,4 @@
-"""Diagnostics of the node."""
+"""Diagnostic checks of the OxTS bridge."""
 
 import time
 from collections.abc import Callable
@@ -12,26 +12,26 @@ from .sources import SourceStatus
 from .status import StatusTracker
 from .stream import NcomParser, StreamStatistics
 
-# Median difference between stamps and the host's clock that is reported [s]. CAN frames are stamped by the host, so
-# this is also the time error of the steering; the delay of the unit and the network is well below.
+# A larger median difference between stamps and the host's clock is a warning [s]. CAN frames are stamped by the host,
+# so this is also the time error of the steering; the delay of unit and network is well below.
 MAX_CLOCK_OFFSET = 0.05
-# A larger difference is not a delay but another time: a wrong week, a recording played into the port [s].
-ANOTHER_TIME = 60.0
-DAY = 86_400.0  # s
+# A larger difference is not a delay but a wrong date [s]: a wrong GPS week, a recording sent to the port.
+MAX_DELAY = 60.0
+_DAY = 86_400.0  # s
 _NEVER = float("-inf")
 
 
 class Health:
     """Diagnostic checks from the counts of parser, status and source.
 
-    Set by the node: navigation_status; last_packet_at: time of receipt on the monotonic clock [s]; minute_from_host;
-    failures: packets that could not be published. incomplete: packets with a fix by their navigation status, but with
-    position, velocity, angles or rates marked invalid: no odometry.
+    Set by the node: navigation_status; last_packet_at: time of receipt on the monotonic clock [s]; minute_from_host:
+    whether the GPS minute comes from the host's clock; failures: packets that could not be published; incomplete:
+    packets without odometry because position, velocity, angles or rates are invalid although the status has a fix.
     """
 
     def __init__(self, parser: NcomParser, status: StatusTracker, origin: Origin, statistics: StreamStatistics,
                  source: Callable[[], SourceStatus | None], live: bool, ellipsoidal: bool, silence_after: float):
-        """live: packets arrive as they are measured, so that stamps can be compared with the host's clock."""
+        """live: packets arrive as they are measured, so their stamps can be compared with the host's clock."""
         self.navigation_status: int | None = None
         self.last_packet_at = _NEVER
         self.minute_from_host = False
@@ -40,8 +40,8 @@ class Health:
         self._best_mode: int | None = None
         self._parser, self._status, self._origin, self._statistics = parser, status, origin, statistics
         self._source, self._live, self._ellipsoidal, self._silence_after = source, live, ellipsoidal, silence_after
-        self._before: dict[str, int] = {}
-        self._rivals_before = 0
+        self._previous_faults: dict[str, int] = {}
+        self._previous_rivals = 0
 
     def checks(self) -> list[Check]:
         source = self._source()
@@ -63,7 +63,7 @@ class Health:
             return Check("source", ERROR, source.trouble, values)
         if source.done:
             return Check("source", OK, f"{source.name}: replay finished", values)
-        rivals, self._rivals_before = source.rivals - self._rivals_before, source.rivals
+        rivals, self._previous_rivals = source.rivals - self._previous_rivals, source.rivals
         if rivals > 0:
             text = f"a second sender on {source.sender}: {rivals} datagrams ignored since the last report"
             return Check("source", WARN, f"{source.name}: {text}", values)
@@ -83,8 +83,8 @@ class Health:
             "impossible times": counters.impossible_times,
             "packets without a complete solution": self.incomplete,
         }
-        new = {name: count - self._before.get(name, 0) for name, count in faults.items()}
-        self._before = faults
+        new = {name: count - self._previous_faults.get(name, 0) for name, count in faults.items()}
+        self._previous_faults = faults
         values = {
             "rate [Hz]": rate,
             "longest step [s]": longest,
@@ -151,8 +151,8 @@ class Health:
         if not (accuracy.position_variances and accuracy.velocity_known and accuracy.attitude_known):
             degraded.append("accuracies (channels 3, 4, 5): covariances unknown")
         if self._origin.frame is None:
-            awaited = "the unit's local frame" if self._origin.source == UNIT else "the first fix"
-            degraded.append(f"map origin: ins/odometry and tf wait for {awaited}")
+            pending = "the unit's local frame" if self._origin.source == UNIT else "the first fix"
+            degraded.append(f"map origin: ins/odometry and tf wait for {pending}")
         elif self._origin.used != self._origin.source:
             degraded.append("the unit's local frame (channels 66, 67): map origin is the first fix")
         if self._parser.utc_offset is None:
@@ -169,14 +169,15 @@ class Health:
         offset = self._parser.utc_offset
         values: dict[str, Any] = {"time jumps": self._parser.time_jumps,
                                   "UTC offset [s]": "leap-second table" if offset is None else offset}
-        figures = self._statistics.stamp_minus_host() if self._live else None
-        if figures is None:
+        differences = self._statistics.stamp_minus_host() if self._live else None
+        if differences is None:
             return Check("time", OK, "not compared with the host's clock" if not self._live else "no time yet", values)
-        middle, worst, newest = figures
-        values |= {"stamp minus host, median [s]": middle, "stamp minus host, 99 % above [s]": worst}
-        if abs(newest) > ANOTHER_TIME:
-            apart = f"{newest / DAY:+.1f} days" if abs(newest) > DAY else f"{newest:+.0f} s"
-            return Check("time", ERROR, f"stamps are of another time: {apart} from the host's clock", values)
-        if abs(middle) > MAX_CLOCK_OFFSET:
-            return Check("time", WARN, f"stamps are {middle:+.3f} s from the host's clock: check both clocks", values)
-        return Check("time", OK, f"stamps {middle * 1e3:+.1f} ms from the host's clock", values)
+        median, percentile_1, newest = differences
+        values |= {"stamp minus host, median [s]": median, "stamp minus host, 1st percentile [s]": percentile_1}
+        if abs(newest) > MAX_DELAY:
+            apart = f"{newest / _DAY:+.1f} days" if abs(newest) > _DAY else f"{newest:+.0f} s"
+            text = f"stamps are {apart} from the host's clock: wrong date, or packets of a recording"
+            return Check("time", ERROR, text, values)
+        if abs(median) > MAX_CLOCK_OFFSET:
+            return Check("time", WARN, f"stamps are {median:+.3f} s from the host's clock: check both clocks", values)
+        return Check("time", OK, f"stamps {median * 1e3:+.1f} ms from the host's clock", values)

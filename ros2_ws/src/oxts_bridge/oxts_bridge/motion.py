@@ -1,14 +1,14 @@
-"""Motion of the vehicle in the axes and units of ROS from one packet, the origin of the map frame, and odometry
-reconstructed from recorded packets. No ROS in here.
+"""Vehicle motion in ROS axes and units from one packet, the origin of the map frame, and odometry reconstructed from
+recorded packets. Free of ROS.
 
-NED and FRD (forward, right, down) of the wire become ENU and FLU (forward, left, up), WGS84 latitude, longitude, height
-become a local east-north-up frame:
+NED and FRD (forward, right, down) as sent become ENU and FLU (forward, left, up); WGS84 latitude, longitude and height
+become coordinates of a local east-north-up frame:
 
     R_enu_flu = T R_no F,  T = [[0,1,0],[1,0,0],[0,0,-1]],  F = diag(1,-1,-1),  R_no = Rz(heading) Ry(pitch) Rx(roll)
     as fixed-axis angles: roll = roll, pitch = -pitch, yaw = pi/2 - heading
 
 Plain floats: for single vectors numpy is ten times slower. Source: ncom.md sections 9 to 11 (REP-103). Checked by:
-test_geometry.py (worked examples; ellipsoid radii as the short-distance limit), and st_sim against the inverse.
+test_geometry.py (worked examples; short distances against the ellipsoid radii), and the inverse in st_sim.
 """
 
 from collections.abc import Iterable, Iterator
@@ -25,7 +25,7 @@ Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 FIRST_FIX, GIVEN, UNIT = "first_fix", "given", "unit"
-# A unit repeats its local frame about every 200 packets; one that has not sent it after this time has none [ns].
+# A unit repeats its local frame about every 200 packets; if none has arrived after this time, it has none [ns].
 LOCAL_FRAME_TIMEOUT_NS = 10_000_000_000
 
 
@@ -104,16 +104,16 @@ def flu_from_frd(frd: Vector) -> Vector:
 def to_ecef(latitude: float, longitude: float, height: float) -> tuple[float, float, float]:
     """Earth-centred x, y, z [m] of latitude, longitude [rad], height above the ellipsoid [m]."""
     normal = radii(latitude)[1]
-    across = (normal + height) * cos(latitude)
+    axis_distance = (normal + height) * cos(latitude)
     z = (normal * (1 - ECCENTRICITY_SQUARED) + height) * sin(latitude)
-    return across * cos(longitude), across * sin(longitude), z
+    return axis_distance * cos(longitude), axis_distance * sin(longitude), z
 
 
 class LocalFrame:
-    """East-north-up frame at an origin."""
+    """East-north-up frame, tangent to the ellipsoid at an origin."""
 
     def __init__(self, latitude: float, longitude: float, altitude: float) -> None:
-        """latitude, longitude: [rad]; altitude: [m], of the same kind (geoid or ellipsoid) as the positions.
+        """latitude, longitude: [rad]; altitude: [m], above the same reference (geoid or ellipsoid) as positions.
 
         Raises ValueError for an origin that is not finite.
         """
@@ -134,7 +134,7 @@ class LocalFrame:
 
 @dataclass(slots=True)
 class Accuracy:
-    """Standard deviations reported by the unit, NaN unknown (never sent, or marked as outdated).
+    """Standard deviations reported by the unit; NaN: unknown (never sent, or marked as outdated).
 
     east, north, up [m]; velocity_east, velocity_north, velocity_up [m/s]; roll, pitch, heading [rad].
     """
@@ -192,7 +192,7 @@ class Motion:
 
 
 def motion_of(received: Received) -> Motion | None:
-    """Motion from one packet; None unless position, velocity, angles and rates are valid (status 2 has no fix)."""
+    """Motion from one packet; None unless position, velocity, angles and rates are valid (status 2: no fix yet)."""
     if received.rule.navigation != "valid" or received.kind not in ("regular", "trigger"):
         return None
     packet = received.packet
@@ -210,30 +210,33 @@ def motion_of(received: Received) -> Motion | None:
 class Origin:
     """Origin of the map frame: the first fix, a given point, or the unit's own local frame; constant once chosen.
 
-    frame: None until chosen. degrees: its latitude, longitude [deg], altitude [m], which reproduce the frame to the
-    last bit. With source "unit" the first fix is used if the unit sends no local frame within 10 s.
+    frame: None until chosen. degrees: latitude, longitude [deg], altitude [m], which reproduce the frame bit by bit.
+    With source "unit" the first fix is used if the unit sends no local frame within 10 s.
     """
 
     def __init__(self, source: str, given: tuple[float, float, float] | None = None) -> None:
-        """given: latitude, longitude [deg], altitude [m] of the same kind as the unit sends; for source "given"."""
+        """given: latitude, longitude [deg], altitude [m] as the unit sends it; required for source "given"."""
         self.source = source
         self.used = ""
         self.frame: LocalFrame | None = None
         self.degrees: tuple[float, float, float] | None = None
-        self._since_ns: int | None = None
+        self._waiting_since_ns: int | None = None
         if given is not None:
             self._set(GIVEN, *given)
 
     def update(self, motion: Motion, status: StatusTracker, now_ns: int) -> LocalFrame | None:
-        """The map frame, chosen at this fix if it was not yet; now_ns: time on any monotonic clock [ns]."""
+        """The map frame, chosen at this fix at the latest; None while waiting for the unit's local frame.
+
+        now_ns: time on any monotonic clock [ns].
+        """
         if self.frame is not None:
             return self.frame
         if self.source == UNIT:
             sent = status.local_frame
             if sent is not None:
                 return self._set(UNIT, *sent[:3])
-            self._since_ns = now_ns if self._since_ns is None else self._since_ns
-            if 0 <= now_ns - self._since_ns < LOCAL_FRAME_TIMEOUT_NS:
+            self._waiting_since_ns = now_ns if self._waiting_since_ns is None else self._waiting_since_ns
+            if 0 <= now_ns - self._waiting_since_ns < LOCAL_FRAME_TIMEOUT_NS:
                 return None
         return self._set(FIRST_FIX, degrees(motion.latitude), degrees(motion.longitude), motion.altitude)
 
@@ -256,10 +259,10 @@ class ReconstructedOdometry(NamedTuple):
 
 def reconstruct_odometry(packets: Iterable[tuple[int, bytes]], origin: Origin, live: bool = True,
                          by_receive_time: bool = False) -> Iterator[ReconstructedOdometry]:
-    """Odometry as the live node published it from recorded packets, equal to the last bit; about 20 us per packet.
+    """Odometry from recorded packets, bit-identical to what the live node published; about 20 us per packet.
 
     packets: (received [ns since 1970], 72 bytes), in order of receipt. origin: as configured in the node. live: from a
-    unit, not from a replayed file. by_receive_time: value "receive" of the parameter stamp_source.
+    unit, not from a replayed file. by_receive_time: the node's parameter stamp_source was "receive".
     """
     parser, status, minute = NcomParser(), StatusTracker(), HostMinute()
     for received_ns, raw in packets:

@@ -1,5 +1,6 @@
-"""GPS and UTC time of NCOM packets, in integers, from milliseconds of the minute and an occasional minute number: of a
-stream packet by packet, of a whole file in columns.
+"""GPS and UTC time of NCOM packets in integers, from the milliseconds of the minute and an occasional minute number.
+
+GpsClock steps through a stream packet by packet; packet_times does a whole file in columns.
 
 GPS time counts from 1980-01-06T00:00:00 without leap seconds: gps = minutes * 60 s + ms.  UTC = gps - leap seconds.
 Source: ncom.md section 5. Checked by: test_packet_time.py, tests/golden/test_ncom_vectors.py.
@@ -17,18 +18,18 @@ WEEK_MS = 604_800_000
 # Valid GPS minutes: the manual defines smaller numbers as "unknown"; ROS stamps end in 2038.
 FIRST_MINUTE, LAST_MINUTE = 1_000, 30_525_000
 
-NEW, SAME, LATE, DUPLICATE = 0, 1, 2, 3  # a duplicate is the same to the last byte
-# Packets at most this far behind are late, others are ahead; milliseconds of the minute resolve no more.
+NEW, SAME, LATE, DUPLICATE = 0, 1, 2, 3  # DUPLICATE: same time and same bytes as the packet before
+# A packet up to this far behind is late, any other is ahead: milliseconds of the minute resolve no more.
 HALF_MINUTE_MS = 30_000
-# More late packets in a row, each after the previous one, are not reordering but a clock that was set back.
+# More consecutive late packets, each later than the one before, mean that the clock was set back, not reordering.
 LATE_RUN = 10
-# Longest pause on the receive clock across which the minute is still counted.
+# Longest pause on the receive clock across which minutes are counted on [ns].
 LONGEST_GAP_NS = 30_000_000_000
-# Within this time of a new minute, a channel 0 that differs by one minute must be confirmed by the next one.
+# Within this time of a minute change, a channel 0 that differs by one minute must be confirmed by the next [ms].
 CONFIRMATION_MS = 1_000
-# A step of the packet time that exceeds the pause on the receive clock by more than this is a jump.
+# A step of the packet time that exceeds the pause on the receive clock by more than this is a jump [ns].
 LARGEST_STEP_NS = 1_000_000_000
-# A run of a file with fewer packets is faster packet by packet than in columns.
+# Shorter runs of packets are faster one by one than in columns.
 SHORTEST_RUN = 16
 
 
@@ -53,7 +54,7 @@ def host_minute(received_ns: int, milliseconds: int) -> int:
 
 
 class GpsClock:
-    """GPS time of each packet of a series that carries bytes 1-2 (navigation status 2, 3, 4).
+    """GPS time of each packet with valid milliseconds (bytes 1-2: navigation status 2, 3, 4).
 
     minute: of the newest packet, None until known. jumps: number of steps back, or forward by more than 1 s beyond the
     pause on the receive clock. step() never raises.
@@ -65,14 +66,14 @@ class GpsClock:
         self.jumps = 0
         self._received_ns: int | None = None
         self._unconfirmed: int | None = None
-        self._run = 0
-        self._run_ms = 0
-        self._run_minute: int | None = None
+        self._late_count = 0
+        self._late_ms = 0
+        self._late_minute: int | None = None
 
     @property
     def settled(self) -> bool:
-        """Whether the minute is known, and no change of minute and no run of late packets awaits confirmation."""
-        return self.minute is not None and self._unconfirmed is None and self._run == 0
+        """Whether the minute is known and neither a minute change nor a run of late packets awaits confirmation."""
+        return self.minute is not None and self._unconfirmed is None and self._late_count == 0
 
     def hint(self, minute: int) -> None:
         """Set the minute from a status-only packet (its milliseconds are not valid) if none is known yet."""
@@ -82,7 +83,8 @@ class GpsClock:
     def step(self, ms: int, minute: int | None = None, received_ns: int | None = None) -> tuple[int | None, int]:
         """GPS time [ms] of one packet, None while no minute is known, and NEW, SAME or LATE relative to the newest.
 
-        ms: of the packet. minute: of its channel 0, None without. received_ns: host receive time, None in a file.
+        ms: milliseconds of the packet. minute: of its channel 0, None without one. received_ns: host time of receipt,
+        None in a file.
         """
         last = self.milliseconds
         if last is None:
@@ -98,8 +100,8 @@ class GpsClock:
             self._received_ns = received_ns
         ahead = (ms - last) % MINUTE_MS
         if ahead >= HALF_MINUTE_MS and not self._is_ahead(ms, minute):
-            return self._late(ms, minute, ahead, received_ns)
-        self._run = 0
+            return self._late_packet(ms, minute, ahead, received_ns)
+        self._late_count = 0
         self.milliseconds = ms
         jumped = ahead >= HALF_MINUTE_MS
         if jumped:
@@ -108,7 +110,7 @@ class GpsClock:
             if self.minute is not None and ms < last:
                 self.minute += 1
             if minute is not None:
-                jumped = self._channel_0(ms, minute)
+                jumped = self._compare_minute(ms, minute)
             jumped = jumped or ahead * 1_000_000 - pause > LARGEST_STEP_NS
         self.jumps += jumped
         return self._time(), NEW if ahead else SAME
@@ -118,8 +120,8 @@ class GpsClock:
             return None
         return self.minute * MINUTE_MS + self.milliseconds
 
-    def _channel_0(self, ms: int, minute: int) -> bool:
-        """Compare the counted minute with the sent one, which has precedence; True if that moved the time."""
+    def _compare_minute(self, ms: int, minute: int) -> bool:
+        """Reconcile the counted minute with the sent one, which has precedence; True if the time jumped."""
         if self.minute is None or minute == self.minute:
             self.minute, self._unconfirmed = minute, None
             return False
@@ -132,24 +134,24 @@ class GpsClock:
         return True
 
     def _is_ahead(self, ms: int, minute: int | None) -> bool:
-        """Whether a packet that is old by its milliseconds alone is ahead by its minute."""
+        """Whether a packet that looks late by its milliseconds is ahead by its minute."""
         now = self._time()
         return minute is not None and now is not None and minute * MINUTE_MS + ms > now
 
-    def _late(self, ms: int, minute: int | None, ahead: int, received_ns: int | None) -> tuple[int | None, int]:
-        follows = self._run and (ms - self._run_ms) % MINUTE_MS < HALF_MINUTE_MS
+    def _late_packet(self, ms: int, minute: int | None, ahead: int, received_ns: int | None) -> tuple[int | None, int]:
+        follows = self._late_count and (ms - self._late_ms) % MINUTE_MS < HALF_MINUTE_MS
         if follows:
-            self._run += 1
-            if self._run_minute is not None and ms < self._run_ms:
-                self._run_minute += 1
+            self._late_count += 1
+            if self._late_minute is not None and ms < self._late_ms:
+                self._late_minute += 1
         else:
-            self._run, self._run_minute = 1, None
-        self._run_ms = ms
+            self._late_count, self._late_minute = 1, None
+        self._late_ms = ms
         if minute is not None:
-            self._run_minute = minute
-        if self._run > LATE_RUN:
+            self._late_minute = minute
+        if self._late_count > LATE_RUN:
             self.jumps += 1
-            return self._restart(ms, self._run_minute, received_ns), NEW
+            return self._restart(ms, self._late_minute, received_ns), NEW
         if minute is not None:
             return minute * MINUTE_MS + ms, LATE
         now = self._time()
@@ -158,7 +160,7 @@ class GpsClock:
 
     def _restart(self, ms: int, minute: int | None, received_ns: int | None) -> int | None:
         self.milliseconds, self.minute = ms, minute
-        self._received_ns, self._unconfirmed, self._run = received_ns, None, 0
+        self._received_ns, self._unconfirmed, self._late_count = received_ns, None, 0
         return self._time()
 
 
@@ -171,8 +173,8 @@ def packet_times(
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """GPS time [ms] (-1 unknown) and order of each timed packet of a file, and the number of time jumps.
 
-    GpsClock steps through late packets, changes of the minute and what follows until it has settled; it counts the
-    long runs in between in columns.
+    GpsClock steps through late packets and minute changes until it has settled; the long runs in between are computed
+    in columns.
 
     ms, minutes: of each timed packet, minutes -1 where it has no channel 0. index: its packet number. hints: (packet
     number, minute) of status-only packets. equal(i, j): whether the bytes of timed packets i and j are the same.
@@ -180,13 +182,13 @@ def packet_times(
     step = np.diff(ms, prepend=ms[:1])
     ahead = step % MINUTE_MS
     late, sent = ahead >= HALF_MINUTE_MS, np.flatnonzero(minutes >= 0)
-    turns = np.cumsum((step < 0) & ~late)
-    base = minutes[sent] - turns[sent]  # constant while the sent minutes agree with the count
+    rollovers = np.cumsum((step < 0) & ~late)
+    base = minutes[sent] - rollovers[sent]  # constant while the sent minutes agree with the count
     events = np.union1d(np.flatnonzero(late), sent[1:][np.diff(base) != 0])
     times, order = np.full(len(ms), -1, np.int64), np.where(ahead > 0, NEW, SAME).astype(np.int8)
-    counted, steps = turns * MINUTE_MS + ms, np.cumsum(ahead * 1_000_000 > LARGEST_STEP_NS)
+    counted, steps = rollovers * MINUTE_MS + ms, np.cumsum(ahead * 1_000_000 > LARGEST_STEP_NS)
     waiting, clock, k = list(hints), GpsClock(), 0
-    numbers, all_ms, all_minutes = index.data, ms.data, minutes.data  # cheap to read one by one
+    numbers, all_ms, all_minutes = index.data, ms.data, minutes.data  # memoryviews: cheap to read one by one
     next_event, next_sent = [*events.tolist(), len(ms)], [*sent.tolist(), len(ms)]
     while k < len(ms):
         while waiting and waiting[0][0] < numbers[k]:
@@ -197,11 +199,11 @@ def packet_times(
         end = next_event[bisect_left(next_event, k)] if k < len(ms) else k
         if end - k < SHORTEST_RUN or clock.minute is None or not clock.settled:
             continue
-        zero = clock.minute - int(turns[k - 1])
+        first_minute = clock.minute - int(rollovers[k - 1])
         j = bisect_left(next_sent, k)
-        if j < len(base) and base[j] != zero:
+        if j < len(base) and base[j] != first_minute:
             end = next_sent[j]
-        times[k:end] = counted[k:end] + zero * MINUTE_MS
+        times[k:end] = counted[k:end] + first_minute * MINUTE_MS
         clock.jumps += int(steps[end - 1] - steps[k - 1])
         clock.minute, clock.milliseconds = divmod(int(times[end - 1]), MINUTE_MS)
         k = end
@@ -214,8 +216,8 @@ def packet_times(
 def utc_times(gps_ns: np.ndarray, unknown: int, where: np.ndarray, offsets: np.ndarray) -> np.ndarray:
     """UTC [ns since 1970] of each packet; `unknown` marks packets without a time.
 
-    where, offsets: packets that carry a UTC offset and its value [s], valid from there on; before, the leap-second
-    table is used.
+    where, offsets: packets that carry a UTC offset, and its value [s], which applies from there onwards; before the
+    first, the leap-second table is used.
     """
     known = gps_ns != unknown
     seconds = np.where(known, gps_ns // 1_000_000_000, 0)

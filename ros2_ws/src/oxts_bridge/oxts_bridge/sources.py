@@ -1,4 +1,4 @@
-"""Sources of NCOM bytes, each on its own thread: a UDP port, or a file replayed at the pace of its own times."""
+"""Sources of NCOM bytes, each on its own thread: a UDP port, or a file replayed with its recorded timing."""
 
 import ipaddress
 import socket
@@ -17,7 +17,7 @@ from .file_decoder import UNKNOWN_TIME, decode_file
 from .ncom import PACKET_SIZE, NcomError, Packet, decode
 from .packet_time import MINUTE_MS
 
-# Linux: request and message type of the kernel's receive time; Python's socket module does not name it everywhere.
+# Linux socket option and message type of the kernel's receive time; not every Python build defines the name.
 _SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)
 _TIMESPEC = struct.Struct("@qq")
 _LARGEST_DATAGRAM = 65_535
@@ -27,29 +27,29 @@ RETRY_PERIOD = 1.0
 # Another sender is accepted when the one in use has been silent this long [s].
 SENDER_TIMEOUT = 2.0
 _MAX_SENDERS_COUNTED = 16
-# A longer step of the file's time is a joined file or a changed clock and is not waited for.
+# The replay skips a longer step of the file's time: files were joined or the clock was set [ns].
 LONGEST_PAUSE_NS = 60_000_000_000
-# A stream silent for longer than this cannot be continued by another port [ms].
+# A datagram from another port continues the stream only within this time [ms].
 LONGEST_CONTINUATION_MS = 1_000
-EARTH_RADIUS = 6_371_000.0  # m; its error of 0.5 % is small compared with the tolerance of a position jump
+EARTH_RADIUS = 6_371_000.0  # m; the error of 0.5 % is far below the tolerance for a position jump
 
 # on_data(bytes, received_ns, publish) -> number of packets; publish: false before the start offset of a replay.
 OnData = Callable[[bytes, int, bool], int]
 
 
 class Continuity:
-    """Time and position of the newest packet in use; distinguishes two units behind one address."""
+    """Distinguishes a continued stream from a second unit at the same address, by time and position."""
 
     def __init__(self) -> None:
         self._newest: Packet | None = None
 
     def update(self, packet: Packet) -> None:
-        """Store the newest packet of the series in use."""
+        """Store the newest packet of the stream in use."""
         self._newest = packet
 
     def continues(self, data: bytes) -> bool:
-        """Whether the first packet of a datagram is later than the newest one, by at most 1 s, and its position is
-        explained by driving. False without a position on either side."""
+        """Whether the first packet of a datagram is at most 1 s later than the newest one, at a position that driving
+        explains. False if either position is unknown."""
         try:
             packet = decode(data[:PACKET_SIZE])
         except NcomError:
@@ -60,7 +60,7 @@ class Continuity:
         later = (packet.milliseconds - before.milliseconds) % MINUTE_MS
         north = (packet.latitude - before.latitude) * EARTH_RADIUS
         east = (packet.longitude - before.longitude) * EARTH_RADIUS * cos(before.latitude)
-        # Rows (x, y, yaw, v_x, v_y) of axes that point east and north.
+        # Rows (x, y, yaw, v_x, v_y) in axes that point east and north.
         rows = tuple((x, y, 0.0, p.velocity_ned[1], p.velocity_ned[0])
                      for x, y, p in ((0.0, 0.0, before), (east, north, packet)))
         if not 0 < later <= LONGEST_CONTINUATION_MS or not all(map(isfinite, (*rows[0], *rows[1]))):
@@ -72,9 +72,10 @@ class Continuity:
 class SourceStatus:
     """State of a source for the diagnostics.
 
-    trouble: why no data can arrive, empty if none.  done: a replay has reached its end.  sender: address in use.
+    trouble: why no data can arrive, or empty.  done: a replay has reached its end.  sender: address in use.
     others: ignored datagrams per address, or per address and port if only the port differs from the sender in use.
-    rivals: all datagrams of the latter kind.  progress: share of a file replayed so far.  loops: completed replays.
+    rivals: number of ignored datagrams from other ports of the sender in use.  progress: fraction of the file replayed.
+    loops: completed replays.
     """
 
     name: str
@@ -91,28 +92,28 @@ class SourceStatus:
 class UdpSource:
     """Receives every datagram of a UDP port; a port that cannot be opened is retried every second.
 
-    Without a filter only the first address that sends NCOM is used, so that two units on one network do not mix. Of
-    two ports of one address, too, only the first is used; datagrams of another are accepted if they continue the
-    stream (a sender that opens a port per datagram, a restarted relay).
+    Without a filter, only the first address that sends NCOM is used, so that two units on one network do not mix.
+    Likewise only the first port of that address; datagrams from another port are accepted if they continue the stream
+    (a sender that opens a port per datagram, a restarted relay).
     """
 
     def __init__(self, address: str, port: int, sender_filter: str, on_data: OnData, on_change: Callable[[], None],
                  continues: Callable[[bytes], bool] = lambda data: False):
         """sender_filter: IP address, or empty for any. on_change: called from the thread when `trouble` changes.
-        continues: whether a datagram continues the stream in use, see Continuity."""
+        continues: whether a datagram from another port continues the stream, see Continuity."""
         self.status = SourceStatus(f"udp {address}:{port}")
         self._address, self._port, self._filter = address, port, sender_filter
         self._on_data, self._on_change, self._continues = on_data, on_change, continues
         self._in_use: tuple[str, int] | None = None
         self._last_packet_at = float("-inf")
         self._stop = threading.Event()
-        self._tried = threading.Event()
+        self._open_attempted = threading.Event()
         self._thread = threading.Thread(target=self._run, name="ncom-udp", daemon=True)
 
     def start(self) -> None:
-        """Start the thread; returns when the port is open or could not be opened."""
+        """Start the thread; returns after the first attempt to open the port."""
         self._thread.start()
-        self._tried.wait()
+        self._open_attempted.wait()
 
     def stop(self) -> None:
         """Stop the thread if it runs; returns within about 0.2 s."""
@@ -176,7 +177,7 @@ class UdpSource:
 
     def _set_trouble(self, trouble: str) -> None:
         changed, self.status.trouble = trouble != self.status.trouble, trouble
-        self._tried.set()
+        self._open_attempted.set()
         if changed:
             self._on_change()
 
@@ -198,7 +199,7 @@ def is_address(text: str) -> bool:
 
 
 class ReplaySource:
-    """Replays a file packet by packet at the pace of its own times.
+    """Replays a file packet by packet with its recorded timing.
 
     The constructor raises NcomError for a file without packets and OSError for one that cannot be read.
     """
@@ -255,8 +256,8 @@ class ReplaySource:
 
 
 def _due_times(gps_ns: np.ndarray, start_offset: float) -> np.ndarray:
-    """Time to send each packet [ns after the start], negative before the start offset; packets without a time are sent
-    with the previous one."""
+    """Time to send each packet [ns after the start], negative before the start offset; packets without a time are
+    sent with the previous one."""
     known = gps_ns != UNKNOWN_TIME
     if not known.any():
         return np.zeros(len(gps_ns), np.int64)
@@ -265,6 +266,6 @@ def _due_times(gps_ns: np.ndarray, start_offset: float) -> np.ndarray:
     steps[(steps < 0) | (steps > LONGEST_PAUSE_NS)] = 0
     due = np.full(len(gps_ns), -1, np.int64)
     due[known] = np.cumsum(steps) - round(start_offset * 1e9)
-    # Gaps get the time of the previous packet, packets before the first time that one.
-    filled = np.maximum.accumulate(np.where(known, np.arange(len(due)), -1))
-    return np.where(filled >= 0, due[np.maximum(filled, 0)], due[np.argmax(known)])
+    # A packet without a time takes that of the previous one; before the first known time, that time.
+    source = np.maximum.accumulate(np.where(known, np.arange(len(due)), -1))
+    return np.where(source >= 0, due[np.maximum(source, 0)], due[np.argmax(known)])

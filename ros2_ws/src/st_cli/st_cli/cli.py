@@ -36,22 +36,22 @@ app = typer.Typer(
     help="Single-track predictor suite: where will the car be in five seconds, and how wrong was that?",
     epilog="In a checkout also: ./st test, ./st shell, ./st bench, ./st docs.",
 )
-SPECIAL: dict[Callable, dict[str, Any]] = {
+COMMAND_OPTIONS: dict[Callable, dict[str, Any]] = {
     discover.discover: {"cls": discover.WithReferences}, raw_logs.import_: {"name": "import"}}
 for verb in (demo.demo, live.live, raw_logs.ncom, car.car, check.check, evaluate.evaluate, calibrate.calibrate,
              calibrate.course, discover.discover, effects.effects, identify.identify, replay.replay, replay.verify,
              view.view, view.foxglove, raw_logs.align, raw_logs.import_, raw_logs.recover, export.export):
-    app.command(**SPECIAL.get(verb, {}))(verb)
+    app.command(**COMMAND_OPTIONS.get(verb, {}))(verb)
 
 
-# A disk that is full or may not be written to is not an error of the program.
-NO_PLACE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+# A full or read-only disk is reported in one line, without a traceback.
+DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
 
 def main() -> None:
-    if os.environ.get(transport.RANGE, "LOCALHOST") == "LOCALHOST":  # another range is a choice of the user
+    if os.environ.get(transport.RANGE, "LOCALHOST") == "LOCALHOST":  # another range was chosen by the user
         os.environ.update(transport.loopback(os.environ))
-    _place_for_logs()
+    _ensure_log_directory()
     try:
         app(prog_name="st")
     except ModuleNotFoundError as error:
@@ -63,15 +63,15 @@ def main() -> None:
               file=sys.stderr)
         sys.exit(2)
     except OSError as error:
-        if error.errno not in NO_PLACE:
+        if error.errno not in DISK_ERRORS:
             raise
-        print(f"st: {error.filename or 'output'}: {error.strerror}; free some room, or name another --output",
+        print(f"st: {error.filename or 'output'}: {error.strerror}; free some space or choose another --output",
               file=sys.stderr)
         sys.exit(1)
 
 
-def _place_for_logs() -> None:
-    """ROS writes a log of its own below the home directory, and does not start without one that can be written."""
+def _ensure_log_directory() -> None:
+    """Make sure that ROS can write its log: it does not start otherwise. Default: below the home directory."""
     if not {"ROS_LOG_DIR", "ROS_HOME"} & os.environ.keys():
         try:
             Path(os.environ["HOME"], ".ros", "log").mkdir(parents=True, exist_ok=True)

@@ -157,7 +157,7 @@ def test_logs_of_ros_find_a_place_without_a_home(monkeypatch: pytest.MonkeyPatch
         monkeypatch.delenv(name, raising=False)
     if home:
         monkeypatch.setenv("HOME", home)
-    cli._place_for_logs()
+    cli._ensure_log_directory()
     assert Path(os.environ["ROS_LOG_DIR"]).parent.is_dir()
 
 

@@ -19,13 +19,13 @@ Values = Mapping[str, Mapping[str, float]]
 
 @dataclass(frozen=True, eq=False)
 class AugmentedModel(Model):
-    """A base model and effects with their values, created by `augment`.
+    """A base model with effects and the values of their parameters, created by `augment`.
 
-    In addition to a Model: `effective_vehicle`, for the lever arm; `steering`, the effects with memory on a recorded
-    road wheel angle; `observe` and `correct`, from true to measured values and back. `st_core.readings` applies these
-    to logs and trajectories. The functions are the same objects for all values.
+    Adds to a Model: `effective_vehicle`, for the lever arm; `steering`, the effects with memory on a recorded road
+    wheel angle; `observe` and `correct`, from true to measured values and back. `st_core.readings` applies these to
+    logs and trajectories. Models that differ only in values share their functions, so that nothing is compiled twice.
 
-    base: model without effects. effects: in order of action. values: of every parameter, by effect.
+    base: model without effects. effects: in the order they act. values: by effect and parameter.
     """
 
     base: Model = field(kw_only=True)
@@ -39,11 +39,11 @@ class AugmentedModel(Model):
 
     @property
     def vector(self) -> np.ndarray:
-        """Values of `free`."""
+        """Values of the parameters in `free`."""
         return np.array([self.values[effect][p.name] for effect, p in self.free])
 
     def with_vector(self, vector: Sequence[float]) -> "AugmentedModel":
-        """The same model with other values of `free`; raises ConfigurationError outside the bounds."""
+        """The model with other values of the parameters in `free`; raises ConfigurationError outside the bounds."""
         values: dict[str, dict[str, float]] = {}
         for (effect, parameter), value in zip(self.free, vector, strict=True):
             if value != self.values[effect][parameter.name]:
@@ -51,12 +51,12 @@ class AugmentedModel(Model):
         return self.with_values(values)
 
     def with_values(self, values: Values) -> "AugmentedModel":
-        """The same model with some values changed. Raises ConfigurationError naming effect and limit."""
+        """The model with some values changed. Raises ConfigurationError naming effect and limit."""
         for name in set(values) - set(self.values):
             raise ConfigurationError(f"effect {name}: not in this model, which has {', '.join(self.values) or 'none'}")
         changed = [e for e in self.effects if e.name in values]
-        return _make(self.base, self.effects, {
-            **self.values, **_checked(changed, {e.name: {**self.values[e.name], **values[e.name]} for e in changed})})
+        merged = {e.name: {**self.values[e.name], **values[e.name]} for e in changed}
+        return _make(self.base, self.effects, {**self.values, **_check_all_values(changed, merged)})
 
     @property
     def has_memory(self) -> bool:
@@ -70,27 +70,27 @@ class AugmentedModel(Model):
 
     @property
     def measuring(self) -> tuple:
-        """Key of the changes that `steering` and `correct` make to a recording: equal for equal changes."""
+        """Cache key of a corrected recording: equal for models whose `steering` and `correct` change it equally."""
         return tuple((e.name, *self.values[e.name].values()) for e in self.active if e.steering or e.observe)
 
     def looked_at(self, p: Any) -> tuple:
-        """Those parameters of p that `inputs` depends on."""
+        """The part of the parameters p that `inputs` depends on; a cache key for inputs."""
         own = compose(self.base, self.effects).own
         return (p.base, *(t for e, t in zip(own, p.effects, strict=True) if e.inputs or e.prepare)) if own else p
 
     def effective_vehicle(self, vehicle: VehicleParameters) -> VehicleParameters:
-        """The vehicle with the effects on its parameters. Raises ConfigurationError for impossible parameters."""
-        known = self._cars.get(id(vehicle))
-        if known is None or known[0] is not vehicle:
+        """The vehicle as changed by effects on its parameters. Raises ConfigurationError for impossible parameters."""
+        cached = self._vehicles.get(id(vehicle))
+        if cached is None or cached[0] is not vehicle:
             changed = vehicle
             for effect in self.active:
                 if effect.vehicle:
-                    changed = effect.vehicle(changed, self._bare(effect))
-            known = self._cars[id(vehicle)] = vehicle, changed
-        return known[1]
+                    changed = effect.vehicle(changed, self._theta(effect))
+            cached = self._vehicles[id(vehicle)] = vehicle, changed
+        return cached[1]
 
     def folded(self, vehicle: VehicleParameters) -> tuple[VehicleParameters, "AugmentedModel"]:
-        """The vehicle including the effects that a vehicle file can represent, and the model with the others.
+        """The vehicle with those effects included that a vehicle file can represent, and the model without them.
 
         Predictions from the same readings are the same; if steering ratio or offset changed, the road wheel angle must
         be recomputed (`DriveLog.with_steering`), and the play of steering_backlash divided by the factor of
@@ -98,17 +98,17 @@ class AugmentedModel(Model):
         """
         for effect in self.active:
             if effect.fold:
-                vehicle = effect.fold(vehicle, self._bare(effect))
+                vehicle = effect.fold(vehicle, self._theta(effect))
         return vehicle, _make(self.base, tuple(e for e in self.effects if not e.fold), self.values)
 
     def lean(self) -> "AugmentedModel":
-        """The model without the costly effects at null: the same predictions, to the last bit."""
+        """The model without costly effects that are at null; its predictions are bit-identical."""
         return self.only(e for e in self.effects if e in self.active or not e.costly)
 
     def only(self, effects: Iterable[type[Effect]]) -> "AugmentedModel":
-        """The model with some of its effects."""
-        kept = tuple(effects)
-        return self if len(kept) == len(self.effects) else _make(self.base, kept, self.values)
+        """The model with only these of its effects."""
+        selected = tuple(effects)
+        return self if len(selected) == len(self.effects) else _make(self.base, selected, self.values)
 
     def specific_force(self, state: tuple, w: tuple, p: Any) -> tuple:
         a_x, a_y = Model.specific_force(self, state, w, p)
@@ -126,42 +126,42 @@ class AugmentedModel(Model):
         """
         for effect in self.active:
             if effect.steering:
-                time, angle = effect.steering(time, angle, begins, self._bare(effect))
+                time, angle = effect.steering(time, angle, begins, self._theta(effect))
         return time, angle
 
     def observe(self, measured: Measured) -> Measured:
         """INS readings for true values at the INS point."""
         for effect in self.active:
             if effect.observe:
-                measured = effect.observe(measured, self._bare(effect))
+                measured = effect.observe(measured, self._theta(effect))
         return measured
 
     def correct(self, measured: Measured) -> Measured:
         """True values at the INS point for INS readings: the inverse of `observe`."""
         for effect in reversed(self.active):
             if effect.correct:
-                measured = effect.correct(measured, self._bare(effect))
+                measured = effect.correct(measured, self._theta(effect))
         return measured
 
     @cached_property
-    def _cars(self) -> dict[int, tuple[VehicleParameters, VehicleParameters]]:
+    def _vehicles(self) -> dict[int, tuple[VehicleParameters, VehicleParameters]]:
         """Cache of effective_vehicle(), which is called for every prediction."""
         return {}
 
     @cached_property
     def active(self) -> tuple[type[Effect], ...]:
-        """Effects that are not at null; those at null change nothing, to the last bit."""
+        """Effects that are not at null; those at null change no bit of a prediction."""
         return tuple(e for e in self.effects
                      if any(p.fit and self.values[e.name][p.name] != p.null for p in e.parameters))
 
-    def _bare(self, effect: type[Effect]) -> Any:
+    def _theta(self, effect: type[Effect]) -> Any:
         return effect.Theta(**self.values[effect.name], car=())
 
 
 def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedModel:
-    """The model with effects added, also to those it has.
+    """The base model with effects added to those it already has.
 
-    effects: values by effect and parameter, constants (not `Parameter.fit`) optional; or names, for initial values.
+    effects: values by effect and parameter, optional for constants (not `Parameter.fit`); or names, for initial values.
     Raises ConfigurationError naming effect, parameter and limit: for an unknown or repeated effect, one that does not
     apply to the base, a value missing or outside its bounds.
     """
@@ -177,13 +177,14 @@ def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedMode
                 raise ConfigurationError(f"effect {name}: already in the model; change its values instead")
         effects = {**base.values, **effects}
         base = base.base
-    found = sorted((get_effect(name) for name in effects), key=lambda effect: (effect.order, effect.name))
-    _check_applicable(base, found)
-    return _make(base, tuple(found), _checked(found, effects))
+    ordered = sorted((get_effect(name) for name in effects), key=lambda effect: (effect.order, effect.name))
+    _check_applicable(base, ordered)
+    return _make(base, tuple(ordered), _check_all_values(ordered, effects))
 
 
 def _check_applicable(base: Model, effects: Sequence[type[Effect]]) -> None:
     kinds = {base.name}
+    # An effect may turn the model into another kind, which a second one extends: as many passes as such effects.
     lifts = [effect.lifts for effect in effects if effect.lifts]
     for _ in lifts:
         kinds |= {to for start, to in lifts if start in kinds}
@@ -211,11 +212,11 @@ def _make(base: Model, effects: tuple[type[Effect], ...], checked: Values) -> Au
     return model
 
 
-def _checked(effects: Iterable[type[Effect]], values: Values) -> Values:
-    return {e.name: MappingProxyType(_checked_one(e, values[e.name])) for e in effects}
+def _check_all_values(effects: Iterable[type[Effect]], values: Values) -> Values:
+    return {e.name: MappingProxyType(_check_values(e, values[e.name])) for e in effects}
 
 
-def _checked_one(effect: type[Effect], values: Mapping[str, float]) -> dict[str, float]:
+def _check_values(effect: type[Effect], values: Mapping[str, float]) -> dict[str, float]:
     result = {}
     for parameter in effect.parameters:
         key = f"effect {effect.name}: {parameter.name}"

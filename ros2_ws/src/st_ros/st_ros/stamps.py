@@ -8,7 +8,7 @@ def to_nanoseconds(stamp: Time) -> int:
 
 
 def from_nanoseconds(nanoseconds: int) -> Time:
-    """Raises OverflowError outside 1901..2038, the range of the message."""
+    """ROS stamp; raises OverflowError outside 1901..2038, the range of the message."""
     sec, nanosec = divmod(nanoseconds, 1_000_000_000)
     if not -(2**31) <= sec < 2**31:
         raise OverflowError(f"stamp {nanoseconds} ns does not fit a ROS time")

@@ -1,4 +1,4 @@
-"""Road and air: friction, slopes and wind as functions of position or time."""
+"""Road and air: friction and slopes as functions of position, wind as a function of time."""
 
 import math
 from collections.abc import Callable
@@ -8,16 +8,16 @@ import numpy as np
 
 from .settings import Settings
 
+# Terrain wave along x; patches of other friction along x [m].
 WAVE_LENGTH = 80.0
 PATCH_LENGTH, PATCH_PERIOD = 10.0, 40.0
-"""m."""
 GUST_TIME = 1.5
-"""s, correlation time."""
+"""Correlation time of gusts [s]."""
 
 
 class Surroundings(NamedTuple):
-    """Road and air at the car. bank_angle: road rises to the left +; grade_angle: rises ahead + [rad]. Wind over ground
-    in map axes [m/s]."""
+    """Road and air at the car. friction: factor on the tyres' peak force. bank_angle: road rises to the left +,
+    grade_angle: rises ahead + [rad]. wind_x, wind_y: air over ground, map axes [m/s]."""
 
     friction: float
     bank_angle: float
@@ -27,7 +27,7 @@ class Surroundings(NamedTuple):
 
 
 class Road(NamedTuple):
-    """Settings of the road, see SETTINGS."""
+    """Settings of the road: friction factors of road and patches, angles [rad], slopes of the terrain; see SETTINGS."""
 
     friction: float
     patch: float
@@ -43,24 +43,24 @@ def road_of(settings: Settings) -> Road:
 
 
 def road_at(road: Road, x: float, yaw: float) -> tuple[float, float, float]:
-    """(friction factor, bank, grade [rad]) of a car at x [m, map] with a yaw angle [rad]. May be compiled."""
+    """(friction factor, bank, grade [rad]) of a car at x [m, map] with a yaw angle [rad]. Also compiled with numba."""
     friction = road.friction * (road.patch if x % PATCH_PERIOD < PATCH_LENGTH else 1.0)
     bank, grade = road.bank, road.grade
     if road.hillside or road.wave:
-        east, north = road.wave * math.sin(2 * math.pi * x / WAVE_LENGTH), road.hillside
+        slope_east, slope_north = road.wave * math.sin(2 * math.pi * x / WAVE_LENGTH), road.hillside
         c, s = math.cos(yaw), math.sin(yaw)
-        grade += east * c + north * s
-        bank += north * c - east * s
+        grade += slope_east * c + slope_north * s
+        bank += slope_north * c - slope_east * s
     return friction, bank, grade
 
 
 class Environment:
-    """Surroundings along a drive. Gusts are a seeded Ornstein-Uhlenbeck process, advanced by at(), once per step."""
+    """Surroundings along a drive. Gusts: a seeded Ornstein-Uhlenbeck process, advanced one step by each at()."""
 
     def __init__(self, settings: Settings, step: float, seed: int):
         self._road = road_of(settings)
         self._wind, self._gust_sigma = settings["wind_speed"], settings["gust_speed"]
-        self._memory = math.exp(-step / GUST_TIME)
+        self._gust_decay = math.exp(-step / GUST_TIME)
         self._gust = [0.0, 0.0]
         self._draw = normal_stream(np.random.default_rng([seed, 1]))
         self.calm = not (self._wind or self._gust_sigma)
@@ -72,13 +72,13 @@ class Environment:
         if self._uniform:
             return self._constant
         if self._gust_sigma:
-            kick = self._gust_sigma * math.sqrt(1 - self._memory**2)
-            self._gust = [self._memory * g + kick * self._draw() for g in self._gust]
+            noise = self._gust_sigma * math.sqrt(1 - self._gust_decay**2)
+            self._gust = [self._gust_decay * g + noise * self._draw() for g in self._gust]
         return Surroundings(*road_at(self._road, x, yaw), self._gust[0], self._wind + self._gust[1])
 
 
 def normal_stream(generator: np.random.Generator, block: int = 4096) -> Callable[[], float]:
-    """Source of standard normal numbers, drawn in blocks, ten times faster than single draws."""
+    """Function that returns standard normal numbers; drawn in blocks, ten times faster than single draws."""
     buffer: list[float] = []
 
     def draw() -> float:

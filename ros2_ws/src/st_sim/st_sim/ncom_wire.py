@@ -1,5 +1,5 @@
-"""INS readings to NCOM bytes: position on WGS84, axes of the wire, and the status channels of an RT3000 with RTK and
-dual antenna, locked for some time.
+"""INS readings to NCOM packets: WGS84 position, NED and FRD axes, and the status channels of an RT3000 with RTK and
+dual antenna, long after lock.
 """
 
 import math
@@ -11,23 +11,25 @@ from oxts_bridge.ncom import INITIALISING, LOCKED, Packet, encode
 
 from .sensors import ACCURACY, InsReading
 
+# WGS84 ellipsoid, semi-major axis in m.
 SEMI_MAJOR = 6378137.0
 FLATTENING = 1 / 298.257223563
 _E2 = FLATTENING * (2 - FLATTENING)
 UNDULATION = 45.5
-"""m, geoid above ellipsoid, EGM96 near Eindhoven. Altitude is sent above the geoid, the default of real units."""
+"""Geoid above the ellipsoid [m], EGM96 near Eindhoven. Altitude is sent above the geoid, as units do by default."""
 
 UNIX_OF_GPS_EPOCH_NS = 315_964_800_000_000_000
 LEAP_SECONDS_NS = 18_000_000_000
 """GPS is ahead of UTC by 18 s since 2017."""
 
+# Navigation status without any valid data, and with inertial data only.
 NOTHING, RAW = 0, 1
 _INVALID = (math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True)
 class Origin:
-    """Origin of the map: x east, y north, z up of the tangent plane; geodetic degrees, ellipsoidal height [m]."""
+    """Origin of the map, whose axes are x east, y north, z up; latitude, longitude [deg], ellipsoidal height [m]."""
 
     latitude_deg: float
     longitude_deg: float
@@ -45,30 +47,31 @@ class Origin:
     def to_geodetic(self, x: float, y: float, z: float) -> tuple[float, float, float]:
         """Latitude, longitude [rad] and ellipsoidal height [m] of a map point [m]."""
         s_lat, c_lat, s_lon, c_lon = self._rotation
-        across = c_lat * z - s_lat * y
+        outward = c_lat * z - s_lat * y
         cx, cy, cz = self._centre
-        return from_ecef(cx - s_lon * x + c_lon * across, cy + c_lon * x + s_lon * across, cz + c_lat * y + s_lat * z)
+        return from_ecef(cx - s_lon * x + c_lon * outward, cy + c_lon * x + s_lon * outward, cz + c_lat * y + s_lat * z)
 
 
 def to_ecef(latitude: float, longitude: float, height: float) -> tuple[float, float, float]:
     """Earth-centred x, y, z [m] of geodetic latitude, longitude [rad] and ellipsoidal height [m]."""
     normal = SEMI_MAJOR / math.sqrt(1 - _E2 * math.sin(latitude) ** 2)
-    flat = (normal + height) * math.cos(latitude)
-    return flat * math.cos(longitude), flat * math.sin(longitude), (normal * (1 - _E2) + height) * math.sin(latitude)
+    radius = (normal + height) * math.cos(latitude)
+    z = (normal * (1 - _E2) + height) * math.sin(latitude)
+    return radius * math.cos(longitude), radius * math.sin(longitude), z
 
 
 def from_ecef(x: float, y: float, z: float) -> tuple[float, float, float]:
     """Latitude, longitude [rad], height [m] by Bowring's formula: error below 1 um near the ground (test_stream.py)."""
-    flat = math.hypot(x, y)
+    radius = math.hypot(x, y)
     semi_minor = SEMI_MAJOR * (1 - FLATTENING)
-    second = _E2 / (1 - _E2)
-    reduced = math.atan2(z * SEMI_MAJOR, flat * semi_minor)
+    second_e2 = _E2 / (1 - _E2)
+    reduced = math.atan2(z * SEMI_MAJOR, radius * semi_minor)
     latitude = math.atan2(
-        z + second * semi_minor * math.sin(reduced) ** 3, flat - _E2 * SEMI_MAJOR * math.cos(reduced) ** 3
+        z + second_e2 * semi_minor * math.sin(reduced) ** 3, radius - _E2 * SEMI_MAJOR * math.cos(reduced) ** 3
     )
     sine = math.sin(latitude)
     normal = SEMI_MAJOR / math.sqrt(1 - _E2 * sine**2)
-    height = flat * math.cos(latitude) + z * sine - SEMI_MAJOR**2 / normal
+    height = radius * math.cos(latitude) + z * sine - SEMI_MAJOR**2 / normal
     return latitude, math.atan2(y, x), height
 
 
@@ -81,7 +84,7 @@ class NcomWire:
         self._status = StatusChannels(origin, rate)
 
     def packet(self, reading: InsReading, status: int = LOCKED) -> bytes:
-        """The 72 bytes of one epoch; values that the navigation status declares invalid are marked as such."""
+        """The 72 bytes of one epoch; values that are invalid at this navigation status are marked so."""
         total_ms = round((self._start_gps_ns + round(reading.stamp * 1e9)) / 1_000_000)
         minutes, milliseconds = divmod(total_ms, 60_000)
         channel, batch_s = self._status.next(minutes if status >= INITIALISING else None, reading)
@@ -113,6 +116,7 @@ class NcomWire:
         return encode(packet)
 
 
+# Packets after which the channels repeat; channels whose values change; up time at the start [s].
 CYCLE = 200
 MINUTES, INNOVATIONS, RECEIVER, IMU_COUNTERS, TIMES = 0, 1, 2, 18, 23
 UP_TIME_AT_START = 1800.0
@@ -126,7 +130,7 @@ def _receiver(name: str) -> dict[str, float]:
     return {f"{name}.{key}": value for key, value in values.items()}
 
 
-# Constant values. Channels that nothing of the suite evaluates are sent without values.
+# Constant values. Channels that the suite does not evaluate are sent with all fields invalid.
 _FIXED: Mapping[int, Mapping[str, float | str]] = {
     **{channel: {} for channel in (*range(6, 12), *range(13, 16), 17, 21, 22, 24, 26, *range(28, 30), *range(31, 37),
                                    38, 39, *range(41, 48), *range(49, 55), *range(57, 66), *range(72, 77), 78)},
@@ -150,13 +154,14 @@ _FIXED: Mapping[int, Mapping[str, float | str]] = {
     55: _receiver("GpsPrimary"),
     56: _receiver("GpsSecondary"),
 }
+# Channels by their period in packets; all others are sent every 100 packets.
 _EVERY_10, _EVERY_25, _EVERY_50 = (0, 1), (32, 45), (3, 4, 5, 20, 24, 43, 65, 66, 67)
 _EVERY_200 = (46, 47, 49, 50, 51, 52, 53, 54, 58, 60, 61, 62, 63, 64, 72, 73, 74, 75, 76, 78)
-_MOVING = (MINUTES, INNOVATIONS, RECEIVER, IMU_COUNTERS, TIMES)
+_CHANGING = (MINUTES, INNOVATIONS, RECEIVER, IMU_COUNTERS, TIMES)
 
 
 def schedule() -> list[int]:
-    """Channel of each of CYCLE packets, by the periods above; free slots carry channel 0."""
+    """Channel number of each of CYCLE packets, by the periods above; free slots carry channel 0."""
     slots: list[int | None] = [None] * CYCLE
 
     def put(channels: tuple[int, ...], period: int) -> None:
@@ -169,14 +174,14 @@ def schedule() -> list[int]:
     put(_EVERY_10, 10)
     put(_EVERY_25, 25)
     put(_EVERY_50, 50)
-    named = {*_EVERY_10, *_EVERY_25, *_EVERY_50, *_EVERY_200}
-    put(tuple(sorted({*_FIXED, *_MOVING} - named)), 100)
+    listed = {*_EVERY_10, *_EVERY_25, *_EVERY_50, *_EVERY_200}
+    put(tuple(sorted({*_FIXED, *_CHANGING} - listed)), 100)
     put(_EVERY_200, 200)
     return [MINUTES if channel is None else channel for channel in slots]
 
 
 class StatusChannels:
-    """Status channels of successive packets. rate: packets per second."""
+    """Contents of the status channels, packet by packet. rate: packets per second."""
 
     def __init__(self, origin: Origin, rate: int):
         self._rate, self._count = rate, 0
@@ -194,15 +199,15 @@ class StatusChannels:
         self._count += 1
         if channel in self._fixed:
             return channel, self._fixed[channel]
-        return channel, encode_channel(channel, self._moving(channel, gps_minutes, reading))
+        return channel, encode_channel(channel, self._changing_values(channel, gps_minutes, reading))
 
-    def _moving(self, channel: int, gps_minutes: int | None, reading: InsReading) -> dict[str, float | None]:
+    def _changing_values(self, channel: int, gps_minutes: int | None, reading: InsReading) -> dict[str, float | None]:
         seconds = self._count / self._rate
         if channel == MINUTES:
             return {"GpsMinutes": gps_minutes, "GpsNumObs": _SATELLITES, "GpsPosMode": _RTK, "GpsVelMode": _RTK,
                     "GpsAttMode": _RTK}
         if channel == INNOVATIONS:
-            # Small and slow, as of a converged filter.
+            # Small and slow, like those of a converged filter.
             names = ("InnPosX", "InnPosY", "InnPosZ", "InnVelX", "InnVelY", "InnVelZ", "InnPitch", "InnHeading")
             return {name: round(0.4 * math.sin(0.7 * seconds + i), 1) for i, name in enumerate(names)}
         if channel == RECEIVER:

@@ -1,4 +1,4 @@
-"""`st check`: faults of a recording, before they are attributed to a model."""
+"""`st check`: faults in recordings, found before they are mistaken for model errors."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ def check(
     Nothing is corrected; each finding names its correction. Exit status: 0 no error was found, 1 one was, or a run
     could not be read, 2 nothing could be read.
     """
-    # Imported when it runs: the drawing libraries take a second that `st --help` need not wait.
+    # Imported here: the drawing libraries take a second to load, which would delay `st --help`.
     from rich.console import Console
     from st_offline.checking.check_command import Job, run_command
 

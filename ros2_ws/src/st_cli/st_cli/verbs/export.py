@@ -34,19 +34,19 @@ def export(
     if importlib.util.find_spec("casadi") is None:
         typer.echo("st export: casadi is not installed: pip install casadi", err=True)
         raise typer.Exit(2)
-    from st_offline.model_export import export as write
+    from st_offline.model_export import export as write_model
     from st_offline.model_export import load_model
 
     with shared.refusals("export", OSError):
-        named = shared.resolve_car(car, vehicle)[0]
-        parameters, file = shared.load_vehicle_or_default(named)
+        source = shared.resolve_car(car, vehicle)[0]
+        parameters, file = shared.load_vehicle_or_default(source)
         if effects is not None:
             load_folder(str(effects.absolute()))
-        chosen, its = load_model(model, parameters, str(file), named is not None)
-        tested = None if bands is None else Bands.from_yaml(bands.read_text(encoding="utf-8"), str(bands))
+        exported, used = load_model(model, parameters, str(file), source is not None)
+        intervals = None if bands is None else Bands.from_yaml(bands.read_text(encoding="utf-8"), str(bands))
         folder = new_folder(output, "export")
-        written = write(chosen, its, folder, kind, substeps, free, tested)
-    if named is None and its is parameters:
+        paths = write_model(exported, used, folder, kind, substeps, free, intervals)
+    if source is None and used is parameters:
         shared.report_default_car("export", file)
-    for path in written:
+    for path in paths:
         typer.echo(path)

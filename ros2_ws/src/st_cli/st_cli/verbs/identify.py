@@ -1,4 +1,4 @@
-"""`st identify`: parameters of the vehicle file from experiments and from driving."""
+"""`st identify`: vehicle parameters from experiments and from driving."""
 
 from pathlib import Path
 
@@ -25,7 +25,7 @@ def identify(
     The given vehicle file is not changed; the new one is vehicle.yaml in the output folder. Exit status: 0 something
     was identified, 1 nothing could be, 2 the data cannot be used.
     """
-    # Imported when it runs: the drawing libraries take a second that `st --help` need not wait.
+    # Imported here: the drawing libraries take a second to load, which would delay `st --help`.
     from rich.console import Console
     from rich.table import Table
     from st_live.configuration import load_model
@@ -37,8 +37,8 @@ def identify(
     console = Console()
     if what is None:
         table = Table("what", "identifies", "from", box=None)
-        for one in EXPERIMENTS.values():
-            table.add_row(one.name, one.what, one.files)
+        for experiment in EXPERIMENTS.values():
+            table.add_row(experiment.name, experiment.what, experiment.files)
         console.print(table)
         return
     if what not in EXPERIMENTS:

@@ -1,13 +1,13 @@
-"""Backends: many predictions at once from the unchanged functions of a Model.
+"""Backends: batches of predictions from the unchanged functions of a Model.
 
 A backend is a module with
 
-    LANES                                                       columns are advanced in groups of so many
+    LANES                                                       number of columns advanced together
     advance(model, p, start, w, offsets, step, points) -> out   RK4 of all columns
 
     p: `model.parameters(vehicle)`. start: (states, n), n a multiple of LANES. w: (fields, m), as `model.inputs` gives.
-    offsets: (2 * steps + 1,); column i has w[:, offsets[k] + i] at time k * step / 2. points: step numbers, rising.
-    out: (len(points), 6, n), the states there. NaN in a column gives NaN in that column.
+    offsets: (2 * steps + 1,); column i has w[:, offsets[k] + i] at time k * step / 2. points: step numbers, increasing.
+    out: (len(points), 6, n), states at these steps. NaN in a column makes only that column NaN.
 
 numpy_batch needs only numpy; numba_lanes needs numba and is five to twenty times faster. numba and casadi are imported
 only on use.
@@ -24,7 +24,7 @@ NAMES = ("lanes", "numpy")
 
 
 def get_backend(name: str | None = None) -> ModuleType:
-    """The backend of a name; None: lanes if numba is installed, else numpy with one warning.
+    """The backend module `name`; None: lanes if numba is installed, else numpy with one warning.
 
     Raises ConfigurationError for an unknown name, and for lanes without numba.
     """

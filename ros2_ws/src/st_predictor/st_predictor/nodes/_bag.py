@@ -1,4 +1,4 @@
-"""Opening and diagnostics of a bag, shared by evaluator and recorder."""
+"""Opening of the output bag and its diagnostics, shared by evaluator and recorder."""
 
 import itertools
 from collections.abc import Mapping
@@ -12,10 +12,10 @@ from st_ros.parameters import ConfigurationError
 
 
 def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) -> BagWriter:
-    """The bag of the parameter `output_directory`.
+    """Writer of a new bag in the folder given by the parameter `output_directory`.
 
-    If it holds files already and `number_when_taken` is set (after a restart of the node): NAME_2, NAME_3, ...
-    Raises ConfigurationError naming the directory where it is not empty or cannot be written.
+    If that folder already holds files and `number_when_taken` is set (a restarted node): NAME_2, NAME_3, ...
+    Raises ConfigurationError naming the folder if it is not empty or cannot be written.
     """
     names = (f"{values.output_directory}_{number}" for number in itertools.count(2))
     name = values.output_directory
@@ -32,17 +32,20 @@ def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) 
         raise ConfigurationError(f"{values.where}output_directory: {name}{error.strerror or error}") from None
 
 
-# Data older than this that are not on the disk yet are a warning [s]; half a second is usual.
+# Unsynced data older than this raise a warning [s]; half a second is normal.
 MAX_SYNC_DELAY = 1.0
 
 
 def recording_check(bag: BagWriter, stopped: str = "", resumed: bool = False) -> Check:
-    """stopped: why an earlier bag of the same run ended. resumed: a new bag was opened a moment ago, a warning."""
+    """Diagnostic check of the recording: message counts, losses and disk errors.
+
+    stopped: why an earlier bag of the same run ended. resumed: a new bag has just been opened, reported as a warning.
+    """
     values = {"messages": bag.message_count, "lost": bag.lost, "directory": bag.directory}
     if bag.syncer:
         values["slowest sync [s]"] = round(bag.syncer.longest, 3)
     if stopped:
-        values["before"] = stopped
+        values["previous bag"] = stopped
     if bag.error:
         return Check("recording", diagnostics.ERROR, bag.error, values)
     if resumed:
@@ -54,12 +57,12 @@ def recording_check(bag: BagWriter, stopped: str = "", resumed: bool = False) ->
 
 
 def disk_check(bag: BagWriter) -> tuple[int, str]:
-    """(level, text) for a disk that refuses data or is slow; an empty text otherwise."""
+    """(level, text) of a write error or a slow disk; the text is empty otherwise."""
     syncer = bag.syncer
     if syncer and syncer.error:
-        # Recording continues: most data may arrive, and a new bag would be on the same disk.
-        return diagnostics.ERROR, (f"the disk refused data: {syncer.error} ({bag.path}); recorded data may be "
-                                   "missing: use another disk")
+        # Recording continues: most data may still reach the disk, and a new bag would be on the same one.
+        return diagnostics.ERROR, (f"writing to the disk failed: {syncer.error} ({bag.path}); recorded data "
+                                   "may be missing: use another disk")
     if syncer and (behind := syncer.behind) > MAX_SYNC_DELAY:
         return diagnostics.WARN, (f"the disk is slow: a power failure would lose the last {behind:.1f} s "
                                   f"({bag.path.parent})")
@@ -67,5 +70,5 @@ def disk_check(bag: BagWriter) -> tuple[int, str]:
 
 
 def is_whole(bag: BagWriter) -> bool:
-    """Whether the recording was not stopped and the disk refused no data."""
+    """Whether the bag was recorded without interruption or write error."""
     return not (bag.error or (bag.syncer and bag.syncer.error))
