@@ -187,6 +187,9 @@ def estimates_of(what: str, vehicle: VehicleParameters, fit: DrivingFit, method:
                  "or with gaps") for name, (used, every) in fit.windows.items() if used < every]
     others = [f"{n} = {fit.values[i]:.4g} +/- {uncertainty[i]:.2g} {FREE[n].unit} was fitted too."
               for i, n in enumerate(fit.names) if n not in reported]
+    if RATIO not in fit.names:
+        others.append(f"{RATIO} {vehicle.steering_ratio:.4g} of the vehicle file is taken as exact: an error of it "
+                      "changes the front stiffness; st identify steering finds it from drives at two speeds or more.")
     warnings = (*strong_correlations(fit.names, correlation_of(covariance)), *others)
     figure = {"residuals": fit.residuals, "residual_run": fit.run_of, "residual_time": fit.time, "names": fit.names,
               "covariance": covariance}
