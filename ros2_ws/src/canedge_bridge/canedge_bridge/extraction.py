@@ -101,6 +101,7 @@ def decode_log(database: Any, ids: np.ndarray, payload: np.ndarray, lengths: np.
 def raw_column(signal: DbcSignal, payload: np.ndarray) -> np.ndarray:
     """The bits of one signal in (n, width) payload bytes, right-aligned uint64."""
     first, lead = signal.start // 8, 7 - signal.start % 8 if signal.byte_order == "big_endian" else signal.start % 8
+    # Nine bytes: a signal of up to 64 bits may start inside a byte.
     window = np.zeros((len(payload), 9), np.uint8)
     available = payload[:, first : first + 9]
     window[:, : available.shape[1]] = available

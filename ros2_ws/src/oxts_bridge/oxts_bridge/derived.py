@@ -25,7 +25,7 @@ _STEP_TOLERANCE = 0.01
 
 @dataclass
 class Settings:
-    """Status values that derived columns depend on, each as (index of the first packet it applies to, value).
+    """Status values that derived columns depend on, as pairs (index of the first packet they apply to, value).
 
     speed_accuracy: 2 sqrt(north^2 + east^2) [m/s], NaN unknown.  acceleration_filter, rate_filter: (cutoff [Hz],
     damping ratio).

@@ -1,4 +1,4 @@
-"""Models with effects: `augment(base, {effect: {parameter: value}})` returns a Model for every backend."""
+"""Models extended by effects: `augment(base, {effect: {parameter: value}})`, a Model that every backend accepts."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -60,12 +60,12 @@ class AugmentedModel(Model):
 
     @property
     def has_memory(self) -> bool:
-        """Whether `steering` has an effect."""
+        """Whether `steering` changes a recording."""
         return any(effect.steering for effect in self.active)
 
     @property
     def has_sensors(self) -> bool:
-        """Whether `observe` and `correct` have an effect."""
+        """Whether `observe` and `correct` change readings."""
         return any(effect.observe for effect in self.active)
 
     @property

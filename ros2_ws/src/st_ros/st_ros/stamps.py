@@ -4,6 +4,7 @@ from builtin_interfaces.msg import Time
 
 
 def to_nanoseconds(stamp: Time) -> int:
+    """Nanoseconds since 1970 of a ROS stamp."""
     return stamp.sec * 1_000_000_000 + stamp.nanosec
 
 
