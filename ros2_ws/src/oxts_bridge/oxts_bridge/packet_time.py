@@ -202,7 +202,7 @@ def packet_times(
         first_minute = clock.minute - int(rollovers[k - 1])
         j = bisect_left(next_sent, k)
         if j < len(base) and base[j] != first_minute:
-            end = next_sent[j]
+            end = min(end, next_sent[j])
         times[k:end] = counted[k:end] + first_minute * MINUTE_MS
         clock.jumps += int(steps[end - 1] - steps[k - 1])
         clock.minute, clock.milliseconds = divmod(int(times[end - 1]), MINUTE_MS)

@@ -2,10 +2,11 @@
 
 from datetime import UTC, datetime
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from oxts_bridge.packet_time import LATE, LATE_RUN, NEW, SAME, GpsClock, host_minute, unix_nanoseconds
+from oxts_bridge.packet_time import LATE, LATE_RUN, NEW, SAME, GpsClock, host_minute, packet_times, unix_nanoseconds
 from st_core.leap_seconds import at_gps
 
 SECOND = 1_000_000_000
@@ -163,6 +164,18 @@ def test_hint_of_a_status_only_packet_counts_only_while_nothing_better_is_known(
     assert feed(clock, (1000, None)) == [(1000, NEW)]
     clock.hint(MINUTE + 9)
     assert feed(clock, (1010, None)) == [(1010, NEW)]
+
+
+def test_columns_step_from_a_late_packet_although_a_wrong_minute_follows():
+    """A clock set back by half a minute within a run, and behind it a minute that disagrees."""
+    ms = np.array([*range(59_888, 59_968, 4), *range(29_968, 29_984, 4)])
+    minutes = np.full(len(ms), -1)
+    minutes[0], minutes[-2] = 1_000_000, 999_281
+    clock = GpsClock()
+    one_by_one = [clock.step(int(a), None if b < 0 else int(b)) for a, b in zip(ms, minutes, strict=True)]
+    times, order, _ = packet_times(ms, minutes, np.arange(len(ms)), [], lambda a, b: False)
+    assert list(zip(times.tolist(), order.tolist(), strict=True)) == one_by_one
+    assert order[-4:].tolist() == [LATE] * 4
 
 
 @given(offset=st.integers(-29_000, 29_000), ms=st.integers(0, 59_999))
