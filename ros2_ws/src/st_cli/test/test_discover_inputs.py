@@ -153,7 +153,7 @@ def test_model_file_of_another_car_is_refused(drive, tmp_path):
 
 def test_fourth_model_that_is_none(tmp_path):
     (tmp_path / "model.yaml").write_text("base: nonlinear\neffects: {no_such: {}}\n")
-    with pytest.raises(ConfigurationError, match="no_such"):
+    with pytest.raises(SuiteError, match="no_such"):
         model_parameters(tmp_path / "model.yaml", None, LEAF)
     with pytest.raises(SuiteError, match="only a --model uses effects"):
         model_parameters(None, tmp_path, LEAF)

@@ -134,7 +134,7 @@ def test_a_derived_scale_follows_the_stiffness_of_a_saved_file(leaf):
     (changed("mass", "1590.0", "heavy"), "mass: 'heavy' is not a number"),
     (changed("mass", "1590.0", "true"), "mass: True is not a number"),
     (changed("steering_wheel_offset", "-2.7", "-270.0"), "offset: -4.71239 is outside -3.14159 to 3.14159 rad"),
-    (changed("p_ky1", "-20.0", "20.0"), "tyre_front.p_ky1: 20 is outside -200 to -1 1"),
+    (changed("p_ky1", "-20.0", "20.0"), "tyre_front.p_ky1: 20 is outside -200 to -1; check"),
     (changed("cg_to_front_axle", "1.176", "2.7"), "cg_to_front_axle: 2.7 m is not below wheelbase 2.7 m"),
     (changed("mass", '{value: 1590.0, unit: kg, source: "paper', '1590.0 # "'), "mass: 1590.0 has no unit and source"),
     (changed("mass", "source:", "origin:"), "mass.origin: unknown key"),

@@ -43,7 +43,7 @@ def demo(
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/demo-<what>-<time>."),
 ) -> None:
     """Drive the virtual Leaf, or a recorded drive, through bridges and nodes; show how well each model predicts."""
-    # Imported when it runs: the drawing and ROS libraries take a second that `st --help` need not wait.
+    # Imported here so that `st --help` does not load the drawing and ROS libraries.
     from st_live import configuration, report, session
     from st_live.page import LiveView
     from st_live.suite import SuiteError

@@ -58,7 +58,7 @@ def evaluate(
     A run that cannot be used is named and the others go on. Exit status: 0 all runs evaluated, 1 some not, 2 none
     could be.
     """
-    # Imported when it runs: the drawing libraries take a second that `st --help` need not wait.
+    # Imported here so that `st --help` does not load the drawing libraries.
     from rich.console import Console
     from st_offline.evaluation.evaluation_command import run_command
     from st_offline.evaluation.work import load_bands, load_course, load_models

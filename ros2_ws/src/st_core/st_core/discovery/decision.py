@@ -79,14 +79,14 @@ def judge(e: Evidence, limits: Limits) -> Reason:
                       "its value is on a bound: nothing physical was found")
     return _varying(e, limits) or Reason(
         STATED, e.name, {"gain": e.gain, "chance": e.chance, "position": e.position},
-        f"it takes away {e.share:.1%} of the size of the errors and {100 * e.position:.1f} cm after 5 s, by chance "
+        f"it reduces the size of the errors by {e.share:.1%} and {100 * e.position:.1f} cm after 5 s, by chance "
         f"with probability {e.chance:.2g}, and does not vary between parts of the driving")
 
 
 def predicts(e: Evidence, limits: Limits) -> Reason:
     """The verdict on one effect as a correction that only has to help, everywhere: whatever it means."""
     return _by_chance(e, limits) or _varying(e, limits) or Reason(
-        STATED, e.name, {"gain": e.gain, "chance": e.chance}, f"it takes away {e.share:.1%} of the size of the errors")
+        STATED, e.name, {"gain": e.gain, "chance": e.chance}, f"it reduces the size of the errors by {e.share:.1%}")
 
 
 def _varying(e: Evidence, limits: Limits) -> Reason | None:
@@ -110,14 +110,14 @@ def _by_chance(e: Evidence, limits: Limits) -> Reason | None:
     """Why the drives alone do not show an effect, or not enough of it; None where they do."""
     if e.gain < limits.negligible:
         return Reason(NEGLIGIBLE, e.name, {"gain": e.gain, "negligible": limits.negligible},
-                      f"it takes away {e.share:.1%} of the size of the errors, below the limit of "
+                      f"it reduces the size of the errors by {e.share:.1%}, below the limit of "
                       f"{limits.negligible:.1%}")
     if e.chance > limits.false_alarm:
         return Reason(CHANCE, e.name, {"chance": e.chance, "false_alarm": limits.false_alarm},
                       f"with probability {e.chance:.2g} something gains as much where nothing is")
     if e.gain < e.healthy:
         return Reason(CHANCE, e.name, {"gain": e.gain, "healthy": e.healthy},
-                      f"it takes away {e.share:.1%} of the size of the errors; between drives of the healthy car "
+                      f"it reduces the size of the errors by {e.share:.1%}; between drives of the healthy car "
                       f"something takes {share_of(e.healthy):.1%}")
     if e.null > limits.doubt:
         return Reason(NULL, e.name, {"chance": e.null, "doubt": limits.doubt},
@@ -125,7 +125,7 @@ def _by_chance(e: Evidence, limits: Limits) -> Reason | None:
     if e.gain < limits.relevant and position_of(e) < limits.relevant_position:
         return Reason(IRRELEVANT, e.name, {"gain": e.gain, "position": position_of(e), "relevant": limits.relevant,
                                          "relevant_position": limits.relevant_position},
-                      f"it is significant, but takes away {e.share:.1%} of the size of the errors and "
+                      f"it is significant, but reduces the size of the errors by {e.share:.1%} and "
                       f"{100 * position_of(e):.1f} cm after 5 s; {limits.relevant:.1%} or "
                       f"{100 * limits.relevant_position:.0f} cm are required")
     return None
@@ -179,10 +179,10 @@ def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) ->
     if e.left > limits.left and e.gain < limits.unexplained_share and not sure:
         return Reason(MINOR, e.name, {"gain": e.gain, "left": e.left, "unexplained_share": limits.unexplained_share,
                                       "limit": limits.left},
-                      f"it is significant, but takes away {e.share:.1%} of the errors, and {e.left:.1f} times the "
+                      f"it is significant, but reduces the errors by {e.share:.1%}, and {e.left:.1f} times the "
                       "noise remains with it: it may imitate what no effect describes; kept, not named")
     if not checks.null_outside and not sure:
-        return Reason(MINOR, e.name, {"gain": e.gain}, "it takes away something, but in other sets of effects that are "
+        return Reason(MINOR, e.name, {"gain": e.gain}, "it reduces the errors, but in other sets of effects that are "
                       "nearly as good its value is near its null: kept, not named")
     if is_relevant(e, limits):
         return Reason(STATED, e.name, _relevance(e, limits), _effect_size(e, limits))

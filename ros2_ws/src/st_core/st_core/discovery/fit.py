@@ -123,9 +123,10 @@ class Problem:
         self._whole: list[Slopes] = []
 
     def set_quantities(self, quantities: Quantities) -> None:
-        """What of the vehicle file each number changes."""
+        """What of the vehicle file each number changes. With a reference its drives know what is on top of the file."""
         self.quantities = quantities
-        self._deviation = np.minimum(prior_deviations(quantities, self.space.scale), self.space.deviation)
+        on_top = self.space.deviation if self.prior is None else np.inf
+        self._deviation = np.minimum(prior_deviations(quantities, self.space.scale), on_top)
 
     @cached_property
     def size_of_start(self) -> np.ndarray:

@@ -14,7 +14,7 @@ from .evidence import TWO_SIDED, inverse
 from .fit import Problem, freed
 from .loss import Errors, Loss, Quadratic
 from .settings import DiscoverySettings
-from .space import Quantities, Space, known_quantities
+from .space import Quantities, Space, known_quantities, prior_deviations
 from .windows import Windows
 
 JOINT_DEVIATION = 3.0  # usual sizes: how far from the vehicle file a healthy car may be before its drives are used
@@ -120,10 +120,11 @@ def _fitted(loss: Loss, windows: Windows, held: np.ndarray, quantities: Quantiti
     held it: `held` and the prior of the vehicle file)."""
     space = loss.space
     file = Problem(loss, space.null, windows.block, quantities=quantities)
+    deviations = prior_deviations(quantities, space.scale)  # a load of the healthy car is known from its drives alone
     for _ in range(MAX_FITS):
         tick()
         file.renew_design(vector)
-        whole = held + np.diag(file.known)
+        whole = held + np.diag(0.5 * file.design / np.square(deviations))
         problem = Problem(loss, space.null, windows.block, whole)
         fit = problem.fit((), file.everything(vector), vector, iterations=2)
         step = float(np.abs((fit.vector - vector) / space.scale).max())

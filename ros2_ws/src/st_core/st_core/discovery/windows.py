@@ -72,8 +72,8 @@ class Signals(LogSignals):
 
 
 class Batch(LogBatch):
-    """A LogBatch for thousands of fits: the step is checked once by who makes it. The recording, and what depends on
-    the inputs alone, is kept for models that make the same of it, as most do that a fit tries one after the other."""
+    """A LogBatch for thousands of fits: the caller validates the step once. The recording and what depends on the
+    inputs alone are cached for models that correct it alike, as most do that a fit tries one after the other."""
 
     def __init__(self, *arguments: Any, **options: Any):
         super().__init__(*arguments, **options)

@@ -120,9 +120,14 @@ def speeds_of(signals: CanSignals, to_reference: Callable[[np.ndarray], np.ndarr
               ) -> tuple[Series | None, Series | None]:
     """(speed of the car by its wheels, forward speed that the INS sends on CAN). to_reference: of times of the log."""
     found = {name: (to_reference(signal.time_ns[signal.valid]), signal.values[signal.valid])
-             for name in (*SPEEDS, "ins_velocity_x") if (signal := signals.first_of(name)) is not None}
-    ins_speed = found.pop("ins_velocity_x", None)
-    return car_speed(found), series(*ins_speed) if ins_speed else None
+             for name in SPEEDS if (signal := signals.first_of(name)) is not None}
+    ins = signals.all_of("ins_velocity_x")  # in the frames of either orientation of the axes
+    if not ins:
+        return car_speed(found), None
+    order = np.argsort(np.concatenate([signal.rows[signal.valid] for signal in ins]), kind="stable")
+    time_ns, values = (np.concatenate([getattr(signal, name)[signal.valid] for signal in ins])[order]
+                       for name in ("time_ns", "values"))
+    return car_speed(found), series(to_reference(time_ns), values)
 
 
 def load_signal_table(dbc: Path, table: Path) -> SignalTable:
