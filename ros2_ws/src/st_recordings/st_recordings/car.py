@@ -80,9 +80,9 @@ def read_table(file: Path) -> dict:
     """A YAML file of keys and values. Raises RunError."""
     check_readable(file)
     try:
-        table = yaml.safe_load(file.read_text(encoding="utf-8")) or {}
+        table = yaml.safe_load(file.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise RunError(file, f"not YAML: {short(error)}") from None
-    if not isinstance(table, dict):
+    if not isinstance(table, dict | None):
         raise RunError(file, "not a table of keys and values")
-    return table
+    return table or {}

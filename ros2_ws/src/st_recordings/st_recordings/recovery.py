@@ -8,6 +8,7 @@ import fcntl
 import os
 import struct
 import zlib
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -225,7 +226,10 @@ def _write_repaired(stream: BinaryIO, size: int, source: Path, target: Path, fou
 
 
 def _counts(information: BagInformation) -> dict[str, int]:
-    return {topic.name: topic.count for topic in information.topics}
+    found: Counter[str] = Counter()  # a topic may have two types
+    for topic in information.topics:
+        found[topic.name] += topic.count
+    return found
 
 
 def _information(files: list[FileReport], contents: list[Contents], source: Path) -> BagInformation:

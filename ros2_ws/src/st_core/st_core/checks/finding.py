@@ -82,7 +82,7 @@ def merged(findings: Iterable[Finding]) -> list[Finding]:
     """One finding for channels that are wrong in the same way, at the same times, by the same value."""
     found: dict[tuple, Finding] = {}
     for one in findings:
-        key = (one.name, one.where, one.value)
+        key = (one.name, one.severity, one.where, one.value)
         if before := found.get(key):
             names = (*before.channels, *one.channels)
             text = before.text.replace(", ".join(before.channels), ", ".join(names), 1)

@@ -293,14 +293,15 @@ def _velocity_axes(motion: Motion) -> tuple[Motion, Finding | None]:
     way, unchanged = float(np.median(np.abs(measured))), _misfit(motion)
     swapped = motion.with_(velocity_x=motion.velocity_y, velocity_y=motion.velocity_x)
     most = ALONG * way  # of velocities in the right frame
-    if np.ptp(motion.yaw) > LEAST_FOLLOWED and float(np.median(np.abs(measured - of_map))) <= min(
-            most, ALONG * unchanged):
+    misfit = float(np.median(np.abs(measured - of_map)))
+    if np.ptp(motion.yaw) > LEAST_FOLLOWED and misfit <= most and misfit < ALONG * unchanged:
         body = (motion.velocity_x + 1j * motion.velocity_y) * np.exp(-1j * motion.yaw)
         text = "velocity_x and velocity_y are in the map frame, east and north: the body frame is expected"
         advice = Advice("look", "rotate them by yaw: velocity_x = cos(yaw) east + sin(yaw) north, "
                         "velocity_y = cos(yaw) north - sin(yaw) east")
         motion = motion.with_(velocity_x=body.real, velocity_y=body.imag)
-    elif sideways(motion) and float(np.median(np.abs(measured - _ways(swapped, *swapped.velocity_map)[2]))) <= most:
+    elif way > 0.0 and sideways(motion) and float(
+            np.median(np.abs(measured - _ways(swapped, *swapped.velocity_map)[2]))) <= most:
         text = "velocity_x and velocity_y are exchanged (x is forward, y left)"
         columns = {"velocity_x": "velocity_y", "velocity_y": "velocity_x"}
         advice = Advice("run.yaml", f"columns: {columns}".replace("'", ""), {"columns": columns})

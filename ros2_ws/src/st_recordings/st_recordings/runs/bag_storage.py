@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from itertools import chain, islice
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -171,12 +171,12 @@ class Mcap(Storage):
 
     def timed(self, topic: str) -> Iterator[tuple[int, bytes]]:
         for file, summary in self._files:
-            if summary is None:
+            channels = [n for n, c in summary.channels.items() if c.topic == topic] if summary else []
+            if summary is None or len(channels) > 1:  # the channels of several publishers alternate in the file
                 yield from ((message.log_time, message.data) for _, channel, message in self.stream(file)
                             if channel.topic == topic)
                 continue
-            channels = [number for number, channel in summary.channels.items() if channel.topic == topic]
-            for _, block in chain.from_iterable(self._blocks(file, summary, [number]) for number in channels):
+            for _, block in self._blocks(file, summary, channels):
                 rows = zip(block.log_time_ns.tolist(), block.starts.tolist(), block.sizes.tolist(), strict=True)
                 yield from ((ns, block.buffer[start : start + size].tobytes()) for ns, start, size in rows)
 

@@ -1,5 +1,6 @@
 """Text and binary CAN logs through the readers of python-can, line by line: a line that cannot be read costs itself."""
 
+import codecs
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -30,6 +31,11 @@ _ASC_STAMP = re.compile(r"\s*(\d+)[.,](\d+)(?=\s)")
 _ENGLISH = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 
 
+_AS_CP1252 = "single_track_cp1252"
+codecs.register_error(_AS_CP1252, lambda error: (
+    error.object[error.start:error.end].decode("cp1252", "replace"), error.end))  # type: ignore[attr-defined]
+
+
 class Lines:
     """The lines of a text log in any encoding, as the file object that python-can reads from.
 
@@ -40,10 +46,10 @@ class Lines:
         self._change, self._front = change, list[str]()
         with file.open("rb") as stream:
             head = stream.read(1 << 16)
-        # Umlauts of a Windows code page are in comments and dates: replaced behind the head, they cost nothing.
+        # Umlauts of a Windows code page are in comments and dates, also behind the head.
         utf8 = head.startswith(head.decode("utf-8", "ignore").encode())
         codec = "utf-16" if head[:2] in _UTF16 else "utf-8-sig" if utf8 else "cp1252"
-        self._stream = file.open(encoding=codec, errors="replace")
+        self._stream = file.open(encoding=codec, errors=_AS_CP1252)
         self.position, self.last = 0, ""
 
     def __iter__(self) -> "Lines":

@@ -29,7 +29,7 @@ from .mf4 import read_mf4, refuse_makers_container, session_of
 BLOCK = 65536
 # A wall clock, not seconds since the start of the log.
 ABSOLUTE_FROM = 1_000_000_000
-# Of the frames of a candump that begins at 0: with more that are not newer, the times are steps.
+# Of the frames of a candump that begins at 0: with more that are older, the times are those since the frame before.
 STEPS_SHARE = 0.2
 
 
@@ -119,12 +119,13 @@ def _through_python_can(file: Path, kind: Format, notes: list[str]) -> Frames:
         what = f"no whole frame is in it ({'; '.join(trouble)})" if trouble else "no frames are in the log"
         raise RunError(file, what, "copy or export it again")
     frames = in_file_order(parts)
-    newer = (np.diff(frames.time_ns) > 0).sum()
-    if kind.name == "candump" and frames.time_ns[0] == 0 and newer < (1 - STEPS_SHARE) * (len(frames) - 1):
+    steps = np.diff(frames.time_ns[1:])  # a coarse clock repeats its times; times since the frame before also fall
+    if kind.name == "candump" and frames.time_ns[0] == 0 and len(steps) and (
+            (steps < 0).mean() > STEPS_SHARE or not steps.any()):
         frames = frames.shifted(np.cumsum(frames.time_ns))
         trouble.append("its times are those since the frame before (candump -t d); they were added up")
-    frames, steps = continued(frames)
-    notes += [*trouble, *set_back(steps)]
+    frames, set_backs = continued(frames)
+    notes += [*trouble, *set_back(set_backs)]
     return joined([frames])
 
 

@@ -107,12 +107,12 @@ def ins_of(table: Table, needed: Sequence[str] = INS_SIGNALS) -> InsLog:
     notes = list(table.warnings)
     columns, origin = _with_derived(table, notes)
     used = [name for name in INS_SIGNALS if name in columns
-            and (name in needed or np.isfinite(columns[name]).any())]
+            and (name in needed or (name == "yaw" and np.isfinite(columns[name]).any()))]
     rows = table.used & known(columns, used)
     if rows.sum() < 2:
         raise RunError(table.file, "fewer than two usable rows are in it", "remove it from the command")
     _missing(table, {name: columns[name] for name in (*used, *OPTIONAL_INS_SIGNALS) if name in columns}, (), notes)
-    values = {name: columns[name][rows] for name in (*used, *OPTIONAL_INS_SIGNALS) if name in columns}
+    values = {name: columns[name][rows] for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS) if name in columns}
     if "yaw" in values:
         values["yaw"] = np.unwrap(values["yaw"])
     return planar(table.file, table.time_ns[rows], values, tuple(notes), table.absolute, origin)
@@ -148,7 +148,7 @@ def looks_like_a_drive(file: Path) -> bool:
 def _lacking(places: Iterable[str], names: Iterable[str], needed: Iterable[str]) -> list[str]:
     found = set(places)
     found |= ({"yaw"} if COMPASS in found or found >= QUATERNION else set()) | ({ROAD} if WHEEL in found else set())
-    found |= {"velocity_x", "velocity_y"} if found >= {"velocity_east", "velocity_north"} else set()
+    found |= {"velocity_x", "velocity_y"} if found >= {"yaw", "velocity_east", "velocity_north"} else set()
     found |= {"x", "y"} if {"latitude", "longitude"} <= found else set()
     if doubtful_steering(list(names)):
         found.add(ROAD)

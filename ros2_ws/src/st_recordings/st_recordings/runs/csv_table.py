@@ -223,6 +223,8 @@ def _of_stamp(text: str) -> tuple[float, float] | None:
     if match is None:
         return None
     year, month, day, day_2, month_2, year_2, hour, minute, second, half, sign, hours, minutes = match.groups()
+    if not hour and (year or year_2 or not re.search("[.,]", second)):
+        return None  # 10:11 is hours and minutes, 11:12.5 minutes and seconds
     seconds = int(hour or 0) * 3600 + int(minute) * 60 + float(second.replace(",", "."))
     if half:
         seconds = seconds % (DAY / 2) + (DAY / 2 if half in "Pp" else 0.0)
@@ -241,10 +243,11 @@ def _seconds(file: Path, times: np.ndarray, place: Place, warnings: list[str]) -
     """Times [s] by their unit; without one, since 1970 where they are such times in ms, us, ns or days."""
     finite = times[np.isfinite(times)]
     median, steps = np.median(np.abs(finite)) if len(finite) else 0.0, np.abs(np.diff(finite))
+    steps = steps[steps > 0.0]  # a coarse clock repeats its times
     meanings: list[tuple[float, float, str]] = []
     if median > LATEST:
         meanings = [(0.0, UNITS["time"][unit][0], f"{unit} since 1970") for unit in ("ms", "us", "ns")]
-    elif steps.any() and np.median(steps) < 2e-5:  # no logger is as fast
+    elif len(steps) and np.median(steps) < 2e-5:  # no logger is as fast
         meanings = [(origin, DAY, f"days of {tool} (UTC)") for origin, tool in _DAYS]
     for origin, factor, meaning in meanings if not place.stated else ():
         if _EPOCH[0] <= (median - origin) * factor <= _EPOCH[1]:

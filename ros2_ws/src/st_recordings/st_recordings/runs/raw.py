@@ -58,7 +58,8 @@ def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns, keep_
     """
     if source.problem is not None:
         raise source.problem
-    check_readable(source.where)
+    if not source.where.is_dir():  # a folder is a bag, which its reader checks
+        check_readable(source.where)
     can = read_can_logs(source.can)
     dbc, file = signal_files(source, settings)
     table = load_signal_table(dbc, file)

@@ -52,7 +52,8 @@ def read_run_file(path: Path) -> RunSource:
         if key in content and keys[0] not in ("csv", "vbo"):
             raise RunError(path, f"{key}: only a csv or vbo has columns; the units of others are known",
                            "correct: changes values of every kind of recording")
-    settings = {key: read(path, content[key]) for key, read in _SETTINGS.items() if content.get(key) is not None}
+    settings = {key: read(path, content[key]) for key, read in _SETTINGS.items()
+                if key in content and (key != "offset" or content[key] is not None)}
     if "columns" in content or "units" in content:
         settings["layout"] = Layout(_columns(path, content.get("columns", {})), _units(path, content.get("units", {})),
                                     path)

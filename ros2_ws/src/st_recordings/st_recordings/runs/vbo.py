@@ -67,7 +67,8 @@ def _places(file: Path, names: list[str], sections: dict[str, str], layout: Layo
         places[channel] = replace(place, unit=stated or _DEFAULT_UNITS.get(place.kind, place.unit),
                                   stated=stated is not None)
     for number, name in enumerate(names):
-        if (standard := _STANDARD.get(name.lower())) and standard[0] not in layout.columns:
+        first = names.index(name) == number  # of columns of one name
+        if first and (standard := _STANDARD.get(name.lower())) and standard[0] not in layout.columns:
             channel, unit = standard
             kind = COLUMNS[channel].kind
             places[channel] = Place(number, name, kind, unit_named(kind, units.get(name, "")) or unit, True)
