@@ -39,13 +39,14 @@ class _Loader(yaml.SafeLoader):
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
         seen = set()
-        for key_node, _ in node.value:
+        for key_node, value_node in node.value:
             line = key_node.start_mark.line + 1
             if key_node.tag == "tag:yaml.org,2002:merge":
                 raise ConfigurationError(f"merging (<<) is not allowed (line {line}); write the values out")
             key = self.construct_object(key_node, deep=True)
             if not isinstance(key, str):
-                comma = "; write decimal points, not commas" if isinstance(key, int) else ""
+                split = node.flow_style and type(key) is int and not value_node.value  # {x: 1,5}
+                comma = "; write decimal points, not commas" if split else ""
                 raise ConfigurationError(f"{_shown(key)}: a key must be a text (line {line}){comma}")
             if not key.isprintable():
                 raise ConfigurationError(f"{_shown(key)}: a key must be printable (line {line})")

@@ -130,7 +130,7 @@ def _receiver(name: str) -> dict[str, float]:
     return {f"{name}.{key}": value for key, value in values.items()}
 
 
-# Constant values. Channels that the suite does not evaluate are sent with all fields invalid.
+# Constant values. Channels that the suite does not evaluate are sent with all fields invalid; 57 repeats 12.
 _FIXED: Mapping[int, Mapping[str, float | str]] = {
     **{channel: {} for channel in (*range(6, 12), *range(13, 16), 17, 21, 22, 24, 26, *range(28, 30), *range(31, 37),
                                    38, 39, *range(41, 48), *range(49, 55), *range(57, 66), *range(72, 77), 78)},
@@ -139,7 +139,9 @@ _FIXED: Mapping[int, Mapping[str, float | str]] = {
         "ProcessingMethod": 1},
     5: {"HeadingAcc": math.degrees(ACCURACY["heading"]), "PitchAcc": math.degrees(ACCURACY["level"]),
         "RollAcc": math.degrees(ACCURACY["level"])},
-    12: {"GAPx": 0.35, "GAPy": 0.0, "GAPz": -1.05},
+    **{channel: {"GAPx": 0.35, "GAPy": 0.0, "GAPz": -1.05} for channel in (12, 57)},
+    59: {"ImuTemperature": 38.5},
+    76: {"NtripStatus": 6},
     16: {"Imu2VehHeading": 0.0, "Imu2VehPitch": 0.0, "Imu2VehRoll": 0.0, "TimeUtcOffset": -18},
     19: {"DevId": "250101.1"},
     20: {"GpsDiffAge": 1.0, "BaseStationId": "0021"},

@@ -7,7 +7,6 @@ import json
 import os
 import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -72,14 +71,14 @@ def _one_line(error: Exception) -> str:
 
 def _stop_request() -> Callable[[], bool]:
     """A function that returns True after SIGINT or SIGTERM."""
-    stop = threading.Event()
+    received: list[int] = []  # no Event: a second signal within its `set` would wait for the first for ever
     for number in (signal.SIGINT, signal.SIGTERM):
         # ValueError: not in the main thread (tests, embedding programs), which receives no signals.
         with contextlib.suppress(ValueError):
-            signal.signal(number, lambda *_: stop.set())
+            signal.signal(number, lambda number, _: received.append(number))
             # The interpreter removes handlers before it exits; a signal would then turn success into failure.
             atexit.register(signal.signal, number, signal.SIG_IGN)
-    return stop.is_set
+    return lambda: bool(received)
 
 
 @dataclass(frozen=True)

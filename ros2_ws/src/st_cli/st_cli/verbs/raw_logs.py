@@ -48,7 +48,7 @@ def align(
     if pair.shared and alignment.offset_ns:
         title = f"{pair.name}: {sentence(alignment, pair.can.start_ns, pair.ins.absolute)}"
         alignment_figure(pair.shared, alignment, title, folder / "alignment.png")
-        console.print(f"  {folder / 'alignment.png'}  [dim]both signals, before and after[/dim]", highlight=False,
+        console.print(f"  {folder / 'alignment.png'}  [dim]both signals, aligned[/dim]", highlight=False,
                       soft_wrap=True)
     raise typer.Exit(1 if alignment.verdict == "refused" else 0)
 

@@ -192,8 +192,9 @@ def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) ->
 
 def _effect_size(e: Evidence, limits: Limits) -> str:
     channel, share = most_affected(e, limits)
-    of = f"{share:.1%} of the baseline {CHANNELS[channel].words} error and " if channel else ""
-    return f"it reduces {of}the position error after 5 s by {100 * position_of(e):.1f} cm"
+    of = f"the baseline {CHANNELS[channel].words} error by {share:.1%} and " if channel else ""
+    where = " in one driving condition" if e.position_somewhere > e.position else ""
+    return f"it reduces {of}the position error after 5 s by {100 * position_of(e):.1f} cm{where}"
 
 
 WORDS = {"run": "the runs", "site": "the sites", "time": "the time in the runs", "place": "the places",

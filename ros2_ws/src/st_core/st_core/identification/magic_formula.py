@@ -201,7 +201,7 @@ def magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
         if fit.at_bound(k):
             end = min(fit.lower[k], fit.upper[k], key=lambda bound: abs(bound - value))
             words.append(f"{key} stopped at its limit {end:g}: the value is the limit's, not the data's.")
-        elif open_ends:
+        elif open_ends == 1:
             end = interval.low if interval.lower_open else interval.high
             words.append(f"The data bound it on one side only: the interval ends at the limit {end:g}.")
         if open_ends == 2:

@@ -38,7 +38,8 @@ MODELS = ("kinematic", "linear", "nonlinear", "augmented")
 TRACK_SPAN, TRACK_STEP = 20.0, 0.2  # s of measured track shown, and between its points
 PATH_STRIDE = 2  # every second point of a prediction is sent
 STALE = 1.0  # s; an older prediction or steering angle is not shown
-DIAGNOSTICS_TIMEOUT = 3.0  # s until a node is silent; every node publishes its diagnostics once a second
+DIAGNOSTICS_TIMEOUT = 3.0  # s until a node is silent; those of the suite publish their diagnostics once a second
+MISSED_REPORTS = 3  # intervals of a node that reports less often, until it is silent
 BAND_LEVEL = 0.9
 LEVELS = ("ok", "warning", "error", "error")  # of diagnostic_msgs; stale counts as an error
 INPUTS = {"forecast": "held", "course": "remembered", "plan": "planned"}  # by mode, the preferred last
@@ -76,7 +77,7 @@ class PassengerFrames:
         # By mode and model.
         self._predictions: dict[str, dict[str, tuple[float, Any]]] = {mode: {} for mode in INPUTS}
         self._errors: dict[str, dict[str, tuple[float, dict[str, float]]]] = {mode: {} for mode in INPUTS}
-        self._health: dict[str, tuple[float, dict[str, tuple[int, str]]]] = {}  # received [s], checks; by node
+        self._health: dict[str, tuple[float, float, dict[str, tuple[int, str]]]] = {}  # received, timeout [s], checks
         self._takers: dict[str, Callable[[Any, float], None]] = {
             name: partial(self._take_prediction, mode=name) if name in convert.OTHER_MODES
             else getattr(self, f"_take_{name}") for name in set(TOPICS.values())}
@@ -127,8 +128,9 @@ class PassengerFrames:
 
     def _light(self, now: float) -> tuple[str, str]:
         """(level, text) of the worst check; a silent node is an error; "none" without diagnostics."""
-        current = [(level, f"{node}: {text}") for node, (at, checks) in self._health.items() for level, text in (
-            checks.values() if now - at < DIAGNOSTICS_TIMEOUT else [(2, f"silent for {now - at:.0f} s")])]
+        current = [(level, f"{node}: {text}") for node, (at, timeout, checks) in self._health.items()
+                   for level, text in (checks.values() if now - at < timeout else
+                                       [(2, f"silent for {now - at:.0f} s")])]
         if not current:
             return "none", "no diagnostics"
         level, text = max(current)
@@ -176,11 +178,12 @@ class PassengerFrames:
 
     def _take_diagnostics(self, message: Any, now: float) -> None:
         for node in {status.name.partition(": ")[0] for status in message.status}:
-            self._health[node] = now, {}
+            last = self._health.get(node, (now, 0.0, {}))[0]  # other nodes may report at longer intervals
+            self._health[node] = now, max(DIAGNOSTICS_TIMEOUT, MISSED_REPORTS * (now - last)), {}
         for status in message.status:
             node, _, check = status.name.partition(": ")
             level = status.level if isinstance(status.level, int) else int.from_bytes(status.level, "little")
-            self._health[node][1][check] = level, f"{check}: {status.message}" if check else status.message
+            self._health[node][2][check] = level, f"{check}: {status.message}" if check else status.message
 
 
 def _in_car(x: np.ndarray, y: np.ndarray, pose: tuple[float, float, float]) -> list[list[float]]:

@@ -139,8 +139,10 @@ def clocks(alignments: Mapping[str, Mapping[str, Any]]) -> str:
     ahead = sorted(-one["offset_s"] for one in found)
     deviation = max(one["offset_deviation_s"] or 0.0 for one in found)
     doubtful = sum(one["verdict"] != "good" for one in found)
-    return (f"steering clocks of {len(found)} runs: {ahead[0]:+.3f} to {ahead[-1]:+.3f} s relative to INS, found from "
-            f"the data, at worst ± {1e3 * deviation:.1f} ms, {doubtful or 'none'} of them doubtful")
+    of_all = (f"steering clocks of {len(found)} runs: {ahead[0]:+.3f} to {ahead[-1]:+.3f} s relative to INS, found "
+              f"from the data, at worst ± {1e3 * deviation:.1f} ms, {doubtful or 'none'} of them doubtful")
+    by_hand = [f"{name}: {clock(one)}" for name, one in alignments.items() if one["method"] == "by hand"]
+    return "; ".join([of_all, *by_hand])
 
 
 def clock(alignment: Mapping[str, Any]) -> str:

@@ -72,10 +72,11 @@ def value(p: FittedParameter, of: Parameter | None = None, interval: bool = True
     """
     low, high = of.bounds if of else (-math.inf, math.inf)
     usual = abs(of.initial - of.null) if of else 0.0
+    edges = [] if of is None or of.shape else [edge for edge in of.bounds if edge not in (of.null, of.theory)]
     number, *ends = (decimal(x * factor(p.unit), digits(p))
                      for x in (p.value, *(min(max(end, low), high) for end in p.interval)))
     text = f"× {number}" if p.unit == "1" and p.null == 1.0 else with_unit(number, p.unit)
-    on_bound = " on its bound" if min(abs(p.value - low), abs(high - p.value)) < ON_BOUND * usual else ""
+    on_bound = " on its bound" if any(abs(p.value - edge) < ON_BOUND * usual for edge in edges) else ""
     return f"{text}{on_bound}{f' ({ends[0]} to {ends[1]})' if interval else ''}"
 
 
@@ -136,7 +137,10 @@ SIGNS = {"acceleration_x": " (derivative of the forward speed, also where a bend
 
 def axis(c: Candidate) -> str:
     """Label of the vertical axis; a grip is a share of the force, a force a share of the static load."""
-    side = "" if c.place.endswith("grip") or c.of_sensor else ", left +"
+    per = {"front_force": " over its static load", "rear_force": " over its static load",
+           "yaw_moment": " over the yaw inertia", "side_force": " over the mass"}.get(c.place, "")
+    side = (", + reads too large" if c.of_sensor else ", relative, + more force" if c.place.endswith("grip")
+            else f"{per}, left +")
     return f"{PLACES[c.place]}{side}{f', for each unit of {QUANTITIES[c.by]}' if c.by else ''}"
 
 

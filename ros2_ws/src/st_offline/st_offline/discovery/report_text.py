@@ -38,8 +38,8 @@ EFFECT_HEAD = ("effect", "value (95 % interval)", "5 s position error without it
 EFFECT_NOTE = ("All figures are of the complete answer on held-out drives; without it: the others fitted again. An "
                "effect is named if it is significant and reduces the error of a channel by "
                f"{100 * LIMITS.relevant:g} % of its baseline, or the 5 s position error by "
-               f"{LIMITS.relevant_position:g} m, or if it is an error of at least {LIMITS.size:g} times the usual size "
-               "that the sensors show among themselves")
+               f"{LIMITS.relevant_position:g} m, over all driving or in one driving condition, or if it is an error of "
+               f"at least {LIMITS.size:g} times the usual size that the sensors show among themselves")
 
 
 def by_any_name(found: Discovery, effect: FoundEffect, short: str = "") -> str:
