@@ -2,7 +2,8 @@
 
     python -m bench.strangers.ablation [--cases NAME ...] [--page]
 
-Development cases only. A case is driven and searched once; numbers that act after the search reuse that search. The
+Development cases only. A case is driven and searched once; numbers that act after the search reuse that search. What
+acts on the suggested drive only (`following`) or on where the model fails (`where`) is not in these counts. The
 answers are those of the functions, without what `st check` measures of the sensors. One JSON line a case and variant is
 appended to .st/strangers/ablation.jsonl; --page writes the table of all lines there.
 """
@@ -19,7 +20,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from st_core.discovery import axles, evidence, fit
+from st_core.discovery import axles, evidence, fit, loss
 from st_core.discovery.levels import levels
 from st_core.discovery.search import Search
 from st_core.discovery.settings import DiscoverySettings
@@ -40,9 +41,13 @@ DIVERSE = ("light_ev_ratio", "suv_worn_rear", "van_lever", "escort_ratio", "salo
            "hatchback_load", "light_ev_load", "estate_healthy")
 FACTORS = (0.5, 2.0)
 LIMITS = ("file", "size", "peak", "unexplained_share", "left")
-CONSTANTS = {"UNNAMED": evidence, "TRUSTED": fit, "ACTS": axles, "STEEPEST": axles, "SLOPE_AT": axles, "DRAWS": axles,
-             "GAIN_SPEED": axles}
-SEARCHED = ("file", "size", "TRUSTED")
+IN_SEARCH = {"TRUSTED": fit, "MAX_SCALED": fit, "DIVERGED": fit, "MIN_CURVATURE": evidence, "PART_PRIOR": evidence,
+             "MIN_INFORMATION_SHARE": evidence, "NU": loss, "DIFFERENCE_STEP": loss, "MAX_SCALED_ERROR": loss,
+             **dict.fromkeys(("MIN_RUNS", "SAME_SITE_SHARE", "PLACE_SIZE"), sys.modules[levels.__module__])}
+CONSTANTS = {"UNNAMED": evidence, "ACTS": axles, "STEEPEST": axles, "SLOPE_AT": axles, "DRAWS": axles,
+             "GAIN_SPEED": axles, **IN_SEARCH}
+NUMBERS = (*LIMITS, "model_error", *CONSTANTS)
+SEARCHED = ("file", "size", *IN_SEARCH)
 """Numbers that act during the search; all others after it."""
 
 
@@ -50,11 +55,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Exit status."""
     parser = argparse.ArgumentParser(prog="python -m bench.strangers.ablation", description=__doc__.splitlines()[0])
     parser.add_argument("--cases", nargs="*", default=DIVERSE, metavar="NAME", help="development cases to run")
+    parser.add_argument("--numbers", nargs="*", default=NUMBERS, choices=NUMBERS, metavar="NUMBER", help="to change")
     parser.add_argument("--page", action="store_true", help=f"write the table of {PAGE.name}")
     chosen = parser.parse_args(arguments)
     LINES.parent.mkdir(parents=True, exist_ok=True)
     for name in chosen.cases:
-        for line in answers(name):
+        for line in answers(name, chosen.numbers):
             with LINES.open("a") as file:
                 file.write(json.dumps(line) + "\n")
             print(line, flush=True)
@@ -64,8 +70,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def answers(name: str) -> Iterator[dict[str, Any]]:
-    """Counts of one case, as it is and for every variant."""
+def answers(name: str, numbers: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """Counts of one case, as it is and with each of the numbers changed."""
     with tempfile.TemporaryDirectory(prefix="st-ablation-") as temporary:
         folder = Path(temporary)
         truth = write(cases("development")[name], folder)
@@ -75,7 +81,7 @@ def answers(name: str) -> Iterator[dict[str, Any]]:
     searched = _searched(work)
     usual = _counts(work, searched, truth)
     yield {"case": name, "number": "", "factor": 1.0, "changed": False, **usual}
-    for number in (*LIMITS, "model_error", *CONSTANTS):
+    for number in numbers:
         for factor in FACTORS:
             with _multiplied(work, number, factor) as other:
                 found = _counts(other, _searched(other) if number in SEARCHED else searched, truth)

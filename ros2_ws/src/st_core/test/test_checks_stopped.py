@@ -6,7 +6,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 from exact_drive import exact_drive
-from st_core.checks import AuxiliaryData, Severity, check
+from st_core.checks import AuxiliaryData, Finding, Severity, check
+from st_core.checks.finding import merged
 
 CHANNELS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "acceleration_x", "acceleration_y",
             "road_wheel_angle")
@@ -50,3 +51,22 @@ def test_gaps_are_those_of_the_mended_time(log, leaf):
     kept = np.ones(len(log.x), bool)
     kept[100:101] = False
     assert "time_gaps" not in {one.name for one in check(slow.with_ins(kept), leaf).findings}
+
+
+def test_findings_of_unequal_severity_are_not_one():
+    one = Finding("channel_frozen", Severity.WARNING, ("velocity_y",), "velocity_y is constant", 0.0)
+    other = replace(one, severity=Severity.ERROR, channels=("yaw_rate",), text="yaw_rate is constant")
+    assert merged([one, other]) == [one, other]
+    assert merged([one, replace(other, severity=Severity.WARNING)])[0].channels == ("velocity_y", "yaw_rate")
+
+
+def test_a_drive_that_stands_for_most_of_its_time_has_its_velocity_in_the_car(log, leaf):
+    rows = len(log.x)
+    still = {name: np.concatenate([np.full(2 * rows, getattr(log, name)[0]), getattr(log, name)])
+             for name in ("x", "y", "yaw", "road_wheel_angle")}
+    moving = {name: np.concatenate([np.zeros(2 * rows), getattr(log, name)])
+              for name in ("velocity_x", "velocity_y", "yaw_rate", "acceleration_x", "acceleration_y")}
+    times = log.ins_time_ns[0] + 10_000_000 * np.arange(3 * rows)
+    long = replace(log, ins_time_ns=times, steering_time_ns=times + 5_000_000, **still, **moving)
+    found = check(long, leaf).findings
+    assert "velocity_axes" not in [one.name for one in found]

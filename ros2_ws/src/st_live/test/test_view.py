@@ -245,6 +245,13 @@ def test_the_light_is_that_of_the_worst_check(driven: PassengerFrames, levels, l
     assert (silent["light"], "silent for 4 s" in silent["text"]) == (("error", True) if levels else ("none", False))
 
 
+def test_a_node_that_reports_rarely_is_silent_after_three_of_its_intervals(driven: PassengerFrames) -> None:
+    report = DiagnosticArray(status=[DiagnosticStatus(name="lidar: heat", level=bytes([0]), message="fine")])
+    for now in (30.0, 40.0, 50.0):
+        driven.take("/diagnostics", report, now)
+    assert (driven.frame(75.0)["light"], driven.frame(81.0)["light"]) == ("ok", "error")
+
+
 def test_a_message_of_unequal_lengths_is_left_out(driven: PassengerFrames) -> None:
     driven.take("predictor/kinematic/prediction", Prediction(model="kinematic", step=0.05, x=[0.0, 1.0]), 53.0)
     assert list(driven.frame(53.1)["paths"]) == ["linear"]

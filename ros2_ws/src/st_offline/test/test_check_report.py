@@ -151,6 +151,8 @@ def test_the_clocks_of_many_runs_are_one_sentence():
     assert words.clocks({**found, "csv": {"method": "none"}}) == (
         "steering clocks of 3 runs: +0.100 to +0.300 s relative to INS, found from the data, at worst ± 3.0 ms, "
         "1 of them doubtful")
+    assert words.clocks({**found, "set": {**found["1"], "method": "by hand"}}).endswith(
+        "; set: steering clock: +0.100 s relative to INS, set by hand")
     del found["3"]
     assert words.clocks(found).count("steering clock:") == 2
 

@@ -276,6 +276,21 @@ def test_files_without_an_index_and_compressed_bags(tmp_path: Path) -> None:
         check(tmp_path / mode.name)
 
 
+def test_a_topic_of_two_publishers_is_read_in_the_order_of_the_file(tmp_path: Path) -> None:
+    with (tmp_path / "two.mcap").open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start(profile="ros2")
+        for (topic, name), messages in OURS.items():
+            schema = writer.register_schema(name, "ros2msg", STORE.generate_msgdef(name, ros_version=2)[0].encode())
+            channels = [writer.register_channel(topic, "cdr", schema, {"publisher": str(k)}) for k in range(2)]
+            for k, (time_ns, data) in enumerate(messages):
+                writer.add_message(channels[k % 2], time_ns, data, time_ns)
+        writer.finish()
+    times = [time_ns for time_ns, _ in bag.open_bag(tmp_path / "two.mcap").timed("/ins/odometry")]
+    assert times == [time_ns for time_ns, _ in OURS["/ins/odometry", ODOMETRY]]
+    check(tmp_path / "two.mcap")
+
+
 def test_bags_that_are_none(tmp_path: Path) -> None:
     whole = bag.storage_files(write_ours(tmp_path / "drive", OURS))[0].read_bytes()
     for name, content, message in (

@@ -184,6 +184,22 @@ def test_variants_of_text_logs(tmp_path: Path, name: str, lines: list[str]) -> N
     assert name != "a.log" or frames.time_ns[0] == 1_436_509_052_000_000_000
 
 
+def test_a_candump_that_begins_at_0_with_a_coarse_clock_has_times_and_no_steps(tmp_path: Path) -> None:
+    (tmp_path / "a.log").write_text("".join(f" (000.{k // 3:03d}000)  can0  002   [1]  01\n" for k in range(600)))
+    frames = read_can_logs([tmp_path / "a.log"]).frames
+    assert frames.time_ns[-1] - frames.time_ns[0] == 199_000_000
+
+
+def test_a_date_of_a_code_page_far_behind_the_head(tmp_path: Path) -> None:
+    begin = "Begin Triggerblock Mon {} 4 {} am 2024\n"
+    lines = ["date Mon Mar 4 10:11:12 am 2024\n", "base hex  timestamps absolute\n", begin.format("Mar", "10:11:12"),
+             *(f"   {k / 1000:.6f}{ASC}" for k in range(3000)), begin.format("M\u00e4r", "10:21:12"),
+             *(f"   {k / 1000:.6f}{ASC}" for k in range(10)), "End TriggerBlock\n"]
+    (tmp_path / "a.asc").write_bytes("".join(lines).encode("cp1252"))
+    log = read_can_logs([tmp_path / "a.asc"])
+    assert log.frames.time_ns[3000] - log.frames.time_ns[0] == 600 * 10**9 and not log.warnings
+
+
 def test_candump_without_times_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text("  can0  002   [3]  01 02 03\n" * 3)
     with pytest.raises(RunError, match=r"this output of candump has no time stamps; record with candump -l"):

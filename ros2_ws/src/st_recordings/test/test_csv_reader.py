@@ -103,6 +103,32 @@ def test_times_as_a_spreadsheet_stores_them(tmp_path: Path) -> None:
     assert "days of a spreadsheet" in drive.warnings[0]
 
 
+def test_an_ins_log_for_alignment_keeps_rows_without_a_position(tmp_path: Path) -> None:
+    lines = [",".join([*(row := line.split(","))[:1], *(row[1:3] if k % 20 == 0 else ("", "")), *row[3:]])
+             for k, line in enumerate(rows(400))]
+    ins = ins_of(read_table(write(tmp_path, [HEADER, *lines]), Layout()), MOTION)
+    assert len(ins.motion.time_ns) == 400 and not ins.warnings
+
+
+def test_velocities_to_east_and_north_need_the_yaw(tmp_path: Path) -> None:
+    lines = [f"{0.02 * k:.2f},10,1,0.01" for k in range(100)]
+    table = read_table(write(tmp_path, ["t,velocity_east,velocity_north,yaw_rate", *lines]), Layout())
+    with pytest.raises(RunError, match="velocity_x"):
+        ins_of(table, MOTION)
+
+
+def test_a_clock_of_tenths_of_a_second_is_not_one_of_days(tmp_path: Path) -> None:
+    lines = [f"{40000.0 + k // 10 * 0.1:.1f},{0.1 * k:.3f},0,0.1,10,0,0.01,0,0,0.002" for k in range(600)]
+    log = read_csv(write(tmp_path, [HEADER, *lines])).log
+    assert log.duration == pytest.approx(5.9, abs=0.01)
+
+
+def test_hours_and_minutes_are_not_minutes_and_seconds(tmp_path: Path) -> None:
+    lines = [f"04.05.2026 10:{k // 60:02d}," + line.split(",", 1)[1] for k, line in enumerate(rows(180))]
+    with pytest.raises(RunError, match=r"no time in column t can be read, the first is '04\.05\.2026 10:00'; export"):
+        read_csv(write(tmp_path, [HEADER, *lines]))
+
+
 def test_a_held_position_behind_lost_rows_has_no_known_time(tmp_path: Path) -> None:
     lines = [f"{0.01 * k:.3f},{0.2 * (k // 10 * 10):.3f},0,0,20,0,0,0,0,0" for k in range(400)]
     del lines[118:128], lines[239:244]

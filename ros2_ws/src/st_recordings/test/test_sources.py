@@ -179,6 +179,7 @@ def test_run_yaml(tmp_path: Path) -> None:
         ("ins: x.ncom\ncan: /logs/*.mf4", "can: '/logs/\\*.mf4' is not a pattern"),
         ("ins: x.ncom\ncan: g**", r"can: 'g\*\*' is not a pattern"),
         ("ins: x.ncom\ncan: 1.log\noffset: soon", "offset: 'soon' is not a number"),
+        ("ins: x.ncom\ncan: 1.log\ndbc:", "dbc: there is no 'None' in its folder"),
         ("ins: x.ncom\ncan: 1.log\nins_can_latency: 0.002", r"ins_can_latency: 0\.002 is not \[latency"),
         ("csv: d.csv\nlabels: [{name: a}]", "labels: expected a list of"),
         ("csv: d.csv\nlabels: [{name: a, start: 5, end: 2}]", "labels: a ends"),

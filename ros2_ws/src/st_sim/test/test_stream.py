@@ -119,6 +119,16 @@ def test_status_says_what_the_drive_is():
     assert all(abs(fields[f"InnPos{a}"]) <= 0.5 for a in "XYZ")
 
 
+def test_lever_arm_of_the_antenna_is_known_after_every_status_channel():
+    received, _ = parsed(outputs(4))
+    fields, known = {}, False
+    for r in received:
+        fields.update(decode_channel(r.packet.channel, r.packet.batch_s))
+        known = known or "GAPx" in fields
+        assert not known or fields["GAPx"] == pytest.approx(0.35)
+    assert known and fields["ImuTemperature"] == pytest.approx(38.5) and fields["NtripStatus"] == 6
+
+
 def test_unit_that_starts_up():
     made = outputs(30, start_up=True)
     received, parser = parsed(made)

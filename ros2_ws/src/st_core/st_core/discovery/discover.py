@@ -400,7 +400,7 @@ class _Work:
                                                             len(space.hypotheses))), self.limits)
                 if verdict.rule == STATED:
                     verdict = Reason("explains less", name, {"gain": gain},
-                                     f"it reduces the size of the errors by {share_of(gain):.1%}; others take away "
+                                     f"it reduces the size of the errors by {share_of(gain):.1%}; others reduce it by "
                                      "more, and were tried first")
             else:
                 verdict, gain = Reason("part of the answer", name, {}, "a part of what is stated, or made of it"), 0.0

@@ -29,7 +29,7 @@ MAX_SPEED_RATIO = 1.15  # times the speed driven: the size of errors further off
 MAX_LATERAL_ACCELERATION = 9.0  # m/s^2: beyond that the simulation of the base is unreliable
 PERIOD = STEP / 2
 """s, of the simulated log."""
-LEAD_TIME = 4.0
+LEAD_TIME = 4.0  # s before a manoeuvre, in which the steering reaches its first angle
 """s before the start in which the hands come to where they are at the start, so that the drive begins steadily."""
 
 

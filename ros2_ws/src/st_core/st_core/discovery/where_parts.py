@@ -35,9 +35,9 @@ MIN_FLOOR_RATIO = 1.25  # times the floor; less is not relevant, however signifi
 
 CELL_SIZE = 20.0  # m, side of a cell of the map
 MIN_PART_DURATION = 8.0  # s, of a part between change points
-MAX_P_VALUE = 0.01
+MAX_P_VALUE = 0.01  # of a change point
 MIN_STEP_RATIO = 1.5  # times, of root mean squares
-MAX_CHANGES = 3
+MAX_CHANGES = 3  # of a run and channel
 PERMUTATIONS = 299  # enough to resolve a p of 0.01
 
 EVERYWHERE = "everywhere"

@@ -204,6 +204,9 @@ class Mcap(Storage):
             channels = {number: gathered[channel.topic] for number, channel in summary.channels.items()
                         if channel.topic in gathered and channel.message_encoding == "cdr"}
             left = {number: summary.statistics.channel_message_counts.get(number, 0) for number in channels}
+            publishers = Counter(summary.channels[number].topic for number, count in left.items() if count)
+            for topic, count in publishers.items():
+                gathered[topic].alike &= count == 1  # a block has the messages of one publisher only
             for number, block in self._blocks(file, summary, channels):
                 left[number] -= len(block.starts)
                 channels[number].add(block.buffer, block.starts, block.sizes)

@@ -111,6 +111,7 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
         places = find_columns(file, names, layout)
         places, body = _with_unit_row(file, places, body, delimiter, layout)
     body = _with_points(file, body, delimiter)
+    first: list[str] = []
     if "t" in places:
         column = places["t"].column
         first = next((line.split(delimiter)[column:][:1] for line in body.split("\n", 20) if line.strip()), [])
@@ -128,6 +129,9 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
         return Table(file, tuple(names), places, columns, np.empty(0, np.int64), 0, np.empty(0, bool), tuple(warnings))
     seconds = columns.pop("t")
     timed = np.abs(seconds) <= LATEST
+    if first and len(seconds) and not np.isfinite(seconds).any():
+        raise RunError(file, f"no time in column {places['t'].name} can be read, the first is {first[0].strip()!r}",
+                       "export seconds, or date and time with seconds, as 2026-05-04 10:11:12.3")
     if not timed.any() and np.isfinite(seconds).any():
         raise RunError(file, f"times like {np.nanmax(np.abs(seconds)):.3g} in column {places['t'].name} are not in "
                        f"{places['t'].unit}", "declare their unit in a run.yaml, as units: {t: us}")
