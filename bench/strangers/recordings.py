@@ -9,7 +9,7 @@ import numpy as np
 from st_core.prediction import PredictionSettings
 from st_core.stability import slip_speed_needed
 from st_recordings.car import read_vehicle
-from st_recordings.car_skeleton import SPEEDS, write_skeleton
+from st_recordings.car_skeleton import STABILITY_SPEEDS, write_skeleton
 
 from . import multibody, plants
 from .cases import Case, file_car, true_car
@@ -69,7 +69,7 @@ def _write_car(case: Case, home: Path) -> None:
     lines = [_filled(line, case) for line in file.read_text().splitlines()]
     file.write_text("\n".join(lines) + "\n")
     vehicle = read_vehicle(file)
-    needed = slip_speed_needed(("linear", "nonlinear"), vehicle, SPEEDS, PredictionSettings().step)
+    needed = slip_speed_needed(("linear", "nonlinear"), vehicle, STABILITY_SPEEDS, PredictionSettings().step)
     if needed and needed > vehicle.minimum_slip_speed:
         raised = np.ceil(10 * needed) / 10
         file.write_text("\n".join(_with(line, value=raised) if line.startswith("minimum_slip_speed:") else line

@@ -7,8 +7,8 @@ from canedge_bridge.signals import load_table
 from st_cli.cli import app
 from st_cli.verbs._options import LEAF, report_default_car, resolve_car
 from st_core.vehicle import VehicleParameters
-from st_recordings.car import car_named, names
-from st_recordings.car_skeleton import HINTS, problems, remarks, write_skeleton
+from st_recordings.car import car_names, load_car
+from st_recordings.car_skeleton import MEASUREMENT_HINTS, problems, remarks, write_skeleton
 from st_recordings.paths import config
 from st_recordings.runs.errors import RunError
 from typer.main import get_command
@@ -25,9 +25,9 @@ def folder(tmp_path):
     return car
 
 
-@pytest.mark.parametrize("name", names())
+@pytest.mark.parametrize("name", car_names())
 def test_every_car_of_the_configuration_can_be_read(name):
-    car = car_named(name)
+    car = load_car(name)
     assert VehicleParameters.from_yaml(car.vehicle.read_text(), str(car.vehicle)).mass > 0
     if car.dbc.exists():
         assert load_table(car.dbc, car.signals).messages
@@ -68,18 +68,18 @@ def test_the_leaf_is_not_taken_without_a_word(capsys):
 def test_a_car_that_says_nonsense_is_refused(folder, text, said):
     (folder / "car.yaml").write_text(text)
     with pytest.raises(RunError, match=said) as error:
-        car_named(str(folder))
+        load_car(str(folder))
     assert str(folder / "car.yaml") in str(error.value)
 
 
 def test_a_car_nobody_knows_is_refused_with_those_that_are_known():
     with pytest.raises(RunError, match=r"vehicle\.yaml is missing.*hyundai_genesis, leaf"):
-        car_named("unknown_car")
+        load_car("unknown_car")
 
 
 def test_a_file_in_place_of_the_folder_of_a_car(folder):
     with pytest.raises(RunError, match=f"this is a file, a car is a folder; give --car {folder}, or --vehicle"):
-        car_named(str(folder / "vehicle.yaml"))
+        load_car(str(folder / "vehicle.yaml"))
 
 
 @pytest.mark.parametrize("name", ["calibrate", "check", "discover", "evaluate", "identify", "import", "live"])
@@ -145,9 +145,9 @@ def fill_in(folder):
 def test_a_new_car_fails_for_what_is_to_be_filled_in_and_nothing_else(new):
     done = st_car("check", new)
     said = done.stderr.splitlines()
-    assert done.exit_code == 1 and len(said) == len(HINTS) + 2
+    assert done.exit_code == 1 and len(said) == len(MEASUREMENT_HINTS) + 2
     assert all("filled in" in line and str(new) in line for line in said)
-    for key in ("name", *HINTS):
+    for key in ("name", *MEASUREMENT_HINTS):
         assert sum(f"vehicle.yaml: {key}:" in line for line in said) == 1
     assert any("signals.yaml: messages: FILL_IN_message" in line for line in said)
 
@@ -156,7 +156,7 @@ def test_a_new_car_that_is_filled_in_can_be_used(new):
     fill_in(new)
     done = st_car("check", new)
     assert done.exit_code == 0 and not done.stderr, done.stderr
-    car = car_named(str(new))
+    car = load_car(str(new))
     table = load_table(car.dbc, car.signals)
     assert not table.absent and len(table.messages) == 9
     assert VehicleParameters.from_yaml(car.vehicle.read_text(), str(car.vehicle)).mass == 1590.0
@@ -201,7 +201,7 @@ def test_a_table_without_steering_is_refused(new):
     assert "steering_wheel_angle" in problems(str(new))[0]
 
 
-@pytest.mark.parametrize("name", names())
+@pytest.mark.parametrize("name", car_names())
 def test_the_cars_of_the_configuration_are_good(name):
     assert problems(name) == []
 
@@ -212,7 +212,7 @@ def test_nothing_is_overwritten(new):
     shutil.rmtree(new)
     assert st_car("check", new).exit_code == 2
     new.write_text("a file")
-    with pytest.raises(RunError, match="is there already"):
+    with pytest.raises(RunError, match="exists already"):
         write_skeleton(new)
 
 

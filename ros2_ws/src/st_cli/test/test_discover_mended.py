@@ -19,7 +19,7 @@ from st_core.vehicle import VehicleParameters, value_of
 from st_offline.discovery.discovery_report import model_file
 from st_offline.discovery.drives import Drive, Request, read_drive
 from st_offline.discovery.vehicle_update import KEYS, edited, folded_update, update_vehicle
-from st_recordings.car_skeleton import SPEEDS
+from st_recordings.car_skeleton import STABILITY_SPEEDS
 from st_recordings.runs import ReadSettings, find_runs
 from support import ROOT
 from typer.testing import CliRunner
@@ -72,7 +72,7 @@ def test_file_that_improves_the_mean_but_one_drive_not_is_not_written(tmp_path):
 def test_stiffer_tyres_raise_the_slip_speed_their_models_need(driven):
     _, one = mended(driven, ("tyre_stiffness", {"factor": 2.0}))
     assert one.vehicle.minimum_slip_speed > CAR.minimum_slip_speed
-    needed = slip_speed_needed(("linear", "nonlinear"), one.vehicle, SPEEDS, PredictionSettings().step)
+    needed = slip_speed_needed(("linear", "nonlinear"), one.vehicle, STABILITY_SPEEDS, PredictionSettings().step)
     assert needed == one.vehicle.minimum_slip_speed
 
 

@@ -182,4 +182,4 @@ def test_other_wrong_arguments(tmp_path):
     assert result.exit_code == 2 and "is not empty" in result.output
     table = ROOT / "docs/examples/identification/scales.csv"
     result = st("identify", "scales", table, "--output", tmp_path / "full" / "mine.txt" / "out")
-    assert result.exit_code == 2 and "cannot be made" in result.output and result.output.count("\n") == 1
+    assert result.exit_code == 2 and "cannot be created" in result.output and result.output.count("\n") == 1

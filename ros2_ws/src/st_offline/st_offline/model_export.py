@@ -18,7 +18,7 @@ from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model, get_model
 from st_core.stability import lowest_stable_speed
 from st_core.vehicle import VehicleParameters
-from st_recordings.paths import finite
+from st_recordings.paths import json_ready
 
 Format = Literal["casadi", "c"]
 STEPS = (0.01, 0.02, 0.05, 0.1)
@@ -90,7 +90,7 @@ def describe(symbolic: SymbolicModel, model: Model, vehicle: VehicleParameters, 
         "frame": "x forward, y left, z up; centre of gravity; map x east, y north; yaw counter-clockwise from east",
         "states": [_entry(v) for v in symbolic.states],
         "inputs": [_entry(v) for v in symbolic.inputs],
-        "parameters": [{**_entry(v), "value": finite(v.value)} for v in symbolic.parameters],
+        "parameters": [{**_entry(v), "value": json_ready(v.value)} for v in symbolic.parameters],
         "substeps": symbolic.substeps,
         "stable_above_m_s": {f"{step:g}": round(lowest_stable_speed(model, vehicle, step / symbolic.substeps), 3)
                              for step in STEPS},
@@ -101,8 +101,8 @@ def describe(symbolic: SymbolicModel, model: Model, vehicle: VehicleParameters, 
 
 
 def _entry(variable: Variable) -> dict[str, Any]:
-    return {"name": variable.name, "unit": variable.unit, "lower": finite(variable.lower),
-            "upper": finite(variable.upper)}
+    return {"name": variable.name, "unit": variable.unit, "lower": json_ready(variable.lower),
+            "upper": json_ready(variable.upper)}
 
 
 def _readme(description: dict[str, Any], kind: Format) -> str:

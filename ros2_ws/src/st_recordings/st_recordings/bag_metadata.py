@@ -1,4 +1,4 @@
-"""metadata.yaml of a rosbag2 directory (version 9, what ROS 2 Jazzy writes)."""
+"""metadata.yaml of a rosbag2 directory (version 9, as ROS 2 Jazzy writes it), and the definitions of message types."""
 
 import json
 import os
@@ -12,14 +12,23 @@ from typing import Any
 import yaml
 
 FILE_NAME = "metadata.yaml"
-INFINITE_NS = 2**63 - 1
-# Longer texts stay in the MCAP metadata records only.
-CUSTOM_DATA_LIMIT = 200
+INFINITE_NS = 2**63 - 1  # a duration that is not set; also the start of an empty bag
+MAX_CUSTOM_DATA_LENGTH = 200  # characters; longer texts stay in the MCAP metadata records only
+TYPE_SEPARATOR = "=" * 80  # between the types of a `ros2msg` definition
+PRIMITIVE_TYPES = frozenset((
+    "bool", "byte", "char", "float32", "float64", "string", "wstring",
+    "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64",
+))
+_FIELD = re.compile(r"^\s*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[A-Za-z]\w*")
+
+
+class UnknownTypeError(LookupError):
+    """The interface package of a message type is not installed."""
 
 
 @dataclass(frozen=True)
 class Qos:
-    """Quality of service as offered by a publisher, in rosbag2's words. Durations in ns, INFINITE_NS = not set."""
+    """Quality of service that a publisher offers, in the terms of rosbag2. Durations in ns; INFINITE_NS: not set."""
 
     reliability: str = "reliable"  # or best_effort
     durability: str = "volatile"  # or transient_local
@@ -32,20 +41,26 @@ class Qos:
 
     def to_entry(self) -> dict[str, Any]:
         return {"history": self.history, "depth": self.depth, "reliability": self.reliability,
-                "durability": self.durability, "deadline": _duration(self.deadline_ns),
-                "lifespan": _duration(self.lifespan_ns), "liveliness": self.liveliness,
-                "liveliness_lease_duration": _duration(self.liveliness_lease_ns),
+                "durability": self.durability, "deadline": _duration_entry(self.deadline_ns),
+                "lifespan": _duration_entry(self.lifespan_ns), "liveliness": self.liveliness,
+                "liveliness_lease_duration": _duration_entry(self.liveliness_lease_ns),
                 "avoid_ros_namespace_conventions": False}
 
 
+def _duration_entry(nanoseconds: int) -> dict[str, int]:
+    if nanoseconds >= INFINITE_NS:
+        return {"sec": 9223372036, "nsec": 854775807}
+    return {"sec": nanoseconds // 1_000_000_000, "nsec": nanoseconds % 1_000_000_000}
+
+
 def qos_text(qos: Sequence[Qos]) -> str:
-    """The same entries as the text rosbag2 keeps in the metadata of an MCAP channel."""
+    """The QoS entries as the text that rosbag2 keeps in the metadata of an MCAP channel."""
     return yaml.safe_dump([q.to_entry() for q in qos], sort_keys=False).strip() if qos else ""
 
 
 @dataclass
 class Topic:
-    """One line of a bag's contents. qos: entries as in metadata.yaml."""
+    """One topic of a bag. qos: entries as in metadata.yaml."""
 
     name: str
     type_name: str
@@ -66,13 +81,14 @@ class BagFile:
 
 @dataclass
 class BagInformation:
+    """Content of metadata.yaml."""
+
     files: list[BagFile]
     topics: list[Topic]
     custom: Mapping[str, str] = field(default_factory=dict)
 
     def document(self) -> dict[str, Any]:
         filled = [f for f in self.files if f.count]
-        # rosbag2 marks an empty bag with the largest time.
         start = min((f.start_ns for f in filled), default=INFINITE_NS)
         end = max((f.end_ns for f in filled), default=INFINITE_NS)
         return {"rosbag2_bagfile_information": {
@@ -107,37 +123,28 @@ class BagInformation:
 
 
 class _NoAliases(yaml.SafeDumper):
-    """Every topic written out in full, as rosbag2 does, even where two share their QoS."""
+    """Writes every topic out in full, as rosbag2 does, even where two share their QoS."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
 
 
-def _duration(nanoseconds: int) -> dict[str, int]:
-    if nanoseconds >= INFINITE_NS:
-        return {"sec": 9223372036, "nsec": 854775807}
-    return dict(zip(("sec", "nsec"), divmod(nanoseconds, 1_000_000_000), strict=True))
+def read_information(directory: Path) -> dict[str, Any]:
+    """Content of metadata.yaml in a bag directory; empty where the file is missing or cannot be read."""
+    try:
+        content = yaml.safe_load((directory / FILE_NAME).read_text())["rosbag2_bagfile_information"]
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
+        return {}
+    return content if isinstance(content, dict) else {}
 
 
-def short_entries(records: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
-    """Short entries of a bag's metadata records (name -> {key: text}) as `custom_data` of metadata.yaml: "name.key"."""
-    return {f"{name}.{key}": value for name, entries in records.items() if name != "rosbag2"
-            for key, value in entries.items() if len(value) <= CUSTOM_DATA_LIMIT and "\n" not in value}
+def custom_data(records: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
+    """`custom_data` of metadata.yaml: the short one-line texts of a bag's metadata records, under "record.key"."""
+    return {f"{name}.{key}": text for name, entries in records.items() if name != "rosbag2"
+            for key, text in entries.items() if len(text) <= MAX_CUSTOM_DATA_LENGTH and "\n" not in text}
 
 
-SEPARATOR = "=" * 80
-PRIMITIVES = frozenset((
-    "bool", "byte", "char", "float32", "float64", "string", "wstring",
-    "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64",
-))
-_FIELD = re.compile(r"^\s*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[A-Za-z]\w*")
-
-
-class UnknownTypeError(LookupError):
-    """The interface package of a message type is not installed."""
-
-
-def _file(type_name: str, suffix: str) -> Path:
+def _interface_file(type_name: str, suffix: str) -> Path:
     package, _, name = type_name.replace("/msg/", "/").partition("/")
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
         path = Path(prefix, "share", package, "msg", name + suffix)
@@ -149,46 +156,42 @@ def _file(type_name: str, suffix: str) -> Path:
 
 @cache
 def definition(type_name: str) -> str:
-    """The .msg text of a type ("pkg/msg/Type") followed by those of all types it uses, in the `ros2msg` layout.
+    """The .msg text of a type ("pkg/msg/Type"), then those of all types it uses, in the `ros2msg` layout.
 
     Raises UnknownTypeError.
     """
-    text = _file(type_name, ".msg").read_text()
-    parts, seen = [text.rstrip("\n") + "\n"], {_short(type_name)}
-    waiting = _uses(type_name, text)
+    text = _interface_file(type_name, ".msg").read_text()
+    parts, seen = [text.rstrip("\n") + "\n"], {type_name.replace("/msg/", "/")}
+    waiting = _types_used(type_name, text)
     while waiting:
         used = waiting.pop(0)
         if used in seen:
             continue
         seen.add(used)
-        text = _file(used, ".msg").read_text()
-        parts.append(f"{SEPARATOR}\nMSG: {used}\n{text.rstrip(chr(10))}\n")
-        waiting += _uses(used, text)
+        text = _interface_file(used, ".msg").read_text()
+        parts.append(f"{TYPE_SEPARATOR}\nMSG: {used}\n{text.rstrip(chr(10))}\n")
+        waiting += _types_used(used, text)
     return "".join(parts)
+
+
+def _types_used(owner: str, text: str) -> list[str]:
+    """The types (pkg/Type) of the fields in a definition, in order of appearance."""
+    used = []
+    for line in text.splitlines():
+        match = _FIELD.match(line.split("#", 1)[0])
+        if match is None or (name := match.group(1)) in PRIMITIVE_TYPES:
+            continue
+        if "/" not in name:
+            name = f"{'std_msgs' if name == 'Header' else owner.partition('/')[0]}/{name}"
+        used.append(name.replace("/msg/", "/"))
+    return used
 
 
 @cache
 def type_hash(type_name: str) -> str:
-    """The hash (RIHS01_...) the interface was built with. Raises UnknownTypeError."""
-    document = json.loads(_file(type_name, ".json").read_text())
+    """The hash (RIHS01_...) with which the interface was built. Raises UnknownTypeError."""
+    document = json.loads(_interface_file(type_name, ".json").read_text())
     for entry in document["type_hashes"]:
         if entry["type_name"] == type_name:
             return str(entry["hash_string"])
     raise UnknownTypeError(f"message type {type_name}: its description file has no hash")
-
-
-def _short(type_name: str) -> str:
-    return type_name.replace("/msg/", "/")
-
-
-def _uses(owner: str, text: str) -> list[str]:
-    """Types named in a definition, as pkg/Type, in order of appearance."""
-    used = []
-    for line in text.splitlines():
-        match = _FIELD.match(line.split("#", 1)[0])
-        if match is None or (name := match.group(1)) in PRIMITIVES:
-            continue
-        if "/" not in name:
-            name = f"{'std_msgs' if name == 'Header' else owner.partition('/')[0]}/{name}"
-        used.append(_short(name))
-    return used

@@ -1,4 +1,4 @@
-"""A car in one folder: its vehicle file, its bus, and how its steering is measured."""
+"""A car described in one folder: its vehicle file, its CAN bus, and how its steering is measured."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,15 +9,18 @@ from st_core.vehicle import VehicleParameters
 from .paths import config
 from .runs.errors import RunError, check_readable, short
 
-STEERING = {"steering_sign": 1, "steering_latency": 0.0}
+STEERING_DEFAULTS = {"steering_sign": 1, "steering_latency": 0.0}
 """Keys of car.yaml and their defaults."""
 
 
 @dataclass(frozen=True)
 class Car:
-    """vehicle, dbc, signals: files of the folder; a car without a described bus has no dbc and no signals.
+    """Paths and steering of one car.
+
+    vehicle, dbc, signals: files of the folder; dbc and signals do not exist for a car without a described bus.
     steering_sign: +1 where the decoded sensor is left positive. steering_latency: from the turn of the wheel to the
-    frame [s]."""
+    frame [s].
+    """
 
     folder: Path
     steering_sign: int
@@ -36,25 +39,25 @@ class Car:
         return self.folder / "signals.yaml"
 
 
-def car_named(text: str) -> Car:
+def load_car(text: str) -> Car:
     """A car by the name of its folder in config/car, or by any folder.
 
-    Raises RunError for a folder that is not there or has no vehicle file, and for a car.yaml with anything else
-    than steering_sign (1 or -1) and steering_latency (0 to 1 s).
+    Raises RunError for a folder that does not exist or has no vehicle file, and for a car.yaml with anything but
+    steering_sign (1 or -1) and steering_latency (0 to 1 s).
     """
     folder = Path(text) if "/" in text or Path(text).is_dir() else config("car") / text
     if folder.is_file():
         raise RunError(folder, "this is a file, a car is a folder", f"give --car {folder.absolute().parent}, or "
                        "--vehicle for a vehicle file alone")
     if not (folder / "vehicle.yaml").is_file():
-        raise RunError(folder, "no car: vehicle.yaml is missing in it", f"there are {', '.join(names())}; or name the "
-                       "folder of a car")
+        raise RunError(folder, "no car: vehicle.yaml is missing in it", f"known cars are {', '.join(car_names())}; or "
+                       "name the folder of a car")
     file = folder / "car.yaml"
     table = read_table(file) if file.exists() else {}
-    strange = set(table) - set(STEERING)
-    if strange:
-        raise RunError(file, f"{', '.join(sorted(strange))}: unknown", f"it may hold {', '.join(STEERING)}")
-    values = {**STEERING, **table}
+    unknown = set(table) - set(STEERING_DEFAULTS)
+    if unknown:
+        raise RunError(file, f"{', '.join(sorted(unknown))}: unknown", f"known keys are {', '.join(STEERING_DEFAULTS)}")
+    values = {**STEERING_DEFAULTS, **table}
     if values["steering_sign"] not in (1, -1):
         raise RunError(file, f"steering_sign: {values['steering_sign']!r} is neither 1 nor -1")
     latency = values["steering_latency"]
@@ -63,13 +66,13 @@ def car_named(text: str) -> Car:
     return Car(folder, int(values["steering_sign"]), float(latency))
 
 
-def names() -> list[str]:
-    """Of the cars in config/car."""
+def car_names() -> list[str]:
+    """The names of the cars in config/car."""
     return sorted(path.parent.name for path in config("car").glob("*/vehicle.yaml"))
 
 
 def read_vehicle(file: Path) -> VehicleParameters:
-    """The car of a vehicle file. Raises RunError where it cannot be read, ConfigurationError for its values."""
+    """The parameters in a vehicle file. Raises RunError if it cannot be read, ConfigurationError for its values."""
     try:
         return VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
     except (OSError, UnicodeDecodeError) as error:
@@ -77,7 +80,7 @@ def read_vehicle(file: Path) -> VehicleParameters:
 
 
 def read_table(file: Path) -> dict:
-    """A YAML file of keys and values. Raises RunError."""
+    """Keys and values of a YAML file. Raises RunError."""
     check_readable(file)
     try:
         table = yaml.safe_load(file.read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""A new car's folder with the places to fill in, and what is wrong with a car's folder."""
+"""Writes the folder of a new car, with placeholders to fill in, and finds what is wrong with a car's folder."""
 
 import re
 from collections.abc import Iterator
@@ -20,15 +20,15 @@ from st_core.vehicle import (
     VehicleParameters,
 )
 
-from .car import Car, car_named, read_table, read_vehicle
+from .car import Car, load_car, read_table, read_vehicle
 from .paths import config
 from .runs.columns import unit_named
 from .runs.errors import RunError
-from .runs.ins_log import SPEEDS as SPEEDS_ON_CAN
+from .runs.ins_log import SPEEDS
 
 FILL_IN = "FILL_IN"
-"""Placeholder of what only the owner of the car can state; no reader of these files accepts it as a value."""
-HINTS = {
+"""Placeholder for what only the owner of the car can state; no reader of these files accepts it as a value."""
+MEASUREMENT_HINTS = {
     "mass": "four wheel scales, with driver and equipment",
     "yaw_inertia": "at first from a comparable car, later identified",
     "wheelbase": "tape measure, or the registration papers",
@@ -39,16 +39,16 @@ HINTS = {
     "cornering_stiffness_front": "at first from a comparable car, later identified",
     "cornering_stiffness_rear": "at first from a comparable car, later identified",
 }
-"""What no other car can lend, and how it is measured."""
-ASSUMED_UNCERTAINTY = {"cg_height": 0.1}
+"""Quantities that cannot be taken over from another car, and how each is measured."""
+ASSUMED_UNCERTAINTIES = {"cg_height": 0.1}
 """SI, one standard deviation of a value taken over from another car; passenger cars lie within 0.45 to 0.65 m."""
-SPEEDS = tuple(0.5 * k for k in range(1, 81))
-"""m/s, at which the models have to be stable with that step."""
-ZERO = ("cg_to_ins_y", "steering_wheel_offset")
+STABILITY_SPEEDS = tuple(0.5 * k for k in range(1, 81))
+"""m/s, at which the models have to be stable with the integration step."""
+ASSUMED_ZERO = ("cg_to_ins_y", "steering_wheel_offset")
 NOT_FITTED = ("minimum_slip_speed", "length", "width", *FOR_EFFECTS)
-_ROW = re.compile(r'^(?P<indent> *)(?P<key>\w+): \{value: (?P<value>\S+), unit: (?P<unit>.+?), source: ".*"\}$')
+_VEHICLE_ROW = re.compile(r'^(?P<indent> *)(?P<key>\w+): \{value: (?P<value>\S+), unit: (?P<unit>.+?), source: ".*"\}$')
 
-SIGNALS = """\
+SIGNALS_TEMPLATE = """\
 messages:
   FILL_IN_message:                      # name of the message in can.dbc that carries the steering wheel angle
     needed: true
@@ -71,7 +71,7 @@ messages:
   #     NAME_OF_SIGNAL: {name: vehicle_speed, unit: km/h, sign: 1}
 
 """
-DBC = """\
+DBC_TEMPLATE = """\
 VERSION ""
 
 BU_: CAR RT LOGGER
@@ -83,13 +83,13 @@ BU_: CAR RT LOGGER
 // A multiplexed signal (m0 with a selector M) is read from the frames that carry it.
 // If the OxTS RT sends on the same bus, append its messages: cat rt.dbc >> can.dbc
 """
-CAR = """\
+CAR_TEMPLATE = """\
 # road_wheel_angle = (steering_sign * sensor - steering_wheel_offset) / steering_ratio, left positive.
 # steering_wheel_offset and steering_ratio are values of vehicle.yaml.
 steering_sign: 1         # 1: the sensor, as can.dbc and signals.yaml decode it, is positive to the left; -1: right
 steering_latency: 0.0    # s, from the motion of the wheel to the frame in the log (0 to 1)
 """
-VEHICLE = """\
+VEHICLE_TEMPLATE = """\
 # Every value has a unit and a source. FILL_IN marks the values and sources that only you know.
 # The other values are assumptions to start with. uncertainty: one standard deviation, in the unit of the value;
 # st discover keeps the value near it. Without it a default is taken, which st car check prints.
@@ -98,7 +98,7 @@ name: FILL_IN
 
 
 def write_skeleton(folder: Path) -> list[Path]:
-    """vehicle.yaml, signals.yaml, can.dbc, rt.dbc and car.yaml in a new or empty folder.
+    """Writes vehicle.yaml, signals.yaml, can.dbc, rt.dbc and car.yaml to a new or empty folder; returns their paths.
 
     Raises RunError for a folder that is not empty, or cannot be written.
     """
@@ -108,12 +108,12 @@ def write_skeleton(folder: Path) -> list[Path]:
     rt = "\n" + "".join(f"{block.rstrip()}\n\n" for block in blocks if re.match(r"BO_ \d+ RT_", block))
     rows = re.split(r"(?m)^name:.*\n", vehicle)[1].splitlines()
     head, rest = signals.split("messages:\n", 1)
-    texts = {"vehicle.yaml": VEHICLE + "".join(f"{_of_new_car(row)}\n" for row in rows),
-             "signals.yaml": head + SIGNALS + rest[rest.index("  # The INS on CAN"):],
-             "can.dbc": DBC, "rt.dbc": rt, "car.yaml": CAR}
+    texts = {"vehicle.yaml": VEHICLE_TEMPLATE + "".join(f"{_template_row(row)}\n" for row in rows),
+             "signals.yaml": head + SIGNALS_TEMPLATE + rest[rest.index("  # The INS on CAN"):],
+             "can.dbc": DBC_TEMPLATE, "rt.dbc": rt, "car.yaml": CAR_TEMPLATE}
     try:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise RunError(folder, "is there already, and nothing is overwritten", "name a new folder")
+            raise RunError(folder, "exists already, and nothing is overwritten", "name a new folder")
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
             (folder / name).write_text(text, encoding="utf-8")
@@ -123,7 +123,7 @@ def write_skeleton(folder: Path) -> list[Path]:
 
 
 def problems(folder: str) -> list[str]:
-    """One line each, naming file and key, for what prevents using the car: empty for a good one.
+    """What prevents using a car, one line each with file and key; empty for a valid car.
 
     Raises RunError for a folder without a car.
     """
@@ -132,7 +132,7 @@ def problems(folder: str) -> list[str]:
         raise RunError(path, "the folder does not exist", f"st car new {folder} writes one")
     found = []
     try:
-        car = car_named(folder)
+        car = load_car(folder)
     except RunError as error:
         if not str(error.path).endswith("car.yaml"):
             raise
@@ -141,8 +141,8 @@ def problems(folder: str) -> list[str]:
 
 
 def remarks(folder: str) -> list[str]:
-    """Lines on a car without mistakes: what is unusual for a road car, and the uncertainties in force."""
-    car = car_named(folder)
+    """Lines about a valid car: what is unusual for a road car, and the uncertainties in force."""
+    car = load_car(folder)
     file = car.vehicle
     vehicle = read_vehicle(file)
     notes = [f"{file}: unusual: {text}" for text in objections(vehicle)]
@@ -152,10 +152,11 @@ def remarks(folder: str) -> list[str]:
 
 
 def uncertainties(vehicle: VehicleParameters) -> list[str]:
-    """One line for each quantity with an uncertainty of the file or a default; the others in the last line."""
-    keys = {**VEHICLE_QUANTITIES, **{f"{tyre}.{key}": one for tyre in TYRES for key, one in TYRE_QUANTITIES.items()}}
+    """One line for each quantity with a stated or default uncertainty; the last line lists the others."""
+    quantities = {**VEHICLE_QUANTITIES,
+                  **{f"{tyre}.{key}": quantity for tyre in TYRES for key, quantity in TYRE_QUANTITIES.items()}}
     lines, without = [], []
-    for key, quantity in keys.items():
+    for key, quantity in quantities.items():
         spread = vehicle.uncertainty(key)
         if spread is None:
             without.append(key)
@@ -175,18 +176,13 @@ def uncertainties(vehicle: VehicleParameters) -> list[str]:
 def _vehicle_problems(file: Path) -> list[str]:
     try:
         document = read_table(file)
-        empty = sorted({where for where in _places(document)}, key=list(document).index)
-        if empty:
-            what = {key: "value, source and uncertainty" if key in DEFAULT_UNCERTAINTIES else "value and source"
-                    for key in empty}
-            return [f"{file}: {key}: not filled in" + (
-                f", {what[key]}; {VEHICLE_QUANTITIES[key].limit().removesuffix(' 1')}" if key in VEHICLE_QUANTITIES
-                else "") for key in empty]
+        if empty := set(_unfilled_keys(document)):
+            return [f"{file}: {key}: not filled in{_what_to_fill_in(key)}" for key in document if str(key) in empty]
         vehicle = read_vehicle(file)
     except (RunError, StCoreError) as error:
         return [str(error)]
     step = PredictionSettings().step
-    needed = slip_speed_needed(("linear", "nonlinear"), vehicle, SPEEDS, step)
+    needed = slip_speed_needed(("linear", "nonlinear"), vehicle, STABILITY_SPEEDS, step)
     if needed is None:
         return [f"{file}: mass, yaw_inertia, cornering_stiffness_front, cornering_stiffness_rear: this car is unstable "
                 f"at any minimum_slip_speed with integration steps of {1e3 * step:g} ms; is one in another unit?"]
@@ -196,68 +192,76 @@ def _vehicle_problems(file: Path) -> list[str]:
             f"{1e3 * step:g} ms; {needed:g} m/s or more is stable"]
 
 
+def _what_to_fill_in(key: str) -> str:
+    if key not in VEHICLE_QUANTITIES:
+        return ""
+    entries = "value, source and uncertainty" if key in DEFAULT_UNCERTAINTIES else "value and source"
+    return f", {entries}; {VEHICLE_QUANTITIES[key].limit().removesuffix(' 1')}"
+
+
 def _bus_problems(car: Car) -> list[str]:
-    there = [file for file in (car.dbc, car.signals) if file.exists()]
-    if not there:  # CSV and bags of such a car can be read
+    existing = [file for file in (car.dbc, car.signals) if file.exists()]
+    if not existing:  # CSV files and bags of such a car can be read
         return []
-    if len(there) == 1:
+    if len(existing) == 1:
         missing = car.signals if car.dbc.exists() else car.dbc
-        return [f"{missing}: the file does not exist, and {there[0].name} cannot be used without it; write it, or "
+        return [f"{missing}: the file does not exist, and {existing[0].name} cannot be used without it; write it, or "
                 "delete both"]
     try:
-        if any(_places(read_table(car.signals))):
+        if any(_unfilled_keys(read_table(car.signals))):
             return [f"{car.signals}: messages: {FILL_IN}_message and {FILL_IN}_signal are not filled in: names in "
                     f"{car.dbc.name} of the message and the signal with the steering wheel angle; if all recordings "
                     "are CSV or bags, delete both files"]
         table = load_table(car.dbc, car.signals)
     except (RunError, TableError) as error:
         return [str(error)]
-    if not any(signal.name == "steering_wheel_angle" for one in table.messages.values() for signal in one.signals):
+    if not any(signal.name == "steering_wheel_angle" for message in table.messages.values()
+               for signal in message.signals):
         return [f"{car.signals}: messages: no signal of {car.dbc.name} is named steering_wheel_angle, which every "
                 "prediction needs"]
     return []
 
 
 def _unused_speeds(car: Car) -> list[str]:
-    """A line on the speed signals of the DBC, where the table names none."""
+    """A line about the speed signals of the DBC, where the table names none."""
     if not car.signals.exists():
         return []
     table = load_table(car.dbc, car.signals)
-    if {signal.name for one in table.messages.values() for signal in one.signals} & {*SPEEDS_ON_CAN}:
+    if any(signal.name in SPEEDS for message in table.messages.values() for signal in message.signals):
         return []
-    found = [f"{message.name}.{signal.name}" for message in table.database.messages for signal in message.signals
-             if "speed" in signal.name.lower() and unit_named("speed", signal.unit or "") and
-             not message.name.startswith("RT_")]
-    return [f"{car.signals}: no speed signal is in it, and {car.dbc.name} has {', '.join(found[:4])}: name one "
+    unused = [f"{message.name}.{signal.name}" for message in table.database.messages for signal in message.signals
+              if "speed" in signal.name.lower() and unit_named("speed", signal.unit or "") and
+              not message.name.startswith("RT_")]
+    return [f"{car.signals}: no speed signal is in it, and {car.dbc.name} has {', '.join(unused[:4])}: name one "
             "vehicle_speed (or wheel_speed_rear_left, ...); it aligns the clocks of INS and CAN log better than the "
-            "steering"] if found else []
+            "steering"] if unused else []
 
 
-def _places(document: Any, top: str = "") -> Iterator[str]:
-    """Top keys under which something is still to be filled in."""
+def _unfilled_keys(document: Any, top_key: str = "") -> Iterator[str]:
+    """Yields the top-level keys under which a placeholder is left."""
     if isinstance(document, dict):
         for key, value in document.items():
             if str(key).startswith(FILL_IN):
-                yield top or str(key)
-            yield from _places(value, top or str(key))
+                yield top_key or str(key)
+            yield from _unfilled_keys(value, top_key or str(key))
     elif isinstance(document, list):
         for value in document:
-            yield from _places(value, top)
+            yield from _unfilled_keys(value, top_key)
     elif str(document).startswith(FILL_IN):
-        yield top
+        yield top_key
 
 
-def _of_new_car(line: str) -> str:
-    """A line of the Leaf's vehicle file with a placeholder for what only the owner knows."""
-    row = _ROW.match(line)
+def _template_row(line: str) -> str:
+    """A line of the Leaf's vehicle file as it is in the file of a new car."""
+    row = _VEHICLE_ROW.match(line)
     if row is None:
         return line
     key, unit = row["key"], row["unit"]
-    if key in HINTS:
+    if key in MEASUREMENT_HINTS:
         uncertainty = f", uncertainty: {FILL_IN}" if key in DEFAULT_UNCERTAINTIES else ""
-        return f"{key}: {{value: {FILL_IN}, unit: {unit}, source: {FILL_IN}{uncertainty}}}  # {HINTS[key]}"
-    value, why = (0.0, "none") if key in ZERO else (row["value"], "as a Nissan Leaf ZE0")
-    uncertainty = f", uncertainty: {ASSUMED_UNCERTAINTY[key]}" if key in ASSUMED_UNCERTAINTY else ""
+        return f"{key}: {{value: {FILL_IN}, unit: {unit}, source: {FILL_IN}{uncertainty}}}  # {MEASUREMENT_HINTS[key]}"
+    value, why = (0.0, "none") if key in ASSUMED_ZERO else (row["value"], "as a Nissan Leaf ZE0")
+    uncertainty = f", uncertainty: {ASSUMED_UNCERTAINTIES[key]}" if key in ASSUMED_UNCERTAINTIES else ""
     return f'{row["indent"]}{key}: {{value: {value}, unit: {unit}, source: "assumed: {why}"{uncertainty}}}'
 
 

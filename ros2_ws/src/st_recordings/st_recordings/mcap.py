@@ -1,7 +1,7 @@
 """Writes a bag: a directory NAME/ with NAME_0.mcap and metadata.yaml, as `ros2 bag record` of ROS 2 Jazzy makes it.
 
-No ROS import; message definitions come from the installed interface packages (bag_metadata.py) or from the caller.
-`recover` (recovery.py) repairs a bag after its writer was killed.
+Imports no ROS; message definitions come from the installed interface packages (bag_metadata.py) or from the caller.
+`recover` (recovery.py) repairs a bag whose writer was killed.
 """
 
 import contextlib
@@ -20,29 +20,29 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Header, MessageIndex, Schema
 
 from . import bag_metadata
-from .bag_metadata import BagFile, BagInformation, Qos, Topic, qos_text, short_entries
+from .bag_metadata import BagFile, BagInformation, Qos, Topic, custom_data, qos_text
 from .mcap_contents import MAGIC, Contents
 from .recovery import RecoveryError, RecoveryReport, recover
 from .syncing import Syncer
 
 __all__ = ["BagWriter", "Qos", "RecoveryError", "RecoveryReport", "recover"]
 
-# A chunk is what is compressed at once; at high rates it is full before FLUSH_PERIOD is over.
 CHUNK_SIZE = 1024 * 1024
-# Half of the second that a kill may cost, so that the other half remains for the caller's own delays.
+"""Bytes that are compressed together; at high rates a chunk is full before FLUSH_PERIOD is over."""
 FLUSH_PERIOD = 0.5
-# A full disk: chunks are given up, newest first, until the index fits. Any other error: everything written is kept.
-NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""s. A kill may cost one second: half of it here, the other half is left for the caller's own delays."""
+DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""After these, chunks are given up, newest first, until the index fits. After others everything written is kept."""
 _MESSAGE_RECORD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
-_MESSAGE_HEAD = 22  # of which inside the record
+_MESSAGE_HEAD_LENGTH = 22  # of which inside the record
 
 
 class BagWriter:
-    """One bag being written.
+    """Writes one bag.
 
-    A full or failing disk does not raise: the bag is closed at its last whole chunk, `error` has the reason, and
-    later messages are counted in `lost`. A file that was renamed or deleted is closed whole, `error` reports it and
-    `moved` is set.
+    A full or failing disk does not raise: the bag is closed at its last whole chunk, `error` gives the reason, and
+    later messages are counted in `lost`. A file that was renamed or deleted is closed whole; `error` reports it and
+    `moved` is set. syncer: state of the synchronisation with the disk; None without one.
     """
 
     def __init__(self, directory: Path | str, records: Mapping[str, Mapping[str, str]] | None = None,
@@ -63,7 +63,8 @@ class BagWriter:
         self.error = ""
         self.lost = 0
         self.closed = self.moved = False
-        self._custom = short_entries(records or {})
+        self.syncer: Syncer | None = None
+        self._custom = custom_data(records or {})
         self._topics: list[Topic] = []
         self._schemas: dict[str, int] = {}
         if self.directory.is_dir() and any(self.directory.iterdir()):
@@ -74,8 +75,8 @@ class BagWriter:
         self._contents = Contents()
         self._compressor = zstandard.ZstdCompressor()
         self._start_chunk()
-        # The file first: of two writers starting at one moment only one can create it; the other has changed nothing.
-        self._file = _WholeWrites(self.path)
+        # The file first: of two writers that start at once only one can create it, and the other changes nothing.
+        self._file = _LockedFile(self.path)
         self._information().save(self.directory)
         header = RecordBuilder()
         Header(profile="ros2", library="st_predictor").write(header)
@@ -83,24 +84,19 @@ class BagWriter:
         self._header_length = self._file.tell()
         for name, entries in (records or {}).items():
             self._contents.append_metadata(self._file, name, dict(entries))
-        self._next_flush = self._next_look = time.monotonic() + FLUSH_PERIOD
+        self._next_flush = self._next_path_check = time.monotonic() + FLUSH_PERIOD
         if synced:
-            self._file.syncer = Syncer(self._file.descriptor, (self.directory, self.directory.parent))
-            self._file.syncer.wake()
+            self.syncer = Syncer(self._file.descriptor, (self.directory, self.directory.parent))
+            self.syncer.wake()
 
     @property
     def message_count(self) -> int:
         return self._bag_file.count
 
-    @property
-    def syncer(self) -> Syncer | None:
-        """State of the synchronisation with the disk; None without one."""
-        return self._file.syncer
-
     def add_topic(
         self, name: str, type_name: str, qos: Sequence[Qos] = (Qos(),), definition: str = "", type_hash: str = ""
     ) -> int:
-        """Announces a topic of type "pkg/msg/Type" and returns its id for `write`.
+        """Adds a topic of type "pkg/msg/Type" and returns its id for `write`.
 
         definition, type_hash: default to those of the installed package; raises UnknownTypeError without one.
         """
@@ -117,14 +113,14 @@ class BagWriter:
         ))
         if not (self.closed or self.error):
             try:
-                # Not inside a chunk: a damaged chunk then costs its own messages only.
+                # Outside of chunks, so that a damaged chunk costs only its own messages.
                 self._contents.append_definitions(self._file, new)
             except OSError as error:
                 self._stop(error)
         return len(self._topics)
 
     def write(self, topic: int, data: bytes, log_time_ns: int, publish_time_ns: int | None = None) -> None:
-        """One serialised (CDR) message. log_time_ns: when received; publish_time_ns: when sent, default the same."""
+        """Adds a serialised (CDR) message. log_time_ns: when received. publish_time_ns: when sent, default the same."""
         if self.closed or self.error:
             self.lost += 1
             return
@@ -132,7 +128,7 @@ class BagWriter:
             self._messages[topic] = MessageIndex(topic, [])
         self._messages[topic].records.append((log_time_ns, self._chunk.count))
         publish_time_ns = log_time_ns if publish_time_ns is None else publish_time_ns
-        length = _MESSAGE_HEAD + len(data)
+        length = _MESSAGE_HEAD_LENGTH + len(data)
         self._chunk.write(_MESSAGE_RECORD.pack(Opcode.MESSAGE, length, topic, 0, log_time_ns, publish_time_ns))
         self._chunk.write(data)
         bag_file = self._bag_file
@@ -144,16 +140,16 @@ class BagWriter:
             self.flush()
 
     def flush_when_due(self) -> None:
-        """To be called at least twice a second: writes the messages of the last FLUSH_PERIOD, which then survive the
-        end of this process, and checks that the file is still found under its name.
+        """Writes the messages of the last FLUSH_PERIOD, which then survive the end of this process, and checks that the
+        file is still found under its name. To be called at least twice a second.
         """
         now = time.monotonic()
         if now >= self._next_flush:
             self.flush()
-        if now >= self._next_look and not (self.closed or self.error):
-            self._next_look = now + FLUSH_PERIOD
+        if now >= self._next_path_check and not (self.closed or self.error):
+            self._next_path_check = now + FLUSH_PERIOD
             if not self._file.is_at(self.path):
-                self._leave()
+                self._close_moved_file()
 
     def flush(self) -> None:
         """Ends the chunk and writes it to the file."""
@@ -172,8 +168,8 @@ class BagWriter:
                     self._write_chunk()
                 description = {"serialized_metadata": self._information().text()}
                 self._contents.append_metadata(self._file, "rosbag2", description)
-                self._finish()
-                self._file.close()
+                self._finish(self.directory)
+                self._close_file()
             except OSError as error:
                 self._stop(error)
         self.closed = True
@@ -189,20 +185,28 @@ class BagWriter:
         chunk = Chunk(compression="zstd", data=self._compressor.compress(data), message_start_time=min(times),
                       message_end_time=max(times), uncompressed_crc=zlib.crc32(data), uncompressed_size=len(data))
         self._contents.append_chunk(self._file, chunk, messages)
-        self._file.wake()
+        if self.syncer:
+            self.syncer.wake()
 
     def _information(self) -> BagInformation:
         return BagInformation([self._bag_file], self._topics, self._custom)
 
-    def _finish(self) -> None:
+    def _finish(self, folder: Path | None) -> None:
+        """Writes the index, and metadata.yaml to a folder."""
         self._contents.finish(self._file)
-        self._file.sync()
-        self._information().save(self.directory)
+        os.fsync(self._file.descriptor)
+        if folder is not None:
+            self._information().save(folder)
 
-    def _leave(self) -> None:
+    def _close_file(self) -> None:
+        if self.syncer:
+            self.syncer.stop()
+        os.close(self._file.descriptor)
+
+    def _close_moved_file(self) -> None:
         """Closes a file that was renamed or deleted."""
         self.moved = True
-        folder = self._file.folder()
+        folder = self._file.current_folder()
         state = "deleted" if folder is None else f"renamed to {folder}"
         self.error = f"recording stopped: {self.directory} was {state}"
         if folder is None:
@@ -210,11 +214,8 @@ class BagWriter:
         with contextlib.suppress(OSError):  # `recover` repairs what is missing
             if self._messages:
                 self._write_chunk()
-            self._contents.finish(self._file)
-            self._file.sync()
-            if folder is not None:
-                self._information().save(folder)
-        self._file.close()
+            self._finish(folder)
+        self._close_file()
 
     def _stop(self, error: OSError) -> None:
         """Closes the bag at its last whole chunk, dropping further chunks until index and metadata.yaml fit."""
@@ -223,42 +224,37 @@ class BagWriter:
         length = max(self._header_length, self._contents.end_offset())
         while True:
             try:
-                self._file.cut(length)
+                self._file.truncate(length)
                 self._contents.drop_after(length)
                 counts, times = self._contents.counts(), self._contents.times()
                 for channel_id, topic in enumerate(self._topics, start=1):
                     topic.count = counts[channel_id]
                 self._bag_file = BagFile(self.path.name, counts.total(), *times)
-                self._finish()
+                self._finish(self.directory)
                 break
             except OSError as failed:
                 last = self._contents.last_chunk_offset()
-                if last is None or failed.errno not in NO_ROOM:
+                if last is None or failed.errno not in DISK_FULL_ERRORS:
                     self.error += (f"; its index could not be written either ({failed.strerror}): repair the bag with "
                                    "`recover`")
                     with contextlib.suppress(OSError):
-                        self._file.cut(length)
+                        self._file.truncate(length)
                     break
                 length = last
         self.lost += written - self.message_count
-        self._file.close()
+        self._close_file()
 
 
-class _WholeWrites:
-    """The file of a bag: unbuffered, so that an error comes from the call that caused it, and locked."""
+class _LockedFile:
+    """The storage file: unbuffered, so that an error is raised by the call that caused it, and locked."""
 
     def __init__(self, path: Path):
         self.descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
         # Held until the process ends, however it ends: `recover` refuses a bag that is still being written.
-        # Some network and USB file systems know no locks; the recording matters more.
+        # Some network and USB file systems have no locks; the recording matters more.
         with contextlib.suppress(OSError):
             fcntl.flock(self.descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._length = 0
-        self.syncer: Syncer | None = None
-
-    def wake(self) -> None:
-        if self.syncer:
-            self.syncer.wake()
 
     def write(self, data: bytes) -> int:
         view = memoryview(data)
@@ -271,7 +267,7 @@ class _WholeWrites:
     def tell(self) -> int:
         return self._length
 
-    def cut(self, length: int) -> None:
+    def truncate(self, length: int) -> None:
         os.ftruncate(self.descriptor, length)
         os.lseek(self.descriptor, length, os.SEEK_SET)
         self._length = length
@@ -283,15 +279,7 @@ class _WholeWrites:
         except OSError:
             return False
 
-    def folder(self) -> Path | None:
-        """Folder of the file now, None for a deleted one."""
+    def current_folder(self) -> Path | None:
+        """The folder in which the file is now; None for a deleted file."""
         path = Path(os.readlink(f"/proc/self/fd/{self.descriptor}"))
         return path.parent if self.is_at(path) else None
-
-    def sync(self) -> None:
-        os.fsync(self.descriptor)
-
-    def close(self) -> None:
-        if self.syncer:
-            self.syncer.stop()
-        os.close(self.descriptor)

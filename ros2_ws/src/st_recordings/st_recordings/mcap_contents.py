@@ -1,7 +1,7 @@
-"""Inventory of an MCAP file, record by record, and the index section at the end of a closed file.
+"""Inventory of an MCAP file, record by record, and the index section that closes a file.
 
-The layout is that of https://mcap.dev/spec. Used where the library's writer cannot help: a file cut by a crash or by a
-full disk has all its chunks but no index.
+The layout is that of https://mcap.dev/spec. A file cut by a crash or a full disk has all its chunks but no index, and
+the library's own writer cannot add one.
 """
 
 import struct
@@ -31,15 +31,15 @@ from mcap.records import (
 )
 from mcap.stream_reader import get_chunk_data_stream
 
-# What can be given up again when the disk is full; older chunks stay.
 DROPPABLE_CHUNKS = 100
+"""The newest chunks, which can be given up again when the disk is full; older ones stay."""
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")  # opcode, length of what follows
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 
 
 class Record(NamedTuple):
-    """One record of a file: opcode, where it starts, and its content without the 9 bytes of opcode and length."""
+    """One record of a file. offset: where it starts. content: without the 9 bytes of opcode and length."""
 
     opcode: int
     offset: int
@@ -55,6 +55,10 @@ class WritableStream(Protocol):
     def tell(self) -> int: ...
 
 
+class DamagedError(ValueError):
+    """A record is whole in length but not in content."""
+
+
 def _serialised(*records: McapRecord) -> bytes:
     builder = RecordBuilder()
     for record in records:
@@ -62,12 +66,8 @@ def _serialised(*records: McapRecord) -> bytes:
     return builder.end()
 
 
-class DamagedError(ValueError):
-    """A record is whole in length but not in content."""
-
-
 def read_records(stream: BinaryIO, size: int, offset: int = len(MAGIC)) -> Iterator[Record]:
-    """The whole records of a file of `size` bytes from `offset` on; stops silently at truncation."""
+    """Yields the whole records of a file of `size` bytes from `offset` on; stops silently where the file is cut."""
     stream.seek(offset)
     while offset + _HEAD.size <= size:
         opcode, length = _HEAD.unpack(stream.read(_HEAD.size))
@@ -80,8 +80,8 @@ def read_records(stream: BinaryIO, size: int, offset: int = len(MAGIC)) -> Itera
 @dataclass
 class _ChunkEntry:
     index: ChunkIndex
-    messages: dict[int, MessageIndex]  # by channel
-    counts: dict[int, int]
+    messages: dict[int, MessageIndex]  # by channel id
+    counts: dict[int, int]  # messages by channel id
 
     def times(self) -> list[int]:
         return [self.index.message_start_time, self.index.message_end_time] if self.counts else []
@@ -98,26 +98,27 @@ class Contents:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.metadata: dict[str, dict[str, str]] = {}
-        self._chunks: deque[_ChunkEntry] = deque()  # the newest
-        # Index entries of older chunks, serialised: a long recording has tens of thousands.
-        self._settled_indexes = bytearray()
-        self._settled_count = 0
-        self._settled_messages: Counter[int] = Counter()  # in older chunks, or in none; by channel
-        self._settled_times: list[int] = []  # first and last of them
+        self._chunks: deque[_ChunkEntry] = deque()  # the newest DROPPABLE_CHUNKS
+        # Index entries of older chunks, serialised to save memory: a long recording has tens of thousands.
+        self._older_indexes = bytearray()
+        self._older_count = 0
+        # Of the messages in older chunks or outside of chunks: count by channel id, first and last time.
+        self._older_messages: Counter[int] = Counter()
+        self._older_times: list[int] = []
         self._metadata_indexes: list[MetadataIndex] = []
         self._attachment_indexes: list[AttachmentIndex] = []
         self._definitions_end = 0
 
     def counts(self) -> Counter[int]:
         """Messages by channel id."""
-        total = Counter(self._settled_messages)
+        total = Counter(self._older_messages)
         for entry in self._chunks:
             total.update(entry.counts)
         return total
 
     def times(self) -> tuple[int, int]:
         """First and last log time; (0, 0) without messages."""
-        times = self._settled_times + [t for entry in self._chunks for t in entry.times()]
+        times = self._older_times + [t for entry in self._chunks for t in entry.times()]
         return (min(times), max(times)) if times else (0, 0)
 
     def add(self, record: Record, offset: int) -> None:
@@ -152,7 +153,7 @@ class Contents:
             channel_id, _, log_time, _ = _MESSAGE.unpack_from(record.content)
             if channel_id not in self.channels:
                 raise DamagedError(f"message of unknown channel {channel_id}")
-            self._settle({channel_id: 1}, [log_time])
+            self._add_older({channel_id: 1}, [log_time])
         elif record.opcode == Opcode.METADATA:
             entry = Metadata.read(stream)
             self.metadata[entry.name] = entry.metadata
@@ -190,7 +191,7 @@ class Contents:
 
     def _add_chunk(self, chunk: Chunk, messages: dict[int, MessageIndex], offset: int, length: int) -> None:
         if self._chunks:
-            self._chunks[-1].messages = {}  # its index is in the file; only the newest may still have to be completed
+            self._chunks[-1].messages = {}  # its index is in the file; only that of the newest may be incomplete
         index = ChunkIndex(
             chunk_length=length, chunk_start_offset=offset,
             compression=chunk.compression, compressed_size=len(chunk.data),
@@ -200,17 +201,17 @@ class Contents:
         self._chunks.append(_ChunkEntry(index, messages, {i: len(m.records) for i, m in messages.items()}))
         if len(self._chunks) > DROPPABLE_CHUNKS:
             oldest = self._chunks.popleft()
-            self._settled_indexes += _serialised(oldest.index)
-            self._settled_count += 1
-            self._settle(oldest.counts, oldest.times())
+            self._older_indexes += _serialised(oldest.index)
+            self._older_count += 1
+            self._add_older(oldest.counts, oldest.times())
 
-    def _settle(self, counts: Mapping[int, int], times: Sequence[int]) -> None:
-        self._settled_messages.update(counts)
-        times = [*self._settled_times, *times]
-        self._settled_times = [min(times), max(times)] if times else []
+    def _add_older(self, counts: Mapping[int, int], times: Sequence[int]) -> None:
+        self._older_messages.update(counts)
+        times = [*self._older_times, *times]
+        self._older_times = [min(times), max(times)] if times else []
 
     def append_chunk(self, stream: WritableStream, chunk: Chunk, messages: dict[int, MessageIndex]) -> None:
-        """Writes a new chunk with its message indexes; on OSError nothing is added."""
+        """Writes a new chunk with its message indexes; an OSError adds nothing to the inventory."""
         parts = [_serialised(record) for record in (chunk, *messages.values())]
         offset = stream.tell()
         stream.write(b"".join(parts))
@@ -234,7 +235,7 @@ class Contents:
         self._metadata_indexes.append(MetadataIndex(offset=offset, length=len(data), name=name))
 
     def drop_after(self, length: int) -> None:
-        """Drops what lies beyond the first `length` bytes of the file; of chunks the newest DROPPABLE_CHUNKS only."""
+        """Drops what lies beyond the first `length` bytes of the file, at most DROPPABLE_CHUNKS chunks."""
         while self._chunks and self._chunks[-1].index.chunk_start_offset >= length:
             self._chunks.pop()
         self._definitions_end = min(self._definitions_end, length)
@@ -242,9 +243,11 @@ class Contents:
 
     def end_offset(self) -> int:
         """End of the newest record that was appended; 0 without any."""
-        last = [self._chunks[-1].index] if self._chunks else []
-        ends = [i.chunk_start_offset + i.chunk_length + i.message_index_length for i in last]
-        return max([self._definitions_end, *ends, *(i.offset + i.length for i in self._metadata_indexes)])
+        ends = [self._definitions_end, *(i.offset + i.length for i in self._metadata_indexes)]
+        if self._chunks:
+            newest = self._chunks[-1].index
+            ends.append(newest.chunk_start_offset + newest.chunk_length + newest.message_index_length)
+        return max(ends)
 
     def last_chunk_offset(self) -> int | None:
         """Start of the newest chunk; None without one that can be dropped."""
@@ -252,10 +255,11 @@ class Contents:
 
     def finish(self, stream: WritableStream) -> None:
         """Appends what is missing after the last record: index of the last chunk, end of data, summary, footer."""
-        for last in list(self._chunks)[-1:]:
-            for channel_id in last.messages.keys() - last.index.message_index_offsets.keys():
-                data = _serialised(last.messages[channel_id])
-                last.add_message_index(channel_id, stream.tell(), len(data))
+        if self._chunks:
+            newest = self._chunks[-1]
+            for channel_id in newest.messages.keys() - newest.index.message_index_offsets.keys():
+                data = _serialised(newest.messages[channel_id])
+                newest.add_message_index(channel_id, stream.tell(), len(data))
                 stream.write(data)
         stream.write(_serialised(DataEnd(0)))
         stream.write(self._summary(stream.tell()) + MAGIC)
@@ -264,7 +268,7 @@ class Contents:
         counts, (start_ns, end_ns) = self.counts(), self.times()
         statistics = Statistics(
             attachment_count=len(self._attachment_indexes), channel_count=len(self.channels),
-            channel_message_counts=counts, chunk_count=self._settled_count + len(self._chunks),
+            channel_message_counts=counts, chunk_count=self._older_count + len(self._chunks),
             message_count=counts.total(), metadata_count=len(self._metadata_indexes),
             message_start_time=start_ns, message_end_time=end_ns, schema_count=len(self.schemas),
         )
@@ -280,7 +284,7 @@ class Contents:
         for opcode, records in groups.items():
             group_start = builder.count
             if opcode == Opcode.CHUNK_INDEX:
-                builder.write(self._settled_indexes)
+                builder.write(self._older_indexes)
             for record in records:
                 record.write(builder)
             if builder.count > group_start:

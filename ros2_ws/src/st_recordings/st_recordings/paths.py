@@ -1,4 +1,4 @@
-"""Files of the project (configuration, message definitions) and its version; output of a verb: folder and JSON."""
+"""Where the project's files are (configuration, message definitions), its version, and output folders and JSON."""
 
 import json
 import math
@@ -13,20 +13,22 @@ from pathlib import Path
 from typing import Any
 
 DISTRIBUTION = "single-track-predictor"
-INSTALLED = Path(__file__).parent / "share"  # exists in the wheel only
+INSTALLED_FILES = Path(__file__).parent / "share"  # exists in the wheel only
+MIN_FREE_SPACE = 10_000_000  # bytes; less does not hold the output of the shortest run
 
 
 def project_root() -> Path:
     """The checkout that ./st names, else the installed wheel's files, else the checkout around the current folder."""
     if "ST_ENVIRONMENT" in os.environ:
         return Path(os.environ["ST_ENVIRONMENT"])
-    for folder in (INSTALLED, Path.cwd(), *Path.cwd().parents):
+    for folder in (INSTALLED_FILES, Path.cwd(), *Path.cwd().parents):
         if (folder / "config" / "nodes.yaml").exists():
             return folder
     raise SystemExit("st: project folder not found: start with ./st, or from inside the checkout")
 
 
 def config(relative: str) -> Path:
+    """A file or folder below config/."""
     return project_root() / "config" / relative
 
 
@@ -47,11 +49,8 @@ def source_version() -> str:
             return "unknown"
 
 
-LEAST_ROOM = 10_000_000  # bytes; less does not hold what the shortest run leaves behind
-
-
 class OutputError(OSError):
-    """A folder that cannot be used; one line for the user."""
+    """An output folder cannot be used; the text is one line for the user."""
 
 
 def new_folder(given: Path | None, name: str, create: bool = True) -> Path:
@@ -63,34 +62,34 @@ def new_folder(given: Path | None, name: str, create: bool = True) -> Path:
             raise OutputError(f"{folder} {what}: name another --output (nothing is ever overwritten)")
         if create:
             folder.mkdir(parents=True, exist_ok=True)
-            if (free := shutil.disk_usage(folder).free) < LEAST_ROOM:
-                raise OutputError(f"{folder}: its disk is full ({free / 1e6:.1f} MB left, {LEAST_ROOM / 1e6:.0f} MB "
-                                  "required): free some room, or name another --output")
+            if (free := shutil.disk_usage(folder).free) < MIN_FREE_SPACE:
+                raise OutputError(f"{folder}: its disk is full ({free / 1e6:.1f} MB left, "
+                                  f"{MIN_FREE_SPACE / 1e6:.0f} MB required): free some space, or name another --output")
     except OutputError:
         raise
     except OSError as error:
-        raise OutputError(f"{folder}: cannot be made: {error.strerror}") from None
+        raise OutputError(f"{folder}: cannot be created: {error.strerror}") from None
     return folder.absolute()
 
 
-def natural(path: Path) -> tuple[list[tuple[bool, int, str]], str]:
+def natural_order(path: Path) -> tuple[list[tuple[bool, int, str]], str]:
     """Sort key of a file name by its numbers: drive_9 comes before drive_10."""
     parts = re.split(r"(\d+)", path.stem)
     return [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in parts], path.suffix
 
 
-def finite(value: Any) -> Any:
-    """The same with plain Python numbers; what is not finite is null."""
+def json_ready(value: Any) -> Any:
+    """The value with plain Python containers and numbers, as JSON holds them; NaN and infinity become None."""
     if isinstance(value, Mapping):
-        return {str(k): finite(v) for k, v in value.items()}
+        return {str(k): json_ready(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [finite(v) for v in value]
+        return [json_ready(v) for v in value]
     if isinstance(value, bool | int | str) or value is None:
         return value
     number = float(value)
     return number if math.isfinite(number) else None
 
 
-def as_text(content: Mapping[str, Any]) -> str:
-    """The text of a file, to be read by people too."""
+def json_text(content: Mapping[str, Any]) -> str:
+    """The text of a JSON file, indented for people."""
     return json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"

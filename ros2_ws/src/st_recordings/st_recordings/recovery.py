@@ -1,7 +1,7 @@
 """Repairs a bag or an MCAP file that was cut by a crash, a kill or a full disk.
 
-Every whole chunk is kept byte for byte; what is missing behind it (indexes, summary, footer, metadata.yaml) is
-rebuilt. The original is kept as NAME.mcap.cut. A bag that needs no repair is left alone.
+Every whole chunk is kept byte for byte; what is missing after it (indexes, summary, footer, metadata.yaml) is rebuilt.
+The original is kept as NAME.mcap.cut. A bag that needs no repair is left alone.
 """
 
 import fcntl
@@ -22,36 +22,36 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Footer, Statistics
 
-from .bag_metadata import FILE_NAME, BagFile, BagInformation, Topic, short_entries
+from .bag_metadata import FILE_NAME, BagFile, BagInformation, Topic, custom_data, read_information
 from .mcap_contents import MAGIC, Contents, DamagedError, read_records
-from .paths import natural
+from .paths import natural_order
 
 FOOTER_LENGTH = 29
 _DATA_END = struct.pack("<BQI", Opcode.DATA_END, 4, 0)
 
 
 class RecoveryError(ValueError):
-    """Nothing could be repaired; the original is as it was. The text is one line for the user."""
+    """Nothing was repaired; the original is unchanged. The text is one line for the user."""
 
 
 @dataclass
 class FileReport:
-    """What was found in one file. messages, bytes: kept; lost_bytes: cut or damaged, not kept."""
+    """What was found in one file. messages, kept_bytes: what was kept; lost_bytes: cut or damaged, not kept."""
 
     path: Path
-    whole: bool = False  # has a good end and no damage: unchanged
+    whole: bool = False  # closed and without damage, therefore left unchanged
     messages: int = 0
     kept_bytes: int = 0
     lost_bytes: int = 0
     damaged_records: int = 0
     start_ns: int = 0
     end_ns: int = 0
-    original: Path | None = None  # where the cut file went
+    original: Path | None = None  # where the cut file was moved
 
 
 @dataclass
 class RecoveryReport:
-    """path: the repaired bag directory or file. changed: whether anything had to be written."""
+    """Result of a recovery. path: the repaired bag directory or file. topics: messages kept by topic."""
 
     path: Path
     files: list[FileReport] = field(default_factory=list)
@@ -60,6 +60,7 @@ class RecoveryReport:
 
     @property
     def changed(self) -> bool:
+        """Whether anything had to be written."""
         return self.metadata_rebuilt or any(not f.whole for f in self.files)
 
     @property
@@ -72,17 +73,18 @@ class RecoveryReport:
         for found in self.files:
             seconds = (found.end_ns - found.start_ns) / 1e9
             state = "whole, unchanged" if found.whole else f"repaired, {found.lost_bytes} bytes could not be kept"
-            damage = f", {found.damaged_records} damaged records left out" if found.damaged_records else ""
-            original = f", the original is {found.original.name}" if found.original else ""
-            span = f"{found.messages} messages over {seconds:.1f} s"
-            lines.append(f"{found.path.name}: {span}, {state}{damage}{original}")
+            if found.damaged_records:
+                state += f", {found.damaged_records} damaged records left out"
+            if found.original:
+                state += f", the original is {found.original.name}"
+            lines.append(f"{found.path.name}: {found.messages} messages over {seconds:.1f} s, {state}")
         if self.metadata_rebuilt:
             lines.append(f"{FILE_NAME}: rebuilt")
         return "\n".join(lines)
 
 
 def recover(path: Path | str, output: Path | str | None = None) -> RecoveryReport:
-    """Makes a cut bag directory or .mcap file readable again.
+    """Makes a cut bag directory or .mcap file readable.
 
     Args:
         path: bag directory or one .mcap file (its metadata.yaml is left alone then).
@@ -101,7 +103,8 @@ def recover(path: Path | str, output: Path | str | None = None) -> RecoveryRepor
         if not path.is_file():
             raise RecoveryError(f"{path} does not exist")
         report = RecoveryReport(target)
-        report.topics = _counts(_information(report.files, [_recover_file(path, target, report)], path.parent))
+        contents = _recover_file(path, target, report)
+        report.topics = _message_counts(_information(report.files, [contents], path.parent))
         return report
     except OSError as error:
         name = error.filename or target
@@ -109,7 +112,7 @@ def recover(path: Path | str, output: Path | str | None = None) -> RecoveryRepor
 
 
 def _recover_directory(source: Path, target: Path) -> RecoveryReport:
-    files = sorted(source.glob("*.mcap"), key=natural)
+    files = sorted(source.glob("*.mcap"), key=natural_order)
     if not files:
         raise RecoveryError(f"{source} has no .mcap file")
     report = RecoveryReport(target)
@@ -117,8 +120,8 @@ def _recover_directory(source: Path, target: Path) -> RecoveryReport:
         target.mkdir(parents=True)
     contents = [_recover_file(file, target / file.name, report) for file in files]
     information = _information(report.files, contents, source)
-    report.topics = _counts(information)
-    if not _matches(target, information):
+    report.topics = _message_counts(information)
+    if not _is_described(target, information):
         information.save(target)
         report.metadata_rebuilt = True
     return report
@@ -127,7 +130,7 @@ def _recover_directory(source: Path, target: Path) -> RecoveryReport:
 def _recover_file(source: Path, target: Path, report: RecoveryReport) -> Contents:
     with source.open("rb") as stream:
         size = os.fstat(stream.fileno()).st_size
-        _check(stream, source, size)
+        _check_recoverable(stream, source, size)
         contents, found = Contents(), FileReport(target)
         found.kept_bytes = len(MAGIC) + sum(map(len, _good_records(stream, size, contents, found)))
         found.whole = not found.damaged_records and _is_closed(stream, size, contents, found)
@@ -139,7 +142,7 @@ def _recover_file(source: Path, target: Path, report: RecoveryReport) -> Content
     return contents
 
 
-def _check(stream: BinaryIO, source: Path, size: int) -> None:
+def _check_recoverable(stream: BinaryIO, source: Path, size: int) -> None:
     try:
         fcntl.flock(stream.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -154,7 +157,7 @@ def _check(stream: BinaryIO, source: Path, size: int) -> None:
 
 
 def _is_closed(stream: BinaryIO, size: int, contents: Contents, found: FileReport) -> bool:
-    """Whether the file ends as a closed one does: behind the data a sound summary that counts the same messages."""
+    """Whether a valid summary that counts the same messages follows the data, as in a closed file."""
     summary_start = found.kept_bytes + len(_DATA_END)
     footer_at = size - FOOTER_LENGTH - len(MAGIC) - summary_start
     stream.seek(found.kept_bytes)
@@ -169,15 +172,15 @@ def _is_closed(stream: BinaryIO, size: int, contents: Contents, found: FileRepor
     if not records or records[-1].offset != summary_start + footer_at:
         return False  # other bytes are in between
     try:
-        counts = [Statistics.read(ReadDataStream(BytesIO(one.content))).message_count for one in records
-                  if one.opcode == Opcode.STATISTICS]
+        counts = [Statistics.read(ReadDataStream(BytesIO(record.content))).message_count for record in records
+                  if record.opcode == Opcode.STATISTICS]
     except (McapError, struct.error):
         return False
     return all(count == contents.counts().total() for count in counts)
 
 
 def _good_records(stream: BinaryIO, size: int, contents: Contents, found: FileReport) -> Iterator[bytes]:
-    """The undamaged records of the data section, taken into `contents` at the place they get in a new file."""
+    """Yields the undamaged records of the data section and adds them to `contents`, at their place in a new file."""
     kept = end = len(MAGIC)
     found.damaged_records = 0
     chunk_left_out = False
@@ -225,57 +228,45 @@ def _write_repaired(stream: BinaryIO, size: int, source: Path, target: Path, fou
     return contents
 
 
-def _counts(information: BagInformation) -> dict[str, int]:
-    found: Counter[str] = Counter()  # a topic may have two types
+def _message_counts(information: BagInformation) -> dict[str, int]:
+    counts: Counter[str] = Counter()  # a topic may have two types
     for topic in information.topics:
-        found[topic.name] += topic.count
-    return found
+        counts[topic.name] += topic.count
+    return counts
 
 
 def _information(files: list[FileReport], contents: list[Contents], source: Path) -> BagInformation:
     topics: dict[tuple[str, str], Topic] = {}
-    custom: dict[str, str] = {}
-    for one in contents:
-        counts = one.counts()
-        custom.update(short_entries(one.metadata))
-        for channel in one.channels.values():
-            schema = one.schemas.get(channel.schema_id)
+    earlier = read_information(source).get("custom_data")
+    custom = {str(key): str(text) for key, text in earlier.items()} if isinstance(earlier, dict) else {}
+    for of_file in contents:
+        counts = of_file.counts()
+        custom.update(custom_data(of_file.metadata))
+        for channel in of_file.channels.values():
+            schema = of_file.schemas.get(channel.schema_id)
             type_name = schema.name if schema else ""
             topic = topics.setdefault((channel.topic, type_name), Topic(
                 channel.topic, type_name, channel.metadata.get("topic_type_hash", ""),
-                _yaml(channel.metadata.get("offered_qos_profiles", ""), list)))
+                _qos_entries(channel.metadata.get("offered_qos_profiles", ""))))
             topic.count += counts[channel.id]
-    earlier = _described(source).get("custom_data")
-    if isinstance(earlier, dict):
-        custom = {**{str(k): str(v) for k, v in earlier.items()}, **custom}
     bag_files = [BagFile(f.path.name, f.messages, f.start_ns, f.end_ns) for f in files]
     return BagInformation(bag_files, list(topics.values()), custom)
 
 
-def _yaml(text: str, expected: type) -> Any:
-    """The content of a text, empty where it is not of the expected type."""
+def _qos_entries(text: str) -> list[Any]:
     try:
-        content = yaml.safe_load(text)
+        entries = yaml.safe_load(text)
     except yaml.YAMLError:
-        return expected()
-    return content if isinstance(content, expected) else expected()
+        return []
+    return entries if isinstance(entries, list) else []
 
 
-def _described(folder: Path) -> dict[str, Any]:
-    """What a metadata.yaml holds; empty without one that can be read."""
+def _is_described(folder: Path, information: BagInformation) -> bool:
+    """Whether the metadata.yaml names the same files, topics and counts; the rest may differ by recorder."""
+    expected, found = information.document()["rosbag2_bagfile_information"], read_information(folder)
     try:
-        found = _yaml((folder / FILE_NAME).read_text(), dict).get("rosbag2_bagfile_information")
-    except (OSError, UnicodeDecodeError):
-        return {}
-    return found if isinstance(found, dict) else {}
-
-
-def _matches(folder: Path, information: BagInformation) -> bool:
-    """Whether a metadata.yaml names the same files, topics and counts (the rest may be another recorder's)."""
-    expected, there = information.document()["rosbag2_bagfile_information"], _described(folder)
-    try:
-        counts = {t["topic_metadata"]["name"]: t["message_count"] for t in there["topics_with_message_count"]}
+        counts = {t["topic_metadata"]["name"]: t["message_count"] for t in found["topics_with_message_count"]}
     except (KeyError, TypeError):
         return False
-    return counts == _counts(information) and all(
-        there.get(key) == expected[key] for key in ("message_count", "relative_file_paths", "duration"))
+    return counts == _message_counts(information) and all(
+        found.get(key) == expected[key] for key in ("message_count", "relative_file_paths", "duration"))

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from st_core.evaluation import Statistic
 
-from .paths import finite, source_version
+from .paths import json_ready, source_version
 from .runs.bag import definitions, numbers, open_bag
 from .runs.bag_storage import Storage
 from .runs.cdr import field_of, typestore
@@ -168,7 +168,7 @@ def summarise(results: Results, about: dict[str, Any]) -> dict[str, Any]:
         modes = [*MODES, *(mode for name, mode in results.scores if name == model and mode not in MODES)]
         models[model] = {mode: _statistics(results.scores.get((model, mode))) for mode in modes}
     for row in results.bands:  # shares are null where nothing was counted
-        models[row.model][row.mode]["bands"] = {"n": int(row.n_bands)} | finite(
+        models[row.model][row.mode]["bands"] = {"n": int(row.n_bands)} | json_ready(
             {"0.5": row.coverage_50, "0.9": row.coverage_90})
     return {**about, "models": models, "ticks": results.ticks, "configuration_hash": results.configuration_hash,
             "versions": versions()}
@@ -202,7 +202,7 @@ def _statistics(scores: MeanErrors | None) -> dict[str, Any]:
         statistic = Statistic()
         if scores:
             statistic.add(getattr(scores, axis)[complete])
-        result[axis] = {k: finite(getattr(statistic, k)) for k in ("mean", "max", "rmse")}
+        result[axis] = {k: json_ready(getattr(statistic, k)) for k in ("mean", "max", "rmse")}
     return result
 
 

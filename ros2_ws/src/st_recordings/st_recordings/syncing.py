@@ -1,4 +1,4 @@
-"""Brings a growing file to the disk in a thread of its own, so that a loss of power costs no more than its end."""
+"""Brings a growing file to the disk in a separate thread, so that a loss of power costs no more than its end."""
 
 import os
 import threading
@@ -6,28 +6,26 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-# Between two beginnings; a writer that hands over more often than this must not keep the disk busy all the time.
 SHORTEST_PERIOD = 0.25
+"""s, between two synchronisations: a writer that wakes more often must not keep the disk busy all the time."""
 
 
 class Syncer:
-    """fdatasync of one file in a thread of its own, after each `wake`.
+    """Calls fdatasync on one file in a separate thread, after each `wake`.
 
-    error: of the disk, empty without one. It stays: data refused once may be missing, whatever the
-    system reports afterwards. longest: the slowest so far [s].
+    error: what the disk reported, empty without an error. It is never cleared: data refused once may be missing,
+    whatever the system reports afterwards. count: synchronisations so far. longest: the slowest of them [s].
     """
 
     def __init__(self, descriptor: int, folders: Sequence[Path]):
-        """folders: brought to the disk once, with the first data: a file without its directory entry is
-        lost too.
-        """
-        # One of its own: the writer's may be closed, and its number given to another file, at any moment.
+        """folders: synchronised once, with the first data: a file without its directory entry is lost too."""
+        # A duplicate: the writer may close its descriptor at any moment, and the number is then given to another file.
         self._descriptor = os.dup(descriptor)
         self._folders = tuple(folders)
         self._condition = threading.Condition()
-        # When what is not on the disk yet was handed over first, and the same of what the disk works on [s, monotonic].
-        self._since: float | None = None
-        self._working_on: float | None = None
+        # When the oldest data was handed over [s, monotonic]: of what waits, and of what is being synchronised.
+        self._waiting_since: float | None = None
+        self._syncing_since: float | None = None
         self._stopped = False
         self.error = ""
         self.count, self.longest = 0, 0.0
@@ -35,21 +33,21 @@ class Syncer:
         self._thread.start()
 
     def wake(self) -> None:
-        """Something was written. Returns at once."""
+        """Reports that something was written. Returns at once."""
         with self._condition:
-            if self._since is None:
-                self._since = time.monotonic()
+            if self._waiting_since is None:
+                self._waiting_since = time.monotonic()
             self._condition.notify()
 
     @property
     def behind(self) -> float:
         """How long the oldest data that is not on the disk has been waiting [s]."""
         with self._condition:
-            waiting = [since for since in (self._since, self._working_on) if since is not None]
-        return time.monotonic() - min(waiting) if waiting else 0.0
+            since = [t for t in (self._waiting_since, self._syncing_since) if t is not None]
+        return time.monotonic() - min(since) if since else 0.0
 
     def stop(self) -> None:
-        """Returns when the thread has ended; what was not synced stays so."""
+        """Ends the thread and waits for it; what was not synchronised stays so."""
         with self._condition:
             self._stopped = True
             self._condition.notify()
@@ -59,13 +57,13 @@ class Syncer:
         began = float("-inf")
         while True:
             with self._condition:
-                self._condition.wait_for(lambda: self._stopped or self._since is not None)
-                early = began + SHORTEST_PERIOD - time.monotonic()
-                if early > 0.0:
-                    self._condition.wait_for(lambda: self._stopped, early)
+                self._condition.wait_for(lambda: self._stopped or self._waiting_since is not None)
+                pause = began + SHORTEST_PERIOD - time.monotonic()
+                if pause > 0.0:
+                    self._condition.wait_for(lambda: self._stopped, pause)
                 if self._stopped:
                     break
-                self._working_on, self._since = self._since, None
+                self._syncing_since, self._waiting_since = self._waiting_since, None
             began = time.monotonic()
             try:
                 os.fdatasync(self._descriptor)
@@ -75,7 +73,7 @@ class Syncer:
             except OSError as error:
                 self.error = error.strerror or str(error)
             with self._condition:
-                self._working_on = None
+                self._syncing_since = None
                 self.count, self.longest = self.count + 1, max(self.longest, time.monotonic() - began)
         os.close(self._descriptor)
 

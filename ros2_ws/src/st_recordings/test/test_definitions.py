@@ -6,7 +6,7 @@ pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from st_recordings.bag_metadata import SEPARATOR, UnknownTypeError, definition, type_hash
+from st_recordings.bag_metadata import TYPE_SEPARATOR, UnknownTypeError, definition, type_hash
 
 pytestmark = pytest.mark.ros
 STANDARD = [
@@ -25,7 +25,7 @@ def test_hash_is_the_one_of_the_distribution(name: str) -> None:
 def test_hash_follows_from_the_definition(name: str) -> None:
     """The text alone, with all it names, gives the hash the package was built with."""
     store = get_typestore(Stores.EMPTY)
-    parts = definition(name).split(f"{SEPARATOR}\n")
+    parts = definition(name).split(f"{TYPE_SEPARATOR}\n")
     texts = {name: parts[0]}
     for part in parts[1:]:
         head, _, text = part.partition("\n")

@@ -185,11 +185,10 @@ def resolve_car(car: str | None, vehicle: Path | None, dbc: Path | None = None, 
 
     Raises RunError for a car that cannot be read.
     """
-    from st_recordings.car import STEERING
     from st_recordings.runs import ReadSettings
 
     named = resolve_live_car(car, vehicle, dbc, signals, steering_sign, steering_latency, complete=False)
-    return named.vehicle, ReadSettings(dbc=named.dbc, signals=named.signals, **STEERING | named.steering, **others)
+    return named.vehicle, ReadSettings(dbc=named.dbc, signals=named.signals, **STEERING_DEFAULTS | named.steering, **others)
 
 
 @dataclass(frozen=True)
@@ -207,14 +206,14 @@ def resolve_live_car(car: str | None, vehicle: Path | None, dbc: Path | None, si
     """The parts of a car, each replaced by its own option. complete: raises RunError without DBC or signal table; it is
     also raised for a car that cannot be read.
     """
-    from st_recordings.car import car_named
+    from st_recordings.car import load_car
     from st_recordings.runs.errors import RunError
 
     steering = {"steering_sign": steering_sign, "steering_latency": steering_latency}
     given: dict[str, Any] = {name: value for name, value in steering.items() if value is not None}
     if car is None:
         return LiveCar(vehicle, dbc, signals, given)
-    named = car_named(car)
+    named = load_car(car)
     for file, option in ((dbc or named.dbc, "--dbc"), (signals or named.signals, "--signals")):
         if complete and not file.is_file():
             raise RunError(file, "does not exist, so the bus of this car is not described",
@@ -236,11 +235,11 @@ def load_vehicle_or_default(vehicle: Path | None) -> "tuple[VehicleParameters, P
 
 def report_default_car(verb: str, file: Path | str) -> None:
     """One line where no car was named and the Leaf is used."""
-    from st_recordings.car import names
+    from st_recordings.car import car_names
 
     if Path(file).resolve().parent == LEAF.resolve().parent:
         typer.echo(f"st {verb}: no car was named: the Leaf's file {file} is used; --car names another "
-                   f"({', '.join(names())}, or a folder)", err=True)
+                   f"({', '.join(car_names())}, or a folder)", err=True)
 
 
 def report_default_car_of_bag(verb: str, bag: Path, vehicle: Path | None) -> None:

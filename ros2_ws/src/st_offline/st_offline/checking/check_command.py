@@ -9,7 +9,7 @@ from rich.markup import escape
 from st_core.checks import Severity, across_runs
 from st_core.errors import ConfigurationError
 from st_core.vehicle import VehicleParameters
-from st_recordings.paths import as_text, new_folder
+from st_recordings.paths import json_text, new_folder
 from st_recordings.recorded import configuration_of
 from st_recordings.runs import ReadSettings, RunSource, find_runs, read
 from st_recordings.runs.bag import records_of
@@ -97,7 +97,7 @@ def write(good: Sequence[CheckedRun], failed: Mapping[str, str], folder: Path, j
     with console.status("drawing, writing the page"):
         write_page(page, good, failed, content)
         numbers.parent.mkdir(parents=True, exist_ok=True)
-        numbers.write_text(as_text(content), encoding="utf-8")
+        numbers.write_text(json_text(content), encoding="utf-8")
     files = {page: "one page, with all comparisons", numbers: "every number, docs/manual/checks.md"}
     for file, text in texts.items():
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -12,7 +12,7 @@ from rich.markup import escape
 from st_core.checks import SCHEMA, Advice, Checked, Finding, Identity, Severity, across_runs
 from st_core.clock_types import none_needed
 from st_core.vehicle import VehicleParameters
-from st_recordings.paths import finite
+from st_recordings.paths import json_ready
 from st_recordings.results import versions
 from st_recordings.runs.raw import about_alignment
 
@@ -176,7 +176,7 @@ class CheckedRun:
 
 def documents(findings: Sequence[Finding]) -> list[dict[str, Any]]:
     """Findings as JSON has them."""
-    return [finite(one.as_dict()) for one in findings]
+    return [json_ready(one.as_dict()) for one in findings]
 
 
 def findings_in(about: Mapping[str, Any]) -> list[Finding]:
@@ -204,13 +204,13 @@ def document(good: Sequence[CheckedRun], failed: Mapping[str, str]) -> dict[str,
                     for source, car in {run.vehicle_from: run.vehicle for run in good}.items()},
         "runs": {run.name: {
             "verdict": verdict(run.checked), "vehicle": run.vehicle_from, "duration": run.duration,
-            **finite(run.checked.as_dict()),
-            "identities": [finite({"name": one.name, "title": one.title, "unit": one.unit, "samples": len(one.time),
+            **json_ready(run.checked.as_dict()),
+            "identities": [json_ready({"name": one.name, "title": one.title, "unit": one.unit, "samples": len(one.time),
                                    "residual_rms": residual_rms(one), "findings": list(one.findings)})
                            for one in run.checked.identities],
-            "warnings": list(run.warnings), "files": dict(run.files), "alignment": finite(dict(run.alignment)),
+            "warnings": list(run.warnings), "files": dict(run.files), "alignment": json_ready(dict(run.alignment)),
         } for run in good},
-        "together": [finite(one.as_dict()) for one in across_runs([run.checked for run in good])],
+        "together": [json_ready(one.as_dict()) for one in across_runs([run.checked for run in good])],
         "failed": dict(failed),
     }
 

@@ -19,7 +19,7 @@ from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model, get_model
 from st_core.relations import RelationSearch, find_relation, indicated
 from st_core.vehicle import VehicleParameters
-from st_recordings.paths import as_text, finite, new_folder
+from st_recordings.paths import json_ready, json_text, new_folder
 from st_recordings.runs import find_runs
 
 from ..evaluation.drawing import Drawn, Place, check_formats
@@ -196,12 +196,12 @@ def write_results(found: Discovery, request: Request, update: VehicleUpdate | No
                 files[name].write_text(text, encoding="utf-8")
     content = document(found, request, update, seconds)
     if relations:
-        content |= {"law": finite(relation_document(relations))}
+        content |= {"law": json_ready(relation_document(relations))}
         about = content["provenance"]
         digests = {f"{name}: {Path(file).name}": digest for name, run in about["runs"].items()
                    for file, digest in run["files"].items()}
         files |= write_files(relations, request.vehicle, list(about["runs"]), about["created"], digests, folder)
-    files["discovery.json"].write_text(as_text(content), encoding="utf-8")
+    files["discovery.json"].write_text(json_text(content), encoding="utf-8")
     if drawn is not None:
         files = {"report.html": folder / "report.html", **files}
         write_page(files["report.html"], found, update, content, drawn, report)

@@ -12,7 +12,7 @@ from rich.markup import escape
 from st_core.discovery import Discovery
 from st_core.model_file import Interval, ModelFile, Provenance
 from st_core.vehicle import quantity
-from st_recordings.paths import finite
+from st_recordings.paths import json_ready
 from st_recordings.results import versions
 
 from ..checking.check_report import findings_in
@@ -38,8 +38,8 @@ def document(found: Discovery, request: Request, update: VehicleUpdate | None,
     files = {"vehicle.yaml": {"folded": update.folded if update else (), "kept": update.kept if update else {},
                               "changes": changes, "error": update.error if update else (),
                               "objections": update.objections if update else ()}}
-    return {"schema": SCHEMA, **finite(found.document()), "mended": finite(files),
-            "provenance": finite(provenance(found, request, seconds))}
+    return {"schema": SCHEMA, **json_ready(found.document()), "mended": json_ready(files),
+            "provenance": json_ready(provenance(found, request, seconds))}
 
 
 def provenance(found: Discovery, request: Request, seconds: Mapping[str, float]) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.models import Model
 from st_core.vehicle import VehicleParameters
-from st_recordings.paths import finite
+from st_recordings.paths import json_ready
 from st_recordings.recorded import recorded_configuration
 from st_recordings.runs import ReadSettings, RunSource, read
 from st_recordings.runs.load import file_hashes
@@ -109,7 +109,7 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
         about = {"files": file_hashes((*source.files, *source.can)),
                  "duration_s": run.log.duration, "alignment": run.alignment.verdict.value,
                  "warnings": list(run.warnings), "findings": documents(checked.findings),
-                 "estimates": finite(checked.estimates), "vehicle": car}
+                 "estimates": json_ready(checked.estimates), "vehicle": car}
         refuse(source.where, checked.findings, force)
         return Drive(source.name, run.log, about)
     except Refused as error:

@@ -22,7 +22,7 @@ from st_core.provenance import Provenance
 from st_core.stability import slip_speed_needed
 from st_core.vehicle import TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, VehicleParameters, quantity, value_of
 from st_core.yaml_text import number, quoted
-from st_recordings.car_skeleton import SPEEDS
+from st_recordings.car_skeleton import STABILITY_SPEEDS
 
 from .drives import Request
 
@@ -106,7 +106,7 @@ def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
     if not folded:
         return VehicleUpdate(request.vehicle, "", found.model, (), {}, kept)
     car = fold(request.vehicle, folded, found.named.values)
-    needed = slip_speed_needed(("linear", "nonlinear"), car, SPEEDS, PredictionSettings().step)
+    needed = slip_speed_needed(("linear", "nonlinear"), car, STABILITY_SPEEDS, PredictionSettings().step)
     if needed is not None and needed > car.minimum_slip_speed:  # stiffer tyres need more for stable models
         car = replace(car, minimum_slip_speed=needed)
     error, worse = _held_out_error(found, request.vehicle, folded, drives)

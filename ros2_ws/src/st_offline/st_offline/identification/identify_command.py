@@ -22,7 +22,7 @@ from st_core.identification.result import (
 from st_core.provenance import Provenance
 from st_core.vehicle import VehicleParameters, quantity, value_of
 from st_core.yaml_text import number, quoted
-from st_recordings.paths import as_text, new_folder
+from st_recordings.paths import json_text, new_folder
 from st_recordings.results import versions
 from st_recordings.runs import find_runs
 from st_recordings.runs.load import file_hashes
@@ -125,8 +125,8 @@ def write(job: Job, found: Sequence[Identification], car: VehicleParameters, fac
     place = Place(new_folder(job.folder, ""), FORMATS)
     figures = [draw(one, place) if (draw := EXPERIMENTS[one.what].draw) else None for one in found]
     texts = {
-        "identification.json": as_text({key: entry for one in found for key, entry in one.document().items()}),
-        "details.json": as_text({**facts, "experiments": [details(one) for one in found]}),
+        "identification.json": json_text({key: entry for one in found for key, entry in one.document().items()}),
+        "details.json": json_text({**facts, "experiments": [details(one) for one in found]}),
         "vehicle.yaml": vehicle_text(Path(job.vehicle_file), car, found),
         "report.html": page(found, figures, job.setup.vehicle, facts),
     }

@@ -23,7 +23,7 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.rosbag2 import ReaderError
 from rosbags.typesys.store import Typestore
 
-from ..paths import natural
+from ..paths import natural_order
 from .cdr import DAMAGE, Block, Layout, blocks, summary_of
 from .errors import RunError, share, short
 
@@ -95,7 +95,7 @@ def information(path: Path) -> dict[str, Any]:
 
 def storage_files(directory: Path) -> list[Path]:
     """Storage files of a bag directory in the order of recording: that of metadata.yaml, else by their numbers."""
-    files = sorted((f for f in directory.iterdir() if f.suffix.lower() in EXTENSIONS), key=natural)
+    files = sorted((f for f in directory.iterdir() if f.suffix.lower() in EXTENSIONS), key=natural_order)
     listed = information(directory).get("relative_file_paths")
     names = [Path(str(name)).name for name in listed] if isinstance(listed, list) else []
     order = {name: k for k, name in enumerate(names)}

@@ -12,7 +12,7 @@ from st_core.errors import StCoreError
 from st_core.log import OPTIONAL_INS_SIGNALS, DriveLog
 from st_core.vehicle import VehicleParameters
 
-from ..paths import finite
+from ..paths import json_ready
 from . import csv
 from .can_formats import EXTENSIONS
 from .can_logs import CanLog, read_can_logs
@@ -135,8 +135,8 @@ def about_alignment(alignment: Alignment) -> dict[str, Any]:
     return {
         "method": alignment.method, "verdict": str(alignment.verdict), "reasons": list(alignment.reasons),
         "at_ns": alignment.at_ns, "offset_s": alignment.offset_ns * 1e-9, "drift_ppm": alignment.drift_ppm,
-        "offset_deviation_s": finite(alignment.offset_deviation),
-        "drift_deviation_ppm": finite(alignment.drift_deviation), "common_time_s": alignment.overlap,
+        "offset_deviation_s": json_ready(alignment.offset_deviation),
+        "drift_deviation_ppm": json_ready(alignment.drift_deviation), "common_time_s": alignment.overlap,
     }
 
 

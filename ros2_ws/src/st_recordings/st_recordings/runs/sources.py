@@ -6,7 +6,7 @@ from pathlib import Path
 
 from st_core import yaml_text
 
-from ..paths import natural
+from ..paths import natural_order
 from .bag_storage import EXTENSIONS as BAG_EXTENSIONS
 from .bag_storage import time_span
 from .can_formats import EXTENSIONS as CAN_EXTENSIONS
@@ -151,7 +151,7 @@ def _logs_of(file: Path, files: Sequence[Path]) -> list[Path]:
 def _splits(files: Sequence[Path]) -> list[list[Path]]:
     """Bag files that follow each other, drive_0, drive_1, ...: each begins where the one before ended."""
     groups: list[list[Path]] = []
-    for file in sorted(files, key=lambda f: (f.parent, natural(f))):
+    for file in sorted(files, key=lambda f: (f.parent, natural_order(f))):
         if groups and _follows(groups[-1][-1], file):
             groups[-1].append(file)
         else:
