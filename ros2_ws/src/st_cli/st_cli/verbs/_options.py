@@ -185,10 +185,12 @@ def resolve_car(car: str | None, vehicle: Path | None, dbc: Path | None = None, 
 
     Raises RunError for a car that cannot be read.
     """
+    from st_recordings.car import STEERING_DEFAULTS
     from st_recordings.runs import ReadSettings
 
     named = resolve_live_car(car, vehicle, dbc, signals, steering_sign, steering_latency, complete=False)
-    return named.vehicle, ReadSettings(dbc=named.dbc, signals=named.signals, **STEERING_DEFAULTS | named.steering, **others)
+    steering = STEERING_DEFAULTS | named.steering
+    return named.vehicle, ReadSettings(dbc=named.dbc, signals=named.signals, **steering, **others)
 
 
 @dataclass(frozen=True)
