@@ -16,8 +16,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from st_live.nodes.player import stamp_of
 from st_msgs.msg import Ncom, Prediction, Steering
-from st_ros.polling import PolledSubscription
-from st_ros.stamps import to_nanoseconds
+from st_ros.polling import PolledSubscription, to_nanoseconds
 
 MODELS = ("kinematic", "linear", "nonlinear")
 PERIOD = 0.05  # s; messages wait in the middleware, each with the time it arrived

@@ -14,7 +14,7 @@ from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from st_msgs.msg import Steering
 from st_ros import spin
-from st_ros.stamps import from_nanoseconds
+from st_ros.polling import from_nanoseconds
 
 SETTLING = 0.5
 

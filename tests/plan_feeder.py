@@ -12,7 +12,7 @@ from rclpy.qos import QoSProfile
 from st_core.vehicle import VehicleParameters
 from st_msgs.msg import InputPlan, Steering
 from st_ros import spin
-from st_ros.stamps import from_nanoseconds
+from st_ros.polling import from_nanoseconds
 from winding_road import RATE, Truth, winding_road
 
 REACH, SPACING = 5.5, 0.1  # s ahead, and between points of a plan

@@ -4,13 +4,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from st_core import frames
-from st_core.types import InsSample, VehicleState
+from st_core.types import InsSample, VehicleState, cg_to_ins_position, wrap_angle
 
 
 def cg_to_ins(state: VehicleState, time_ns: int, cg_to_ins_x: float, cg_to_ins_y: float = 0.0) -> InsSample:
-    """What the INS point measures when the CG is in `state`: the inverse of `frames.ins_to_cg`."""
-    x, y = frames.cg_to_ins_position(state.x, state.y, state.yaw, cg_to_ins_x, cg_to_ins_y)
+    """What the INS point measures when the CG is in `state`: the inverse of `types.ins_to_cg`."""
+    x, y = cg_to_ins_position(state.x, state.y, state.yaw, cg_to_ins_x, cg_to_ins_y)
     return InsSample(time_ns, float(x), float(y), state.yaw, state.velocity_x - state.yaw_rate * cg_to_ins_y,
                      state.velocity_y + state.yaw_rate * cg_to_ins_x, state.yaw_rate)
 
@@ -34,7 +33,7 @@ class Circle:
     def ins(self, time: float, time_ns: int = 0) -> InsSample:
         """Yaw wrapped to [-pi, pi), as a unit sends it."""
         sample = cg_to_ins(self.state(time), time_ns, self.cg_to_ins_x)
-        return sample._replace(yaw=frames.wrap_angle(sample.yaw))
+        return sample._replace(yaw=wrap_angle(sample.yaw))
 
     def ins_points(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """x, y, yaw of the INS point."""

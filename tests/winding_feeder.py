@@ -17,7 +17,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from st_core.vehicle import VehicleParameters
 from st_msgs.msg import Steering, TrackedParameters
 from st_ros import spin
-from st_ros.stamps import from_nanoseconds
+from st_ros.polling import from_nanoseconds
 from winding_road import Truth, winding_road
 
 PATIENCE = 30.0  # s without anything taken

@@ -15,8 +15,8 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 from rich.console import Console
-from st_core.frames import cg_to_ins_position, map_to_body
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, RC
+from st_core.types import cg_to_ins_position, map_to_body
 from st_core.vehicle import VehicleParameters
 from st_predictor.map_drawing import car_outline
 from st_recordings.car import read_vehicle

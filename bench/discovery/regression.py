@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from st_core.augmented import AugmentedModel
-from st_core.filtering import filtered_derivative
 from st_core.log import DriveLog
+from st_core.timeseries import filtered_derivative
 from st_core.vehicle import VehicleParameters
 
 THRESHOLD = 0.1

@@ -12,11 +12,11 @@ import numpy as np
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, WhiteKernel
-from st_core import frames
 from st_core.augmented import AugmentedModel
 from st_core.discovery.settings import DiscoverySettings
 from st_core.discovery.windows import STEP, Windows
 from st_core.log import DriveLog
+from st_core.types import cg_to_ins_position
 from st_core.vehicle import VehicleParameters
 
 from .regression import TERMS, Regression
@@ -110,7 +110,7 @@ def _position(windows: Windows, vehicle: VehicleParameters, answer: AugmentedMod
         for k in range(0, 2 * steps, 2):
             aside, turning = push(np.stack(state[:6]), angle[:, k], a_x[:, k])
             state = _stepped(answer, state, rows[k:k + 3], p, aside, turning)
-        x, y = frames.cg_to_ins_position(state[0], state[1], state[4], car.cg_to_ins_x, car.cg_to_ins_y)
+        x, y = cg_to_ins_position(state[0], state[1], state[4], car.cg_to_ins_x, car.cg_to_ins_y)
         there_x, there_y = windows.measured_at(times[:, -1], "x", "y")
         off = np.hypot(x - there_x, y - there_y)
     return float(np.mean(np.minimum(np.nan_to_num(off, nan=FURTHEST, posinf=FURTHEST), FURTHEST)))

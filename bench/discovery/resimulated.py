@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-from st_core import frames
 from st_core.batch import LogBatch
 from st_core.log import DriveLog
+from st_core.types import cg_to_ins_position
 from st_core.vehicle import VehicleParameters
 from st_sim.settings import REALISTIC
 
@@ -36,7 +36,7 @@ def resimulated(log: DriveLog, vehicle: VehicleParameters, seed: int) -> DriveLo
     if not np.isfinite(predicted.states).all() or np.abs(v_y).max() > 6.0:
         raise ValueError(f"{log.name}: the model spins on these inputs")
     dx, dy = vehicle.cg_to_ins_x, vehicle.cg_to_ins_y
-    x, y = frames.cg_to_ins_position(x, y, yaw, dx, dy)
+    x, y = cg_to_ins_position(x, y, yaw, dx, dy)
     turning, a_y = np.gradient(rate, step), np.gradient(v_y, step) + v_x * rate
     noise = dict(zip(("x", "y", "velocity_x", "velocity_y", "yaw", "rate", "force"), noise_of(
         seed, len(x), v_x, ("x", "y", "velocity_x", "velocity_y", "yaw", "rate_z", "force_y")), strict=True))

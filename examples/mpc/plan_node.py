@@ -23,17 +23,15 @@ from rclpy.qos import QoSProfile
 from rclpy.utilities import remove_ros_args
 from st_core.course import SPACING, Course, Pass, Visit
 from st_core.errors import StCoreError
-from st_core.frames import ins_to_cg
 from st_core.models import MODELS, get_model
-from st_core.types import VehicleState
+from st_core.types import VehicleState, ins_to_cg
 from st_core.vehicle import VehicleParameters
 from st_live import transport
 from st_msgs.msg import InputPlan, Steering
 from st_predictor import convert
 from st_recordings.paths import config
 from st_ros import spin
-from st_ros.polling import PolledSubscription
-from st_ros.stamps import from_nanoseconds
+from st_ros.polling import PolledSubscription, from_nanoseconds
 from st_sim.scenarios import RoadPlan, load
 from st_sim.settings import SimulationError
 

@@ -18,8 +18,7 @@ from st_msgs.msg import CanFrames, InsOnCan, Steering, WheelSpeeds
 from st_ros import parameters, spin
 from st_ros.diagnostics import Diagnostics
 from st_ros.parameters import ConfigurationError, Parameter
-from st_ros.polling import OnDemandPublisher
-from st_ros.stamps import from_nanoseconds
+from st_ros.polling import OnDemandPublisher, from_nanoseconds
 from std_msgs.msg import Header
 
 from .decode import Decoded, Decoder, SteeringCalibration

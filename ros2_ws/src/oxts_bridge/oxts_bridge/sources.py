@@ -11,7 +11,7 @@ from math import cos, isfinite
 from pathlib import Path
 
 import numpy as np
-from st_core.alignment import excess
+from st_core.alignment import unexplained_step
 
 from .file_decoder import UNKNOWN_TIME, decode_file
 from .ncom import PACKET_SIZE, NcomError, Packet, decode
@@ -65,7 +65,7 @@ class Continuity:
                      for x, y, p in ((0.0, 0.0, before), (east, north, packet)))
         if not 0 < later <= LONGEST_CONTINUATION_MS or not all(map(isfinite, (*rows[0], *rows[1]))):
             return False
-        return not excess(later * 1.0e-3, *rows)
+        return not unexplained_step(later * 1.0e-3, *rows)
 
 
 @dataclass

@@ -1,58 +1,80 @@
-"""Recent measurements: INS and steering on one time axis, with the filtered forward acceleration.
+"""Recent measurements: INS and steering on one time axis with the filtered forward acceleration, and two of their faults.
 
-Jumps of the position are displacements between two samples that integrated velocity does not explain:
+Position jump: a displacement between two samples that the integrated velocity does not explain,
 
     d = p_k - p_{k-1} - dt (v_{k-1} + v_k) / 2,   v = R(yaw) (v_x, v_y)
 
-RTK lost and found again, another unit on the network, a new origin: |d| is then a step, while noise and the error
-of the trapezoid rule stay within `allowed`. Checked by: test_alignment.py, test_position_jumps.py.
+RTK lost and regained, another unit on the network or a new origin make |d| a step, while noise and the error of the
+trapezoidal rule stay within a tolerance.
+
+Frozen steering angle: the sensor repeats one value while the car's turn changes. The angle of a steady turn,
+
+    delta' = l (1 + K v^2) r / v
+
+low-pass filtered, is nearly constant at any speed if the steering angle is. The bounds are wide because bank, wind,
+braking and tyres at their limit change it as well.
+Checked by: test_alignment.py, test_position_jumps.py, test_frozen_steering.py.
 """
 
 import math
 from collections.abc import Sequence
+from statistics import median_high
 from typing import NamedTuple
 
-from .filtering import NANOSECOND, advance
-from .timeseries import TimeSeries
+from .handling import understeer_coefficient
+from .timeseries import NANOSECOND, TimeSeries, low_pass_step
 from .types import ControlInput, InsSample
+from .vehicle import VehicleParameters
 
-# Positions with RTK have 2 cm of noise, those of an INS far less from sample to sample; a larger step is not noise [m].
-LEAST = 0.3
-# Share of the distance driven: scale of the velocity, a heading error.
-SHARE = 0.1
-# Largest acceleration on tyres [m/s^2]: bounds the error of the trapezoid rule over longer steps.
-ACCELERATION = 10.0
-# Longer gaps are not judged, since the car may be anywhere [s].
-LONGEST = 10.0
-# Positions may be noisier than RTK's: a jump exceeds NOISE_FACTOR times the median of the previous steps, at most and
-# at least of this many, ...
-NOISE_STEPS, FEWEST_STEPS, NOISE_FACTOR = 20, 5, 6.0
+# Unexplained displacement allowed at any distance [m]: RTK positions have 2 cm of noise, those of an INS far less from
+# sample to sample.
+POSITION_TOLERANCE = 0.3
+# Allowed in addition, as a fraction of the distance driven: scale of the velocity, a heading error.
+DISTANCE_TOLERANCE = 0.1
+# Largest acceleration on tyres [m/s^2]: bounds the error of the trapezoidal rule over longer steps.
+MAX_ACCELERATION = 10.0
+# Longer gaps are not examined, since the car may be anywhere [s].
+LONGEST_EXAMINED_GAP = 10.0
+# Positions may be noisier than those of RTK: a jump also exceeds NOISE_FACTOR times the median of the steps before it
+# (MIN_NOISE_STEPS to NOISE_STEPS of them) ...
+NOISE_STEPS, MIN_NOISE_STEPS, NOISE_FACTOR = 20, 5, 6.0
 # ... or is larger than any noise [m].
-NO_NOISE = 5.0
+MAX_NOISE = 5.0
 
-X, Y, YAW, VELOCITY_X, VELOCITY_Y, YAW_RATE, FILTERED, DERIVATIVE = range(8)  # places in a row of INS_COLUMNS
+# delta' of a frozen angle varies by more than this [rad], about 20 deg of the steering wheel, plus this fraction of it.
+FROZEN_MIN_VARIATION, FROZEN_RELATIVE_VARIATION = 0.02, 0.3
+FROZEN_MIN_SPEED = 3.0  # m/s; below it the noise of the yaw rate gives large angles
+FROZEN_TIME_CONSTANT = 0.2  # s, of the low-pass on delta'
+# A smaller change of the steering angle is rounding, not a step of the sensor [rad].
+ANGLE_RESOLUTION = 1.0e-9
+
+INS_COLUMNS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "filtered_velocity_x", "velocity_x_dot")
+X, Y, YAW, VELOCITY_X, VELOCITY_Y, YAW_RATE, FILTERED, DERIVATIVE = range(8)
 
 
-def excess(spacing: float, before: Sequence[float], after: Sequence[float]) -> float:
-    """|d| [m] where it is more than allowed, else 0. spacing: dt [s], > 0. Rows begin with x, y, yaw, v_x, v_y."""
-    size, driven = _step(spacing, before, after)
-    allowed = LEAST + SHARE * driven + 0.25 * ACCELERATION * spacing**2
-    return size if size > allowed and spacing <= LONGEST else 0.0
+def unexplained_step(spacing: float, before: Sequence[float], after: Sequence[float]) -> float:
+    """|d| [m] between two samples where it exceeds the tolerance, else 0.
+
+    spacing: dt [s], > 0. before, after: rows that begin with x, y, yaw, v_x, v_y.
+    """
+    step, driven = _split_displacement(spacing, before, after)
+    allowed = POSITION_TOLERANCE + DISTANCE_TOLERANCE * driven + 0.25 * MAX_ACCELERATION * spacing**2
+    return step if step > allowed and spacing <= LONGEST_EXAMINED_GAP else 0.0
 
 
-def exceeds_noise(size: float, times_ns: Sequence[int], rows: Sequence[Sequence[float]]) -> bool:
-    """Whether a step of `size` [m] is larger than the noise of the samples before it; the last is where it started."""
-    if size > NO_NOISE:
+def _exceeds_noise(step: float, times_ns: Sequence[int], rows: Sequence[Sequence[float]]) -> bool:
+    """Whether an unexplained step [m] is larger than those between the samples before it."""
+    if step > MAX_NOISE:
         return True
-    if len(times_ns) <= FEWEST_STEPS:
+    if len(times_ns) <= MIN_NOISE_STEPS:
         return False
-    usual = sorted(_step((times_ns[i] - times_ns[i - 1]) * NANOSECOND, rows[i - 1], rows[i])[0]
-                   for i in range(max(1, len(times_ns) - NOISE_STEPS), len(times_ns)))
-    return size > NOISE_FACTOR * usual[len(usual) // 2]
+    noise = [_split_displacement((times_ns[i] - times_ns[i - 1]) * NANOSECOND, rows[i - 1], rows[i])[0]
+             for i in range(max(1, len(times_ns) - NOISE_STEPS), len(times_ns))]
+    return step > NOISE_FACTOR * median_high(noise)
 
 
-def _step(spacing: float, before: Sequence[float], after: Sequence[float]) -> tuple[float, float]:
-    """(|d|, way driven) [m]."""
+def _split_displacement(spacing: float, before: Sequence[float], after: Sequence[float]) -> tuple[float, float]:
+    """(|d|, distance driven) [m]."""
     east = north = 0.0
     for row in (before, after):
         cosine, sine = math.cos(row[YAW]), math.sin(row[YAW])
@@ -61,26 +83,23 @@ def _step(spacing: float, before: Sequence[float], after: Sequence[float]) -> tu
     return math.hypot(after[X] - before[X] - east, after[Y] - before[Y] - north), math.hypot(east, north)
 
 
-INS_COLUMNS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "filtered_velocity_x", "velocity_x_dot")
-
-
 class PositionJump(NamedTuple):
-    """time_ns: of the first sample after it. size: position change not explained by velocity [m]."""
+    """time_ns: of the first sample after the jump. size: position change not explained by velocity [m]."""
 
     time_ns: int
     size: float
 
 
 class MeasurementHistory:
-    """Time-ordered INS and steering samples of the last `span` seconds.
+    """INS and steering samples of the last `span` seconds, in order of time.
 
-    Samples that come out of order are put in their place; late ones (over half a second), repeated ones and those with
-    a NaN are refused. Whatever the order of arrival within half a second, the content is the same, the filtered
-    acceleration included. When the INS time jumps back (a replay that starts over) both signals restart;
-    `generation` counts that. Between samples further apart than maximum_gap nothing is known, nor where the position
-    jumps (see the module): `jumps` counts that since the start, `jump` is the newest one.
+    Samples out of order are sorted in; late ones (by over half a second), repeated ones and those with a NaN are
+    refused. Within half a second the order of arrival does not affect the content, the filtered acceleration included.
+    When the INS time jumps back (a replay that restarts), both signals restart; `generation` counts that. Nothing is
+    known between samples further apart than maximum_gap, nor across a position jump: `jumps` counts those since the
+    start, `jump` is the newest one.
 
-    span, maximum_gap [s]; filter_cutoff [Hz], see filtering.py for the definition and delay of velocity_x_dot.
+    span, maximum_gap [s]; filter_cutoff [Hz], see timeseries.py for the definition and delay of velocity_x_dot.
     """
 
     def __init__(self, span: float, maximum_gap: float, filter_cutoff: float):
@@ -91,79 +110,127 @@ class MeasurementHistory:
         self.generation = 0
         self.jumps = 0
         self.jump: PositionJump | None = None
-        self._judges = True
+        self._detects_jumps = True
 
-    def like(self) -> "MeasurementHistory":
-        """An empty history with the same settings, for the same samples corrected: positions jump where they do here,
-        so that both know the same instants."""
+    def for_corrected_samples(self) -> "MeasurementHistory":
+        """An empty history for the same samples after a correction. It shares the position jumps found here, so that
+        both histories are known at the same instants."""
         other = MeasurementHistory(*self._settings)
-        other.ins.breaks, other._judges = self.ins.breaks, False
+        other.ins.breaks, other._detects_jumps = self.ins.breaks, False
         return other
 
     def add_ins(self, sample: InsSample) -> bool:
-        """Take an INS sample (INS point, see InsSample). False if it was refused."""
-        position, jumped = self.ins.add(sample.time_ns, sample[1:])
-        if jumped:
+        """Add a sample at the INS point; False if it was refused."""
+        position, restarted = self.ins.add(sample.time_ns, sample[1:])
+        if restarted:
             self.steering.clear()
             self.jump = None
             self.generation += 1
         if position is None:
             return False
         self._filter_from(position)
-        if self._judges:
-            self._look_for_jumps(position)
+        if self._detects_jumps:
+            self._find_jumps(position)
         return True
 
-    def _look_for_jumps(self, position: int) -> None:
-        # A late sample has two neighbours, and may be the one that a jump led to.
-        for after in range(max(position, 1), min(position + 2, len(self.ins))):
-            size = self._jump_before(after)
-            time_ns = int(self.ins.times[after])
-            known = self.ins.breaks.pop(time_ns, None)
-            if size:
-                self.ins.breaks[time_ns] = f"position jumps by {size:.2f} m"
-                self.jump = PositionJump(time_ns, size)
-            self.jumps += bool(size) - bool(known)
-
-    def _jump_before(self, after: int) -> float:
-        """What the position jumps by between a sample and the one before it [m]; 0 where it does not."""
-        times, rows = self.ins.times[after - 1:after + 1].tolist(), self.ins.rows[after - 1:after + 1].tolist()
-        size = excess((times[1] - times[0]) * NANOSECOND, *rows)
-        if not size:
-            return 0.0
-        before = slice(max(0, after - 1 - NOISE_STEPS), after)
-        usual = self.ins.times[before].tolist(), self.ins.rows[before].tolist()
-        return size if exceeds_noise(size, *usual) else 0.0
-
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
-        """Take a road wheel angle [rad], left +, measured at time_ns. False if it was refused."""
+        """Add a road wheel angle [rad], left +, measured at time_ns; False if it was refused."""
         position, _ = self.steering.add(time_ns, (road_wheel_angle,))
         return position is not None
 
+    def _find_jumps(self, position: int) -> None:
+        # A sample sorted in has two neighbours, and may be the first one after a jump.
+        for after in range(max(position, 1), min(position + 2, len(self.ins))):
+            size = self._jump_size(after)
+            time_ns = int(self.ins.times[after])
+            was_known = self.ins.breaks.pop(time_ns, None) is not None
+            if size:
+                self.ins.breaks[time_ns] = f"position jumps by {size:.2f} m"
+                self.jump = PositionJump(time_ns, size)
+            self.jumps += bool(size) - was_known
+
+    def _jump_size(self, after: int) -> float:
+        """Size of the position jump between a sample and the one before it [m]; 0 without one."""
+        times, rows = self.ins.times[after - 1:after + 1].tolist(), self.ins.rows[after - 1:after + 1].tolist()
+        size = unexplained_step((times[1] - times[0]) * NANOSECOND, *rows)
+        if not size:
+            return 0.0
+        before = slice(max(0, after - 1 - NOISE_STEPS), after)
+        return size if _exceeds_noise(size, self.ins.times[before].tolist(), self.ins.rows[before].tolist()) else 0.0
+
     def _filter_from(self, position: int) -> None:
-        # One pass in the usual case of the newest sample; a late one changes all after it.
+        # One step in the usual case of the newest sample; one that is sorted in changes all after it.
         times, rows = self.ins.times, self.ins.rows
-        if position == 0:
-            rows[0, FILTERED], rows[0, DERIVATIVE] = rows[0, VELOCITY_X], math.nan
-            position = 1
         for i in range(position, len(times)):
-            spacing_ns = int(times[i] - times[i - 1])
+            spacing_ns = int(times[i] - times[i - 1]) if i else 0
             now = float(rows[i, VELOCITY_X])
-            if spacing_ns > self.ins.maximum_gap_ns:
+            if i == 0 or spacing_ns > self.ins.maximum_gap_ns:
                 rows[i, FILTERED], rows[i, DERIVATIVE] = now, math.nan
             else:
                 filtered, before = float(rows[i - 1, FILTERED]), float(rows[i - 1, VELOCITY_X])
-                spacing = spacing_ns * NANOSECOND
-                rows[i, FILTERED], rows[i, DERIVATIVE] = advance(filtered, before, now, spacing, self._cutoff)
+                rows[i, FILTERED], rows[i, DERIVATIVE] = low_pass_step(
+                    filtered, before, now, spacing_ns * NANOSECOND, self._cutoff)
 
     def ins_at(self, time_ns: int) -> InsSample | None:
-        """The INS sample at an instant, interpolated; None where not known."""
+        """The INS sample at an instant, interpolated; None where it is unknown."""
         row = self.ins.at(time_ns)
         return None if row is None else InsSample(time_ns, *row[:6])
 
     def inputs_at(self, time_ns: int) -> ControlInput | None:
-        """Both inputs at an instant, interpolated; None where one is not known."""
+        """Both inputs at an instant, interpolated; None where one of them is unknown."""
         ins, steering = self.ins.at(time_ns), self.steering.at(time_ns)
         if ins is None or steering is None or math.isnan(ins[DERIVATIVE]):
             return None
         return ControlInput(steering[0], ins[DERIVATIVE])
+
+
+class FrozenAngle(NamedTuple):
+    """angle: constant road wheel angle [rad]. seconds: its duration. low, high: range of delta' meanwhile [rad]."""
+
+    angle: float
+    seconds: float
+    low: float
+    high: float
+
+
+class FrozenSteeringDetector:
+    """Detects a frozen steering angle from measurements in the order of arrival; see the module for the criterion."""
+
+    def __init__(self, vehicle: VehicleParameters):
+        self._wheelbase, self._understeer = vehicle.wheelbase, understeer_coefficient(vehicle)
+        self._angle, self._since_ns, self._newest_ns = math.nan, 0, 0
+        self._implied, self._implied_ns = math.nan, 0
+        self._low, self._high = math.inf, -math.inf
+
+    def add_steering(self, time_ns: int, road_wheel_angle: float) -> None:
+        """Add a road wheel angle [rad], left +, measured at time_ns."""
+        self._newest_ns = time_ns
+        # NaN, the first angle and a time that runs backward restart the detection too.
+        if abs(road_wheel_angle - self._angle) <= ANGLE_RESOLUTION and time_ns >= self._since_ns:
+            return
+        self._angle, self._since_ns = road_wheel_angle, time_ns
+        self._low, self._high = math.inf, -math.inf
+
+    def add_ins(self, sample: InsSample) -> None:
+        """Add an INS sample; speed and yaw rate are used."""
+        speed = sample.velocity_x
+        if not speed > FROZEN_MIN_SPEED or not math.isfinite(sample.yaw_rate):
+            self._implied = math.nan
+            return
+        implied = self._wheelbase * (1.0 + self._understeer * speed * speed) * sample.yaw_rate / speed
+        spacing = (sample.time_ns - self._implied_ns) * NANOSECOND
+        self._implied_ns = sample.time_ns
+        if not 0.0 < spacing < FROZEN_TIME_CONSTANT or math.isnan(self._implied):
+            self._implied = implied
+            return
+        self._implied += (implied - self._implied) * spacing / FROZEN_TIME_CONSTANT
+        # The low-pass and the tyres still follow the steering before it became constant.
+        if sample.time_ns > self._since_ns + 3.0 * FROZEN_TIME_CONSTANT / NANOSECOND:
+            self._low, self._high = min(self._low, self._implied), max(self._high, self._implied)
+
+    @property
+    def frozen(self) -> FrozenAngle | None:
+        """The frozen angle; None while the angle changes or the turn of the car is consistent with it."""
+        if not self._high - self._low > FROZEN_MIN_VARIATION + FROZEN_RELATIVE_VARIATION * abs(self._angle):
+            return None
+        return FrozenAngle(self._angle, (self._newest_ns - self._since_ns) * NANOSECOND, self._low, self._high)

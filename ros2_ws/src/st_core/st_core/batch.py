@@ -15,7 +15,6 @@ import numpy as np
 from . import stability
 from .backends import get_backend
 from .errors import ConfigurationError
-from .filtering import NANOSECOND
 from .log import DriveLog
 from .log_signals import Acceleration, LogSignals, same
 from .models import Model, get_model
@@ -23,7 +22,7 @@ from .planned_inputs import SLIP_FREE
 from .prediction import step_count
 from .readings import corrected_log, followed_steering, has_memory, reading_errors
 from .start_grid import Block, plan
-from .timeseries import half_step_grid
+from .timeseries import NANOSECOND, half_step_grid
 from .types import STATE_NAMES
 from .vehicle import VehicleParameters
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from . import frames
 from .regression import robust_deviation, white_noise
+from .types import body_to_map, map_to_body, wrap_angle
 
 STANDSTILL_SPEED = 0.5  # m/s; a car that is never faster is at standstill throughout
 
@@ -69,15 +69,15 @@ class Channel:
 
 
 def _off_position(measured: Mapping[str, np.ndarray], shown: Any) -> tuple[np.ndarray, ...]:
-    longitudinal, lateral = frames.map_to_body(measured["x"] - shown.x, measured["y"] - shown.y, measured["yaw"])
+    longitudinal, lateral = map_to_body(measured["x"] - shown.x, measured["y"] - shown.y, measured["yaw"])
     return lateral, longitudinal
 
 
 def _position_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, u: Any, v: Any, rate: Any) -> tuple[float, ...]:
     """Dead reckoning with measured heading and velocities against the measured way, and what white noise of heading and
     speed at the start makes of it."""
-    east, north = (_integral(values, step) for values in frames.body_to_map(u, v, yaw))
-    ahead, left = frames.map_to_body(x[:, -1] - x[:, 0] - east, y[:, -1] - y[:, 0] - north, yaw[:, -1])
+    east, north = (_integral(values, step) for values in body_to_map(u, v, yaw))
+    ahead, left = map_to_body(x[:, -1] - x[:, 0] - east, y[:, -1] - y[:, 0] - north, yaw[:, -1])
     horizon = step * (x.shape[1] - 1)
     at_start = white_noise(log.yaw) * horizon * float(np.nanmean(u)), white_noise(log.velocity_x) * horizon
     return float(np.hypot(_spread(left), at_start[0])), float(np.hypot(_spread(ahead), at_start[1]))
@@ -85,7 +85,7 @@ def _position_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, u: Any, v: 
 
 def _heading_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, u: Any, v: Any, rate: Any) -> tuple[float, ...]:
     """The integral of the measured yaw rate against the measured turn."""
-    return (_spread(frames.wrap_angle(yaw[:, -1] - yaw[:, 0] - _integral(rate, step))),)
+    return (_spread(wrap_angle(yaw[:, -1] - yaw[:, 0] - _integral(rate, step))),)
 
 
 def _spread(off: np.ndarray) -> float:
@@ -101,7 +101,7 @@ CHANNELS: Mapping[str, Channel] = {channel.name: channel for channel in (
     Channel("velocity_y", "lateral velocity", "m/s", 1e-3, zero_is_none=True),
     Channel("yaw_rate", "yaw rate", "rad/s", 2e-4, smoothed=True),
     Channel("acceleration_y", "lateral acceleration", "m/s^2", 5e-3, smoothed=True),
-    Channel("yaw", "heading", "rad", 1e-4, errors=lambda m, shown: (frames.wrap_angle(m["yaw"] - shown.yaw),),
+    Channel("yaw", "heading", "rad", 1e-4, errors=lambda m, shown: (wrap_angle(m["yaw"] - shown.yaw),),
             adds_up=True, noise=_heading_noise),
     Channel("position", "position", "m", 1e-3, "", ("x", "y"), ("position_lateral", "position_longitudinal"),
             errors=_off_position, adds_up=True, noise=_position_noise),

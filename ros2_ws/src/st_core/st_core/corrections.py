@@ -13,10 +13,9 @@ import numpy as np
 
 from . import channels
 from .errors import StCoreError
-from .filtering import NANOSECOND
-from .frames import body_to_map, map_to_body
 from .log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
-from .timeseries import interpolate
+from .timeseries import NANOSECOND, interpolate
+from .types import body_to_map, map_to_body
 from .vehicle import VehicleParameters
 
 MAXIMUM_GAP = 0.25

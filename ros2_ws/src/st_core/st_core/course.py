@@ -19,8 +19,8 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial import cKDTree
 
 from .errors import ConfigurationError, StCoreError
-from .frames import wrap_angle
 from .log import DriveLog
+from .types import wrap_angle
 from .yaml_text import check_keys, load
 
 SPACING = 1.0

@@ -26,11 +26,10 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from .course import SPACING, Course, Visit
-from .filtering import NANOSECOND
-from .frames import wrap_angle
 from .log_signals import LogSignals
 from .planned_inputs import SLIP_FREE, path_inputs
-from .types import InputSequence
+from .timeseries import NANOSECOND
+from .types import InputSequence, wrap_angle
 from .vehicle import VehicleParameters
 
 RETURN_LENGTHS = (40.0, 100.0)

@@ -8,13 +8,11 @@ from typing import Literal
 import numpy as np
 
 from .alignment import DERIVATIVE, YAW, MeasurementHistory
-from .filtering import NANOSECOND
-from .frames import pose_errors
 from .model_view import ModelView
 from .models import MODELS, Model, get_model
 from .prediction import PredictionSettings, Runner, predict
-from .timeseries import TimeSeries, half_step_grid
-from .types import InputSequence, InsSample, Trajectory, VehicleState
+from .timeseries import NANOSECOND, TimeSeries, half_step_grid
+from .types import InputSequence, InsSample, Trajectory, VehicleState, pose_errors
 from .vehicle import VehicleParameters
 
 _NEVER = -(2**62)  # before all times

@@ -17,13 +17,12 @@ from . import integrate
 from .batch import LogBatch
 from .errors import ConfigurationError
 from .evaluation import Mode
-from .filtering import NANOSECOND
 from .log import DriveLog
 from .log_signals import Acceleration, LogSignals
 from .models import Model, get_model
 from .prediction import PredictionSettings
 from .readings import corrected_log, reading_errors
-from .timeseries import half_step_grid
+from .timeseries import NANOSECOND, half_step_grid
 from .types import STATE_NAMES, InputSequence
 from .vehicle import VehicleParameters
 

@@ -9,9 +9,8 @@ from typing import Literal
 
 import numpy as np
 
-from .filtering import NANOSECOND, filtered_derivative
 from .log import INS_SIGNALS, DriveLog
-from .timeseries import at, between
+from .timeseries import NANOSECOND, Neighbours, filtered_derivative, find_neighbours
 from .vehicle import VehicleParameters
 
 Acceleration = Literal["causal", "zero_phase"]
@@ -27,7 +26,7 @@ class LogSignals:
     """Measurements of a DriveLog at given instants; NaN where not known.
 
     maximum_gap [s]: nothing is known between samples further apart. filter_cutoff [Hz] and acceleration: how the
-    forward acceleration is made of the forward speed, see `filtering.filtered_derivative`.
+    forward acceleration is made of the forward speed, see `timeseries.filtered_derivative`.
     """
 
     def __init__(self, log: DriveLog, maximum_gap: float, filter_cutoff: float, acceleration: Acceleration = "causal"):
@@ -66,7 +65,7 @@ class LogSignals:
         return self._at(time_ns, [values], at_ns)[0]
 
     def states_at(self, times_ns: np.ndarray, vehicle: VehicleParameters) -> np.ndarray:
-        """States at the CG, (n, 6), columns as types.STATE_NAMES; see `frames.ins_to_cg`."""
+        """States at the CG, (n, 6), columns as types.STATE_NAMES; see `types.ins_to_cg`."""
         x, y, yaw, velocity_x, velocity_y, yaw_rate = self.ins_at(times_ns, *INS_SIGNALS)
         cosine, sine, d_x, d_y = np.cos(yaw), np.sin(yaw), vehicle.cg_to_ins_x, vehicle.cg_to_ins_y
         return np.stack([x - cosine * d_x + sine * d_y, y - sine * d_x - cosine * d_y,
@@ -76,8 +75,8 @@ class LogSignals:
         instants = np.asarray(instants, np.int64)
         if not len(times):
             return [np.full(instants.shape, np.nan) for _ in columns]
-        place = self._between(times, instants)
-        return [at(column, *place) for column in columns]
+        neighbours = self._find_neighbours(times, instants)
+        return [neighbours.interpolate(column) for column in columns]
 
-    def _between(self, times: np.ndarray, instants: np.ndarray) -> tuple[np.ndarray, ...]:
-        return between(times, instants, self._gap_ns)
+    def _find_neighbours(self, times: np.ndarray, instants: np.ndarray) -> Neighbours:
+        return find_neighbours(times, instants, self._gap_ns)

@@ -8,12 +8,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from . import frames
 from .alignment import DERIVATIVE, MeasurementHistory
 from .augmented import AugmentedModel
 from .effects import Measured
 from .errors import ConfigurationError, StCoreError
-from .filtering import NANOSECOND
 from .log import OPTIONAL_INS_SIGNALS
 from .models import Model
 from .readings import (
@@ -27,8 +25,8 @@ from .readings import (
     readings,
     wanting,
 )
-from .timeseries import half_step_grid, interpolate
-from .types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState
+from .timeseries import NANOSECOND, half_step_grid, interpolate
+from .types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState, ins_to_cg
 from .vehicle import VehicleParameters
 
 
@@ -50,7 +48,7 @@ class ModelView:
         self.plain = not isinstance(model, AugmentedModel)
         self.has_memory = has_memory(model)
         self._has_sensors = isinstance(model, AugmentedModel) and model.has_sensors
-        self._history = shared.like() if self._has_sensors else shared
+        self._history = shared.for_corrected_samples() if self._has_sensors else shared
         self.ahead_ns = ahead_ns(model)
 
     @staticmethod
@@ -77,7 +75,7 @@ class ModelView:
         sample, now = self._history.ins_at(time_ns), self._history.inputs_at(time_ns)
         if sample is None or now is None:
             raise StCoreError(f"model {self.model.name}: state or inputs not known at {time_ns} ns")
-        state = frames.ins_to_cg(sample, self.car.cg_to_ins_x, self.car.cg_to_ins_y)
+        state = ins_to_cg(sample, self.car.cg_to_ins_x, self.car.cg_to_ins_y)
         if not self.has_memory:
             return state, now
         series, grid = self._history.steering, half_step_grid(time_ns, steps, step)

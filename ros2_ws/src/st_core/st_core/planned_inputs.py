@@ -12,11 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from .errors import StCoreError
-from .filtering import NANOSECOND
 from .handling import understeer_coefficient
 from .models import Model
 from .readings import followed_steering, has_memory
-from .timeseries import half_step_grid, interpolate
+from .timeseries import NANOSECOND, half_step_grid, interpolate
 from .types import ControlInput, InputSequence, VehicleState
 from .vehicle import VehicleParameters
 

@@ -9,16 +9,15 @@ from typing import Any, Literal
 
 import numpy as np
 
-from . import frames, integrate
-from .alignment import MeasurementHistory
+from . import integrate
+from .alignment import FrozenAngle, FrozenSteeringDetector, MeasurementHistory
 from .errors import ConfigurationError, StCoreError
-from .filtering import NANOSECOND
-from .frozen_steering import FrozenAngle, FrozenSteering
 from .model_view import ModelView
 from .models import Model, get_model
 from .planned_inputs import PlannedInputs, model_inputs, plan_problem, wheel_sequence
 from .stability import warn_if_too_long
-from .types import STATE_NAMES, ControlInput, InputSequence, InsSample, Trajectory, VehicleState
+from .timeseries import NANOSECOND
+from .types import STATE_NAMES, ControlInput, InputSequence, InsSample, Trajectory, VehicleState, ins_to_cg
 from .vehicle import VehicleParameters
 
 
@@ -162,12 +161,12 @@ class Predictor:
         span = ModelView.span(found, span)
         self.history = MeasurementHistory(span, self.settings.maximum_gap, self.settings.filter_cutoff)
         self._views = {model.name: ModelView(model, vehicle, self.history) for model in found}
-        self._frozen = FrozenSteering(vehicle)
+        self._frozen = FrozenSteeringDetector(vehicle)
 
     @property
     def frozen_steering(self) -> FrozenAngle | None:
         """The steering angle that is constant while the car turns differently; None without such a fault."""
-        return self._frozen.found
+        return self._frozen.frozen
 
     @property
     def models(self) -> tuple[str, ...]:
@@ -229,7 +228,7 @@ class Predictor:
             return Skip("stale", "INS: forward acceleration not known yet, one sample since a gap")
         sample = self.history.ins_at(time_ns)
         assert sample is not None  # known where the inputs are
-        state = frames.ins_to_cg(sample, self.vehicle.cg_to_ins_x, self.vehicle.cg_to_ins_y)
+        state = ins_to_cg(sample, self.vehicle.cg_to_ins_x, self.vehicle.cg_to_ins_y)
         speed = abs(state.velocity_x)
         if speed < self.settings.minimum_speed:
             return Skip("slow", f"speed {speed:.2f} m/s is below {self.settings.minimum_speed:g} m/s")

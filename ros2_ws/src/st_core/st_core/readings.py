@@ -9,15 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from . import frames
 from .augmented import AugmentedModel
 from .effects import Measured
 from .errors import StCoreError
-from .filtering import NANOSECOND
 from .log import DriveLog
 from .models import Model
-from .timeseries import interpolate
-from .types import InsSample
+from .timeseries import NANOSECOND, interpolate
+from .types import InsSample, cg_to_ins_position, pose_errors
 from .vehicle import VehicleParameters
 
 MEMORY = 5.0
@@ -143,7 +141,7 @@ def true_readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tu
     car = model.effective_vehicle(vehicle)
     dx, dy = car.cg_to_ins_x, car.cg_to_ins_y
     x, y, velocity_x, velocity_y, yaw, yaw_rate = states[:6]
-    x_ins, y_ins = frames.cg_to_ins_position(x, y, yaw, dx, dy)
+    x_ins, y_ins = cg_to_ins_position(x, y, yaw, dx, dy)
     a_x = a_y = velocity_x * np.nan
     yaw_acceleration = 0.0 * yaw_rate
     if w is not None:
@@ -158,8 +156,8 @@ def true_readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tu
 def reading_errors(model: Model, vehicle: VehicleParameters, states: np.ndarray, x: np.ndarray, y: np.ndarray,
                    yaw: np.ndarray) -> np.ndarray:
     """Errors (n, k, 3) of states (n, k, 6): longitudinal, lateral [m] and yaw [rad], what the INS would show minus what
-    it showed: x, y [m], yaw [rad], (n, k) each. Axes and signs as `frames.pose_errors`."""
+    it showed: x, y [m], yaw [rad], (n, k) each. Axes and signs as `types.pose_errors`."""
     with np.errstate(all="ignore"):
         seen = readings(model, vehicle, tuple(np.moveaxis(states, -1, 0)))
         # Stacked as the backends lay trajectories out, point after point: twice as fast as start after start.
-        return np.stack([e.T for e in frames.pose_errors(seen.x, seen.y, seen.yaw, x, y, yaw)]).transpose(2, 1, 0)
+        return np.stack([e.T for e in pose_errors(seen.x, seen.y, seen.yaw, x, y, yaw)]).transpose(2, 1, 0)

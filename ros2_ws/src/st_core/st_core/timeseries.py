@@ -1,28 +1,46 @@
-"""One signal in time: samples kept in order of their own time, interpolated, never across a gap."""
+"""Signals in time: samples in order of their own time, interpolation that never crosses a gap, and forward acceleration
+from forward speed.
 
+The acceleration is the derivative of the speed after a first-order Butterworth low-pass. The filter is the continuous
+one, tau y_dot = u - y with tau = 1 / (2 pi f_c), solved exactly for a speed u that is linear between its samples, with
+the actual spacing dt of each pair:
+
+    x = dt / tau,  e = exp(-x),  g = (1 - e) / x,   y_k = e y_{k-1} + (g - e) u_{k-1} + (1 - g) u_k
+    y_dot_k = (y_k - y_{k-1}) / dt
+
+Uneven spacing therefore adds no noise of its own; with a bilinear transform it adds 1 % of a constant acceleration at
+10 +- 6 ms (measured). At an even 100 Hz the results agree with scipy.signal.butter(1, 5, fs=100) to a thousandth.
+The backward difference belongs to the middle of the last interval, so slow changes are late by tau + dt / 2: at 5 Hz
+and 100 Hz sampling 31.8 + 5 = 37 ms. The filter restarts at the first sample and after every gap with y = u; the
+derivative there is unknown (NaN).
+Source: paper, section on the models' inputs. Checked by: test_filtering.py, test_timeseries.py.
+"""
+
+import math
 from collections.abc import Sequence
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from .filtering import NANOSECOND
-from .frames import wrap_angle
+from .errors import StCoreError
+from .types import wrap_angle
 
-# A sample this much older than the newest is put in its place; an older one is late and dropped ...
+NANOSECOND = 1.0e-9
+# A sample at most this much older than the newest is sorted in; an older one is late and dropped [ns].
 REORDER_WINDOW_NS = 500_000_000
-# ... unless so many in a row are that old: then time itself has jumped back and they are the new beginning.
+# After this many late samples in a row the clock has been set back, and they are the new beginning.
 JUMP_SAMPLES = 5
 MAXIMUM_SAMPLES = 200_000
 
 
 class TimeSeries:
-    """Rows of numbers by time in integer nanoseconds, the last `span` seconds of them.
+    """The last `span` seconds of a signal: rows of numbers by time in integer nanoseconds.
 
-    columns: names, in row order; a row may be shorter, the rest is NaN until filled in by the owner. angles: columns
-    interpolated the short way round. span [s]: at least one second is kept. maximum_gap [s]. Memory is bounded by
-    the span, and by MAXIMUM_SAMPLES whatever the rate.
+    columns: names, in row order; a row may be shorter, the owner fills in the remaining columns (NaN until then).
+    angles: columns interpolated the short way round. span [s]: at least one second is kept. maximum_gap [s]: nothing is
+    known between samples further apart. Memory is bounded by the span, and by MAXIMUM_SAMPLES at any rate.
 
-    breaks: samples (by time [ns]) up to which nothing is known since the one before, as after a gap, and why; filled in
-    by the owner.
+    breaks: reason by sample time [ns], set by the owner, why nothing is known between that sample and the one before.
     """
 
     def __init__(self, columns: Sequence[str], span: float, maximum_gap: float, angles: Sequence[str] = ()):
@@ -61,19 +79,17 @@ class TimeSeries:
         return int(self._times[self._end - 1]) if len(self) else None
 
     def add(self, time_ns: int, row: Sequence[float]) -> tuple[int | None, bool]:
-        """Take a sample. Returns (its position in `rows` or None if it was refused, whether time jumped back).
+        """Add a sample; returns (its position in `rows`, None if it was refused; whether the time jumped back).
 
-        After a jump the series has only the samples after it and the position is 0.
+        A row with NaN, a repeated time and a late sample are refused. After a jump back the series holds only the
+        samples after it, and the position is 0.
         """
         if not np.isfinite(row).all():
             return None, False
         newest = self.newest
-        if newest is not None and time_ns <= newest:
-            return self._add_old(newest, time_ns, row)
-        self._late.clear()
-        return self._insert(len(self), time_ns, row), False
-
-    def _add_old(self, newest: int, time_ns: int, row: Sequence[float]) -> tuple[int | None, bool]:
+        if newest is None or time_ns > newest:
+            self._late.clear()
+            return self._insert(len(self), time_ns, row), False
         if newest - time_ns > REORDER_WINDOW_NS:
             return self._add_late(time_ns, row)
         position = int(np.searchsorted(self.times, time_ns))
@@ -115,7 +131,7 @@ class TimeSeries:
             self._first += 1
 
     def _make_room(self) -> None:
-        # Moved to the front where that frees half the room: a long run needs no more memory. Else twice the room.
+        """Move the samples to the front of the buffers; double these first if more than half full."""
         count = len(self)
         times, rows = self._times, self._rows
         if 2 * count > len(times):
@@ -124,33 +140,16 @@ class TimeSeries:
         self._times, self._rows, self._first, self._end = times, rows, 0, count
 
     def at(self, time_ns: int) -> tuple[float, ...] | None:
-        """The row at an instant, interpolated linearly; None where it is not known."""
-        times = self.times
-        after = int(np.searchsorted(times, time_ns))
-        if after == len(times):
-            return None
-        if times[after] == time_ns:
-            return tuple(self.rows[after].tolist())
-        if not self._joined(after):
-            return None
-        rows = self.rows[after - 1:after + 1]
-        fraction = (time_ns - int(times[after - 1])) / int(times[after] - times[after - 1])
-        change = rows[1] - rows[0]
-        change[self._angles] = wrap_angle(change[self._angles])
-        return tuple((rows[0] + fraction * change).tolist())
-
-    def _joined(self, position: int) -> bool:
-        """Whether the signal is known between the sample there and the one before it."""
-        if position == 0 or self._times[self._first + position] in self.breaks:
-            return False
-        return bool(self.times[position] - self.times[position - 1] <= self.maximum_gap_ns)
+        """The row at an instant, interpolated linearly; None where the signal is unknown."""
+        row = self.sample(np.array([time_ns]))[0]
+        return None if np.isnan(row[0]) else tuple(row.tolist())
 
     def sample(self, times_ns: np.ndarray) -> np.ndarray:
-        """Rows at many instants, (n, columns); NaN where not known. The same numbers as `at`."""
+        """Rows at many instants [ns], (n, columns), interpolated linearly; NaN where the signal is unknown."""
         times, instants = self.times, np.asarray(times_ns, np.int64)
         if not len(times):
             return np.full((len(instants), len(self.columns)), np.nan)
-        before, after, exact, known, fraction = between(times, instants, self.maximum_gap_ns)
+        before, after, exact, known, fraction = find_neighbours(times, instants, self.maximum_gap_ns)
         if self.breaks:
             known &= exact | ~np.isin(times[after], list(self.breaks))
         low, high = self.rows[before], self.rows[after]
@@ -164,12 +163,18 @@ class TimeSeries:
         """The newest instant at or before `time_ns` at which the signal is known [ns]; None if there is none."""
         times = self.times
         after = int(np.searchsorted(times, time_ns))
-        if after < len(times) and (times[after] == time_ns or self._joined(after)):
+        if after < len(times) and (times[after] == time_ns or self._is_joined(after)):
             return int(time_ns)
         return int(times[after - 1]) if after > 0 else None
 
+    def _is_joined(self, position: int) -> bool:
+        """Whether the signal is known between the sample there and the one before it."""
+        if position == 0 or self._times[self._first + position] in self.breaks:
+            return False
+        return bool(self.times[position] - self.times[position - 1] <= self.maximum_gap_ns)
+
     def why_unknown(self, time_ns: int) -> str:
-        """Reason for an unknown value at an instant, naming the samples around it."""
+        """Reason why the signal is unknown at an instant, naming the samples around it."""
         times = self.times
         if not len(times):
             return "no samples"
@@ -188,28 +193,94 @@ def half_step_grid(start_ns: int, steps: int, step: float) -> np.ndarray:
     return start_ns + np.round(np.arange(2 * steps + 1) * (0.5 * step / NANOSECOND)).astype(np.int64)
 
 
-def between(times: np.ndarray, instants: np.ndarray, gap_ns: int) -> tuple[np.ndarray, ...]:
-    """(sample before, after, whether it is just that of `after`, whether it is known, share of the way there).
+class Neighbours(NamedTuple):
+    """Samples around each of some instants: indices of the sample before and at or after it, whether the latter is
+    exactly there, whether the signal is known there, and the fraction of the way from the one to the other."""
 
-    times [ns]: rising, at least one. instants [ns]: of any shape. gap_ns: unknown between samples further apart.
+    before: np.ndarray
+    after: np.ndarray
+    exact: np.ndarray
+    known: np.ndarray
+    fraction: np.ndarray
+
+    def interpolate(self, values: np.ndarray) -> np.ndarray:
+        """A signal at the instants, from its samples; NaN where it is unknown."""
+        low, high = values[self.before], values[self.after]
+        between = np.where(self.exact, high, low + self.fraction * (high - low))
+        return np.where(self.known, between, np.nan)
+
+
+def find_neighbours(times: np.ndarray, instants: np.ndarray, gap_ns: int) -> Neighbours:
+    """Neighbouring samples of instants of any shape [ns].
+
+    times [ns]: increasing, at least one. gap_ns: a signal is unknown between samples further apart.
     """
     after = np.minimum(np.searchsorted(times, instants), len(times) - 1)
     before = np.maximum(after - 1, 0)
     spacing = times[after] - times[before]
     exact = times[after] == instants
     known = exact | ((instants > times[before]) & (instants < times[after]) & (spacing <= gap_ns))
-    return before, after, exact, known, np.where(exact, 1.0, (instants - times[before]) / np.maximum(spacing, 1))
+    fraction = np.where(exact, 1.0, (instants - times[before]) / np.maximum(spacing, 1))
+    return Neighbours(before, after, exact, known, fraction)
 
 
 def interpolate(time_ns: np.ndarray, values: np.ndarray, instants_ns: np.ndarray, gap_ns: int) -> np.ndarray:
-    """A signal at given instants; NaN where not known."""
+    """A signal at given instants [ns]; NaN where it is unknown."""
     if not len(time_ns):
         return np.full(len(instants_ns), np.nan)
-    return at(values, *between(time_ns, instants_ns, gap_ns))
+    return find_neighbours(time_ns, instants_ns, gap_ns).interpolate(values)
 
 
-def at(values: np.ndarray, before: np.ndarray, after: np.ndarray, exact: np.ndarray, known: np.ndarray,
-       fraction: np.ndarray) -> np.ndarray:
-    """A signal interpolated with the weights of `between`."""
-    low, high = values[before], values[after]
-    return np.where(known, np.where(exact, high, low + fraction * (high - low)), np.nan)
+def low_pass_step(filtered: float, before: float, now: float, spacing: float, cutoff: float) -> tuple[float, float]:
+    """(filtered, derivative) at a sample `now`, `spacing` [s] after `before` with the filtered value `filtered`."""
+    x = 2.0 * math.pi * cutoff * spacing
+    drop = -math.expm1(-x)  # 1 - e
+    g = drop / x
+    result = filtered + drop * (before - filtered) + (1.0 - g) * (now - before)
+    return result, (result - filtered) / spacing
+
+
+def filtered_derivative(times_ns: np.ndarray, values: np.ndarray, cutoff: float, maximum_gap: float,
+                        mode: Literal["causal", "zero_phase"] = "causal") -> tuple[np.ndarray, np.ndarray]:
+    """(filtered, derivative) of a whole log, arrays as `values`.
+
+    causal: the same numbers as `low_pass_step` gives live. zero_phase: the filter forward and backward over each
+    stretch without a gap, then central differences: no delay, twice the attenuation; for logs only.
+    times_ns: increasing [ns], else StCoreError. cutoff [Hz]. maximum_gap [s].
+    """
+    times_ns, values = np.asarray(times_ns, np.int64), np.asarray(values, float)
+    if np.any(np.diff(times_ns) <= 0):
+        raise StCoreError("times must increase")
+    filtered, derivative = _filter_causally(times_ns, values, cutoff, maximum_gap)
+    if mode == "causal":
+        return filtered, derivative
+    if mode != "zero_phase":
+        raise StCoreError(f"mode {mode!r} is neither causal nor zero_phase")
+    backward, _ = _filter_causally(-times_ns[::-1], filtered[::-1], cutoff, maximum_gap)
+    filtered = backward[::-1].copy()
+    derivative = np.full_like(filtered, np.nan)
+    seconds = (times_ns - times_ns[:1]) * NANOSECOND
+    for stretch in np.split(np.arange(len(values)), np.flatnonzero(np.diff(seconds) > maximum_gap) + 1):
+        if len(stretch) > 1:
+            derivative[stretch] = np.gradient(filtered[stretch], seconds[stretch])
+    return filtered, derivative
+
+
+def _filter_causally(times_ns: np.ndarray, values: np.ndarray, cutoff: float,
+                     maximum_gap: float) -> tuple[np.ndarray, np.ndarray]:
+    """`low_pass_step` sample by sample, bit for bit; all that does not depend on the previous result is vectorised."""
+    spacings_ns = np.diff(times_ns)
+    different, which = np.unique(spacings_ns, return_inverse=True)
+    x = 2.0 * math.pi * cutoff * (different * NANOSECOND)
+    drops = np.array([-math.expm1(-value) for value in x.tolist()])
+    increments = (1.0 - drops / x)[which] * (values[1:] - values[:-1])
+    after_gap = spacings_ns * NANOSECOND > maximum_gap
+    results = values[:1].tolist()
+    for drop, before, increment, now, restarts in zip(drops[which].tolist(), values[:-1].tolist(), increments.tolist(),
+                                                      values[1:].tolist(), after_gap.tolist(), strict=True):
+        last = results[-1]
+        results.append(now if restarts else last + drop * (before - last) + increment)
+    filtered = np.array(results, float)
+    derivative = np.full(len(values), np.nan)
+    derivative[1:] = np.where(after_gap, np.nan, (filtered[1:] - filtered[:-1]) / (spacings_ns * NANOSECOND))
+    return filtered, derivative

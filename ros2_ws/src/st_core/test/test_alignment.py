@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from st_core.alignment import DERIVATIVE, FILTERED, MeasurementHistory
-from st_core.filtering import filtered_derivative
+from st_core.timeseries import filtered_derivative
 from st_core.types import InsSample
 
 MS = 1_000_000

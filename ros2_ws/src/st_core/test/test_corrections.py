@@ -7,8 +7,8 @@ import pytest
 from st_core.channels import FURTHER
 from st_core.corrections import CHANNELS, Correction, check_corrections, corrected, in_words
 from st_core.errors import StCoreError
-from st_core.frames import body_to_map
 from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
+from st_core.types import body_to_map
 from st_core.vehicle import VehicleParameters
 from support import ROOT
 

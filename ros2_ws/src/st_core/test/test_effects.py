@@ -11,11 +11,11 @@ from st_core import effects
 from st_core.augmented import augment, neutral
 from st_core.effects import ANY, EFFECTS, Measured, applicable
 from st_core.errors import ConfigurationError
-from st_core.filtering import NANOSECOND
 from st_core.log import DriveLog
 from st_core.models import MODELS
 from st_core.prediction import predict
 from st_core.readings import corrected_log, readings
+from st_core.timeseries import NANOSECOND
 from st_core.types import ControlInput, InputSequence, VehicleState
 
 WANTED = {

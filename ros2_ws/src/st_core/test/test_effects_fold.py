@@ -8,9 +8,9 @@ from effect_values import values_of
 from st_core.augmented import augment
 from st_core.batch import LogBatch
 from st_core.effects import EFFECTS, applicable
-from st_core.filtering import NANOSECOND
 from st_core.log import DriveLog
 from st_core.models import MODELS
+from st_core.timeseries import NANOSECOND
 from st_core.vehicle import VehicleParameters
 
 FOLDED = [(base, name) for base in MODELS for name in applicable(base) if EFFECTS[name].fold]

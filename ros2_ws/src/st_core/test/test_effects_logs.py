@@ -6,12 +6,12 @@ from effect_values import values_of
 from st_core.augmented import augment, neutral
 from st_core.batch import LogBatch
 from st_core.effects import EFFECTS, applicable
-from st_core.filtering import NANOSECOND
 from st_core.log import DriveLog
 from st_core.log_signals import LogSignals
 from st_core.models import MODELS
 from st_core.prediction import predict
 from st_core.readings import corrected_log
+from st_core.timeseries import NANOSECOND
 from st_core.types import InputSequence, VehicleState
 
 SHARES = (0.4, 1.0, 2.0)

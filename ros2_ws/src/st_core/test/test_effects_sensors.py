@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from st_core import frames
 from st_core.augmented import augment
 from st_core.effects import EFFECTS, Effect, Measured, Parameter, register
 from st_core.errors import ConfigurationError, StCoreError
@@ -14,7 +13,7 @@ from st_core.log import DriveLog
 from st_core.models import MODELS
 from st_core.prediction import Predictor
 from st_core.readings import corrected_log, corrected_sample, readings, wanting
-from st_core.types import InsSample, VehicleState
+from st_core.types import InsSample, VehicleState, body_to_map, ins_to_cg_acceleration, map_to_body
 from steady_circle import cg_to_ins
 
 TRUE = Measured(x=10.0, y=-4.0, yaw=0.7, velocity_x=12.0, velocity_y=0.3, yaw_rate=0.25, acceleration_x=0.4,
@@ -44,7 +43,7 @@ def test_unit_turned_to_the_left_sees_the_car_drift_to_the_right():
     assert shown.yaw == TRUE.yaw + angle and (shown.x, shown.y) == (TRUE.x, TRUE.y)
     assert shown.velocity_y == pytest.approx(-math.sin(angle) * TRUE.velocity_x)
     # Velocity over ground is what it is, whatever axes it is given in.
-    over_ground = [frames.body_to_map(m.velocity_x, m.velocity_y, m.yaw) for m in (shown, straight)]
+    over_ground = [body_to_map(m.velocity_x, m.velocity_y, m.yaw) for m in (shown, straight)]
     assert over_ground[0] == pytest.approx(over_ground[1])
 
 
@@ -76,7 +75,7 @@ def test_readings_at_the_ins_are_those_of_a_rigid_body(leaf, base):
     assert shown[:6] == pytest.approx(sample[1:])
     derivative = model.rhs(STATE, w, p)
     assert shown.yaw_acceleration == derivative[5] and readings(model, leaf, STATE).yaw_acceleration == 0.0
-    at_cg = frames.ins_to_cg_acceleration(shown.acceleration_x, shown.acceleration_y, 0.25, derivative[5],
+    at_cg = ins_to_cg_acceleration(shown.acceleration_x, shown.acceleration_y, 0.25, derivative[5],
                                           leaf.cg_to_ins_x, leaf.cg_to_ins_y)
     assert at_cg == pytest.approx((-0.5 - 0.3 * 0.25, derivative[3] + 12.0 * 0.25))
     assert math.isnan(readings(model, leaf, STATE).acceleration_y)
@@ -93,7 +92,7 @@ def test_kinematic_model_feels_the_curve_it_drives(leaf):
 def test_lever_arm_moves_the_point_that_is_measured(leaf):
     model = augment("linear", {"sensor_lever_arm": {"x": 0.3, "y": -0.2}})
     here, there = readings(MODELS["linear"], leaf, STATE), readings(model, leaf, STATE)
-    forward, left = frames.map_to_body(there.x - here.x, there.y - here.y, 0.7)
+    forward, left = map_to_body(there.x - here.x, there.y - here.y, 0.7)
     assert (forward, left) == pytest.approx((0.3, -0.2))
     assert there.velocity_y - here.velocity_y == pytest.approx(0.3 * 0.25)
     assert there.velocity_x - here.velocity_x == pytest.approx(0.2 * 0.25)

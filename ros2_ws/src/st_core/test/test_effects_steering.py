@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from st_core.augmented import augment
 from st_core.effects.steering_backlash import affine, clamp, scan
-from st_core.filtering import NANOSECOND
 from st_core.log import DriveLog
 from st_core.readings import corrected_log, corrected_steering
+from st_core.timeseries import NANOSECOND
 
 RANDOM = np.random.default_rng(5)
 TIME = np.cumsum(RANDOM.uniform(0.004, 0.016, 2000))  # uneven, as a bus is

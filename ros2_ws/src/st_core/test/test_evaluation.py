@@ -5,9 +5,8 @@ import math
 import numpy as np
 import pytest
 from st_core.evaluation import ErrorStatistics, Evaluator, Statistic, make_score
-from st_core.frames import cg_to_ins_position, pose_errors
 from st_core.prediction import PredictionSettings, predict
-from st_core.types import ControlInput, InputSequence, VehicleState
+from st_core.types import ControlInput, InputSequence, VehicleState, cg_to_ins_position, pose_errors
 from steady_circle import Circle
 
 MS = 1_000_000

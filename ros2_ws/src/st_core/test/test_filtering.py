@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import butter, lfilter, lfilter_zi, lsim
 from st_core.errors import StCoreError
-from st_core.filtering import advance, filtered_derivative
+from st_core.timeseries import filtered_derivative, low_pass_step
 
 CUTOFF, GAP = 5.0, 0.1
 
@@ -51,7 +51,7 @@ def test_live_and_offline_give_identical_numbers(steps):
     values = np.array([v for _, v in steps])
     pairs = [(values[0], math.nan)]
     for spacing, before, now in zip(np.diff(times) * 1e-9, values, values[1:], strict=False):
-        pairs.append(advance(pairs[-1][0], before, now, spacing, CUTOFF) if spacing <= GAP else (now, math.nan))
+        pairs.append(low_pass_step(pairs[-1][0], before, now, spacing, CUTOFF) if spacing <= GAP else (now, math.nan))
     pairs = np.array(pairs)
     filtered, derivative = filtered_derivative(times, values, CUTOFF, GAP)
     np.testing.assert_array_equal(filtered, pairs[:, 0])

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from st_core.frozen_steering import FrozenSteering
+from st_core.alignment import FrozenSteeringDetector
 from st_core.models import get_model
 from st_core.prediction import predict
 from st_core.types import InputSequence, InsSample, VehicleState
@@ -24,14 +24,14 @@ def driven(leaf, angle, speed=10.0, acceleration=0.0):
 
 def watch(leaf, rows, shown, noise=0.003):
     """When the angle is found frozen [s]; shown(t): what the sensor says. 100 Hz, interpolated; yaw rate with noise."""
-    watching, found, draw = FrozenSteering(leaf), [], np.random.default_rng(3)
+    watching, found, draw = FrozenSteeringDetector(leaf), [], np.random.default_rng(3)
     for t in np.arange(0.0, 20.0, 0.01):
         v_x, rate = (float(np.interp(t, rows[0], row)) for row in rows[1:])
         time_ns = T0 + round(t * 1e9)
         watching.add_steering(time_ns, float(shown(t)))
         watching.add_ins(InsSample(time_ns, 0.0, 0.0, 0.0, v_x, 0.0, rate + draw.normal(0.0, noise)))
-        if watching.found:
-            found.append((t, watching.found))
+        if watching.frozen:
+            found.append((t, watching.frozen))
     return found
 
 
@@ -69,8 +69,8 @@ def test_a_car_that_stands_says_nothing(leaf):
 
 
 def test_nothing_is_said_of_what_is_not_finite(leaf):
-    watching = FrozenSteering(leaf)
+    watching = FrozenSteeringDetector(leaf)
     for k in range(200):
         watching.add_steering(T0 + k * 10_000_000, 0.1)
         watching.add_ins(InsSample(T0 + k * 10_000_000, 0.0, 0.0, 0.0, math.nan, 0.0, math.nan))
-    assert watching.found is None
+    assert watching.frozen is None

@@ -15,12 +15,12 @@ from st_core.augmented import augment
 from st_core.effects import applicable
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.evaluation import Evaluator
-from st_core.filtering import NANOSECOND
 from st_core.log import DriveLog
 from st_core.model_view import ModelView
 from st_core.models import MODELS
 from st_core.prediction import PredictionSettings, Predictor, Start, predict
 from st_core.readings import readings
+from st_core.timeseries import NANOSECOND
 from st_core.types import ControlInput, InputSequence, InsSample, VehicleState
 
 BEGIN = 1_700_000_000_000_000_000

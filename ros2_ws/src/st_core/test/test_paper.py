@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from st_core.evaluation import make_score
-from st_core.frames import cg_to_ins_position, pose_errors
 from st_core.prediction import predict
-from st_core.types import ControlInput
+from st_core.types import ControlInput, cg_to_ins_position, pose_errors
 from steady_circle import Circle
 
 RADIUS = 11.5  # m; printed as "R ~ 23 m", which fits the diameter only: test_the_printed_radius_is_the_diameter

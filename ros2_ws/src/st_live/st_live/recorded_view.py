@@ -9,9 +9,8 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from rosbags.highlevel import AnyReader
-from st_core.frames import map_to_body
 from st_core.palette import MEASURED_COLOUR, colour_of, rgb
-from st_core.types import InsSample
+from st_core.types import InsSample, map_to_body
 from st_core.vehicle import VehicleParameters
 from st_predictor import convert
 from st_predictor.map_drawing import History, Ribbon, car_outline
@@ -19,7 +18,7 @@ from st_recordings.recorded import configuration_of
 from st_recordings.results import band_lines
 from st_recordings.runs.bag import definitions, open_bag, read_bag
 from st_recordings.runs.cdr import typestore
-from st_ros.stamps import to_nanoseconds
+from st_ros.polling import to_nanoseconds
 
 from .configuration import recordings_of
 

@@ -27,7 +27,7 @@ from st_live.suite import SuiteError
 from st_msgs.msg import Band, ErrorStatistics, InsStatus, PlannedPrediction, Prediction, PredictionError, Steering
 from st_predictor.map_drawing import GHOST_AGES, GHOST_TOLERANCE, History, car_outline, ribbon
 from st_predictor.map_drawing import Path as PredictedPath
-from st_ros.stamps import from_nanoseconds
+from st_ros.polling import from_nanoseconds
 from support import ROOT
 
 pytestmark = pytest.mark.ros

@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from st_core.alignment import MeasurementHistory
 from st_core.checks import Finding, check
-from st_core.filtering import NANOSECOND
 from st_core.log import INS_SIGNALS, DriveLog
-from st_core.timeseries import TimeSeries
+from st_core.timeseries import NANOSECOND, TimeSeries
 from st_core.vehicle import VehicleParameters
 
 MINUTE = 60.0  # s, age of the oldest measurement used

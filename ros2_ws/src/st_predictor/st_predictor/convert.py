@@ -12,14 +12,13 @@ from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 from st_core.evaluation import ErrorStatistics as Statistics
 from st_core.evaluation import Mode, Score
-from st_core.frames import cg_to_ins_position
 from st_core.planned_inputs import PlannedInputs
 from st_core.prediction import Start
-from st_core.types import InputSequence, InsSample, Trajectory
+from st_core.types import InputSequence, InsSample, Trajectory, cg_to_ins_position
 from st_core.vehicle import VehicleParameters
 from st_msgs.msg import ErrorStatistics, InputPlan, PlannedPrediction, Prediction, PredictionError
 from st_recordings.bag_metadata import INFINITE_NS, Qos
-from st_ros.stamps import from_nanoseconds, to_nanoseconds
+from st_ros.polling import from_nanoseconds, to_nanoseconds
 
 from .map_drawing import BAND_MODE, Path, ribbon
 

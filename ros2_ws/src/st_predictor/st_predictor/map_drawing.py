@@ -5,7 +5,7 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from st_core.frames import body_to_map
+from st_core.types import body_to_map
 from st_core.vehicle import VehicleParameters
 
 TRACK_SPAN = 90.0  # s of measured track kept

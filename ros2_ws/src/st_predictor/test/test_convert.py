@@ -19,7 +19,7 @@ from st_msgs.msg import Prediction
 from st_predictor import convert
 from st_predictor.nodes._bands import BandMessages, read_bands
 from st_recordings.bag_metadata import INFINITE_NS
-from st_ros.stamps import from_nanoseconds
+from st_ros.polling import from_nanoseconds
 from support import ROOT
 
 pytestmark = pytest.mark.ros

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from drives import COLUMNS, weave, write_drive
-from st_core.frames import body_to_map
 from st_core.log import INS_SIGNALS, DriveLog
+from st_core.types import body_to_map
 from st_recordings.runs import LoadedRun, RunError, find_runs, read
 
 NAMES = COLUMNS.split(",")

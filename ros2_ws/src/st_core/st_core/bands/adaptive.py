@@ -24,7 +24,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..filtering import NANOSECOND
+from ..timeseries import NANOSECOND
 from .calibration import LEVELS, Band
 
 GAIN, START_GAIN, SETTLING = 0.1, 0.3, 30.0

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from ..binning import LATERAL_ACCELERATION, SPEED
-from ..filtering import NANOSECOND
 from ..log_signals import LogSignals
+from ..timeseries import NANOSECOND
 
 CONDITIONS = ("speed", "lateral_acceleration", "forward_acceleration", "steering_activity")
 UNITS = {"speed": "m/s", "lateral_acceleration": "m/s^2", "forward_acceleration": "m/s^2", "steering_activity": "rad/s"}

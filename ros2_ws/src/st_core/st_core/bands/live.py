@@ -27,8 +27,8 @@ import numpy as np
 
 from ..alignment import DERIVATIVE, VELOCITY_X, YAW_RATE, MeasurementHistory
 from ..evaluation import Score
-from ..filtering import NANOSECOND
 from ..log_evaluation import MODES
+from ..timeseries import NANOSECOND
 from .adaptive import AdaptiveBand
 from .calibration import LEVELS
 from .conditions import activity_instants, magnitudes, steering_activity

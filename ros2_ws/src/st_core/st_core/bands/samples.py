@@ -6,12 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import StCoreError
-from ..filtering import NANOSECOND
 from ..log_evaluation import EvaluationSettings, evaluate_blocks, regular_starts, usable_starts
 from ..log_signals import LogSignals
 from ..models import Model
 from ..readings import corrected_log
-from ..timeseries import half_step_grid
+from ..timeseries import NANOSECOND, half_step_grid
 from ..vehicle import VehicleParameters
 from .conditions import conditions_at
 from .scale import spread

@@ -19,13 +19,13 @@ from ..augmented import AugmentedModel
 from ..batch import LogBatch
 from ..effects import get_effect
 from ..errors import ConfigurationError
-from ..frames import map_to_body, wrap_angle
 from ..log import INS_SIGNALS
 from ..log_evaluation import EvaluationSettings, regular_starts, usable_starts
 from ..log_signals import LogSignals
 from ..models import Model
 from ..readings import readings
 from ..regression import white_noise
+from ..types import map_to_body, wrap_angle
 from ..vehicle import VehicleParameters, value_of
 from .scale import spread
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..filtering import NANOSECOND
 from ..log import DriveLog
+from ..timeseries import NANOSECOND
 from .finding import AuxiliaryData
 
 LONGEST_GAP = 0.25  # s between samples; nothing is integrated across a longer one

@@ -21,11 +21,11 @@ from scipy.optimize import lsq_linear
 
 from ..corrections import Correction, corrected
 from ..errors import StCoreError
-from ..filtering import NANOSECOND
 from ..log import DriveLog
 from ..log_evaluation import EvaluationSettings, evaluate_log, regular_starts
 from ..models import Model, get_model
 from ..stability import MOST_SUBSTEPS, growth, slip_speed_needed, stable
+from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from .finding import HORIZON, LIMITS, Advice, Finding, Severity
 from .motion import stretches

@@ -10,9 +10,9 @@ from scipy import stats
 
 from ..augmented import AugmentedModel
 from ..channels import OF_COLUMN
-from ..filtering import NANOSECOND
 from ..log import DriveLog
 from ..log_signals import LogSignals
+from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from .result import WhereStatement
 from .settings import DiscoverySettings

@@ -20,12 +20,12 @@ from ..channels import CHANNELS
 from ..composition import compose
 from ..effects import Measured
 from ..errors import StCoreError
-from ..filtering import NANOSECOND
 from ..log import INS_SIGNALS, DriveLog
 from ..log_signals import LogSignals, same
 from ..models import Model
 from ..readings import true_readings
 from ..start_grid import Block
+from ..timeseries import NANOSECOND, Neighbours
 from ..vehicle import VehicleParameters
 from .settings import DiscoverySettings
 
@@ -62,12 +62,12 @@ class Signals(LogSignals):
         other.log = log
         return other
 
-    def _between(self, times: np.ndarray, requested: np.ndarray) -> tuple[np.ndarray, ...]:
+    def _find_neighbours(self, times: np.ndarray, requested: np.ndarray) -> Neighbours:
         key = _memory(times), _memory(requested)
         known = self._places.pop(key, None)
         # The same place in memory may hold other numbers by now: to compare them takes a hundredth of a search.
         if known is None or not (np.array_equal(known[0], times) and np.array_equal(known[1], requested)):
-            known = times.copy(), requested.copy(), super()._between(times, requested)
+            known = times.copy(), requested.copy(), super()._find_neighbours(times, requested)
         return _remember(self._places, key, known, LOOKUP_CACHE_SIZE)[2]
 
 

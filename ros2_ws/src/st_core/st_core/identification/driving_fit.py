@@ -29,10 +29,10 @@ from ..effects.steering_ratio import SteeringRatio
 from ..effects.tyre_relaxation import TyreRelaxation
 from ..effects.yaw_inertia import YawInertia
 from ..errors import StCoreError
-from ..filtering import NANOSECOND
 from ..log import DriveLog
 from ..models import Model, get_model
 from ..regression import Spread, blocks
+from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from .result import IdentificationError
 

@@ -28,11 +28,11 @@ from dataclasses import replace
 import numpy as np
 
 from ..augmented import AugmentedModel
-from ..filtering import NANOSECOND
 from ..handling import objections
 from ..log import DriveLog
 from ..models import Model, get_model
 from ..regression import correlation_of, extrapolation_uncertainty
+from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from .cornering_stiffness import DRIVEN, LARGEST_RANGE_RATIO, LARGEST_RELATIVE, slip_angles
 from .driving_fit import DELAY, FREE, MISALIGNMENT, RELAXATION, DrivingFit, DrivingFitSettings, fit_driving

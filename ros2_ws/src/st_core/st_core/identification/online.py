@@ -18,8 +18,8 @@ from typing import Literal
 import numpy as np
 
 from ..errors import StCoreError
-from ..filtering import NANOSECOND
 from ..log import DriveLog
+from ..timeseries import NANOSECOND
 from ..types import InsSample
 from ..vehicle import VehicleParameters
 from .driving_fit import DELAY, MISALIGNMENT, RELAXATION, DrivingFitSettings, fit_driving

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..filtering import NANOSECOND, filtered_derivative
-from ..frames import ins_to_cg_acceleration
 from ..log import DriveLog
 from ..log_signals import LogSignals
+from ..timeseries import NANOSECOND, filtered_derivative
+from ..types import ins_to_cg_acceleration
 from ..vehicle import VehicleParameters
 from .result import Coverage, IdentificationError
 
@@ -54,7 +54,7 @@ def run_samples(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) 
     Filter of velocity, yaw rate and steering alike, forward and backward: first-order Butterworth of `cutoff` [Hz], see
     `filtering.filtered_derivative`; derivatives are central differences behind it. No delay, and the same attenuation
     on both sides of every equation. The lateral acceleration is v_y_dot + v_x r, free of gravity, moved to the CG
-    (`frames.ins_to_cg_acceleration`). Raises IdentificationError for a drive without common measurements.
+    (`types.ins_to_cg_acceleration`). Raises IdentificationError for a drive without common measurements.
     """
     def smooth(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return filtered_derivative(time_ns, values, cutoff, MAXIMUM_GAP, "zero_phase")

@@ -14,10 +14,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..filtering import filtered_derivative
 from ..handling import understeer_coefficient
 from ..log import DriveLog
 from ..regression import Spread, blocks
+from ..timeseries import filtered_derivative
 from ..vehicle import VehicleParameters
 from .driving_fit import DrivingFitSettings, fit_driving
 from .result import Estimate, Identification, IdentificationError, contradiction

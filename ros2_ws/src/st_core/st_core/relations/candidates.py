@@ -8,7 +8,7 @@ import numpy as np
 from ..discovery.levels import sites
 from ..discovery.windows import Windows, smoothed
 from ..effects._law import COUNT, INTERVALS, PLACES, Law, LawMemory, LawTimed, bump
-from ..filtering import NANOSECOND
+from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 
 ODD, NEITHER = -1.0, 0.0

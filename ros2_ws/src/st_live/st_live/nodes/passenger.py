@@ -21,9 +21,8 @@ from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from st_core.frames import cg_to_ins_position, map_to_body
 from st_core.palette import colour_of
-from st_core.types import InsSample
+from st_core.types import InsSample, cg_to_ins_position, map_to_body
 from st_core.vehicle import VehicleParameters
 from st_msgs.msg import InsStatus, PlannedPrediction, Prediction, PredictionError, PredictorStatus, Steering
 from st_predictor import convert

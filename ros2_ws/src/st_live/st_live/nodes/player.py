@@ -32,8 +32,7 @@ from st_recordings.runs.reconstruct import stamp_of as instant_of
 from st_recordings.runs.reconstruct import steering_value
 from st_recordings.runs.run_types import SteeringField
 from st_ros import spin
-from st_ros.polling import PolledSubscription, message_class, wait_for_any
-from st_ros.stamps import from_nanoseconds
+from st_ros.polling import PolledSubscription, from_nanoseconds, message_class, wait_for_any
 
 INPUTS = ("/ins/odometry", "/vehicle/steering")  # names published, independent of those in the recording
 CLOCK_STEP_NS = 10_000_000

@@ -7,13 +7,12 @@ from typing import Any
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from st_core.filtering import NANOSECOND
+from st_core.timeseries import NANOSECOND
 from st_core.types import InsSample
 from st_msgs.msg import Steering
 from st_ros import diagnostics
 from st_ros.diagnostics import Check
-from st_ros.polling import UNRESOLVED_NODE, PolledSubscription, wait_for_any
-from st_ros.stamps import to_nanoseconds
+from st_ros.polling import UNRESOLVED_NODE, PolledSubscription, to_nanoseconds, wait_for_any
 
 from .. import convert
 

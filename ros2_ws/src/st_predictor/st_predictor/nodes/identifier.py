@@ -13,8 +13,7 @@ from st_msgs.msg import Steering, TrackedParameter, TrackedParameters
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
 from st_ros.parameters import ConfigurationError
-from st_ros.polling import PolledSubscription
-from st_ros.stamps import to_nanoseconds
+from st_ros.polling import PolledSubscription, to_nanoseconds
 
 from .. import convert, params
 

@@ -14,8 +14,7 @@ from st_core.palette import MEASURED_COLOUR, colour_of, label_index, rgb
 from st_core.types import InsSample
 from st_msgs.msg import Prediction, PredictionError
 from st_ros import parameters, spin
-from st_ros.polling import PolledSubscription
-from st_ros.stamps import from_nanoseconds
+from st_ros.polling import PolledSubscription, from_nanoseconds
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 

@@ -13,9 +13,9 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from st_core.compiled import compile_models
 from st_core.evaluation import Mode
-from st_core.filtering import NANOSECOND
 from st_core.models import get_model
 from st_core.prediction import Predictor, Skip, Start, configuration_hash
+from st_core.timeseries import NANOSECOND
 from st_core.types import InputSequence, InsSample, Trajectory
 from st_msgs.msg import PlannedPrediction, Prediction, PredictorStatus
 from st_ros import diagnostics, parameters, spin
