@@ -1,4 +1,4 @@
-"""Recent measurements: INS and steering on one time axis with the filtered forward acceleration, and two of their faults.
+"""Recent measurements: INS and steering on one time axis with filtered forward acceleration, and two of their faults.
 
 Position jump: a displacement between two samples that the integrated velocity does not explain,
 

@@ -85,6 +85,7 @@ class Evaluator:
         self._span_ns = round(span / NANOSECOND)
         self.history = MeasurementHistory(span, self.settings.maximum_gap, self.settings.filter_cutoff)
         self._views = {m.name: ModelView(m, vehicle, self.history) for m in (*MODELS.values(), *models)}
+        self._correcting_views = [view for view in self._views.values() if view.corrects_samples]
         self._ahead_ns = max(view.ahead_ns for view in self._views.values())
         self._waiting: dict[tuple[int, int, float], list[_Pending]] = {}
         self._overtaken: list[Score] = []
@@ -97,7 +98,7 @@ class Evaluator:
     def add_ins(self, sample: InsSample) -> bool:
         """Take an INS sample; False if it was refused. When its time jumps back, what was waiting ends incomplete."""
         generation = self.history.generation
-        for view in self._views.values():
+        for view in self._correcting_views:
             view.add_ins(sample)
         accepted = self.history.add_ins(sample)
         if self.history.generation != generation:
@@ -106,7 +107,7 @@ class Evaluator:
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
         """Take a road wheel angle [rad], left +; False if it was refused."""
-        for view in self._views.values():
+        for view in self._correcting_views:
             view.add_steering(time_ns, road_wheel_angle)
         return self.history.add_steering(time_ns, road_wheel_angle)
 

@@ -33,8 +33,9 @@ from .vehicle import VehicleParameters
 class ModelView:
     """A MeasurementHistory, shared between models, as one model uses it.
 
-    A model that corrects the INS has a history of its own, filled by `add_ins` and `add_steering` in parallel with the
-    shared one. vehicle: as in its file. Raises ConfigurationError if the model needs a quantity not measured live.
+    A model that corrects the samples has a history of its own, filled by `add_ins` and `add_steering` in parallel with
+    the shared one; other views need no samples. vehicle: as in its file. Raises ConfigurationError if the model needs a
+    quantity not measured live.
     """
 
     def __init__(self, model: Model, vehicle: VehicleParameters, shared: MeasurementHistory):
@@ -47,8 +48,8 @@ class ModelView:
         self._vehicle = vehicle
         self.plain = not isinstance(model, AugmentedModel)
         self.has_memory = has_memory(model)
-        self._has_sensors = isinstance(model, AugmentedModel) and model.has_sensors
-        self._history = shared.for_corrected_samples() if self._has_sensors else shared
+        self.corrects_samples = isinstance(model, AugmentedModel) and model.has_sensors
+        self._history = shared.for_corrected_samples() if self.corrects_samples else shared
         self.ahead_ns = ahead_ns(model)
 
     @staticmethod
@@ -57,14 +58,12 @@ class ModelView:
         return span + MEMORY if any(has_memory(model) for model in models) else span
 
     def add_ins(self, sample: InsSample) -> None:
-        """Add an INS sample that was added to the shared history."""
-        if self._has_sensors:
-            self._history.add_ins(corrected_sample(self.model, sample))
+        """Correct an INS sample and add it to the history of a model with `corrects_samples`."""
+        self._history.add_ins(corrected_sample(self.model, sample))
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> None:
-        """Add a road wheel angle [rad] that was added to the shared history."""
-        if self._has_sensors:
-            self._history.add_steering(time_ns, road_wheel_angle)
+        """Add a road wheel angle [rad] to the history of a model with `corrects_samples`."""
+        self._history.add_steering(time_ns, road_wheel_angle)
 
     def start(self, time_ns: int, steps: int, step: float) -> tuple[VehicleState, ControlInput | InputSequence]:
         """State at the model's CG and inputs of a forecast with constant steering wheel angle and acceleration.

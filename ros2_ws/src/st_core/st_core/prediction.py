@@ -161,6 +161,7 @@ class Predictor:
         span = ModelView.span(found, span)
         self.history = MeasurementHistory(span, self.settings.maximum_gap, self.settings.filter_cutoff)
         self._views = {model.name: ModelView(model, vehicle, self.history) for model in found}
+        self._correcting_views = [view for view in self._views.values() if view.corrects_samples]
         self._frozen = FrozenSteeringDetector(vehicle)
 
     @property
@@ -182,14 +183,14 @@ class Predictor:
 
     def add_ins(self, sample: InsSample) -> bool:
         """Take an INS sample; False if it was refused (see MeasurementHistory)."""
-        for view in self._views.values():
+        for view in self._correcting_views:
             view.add_ins(sample)
         self._frozen.add_ins(sample)
         return self.history.add_ins(sample)
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
         """Take a road wheel angle [rad], left +; False if it was refused."""
-        for view in self._views.values():
+        for view in self._correcting_views:
             view.add_steering(time_ns, road_wheel_angle)
         self._frozen.add_steering(time_ns, road_wheel_angle)
         return self.history.add_steering(time_ns, road_wheel_angle)
