@@ -1,6 +1,6 @@
 """Bands on runs they were not learnt from: coverage, worst cell, interval score against parametric alternatives.
 
-ST_BANDS=genesis, virtual, manoeuvres, mended or changes: that part only. Each replaces its rows of
+ST_BANDS=genesis, virtual, manoeuvres, mended, changes or adaptive: that part only. Each replaces its rows of
 docs/measurements/bands.md.
 """
 
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from _band_adaptive import Drive, Score, drive_of, session
 from _band_changes import changes
 from _band_mended import mended as mended_files
 from _band_mended import read_again
@@ -41,7 +42,7 @@ DAYS = {
 SITES = {"Richmond": DAYS["2019-10-18"] + DAYS["2019-11-27"],
          "proving ground": DAYS["2018-08-20"] + DAYS["2018-08-22"] + DAYS["June 2019"]}
 OTHER_POINT = ("rear_ref_rfs_1", "rear_ref_rfs_2", "rear_ref_rfs_3", "rear_ref_rfs_lanekeeping")
-SEEDS, OF_A_MANOEUVRE, FOLDS, TO_MEND = 32, 4, 4, 6
+SEEDS, OF_A_MANOEUVRE, OF_A_SESSION, FOLDS, TO_MEND = 32, 4, 8, 4, 6
 MANOEUVRES = ("SWEEP", "STEPS", "SLALOM", "WEAVE", "LIMIT", "BRAKING", "ORDINARY", "CIRCLE")
 OFF = {"friction_factor": 0.75, "steering_offset": 0.01, "mass_factor": 1.1}
 """What is off on the car whose vehicle file is not."""
@@ -56,13 +57,13 @@ CALIBRATED = ("conformal",)
 def run() -> dict:
     """Figures of one model and question a row."""
     parts = {"genesis": genesis, "virtual": virtual, "manoeuvres": by_manoeuvre, "mended": mended,
-             "changes": changed_mid_drive}
+             "changes": changed_mid_drive, "adaptive": adaptive}
     chosen = os.environ.get("ST_BANDS")
     found: dict[str, Row] = {}
     for name, part in parts.items():
         if chosen in (None, name):
             rows = part()
-            if name != "changes" and rows:
+            if name not in ("changes", "adaptive") and rows:
                 write(rows)
             found |= rows
     return found
@@ -74,6 +75,51 @@ def changed_mid_drive() -> dict[str, Row]:
     shown = [row for row in rows if row["question"] == "hindsight" or row["median delay"] != "none"]
     renew(PAGE, "changes in mid-drive", "\n".join(table(shown)) + "\n")
     return {", ".join(list(row.values())[:4]): row for row in rows}
+
+
+def adaptive() -> dict[str, Row]:
+    """Adaptive bands of the linear model: drives of the Genesis by day, by site and with the INS at the rear axle, each
+    started with bands of the others or without; and a session of each manoeuvre with bands of the other manoeuvres.
+    """
+    here = world()
+    kinds = {kind: tuple(f"{kind} {k}" for k in range(OF_A_SESSION)) for kind in MANOEUVRES}
+    logs = {names[k]: here.drive(kind, k, here.healthy, kind) for kind, names in kinds.items()
+            for k in range(OF_A_SESSION)}
+    runs = {name: samples(log, here.file, ("linear",)) for name, log in logs.items()}
+    drives = {name: drive_of(log, here.file, "linear", SETTINGS) for name, log in logs.items()}
+    sessions = {kind: [session(kind, [drives[name] for name in names])] for kind, names in kinds.items()}
+    sets = [("virtual, by manoeuvre", runs, kinds, sessions)]
+    real = _genesis_logs()
+    if real is not None:
+        car, logs = real
+        runs = {name: samples(log, car, ("linear",)) for name, log in logs.items()}
+        drives = {name: drive_of(log, car, "linear", SETTINGS) for name, log in logs.items()}
+        others = {name: one for name, one in runs.items() if name not in OTHER_POINT}
+        for title, groups, known in (("Genesis, by day", DAYS, others), ("Genesis, by site", SITES, others),
+                                     ("Genesis, INS at the rear axle", {"rear": OTHER_POINT}, others)):
+            sets.append((title, known, groups, {key: [drives[n] for n in names] for key, names in groups.items()}))
+        sets.append(("Genesis, no file", {}, {"all": ()}, {"all": list(drives.values())}))
+    rows = [row for one in sets for row in _adaptive_rows(*one)]
+    renew(PAGE, "adaptive bands", "\n".join(table(rows)) + "\n")
+    return {f"{row['held out']}, {row['question']}": row for row in rows}
+
+
+def _adaptive_rows(title: str, runs: Runs, groups: Mapping[str, Sequence[str]],
+                   new: Mapping[str, Sequence[Drive]]) -> list[Row]:
+    """runs: to calibrate from, without those of the group; none: no file."""
+    rows = []
+    for question in (("linear", mode) for mode in MODES):
+        score = Score(TIME, question)
+        for group, names in groups.items():
+            known = [one for name, one in runs.items() if name not in names]
+            levels = [level for level in LEVELS if known and level <= highest_level(len(known))]
+            band = calibrate(known, question, TIME, levels) if levels else None
+            domain = CalibrationDomain.of([one.conditions for one in known]) if levels else None
+            for drive in new[group]:
+                score.add(drive, band, domain)
+        rows.append({"held out": title, "question": question[1]} | score.cells(bool(runs)))
+        print(rows[-1], flush=True)
+    return rows
 
 
 def genesis() -> dict[str, Row]:
@@ -263,6 +309,11 @@ def _folds(runs: Runs) -> dict[int, list[str]]:
 
 def _genesis_runs() -> dict[str, RunSamples] | None:
     """All drives but the one that was projected wrongly."""
+    found = _genesis_logs()
+    return found and {name: samples(log, found[0], MODELS) for name, log in found[1].items()}
+
+
+def _genesis_logs() -> tuple[VehicleParameters, dict[str, DriveLog]] | None:
     data = Path(os.environ.get("ST_SHARED", project_root().parent / "shared")) / "data"
     folders = [data / name for name in ("hyundai_genesis_oxts", "hyundai_genesis_more")]
     if not all(folder.exists() for folder in folders):
@@ -270,4 +321,4 @@ def _genesis_runs() -> dict[str, RunSamples] | None:
     file = config("vehicle/hyundai_genesis.yaml")
     car = VehicleParameters.from_yaml(file.read_text(), str(file))
     sources = [source for source in find_runs(folders) if not source.name.startswith("wrong_projection")]
-    return {source.name: samples(read(source, car).log, car, MODELS) for source in sources}
+    return car, {source.name: read(source, car).log for source in sources}

@@ -1,0 +1,103 @@
+"""Adaptive bands in order of time, each drive starting from bands of the others: coverage and width."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from st_core.bands import AdaptiveBand, Band, CalibrationDomain, conditions_at, to_predicted_frame
+from st_core.log import DriveLog
+from st_core.log_evaluation import EvaluationSettings, evaluate_blocks, regular_starts, usable_starts
+from st_core.models import get_model
+from st_core.vehicle import VehicleParameters
+
+INTERVAL = 0.1  # s between starts, as live
+SETTLED = 120.0  # s after the first start: coverage from then on is counted apart
+FEWEST_SETTLED = 300  # starts after that, for a drive to have a coverage of its own
+PAUSE_NS = 6_000_000_000  # between the drives of a session
+LEVELS = (0.9, 0.5)
+
+Question = tuple[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """Every start of a drive. starts_ns: (n,). conditions: (n, 4). errors: (n, points, 3) by question."""
+
+    name: str
+    starts_ns: np.ndarray
+    conditions: np.ndarray
+    errors: Mapping[Question, np.ndarray]
+
+
+def drive_of(log: DriveLog, vehicle: VehicleParameters, model: str, settings: EvaluationSettings) -> Drive:
+    signals = settings.signals(log)
+    starts, _ = usable_starts(signals, vehicle, regular_starts(log, INTERVAL), settings.prediction.minimum_speed)
+    times, errors = [], {}
+    for rows, block in evaluate_blocks([get_model(model)], vehicle, signals, starts, settings):
+        times.append(starts[rows])
+        for question, values in block.errors.items():
+            errors.setdefault(question, []).append(to_predicted_frame(values[:, 1:]).astype(np.float32))
+    starts = np.concatenate(times)
+    return Drive(log.name, starts, conditions_at(signals, starts), {q: np.concatenate(e) for q, e in errors.items()})
+
+
+def session(name: str, drives: Sequence[Drive]) -> Drive:
+    """Drives one after the other, as one."""
+    begin, times = 0, []
+    for drive in drives:
+        times.append(drive.starts_ns - drive.starts_ns[0] + begin)
+        begin = int(times[-1][-1]) + PAUSE_NS
+    return Drive(name, np.concatenate(times), np.concatenate([drive.conditions for drive in drives]),
+                 {q: np.concatenate([drive.errors[q] for drive in drives]) for q in drives[0].errors})
+
+
+class Score:
+    """Coverage and interval score of adaptive bands over drives, each from the start: calibrated, or without a file."""
+
+    def __init__(self, time: np.ndarray, question: Question):
+        self._time, self._question = time, question
+        self._parts: dict[float, list[tuple[np.ndarray, ...]]] = {level: [] for level in LEVELS}
+        self._settled: dict[float, list[float]] = {level: [] for level in LEVELS}
+
+    def add(self, drive: Drive, band: Band | None = None, domain: CalibrationDomain | None = None) -> None:
+        """domain: conditions under which the calibrated band holds."""
+        rows = np.isfinite(drive.conditions).all(axis=1)
+        if domain is not None:
+            rows[rows] = domain(drive.conditions[rows])
+        adaptive = AdaptiveBand(self._time, band, sorted(LEVELS))
+        errors, initial = drive.errors[self._question][rows].astype(float), adaptive.factors
+        factors, scales = adaptive.follow(drive.starts_ns[rows], drive.conditions[rows], errors)
+        scored = np.isfinite(errors).all(axis=(1, 2))
+        settled = (drive.starts_ns[rows] - drive.starts_ns[0]) * 1e-9 >= SETTLED
+        if band is None:  # no band is stated before
+            scored &= settled
+        size, scale = np.abs(errors[scored]), scales[scored]
+        highest = (size / scale).max(axis=(1, 2), initial=0.0)
+        for level in LEVELS:
+            factor = factors[level][scored]
+            self._parts[level].append((factor, np.full(len(factor), initial[level]), highest,
+                                       size[:, 4::5, :2], scale[:, 4::5, :2]))
+            late = (highest <= factor)[settled[scored]]
+            if len(late) >= FEWEST_SETTLED:
+                self._settled[level].append(float(late.mean()))
+
+    def cells(self, calibrated: bool = True) -> dict[str, str]:
+        """By level: coverage fixed and adaptive, worst drive once settled, and the score against fixed bands that are
+        scaled, by one factor, to the coverage of the adaptive ones."""
+        cells = {}
+        for level in LEVELS:
+            factor, initial, highest, size, scale = map(np.concatenate, zip(*self._parts[level], strict=True))
+            coverage, name = float((highest <= factor).mean()), f"{100.0 * level:.0f} %"
+            equal = initial * float(np.quantile(highest / initial, coverage))
+            ratio = _interval_score(factor, size, scale, level) / _interval_score(equal, size, scale, level)
+            fixed = f"{100.0 * (highest <= initial).mean():.1f}" if calibrated else "-"
+            cells[f"{name}: fixed, adaptive"] = f"{fixed}, {100.0 * coverage:.1f}"
+            cells[f"{name}: worst drive"] = f"{100.0 * min(self._settled[level]):.1f}" if self._settled[level] else "-"
+            cells[f"{name}: score"] = f"{ratio:.2f}" if calibrated else "-"
+        return cells
+
+
+def _interval_score(factor: np.ndarray, size: np.ndarray, scale: np.ndarray, level: float) -> float:
+    """Mean of 2 h + 2 / (1 - level) max(|e| - h, 0), along and across [m]; Gneiting and Raftery 2007."""
+    half_width = factor[:, None, None] * scale
+    return float((2.0 * half_width + 2.0 / (1.0 - level) * np.maximum(size - half_width, 0.0)).mean())
