@@ -1,4 +1,4 @@
-"""Predictions and scores in a recording, as arrays: output of the live nodes, and their configuration."""
+"""Predictions and scores in recordings as arrays, and the configuration that the live nodes recorded."""
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,15 +19,17 @@ from .runs.cdr import field_of, typestore
 
 PREDICTION, ERROR = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
 PLANNED = "st_msgs/msg/PlannedPrediction"
-STATE = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
-A_JUMP = "position jumps"  # in the same reason (alignment.MeasurementHistory)
-THE_END = ": ends "  # in the evaluator's reason when a signal has no later sample (timeseries.TimeSeries.why_unknown)
+STATE_FIELDS = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
+# Parts of the evaluator's reason for an incomplete score (st_core: MeasurementHistory, TimeSeries.why_unknown).
+JUMP_REASON = "position jumps"
+END_REASON = ": ends "  # a signal has no later sample
 Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
 class Predictions:
-    """Of one model: start times (n,) rising, states (n, points, 6) at the CG, step [s], configuration hashes met."""
+    """Predictions of one model: start times (n,) rising, states (n, points, 6) at the CG, step [s], configuration
+    hashes."""
 
     starts_ns: np.ndarray
     states: np.ndarray
@@ -37,25 +39,25 @@ class Predictions:
 
 @dataclass(frozen=True, eq=False)
 class PlannedPredictions(Predictions):
-    """With inputs of a plan or course (n, 2 * points - 1) on the half-step grid: road wheel angle [rad], velocity_x_dot
-    [m/s^2]."""
+    """Predictions with the inputs of a plan or course, (n, 2 * points - 1) on the half-step grid: road wheel angle
+    [rad] and velocity_x_dot [m/s^2]."""
 
     road_wheel_angle: np.ndarray
     velocity_x_dot: np.ndarray
 
     def inputs_at(self, starts_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The inputs of each start (n,) [ns]; NaN for a start without."""
+        """The two inputs for given start times (n,) [ns]; NaN for a start without a prediction."""
         place = np.searchsorted(self.starts_ns, starts_ns).clip(max=len(self.starts_ns) - 1)
-        known = (self.starts_ns[place] == starts_ns)[:, None]
-        return (np.where(known, self.road_wheel_angle[place], np.nan),
-                np.where(known, self.velocity_x_dot[place], np.nan))
+        found = (self.starts_ns[place] == starts_ns)[:, None]
+        return (np.where(found, self.road_wheel_angle[place], np.nan),
+                np.where(found, self.velocity_x_dot[place], np.nan))
 
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Of one model and mode: start times (n,), errors (n, points, 3), complete (n,).
+    """Scores of one model and mode: start times (n,), errors (n, points, 3), complete (n,).
 
-    cut: (n,) incomplete because the evaluator was ended before the horizon was over. jumped: (n,) incomplete because
+    cut: (n,) incomplete because the evaluator was stopped before the horizon was over. jumped: (n,) incomplete because
     the position jumps within it.
     """
 
@@ -66,24 +68,21 @@ class Scores:
     jumped: np.ndarray
 
     def at(self, starts_ns: np.ndarray) -> "Scores":
-        """Those of the given start times [ns]."""
-        kept = np.isin(self.starts_ns, starts_ns)
-        return Scores(self.starts_ns[kept], self.errors[kept], self.complete[kept], self.cut[kept], self.jumped[kept])
+        """The scores of the given start times [ns]."""
+        rows = np.isin(self.starts_ns, starts_ns)
+        return Scores(self.starts_ns[rows], self.errors[rows], self.complete[rows], self.cut[rows], self.jumped[rows])
 
 
 @dataclass(frozen=True)
 class RecordedConfiguration:
-    """Configuration of a recording; None for what it does not include.
-
-    vehicle: text of the vehicle file. nodes: parameters by node.
-    """
+    """Configuration in a recording. vehicle: text of the vehicle file, None without one. nodes: parameters by node."""
 
     vehicle: str | None
     nodes: Mapping[str, Mapping[str, Any]]
 
 
 def recorded_configuration(records: Mapping[str, Mapping[str, str]]) -> RecordedConfiguration:
-    """From the metadata records of a recording (runs.bag.BagDrive.records)."""
+    """The configuration in the metadata records of a recording (runs.bag.BagDrive.records)."""
     nodes = parameters(records)
     vehicle = text_of(records, str(nodes.get("predictor", {}).get("vehicle_file", "")))
     return RecordedConfiguration(vehicle or records.get("configuration", {}).get("vehicle"), nodes)
@@ -91,8 +90,8 @@ def recorded_configuration(records: Mapping[str, Mapping[str, str]]) -> Recorded
 
 def configuration_of(records: Mapping[str, Mapping[str, str]],
                      vehicle: Path | None) -> tuple[VehicleParameters, RecordedConfiguration, str]:
-    """(vehicle, recorded configuration, name of where the vehicle comes from): of the file given, else of the
-    recording, else config/car/leaf/vehicle.yaml. Raises RunError, ConfigurationError.
+    """(vehicle, recorded configuration, where the vehicle comes from): the file given, else the recording, else
+    config/car/leaf/vehicle.yaml. Raises RunError, ConfigurationError.
     """
     recorded = recorded_configuration(records)
     if vehicle is None and recorded.vehicle is not None:
@@ -102,58 +101,61 @@ def configuration_of(records: Mapping[str, Mapping[str, str]],
 
 
 def read_predictions(bag: Path, progress: Progress | None = None) -> dict[str, Predictions]:
-    """By model; empty for a recording without any. Raises RunError for predictions of unequal length."""
-    return {model: Predictions(starts, states, step, hashes)
-            for model, (starts, states, step, hashes) in _read(bag, PREDICTION, (), progress).items()}
+    """Predictions by model; empty for a recording without any. Raises RunError for predictions of unequal length."""
+    return {model: Predictions(*columns) for model, columns in _read_by_model(bag, PREDICTION, (), progress).items()}
 
 
 def read_planned(bag: Path, mode: str, progress: Progress | None = None) -> dict[str, PlannedPredictions]:
     """Predictions of mode plan or course by model, as `read_predictions`."""
-    return {model: PlannedPredictions(*columns) for model, columns in
-            _read(bag, PLANNED, ("road_wheel_angle", "velocity_x_dot"), progress, f"/{mode}").items()}
+    inputs = ("road_wheel_angle", "velocity_x_dot")
+    return {model: PlannedPredictions(*columns)
+            for model, columns in _read_by_model(bag, PLANNED, inputs, progress, f"/{mode}").items()}
 
 
-def _read(bag: Path, type_name: str, more: Sequence[str], progress: Progress | None,
-          topic: str = "") -> dict[str, list[Any]]:
-    """By model: [starts_ns, states, step, hashes, *arrays of the fields `more`]. topic: end of the names."""
+def _read_by_model(bag: Path, type_name: str, input_fields: Sequence[str], progress: Progress | None,
+                   topic_end: str = "") -> dict[str, list[Any]]:
+    """Model -> [starts_ns, states, step, hashes, *arrays of the input fields]."""
     rows = defaultdict[str, dict[int, list[np.ndarray]]](dict)
     steps, hashes = defaultdict[str, set[float]](set), defaultdict[str, set[str]](set)
-    for message in _messages([bag], type_name, progress, topic):
-        states = np.stack([getattr(message, name) for name in STATE], axis=-1)
-        rows[message.model][field_of(message, "header.stamp")] = [states, *(getattr(message, name) for name in more)]
+    for message in read_messages([bag], type_name, progress, topic_end):
+        states = np.stack([getattr(message, name) for name in STATE_FIELDS], axis=-1)
+        rows[message.model][field_of(message, "header.stamp")] = [
+            states, *(getattr(message, name) for name in input_fields)]
         steps[message.model].add(float(message.step))
         hashes[message.model].add(message.configuration_hash)
-    found = {}
+    by_model = {}
     for model, entries in rows.items():
         if len(steps[model]) > 1 or len({len(arrays[0]) for arrays in entries.values()}) > 1:
             raise RunError(bag, f"predictions of {model} with different horizons or steps are in it")
         starts = sorted(entries)
-        states, *others = (np.stack(column) for column in zip(*(entries[s] for s in starts), strict=True))
-        found[model] = [np.array(starts, np.int64), states, steps[model].pop(), frozenset(hashes[model]), *others]
-    return found
+        states, *inputs = (np.stack(column) for column in zip(*(entries[s] for s in starts), strict=True))
+        by_model[model] = [np.array(starts, np.int64), states, steps[model].pop(), frozenset(hashes[model]), *inputs]
+    return by_model
 
 
 def read_scores(bags: Sequence[Path], progress: Progress | None = None) -> dict[tuple[str, str], Scores]:
-    """By model and mode, of all the bags together; one start scored twice is kept once."""
+    """Scores by model and mode, of all bags together; a start scored twice is kept once."""
     rows = defaultdict[tuple[str, str], dict[int, tuple[np.ndarray, bool, bool, bool]]](dict)
-    for message in _messages(bags, ERROR, progress):
+    for message in read_messages(bags, ERROR, progress):
         errors = np.stack([message.longitudinal, message.lateral, message.yaw], axis=-1)
         reason = message.incomplete_reason
         rows[message.model, message.mode][field_of(message, "header.stamp")] = (
-            errors, bool(message.complete), THE_END in reason, A_JUMP in reason)
-    found = {}
+            errors, bool(message.complete), END_REASON in reason, JUMP_REASON in reason)
+    scores = {}
     for key, entries in rows.items():
         starts = sorted(entries)
         errors, *flags = zip(*(entries[start] for start in starts), strict=True)
-        found[key] = Scores(np.array(starts, np.int64), np.stack(errors), *map(np.array, flags))
-    return found
+        scores[key] = Scores(np.array(starts, np.int64), np.stack(errors), *map(np.array, flags))
+    return scores
 
 
-def _messages(bags: Sequence[Path], type_name: str, progress: Progress | None, topic: str = "") -> Iterator[Any]:
+def read_messages(bags: Sequence[Path], type_name: str, progress: Progress | None = None,
+                  topic_end: str = "") -> Iterator[Any]:
+    """Yields the messages of a type, of topics whose name ends so. progress: called with messages read, and all."""
     store = typestore(definitions())
     for bag in bags:
         storage = open_bag(bag)
-        topics = [t for t in storage.topics() if t.type_name == type_name and t.count and t.name.endswith(topic)]
+        topics = [t for t in storage.topics() if t.type_name == type_name and t.count and t.name.endswith(topic_end)]
         total = sum(t.count for t in topics)
         messages = chain.from_iterable(storage.messages(t.name) for t in topics)
         for done, data in enumerate(messages, 1):

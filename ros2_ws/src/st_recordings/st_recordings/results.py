@@ -1,28 +1,29 @@
-"""Results of a run, read without ROS: measured track, scores, tick counts, coverage of bands; and its summary.json."""
+"""Results of a run folder, read without ROS: measured track, scores, tick counts, band coverage; and summary.json."""
 
 import importlib.metadata
 import json
 import platform
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from st_core.evaluation import Statistic
 
 from .paths import json_ready, source_version
+from .recorded import ERROR, read_messages
 from .runs.bag import definitions, numbers, open_bag
 from .runs.bag_storage import Storage
 from .runs.cdr import field_of, typestore
 from .runs.ins_log import yaw_of
 
 MODES = ("forecast", "hindsight")
-SEGMENTS = 6  # predictions drawn on the map
-ODOMETRY, STATUS, ERRORS = "/ins/odometry", "/predictor/status", "/evaluator/errors"
-ERROR = "st_msgs/msg/PredictionError"
-_MEAN_FIELDS = ("header.stamp", "complete", "longitudinal_mean", "lateral_mean", "yaw_mean")
+DRAWN_STARTS = 6  # whose predictions are drawn on the map
+ODOMETRY_TOPIC, STATUS_TOPIC, SUMMARY_TOPIC = "/ins/odometry", "/predictor/status", "/evaluator/summary"
+BAND_LABELS = {"forecast": "forecast", "hindsight": "model", "course": "course", "plan": "plan"}
+"""Mode of a score -> what the user reads, in the order of the report."""
 
 
 @dataclass(frozen=True)
@@ -37,9 +38,9 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class MeanErrors:
-    """Scores of one model and mode in order of their start: start_ns (n,), complete (n,), means over the horizon (n,).
+    """Scores of one model and mode, in order of their start.
 
-    longitudinal, lateral in m, yaw in rad; NaN where not complete.
+    start_ns, complete: (n,). longitudinal, lateral [m], yaw [rad]: (n,) means over the horizon, NaN where not complete.
     """
 
     start_ns: np.ndarray
@@ -58,24 +59,12 @@ class Segment:
     lateral: np.ndarray
 
 
-SUMMARY, TYPE = "/evaluator/summary", "st_msgs/msg/ErrorSummary"
-QUESTIONS = {"forecast": "forecast", "hindsight": "model", "course": "course", "plan": "plan"}
-
-
-class BandCounts(Protocol):
-    """Coverage of the bands of one model and mode (st_msgs/ErrorSummary)."""
-
-    model: str
-    mode: str
-    n_bands: int
-    coverage_50: float
-    coverage_90: float
-
-
 @dataclass(frozen=True)
 class Results:
-    """scores: by model and mode. segments: of SEGMENTS starts spread over the run, by model and start.
-    bands: how often they held, where there were some.
+    """What a run folder holds.
+
+    scores: by model and mode. segments: by model and start [ns UTC], of DRAWN_STARTS starts spread over the run.
+    bands: statistics of st_msgs/ErrorSummary in which predictions with bands were counted.
     """
 
     track: Track
@@ -83,7 +72,7 @@ class Results:
     segments: dict[tuple[str, int], Segment]
     ticks: dict[str, Any]
     configuration_hash: str
-    bands: list[BandCounts] = field(default_factory=list)
+    bands: list[Any] = field(default_factory=list)
 
     def models(self) -> list[str]:
         return list(dict.fromkeys(model for model, _ in self.scores))
@@ -93,33 +82,34 @@ class Results:
 
 
 def read_results(folder: Path) -> Results:
-    """Read bag/ and errors/ of a run folder. Only what is drawn is kept of the errors over the horizons."""
+    """Reads bag/ and errors/ of a run folder. Of the errors over the horizons, only those to be drawn are kept."""
     bag, errors = open_bag(folder / "bag"), open_bag(folder / "errors")
-    scores, configuration = _scores(errors)
-    summary = _last(errors, SUMMARY, TYPE)
-    return Results(_track(folder / "bag", bag), scores, _segments(errors, scores), _ticks(bag), configuration,
-                   [row for row in summary.statistics if row.n_bands] if summary else [])
+    scores, configuration_hash = _read_scores(folder / "errors")
+    summary = _last_message(errors, SUMMARY_TOPIC, "st_msgs/msg/ErrorSummary")
+    bands = [row for row in summary.statistics if row.n_bands] if summary else []
+    return Results(_read_track(folder / "bag", bag), scores, _read_segments(folder / "errors", scores),
+                   _read_ticks(bag), configuration_hash, bands)
 
 
-def _track(path: Path, bag: Storage) -> Track:
-    point = [f"pose.pose.position.{k}" for k in "xy"]
-    turn = [f"pose.pose.orientation.{k}" for k in "xyzw"]
-    topic = next((t for t in bag.topics() if t.name == ODOMETRY and t.count), None)
+def _read_track(path: Path, bag: Storage) -> Track:
+    topic = next((t for t in bag.topics() if t.name == ODOMETRY_TOPIC and t.count), None)
     if topic is None:
         return Track(np.empty(0, np.int64), *(np.empty(0),) * 3)
-    values = numbers(path, bag, topic, ["header.stamp", *point, *turn], typestore(definitions()))
-    x, y = (values[name] for name in point)
-    return Track(values["header.stamp"], x, y, np.unwrap(yaw_of(*(values[name] for name in turn))))
+    position = [f"pose.pose.position.{axis}" for axis in "xy"]
+    quaternion = [f"pose.pose.orientation.{axis}" for axis in "xyzw"]
+    values = numbers(path, bag, topic, ["header.stamp", *position, *quaternion], typestore(definitions()))
+    yaw = np.unwrap(yaw_of(*(values[name] for name in quaternion)))
+    return Track(values["header.stamp"], *(values[name] for name in position), yaw)
 
 
-def _last(bag: Storage, topic: str, type_name: str) -> Any:
+def _last_message(bag: Storage, topic: str, type_name: str) -> Any:
     """The last message of a topic; None without one."""
     last = deque(bag.messages(topic), maxlen=1)
     return typestore(definitions()).deserialize_cdr(last[0], type_name) if last else None
 
 
-def _ticks(bag: Storage) -> dict[str, Any]:
-    status = _last(bag, STATUS, "st_msgs/msg/PredictorStatus")
+def _read_ticks(bag: Storage) -> dict[str, Any]:
+    status = _last_message(bag, STATUS_TOPIC, "st_msgs/msg/PredictorStatus")
     if status is None:
         return {"due": 0, "predicted": 0, "skipped": 0}
     skipped = {"stale": status.skipped_stale, "overrun": status.skipped_overrun, "slow": status.skipped_slow}
@@ -127,33 +117,31 @@ def _ticks(bag: Storage) -> dict[str, Any]:
             "skipped_by_reason": skipped}
 
 
-def _scores(errors: Storage) -> tuple[dict[tuple[str, str], MeanErrors], str]:
-    """(scores, the configuration hash of the last one)."""
-    rows: dict[tuple[str, str], list[tuple[int, bool, float, float, float]]] = {}
-    configuration = ""
-    for message in _messages(errors):
-        configuration = message.configuration_hash
-        row: Any = tuple(field_of(message, name) for name in _MEAN_FIELDS)
-        rows.setdefault((message.model, message.mode), []).append(row)
+def _read_scores(errors: Path) -> tuple[dict[tuple[str, str], MeanErrors], str]:
+    """(scores, configuration hash of the last one)."""
+    rows: dict[tuple[str, str], list[tuple[Any, ...]]] = {}
+    configuration_hash = ""
+    for message in read_messages([errors], ERROR):
+        configuration_hash = message.configuration_hash
+        rows.setdefault((message.model, message.mode), []).append(
+            (field_of(message, "header.stamp"), message.complete,
+             message.longitudinal_mean, message.lateral_mean, message.yaw_mean))
     scores = {}
     for key, entries in rows.items():
-        start_ns, complete, *means = zip(*sorted(entries), strict=True)
-        scores[key] = MeanErrors(np.array(start_ns, np.int64), np.array(complete), *(np.array(m) for m in means))
-    return scores, configuration
+        start_ns, *others = zip(*sorted(entries), strict=True)
+        scores[key] = MeanErrors(np.array(start_ns, np.int64), *map(np.array, others))
+    return scores, configuration_hash
 
 
-def _messages(errors: Storage) -> Iterator[Any]:
-    store = typestore(definitions())
-    return (store.deserialize_cdr(data, ERROR) for data in errors.messages(ERRORS))
-
-
-def _segments(errors: Storage, scores: dict[tuple[str, str], MeanErrors]) -> dict[tuple[str, int], Segment]:
-    """Of evenly spread starts that every model completed in hindsight."""
+def _read_segments(errors: Path, scores: dict[tuple[str, str], MeanErrors]) -> dict[tuple[str, int], Segment]:
+    """Segments of evenly spread starts that every model completed in hindsight."""
     complete = [set(s.start_ns[s.complete].tolist()) for (_, mode), s in scores.items() if mode == "hindsight"]
     common = sorted(set.intersection(*complete)) if complete else []
-    starts = {common[i] for i in np.linspace(0, len(common) - 1, SEGMENTS).round().astype(int)} if common else set()
+    if not common:
+        return {}
+    starts = {common[i] for i in np.linspace(0, len(common) - 1, DRAWN_STARTS).round().astype(int)}
     segments = {}
-    for message in _messages(errors) if starts else ():
+    for message in read_messages([errors], ERROR):
         start_ns = field_of(message, "header.stamp")
         if start_ns in starts and message.mode == "hindsight":
             segments[message.model, start_ns] = Segment(start_ns + message.horizon * 1e9, message.longitudinal,
@@ -167,32 +155,11 @@ def summarise(results: Results, about: dict[str, Any]) -> dict[str, Any]:
     for model in results.models():
         modes = [*MODES, *(mode for name, mode in results.scores if name == model and mode not in MODES)]
         models[model] = {mode: _statistics(results.scores.get((model, mode))) for mode in modes}
-    for row in results.bands:  # shares are null where nothing was counted
+    for row in results.bands:  # coverage is null where nothing was counted
         models[row.model][row.mode]["bands"] = {"n": int(row.n_bands)} | json_ready(
             {"0.5": row.coverage_50, "0.9": row.coverage_90})
     return {**about, "models": models, "ticks": results.ticks, "configuration_hash": results.configuration_hash,
             "versions": versions()}
-
-
-def write_summary(path: Path, summary: dict[str, Any]) -> None:
-    """Writes the file whole or, on a full disk, not at all."""
-    part = path.with_name(f"{path.name}.part")
-    try:
-        part.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n")
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
-
-
-def versions() -> dict[str, str]:
-    names = ("numpy", "scipy", "mcap", "rosbags", "cantools", "python-can", "ros-jazzy-rclpy")
-    found = {"source": source_version(), "python": platform.python_version()}
-    for name in names:
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return found
 
 
 def _statistics(scores: MeanErrors | None) -> dict[str, Any]:
@@ -206,15 +173,37 @@ def _statistics(scores: MeanErrors | None) -> dict[str, Any]:
     return result
 
 
-def band_lines(rows: Sequence[BandCounts]) -> list[str]:
-    """Coverage of the published bands as the evaluator counted it, one line for each kind of score with bands."""
-    found = []
-    for mode, question in QUESTIONS.items():
-        of_mode = [row for row in rows if row.mode == mode and row.n_bands]
-        if of_mode:
-            words = ", ".join(f"{row.model} {100 * row.coverage_90:.0f} % | {100 * row.coverage_50:.0f} %"
-                              for row in of_mode)
-            found.append(f"inside the 90 | 50 % band, {question}: {words} of {max(row.n_bands for row in of_mode)}")
+def write_summary(path: Path, summary: dict[str, Any]) -> None:
+    """Writes the file whole or, on a full disk, not at all."""
+    part = path.with_name(f"{path.name}.part")
+    try:
+        part.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n")
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def versions() -> dict[str, str]:
+    """Versions of the suite, of Python and of the installed libraries that results depend on."""
+    found = {"source": source_version(), "python": platform.python_version()}
+    for name in ("numpy", "scipy", "mcap", "rosbags", "cantools", "python-can", "ros-jazzy-rclpy"):
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
     return found
 
 
+def band_lines(rows: Sequence[Any]) -> list[str]:
+    """Coverage of the published bands as the evaluator counted it, one line for each mode with bands.
+
+    rows: statistics of st_msgs/ErrorSummary.
+    """
+    lines = []
+    for mode, label in BAND_LABELS.items():
+        of_mode = [row for row in rows if row.mode == mode and row.n_bands]
+        if of_mode:
+            coverage = ", ".join(f"{row.model} {100 * row.coverage_90:.0f} % | {100 * row.coverage_50:.0f} %"
+                                 for row in of_mode)
+            lines.append(f"inside the 90 | 50 % band, {label}: {coverage} of {max(row.n_bands for row in of_mode)}")
+    return lines

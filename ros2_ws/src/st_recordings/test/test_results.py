@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from st_recordings.mcap import BagWriter
-from st_recordings.results import SEGMENTS, read_results, summarise, write_summary
+from st_recordings.results import DRAWN_STARTS, read_results, summarise, write_summary
 from st_recordings.runs.bag import definitions
 from st_recordings.runs.cdr import typestore
 from st_recordings.runs.errors import RunError
@@ -105,7 +105,7 @@ def test_summary_is_that_of_the_arrays(run_folder: Path) -> None:
 def test_segments_are_those_of_starts_every_model_completed(run_folder: Path) -> None:
     results = read_results(run_folder)
     starts = results.starts_drawn()
-    assert len(starts) == SEGMENTS
+    assert len(starts) == DRAWN_STARTS
     assert starts[0] == T0
     assert starts[-1] == T0 + (STARTS - 1) * 10**8
     assert T0 + LOST * 10**8 not in starts
