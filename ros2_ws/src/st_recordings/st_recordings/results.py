@@ -99,7 +99,7 @@ def _read_track(path: Path, bag: Storage) -> Track:
     quaternion = [f"pose.pose.orientation.{axis}" for axis in "xyzw"]
     values = numbers(path, bag, topic, ["header.stamp", *position, *quaternion], typestore(definitions()))
     yaw = np.unwrap(yaw_of(*(values[name] for name in quaternion)))
-    return Track(values["header.stamp"], *(values[name] for name in position), yaw)
+    return Track(values["header.stamp"], *(values[name] for name in position), yaw=yaw)
 
 
 def _last_message(bag: Storage, topic: str, type_name: str) -> Any:

@@ -1,21 +1,28 @@
-"""CAN frames of a log, or of the messages st_msgs/CanFrames, as columns: a million frames are six arrays."""
+"""CAN frames of a log, or of st_msgs/CanFrames messages, as columns: a million frames are six arrays."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from struct import Struct
 
 import numpy as np
 
-EXTENDED = 0x8000_0000  # in an id, as in canedge_bridge.extraction and in Linux
+EXTENDED = 0x8000_0000  # flag in an id, as in canedge_bridge.extraction and in Linux
 SENT, REMOTE, ERROR, FD = 1, 2, 4, 8  # bits of Frames.flags
+MIN_CLOCK_STEP = 0.005  # s; a smaller step back is jitter of the time stamps, not a clock being set
+# Layout of st_msgs/CanFrames in CDR.
+FRAME_HEAD_LENGTH = 20  # bytes of a frame before its data: stamp, id, four flags, length of the data
+MAX_DATA_LENGTH = 64
+_FRAME_ID_AT = 12  # where the length of the header's frame_id is
+_LENGTH = Struct("<I")
 
 
 @dataclass(frozen=True)
 class Frames:
-    """Frames in order of time. One row per frame:
+    """Frames in order of time, one row per frame.
 
-    time_ns: int64, UTC on the logger's clock. id: uint32, plus EXTENDED for 29-bit ones. length: uint8, bytes.
-    payload: (n, 8) uint8, (n, 64) if there are longer ones; 0 behind the end of the frame. bus: uint8, 0 if not known.
+    time_ns: int64, UTC on the logger's clock. id: uint32, plus EXTENDED for 29-bit ones. payload: (n, 8) uint8, (n, 64)
+    if there are longer ones; 0 after the end of the frame. length: uint8, bytes. bus: uint8, 0 if not known.
     flags: uint8, SENT by the logger | REMOTE | ERROR | FD.
     """
 
@@ -32,38 +39,49 @@ class Frames:
     def select(self, rows: np.ndarray | slice) -> "Frames":
         return Frames(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
-    def shifted(self, time_ns: np.ndarray) -> "Frames":
-        """The same frames with other times."""
-        return replace(self, time_ns=time_ns)
+
+@dataclass(frozen=True)
+class CanLog:
+    """One recording of one logger, in any number of files.
+
+    start_ns: start of the first session by its header, else the first frame. absolute: whether times are UTC (as
+    the logger's clock has it); otherwise they count from the start of the log. warnings: whole sentences.
+    """
+
+    frames: Frames
+    files: tuple[Path, ...]
+    start_ns: int
+    absolute: bool = True
+    warnings: tuple[str, ...] = ()
 
 
-def empty() -> Frames:
+def no_frames() -> Frames:
     return Frames(np.zeros(0, np.int64), np.zeros(0, np.uint32), np.zeros((0, 8), np.uint8),
                   *(np.zeros(0, np.uint8) for _ in range(3)))
 
 
-def in_file_order(parts: Sequence[Frames], order: np.ndarray | slice = slice(None)) -> Frames:
-    """All frames, one part behind the other, whatever their times; then in the given order."""
+def concatenated(parts: Sequence[Frames], order: np.ndarray | slice = slice(None)) -> Frames:
+    """The frames of all parts one after the other, whatever their times; then in the given order."""
     if len(parts) == 1 and isinstance(order, slice):
         return parts[0]
     width = max(p.payload.shape[1] for p in parts)
     parts = [replace(p, payload=np.pad(p.payload, ((0, 0), (0, width - p.payload.shape[1])))) for p in parts]
-    # Column by column: never more than one of them is there a third time.
+    # Column by column, so that only one of them is in memory a third time.
     return Frames(**{f.name: np.concatenate([getattr(p, f.name) for p in parts])[order] for f in fields(Frames)})
 
 
-def joined(parts: Sequence[Frames]) -> Frames:
-    """All frames, in order of time; frames of equal time stay in the order of the parts."""
+def merged(parts: Sequence[Frames]) -> Frames:
+    """The frames of all parts in order of time; frames of equal time stay in the order of the parts."""
     parts = [p for p in parts if len(p)]
     if not parts:
-        return empty()
+        return no_frames()
     time_ns = np.concatenate([p.time_ns for p in parts])
-    rising = not (time_ns[1:] < time_ns[:-1]).any()
-    return in_file_order(parts, slice(None) if rising else np.argsort(time_ns, kind="stable"))
+    is_ordered = not (time_ns[1:] < time_ns[:-1]).any()
+    return concatenated(parts, slice(None) if is_ordered else np.argsort(time_ns, kind="stable"))
 
 
 def without_duplicates(frames: Frames) -> tuple[Frames, int]:
-    """Without frames that are the same as the one before in everything, time included; and how many they were."""
+    """(frames that differ from the one before in time or content, number of the others)."""
     if len(frames) < 2:
         return frames, 0
     same = (frames.time_ns[1:] == frames.time_ns[:-1]) & (frames.id[1:] == frames.id[:-1])
@@ -72,104 +90,94 @@ def without_duplicates(frames: Frames) -> tuple[Frames, int]:
     rows = rows[(frames.payload[rows] == frames.payload[rows + 1]).all(axis=1)]
     if not len(rows):
         return frames, 0
-    keep = np.ones(len(frames), dtype=bool)
-    keep[rows + 1] = False
-    return frames.select(keep), len(rows)
+    return frames.select(np.delete(np.arange(len(frames)), rows + 1)), len(rows)
 
 
-def continued(frames: Frames, smallest: float = 0.005) -> tuple[Frames, list[float]]:
-    """Frames in the order they were written, with a clock that was set back on the way put forward again.
+def without_clock_steps(frames: Frames) -> tuple[Frames, list[float]]:
+    """Frames in the order they were written, with the time after each step back of the clock moved forward.
 
-    A logger writes frames as they come, so time that runs backwards is its clock being set. The frames after the step
-    go on where those before it ended; what is lost is the true gap between two frames, a millisecond on a busy bus.
-
+    A logger writes frames as they arrive, so time that runs backwards is its clock being set. The frames after the step
+    continue where those before it ended; the true gap between the two frames, a millisecond on a busy bus, is lost.
     Returns the frames and the sizes of the steps [s], negative.
     """
     steps = np.diff(frames.time_ns)
-    back = np.nonzero(steps < -smallest * 1e9)[0]
+    back = np.nonzero(steps < -MIN_CLOCK_STEP * 1e9)[0]
     if not len(back):
         return frames, []
-    usual = int(np.median(steps[steps >= 0])) if (steps >= 0).any() else 0
+    usual_step = int(np.median(steps[steps >= 0])) if (steps >= 0).any() else 0
     correction = np.zeros(len(frames), dtype=np.int64)
-    correction[back + 1] = usual - steps[back]
-    return frames.shifted(frames.time_ns + np.cumsum(correction)), (steps[back] * 1e-9).tolist()
+    correction[back + 1] = usual_step - steps[back]
+    return replace(frames, time_ns=frames.time_ns + np.cumsum(correction)), (steps[back] * 1e-9).tolist()
 
 
-def set_back(steps: Sequence[float]) -> list[str]:
-    """What `continued` found, as a sentence."""
+def clock_step_notes(steps: Sequence[float]) -> list[str]:
+    """A sentence about the steps of `without_clock_steps`; none without steps."""
     if not steps:
         return []
     times = f"{len(steps)} times, first " if len(steps) > 1 else ""
-    return [f"the logger's clock was set back {times}by {-steps[0]:.3f} s; what follows was put behind it"]
-
-
-_HEAD = 20  # bytes of a frame before its data: stamp, id, four flags, length of the data
-_LARGEST = 64
-_LENGTH = Struct("<I")
-_TEXT = 12  # where the length of frame_id lies
+    return [f"the logger's clock was set back {times}by {-steps[0]:.3f} s; the times after it were moved forward"]
 
 
 def read_frames(messages: Iterable[bytes]) -> Frames:
-    """Frames in order of arrival. Raises ValueError for a message that is none, or is damaged.
+    """Frames of serialised st_msgs/CanFrames messages in order of arrival. Raises ValueError for a damaged message.
 
-    The k-th frame of all messages is read at once: each frame has its length, so within a message its place
-    follows from the one before.
+    Reads the k-th frames of all messages at once: the place of a frame in its message follows from the length of the
+    one before.
     """
     parts = list(messages)
-    firsts, counts = zip(*map(_first, parts), strict=True) if parts else ((), ())
+    firsts, counts = zip(*map(_first_frame, parts), strict=True) if parts else ((), ())
     sizes = np.array([len(part) for part in parts], np.int64)
     ends = np.cumsum(sizes)
-    buffer = np.frombuffer(b"".join(parts) + bytes(_HEAD + _LARGEST), np.uint8)
+    buffer = np.frombuffer(b"".join(parts) + bytes(FRAME_HEAD_LENGTH + MAX_DATA_LENGTH), np.uint8)
     at, left = np.array(firsts, np.int64) + ends - sizes, np.array(counts, np.int64)
-    heads = _windows(buffer, _HEAD)
+    heads = _windows(buffer, FRAME_HEAD_LENGTH)
     places: list[np.ndarray] = []
-    order: list[np.ndarray] = []
+    owners: list[np.ndarray] = []
     message = np.arange(len(parts))
-    while (going := left > 0).any():
-        at, left, message = at[going], left[going], message[going]
+    while (unread := left > 0).any():
+        at, left, message = at[unread], left[unread], message[unread]
         length = heads[at, 16:20].copy().view("<u4")[:, 0].astype(np.int64)
-        if (length > _LARGEST).any() or (at + _HEAD + length > ends[message]).any():
+        if (length > MAX_DATA_LENGTH).any() or (at + FRAME_HEAD_LENGTH + length > ends[message]).any():
             raise ValueError("a frame reaches beyond its message")
         places.append(at)
-        order.append(message)
-        at, left = at + _HEAD + (length + 3) // 4 * 4, left - 1
+        owners.append(message)
+        at, left = at + FRAME_HEAD_LENGTH + (length + 3) // 4 * 4, left - 1
     if not places:
-        return empty()
-    # Rounds to messages; within a message the rounds are in order.
-    sequence = np.argsort(np.concatenate(order), kind="stable")
+        return no_frames()
+    # From k-th frames to messages; the stable sort keeps the frames of a message in order.
+    sequence = np.argsort(np.concatenate(owners), kind="stable")
     return _columns(buffer, np.concatenate(places)[sequence])
 
 
-def _first(message: bytes) -> tuple[int, int]:
-    """(where its first frame begins, how many there are)"""
-    if len(message) < _TEXT + 4:
+def _first_frame(message: bytes) -> tuple[int, int]:
+    """(where the first frame of a message begins, number of frames)."""
+    if len(message) < _FRAME_ID_AT + 4:
         raise ValueError("a message is too short")
-    behind = _TEXT + 4 + _LENGTH.unpack_from(message, _TEXT)[0]
-    count_at = -(-behind // 4) * 4
+    text_end = _FRAME_ID_AT + 4 + _LENGTH.unpack_from(message, _FRAME_ID_AT)[0]
+    count_at = -(-text_end // 4) * 4
     if len(message) < count_at + 4:
         raise ValueError("a message is too short")
     count = _LENGTH.unpack_from(message, count_at)[0]
-    if count and len(message) < count_at + 4 + count * _HEAD:
+    if count and len(message) < count_at + 4 + count * FRAME_HEAD_LENGTH:
         raise ValueError("a message is too short for its frames")
     return count_at + 4, count
 
 
 def _columns(buffer: np.ndarray, at: np.ndarray) -> Frames:
-    heads = _windows(buffer, _HEAD)[at]
+    heads = _windows(buffer, FRAME_HEAD_LENGTH)[at]
     words = heads[:, :12].copy().view("<i4")
     length = heads[:, 16]
-    width = 8 if int(length.max()) <= 8 else _LARGEST
-    payload = _windows(buffer, width)[at + _HEAD]
+    width = 8 if int(length.max()) <= 8 else MAX_DATA_LENGTH
+    payload = _windows(buffer, width)[at + FRAME_HEAD_LENGTH]
     payload[np.arange(width) >= length[:, None]] = 0
-    extended, *flags = (heads[:, k] != 0 for k in range(12, 16))
+    extended, error, remote, fd = ((heads[:, k] != 0).astype(np.uint8) for k in range(12, 16))
     return Frames(
         time_ns=words[:, 0].astype(np.int64) * 1_000_000_000 + words[:, 1].view(np.uint32).astype(np.int64),
-        id=words[:, 2].view(np.uint32) | np.where(extended, np.uint32(EXTENDED), np.uint32(0)),
+        id=words[:, 2].view(np.uint32) | extended.astype(np.uint32) * np.uint32(EXTENDED),
         payload=payload, length=length, bus=np.zeros(len(at), np.uint8),
-        flags=sum((flag * np.uint8(bit) for flag, bit in zip(flags, (ERROR, REMOTE, FD), strict=True)),
-                  np.zeros(len(at), np.uint8)))
+        flags=error * np.uint8(ERROR) | remote * np.uint8(REMOTE) | fd * np.uint8(FD))
 
 
 def _windows(buffer: np.ndarray, width: int) -> np.ndarray:
-    """Row k: the `width` bytes from k on; a view."""
+    """A view whose row k is the `width` bytes from k on."""
     return np.ndarray((len(buffer) - width + 1, width), np.uint8, buffer.data, 0, (1, 1))

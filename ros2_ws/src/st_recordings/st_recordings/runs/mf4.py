@@ -1,4 +1,4 @@
-"""CANedge2 logs (MDF 4.11): both layouts, finalised or not, cut or not, through asammdf."""
+"""Reads CANedge2 logs (MDF 4.11) with asammdf: both layouts, finalised or not, cut or not."""
 
 import io
 import logging
@@ -6,7 +6,6 @@ import mmap
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,35 +13,38 @@ import numpy as np
 
 from . import mdf_blocks
 from .errors import RunError, check_readable, short
-from .frames import ERROR, EXTENDED, FD, REMOTE, SENT, Frames, continued, in_file_order, joined, set_back
-from .mdf_blocks import Damage
+from .frames import (
+    ERROR,
+    EXTENDED,
+    FD,
+    MAX_DATA_LENGTH,
+    REMOTE,
+    SENT,
+    CanLog,
+    Frames,
+    clock_step_notes,
+    concatenated,
+    merged,
+    without_clock_steps,
+)
+from .mdf_blocks import VALUE_ELSEWHERE, VIRTUAL, DamageError
 
-PIECE = 1 << 20  # records
-MOST_BYTES = 64  # of a frame
+RECORDS_AT_ONCE = 1 << 20
 LATEST_START, LONGEST_SESSION = 4 * 10**9, 1e9  # s; their sum fits into 64 bits as ns
-AS_IT_IS: dict[str, Any] = {"process_bus_logging": False}
+MDF_OPTIONS: dict[str, Any] = {"process_bus_logging": False}  # frames as they are, not decoded
 MAKERS_CONTAINERS = (".mfc", ".mfe", ".mfm")
-_KINDS = {"CAN_DataFrame": 0, "CAN_RemoteFrame": REMOTE, "CAN_ErrorFrame": ERROR}
-_VALUE_ELSEWHERE, _TIMES, VIRTUAL = 1, (2, 3), (3, 6)  # types of a channel
+_FLAGS_OF_KIND = {"CAN_DataFrame": 0, "CAN_RemoteFrame": REMOTE, "CAN_ErrorFrame": ERROR}
+_TIME_CHANNELS = (2, 3)  # types of a channel: master, virtual master
 FD_LENGTHS = np.array([*range(9), 12, 16, 20, 24, 32, 48, 64], np.uint8)  # by data length code, ISO 11898-1
 _BUS = re.compile(r"CAN[ _]?(\d+)")
 _SPLIT = re.compile(r"^(\d{8})(-[0-9A-Fa-f]{8})?$")
 
 
-@dataclass(frozen=True)
-class Mf4:
-    """Content of one file. start_ns: header start of the session, UTC. warnings: for the user, not naming the file."""
-
-    frames: Frames
-    start_ns: int
-    warnings: tuple[str, ...]
-
-
 def session_of(path: Path) -> tuple[str, int]:
-    """(session, split): files with the same session are one recording, cut into splits.
+    """(session, split) of a file: files with the same session are one recording, cut into splits.
 
-    From the logger's own tree LOG/<device>/<8-digit session>/<8-digit split>[-hex].MF4, or from a flat copy named
-    <anything>_<8-digit session>_<8-digit split>; any other file is a session of its own.
+    They follow from the logger's own tree LOG/<device>/<8-digit session>/<8-digit split>[-hex].MF4, or from a flat copy
+    named <anything>_<8-digit session>_<8-digit split>; any other file is a session of its own.
     """
     match = _SPLIT.match(path.stem)
     if match and re.fullmatch(r"\d{8}", path.parent.name):
@@ -54,7 +56,7 @@ def session_of(path: Path) -> tuple[str, int]:
 
 
 def refuse_makers_container(path: Path) -> None:
-    """Raises RunError for the compressed or encrypted container of the logger's maker, by name or by content."""
+    """Raises RunError for a compressed or encrypted container of the logger's maker, known by name or content."""
     if path.suffix.lower() in MAKERS_CONTAINERS or _head(path).startswith(b"Generic File"):
         kinds = {".mfc": "compressed", ".mfe": "encrypted", ".mfm": "compressed and encrypted"}
         kind = kinds.get(path.suffix.lower(), "compressed or encrypted")
@@ -62,8 +64,8 @@ def refuse_makers_container(path: Path) -> None:
                        "convert it with their mdf2finalized / CANedge MF4 converter first, then give the .MF4")
 
 
-def read_mf4(path: Path) -> Mf4:
-    """All CAN frames of one file, in order of time.
+def read_mf4(path: Path) -> CanLog:
+    """All CAN frames of one file, in order of time; the warnings do not name the file.
 
     A file that ends in the middle of a record (usual when the ignition is switched off) is read up to there,
     with a warning. Raises RunError for a file that is not MF4, has no CAN frames, or is cut in its index.
@@ -77,28 +79,28 @@ def read_mf4(path: Path) -> Mf4:
         raise RunError(path, f"this is MDF version {version.decode('latin-1').strip()}, and only version 4 is read",
                        "convert it with asammdf")
     warnings: list[str] = []
-    signals: list[str] = []
+    decoded_signals: list[str] = []
     with _opened(path, warnings) as log:
         start_ns = int(log.header.start_time.timestamp()) * 10**9 + int(log.header.abs_time) % 10**9
         if not 0 <= start_ns < LATEST_START * 10**9:
-            raise Damage("the start of its session is not a time")
+            raise DamageError("the start of its session is not a time")
         parts = []
-        steps: list[float] = []
+        clock_steps: list[float] = []
         for group in range(len(log.groups)):
             if _frame_channel(log, group) is None:
-                signals += [c.name for c in log.groups[group].channels if c.channel_type not in _TIMES]
+                decoded_signals += [c.name for c in log.groups[group].channels if c.channel_type not in _TIME_CHANNELS]
             pieces = list(_group_frames(log, group, start_ns))
             if pieces:
-                part, found = continued(in_file_order(pieces))
-                steps += found
+                part, steps = without_clock_steps(concatenated(pieces))
+                clock_steps += steps
                 parts.append(part)
-    if not parts and signals:
-        raise RunError(path, f"no CAN frames are in the log, but signals already decoded: {', '.join(signals)[:200]}",
+    if not parts and decoded_signals:
+        raise RunError(path, "no CAN frames are in the log, but signals already decoded: "
+                       f"{', '.join(decoded_signals)[:200]}",
                        "give the log with the raw frames, or export the signals as CSV (asammdf) and give that")
     if not parts:
         raise RunError(path, "no CAN frames are in the log", "check that the logger was on the right bus")
-    warnings += set_back(steps)
-    return Mf4(joined(parts), start_ns, tuple(warnings))
+    return CanLog(merged(parts), (path,), start_ns, warnings=(*warnings, *clock_step_notes(clock_steps)))
 
 
 def _head(path: Path) -> bytes:
@@ -108,7 +110,7 @@ def _head(path: Path) -> bytes:
 
 @contextmanager
 def _opened(path: Path, warnings: list[str]) -> Iterator[Any]:
-    """The file as an asammdf MDF. asammdf prints what it raises as well, so its output is held back meanwhile."""
+    """The file as an asammdf MDF. asammdf also prints what it raises, so its output is suppressed meanwhile."""
     logger = logging.getLogger("asammdf")
     level = logger.level
     logger.setLevel(logging.CRITICAL + 1)
@@ -119,7 +121,7 @@ def _opened(path: Path, warnings: list[str]) -> Iterator[Any]:
             yield log
     except RunError:
         raise
-    except Damage as error:
+    except DamageError as error:
         raise RunError(path, f"the file is cut or damaged: {error}", "copy it from the logger's card again") from None
     except Exception as error:
         raise RunError(path, f"asammdf cannot read it ({short(error)})",
@@ -136,45 +138,45 @@ def _open_whole(path: Path, warnings: list[str]) -> Any:
 
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
         layout = mdf_blocks.check_blocks(data)
-    MDF4._file = None  # or its __del__ complains on stderr where its __init__ gave up
+    MDF4._file = None  # otherwise its __del__ complains on stderr after a failed __init__
     log: Any = None
     try:
-        log = MDF(path, **AS_IT_IS)
-        if all(_is_whole(log, group) for group in range(len(log.groups))):
+        log = MDF(path, **MDF_OPTIONS)
+        if all(_has_payloads(log, group) for group in range(len(log.groups))):
             return log
-    except Exception:  # asammdf raises whatever its parsing raises; all of it means "cut or damaged".
+    except Exception:  # asammdf raises whatever its parsing raises; all of it means "cut or damaged"
         pass
     if log is not None:
         log.close()
     content = path.read_bytes()
     end = mdf_blocks.end_of_last_frame(content, layout) if layout else None
     if end is None:
-        raise Damage("no whole frame is in it")
+        raise DamageError("no whole frame is in it")
     mdf_blocks.check_blocks(content[:end])
     warnings.append(f"the file ends in the middle of a frame ({len(content) - end} bytes dropped)")
-    log = MDF(io.BytesIO(content[:end]), **AS_IT_IS)
-    if not all(_is_whole(log, group) for group in range(len(log.groups))):
+    log = MDF(io.BytesIO(content[:end]), **MDF_OPTIONS)
+    if not all(_has_payloads(log, group) for group in range(len(log.groups))):
         log.close()
-        raise Damage("payloads are not at the places given in its frames")
+        raise DamageError("payloads are not at the places given in its frames")
     return log
 
 
 def _frame_channel(log: Any, group: int) -> str | None:
     names = {channel.name for channel in log.groups[group].channels}
-    return next((name for name in _KINDS if name in names), None)
+    return next((name for name in _FLAGS_OF_KIND if name in names), None)
 
 
-def _is_whole(log: Any, group: int) -> bool:
+def _has_payloads(log: Any, group: int) -> bool:
     """Whether every frame of a group has its payload: in layout 1 the two are written one after the other.
 
-    asammdf looks for payloads wherever the frames point to and makes room for the longest it takes for one: terabytes,
-    for one wrong byte. So both are checked before, through private functions of asammdf.
+    asammdf looks for payloads wherever the frames point to and allocates the longest it finds: terabytes, for one wrong
+    byte. So places and lengths are checked first, with private functions of asammdf.
     """
     if _frame_channel(log, group) is None or not log.groups[group].channel_group.cycles_nr:
         return True
     content, reader = log.groups[group], log._mdf
     for index, channel in enumerate(content.channels):
-        if channel.channel_type != _VALUE_ELSEWHERE:
+        if channel.channel_type != VALUE_ELSEWHERE:
             continue
         at = reader._get_scalar(
             channel=channel, group=content, group_index=group, channel_index=index, dependency_list=None, raster=None,
@@ -185,64 +187,63 @@ def _is_whole(log: Any, group: int) -> bool:
             return False
         at = at.astype(np.int64)
         length = stored[at].astype(np.int64)
-        if (length > MOST_BYTES).any() or (stored[at + 1] | stored[at + 2] | stored[at + 3]).any():
-            return False
-        if (at + 4 + length > len(stored)).any():
+        if ((length > MAX_DATA_LENGTH) | (stored[at + 1] | stored[at + 2] | stored[at + 3] != 0)
+                | (at + 4 + length > len(stored))).any():
             return False
     return True
 
 
 def _group_frames(log: Any, group: int, start_ns: int) -> Iterator[Frames]:
-    """The frames of a group, a million at a time."""
+    """Yields the frames of a group, RECORDS_AT_ONCE at a time."""
     name = _frame_channel(log, group)
     if name is None:
         return
     content, bus = log.groups[group], _bus_of(log, group)
     if not content.channel_group.samples_byte_nr:
-        raise Damage("its frames have no bytes")
-    if not any(channel.channel_type in _TIMES for channel in content.channels):
-        raise Damage("its frames have no time")
+        raise DamageError("its frames have no bytes")
+    if not any(channel.channel_type in _TIME_CHANNELS for channel in content.channels):
+        raise DamageError("its frames have no time")
     count = content.channel_group.cycles_nr
-    for first in range(0, count, PIECE):
-        # Not more than there are: asammdf allocates the requested number. Times out of range are found below.
+    for first in range(0, count, RECORDS_AT_ONCE):
+        # Not more than exist: asammdf allocates the requested number. Times out of range are refused in _frames.
         with np.errstate(all="ignore"):
             signal = log.get(name, group=group, raw=True, ignore_invalidation_bits=True, record_offset=first,
-                             record_count=min(PIECE, count - first))
+                             record_count=min(RECORDS_AT_ONCE, count - first))
         yield _frames(name, signal, bus, start_ns, {c.name.rsplit(".", 1)[-1]: c for c in content.channels})
 
 
 def _frames(name: str, signal: Any, bus: int, start_ns: int, channels: Mapping[str, Any]) -> Frames:
-    """Columns of one piece of a group; every column is checked, because a file can describe any layout.
+    """Columns of some frames of a group; every column is checked, because a file can describe any layout.
 
     channels: by short name. A virtual channel takes no bytes of the record, its value is its conversion; firmware
-    01.07 and later stores bus, IDE and direction so. Lengths of CAN FD frames are a table on their code.
+    01.07 and later stores bus, IDE and direction so. Lengths of CAN FD frames come from a table of their code.
     """
     rows, n = signal.samples, len(signal.samples)
     members = {m.rsplit(".", 1)[-1]: m for m in rows.dtype.names or ()}
-    needed = {"CAN_DataFrame": ("ID", "DataBytes"), "CAN_RemoteFrame": ("ID",)}.get(name, ())
-    if missing := [short for short in needed if short not in members]:
-        raise Damage(f"its frames have no {missing[0]}")
+    required = {"CAN_DataFrame": ("ID", "DataBytes"), "CAN_RemoteFrame": ("ID",)}.get(name, ())
+    if missing := [short for short in required if short not in members]:
+        raise DamageError(f"its frames have no {missing[0]}")
 
     def member(short: str, default: int = 0) -> np.ndarray:
         channel = channels.get(short)
         if channel is not None and channel.channel_type in VIRTUAL:  # its conversion is 0 * row + constant
             slope, value = getattr(channel.conversion, "a", 1.0), getattr(channel.conversion, "b", 0.0)
             if slope or not 0 <= value <= 255 or value != int(value):
-                raise Damage(f"{channel.name} is a virtual channel and no constant")
+                raise DamageError(f"{channel.name} is a virtual channel and no constant")
             return np.full(n, int(value), np.uint8)
         if short not in members:
             return np.full(n, default, np.uint8)
         column = rows[members[short]]
         if column.ndim != 1 or column.dtype.kind not in "bui":
-            raise Damage(f"the {short} of its frames is not an integer")
+            raise DamageError(f"the {short} of its frames is not an integer")
         return column
 
     seconds = signal.timestamps
     if seconds.shape != (n,) or not (np.abs(seconds) < LONGEST_SESSION).all():  # NaN is not below either
-        raise Damage("the times of its frames are invalid")
+        raise DamageError("the times of its frames are invalid")
     payload = rows[members["DataBytes"]] if "DataBytes" in members else np.zeros((n, 8), np.uint8)
     if payload.ndim != 2 or payload.dtype != np.uint8:
-        raise Damage("the DataBytes of its frames are not bytes")
+        raise DamageError("the DataBytes of its frames are not bytes")
     if payload.shape[1] not in (8, 64):
         width = 8 if payload.shape[1] < 8 else 64
         payload = np.pad(payload[:, :width], ((0, 0), (0, max(width - payload.shape[1], 0))))
@@ -250,9 +251,9 @@ def _frames(name: str, signal: Any, bus: int, start_ns: int, channels: Mapping[s
     extended = member("IDE").astype(bool) | (identifier > 0x7FF)
     length = _lengths(member("DataLength"), channels["DataLength"]) if "DataLength" in members else \
         FD_LENGTHS[member("DLC", 8) & 15]
-    flags = np.full(n, _KINDS[name], np.uint8)
-    flags |= np.where(member("Dir").astype(bool), SENT, 0).astype(np.uint8)
-    flags |= np.where(member("EDL").astype(bool), FD, 0).astype(np.uint8)
+    flags = np.full(n, _FLAGS_OF_KIND[name], np.uint8)
+    flags[member("Dir").astype(bool)] |= SENT
+    flags[member("EDL").astype(bool)] |= FD
     return Frames(
         time_ns=start_ns + np.round(seconds * 1e9).astype(np.int64),
         id=identifier & 0x1FFF_FFFF | np.where(extended, np.uint32(EXTENDED), np.uint32(0)),
@@ -262,17 +263,17 @@ def _frames(name: str, signal: Any, bus: int, start_ns: int, channels: Mapping[s
 
 
 def _lengths(stored: np.ndarray, channel: Any) -> np.ndarray:
-    """Bytes of each frame: the stored number, or through the channel's table of CAN FD length codes."""
+    """Bytes of each frame: the stored number, or its entry in the channel's table of CAN FD length codes."""
     if channel.conversion is None or not len(stored):
         return FD_LENGTHS[stored & 15] if channel.bit_count <= 4 else stored
     length = np.asarray(channel.conversion.convert(stored.astype(np.int64)))
-    if length.dtype.kind not in "biuf" or not ((length >= 0) & (length <= MOST_BYTES)).all():
-        raise Damage("the lengths of its frames are invalid")
+    if length.dtype.kind not in "biuf" or not ((length >= 0) & (length <= MAX_DATA_LENGTH)).all():
+        raise DamageError("the lengths of its frames are invalid")
     return length
 
 
 def _bus_of(log: Any, group: int) -> int:
-    """Bus of a group without it in its records (layout 2): from the group's name, CAN1_Rx."""
+    """Bus of a group whose records do not hold it (layout 2): from the group's name, CAN1_Rx."""
     channel_group = log.groups[group].channel_group
     source = channel_group.acq_source
     for text in (channel_group.acq_name, getattr(source, "name", None), getattr(source, "path", None)):

@@ -15,11 +15,11 @@ from st_core.vehicle import VehicleParameters
 from ..paths import json_ready
 from . import csv
 from .can_formats import EXTENSIONS
-from .can_logs import CanLog, read_can_logs
+from .can_logs import read_can_logs
 from .can_signals import CanSignals, Signal, decode_signals, load_signal_table, speeds_of, steering_of
 from .clocks import INS_ON_CAN, align_clocks
 from .errors import RunError, check_readable, share
-from .frames import empty
+from .frames import CanLog, no_frames
 from .ins_log import InsLog, mostly_known
 from .readers import READERS
 from .run_types import LoadedRun, ReadSettings, RunSource, signal_files
@@ -66,7 +66,7 @@ def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns, keep_
     signals = decode_signals(can.frames, table)
     steering = steering_of(signals, can.files[0], table) if needs_steering else None
     if not keep_frames:
-        can = replace(can, frames=empty())
+        can = replace(can, frames=no_frames())
     ins, how = read_ins(source, settings), clock_settings(source, settings)
     alignment, shared = align_clocks(ins.motion, signals, **how)
     known = "given" if settings.ins_can_latency or source.settings.get("ins_can_latency") else "assumed"
