@@ -98,8 +98,8 @@ def _read_track(path: Path, bag: Storage) -> Track:
     position = [f"pose.pose.position.{axis}" for axis in "xy"]
     quaternion = [f"pose.pose.orientation.{axis}" for axis in "xyzw"]
     values = numbers(path, bag, topic, ["header.stamp", *position, *quaternion], typestore(definitions()))
-    yaw = np.unwrap(yaw_of(*(values[name] for name in quaternion)))
-    return Track(values["header.stamp"], *(values[name] for name in position), yaw=yaw)
+    x, y = (values[name] for name in position)
+    return Track(values["header.stamp"], x, y, np.unwrap(yaw_of(*(values[name] for name in quaternion))))
 
 
 def _last_message(bag: Storage, topic: str, type_name: str) -> Any:

@@ -1,4 +1,4 @@
-"""Text and binary CAN logs through the readers of python-can, line by line: a line that cannot be read costs itself."""
+"""CAN logs in text and binary formats, read with python-can; a line that cannot be read costs only itself."""
 
 import codecs
 import re
@@ -13,26 +13,25 @@ from .errors import share, short
 from .mf4 import MAKERS_CONTAINERS
 
 MF4_EXTENSIONS = (".mf4", ".mdf")
-_BLF_HEAD = 16  # bytes: "LOBJ", length of the head, version, length of the object, kind
-_UTF16 = (b"\xff\xfe", b"\xfe\xff")
+_BLF_HEAD_LENGTH = 16  # bytes: "LOBJ", length of the head, version, length of the object, kind
+_UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _WEEKDAY_MONTH = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
 # Months as Vector's tools write them in the language of the computer, by their first letters.
 _MONTHS = {"jan": 1, "gen": 1, "feb": 2, "fév": 2, "fev": 2, "mar": 3, "mär": 3, "mrz": 3, "apr": 4, "avr": 4, "abr": 4,
            "may": 5, "mai": 5, "mag": 5, "maj": 5, "jun": 6, "giu": 6, "jul": 7, "lug": 7, "aug": 8, "aoû": 8, "ago": 8,
            "sep": 9, "set": 9, "oct": 10, "okt": 10, "ott": 10, "out": 10, "nov": 11, "dec": 12, "dez": 12, "déc": 12,
            "dic": 12, "juin": 6, "juil": 7}
+_ENGLISH_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 # A line of candump without -l: " (1436509052.249713)  can0  RX - -  044   [8]  2A 36"; stamps of -t a, -t z or -t A.
-_SCREEN = re.compile(r"\s*\((?:(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+)|(\d+\.\d+))\)\s+(\S+)\s+"
-                     r"(?:(RX|TX)\s+\S+\s+\S+\s+)?"
-                     r"([0-9A-F]{3}|[0-9A-F]{8})\s+\[(\d+)\]\s*((?:[0-9A-F]{2}\s*)*|remote request\s*)(?:'.*')?\s*$")
+_SCREEN_LINE = re.compile(
+    r"\s*\((?:(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+)|(\d+\.\d+))\)\s+(\S+)\s+(?:(RX|TX)\s+\S+\s+\S+\s+)?"
+    r"([0-9A-F]{3}|[0-9A-F]{8})\s+\[(\d+)\]\s*((?:[0-9A-F]{2}\s*)*|remote request\s*)(?:'.*')?\s*$")
 TIMELESS = re.compile(rb"^\s+\S+\s+[0-9A-F]{3,8}\s+\[\d+\]\s", re.MULTILINE)
-"""candump on the screen without -t."""
+"""A line of candump without -l and without -t."""
 _ASC_STAMP = re.compile(r"\s*(\d+)[.,](\d+)(?=\s)")
-_ENGLISH = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
-
-
-_AS_CP1252 = "single_track_cp1252"
-codecs.register_error(_AS_CP1252, lambda error: (
+# Bytes of a Windows code page in a text that is UTF-8 otherwise.
+_CP1252_FALLBACK = "single_track_cp1252"
+codecs.register_error(_CP1252_FALLBACK, lambda error: (
     error.object[error.start:error.end].decode("cp1252", "replace"), error.end))  # type: ignore[attr-defined]
 
 
@@ -42,29 +41,29 @@ class Lines:
     position: number of the last line read. last: its text. `unread` puts a line in front of the others.
     """
 
-    def __init__(self, file: Path, change: Callable[[str], str] = str):
-        self._change, self._front = change, list[str]()
+    def __init__(self, file: Path, convert: Callable[[str], str] = str):
+        self._convert, self._unread = convert, list[str]()
         with file.open("rb") as stream:
             head = stream.read(1 << 16)
-        # Umlauts of a Windows code page are in comments and dates, also behind the head.
-        utf8 = head.startswith(head.decode("utf-8", "ignore").encode())
-        codec = "utf-16" if head[:2] in _UTF16 else "utf-8-sig" if utf8 else "cp1252"
-        self._stream = file.open(encoding=codec, errors=_AS_CP1252)
+        # Comments and dates have umlauts of a Windows code page, also after the head.
+        is_utf8 = head.startswith(head.decode("utf-8", "ignore").encode())
+        codec = "utf-16" if head[:2] in _UTF16_MARKS else "utf-8-sig" if is_utf8 else "cp1252"
+        self._stream = file.open(encoding=codec, errors=_CP1252_FALLBACK)
         self.position, self.last = 0, ""
 
     def __iter__(self) -> "Lines":
         return self
 
     def __next__(self) -> str:
-        if self._front:
-            self.last = self._front.pop()
+        if self._unread:
+            self.last = self._unread.pop()
             return self.last
-        self.last = self._change(next(self._stream))
+        self.last = self._convert(next(self._stream))
         self.position += 1
         return self.last
 
     def unread(self, line: str) -> None:
-        self._front.append(line)
+        self._unread.append(line)
 
     def read(self) -> str:
         return "".join(self)
@@ -75,8 +74,8 @@ class Lines:
 
 @dataclass(frozen=True)
 class Format:
-    """A text or binary log. extensions: lower case. mark: whether the head of a file is of it. messages: frames of
-    python-can in the order of the file; appends what is wrong with it to a list of notes, without the file's name."""
+    """A text or binary log. extensions: lower case. mark: whether the head of a file is of this format. messages: yields
+    python-can messages in the order of the file and appends notes on what is wrong, without the file's name."""
 
     name: str
     extensions: tuple[str, ...]
@@ -84,20 +83,20 @@ class Format:
     messages: Callable[[Path, list[str]], Iterator[Any]]
 
 
-def _by_line(make: Callable[[Lines, list[str]], Any], change: Callable[[], Callable[[str], str]] = lambda: str,
-             restart: str = "") -> Callable[[Path, list[str]], Iterator[Any]]:
-    """A reader of text that continues behind a line it cannot read.
+def _text_reader(make: Callable[[Lines, list[str]], Any], converter: Callable[[], Callable[[str], str]] = lambda: str,
+                 restart: str = "") -> Callable[[Path, list[str]], Iterator[Any]]:
+    """A reader of text that continues after a line it cannot read.
 
-    change: makes the function that changes each line of one file. restart: a line its header parser may consume.
+    converter: makes the function that converts each line of one file. restart: a line its header parser may consume.
     """
     def messages(file: Path, notes: list[str]) -> Iterator[Any]:
-        lines, bad = Lines(file, change()), list[int]()
+        lines, bad = Lines(file, converter()), list[int]()
         try:
             reader = make(lines, notes)
-            going = iter(reader)
+            remaining = iter(reader)
             while True:
                 try:
-                    yield next(going)
+                    yield next(remaining)
                 except StopIteration:
                     break
                 except Exception:  # readers of python-can raise whatever int() and indexing raise
@@ -106,7 +105,7 @@ def _by_line(make: Callable[[Lines, list[str]], Any], change: Callable[[], Calla
                     bad.append(lines.position)
                     if restart:
                         lines.unread(restart)
-                    going = iter(reader)
+                    remaining = iter(reader)
             if bad:
                 notes.insert(0, f"{share(len(bad), lines.position, 'lines')} cannot be read, the first is line "
                                 f"{bad[0]}; they were skipped")
@@ -117,8 +116,8 @@ def _by_line(make: Callable[[Lines, list[str]], Any], change: Callable[[], Calla
 
 
 def _candump_line(line: str) -> str:
-    """A line as candump prints it on the screen in the form of its log (-l)."""
-    match = _SCREEN.match(line)
+    """A line that candump printed on the screen, as it is in its log (-l)."""
+    match = _SCREEN_LINE.match(line)
     if match is None:
         return line
     clock, stamp, channel, direction, identifier, length, data = match.groups()
@@ -135,7 +134,7 @@ def _asc(lines: Lines, notes: list[str]) -> Any:
     class Reader(base):
         def _extract_header(self) -> None:
             super()._extract_header()
-            if _ASC_STAMP.match(lines.last):  # a header without its last line; the first frame was read in its place
+            if _ASC_STAMP.match(lines.last):  # the header has no last line, and the first frame was read in its place
                 lines.unread(lines.last)
 
         def _datetime_to_timestamp(self, text: str) -> float:
@@ -151,7 +150,7 @@ def _asc(lines: Lines, notes: list[str]) -> Any:
 
 
 class _AscLines:
-    """Lines in the form python-can reads: times since the start, months in English, 24-hour clock without am or pm."""
+    """Converts lines to what python-can reads: times since the start, English months, a 24-hour clock."""
 
     def __init__(self) -> None:
         self._relative, self._seconds = False, 0.0
@@ -174,7 +173,7 @@ class _AscLines:
         hour = re.search(r"\s(\d{1,2}):", rest)
         if hour and not 1 <= int(hour.group(1)) <= 12:
             rest = re.sub(r"(?i)\s[ap]\.?m\.?(?=\s)", "", rest)
-        return f"{key} Mon {_ENGLISH[number - 1] if number else month}{rest}\n"
+        return f"{key} Mon {_ENGLISH_MONTHS[number - 1] if number else month}{rest}\n"
 
 
 def _trc(lines: Lines, notes: list[str]) -> Any:
@@ -197,13 +196,13 @@ def _blf(file: Path, notes: list[str]) -> Iterator[Any]:
     from can.io import blf
 
     class Reader(blf.BLFReader):
-        """python-can's reader never gets past an object that gives its length as 0."""
+        """Refuses an object of length 0, at which python-can's reader would loop forever."""
 
         def _parse_data(self, data: bytes) -> Iterator[Any]:
             at = data.find(b"LOBJ", 0, 8)
-            while 0 <= at <= len(data) - _BLF_HEAD:
+            while 0 <= at <= len(data) - _BLF_HEAD_LENGTH:
                 length = int.from_bytes(data[at + 8:at + 12], "little")
-                if length < _BLF_HEAD:
+                if length < _BLF_HEAD_LENGTH:
                     raise blf.BLFParseError(f"an object of {length} bytes")
                 at = data.find(b"LOBJ", at + length, at + length + 8)
             return super()._parse_data(data)
@@ -217,12 +216,12 @@ def _blf(file: Path, notes: list[str]) -> Iterator[Any]:
             yield message
     except Exception as error:
         at = min(reader.file.tell(), size) if not reader.file.closed else size
-        notes.append(f"is damaged behind frame {count} ({short(error)}); the {share(size - at, size, 'bytes')} behind "
+        notes.append(f"is damaged after frame {count} ({short(error)}); the {share(size - at, size, 'bytes')} after "
                      "it are not used")
     finally:
         reader.stop()
     if not reader.file_size:
-        notes.append("was not closed by its logger: whether its end is missing is unknown")
+        notes.append("was not closed by its logger; its end may be missing")
     elif size < reader.file_size:
         notes.append(f"is cut: {share(reader.file_size - size, reader.file_size, 'bytes')} of the log are missing; "
                      "read up to there")
@@ -230,29 +229,29 @@ def _blf(file: Path, notes: list[str]) -> Iterator[Any]:
 
 def _is_candump(head: bytes) -> bool:
     lines = head.replace(b"\0", b"").splitlines()[:20]
-    return any(re.match(rb"\W*\(\d+\.\d+\) \S+ [0-9A-Fa-f]+#", line) or _SCREEN.match(line.decode("latin-1"))
+    return any(re.match(rb"\W*\(\d+\.\d+\) \S+ [0-9A-Fa-f]+#", line) or _SCREEN_LINE.match(line.decode("latin-1"))
                for line in lines)
 
 
 def _is_asc(head: bytes) -> bool:
-    text = head.replace(b"\0", b"").removeprefix(b"\xef\xbb\xbf").removeprefix(_UTF16[0]).removeprefix(_UTF16[1])
-    return text.lstrip()[:5].lower() == b"date " or b"\nbase hex" in text or b"\nbase dec" in text
+    text = head.replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe" + b" \t\r\n")
+    return text[:5].lower() == b"date " or b"\nbase hex" in text or b"\nbase dec" in text
 
 
 FORMATS = (
     Format("candump", (".log", ".candump"), _is_candump,
-           _by_line(lambda lines, notes: import_module("can.io.canutils").CanutilsLogReader(lines),
-                    lambda: _candump_line)),
-    Format("Vector ASC", (".asc",), _is_asc, _by_line(_asc, _AscLines, "\n")),
+           _text_reader(lambda lines, notes: import_module("can.io.canutils").CanutilsLogReader(lines),
+                        lambda: _candump_line)),
+    Format("Vector ASC", (".asc",), _is_asc, _text_reader(_asc, _AscLines, "\n")),
     Format("Vector BLF", (".blf",), lambda head: head.startswith(b"LOGG"), _blf),
     Format("PEAK trace", (".trc",), lambda head: b";$FILEVERSION" in head or (
-        head.lstrip().startswith(b";") and (b"Start time:" in head or b"Message Number" in head)), _by_line(_trc)),
+        head.lstrip().startswith(b";") and (b"Start time:" in head or b"Message Number" in head)), _text_reader(_trc)),
 )
 EXTENSIONS = frozenset(e for f in FORMATS for e in f.extensions) | {*MF4_EXTENSIONS, *MAKERS_CONTAINERS}
 
 
 def is_can_log(file: Path) -> bool:
-    """Whether a file found in a folder is a CAN log: other programs write .log files too. True in case of doubt."""
+    """Whether a file found in a folder is a CAN log: other programs write .log files too. True if undecided."""
     if file.suffix.lower() != ".log":
         return True
     try:

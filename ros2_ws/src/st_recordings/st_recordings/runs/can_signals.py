@@ -1,4 +1,4 @@
-"""From the frames of a log to the signals of the suite: what the live CAN bridge would have published, as columns."""
+"""Signals of the suite decoded from the frames of a log, as columns: what the live CAN bridge would have published."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from .ins_log import SPEEDS, car_speed, series
 
 @dataclass(frozen=True)
 class Signal:
-    """One signal of the table as one message carries it: SI, sign as in the table.
+    """One signal of the table as one message carries it, SI, sign as in the table.
 
     time_ns: when the frame was logged, strictly increasing. valid: False where a counter or checksum set to `warn` was
     wrong. rows: of its frames in Frames.
@@ -35,74 +35,74 @@ class Signal:
 
 @dataclass(frozen=True)
 class CanSignals:
-    """signals: by (our name, message). faults: message -> what was wrong and how often."""
+    """Decoded signals by (signal, message). faults: message -> what was wrong and how often."""
 
     signals: Mapping[tuple[str, str], Signal]
     faults: Mapping[str, str]
 
     def all_of(self, name: str) -> list[Signal]:
-        return [s for (our, _), s in self.signals.items() if our == name]
+        return [signal for signal in self.signals.values() if signal.name == name]
 
     def first_of(self, name: str) -> Signal | None:
         return next(iter(self.all_of(name)), None)
 
 
 def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
-    """Decode and check every message of the table; frames that a check set to `drop` refuses are left out.
+    """Decodes and checks every message of the table; frames refused by a check set to `drop` are left out.
 
-    The same rules as the live decoder: length, checksum, counter, range and rate (canedge_bridge.decode). Where time
-    does not rise (two buses with the same message), the first frame of each instant is kept.
+    The rules are those of the live decoder: length, checksum, counter, range and rate (canedge_bridge.decode). Where
+    time does not rise (two buses with the same message), the first frame of each instant is kept.
     """
     signals: dict[tuple[str, str], Signal] = {}
     faults: dict[str, str] = {}
-    # One message after the other: the signals of all at once would be the largest thing in memory.
+    # One message at a time: all signals at once would take more memory than anything else.
     order = np.argsort(frames.id, kind="stable")
     sorted_ids = frames.id[order]
-    for name, spec in table.messages.items():
+    for message, spec in table.messages.items():
         identifier, extended = spec.key
         key = identifier | (EXTENDED if extended else 0)
         rows = order[slice(*np.searchsorted(sorted_ids, (key, key + 1)).tolist())]
         rows = rows[frames.flags[rows] & (REMOTE | ERROR) == 0]
         if not len(rows):
-            other = key ^ EXTENDED
-            count = int(np.subtract(*np.searchsorted(sorted_ids, (other + 1, other))))
+            other_key = key ^ EXTENDED
+            count = int(np.subtract(*np.searchsorted(sorted_ids, (other_key + 1, other_key))))
             if spec.needed and count:
-                faults[name] = (f"its identifier 0x{identifier:X} has {29 if extended else 11} bits in the DBC, and "
-                                f"{count} frames of the log have it with {11 if extended else 29} bits")
+                faults[message] = (f"its identifier 0x{identifier:X} has {29 if extended else 11} bits in the DBC, and "
+                                   f"{count} frames of the log have it with {11 if extended else 29} bits")
             continue
         payload, lengths = frames.payload[rows], frames.length[rows]
-        decoded = decode_log(table.database, frames.id[rows], payload, lengths, [name]).get(name)
-        wrong_length = _wrong_length(spec, lengths, 0 if decoded is None else len(decoded.rows))
+        decoded = decode_log(table.database, frames.id[rows], payload, lengths, [message]).get(message)
+        length_fault = _length_fault(spec, lengths, 0 if decoded is None else len(decoded.rows))
         if decoded is None:
-            faults[name] = wrong_length
+            faults[message] = length_fault
             continue
         rows, payload = rows[decoded.rows], payload[decoded.rows, : max(spec.dbc.length, 8)]
         time_ns = frames.time_ns[rows]
-        ours = {signal.name: signal.si(decoded.signals) for signal in spec.signals}
-        keep, valid, fault = check_frames(spec, payload, time_ns, ours)
-        if fault or wrong_length:
-            faults[name] = "; ".join(filter(None, (wrong_length, fault)))
+        columns = {signal.name: signal.si(decoded.signals) for signal in spec.signals}
+        keep, valid, fault = check_frames(spec, payload, time_ns, columns)
+        if fault or length_fault:
+            faults[message] = "; ".join(filter(None, (length_fault, fault)))
         keep &= np.diff(time_ns, prepend=time_ns[0] - 1) > 0
-        for our, values in with_unix_time(ours).items():
+        for name, values in with_unix_time(columns).items():
             good = keep & np.isfinite(values)
             if good.any():
-                signals[our, name] = Signal(our, name, time_ns[good], values[good], valid[good], rows[good])
+                signals[name, message] = Signal(name, message, time_ns[good], values[good], valid[good], rows[good])
     return CanSignals(signals, faults)
 
 
-def _wrong_length(spec: MessageSpec, lengths: np.ndarray, decoded: int) -> str:
-    """Frames of another length than in the DBC, in words; empty for none. decoded: number of frames that were."""
+def _length_fault(spec: MessageSpec, lengths: np.ndarray, n_decoded: int) -> str:
+    """Describes frames of another length than in the DBC; empty for none."""
     found = [f"{share(int(count), len(lengths), 'frames')} have {size} bytes"
              for size, count in zip(*np.unique(lengths, return_counts=True), strict=True) if size != spec.dbc.length]
     if not found:
         return ""
-    lost = len(lengths) - decoded
-    what = f"{lost} are not used" if lost else "the bytes behind are padding and were ignored"
-    return f"{', '.join(found)}, the DBC gives {spec.dbc.length}; {what}"
+    lost = len(lengths) - n_decoded
+    consequence = f"{lost} are not used" if lost else "the additional bytes are padding and were ignored"
+    return f"{', '.join(found)}, the DBC gives {spec.dbc.length}; {consequence}"
 
 
 def steering_of(signals: CanSignals, file: Path | str, table: SignalTable) -> Signal:
-    """The steering wheel angle. Raises RunError with the message expected and the messages found."""
+    """The steering wheel angle. Raises RunError with the expected message and the messages found."""
     steering = signals.first_of("steering_wheel_angle")
     if steering is not None:
         return steering
@@ -118,20 +118,23 @@ def steering_of(signals: CanSignals, file: Path | str, table: SignalTable) -> Si
 
 def speeds_of(signals: CanSignals, to_reference: Callable[[np.ndarray], np.ndarray] = np.asarray
               ) -> tuple[Series | None, Series | None]:
-    """(speed of the car by its wheels, forward speed that the INS sends on CAN). to_reference: of times of the log."""
-    found = {name: (to_reference(signal.time_ns[signal.valid]), signal.values[signal.valid])
-             for name in SPEEDS if (signal := signals.first_of(name)) is not None}
+    """(speed of the car by its wheels, forward speed that the INS sends on CAN).
+
+    to_reference: converts times of the log.
+    """
+    wheels = {name: (to_reference(signal.time_ns[signal.valid]), signal.values[signal.valid])
+              for name in SPEEDS if (signal := signals.first_of(name)) is not None}
     ins = signals.all_of("ins_velocity_x")  # in the frames of either orientation of the axes
     if not ins:
-        return car_speed(found), None
+        return car_speed(wheels), None
     order = np.argsort(np.concatenate([signal.rows[signal.valid] for signal in ins]), kind="stable")
     time_ns, values = (np.concatenate([getattr(signal, name)[signal.valid] for signal in ins])[order]
                        for name in ("time_ns", "values"))
-    return car_speed(found), series(to_reference(time_ns), values)
+    return car_speed(wheels), series(to_reference(time_ns), values)
 
 
 def load_signal_table(dbc: Path, table: Path) -> SignalTable:
-    """Raises RunError for a DBC or table that does not hold together."""
+    """The signal table of a DBC. Raises RunError where the two contradict each other."""
     try:
         return load_table(dbc, table)
     except ValueError as error:
@@ -140,21 +143,21 @@ def load_signal_table(dbc: Path, table: Path) -> SignalTable:
 
 def check_frames(spec: MessageSpec, payload: np.ndarray, time_ns: np.ndarray,
                  values: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, str]:
-    """(frames to keep, frames that are valid, what was wrong in words).
+    """(frames to keep, frames that are valid, description of the faults).
 
-    payload: (n, 8). time_ns: as logged. values: our signals of the message, SI, one value per frame.
+    payload: (n, 8). time_ns: as logged. values: signals of the suite in the message, SI, one value per frame.
     """
     n = len(payload)
     keep, valid = np.ones(n, dtype=bool), np.ones(n, dtype=bool)
     faults = []
-    wrong_sum = np.zeros(n, dtype=bool)
+    wrong_checksum = np.zeros(n, dtype=bool)
     for name, check in (("checksum", spec.checksum), ("counter", spec.counter)):
         if check is None or check.mode is Mode.OFF:
             continue
         if name == "checksum":
-            wrong = wrong_sum = ~checksum_matches(check, payload[:, : spec.dbc.length], spec.dbc.frame_id)
+            wrong = wrong_checksum = ~checksum_matches(check, payload[:, : spec.dbc.length], spec.dbc.frame_id)
         else:
-            wrong = counter_faults(check.field, payload, time_ns, wrong_sum, spec.timeout)
+            wrong = counter_faults(check.field, payload, time_ns, wrong_checksum, spec.timeout)
         (keep if check.mode is Mode.DROP else valid)[wrong] = False
         if wrong.any():
             faults.append(f"{name} wrong in {wrong.sum()}")
@@ -163,12 +166,13 @@ def check_frames(spec: MessageSpec, payload: np.ndarray, time_ns: np.ndarray,
         if np.isfinite(signal.maximum) or np.isfinite(signal.max_rate):
             possible[keep] &= plausible(signal, spec, time_ns[keep], values[signal.name][keep])
     if (keep & ~possible).any():
-        faults.append(f"a value that cannot be in {(keep & ~possible).sum()}")
+        faults.append(f"an implausible value in {(keep & ~possible).sum()}")
     return possible, valid & possible, f"{', '.join(faults)} of {n} frames" if faults else ""
 
 
 def plausible(signal: SignalSpec, spec: MessageSpec, time_ns: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Per frame: in range, within reach, and not isolated among implausible ones (canedge_bridge.decode.Plausibility).
+    """Whether each frame is in range, within the rate limit, and not isolated among implausible ones
+    (canedge_bridge.decode.Plausibility).
 
     Unlike the live decoder it uses the frames that follow: the first ones after a bad stretch are accepted too.
     """
@@ -176,7 +180,7 @@ def plausible(signal: SignalSpec, spec: MessageSpec, time_ns: np.ndarray, values
     in_range = (physical >= signal.minimum) & (physical <= signal.maximum)
 
     def within_reach(frame: np.ndarray | int, reference: np.ndarray | int) -> tuple[np.ndarray, np.ndarray]:
-        """(whether the two frames are comparable, and then within the limit of the rate)."""
+        """(whether the two frames are comparable, whether they are also within the rate limit)."""
         elapsed_ns = time_ns[frame] - time_ns[reference]
         comparable = (elapsed_ns > 0) & (elapsed_ns <= int(spec.timeout * 1e9))
         reach = signal.max_rate * np.maximum(elapsed_ns * 1e-9, spec.period)
@@ -191,8 +195,8 @@ def plausible(signal: SignalSpec, spec: MessageSpec, time_ns: np.ndarray, values
     accepted = -1
     for frame in np.flatnonzero(in_range & ~reached).tolist():  # jumps, and frames without a usable one before them
         last = max(accepted, int(earlier[frame]))
-        known, close = within_reach(frame, last) if last >= 0 else (False, False)
-        if close or not (known or comparable[frame]):
+        is_comparable, is_close = within_reach(frame, last) if last >= 0 else (False, False)
+        if is_close or not (is_comparable or comparable[frame]):
             possible[frame], accepted = True, frame
     bad = np.concatenate(([0], np.cumsum(~possible)))
     recent = bad[1:] - bad[np.maximum(frames + 1 - WINDOW, 0)]
@@ -203,7 +207,7 @@ def plausible(signal: SignalSpec, spec: MessageSpec, time_ns: np.ndarray, values
 
 
 def checksum_matches(check: CheckSpec, payload: np.ndarray, arbitration_id: int) -> np.ndarray:
-    """Per frame. The two rules of the cars known so far in columns, any other one frame by frame."""
+    """Whether the checksum of each frame is right. The two common rules are computed in columns, others per frame."""
     found = (payload[:, check.field.byte] >> check.field.shift) & check.field.mask
     if check.rule is RULES["xor_nibble"]:
         value = np.bitwise_xor.reduce(payload, axis=1)
@@ -211,17 +215,17 @@ def checksum_matches(check: CheckSpec, payload: np.ndarray, arbitration_id: int)
     if check.rule is RULES["sum8_id"]:
         total = payload.sum(axis=1, dtype=np.uint32) - found + (arbitration_id >> 8) + (arbitration_id & 0xFF)
         return (total & 0xFF) == found
-    assert check.rule is not None  # of a counter only
+    assert check.rule is not None  # None for a counter only
     expected = [checksum_of(check.rule, check.field, row.tobytes(), arbitration_id) for row in payload]
     return np.array(expected) == found
 
 
 def counter_faults(field: Field, payload: np.ndarray, time_ns: np.ndarray, unreadable: np.ndarray,
                    restart_after: float) -> np.ndarray:
-    """Where the counter did not rise by one, as CounterCheck finds it; frames in `unreadable` count on unread."""
+    """Where the counter did not rise by one, as CounterCheck finds it; it also counts the `unreadable` frames."""
     value = ((payload[:, field.byte] >> field.shift) & field.mask).astype(np.int64)
     index = np.arange(len(value))
-    # The last frame that was read, and how many passed unread since.
+    # The last readable frame before each.
     before = np.concatenate(([-1], np.maximum.accumulate(np.where(unreadable, -1, index))[:-1]))
     expected = value[before] + (index - before)
     wrong = (before >= 0) & ~unreadable & (((value - expected) & field.mask) != 0)

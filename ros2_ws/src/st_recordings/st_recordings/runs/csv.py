@@ -13,7 +13,7 @@ from st_core.vehicle import VehicleParameters
 from .columns import Layout, doubtful_steering, find_columns
 from .csv_table import Table, header_of, known, read_table
 from .errors import RunError, share
-from .ins_log import SPEEDS, InsLog, car_speed, mostly_known, planar, yaw_of
+from .ins_log import SPEEDS, InsLog, car_speed, is_mostly_known, planar, yaw_of
 from .ncom import enu
 from .run_types import ReadSettings, RunSource, SteeringField
 
@@ -86,7 +86,7 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
         raise RunError(file, f"fewer than two usable rows are in it{why}", "remove it from the command")
     values = {name: columns[name][ins] for name in INS_SIGNALS}
     values["yaw"] = np.unwrap(yaw_scale * values["yaw"])
-    values |= {name: columns[name][ins] for name in OPTIONAL_INS_SIGNALS if mostly_known(columns.get(name))}
+    values |= {name: columns[name][ins] for name in OPTIONAL_INS_SIGNALS if is_mostly_known(columns.get(name))}
     values |= {name: columns[name][steered] for name in {ROAD, *used}}
     try:
         log = DriveLog(file.stem, ins_time_ns=table.time_ns[ins], steering_time_ns=table.time_ns[steered], **values)

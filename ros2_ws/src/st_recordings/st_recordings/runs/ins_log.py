@@ -1,4 +1,4 @@
-"""An INS recording in the axes of the suite, whatever instrument wrote it; usable time stamps; speeds for checks."""
+"""An INS recording in the axes of the suite, whatever instrument wrote it; usable time stamps; speed by the wheels."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,28 +11,26 @@ from st_core.timeseries import interpolate
 
 from .errors import share
 
-
-@dataclass(frozen=True)
-class Motion:
-    """What clock alignment needs of an INS recording: SI, body axes, yaw from east; absolute: times are UTC."""
-
-    time_ns: np.ndarray
-    velocity_x: np.ndarray
-    yaw_rate: np.ndarray
-    yaw: np.ndarray | None = None
-    absolute: bool = True
+# The unsteered axle shows the speed of the car best; then the other axle, then the car's own signal of both.
+_SPEEDS = (("wheel_speed_rear_left", "wheel_speed_rear_right"), ("wheel_speed_front_left", "wheel_speed_front_right"),
+           ("vehicle_speed",))
+SPEEDS = tuple(name for names in _SPEEDS for name in names)
+MAX_WHEEL_GAP_NS = 100_000_000  # two wheels are compared at instants between samples no further apart
+MAX_LOST_SHARE = 0.01
+"""Share of rows not newer than all before, above which the clock was set back, and only one stretch is used."""
+MAX_LAST_STEP = 10.0
+"""Median steps from the last but one row to the last, above which the last stamp is wrong."""
 
 
 @dataclass(frozen=True)
 class InsLog:
-    """Every packet with a fix. time_ns: UTC of the measurement, strictly increasing.
+    """INS measurements with a fix, in axes forward, left, up. NaN where a channel was not recorded.
 
-    position: (3, n) east, north, up of `origin` [m], INS point. yaw: from east counter-clockwise, unwrapped; pitch:
-    nose down +, roll: right side down + [rad] (axes forward, left, up). velocity: (3, n) body axes [m/s]. rate: (3, n)
-    body axes [rad/s]. acceleration: (3, n) specific force, body axes [m/s^2]. origin: latitude, longitude [rad],
-    altitude [m], None for positions that were recorded in metres. stamps_ns: times of all that was sent, with a fix or
-    not. quality: as the unit reports it, or None.
-    absolute: whether the times are UTC.
+    time_ns: when measured, strictly increasing. position: (3, n) east, north, up of `origin` [m], INS point. yaw: from
+    east counter-clockwise, unwrapped; pitch: nose down +, roll: right side down + [rad]. velocity: (3, n) body axes
+    [m/s]. rate: (3, n) body axes [rad/s]. acceleration: (3, n) specific force, body axes [m/s^2]. origin: latitude,
+    longitude [rad], altitude [m], None for positions that were recorded in metres. stamps_ns: times of all that was
+    sent, with a fix or not. quality: as the unit reports it, or None. absolute: whether the times are UTC.
     """
 
     file: Path
@@ -50,17 +48,12 @@ class InsLog:
     warnings: tuple[str, ...] = ()
     absolute: bool = True
 
-    @property
-    def motion(self) -> Motion:
-        yaw = self.yaw if np.isfinite(self.yaw).any() else None
-        return Motion(self.time_ns, self.velocity[0], self.rate[2], yaw, self.absolute)
-
 
 def planar(file: Path, time_ns: np.ndarray, values: Mapping[str, np.ndarray], warnings: tuple[str, ...] = (),
            absolute: bool = True, origin: tuple[float, float, float] | None = None) -> InsLog:
-    """An INS recording that gives no more than the motion in the plane: attitude and vertical motion are zero.
+    """An INS log of motion in the plane: pitch, roll and vertical motion are zero.
 
-    values: x, y, yaw, velocity_x, velocity_y, yaw_rate, acceleration_x, acceleration_y; NaN for those not given.
+    values: any of x, y, yaw, velocity_x, velocity_y, yaw_rate, acceleration_x, acceleration_y.
     """
     zero, unknown = np.zeros(len(time_ns)), np.full(len(time_ns), np.nan)
     x, y, yaw, velocity_x, velocity_y, yaw_rate, *acceleration = (values.get(name, unknown) for name in (
@@ -71,48 +64,40 @@ def planar(file: Path, time_ns: np.ndarray, values: Mapping[str, np.ndarray], wa
 
 
 def yaw_of(x: np.ndarray, y: np.ndarray, z: np.ndarray, w: np.ndarray) -> np.ndarray:
-    """Yaw [rad], in (-pi, pi], of the quaternion from body to map axes, of any length but 0: that is NaN."""
+    """Yaw [rad] in (-pi, pi] of quaternions from body to map axes, of any length; NaN for length 0."""
     unset = x * x + y * y + z * z + w * w == 0
     return np.where(unset, np.nan, np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
-
-
-NEAR_NS = 100_000_000  # two wheels are compared at instants between samples no further apart
-
-# The axle that is not steered shows the car's own speed; then the other one, then what the car makes of both.
-_SPEEDS = (("wheel_speed_rear_left", "wheel_speed_rear_right"), ("wheel_speed_front_left", "wheel_speed_front_right"),
-           ("vehicle_speed",))
-SPEEDS = tuple(name for names in _SPEEDS for name in names)
 
 
 def car_speed(speeds: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Series | None:
     """Speed of the car by its wheels [m/s]: mean of the rear ones, else of the front ones, else its own speed signal.
 
-    speeds: name (wheel_speed_rear_left ..., vehicle_speed) -> (time [ns], rising; values [m/s]).
+    speeds: name (one of SPEEDS) -> (time [ns], rising; values [m/s]).
     """
     for names in _SPEEDS:
         if all(name in speeds and np.isfinite(speeds[name][1]).any() for name in names):
             time_ns = speeds[names[0]][0]
-            return series(time_ns, np.mean([interpolate(*_finite(*speeds[name]), time_ns, NEAR_NS) for name in names],
-                                           axis=0))
+            wheels = [interpolate(*_finite(*speeds[name]), time_ns, MAX_WHEEL_GAP_NS) for name in names]
+            return series(time_ns, np.mean(wheels, axis=0))
     return None
 
 
 def series(time_ns: np.ndarray, values: np.ndarray) -> Series | None:
-    """What is known of a signal, where its time rises; None for nothing."""
+    """The finite samples of a signal with rising time; None without any."""
     time_ns, values = _finite(np.asarray(time_ns, np.int64), values)
     if not len(time_ns):
         return None
-    rows = newer(time_ns)
+    rows = is_newer(time_ns)
     return Series(time_ns[rows], values[rows])
 
 
-def newer(time_ns: np.ndarray) -> np.ndarray:
-    """Which times are later than all before."""
+def is_newer(time_ns: np.ndarray) -> np.ndarray:
+    """Whether each time is later than all before it."""
     return np.diff(np.maximum.accumulate(time_ns), prepend=time_ns[:1] - 1) > 0
 
 
-def mostly_known(values: np.ndarray | None) -> bool:
-    """Whether a channel that may miss samples is of use: it is there, and at least half of it is."""
+def is_mostly_known(values: np.ndarray | None) -> bool:
+    """Whether at least half of an optional channel was recorded."""
     return values is not None and len(values) > 0 and bool(np.isfinite(values).mean() >= 0.5)
 
 
@@ -121,40 +106,35 @@ def _finite(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.nda
     return time_ns[known], values[known]
 
 
-LOST_SHARE = 0.01
-"""Of the rows: with more that are not newer than all before, the clock was set back, and one stretch is used."""
-LAST_STEP = 10.0
-"""Times the median step: a last row further away has a wrong stamp."""
-
-
 def usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list[str]]:
     """(rows of strictly rising time, warnings with the share that is not used).
 
-    time_ns: (n,) int64 in the order of the recording. what: of the rows, in the plural. Single rows that are not newer
-    than all before are left out. Where that costs more than LOST_SHARE, the clock was set back while recording: the
-    longest stretch in which it was not is used. A last row with a stamp far from the others is left out.
+    Single rows that are not newer than all before are left out. Where that costs more than MAX_LOST_SHARE, the clock
+    was set back while recording: only the longest stretch without a step back is used. A last row with a stamp far
+    from the others is left out. time_ns: (n,) int64 in the order of the recording. what: noun for the rows, plural.
     """
     n = len(time_ns)
-    rows = np.flatnonzero(newer(time_ns))
+    rows = np.flatnonzero(is_newer(time_ns))
     lost = n - len(rows)
     notes = []
     back = -np.diff(time_ns)[np.diff(time_ns) < 0] * 1e-9
-    if len(back) and lost > max(LOST_SHARE * n, 1) and n - len(longest := _longest(time_ns)) <= lost + LOST_SHARE * n:
+    longest = _longest_stretch(time_ns) if len(back) and lost > max(MAX_LOST_SHARE * n, 1) else rows[:0]
+    if len(longest) and n - len(longest) <= lost + MAX_LOST_SHARE * n:
         rows = longest
         notes.append(f"the clock was set back {len(back)} times, first by {back[0]:.3f} s: "
                      f"{share(n - len(rows), n, what)} are not used; split the recording to use them")
     elif lost:
         notes.append(f"{share(lost, n, what)} are not newer than all before; they were left out")
     steps = np.diff(time_ns[rows])
-    if len(rows) > 10 and steps[-1] > LAST_STEP * np.median(steps):
+    if len(rows) > 10 and steps[-1] > MAX_LAST_STEP * np.median(steps):
         notes.append(f"the last of {n} {what} is {steps[-1] * 1e-9:.3f} s after the one before; it was left out")
         rows = rows[:-1]
     return rows, notes
 
 
-def _longest(time_ns: np.ndarray) -> np.ndarray:
-    """Rows of the longest stretch without a step back, of it those that rise."""
+def _longest_stretch(time_ns: np.ndarray) -> np.ndarray:
+    """The rows of rising time in the longest stretch without a step back."""
     edges = np.concatenate(([0], np.flatnonzero(np.diff(time_ns) < 0) + 1, [len(time_ns)]))
     longest = int(np.argmax(np.diff(edges)))
     rows = np.arange(edges[longest], edges[longest + 1])
-    return rows[newer(time_ns[rows])]
+    return rows[is_newer(time_ns[rows])]

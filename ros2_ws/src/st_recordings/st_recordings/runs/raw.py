@@ -20,7 +20,7 @@ from .can_signals import CanSignals, Signal, decode_signals, load_signal_table, 
 from .clocks import INS_ON_CAN, align_clocks
 from .errors import RunError, check_readable, share
 from .frames import CanLog, no_frames
-from .ins_log import InsLog, mostly_known
+from .ins_log import InsLog, is_mostly_known
 from .readers import READERS
 from .run_types import LoadedRun, ReadSettings, RunSource, signal_files
 from .sources import find_runs
@@ -68,7 +68,7 @@ def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns, keep_
     if not keep_frames:
         can = replace(can, frames=no_frames())
     ins, how = read_ins(source, settings), clock_settings(source, settings)
-    alignment, shared = align_clocks(ins.motion, signals, **how)
+    alignment, shared = align_clocks(ins, signals, **how)
     known = "given" if settings.ins_can_latency or source.settings.get("ins_can_latency") else "assumed"
     latency = "{:g} ± {:g} ms, ".format(*(1e3 * value for value in how["latency"])) + known
     faults = [f"{can.files[0]}: {message}: {fault}" for message, fault in signals.faults.items()]
@@ -101,14 +101,14 @@ def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
     accelerations = dict(zip(OPTIONAL_INS_SIGNALS, ins.acceleration, strict=False))
     missing = {name: int(np.isnan(values).sum()) for name, values in accelerations.items()}
     warnings += [f"{source.where}: {name}: {share(count, len(ins.time_ns), 'samples')} have no value; "
-                 f"it is not {'known there' if mostly_known(accelerations[name]) else 'used'}"
+                 f"it is not {'known there' if is_mostly_known(accelerations[name]) else 'used'}"
                  for name, count in missing.items() if 0 < count < len(ins.time_ns)]
     missing["road_wheel_angle"] = int((~steering.valid).sum())
     try:
         log = DriveLog(
             source.name, ins_time_ns=ins.time_ns, x=ins.position[0], y=ins.position[1], yaw=ins.yaw,
             velocity_x=ins.velocity[0], velocity_y=ins.velocity[1], yaw_rate=ins.rate[2],
-            **{name: values for name, values in accelerations.items() if mostly_known(values)},
+            **{name: values for name, values in accelerations.items() if is_mostly_known(values)},
             steering_time_ns=steering_ns[good], steering_wheel_angle=wheel,
             road_wheel_angle=vehicle.road_wheel_angle(wheel),
         )

@@ -22,7 +22,7 @@ from st_core.vehicle import VehicleParameters
 from .bag_storage import Storage, Topic, parameters, text_of
 from .cdr import CAN_FRAMES, INS_ON_CAN, INS_STATUS, NCOM, WHEEL_FIELDS, WHEEL_SPEEDS, field_of
 from .errors import RunError
-from .ins_log import car_speed, newer, series
+from .ins_log import car_speed, is_newer, series
 from .ncom import ins_quality, to_body
 from .run_types import SteeringField
 
@@ -203,7 +203,7 @@ def _packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
         return None, None
     timed = np.flatnonzero((columns.kind == file_decoder.REGULAR) & (columns.order == packet_time.NEW)
                            & (columns.utc_ns != file_decoder.UNKNOWN_TIME))
-    rows = timed[newer(columns.utc_ns[timed])]
+    rows = timed[is_newer(columns.utc_ns[timed])]
     if not len(rows):
         return None, None
     north, east, down = columns.velocity_ned[:, rows]
@@ -224,7 +224,7 @@ def _status(storage: Storage, topic: Topic, store: Typestore) -> InsQuality | No
         return None
     time_ns = np.array([row[0] for row in rows], np.int64)
     values = np.array([row[1:] for row in rows], float)
-    used = newer(time_ns)
+    used = is_newer(time_ns)
     time_ns, (status, mode, north, east, heading) = time_ns[used], values[used].T
     return InsQuality(time_ns, status, mode, np.hypot(north, east), heading)
 
