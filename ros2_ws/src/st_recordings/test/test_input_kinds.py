@@ -274,7 +274,7 @@ def spoilt(lines: list[str], every: int) -> str:
 LOGS: list[tuple[str, Callable[[list[str]], str], str, str]] = [
     ("run.log", lambda lines: spoilt(lines, 3000), "utf-8", r"lines \(0\.03\d? %\) cannot be read, .* line 3000"),
     ("run.log", "\n".join, "utf-16", ""),
-    ("run.log", lambda lines: changed(lines, lambda h, d: f"{h}#{d}000000"), "utf-8", "the additional bytes are padding"),
+    ("run.log", lambda lines: changed(lines, lambda h, d: f"{h}#{d}000000"), "utf-8", "bytes are padding"),
     ("run.log", lambda lines: changed(lines, lambda h, d: f"{h}##1{d.ljust(24, '0')}"), "utf-8", "have 12 bytes"),
     ("run.log", lambda lines: changed(lines, lambda h, d: f"{h}##1{d.ljust(128, 'A')}"), "utf-8", "have 64 bytes"),
     ("run.asc", lambda lines: asc(lines, comment="// Prüfstand"), "cp1252", ""),

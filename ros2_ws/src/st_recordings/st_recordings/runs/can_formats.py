@@ -74,7 +74,7 @@ class Lines:
 
 @dataclass(frozen=True)
 class Format:
-    """A text or binary log. extensions: lower case. mark: whether the head of a file is of this format. messages: yields
+    """A text or binary log. extensions: lower case. mark: tests the head of a file for it. messages: yields
     python-can messages in the order of the file and appends notes on what is wrong, without the file's name."""
 
     name: str
