@@ -1,23 +1,153 @@
-"""Status channels (byte 62 and batch S): position, unit and validity of every field; 8 bytes to named values and back.
+"""Status channels (byte 62 and batch S): position, format, unit and validity of every field; 8 bytes to named values
+and back.
 
 Field names are the vendor's, as in tests/golden/data/ncom; angles are in degrees as the vendor's tools show them.
 Source: NCOM manual 260702 and the behaviour of the vendor's public decoder. Checked by:
 tests/golden/test_ncom_vectors.py (every channel), test_channels.py (round trips).
 """
 
-from collections.abc import Iterable, Mapping
+import re
+import struct
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from math import degrees
+from typing import Any, TypeAlias
 
-from .fields import Field, Validity, Value, encode_fields
 from .ncom import NcomError
 from .packet_time import LAST_MINUTE
 
-F = Field
+Value: TypeAlias = Any
+"""Float, int or text depending on the field; None: invalid."""
+
 LONG_RANGE_CHANNEL = 57
 TRIGGER_CHANNELS = {24: "TrigTime", 43: "Trig2Time", 65: "DigitalOutTime", 79: "Trig3Time", 80: "Trig4Time",
                     81: "DigitalOut2Time"}
 
-FRESH = Validity("b6 < 150", lambda raw, data: data[6] < 150, flag=6)
+# The 8 bytes given to a validity rule while a value is encoded: every flag byte is "valid".
+_FLAGS_SET = bytes(6) + b"\0\x01"
+_F32 = struct.Struct("<f")
+_ALIASES = {"shifted": "i8", "digits6": "i24", "lo4": "bits0+4", "hi4": "bits4+4"}
+
+
+@dataclass(frozen=True)
+class Validity:
+    """Condition under which a field is valid.
+
+    accepts(raw, data): raw is the number of the field, data the 8 bytes. mark: number written for "invalid".
+    flag: index of the validity byte of a group of fields, written as flag_valid or 0xFF.
+    """
+
+    text: str
+    accepts: Callable[[int, bytes], bool]
+    mark: int = -1
+    flag: int | None = None
+    flag_valid: int = 0
+
+
+ALWAYS = Validity("always", lambda raw, data: True, mark=0)
+
+
+@dataclass(frozen=True)
+class Field:
+    """One value of a status channel: physical = number on the wire * scale + offset.
+
+    name: the vendor's, or the project's where the vendor has none.  at: first byte.  unit: of the physical value.
+    kind: u8 ... u64, i8 ... i32; bits<first>+<count> of the byte (ibits: inverted), lo4, hi4: its halves; f32; shifted:
+    7-bit number above a validity bit; digits6: i24 as text of six digits; text<n>; constant: implied by the channel,
+    value in offset.
+    cyclic: width in bits of a counter that wraps (unwrapped by status.StatusTracker).
+    """
+
+    name: str
+    kind: str
+    at: int
+    unit: str = "1"
+    scale: float = 1
+    offset: float = 0
+    validity: Validity = ALWAYS
+    cyclic: int = 0
+
+    def _bits(self) -> tuple[int, int, int, int]:
+        """(shift, mask, flip, sign): the number is ((word >> shift & mask ^ flip) ^ sign) - sign.
+
+        word: the 8 bytes as one little-endian integer. sign: weight of the sign bit, 0 for unsigned numbers.
+        """
+        kind = _ALIASES.get(self.kind, self.kind)
+        before, _, bits = kind.partition("bits")
+        if bits:
+            first, count = bits.split("+")
+            mask = (1 << int(count)) - 1
+            return 8 * self.at + int(first), mask, mask if before == "i" else 0, 0
+        width = int(kind[1:])
+        return 8 * self.at, (1 << width) - 1, 0, 1 << width - 1 if kind[0] == "i" else 0
+
+    def decoder(self) -> Callable[[int, bytes], Value]:
+        """A function from the 8 bytes, as one integer and as bytes, to the physical value, None where it is invalid."""
+        at, scale, offset, accepts = self.at, self.scale, self.offset, self.validity.accepts
+        if self.kind == "constant":
+            return lambda word, data: int(offset)
+        if self.kind.startswith("text"):
+            end = at + int(self.kind[4:])
+            return lambda word, data: _text(data[at:end])
+        if self.kind == "f32":  # negative = invalid; so is NaN
+            return lambda word, data: value if (value := _F32.unpack_from(data, at)[0]) >= 0 else None
+        shift, mask, flip, sign = self._bits()
+        if self.kind == "digits6":
+            return lambda word, data: f"{raw:06d}" if (raw := (word >> shift & mask ^ sign) - sign) >= 0 else None
+        if self.kind == "shifted":
+            return lambda word, data: (raw >> 1) * scale if (raw := (word >> shift & mask ^ sign) - sign) & 1 else None
+        if scale == 1 and not offset:
+            return lambda word, data: (
+                raw if accepts(raw := ((word >> shift & mask ^ flip) ^ sign) - sign, data) else None)
+        return lambda word, data: (
+            raw * scale + offset if accepts(raw := ((word >> shift & mask ^ flip) ^ sign) - sign, data) else None)
+
+    def encode(self, buffer: bytearray, value: Value) -> None:
+        """Write a value (None: the invalid mark) into the 8 bytes; encode_channel() writes the flags of groups.
+
+        A scaled quantity is limited to the range of the format; a count or code that does not fit raises NcomError.
+        """
+        if self.kind == "constant":
+            return
+        if self.kind.startswith("text"):
+            size = int(self.kind[4:])
+            text = re.sub(r"\\x([0-9a-f]{2})", lambda match: chr(int(match[1], 16)), str(value or ""))
+            buffer[self.at : self.at + size] = text.encode("latin-1", "replace")[:size].ljust(size, b"\0")
+            return
+        if self.kind == "f32":
+            _F32.pack_into(buffer, self.at, -1.0 if value is None else value)
+            return
+        shift, mask, flip, _ = self._bits()
+        number = self.validity.mark if value is None else self._number(value)
+        others = int.from_bytes(buffer, "little") & ~(mask << shift)
+        buffer[:] = (others | (number & mask ^ flip) << shift).to_bytes(8, "little")
+
+    def _number(self, value: float | int | str) -> int:
+        """The valid number on the wire nearest to a value."""
+        plain = self.scale == 1 and not self.offset
+        _, mask, _, sign = self._bits()
+        low, high = -sign, mask - sign
+        number = int(value) if plain else round(max(low, min(high, (float(value) - self.offset) / self.scale)))
+        if self.kind == "shifted":
+            return max(-64, min(63, number)) << 1 | 1
+        accepts = self.validity.accepts
+        if low <= number <= high and accepts(number, _FLAGS_SET):
+            return number
+        if plain:
+            raise NcomError(f"{self.name}: {value} does not fit ({low} to {high}, {self.validity.text})")
+        while not accepts(number, _FLAGS_SET):
+            number += 1 if number <= 0 else -1
+        return number
+
+
+def _text(data: bytes) -> str | None:
+    """Text up to the first zero byte; unprintable bytes are written as \\xNN so that a CSV row stays one line."""
+    return "".join(chr(c) if 32 <= c < 127 else f"\\x{c:02x}" for c in data.split(b"\0")[0]) or None
+
+
+F = Field  # short for the table
+_AGE_IS_LOW = "b6 < 150"
+FRESH = Validity(_AGE_IS_LOW, lambda raw, data: data[6] < 150, flag=6)
 B6_ZERO = Validity("b6 = 0", lambda raw, data: data[6] == 0, flag=6)
 B6_NOT_255 = Validity("b6 < 255", lambda raw, data: data[6] < 255, flag=6)
 HIGH_BIT = Validity("bit 7 = 0", lambda raw, data: raw < 0x80, mark=0xFF)
@@ -29,29 +159,26 @@ GPS_MINUTE = Validity(">= 1000", lambda raw, data: raw >= 1000, mark=0)
 OMNISTAR_STATUS = Validity("b4 < 255", lambda raw, data: data[4] < 255, flag=4)
 INVERTED_B6 = Validity("bit 7 of b6 = 0", lambda raw, data: data[6] < 0x80, flag=6, flag_valid=0x7F)
 INVERTED_B7 = Validity("bit 7 of b7 = 0", lambda raw, data: data[7] < 0x80, flag=7, flag_valid=0x7F)
-LONG_RANGE = Validity("b6 < 150 and b7 > 0", lambda raw, data: data[6] < 150 and data[7] != 0, flag=6)
+LONG_RANGE = Validity(f"{_AGE_IS_LOW} and b7 > 0", lambda raw, data: data[6] < 150 and data[7] != 0, flag=6)
 
 
-def not_(*marks: int) -> Validity:
+def unless(*marks: int) -> Validity:
     """Valid unless the number is one of the marks; the first is the one that encoders write."""
-    return Validity("not " + ", ".join(map(str, marks)), lambda raw, data: raw not in marks, mark=marks[0])
+    return Validity(f"not {', '.join(map(str, marks))}", lambda raw, data: raw not in marks, marks[0])
 
 
-def fresh_not(*marks: int) -> Validity:
-    """As not_(), and the age in byte 6 must be below 150."""
-    return Validity(
-        "b6 < 150 and not " + ", ".join(map(str, marks)),
-        lambda raw, data: data[6] < 150 and raw not in marks,
-        mark=marks[0],
-    )
+def fresh_unless(*marks: int) -> Validity:
+    """As unless(), and the age in byte 6 must be below 150."""
+    return Validity(f"{_AGE_IS_LOW} and not {', '.join(map(str, marks))}",
+                    lambda raw, data: data[6] < 150 and raw not in marks, marks[0])
 
 
-BYTE = not_(0xFF)
-WORD = not_(0xFFFF)
+BYTE = unless(0xFF)
+WORD = unless(0xFFFF)
 # Units mark an unknown undulation as 0x8000; the manual prints 0xFFFF (-5 mm), also invalid if HDOP and PDOP are.
 UNDULATION = Validity("not -32768, and not -1 while HDOP and PDOP are invalid",
                       lambda raw, data: raw != -0x8000 and (raw != -1 or data[2:4] != b"\xff\xff"), mark=-0x8000)
-NIBBLE = not_(0xF)
+NIBBLE = unless(0xF)
 
 
 def _byte(name: str, at: int, unit: str = "1", scale: float = 1, offset: float = 0) -> Field:
@@ -65,25 +192,20 @@ def _word(name: str, at: int, unit: str = "1", scale: float = 1, offset: float =
 
 
 def _xyz(names: Iterable[str], kind: str, scale: float, unit: str, validity: Validity) -> list[Field]:
-    """Three consecutive two-byte values from byte 0."""
+    """Three consecutive two-byte values from byte 0 on."""
     return [F(name, kind, 2 * i, unit, scale, 0, validity) for i, name in enumerate(names)]
 
 
-def _axes(prefix: str, suffix: str = "") -> list[str]:
-    return [f"{prefix}{axis}{suffix}" for axis in "XYZ"]
-
-
 def _lever(prefix: str) -> list[Field]:
-    return _xyz(_axes(prefix), "i16", 1e-3, "m", B6_ZERO)
+    return _xyz([f"{prefix}{axis}" for axis in "XYZ"], "i16", 1e-3, "m", B6_ZERO)
 
 
 def _lever_accuracy(prefix: str) -> list[Field]:
-    return _xyz(_axes(prefix, "Acc"), "u16", 1e-4, "m", B6_ZERO)
+    return _xyz([f"{prefix}{axis}Acc" for axis in "XYZ"], "u16", 1e-4, "m", B6_ZERO)
 
 
 def _angles(prefix: str) -> list[Field]:
-    names = [prefix + angle for angle in ("Heading", "Pitch", "Roll")]
-    return _xyz(names, "i16", degrees(1e-4), "deg", B6_ZERO)
+    return _xyz([prefix + angle for angle in ("Heading", "Pitch", "Roll")], "i16", degrees(1e-4), "deg", B6_ZERO)
 
 
 def _innovations(*names: str, first: int = 0) -> list[Field]:
@@ -100,8 +222,8 @@ def _receiver_counters(receiver: str) -> list[Field]:
 
 
 def _receiver_status(receiver: str) -> list[Field]:
-    return [F(f"{receiver}.AntStatus", "bits0+2", 0, validity=not_(3)),
-            F(f"{receiver}.AntPower", "bits2+2", 0, validity=not_(3, 2)),
+    return [F(f"{receiver}.AntStatus", "bits0+2", 0, validity=unless(3)),
+            F(f"{receiver}.AntPower", "bits2+2", 0, validity=unless(3, 2)),
             _byte(f"{receiver}.CpuUsed", 1, "%"), _byte(f"{receiver}.CoreNoise", 2, "%"),
             _byte(f"{receiver}.SerBaud", 3), _byte(f"{receiver}.NumSats", 4),
             _byte(f"{receiver}.PosMode", 5), _byte(f"{receiver}.CoreTemp", 6, "degC", 1, -70),
@@ -144,18 +266,18 @@ TABLE: dict[int, list[Field]] = {
          *_nibbles(7, "GpsExternal.NumGloL1", "GpsExternal.NumGloL2")],
     12: _xyz(("GAPx", "GAPy", "GAPz"), "i16", 1e-3, "m", FRESH),
     13: [F("AtH", "i16", 0, "deg", degrees(1e-4), 0, FRESH), F("AtP", "i16", 2, "deg", degrees(1e-4), 0, FRESH),
-         F("BaseLineLength", "u16", 4, "m", 1e-3, 0, fresh_not(0, 0xFFFF)),
+         F("BaseLineLength", "u16", 4, "m", 1e-3, 0, fresh_unless(0, 0xFFFF)),
          *_nibbles(7, "HeadNumGpsAvailable", "HeadNumGpsUsed")],
     14: [*_xyz(("GAPxAcc", "GAPyAcc", "GAPzAcc"), "u16", 1e-4, "m", FRESH),
          *_nibbles(7, "NumGpsUsedInPos", "NumGloUsedInPos")],
     15: [F("AtHAcc", "u16", 0, "deg", degrees(1e-5), 0, FRESH), F("AtPAcc", "u16", 2, "deg", degrees(1e-5), 0, FRESH),
-         F("BaseLineLengthAcc", "u16", 4, "m", 1e-4, 0, fresh_not(0xFFFF)),
+         F("BaseLineLengthAcc", "u16", 4, "m", 1e-4, 0, fresh_unless(0xFFFF)),
          *_nibbles(7, "HeadNumGloAvailable", "HeadNumGloUsed")],
     16: [*_angles("Imu2Veh"), F("TimeUtcOffset", "shifted", 7, "s", 1, 0, BIT0)],
     17: _receiver_counters("GpsSecondary"),
     18: [F("ImuChars", "u32", 0), F("ImuPkts", "u16", 4, cyclic=16), F("ImuCharsSkipped", "u16", 6, cyclic=16)],
     19: [F("DevId", "text8", 0)],
-    20: [F("GpsDiffAge", "i16", 0, "s", 0.01, 0, not_(-1)), F("BaseStationId", "text4", 2)],
+    20: [F("GpsDiffAge", "i16", 0, "s", 0.01, 0, unless(-1)), F("BaseStationId", "text4", 2)],
     21: [F("DiskSpace", "i32", 0, "byte", 1024, 0, NOT_NEGATIVE),
          F("FileSize", "i32", 4, "byte", 1024, 0, NOT_NEGATIVE)],
     22: [_word("TimeMismatch", 0), _byte("ImuTimeDiff", 2, "ms"), _byte("ImuTimeMargin", 3, "ms"),
@@ -163,9 +285,9 @@ TABLE: dict[int, list[Field]] = {
     23: [_word("BnsLag", 0, "ms"), _word("UpTimeCode", 2), _byte("GPSPosReject", 4), _byte("GPSVelReject", 5),
          _byte("GPSAttReject", 6), F("PtpStatus", "u8", 7, validity=POSITIVE)],
     24: _trigger(24),
-    25: [F("OldRefX", "i24", 0, "m", 1.2e-3, 0, not_(-0x800000, 0x7FFFFF)),
-         F("OldRefY", "i24", 3, "m", 1.2e-3, 0, not_(-0x800000, 0x7FFFFF)),
-         F("OldRefHeading", "i16", 6, "deg", degrees(1e-4), 0, not_(-0x8000))],
+    25: [F("OldRefX", "i24", 0, "m", 1.2e-3, 0, unless(-0x800000, 0x7FFFFF)),
+         F("OldRefY", "i24", 3, "m", 1.2e-3, 0, unless(-0x800000, 0x7FFFFF)),
+         F("OldRefHeading", "i16", 6, "deg", degrees(1e-4), 0, unless(-0x8000))],
     26: _lever("RemoteLeverArm"),
     27: [_byte("HeadQuality", 0), _byte("HeadSearchType", 1), _byte("HeadSearchStatus", 2), _byte("HeadSearchReady", 3),
          _word("HeadSearchInit", 4), _word("HeadSearchNum", 6)],
@@ -199,7 +321,7 @@ TABLE: dict[int, list[Field]] = {
          _byte("OptionNSVAccel", 5, "m/s^2", 0.04), _byte("OptionNSSpeed", 6, "m/s", 0.1),
          _byte("OptionNSRadius", 7, "m", 0.5)],
     40: [F("NcomVersion", "u16", 0, validity=POSITIVE), _word("OutputLatency", 2, "s", 0.01),
-         F("SerialNumber24", "u24", 4, validity=not_(0xFFFFFF))],
+         F("SerialNumber24", "u24", 4, validity=unless(0xFFFFFF))],
     41: [F("OptionSer1Baud", "u8", 0), F("OptionSer2Baud", "u8", 1), F("OptionSer3Baud", "u8", 2),
          F("OptionCanBaud", "u8", 3),
          *(F(f"WifiIp{i}", "u8", 3 + i, validity=BYTE) for i in (1, 2, 3, 4))],
@@ -221,7 +343,7 @@ TABLE: dict[int, list[Field]] = {
          *(F(f"OmniStatus{name}", f"bits{bit}+1", 4, validity=OMNISTAR_STATUS) for bit, name in enumerate((
              "VbsExpired", "VbsOutOfRegion", "VbsNoRemoteSites", "HpExpired", "HpOutOfRegion", "HpNoRemoteSites",
              "HpNotConverged", "HpKeyInvalid"))),
-         F("OmniStarSerial", "u24", 5, validity=not_(0xFFFFFF))],
+         F("OmniStarSerial", "u24", 5, validity=unless(0xFFFFFF))],
     50: _counters("CmdChars", "CmdPkts", "CmdCharsSkipped", "CmdErrors"),
     **{channel: _lever(f"SlipPoint{i}") for i, channel in enumerate((51, 52, 53, 54, 68, 69, 70, 71), 1)},
     55: _receiver_status("GpsPrimary"),
@@ -246,10 +368,10 @@ TABLE: dict[int, list[Field]] = {
               "RawL2Enabled", "RawL5Enabled"))),
          _byte("ProductType", 7)],
     65: _trigger(65),
-    66: [F("RefLat", "i32", 0, "deg", 1e-7, 0, not_(-(1 << 31))),
-         F("RefLon", "i32", 4, "deg", 1e-7, 0, not_(-(1 << 31)))],
-    67: [F("RefAlt", "i32", 0, "m", 1e-3, 0, not_(-(1 << 31))),
-         F("RefHeading", "i32", 4, "deg", 1e-7, 0, not_(-(1 << 31)))],
+    66: [F("RefLat", "i32", 0, "deg", 1e-7, 0, unless(-(1 << 31))),
+         F("RefLon", "i32", 4, "deg", 1e-7, 0, unless(-(1 << 31)))],
+    67: [F("RefAlt", "i32", 0, "m", 1e-3, 0, unless(-(1 << 31))),
+         F("RefHeading", "i32", 4, "deg", 1e-7, 0, unless(-(1 << 31)))],
     72: [*_xyz(("AxSf", "AySf", "AzSf"), "i16", 1e-6, "1", FRESH), *_nibbles(7, "DiffNumGpsL1", "DiffNumGpsL2")],
     73: [*_xyz(("AxSfAcc", "AySfAcc", "AzSfAcc"), "u16", 1e-6, "1", FRESH),
          *_nibbles(7, "DiffNumGloL1", "DiffNumGloL2")],
@@ -290,6 +412,7 @@ FIELDS: dict[int, dict[str, Field]] = {
     channel: {field.name: field for field in fields} for channel, fields in TABLE.items()
 }
 _DECODERS = {channel: tuple((field.name, field.decoder()) for field in fields) for channel, fields in TABLE.items()}
+_TRIGGER = struct.Struct("<iHbB")
 UTC_CHANNEL = 16
 _READ_UTC_OFFSET = FIELDS[UTC_CHANNEL]["TimeUtcOffset"].decoder()
 
@@ -308,6 +431,23 @@ def decode_channel(channel: int, data: bytes) -> dict[str, Value]:
     return values
 
 
+def trigger_nanoseconds(data: bytes) -> int | None:
+    """GPS time of an event [ns since 1980-01-06] from the 8 bytes of a trigger channel, resolution 4 us.
+
+    None: no event yet.
+    """
+    minutes, milliseconds, fine, count = _TRIGGER.unpack(data)
+    if not 0 < minutes <= LAST_MINUTE or not count:
+        return None
+    return int(minutes * 60_000_000_000 + milliseconds * 1_000_000 + fine * 4_000)
+
+
+def utc_offset(data: bytes) -> int | None:
+    """UTC - GPS time [s] from the 8 bytes of channel 16; None if invalid or positive (UTC is never ahead of GPS)."""
+    offset = _READ_UTC_OFFSET(int.from_bytes(data, "little"), data)
+    return None if offset is None or offset > 0 else int(offset)
+
+
 def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
     """The 8 bytes of a channel; a missing field, None or NaN becomes invalid (0 where the field cannot express that).
 
@@ -322,19 +462,24 @@ def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
             raise NcomError(f"channel {channel} has no field {name}; it has {', '.join(fields)}")
     if channel == LONG_RANGE_CHANNEL:
         return _encode_long_range(values)
-    return encode_fields(channel, fields.values(), values)
-
-
-def trigger_nanoseconds(data: bytes) -> int | None:
-    """GPS time of an event [ns since 1980-01-06] from the 8 bytes of a trigger channel, resolution 4 us.
-
-    None: no event yet.
-    """
-    minutes = int.from_bytes(data[0:4], "little", signed=True)
-    if not 0 < minutes <= LAST_MINUTE or not data[7]:
-        return None
-    fine = data[6] - 256 if data[6] > 127 else data[6]
-    return minutes * 60_000_000_000 + int.from_bytes(data[4:6], "little") * 1_000_000 + fine * 4_000
+    values = {name: None if value != value else value for name, value in values.items()}  # noqa: PLR0124 - NaN
+    buffer = bytearray(b"\xff" * 8)
+    groups: dict[int, list[Field]] = {}
+    for field in fields.values():
+        if field.validity.flag is not None:
+            groups.setdefault(field.validity.flag, []).append(field)
+    for flag, group in groups.items():
+        given = [values.get(field.name) is not None for field in group]
+        if any(given) and not all(given):
+            raise NcomError(f"channel {channel}: {', '.join(f.name for f in group)} are valid together or not at all")
+        buffer[flag] = group[0].validity.flag_valid if any(given) else 0xFF
+    if any(f.validity.text.startswith(_AGE_IS_LOW) and values.get(f.name) is not None for f in fields.values()):
+        buffer[6] = 0
+    for name, field in fields.items():
+        value = values.get(name)
+        if value is not None or field.validity.flag is None:
+            field.encode(buffer, value)
+    return bytes(buffer)
 
 
 def _encode_long_range(values: Mapping[str, Value]) -> bytes:
@@ -350,14 +495,3 @@ def _encode_long_range(values: Mapping[str, Value]) -> bytes:
     for field, length in zip(TABLE[LONG_RANGE_CHANNEL], lengths, strict=True):
         field.encode(buffer, length / factor)
     return bytes(buffer)
-
-
-def utc_offset(data: bytes) -> int | None:
-    """UTC - GPS time [s] from the 8 bytes of channel 16; None if invalid or positive (UTC is never ahead of GPS)."""
-    offset = _READ_UTC_OFFSET(int.from_bytes(data, "little"), data)
-    return None if offset is None or offset > 0 else int(offset)
-
-
-def known(channel: int) -> bool:
-    """Whether the layout of a channel is published; other channels are only counted."""
-    return channel in TABLE

@@ -20,7 +20,7 @@ from st_ros.polling import OnDemandPublisher
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
-from .fields import Value
+from .channels import Value
 from .motion import Accuracy, Motion, Quaternion, Vector, flu_from_frd
 from .ncom import BY_STATUS, Counters, fix_status, mode_text
 from .status import StatusTracker

@@ -7,9 +7,8 @@ from typing import TypeAlias
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .channels import FIELDS, INVERTED_B6
+from .channels import FIELDS, INVERTED_B6, Value
 from .derived import Settings, derive, float_seconds
-from .fields import Value
 from .file_decoder import EMPTY, KINDS, STATUS, TRIGGER, UNKNOWN_TIME, Columns, decode_file
 from .ncom import NcomError
 from .packet_time import WEEK_MS

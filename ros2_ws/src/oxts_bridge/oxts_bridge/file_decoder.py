@@ -1,37 +1,59 @@
-"""A whole NCOM file as numpy columns, with the same packets, times and counts as stream.NcomParser.
+"""A whole NCOM file as numpy columns: the same packets, times and counts as stream.NcomParser, 30 times as fast.
 
-This second implementation is 30 times faster than the parser; tests/golden and test_stream.py compare the two.
+Runs of regular packets are decoded in columns; faults are left to the functions of the parser: next_packet() searches
+for the next packet, GpsClock follows the time. Tests/golden and test_stream.py compare both decoders.
 """
 
+from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from st_core.leap_seconds import GPS_EPOCH_UNIX, at_all_gps
 
 from . import ncom
-from .channels import TRIGGER_CHANNELS, UTC_CHANNEL, known, trigger_nanoseconds, utc_offset
-from .ncom import BATCH_S, BY_STATUS, PACKET_SIZE, STATUS_AT, Counters, NcomError, is_valid_position, next_packet
-from .packet_time import DUPLICATE, FIRST_MINUTE, LAST_MINUTE, LATE, MINUTE_MS, NEW, packet_times, utc_times
+from .channels import FIELDS, TRIGGER_CHANNELS, UTC_CHANNEL, trigger_nanoseconds, utc_offset
+from .ncom import BATCH_S, BY_STATUS, PACKET_SIZE, Counters, NcomError, is_valid_position, next_packet
+from .packet_time import (
+    DUPLICATE,
+    FIRST_MINUTE,
+    HALF_MINUTE_MS,
+    LARGEST_STEP_NS,
+    LAST_MINUTE,
+    LATE,
+    MINUTE_MS,
+    NEW,
+    SAME,
+    GpsClock,
+)
 
 KINDS = ("empty", "regular", "status", "trigger")
 EMPTY, REGULAR, STATUS, TRIGGER = range(4)
 UNKNOWN_TIME = np.iinfo(np.int64).min
 
-# Rows checked per step: few right after a fault, then growing, so that a clean file takes a few large steps.
+# Packets per step: few right after a fault, then growing, so that a clean file takes a few large steps.
 _FIRST_ROWS, _MAX_ROWS = 64, 1 << 16
+# Packets timed one by one from a fault on, before columns are tried again.
+_SINGLE_STEPS = 16
 
+_FIELDS = np.dtype({
+    "names": ("milliseconds", "status", "latitude", "longitude", "altitude", "channel", "minute"),
+    "formats": ("<u2", "u1", "<f8", "<f8", "<f4", "u1", "<i4"),
+    "offsets": (ncom.MILLISECONDS_AT, ncom.STATUS_AT, ncom.LATITUDE_AT, ncom.LONGITUDE_AT, ncom.ALTITUDE_AT,
+                ncom.CHANNEL_AT, ncom.BATCH_S_AT),
+    "itemsize": PACKET_SIZE})
+
+# Rules by navigation status, and properties of the channels.
 _KIND = np.array([KINDS.index(rule.kind) for rule in BY_STATUS], np.int8)
-_HAS_TIME = np.array([rule.time for rule in BY_STATUS])
-_HAS_IMU = np.array([rule.imu for rule in BY_STATUS])
-_HAS_STATUS = np.array([rule.status for rule in BY_STATUS])
+_HAS_TIME, _HAS_IMU, _HAS_STATUS, _IS_KNOWN = (
+    np.array([getattr(rule, part) for rule in BY_STATUS]) for part in ("time", "imu", "status", "known"))
 _HAS_NAVIGATION = np.array([rule.navigation != "none" for rule in BY_STATUS])
 _IS_APPROXIMATE = np.array([rule.navigation == "approximate" for rule in BY_STATUS])
-_IS_KNOWN = np.array([rule.known for rule in BY_STATUS])
-_HAS_MINUTE = np.isin(np.arange(256), list(ncom.MINUTE_STATUSES))
+_SETS_CLOCK = np.isin(np.arange(256), list(ncom.MINUTE_STATUSES))
+_IS_KNOWN_CHANNEL = np.isin(np.arange(256), list(FIELDS))
 _NO_OFFSET = 1
 _UTC_OFFSET = np.array([_NO_OFFSET if (offset := utc_offset(bytes([*[0] * 7, byte]))) is None else offset
                         for byte in range(256)])
-_KNOWN_CHANNEL = np.array([known(channel) for channel in range(256)])
 
 
 @dataclass
@@ -86,13 +108,13 @@ def decode_file(source: str | Path | bytes) -> Columns:
     else:
         data, name = bytes(source), "input"
     counters = Counters()
-    offset = find_packets(data, counters)
+    offset = _find_packets(data, counters)
     if not len(offset):
         raise NcomError(_no_packet_message(name, data))
     return _decode(data, offset, counters)
 
 
-def find_packets(data: bytes, counters: Counters) -> np.ndarray:
+def _find_packets(data: bytes, counters: Counters) -> np.ndarray:
     """Byte offsets of all packets; fills packets, checksum_errors and skipped_bytes of the counters."""
     bytes_ = np.frombuffer(data, np.uint8)
     found: list[np.ndarray] = []
@@ -116,18 +138,12 @@ def find_packets(data: bytes, counters: Counters) -> np.ndarray:
 
 def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
     raw = _rows(data, offset)
-    n = len(raw)
-    buffer = raw.reshape(-1).data
-    status, channel = raw[:, STATUS_AT].copy(), raw[:, ncom.CHANNEL_AT].copy()
-    milliseconds = np.ndarray((n,), "<u2", buffer, ncom.MILLISECONDS_AT, (PACKET_SIZE,)).astype(np.int64)
-    has_status = _HAS_STATUS[status]
-    gps_ns, order, jumps = _times(raw, status, milliseconds, (channel == 0) & has_status)
-    kind = _KIND[status]
-    _trigger_times(raw, kind, gps_ns, order)
-    heading, pitch, roll = _i24(buffer, n, ncom.ANGLES_AT, ncom.ANGLE_UNIT)
-
+    packets = raw.view(_FIELDS).ravel()
+    status, channel = packets["status"].copy(), packets["channel"].copy()
+    kind, gps_ns, order, jumps = _times(raw, packets)
+    heading, pitch, roll = _i24(raw, ncom.ANGLES_AT, ncom.ANGLE_UNIT)
     with np.errstate(invalid="ignore"):  # private or empty packets may hold signalling NaN
-        altitude = np.ndarray((n,), "<f4", buffer, ncom.ALTITUDE_AT, (PACKET_SIZE,)).astype(np.float64)
+        altitude = packets["altitude"].astype(np.float64)
     columns = Columns(
         offset=offset,
         raw=raw,
@@ -135,49 +151,26 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
         order=order,
         gps_ns=gps_ns,
         utc_ns=_utc_times(raw, status, channel, gps_ns),
-        milliseconds=milliseconds,
+        milliseconds=packets["milliseconds"].astype(np.int64),
         navigation_status=status,
         channel=channel,
-        acceleration=_i24(buffer, n, ncom.ACCELERATION_AT, ncom.ACCELERATION_UNIT),
-        angular_rate=_i24(buffer, n, ncom.ANGULAR_RATE_AT, ncom.ANGULAR_RATE_UNIT),
-        latitude=np.ndarray((n,), "<f8", buffer, ncom.LATITUDE_AT, (PACKET_SIZE,)).copy(),
-        longitude=np.ndarray((n,), "<f8", buffer, ncom.LONGITUDE_AT, (PACKET_SIZE,)).copy(),
+        acceleration=_i24(raw, ncom.ACCELERATION_AT, ncom.ACCELERATION_UNIT),
+        angular_rate=_i24(raw, ncom.ANGULAR_RATE_AT, ncom.ANGULAR_RATE_UNIT),
+        latitude=packets["latitude"].copy(),
+        longitude=packets["longitude"].copy(),
         altitude=altitude,
-        velocity_ned=_i24(buffer, n, ncom.VELOCITY_AT, ncom.VELOCITY_UNIT),
+        velocity_ned=_i24(raw, ncom.VELOCITY_AT, ncom.VELOCITY_UNIT),
         heading=heading,
         pitch=pitch,
         roll=roll,
         approximate=_IS_APPROXIMATE[status],
-        has_status=has_status,
+        has_status=_HAS_STATUS[status],
         counters=counters,
         time_jumps=jumps,
     )
     _fill_counters(columns)
     _mask_invalid(columns)
     return columns
-
-
-def _utc_times(raw: np.ndarray, status: np.ndarray, channel: np.ndarray, gps_ns: np.ndarray) -> np.ndarray:
-    """UTC [ns since 1970]; an offset applies from the packet that carries it onwards."""
-    carriers = np.flatnonzero((channel == UTC_CHANNEL) & _HAS_MINUTE[status])
-    offsets = _UTC_OFFSET[raw[carriers, BATCH_S.stop - 1]]
-    known = offsets != _NO_OFFSET
-    return utc_times(gps_ns, UNKNOWN_TIME, carriers[known], offsets[known])
-
-
-def _times(raw: np.ndarray, status: np.ndarray, milliseconds: np.ndarray,
-           is_channel_0: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-    """GPS time [ns] and order of every packet of the series, and the number of time jumps."""
-    gps_ns, order = np.full(len(raw), UNKNOWN_TIME), np.zeros(len(raw), np.int8)
-    sent = np.ndarray((len(raw),), "<i4", raw.reshape(-1).data, ncom.BATCH_S_AT, (PACKET_SIZE,)).astype(np.int64)
-    minutes = np.where(is_channel_0 & (sent >= FIRST_MINUTE) & (sent <= LAST_MINUTE), sent, -1)
-    timed = np.flatnonzero(_HAS_TIME[status] & (milliseconds < MINUTE_MS))
-    hints = np.flatnonzero((status == ncom.STATUS_ONLY) & (minutes >= 0))
-    gps_ms, order[timed], jumps = packet_times(
-        milliseconds[timed], minutes[timed], timed, [(i, int(minutes[i])) for i in hints.tolist()],
-        lambda a, b: bool((raw[timed[a]] == raw[timed[b]]).all()))
-    gps_ns[timed] = np.where(gps_ms >= 0, gps_ms * 1_000_000, UNKNOWN_TIME)
-    return gps_ns, order, jumps
 
 
 def _rows(data: bytes, offset: np.ndarray) -> np.ndarray:
@@ -189,25 +182,93 @@ def _rows(data: bytes, offset: np.ndarray) -> np.ndarray:
     return (runs[0] if len(runs) == 1 else np.concatenate(runs)).reshape(-1, PACKET_SIZE)
 
 
-def _i24(buffer: memoryview, n: int, at: int, unit: float) -> np.ndarray:
+def _i24(raw: np.ndarray, at: int, unit: float) -> np.ndarray:
     """(3, n) physical values of three consecutive i24, each read as the upper 24 bits of an i32."""
-    number = np.ndarray((3, n), "<i4", buffer, at - 1, (3, PACKET_SIZE)) >> 8
+    number = np.ndarray((3, len(raw)), "<i4", raw.reshape(-1).data, at - 1, (3, PACKET_SIZE)) >> 8
     values = number * unit
     values[number == ncom.INVALID_I24] = np.nan
     return values
 
 
-def _trigger_times(raw: np.ndarray, kind: np.ndarray, gps_ns: np.ndarray, order: np.ndarray) -> None:
+def _times(raw: np.ndarray, packets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """Kind, GPS time [ns] and order of every packet, and the number of time jumps."""
+    status, ms, minutes = packets["status"], packets["milliseconds"], packets["minute"]
+    kind, gps_ns, order = _KIND[status], np.full(len(raw), UNKNOWN_TIME), np.zeros(len(raw), np.int8)
+    timed = np.flatnonzero(_HAS_TIME[status] & (ms < MINUTE_MS))
+    sets_minute = _SETS_CLOCK[status] & (packets["channel"] == 0) & (minutes >= FIRST_MINUTE) & (minutes <= LAST_MINUTE)
+    hints = np.flatnonzero(sets_minute & (status == ncom.STATUS_ONLY))
+    gps_ms, timed_order, jumps = packet_times(
+        ms[timed].astype(np.int64), np.where(sets_minute[timed], minutes[timed], -1),
+        list(zip(np.searchsorted(timed, hints).tolist(), minutes[hints].tolist(), strict=True)))
+    same = np.flatnonzero(timed_order == SAME)
+    repeats = (raw[timed[same]] == raw[timed[same - 1]]).all(axis=1)
+    timed_order[same[repeats]] = DUPLICATE
+    gps_ns[timed] = np.where(gps_ms >= 0, gps_ms * 1_000_000, UNKNOWN_TIME)
+    order[timed] = timed_order
     previous = b""
     for i in np.flatnonzero(kind == TRIGGER):
         packet = raw[i].tobytes()
-        time = trigger_nanoseconds(packet[BATCH_S]) if packet[ncom.CHANNEL_AT] in TRIGGER_CHANNELS else None
-        if time is None:
+        event_ns = trigger_nanoseconds(packet[BATCH_S]) if packet[ncom.CHANNEL_AT] in TRIGGER_CHANNELS else None
+        if event_ns is None:
             kind[i] = EMPTY
         else:
-            gps_ns[i] = time
-            order[i] = DUPLICATE if packet == previous else NEW
+            gps_ns[i], order[i] = event_ns, DUPLICATE if packet == previous else NEW
         previous = packet
+    return kind, gps_ns, order, jumps
+
+
+def packet_times(ms: np.ndarray, minutes: np.ndarray,
+                 hints: list[tuple[int, int]]) -> tuple[np.ndarray, np.ndarray, int]:
+    """GPS time [ms] (-1 unknown) and order (NEW, SAME, LATE) of the timed packets of a file, and the number of jumps.
+
+    The same as stepping a GpsClock through all of them. Once it has settled, the time of each packet is the counted one
+    up to the next late packet or the next minute that differs from the count; from there the clock is stepped again.
+
+    ms, minutes: of each packet, minutes -1 where it has no channel 0. hints: (index of the packet before which it
+    was sent, minute) of status-only packets.
+    """
+    step = np.diff(ms, prepend=ms[:1])
+    ahead = step % MINUTE_MS
+    is_late, is_jump = ahead >= HALF_MINUTE_MS, ahead * 1_000_000 > LARGEST_STEP_NS
+    wraps = np.cumsum((step < 0) & ~is_late)
+    times, order = np.full(len(ms), -1, np.int64), np.where(ahead > 0, NEW, SAME).astype(np.int8)
+    waiting, clock, at, rows = deque(hints), GpsClock(), 0, _FIRST_ROWS
+    while at < len(ms):
+        if clock.is_settled:
+            block = slice(at, min(at + rows, len(ms)))
+            counted = wraps[block] + (clock.minute - wraps[at - 1])
+            differs = is_late[block] | ((minutes[block] >= 0) & (minutes[block] != counted))
+            run = slice(at, at + int(differs.argmax()) if differs.any() else block.stop)
+            if run.stop > at:
+                times[run] = counted[:run.stop - at] * MINUTE_MS + ms[run]
+                clock.minute, clock.milliseconds = divmod(int(times[run.stop - 1]), MINUTE_MS)
+                clock.jumps += int(np.count_nonzero(is_jump[run]))
+            at, rows = run.stop, min(_MAX_ROWS, 4 * rows)
+            if at == block.stop:
+                continue
+        rows = _FIRST_ROWS
+        for i in range(at, min(at + _SINGLE_STEPS, len(ms))):
+            while waiting and waiting[0][0] <= i:
+                clock.hint(waiting.popleft()[1])
+            time, order[i] = clock.step(int(ms[i]), None if minutes[i] < 0 else int(minutes[i]))
+            times[i] = -1 if time is None else time
+            at = i + 1
+    return times, order, clock.jumps
+
+
+def _utc_times(raw: np.ndarray, status: np.ndarray, channel: np.ndarray, gps_ns: np.ndarray) -> np.ndarray:
+    """UTC [ns since 1970] of each packet.
+
+    An offset that the unit sends applies from that packet on; before the first, the leap-second table is used.
+    """
+    known = gps_ns != UNKNOWN_TIME
+    offset = -at_all_gps(np.where(known, gps_ns // 1_000_000_000, 0))
+    carriers = np.flatnonzero((channel == UTC_CHANNEL) & _SETS_CLOCK[status])
+    sent = _UTC_OFFSET[raw[carriers, BATCH_S.stop - 1]]
+    carriers, sent = carriers[sent != _NO_OFFSET], sent[sent != _NO_OFFSET]
+    if len(carriers):
+        offset[carriers[0]:] = np.repeat(sent, np.diff(carriers, append=len(gps_ns)))
+    return np.where(known, gps_ns + (GPS_EPOCH_UNIX + offset) * 1_000_000_000, UNKNOWN_TIME)
 
 
 def _fill_counters(columns: Columns) -> None:
@@ -220,7 +281,7 @@ def _fill_counters(columns: Columns) -> None:
     counters.inner_checksum_warnings = int((wrong & ~structure_b).sum())
     counters.impossible_times = int((_HAS_TIME[status] & (columns.milliseconds >= MINUTE_MS)).sum())
     counters.unknown_statuses = int((~_IS_KNOWN[status]).sum())
-    counters.unknown_channels = int((columns.has_status & ~_KNOWN_CHANNEL[columns.channel]).sum())
+    counters.unknown_channels = int((columns.has_status & ~_IS_KNOWN_CHANNEL[columns.channel]).sum())
     counters.triggers = int((_KIND[status] == TRIGGER).sum())
     counters.duplicates = int((order == DUPLICATE).sum())
     counters.late = int((order == LATE).sum())
@@ -229,11 +290,11 @@ def _fill_counters(columns: Columns) -> None:
 def _mask_invalid(columns: Columns) -> None:
     """Set NaN where the navigation status declares values invalid, and for impossible positions."""
     status, usable = columns.navigation_status, columns.kind != EMPTY
+    columns.approximate &= usable
     no_imu = ~(_HAS_IMU[status] & usable)
     if no_imu.any():
         columns.acceleration[:, no_imu] = columns.angular_rate[:, no_imu] = np.nan
     no_navigation = ~(_HAS_NAVIGATION[status] & usable)
-    columns.approximate &= usable
     if no_navigation.any():
         columns.velocity_ned[:, no_navigation] = np.nan
         for angle in (columns.heading, columns.pitch, columns.roll):

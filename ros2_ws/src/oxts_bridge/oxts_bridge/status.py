@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from math import cos, degrees, isfinite, radians, sin, sqrt
 
-from .channels import FIELDS, TRIGGER_CHANNELS, decode_channel, trigger_nanoseconds
-from .fields import Value
+from .channels import FIELDS, TRIGGER_CHANNELS, Value, decode_channel, trigger_nanoseconds
 from .ncom import radii
 from .stream import Received
 

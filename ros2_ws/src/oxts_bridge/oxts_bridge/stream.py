@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from statistics import median
 
 from . import channels
-from .channels import TRIGGER_CHANNELS
-from .fields import Value
+from .channels import TRIGGER_CHANNELS, Value
 from .ncom import (
     BY_STATUS,
     MINUTE_STATUSES,
@@ -161,7 +160,7 @@ class NcomParser:
     def _status_channel(self, packet: Packet, status: int) -> tuple[Mapping[str, Value], int | None]:
         """Decoded batch S, and the minute of channel 0 if this packet sets the clock."""
         channel = packet.channel
-        if not channels.known(channel):
+        if channel not in channels.FIELDS:
             self.counters.unknown_channels += 1
             return _NO_FIELDS, None
         last = self._decoded.get(channel)

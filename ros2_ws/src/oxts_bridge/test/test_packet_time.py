@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from oxts_bridge.packet_time import LATE, LATE_RUN, NEW, SAME, GpsClock, host_minute, packet_times, unix_nanoseconds
+from oxts_bridge.file_decoder import packet_times
+from oxts_bridge.packet_time import LATE, LATE_RUN, NEW, SAME, GpsClock, host_minute, unix_nanoseconds
 from st_core.leap_seconds import at_gps
 
 SECOND = 1_000_000_000
@@ -173,7 +174,7 @@ def test_columns_step_from_a_late_packet_although_a_wrong_minute_follows():
     minutes[0], minutes[-2] = 1_000_000, 999_281
     clock = GpsClock()
     one_by_one = [clock.step(int(a), None if b < 0 else int(b)) for a, b in zip(ms, minutes, strict=True)]
-    times, order, _ = packet_times(ms, minutes, np.arange(len(ms)), [], lambda a, b: False)
+    times, order, _ = packet_times(ms, minutes, [])
     assert list(zip(times.tolist(), order.tolist(), strict=True)) == one_by_one
     assert order[-4:].tolist() == [LATE] * 4
 
