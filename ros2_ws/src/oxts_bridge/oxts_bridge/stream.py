@@ -42,7 +42,7 @@ class Received:
     fields: decoded batch S, empty if not valid or not published.  offset: of its first byte in the stream.
     kind: regular, status, trigger or empty (no valid part).  gps_ns: GPS time of the measurement or event [ns since
     1980-01-06], None while unknown.  utc_ns: the same as UTC [ns since 1970].
-    order: NEW, SAME (instant as the previous packet), DUPLICATE (all bytes too), LATE (older than a previous one).
+    order: NEW (newer than all previous ones), SAME (time as the newest one), DUPLICATE (all bytes too), LATE (older).
     received_ns: host time of receipt [ns since 1970], as given to feed().
     """
 
@@ -57,11 +57,6 @@ class Received:
     order: int
     received_ns: int | None
 
-    @property
-    def fresh(self) -> bool:
-        """Whether the packet is newer than all previous ones: fresh packets alone give strictly rising times."""
-        return self.order == NEW
-
 
 class NcomParser:
     """Streaming parser with its own clock; input: datagrams or pieces of a file, which may cut packets anywhere."""
@@ -71,8 +66,8 @@ class NcomParser:
         self.counters = Counters()
         self.utc_offset: int | None = None
         self._tail = b""
-        self._consumed = 0
-        self._in_step = True
+        self._consumed = 0  # bytes of the stream before the tail
+        self._in_step = True  # a packet is expected at the beginning of the tail
         self._last_raw = b""
         self._last_trigger = b""
         self._decoded: dict[int, tuple[bytes, Mapping[str, Value]]] = {}
@@ -116,25 +111,24 @@ class NcomParser:
             counters.inner_checksum_warnings += 1
         rule = BY_STATUS[status]
         packet = decode_unchecked(raw)
-        kind = rule.kind
-        order = NEW
+        kind, order = rule.kind, NEW
         gps_ns: int | None = None
-        fields, minute = self._status_channel(packet, status) if rule.status else (_NO_FIELDS, None)
+        fields, minute = self._decode_status(packet, status) if rule.status else (_NO_FIELDS, None)
         if rule.time and packet.milliseconds >= MINUTE_MS:
             counters.impossible_times += 1
         elif rule.time:
-            gps_ns, order = self._step(packet, raw, minute, received_ns)
+            gps_ns, order = self._time(packet, raw, minute, received_ns)
         elif kind == "trigger":
-            gps_ns, order = self._trigger(packet, raw)
+            gps_ns, order = self._event_time(packet, raw)
             if gps_ns is None:
                 kind = "empty"
         elif not rule.known:
             counters.unknown_statuses += 1
-        counters.impossible_positions += _mask(packet, rule, kind)
+        counters.impossible_positions += _mask_invalid(packet, rule, kind)
         utc_ns = None if gps_ns is None else unix_nanoseconds(gps_ns, self.utc_offset)
         return Received(packet, raw, fields, offset, kind, rule, gps_ns, utc_ns, order, received_ns)
 
-    def _step(self, packet: Packet, raw: bytes, minute: int | None, received_ns: int | None) -> tuple[int | None, int]:
+    def _time(self, packet: Packet, raw: bytes, minute: int | None, received_ns: int | None) -> tuple[int | None, int]:
         """GPS time [ns] and order of a measurement."""
         gps_ms, order = self.clock.step(packet.milliseconds, minute, received_ns)
         if order == SAME and raw == self._last_raw:
@@ -145,28 +139,26 @@ class NcomParser:
         self._last_raw = raw
         return None if gps_ms is None else gps_ms * 1_000_000, order
 
-    def _trigger(self, packet: Packet, raw: bytes) -> tuple[int | None, int]:
+    def _event_time(self, packet: Packet, raw: bytes) -> tuple[int | None, int]:
         """GPS time [ns] and order of an event; None without a time in the packet."""
         self.counters.triggers += 1
         before, self._last_trigger = self._last_trigger, raw
-        if packet.channel not in TRIGGER_CHANNELS:
-            return None, NEW
-        gps_ns = channels.trigger_nanoseconds(packet.batch_s)
+        gps_ns = channels.trigger_nanoseconds(packet.batch_s) if packet.channel in TRIGGER_CHANNELS else None
         if gps_ns is None or raw != before:
             return gps_ns, NEW
         self.counters.duplicates += 1
         return gps_ns, DUPLICATE
 
-    def _status_channel(self, packet: Packet, status: int) -> tuple[Mapping[str, Value], int | None]:
+    def _decode_status(self, packet: Packet, status: int) -> tuple[Mapping[str, Value], int | None]:
         """Decoded batch S, and the minute of channel 0 if this packet sets the clock."""
         channel = packet.channel
         if channel not in channels.FIELDS:
             self.counters.unknown_channels += 1
             return _NO_FIELDS, None
-        last = self._decoded.get(channel)
-        if last is None or last[0] != packet.batch_s:  # most channels repeat their bytes
-            last = self._decoded[channel] = packet.batch_s, channels.decode_channel(channel, packet.batch_s)
-        fields = last[1]
+        batch_s, fields = self._decoded.get(channel, (b"", _NO_FIELDS))
+        if batch_s != packet.batch_s:  # most channels repeat their bytes
+            fields = channels.decode_channel(channel, packet.batch_s)
+            self._decoded[channel] = packet.batch_s, fields
         if status not in MINUTE_STATUSES:
             return fields, None
         if channel == channels.UTC_CHANNEL and (offset := channels.utc_offset(packet.batch_s)) is not None:
@@ -199,27 +191,26 @@ class HostMinute:
 
 
 class StreamStatistics:
-    """Rate, gaps and delay of the fresh timed packets of the series (no triggers, no late packets)."""
+    """Rate, gaps and delay of the packets of the series that are new."""
 
     def __init__(self) -> None:
         self.gaps = 0
         self._typical_ns = 0
         self._last_gps_ns: int | None = None
-        self._offsets: deque[int] = deque(maxlen=_OFFSETS)
+        self._offsets: deque[int] = deque(maxlen=_OFFSETS)  # packet time minus receive time [ns]
         self._steps, self._covered_ns, self._longest_ns = 0, 0, 0  # since take()
 
     def add(self, received: Received) -> None:
+        """Count a new packet of the series; ignored while the time is unknown."""
         if received.gps_ns is None:
             return
-        if self._last_gps_ns is not None:
-            step = received.gps_ns - self._last_gps_ns
-            if step > 0:
-                self._step(step)
+        if self._last_gps_ns is not None and received.gps_ns > self._last_gps_ns:
+            self._count_step(received.gps_ns - self._last_gps_ns)
         self._last_gps_ns = received.gps_ns
         if received.received_ns is not None and received.utc_ns is not None:
             self._offsets.append(received.utc_ns - received.received_ns)
 
-    def _step(self, step: int) -> None:
+    def _count_step(self, step: int) -> None:
         self._steps += 1
         self._covered_ns += step
         self._longest_ns = max(self._longest_ns, step)
@@ -235,7 +226,8 @@ class StreamStatistics:
     def take(self) -> tuple[float, float]:
         """Mean rate [1/s] and longest step [s] since the previous call."""
         rate = self._steps / (self._covered_ns * 1e-9) if self._covered_ns else 0.0
-        longest, self._steps, self._covered_ns, self._longest_ns = self._longest_ns * 1e-9, 0, 0, 0
+        longest = self._longest_ns * 1e-9
+        self._steps, self._covered_ns, self._longest_ns = 0, 0, 0
         return rate, longest
 
     def stamp_minus_host(self) -> tuple[float, float, float] | None:
@@ -247,8 +239,8 @@ class StreamStatistics:
         return median(ordered) * 1e-9, ordered[len(ordered) // 100] * 1e-9, newest * 1e-9
 
 
-def _mask(packet: Packet, rule: Rule, kind: str) -> bool:
-    """Set NaN where the navigation status declares values invalid, and for an impossible position: then True."""
+def _mask_invalid(packet: Packet, rule: Rule, kind: str) -> bool:
+    """Set NaN where the navigation status declares values invalid; whether the position was masked as impossible."""
     if kind == "empty" or not rule.imu:
         packet.acceleration = packet.angular_rate = _NO_VECTOR
     if kind == "empty" or rule.navigation == "none":

@@ -32,7 +32,7 @@ def test_clean_drive(drive):
     received = [r for data in packets for r in parser.feed(data, 1)]
     assert [r.raw for r in received] == packets
     assert [r.gps_ns for r in received] == [(START + 4 * i) * 1_000_000 for i in range(50)]
-    assert {r.kind for r in received} == {"regular"} and all(r.fresh for r in received)
+    assert {r.kind for r in received} == {"regular"} and all(r.order == NEW for r in received)
     assert received[0].utc_ns == received[0].gps_ns + (315_964_800 - 18) * 1_000_000_000
     counters = parser.counters
     assert (counters.packets, counters.checksum_errors, counters.skipped_bytes) == (50, 0, 0)
@@ -169,7 +169,7 @@ def test_restart_forgets_the_time_but_not_the_counts(drive):
     parser.feed(b"".join(drive(20)) + drive(1)[0][:30])
     parser.restart()
     received = parser.feed(b"".join(drive(20)))
-    assert len(received) == 20 and all(r.fresh for r in received)
+    assert len(received) == 20 and all(r.order == NEW for r in received)
     assert parser.counters.packets == 40 and parser.counters.skipped_bytes == 0
 
 
@@ -214,7 +214,8 @@ def wrapping_drive(drive):
 def test_damage_never_raises_and_nothing_is_told_twice(wrapping_drive, data):
     parser = NcomParser()
     sent = set(wrapping_drive)
-    fresh = [r for datagram in data.draw(damaged(wrapping_drive)) for r in parser.feed(datagram, None) if r.fresh]
+    received = [r for datagram in data.draw(damaged(wrapping_drive)) for r in parser.feed(datagram, None)]
+    fresh = [r for r in received if r.order == NEW]
     times = [r.gps_ns for r in fresh if r.gps_ns is not None and r.kind == "regular" and r.raw in sent]
     if all(r.raw in sent for r in fresh):  # otherwise one bit error in 256 looks like a packet with another time
         assert times == sorted(set(times))
@@ -293,7 +294,7 @@ def test_a_packet_with_impossible_milliseconds_has_no_time_and_leaves_the_clock_
     parser = NcomParser()
     received = parser.feed(b"".join(packets))
     times = [None if i == 12 else (START + 4 * i) * 1_000_000 for i in range(30)]
-    assert [r.gps_ns for r in received] == times and all(r.fresh for r in received)
+    assert [r.gps_ns for r in received] == times and all(r.order == NEW for r in received)
     columns = decode_file(b"".join(packets))
     assert columns.gps_ns.tolist() == [UNKNOWN_TIME if time is None else time for time in times]
     assert columns.counters == parser.counters and parser.counters.impossible_times == 1
