@@ -17,6 +17,7 @@ from st_core.discovery.result import (
     BoundEffect,
     Candidate,
     Change,
+    Combination,
     FittedParameter,
     ForceCurve,
     NotTestable,
@@ -209,6 +210,21 @@ def test_errors_of_the_recordings_come_before_the_answer_is_used(logs):
     lines = dict(report_text.summary(discovery(logs, STEPS, 1.72), None, {"a": [wrong], "b": [wrong]}))
     assert "velocity (a, b, shifts the position after 5 s by about 1.1 m). These are errors" in lines["recordings"]
     assert "recordings" not in dict(report_text.summary(discovery(logs, STEPS, 1.72), None, {"a": []}))
+
+
+def test_a_combination_that_differs_from_the_file_is_reported_when_no_effect_of_it_is_named(logs):
+    stiffness = Combination("front cornering stiffness over mass", "N/(rad kg)", 36.0, (30.0, 40.0), 45.0,
+                            ("front_stiffness", "steering_compliance"))
+    understeer = Combination("understeer gradient K", "s^2/m^2", 0.003, (0.0025, 0.004), 0.002, ("front_stiffness",))
+    found = replace(discovery(logs, STEPS, 1.72), combinations=(stiffness, understeer))
+    text = "front cornering stiffness over mass × 0.80 (0.67 to 0.89)"
+    assert text in report_text.title(found)
+    assert dict(report_text.summary(found, None, {}))["known only together"] == (
+        f"{text} of the vehicle file's: front stiffness or steering compliance, which these drives do not separate")
+    same = replace(found, combinations=(replace(stiffness, interval=(30.0, 46.0)),))
+    named = replace(found, combinations=(replace(stiffness, effects=(found.effects[0].name,)),))
+    for one in (same, named):
+        assert "over mass" not in report_text.title(one)
 
 
 def test_page_and_terminal_hold_the_answer_and_no_markup_of_a_name(logs, drive, tmp_path, capsys):

@@ -111,6 +111,11 @@ class Combination:
     file: float
     effects: tuple[str, ...]
 
+    @property
+    def differs(self) -> bool:
+        """Whether the value of the vehicle file lies outside the interval."""
+        return not self.interval[0] <= self.file <= self.interval[1]
+
 
 @dataclass(frozen=True)
 class ForceCurve:

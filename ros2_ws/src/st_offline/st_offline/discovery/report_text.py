@@ -84,7 +84,8 @@ def title(found: Discovery) -> str:
     """The answer in a line."""
     if found.outcome == "not_testable":
         return "These drives have too little excitation to show what may be missing"
-    named = "; ".join(by_any_name(found, e) for e in by_size(found.effects))
+    named = "; ".join((*(by_any_name(found, e) for e in by_size(found.effects)),
+                       *(text for text, _ in known_together(found))))
     if found.outcome == "unknown":
         known = f"; in addition {named}" if named else ""
         return f"{_errors(found)}: something is missing that no known effect explains{known}"
@@ -123,8 +124,10 @@ def summary(found: Discovery, update: VehicleUpdate | None, findings: Mapping[st
         recordings = (f"{one.text} ({', '.join((*names, effect_of(one)))}){more}. These are errors of the "
                       "recordings: correct them as st check proposes, and run st discover again")
     do = to_do(found, update)
-    pairs = [("not known", "; ".join(filter(None, unknown))), ("recordings", recordings),
-             ("to do", "; ".join(filter(None, [do[0], following(found)])))]
+    together = [f"{text} of the vehicle file's: {', '.join(map(plain, effects[:-1]))} or {plain(effects[-1])}, which "
+                "these drives do not separate" for text, effects in known_together(found)]
+    pairs = [("known only together", "; ".join(together)), ("not known", "; ".join(filter(None, unknown))),
+             ("recordings", recordings), ("to do", "; ".join(filter(None, [do[0], following(found)])))]
     return [(key, text) for key, text in pairs if text]
 
 
@@ -196,6 +199,17 @@ def residual(found: Discovery) -> str:
     worst = f"; the worst run is {gap.worst_run} with {metres(gap.worst)}" if gap.worst_run else ""
     worse = f"; larger than before in {', '.join(gap.worse_runs)}" if gap.worse_runs and found.model else ""
     return f"{text}{worst}{worse}"
+
+
+def known_together(found: Discovery) -> list[tuple[str, tuple[str, ...]]]:
+    """Combinations that differ from the vehicle file although none of the effects that change them is named: each with
+    its ratio to the file's, and those effects."""
+    named = {name for e in found.effects for name in (e.name, *e.alternatives)}
+    differing = [c for c in found.combinations if c.differs and c.file > 0.0 and not named.intersection(c.effects)]
+    # Understeer and yaw gain follow from the stiffnesses: they are reported where those do not differ themselves.
+    shown = [c for c in differing if " over mass" in c.name] or differing[:1]
+    return [(f"{c.name} × {c.value / c.file:.2f} ({c.interval[0] / c.file:.2f} to {c.interval[1] / c.file:.2f})",
+             c.effects) for c in shown]
 
 
 def not_separable(found: Discovery) -> str:
