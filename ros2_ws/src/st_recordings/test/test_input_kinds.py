@@ -124,7 +124,7 @@ def to_degrees(log) -> tuple[np.ndarray, np.ndarray]:
     return 52.0 + np.degrees(log.y / m), -1.5 + np.degrees(log.x / (n * np.cos(origin)))
 
 
-def vbo(log, start: float = 43200.0, last_wrong: bool = True) -> str:
+def vbo(log, start: float = 43200.0, last_wrong: bool = True, seconds_of_day: bool = False) -> str:
     latitude, longitude = to_degrees(log)
     speed = np.hypot(log.velocity_x, log.velocity_y) * 3.6
     course = (90 - np.degrees(log.yaw + np.arctan2(log.velocity_y, log.velocity_x))) % 360
@@ -133,6 +133,7 @@ def vbo(log, start: float = 43200.0, last_wrong: bool = True) -> str:
     for k, elapsed in enumerate((log.ins_time_ns - log.ins_time_ns[0]) * 1e-9):
         seconds = (start + elapsed) % 86400 + (180 if last_wrong and k == len(log.x) - 1 else 0)
         clock = f"{int(seconds // 3600):02d}{int(seconds // 60 % 60):02d}{seconds % 60:05.2f}"
+        clock = f"{seconds:.2f}" if seconds_of_day else clock
         lines.append(f"010 {clock} {latitude[k] * 60:+014.8f} {-longitude[k] * 60:+014.8f} {speed[k]:07.3f} "
                      f"{course[k]:06.2f} {wheel[k]:+.4E}")
     return ("File created on 03/09/2025 @ 12:00:00\n\n[header]\nsatellites\ntime\nlatitude\nlongitude\nvelocity kmh\n"
@@ -159,6 +160,10 @@ TABLES: list[tuple[str, Callable[[DriveLog], str], str, str]] = [
     ("held.csv", lambda log: geographic(log, 5), "utf-8", r"about 20 Hz; they were interpolated"),
     ("datenum.csv", lambda log: stamped(log, lambda s: f"{739000.5 + s / 86400:.12f}"), "utf-8", "days of MATLAB"),
     ("pm.csv", lambda log: stamped(log, lambda s: clock((43190 + s) % 43200) + " AP"[1 + (s < 10)] + "M"), "utf-8", ""),
+    ("day_first.csv", lambda log: stamped(log, lambda s: f"25/04/2026 {clock(43200 + s)}"), "utf-8", ""),
+    ("month_first.csv", lambda log: stamped(log, lambda s: f"04/25/2026 {clock(43200 + s)}"), "utf-8", ""),
+    ("which_first.csv", lambda log: stamped(log, lambda s: f"05/04/2026 {clock(43200 + s)}"), "utf-8",
+     "day and month of its dates may be exchanged"),
     ("minutes.csv", lambda log: stamped(log, lambda s: clock((3590 + s) % 3600)[3:]), "utf-8", ""),
     ("twice.csv", lambda log: csv([[*row, "9"] for row in rows(log)], ",".join((*NAMES, "vx"))), "utf-8",
      "column vx is there 2 times; the first is used"),
@@ -213,10 +218,18 @@ def test_a_yaw_rate_channel_of_a_vbo_in_a_steady_turn_and_on_a_straight(tmp_path
     assert any("yaw rate" in w for w in run.warnings) == bool(note)
 
 
-@pytest.mark.parametrize("start", [43200.0, 86390.0])
-def test_vbo(tmp_path: Path, drive, start: float) -> None:
+@pytest.mark.parametrize(("name", "day"), [("25/04/2026", 20568), ("04/25/2026", 20568), ("05/04/2026", 0)])
+def test_the_date_of_a_table_is_used_where_its_order_is_known(tmp_path: Path, drive, name: str, day: int) -> None:
+    file = tmp_path / "table.csv"
+    file.write_text(stamped(drive[1], lambda s: f"{name} {clock(43200 + s)}"))
+    log = read(find_runs([file])[0], CAR).log
+    assert log.ins_time_ns[0] // 86_400_000_000_000 == day
+
+
+@pytest.mark.parametrize(("start", "seconds_of_day"), [(43200.0, False), (86390.0, False), (45296.0, True)])
+def test_vbo(tmp_path: Path, drive, start: float, seconds_of_day: bool) -> None:
     file = tmp_path / "drive.vbo"
-    file.write_text(vbo(drive[1], start))
+    file.write_text(vbo(drive[1], start, seconds_of_day=seconds_of_day))
     run = read(find_runs([file])[0], CAR, WHEEL)
     log, truth = run.log, drive[1]
     assert len(log.x) == len(truth.x) - 1 and log.duration == pytest.approx(truth.duration, abs=0.02)
@@ -224,7 +237,8 @@ def test_vbo(tmp_path: Path, drive, start: float) -> None:
     assert steps[0] == pytest.approx(steps[1], rel=2e-3)
     assert np.median(np.abs(log.yaw_rate[:-1] - truth.yaw_rate[: len(log.x) - 1])) < 0.05
     np.testing.assert_allclose(log.steering_wheel_angle, columns(truth)[7][:-1], atol=1e-4)
-    assert_warned(run.warnings, "course over ground|derivative of the heading|the last of")
+    known = "course over ground|derivative of the heading|the last of"
+    assert_warned(run.warnings, f"{known}|its times are not HHMMSS" if seconds_of_day else known)
 
 
 # CAN logs: what is made of the lines of run.log.

@@ -20,11 +20,12 @@ MISSING = frozenset(("", "-", "--", "nan", "na", "n/a", "#n/a", "#na", "null", "
 _GROUPS = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+") for mark in ",."}
 _GROUPED_CELL = re.compile(r"(?:^|[;\t])\s*[+-]?[1-9]\d{0,2}(?:,\d{3})+\s*(?=[;\t\r\n]|$)", re.MULTILINE)
 _NUMERIC = re.compile(r'[\s"]*[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?[\s"]*')
-# 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.2026 10:11:12,5, 10:11:12.5; the date 05/04/2026 is ambiguous.
+# 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.2026 10:11:12,5, 10:11:12.5; 05/04/2026 may be in April or May.
 # 11:12.5 PM of a clock with twelve hours; 11:12.5 is what a spreadsheet writes of a time: minutes and seconds.
 _STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4})|\d\d?/\d\d?/\d{4})[T ] *)?"
                     r"(?:(\d{1,2}):)?(\d\d?):(\d\d(?:[.,]\d+)?) *(?:([AaPp])\.?[Mm]\.?)? *"
                     r"(?:Z|UTC|([+-])(\d\d):?(\d\d))?")
+_SLASHED = re.compile(r"(?<!\d)(\d\d?)/(\d\d?)/(\d{4})(?!\d)")
 DAY, HOUR = 86400.0, 3600.0
 _DAYS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # 1970-01-01 as they count days
 _EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
@@ -116,6 +117,8 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
         column = places["t"].column
         first = next((line.split(delimiter)[column:][:1] for line in body.split("\n", 20) if line.strip()), [])
         if first and _of_stamp(first[0].strip(' \r"')):
+            if "/" in first[0]:
+                body = _with_ordered_dates(file, body, warnings)
             body = with_seconds(body, delimiter, column, _of_stamp)
     rows = _rows(file, body, delimiter, len(names), warnings)
     warnings += [f"{file}: column {place.name} is there {names.count(place.name)} times; the first is used"
@@ -218,6 +221,18 @@ def with_seconds(body: str, delimiter: str, column: int, clock: Callable[[str], 
         before = seconds
         row[column] = f"{turns + seconds:.6f}"
     return "\n".join(map(delimiter.join, rows))
+
+
+def _with_ordered_dates(file: Path, body: str, warnings: list[str]) -> str:
+    """Dates like 25/04/2026 as 2026-04-25, where one of the file shows which number is the day."""
+    pairs = {(int(a), int(b)) for a, b, _ in _SLASHED.findall(body) if int(a) <= 31 and int(b) <= 31}
+    day_first, month_first = any(a > 12 for a, _ in pairs), any(b > 12 for _, b in pairs)
+    if day_first != month_first:
+        return _SLASHED.sub(r"\3-\2-\1" if day_first else r"\3-\1-\2", body)
+    if pairs:
+        warnings.append(f"{file}: day and month of its dates may be exchanged, only the time of day is used; export "
+                        "dates as 2026-04-25")
+    return body
 
 
 def _of_stamp(text: str) -> tuple[float, float] | None:

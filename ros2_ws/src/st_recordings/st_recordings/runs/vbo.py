@@ -53,7 +53,10 @@ def read_vbo(file: Path, layout: Layout) -> Table:
     if place is None:
         raise RunError(file, "[column names] has no time", f"it has {', '.join(names)[:200]}")
     midnight = _midnight(text)
-    body = with_seconds(body, " ", place.column, lambda cell: _seconds(cell, midnight))
+    if _is_clock(body, place.column):
+        body = with_seconds(body, " ", place.column, lambda cell: _seconds(cell, midnight))
+    else:
+        warnings.append(f"{file}: its times are not HHMMSS; they are taken as seconds")
     table = table_of(file, names, body, " ", layout, warnings, {**places, "t": place})
     return _with_motion(table, names, warnings)
 
@@ -100,6 +103,13 @@ def _midnight(text: str) -> float:
         return datetime(year, month, day, tzinfo=UTC).timestamp()
     except ValueError:
         return 0.0
+
+
+def _is_clock(body: str, column: int) -> bool:
+    """Whether minutes and seconds of all times are below 60, as those of HHMMSS; the last row may be cut."""
+    cells = [line.split(" ")[column] for line in body.split("\n") if line.count(" ") >= column][:-1]
+    numbers = [float(cell) for cell in cells if re.fullmatch(r"\d+(\.\d+)?", cell)]
+    return all(clock % 100 < 60 and clock // 100 % 100 < 60 for clock in numbers)
 
 
 def _seconds(text: str, midnight: float) -> tuple[float, float] | None:
