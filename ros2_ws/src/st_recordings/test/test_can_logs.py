@@ -268,3 +268,14 @@ def test_long_frames_are_kept(tmp_path: Path) -> None:
     assert (frames.payload[0] == 0xAB).all()
     assert frames.length.tolist() == [64, 5]
     assert struct.unpack("<h", frames.payload[1, :2].tobytes()) == (29,)
+
+
+@pytest.mark.parametrize("at", [0, 40, 99])
+@pytest.mark.parametrize("stamp", ["nan", "-5.0", "0.5", "4100000000.0", "1" + "0" * 300])
+def test_a_frame_with_an_impossible_time_is_skipped_and_counted(tmp_path: Path, stamp: str, at: int) -> None:
+    lines = [f"({1_700_000_000 + 0.01 * k:.6f}) can0 123#{k:02X}" for k in range(100)]
+    lines[at] = f"({stamp}) can0 123#FF"
+    (tmp_path / "log.log").write_text("\n".join(lines) + "\n")
+    log = read_can_logs([tmp_path / "log.log"])
+    np.testing.assert_array_equal(log.frames.payload[:, 0], np.delete(np.arange(100), at))
+    assert log.warnings == (f"{tmp_path / 'log.log'}: frames with an impossible time: 1; they were skipped",)

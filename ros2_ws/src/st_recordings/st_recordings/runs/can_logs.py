@@ -8,6 +8,7 @@ from typing import Any
 
 import can
 import numpy as np
+from scipy.ndimage import median_filter
 
 from .can_formats import FORMATS, MF4_EXTENSIONS, TIMELESS, Format
 from .errors import RunError, check_readable, short
@@ -28,6 +29,8 @@ from .frames import (
 from .mf4 import read_mf4, refuse_makers_container, session_of
 
 BLOCK_SIZE = 65536  # messages converted to columns at a time
+LATEST = 9.0e9  # s since 1970, year 2255: whole nanoseconds do not reach much further
+FURTHEST_NS = 86400 * 10**9  # a frame that is a day from both of its neighbours has a damaged time
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times count from the start of the log
 MIN_FALLING_SHARE = 0.2
 """Share of falling times in a candump that begins at 0, from which its times are those since the frame before."""
@@ -84,18 +87,25 @@ def _read_log(file: Path) -> CanLog:
 
 
 def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> Frames:
-    parts, format_notes = list[Frames](), list[str]()
+    parts, format_notes, impossible = list[Frames](), list[str](), 0
     try:
         messages = kind.messages(file, format_notes)
         while block := list(itertools.islice(messages, BLOCK_SIZE)):
-            parts.append(_columns(block))
+            timed = [message for message in block if 0.0 <= message.timestamp <= LATEST]
+            impossible += len(block) - len(timed)
+            if timed:
+                parts.append(_columns(timed))
     except Exception as error:  # the readers pass on any exception of their parsing, and a missing file
         what = f"cannot be read as a {kind.name} log ({short(error)})"
         raise RunError(file, what, "copy or export it again") from None
     if not parts:
+        format_notes += _skipped(impossible)
         what = f"no whole frame is in it ({'; '.join(format_notes)})" if format_notes else "no frames are in the log"
         raise RunError(file, what, "copy or export it again")
     frames = concatenated(parts)
+    single = np.abs(frames.time_ns - median_filter(frames.time_ns, 3, mode="mirror")) > FURTHEST_NS
+    frames, impossible = frames.select(~single), impossible + int(single.sum())
+    format_notes += _skipped(impossible)
     steps = np.diff(frames.time_ns[1:])  # a coarse clock repeats its times; times since the frame before also fall
     if kind.name == "candump" and frames.time_ns[0] == 0 and len(steps) and (
             (steps < 0).mean() > MIN_FALLING_SHARE or not steps.any()):
@@ -104,6 +114,10 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> Frames:
     frames, clock_steps = without_clock_steps(frames)
     notes += [*format_notes, *clock_step_notes(clock_steps)]
     return merged([frames])
+
+
+def _skipped(impossible: int) -> list[str]:
+    return [f"frames with an impossible time: {impossible}; they were skipped"] if impossible else []
 
 
 def _columns(messages: Sequence[can.Message]) -> Frames:
