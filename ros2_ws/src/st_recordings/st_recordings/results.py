@@ -14,7 +14,7 @@ from st_core.evaluation import Statistic
 
 from .paths import json_ready, source_version
 from .recorded import ERROR, read_messages
-from .runs.bag import definitions, numbers, open_bag
+from .runs.bag import definitions, open_bag, read_fields
 from .runs.bag_storage import Storage
 from .runs.cdr import field_of, typestore
 from .runs.ins_log import yaw_of
@@ -97,7 +97,7 @@ def _read_track(path: Path, bag: Storage) -> Track:
         return Track(np.empty(0, np.int64), *(np.empty(0),) * 3)
     position = [f"pose.pose.position.{axis}" for axis in "xy"]
     quaternion = [f"pose.pose.orientation.{axis}" for axis in "xyzw"]
-    values = numbers(path, bag, topic, ["header.stamp", *position, *quaternion], typestore(definitions()))
+    values = read_fields(path, bag, topic, ["header.stamp", *position, *quaternion], typestore(definitions()))
     x, y = (values[name] for name in position)
     return Track(values["header.stamp"], x, y, np.unwrap(yaw_of(*(values[name] for name in quaternion))))
 

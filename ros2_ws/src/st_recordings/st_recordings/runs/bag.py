@@ -1,4 +1,4 @@
-"""rosbag2 recordings (directories, bare .mcap and .db3 files): odometry and steering of any recorder, as a drive."""
+"""Reads odometry and steering of rosbag2 recordings (directories, bare .mcap and .db3 files) as a drive."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -7,19 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from rosbags.typesys.store import Typestore
 from st_core.checks import AuxiliaryData
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 
+from ..bag_metadata import read_information
 from ..paths import project_root
 from .bag_storage import (
     EXTENSIONS,
     Storage,
     Topic,
-    information,
     missing_files,
     open_storage,
     storage_files,
@@ -30,21 +29,21 @@ from .ins_log import InsLog, planar, usable_rows, yaw_of
 from .reconstruct import (
     RECONSTRUCTED,
     Reconstruction,
-    bag_extras,
-    deserialised,
-    extra_fields,
+    auxiliary_data,
+    auxiliary_fields,
+    deserialise,
     steering_columns,
     steering_topic,
 )
 from .run_types import SteeringField
 
-# Prefixes of topics that the suite publishes itself, and of those that every ROS system has.
-SUITE_TOPICS = ("/ins/", "/vehicle/", "/can/", "/predictor/", "/evaluator/", "/identifier/", "/view/", "/tf",
+KNOWN_TOPICS = ("/ins/", "/vehicle/", "/can/", "/predictor/", "/evaluator/", "/identifier/", "/view/", "/tf",
                 "/diagnostics", "/clock", "/rosout", "/parameter_events", "/events/")
-OURS = {"recording", "configuration"}  # records that recorder and evaluator begin with
-CLOSING = "rosbag2"  # the metadata record that a recorder writes when it ends a recording
-# Where several topics have the type: the one with this end of its name.
-PREFERRED = {ODOMETRY: "ins/odometry", STEERING: "vehicle/steering"}
+"""Prefixes of topics that the suite publishes itself, and of those that every ROS system has."""
+SUITE_RECORDS = {"recording", "configuration"}  # metadata records with which recorder and evaluator begin
+CLOSING_RECORD = "rosbag2"  # the metadata record that a recorder writes when it ends a recording
+PREFERRED_TOPICS = {ODOMETRY: "ins/odometry", STEERING: "vehicle/steering"}
+"""End of the name of the topic to read where several have the type."""
 _ODOMETRY_FIELDS = ("header.stamp", "pose.pose.position.x", "pose.pose.position.y", "pose.pose.orientation.x",
                     "pose.pose.orientation.y", "pose.pose.orientation.z", "pose.pose.orientation.w",
                     "twist.twist.linear.x", "twist.twist.linear.y", "twist.twist.angular.z")
@@ -53,10 +52,11 @@ _STEERING_FIELDS = ("header.stamp", "steering_wheel_angle", "road_wheel_angle", 
 
 @dataclass(frozen=True)
 class BagDrive:
-    """topics: type -> topic that was read. records: its metadata records, name -> {key: text}.
+    """The drive in a recording.
 
-    auxiliary: what else is in it, for checks. frame: frame_id of the first odometry. unknown: "topic (type)" of what is
-    neither read nor of the suite. origin: of the map frame where it is recorded: latitude, longitude [rad], height [m].
+    topics: type -> topic that was read. records: metadata records, name -> {key: text}. auxiliary: what else was
+    recorded, for checks. frame: frame_id of the first odometry. unknown: "topic (type)" of topics neither read nor of
+    the suite. origin: of the map frame, latitude, longitude [rad], height [m]; None where it was not recorded.
     """
 
     log: DriveLog
@@ -70,7 +70,7 @@ class BagDrive:
 
 
 def definitions() -> Path:
-    """The .msg files of the suite's own messages."""
+    """The folder with the .msg files of the suite's own messages."""
     return project_root() / "ros2_ws" / "src" / "st_msgs" / "msg"
 
 
@@ -80,22 +80,22 @@ def is_bag(path: Path) -> bool:
 
 
 def has_odometry(path: Path) -> bool:
-    """A look at the list of topics, for folders with all kinds of recordings; True where it cannot be decided."""
+    """Whether a bag lists odometry, or what it can be reconstructed from; True where that cannot be decided."""
     if path.is_dir() and (path / "metadata.yaml").is_file():
         try:
-            return _is_a_drive({t["topic_metadata"]["type"] for t in information(path)["topics_with_message_count"]})
+            types = {t["topic_metadata"]["type"] for t in read_information(path)["topics_with_message_count"]}
         except (KeyError, TypeError):
             return True
-    summary = summary_of(path) if path.is_file() and path.suffix.lower() == ".mcap" else None
-    return summary is None or _is_a_drive({s.name for s in summary.schemas.values()})
-
-
-def _is_a_drive(types: set[str]) -> bool:
+    else:
+        summary = summary_of(path) if path.is_file() and path.suffix.lower() == ".mcap" else None
+        if summary is None:
+            return True
+        types = {schema.name for schema in summary.schemas.values()}
     return ODOMETRY in types or {NCOM, CAN_FRAMES} <= types
 
 
 def lacks_steering(path: Path) -> bool:
-    """Whether a bag has odometry and no steering topic of the suite: its steering may be in a CAN log."""
+    """Whether a bag has odometry but no steering topic of the suite: its steering may be in a CAN log."""
     try:
         types = {t.type_name for t in open_bag(path).topics() if t.count}
     except RunError:
@@ -105,62 +105,63 @@ def lacks_steering(path: Path) -> bool:
 
 def read_bag(path: Path, name: str | None = None, steering: SteeringField | None = None, odometry: str | None = None,
              splits: Sequence[Path] = ()) -> BagDrive:
-    """Odometry and steering of a recording, or their reconstruction from its raw packets and frames; topics of other
-    types are passed over.
+    """Odometry and steering of a recording, or their reconstruction from its raw packets and frames.
 
-    steering: where the steering angle is in a recording of another make; default st_msgs/Steering. odometry: its
-    topic, where several are of type nav_msgs/Odometry. splits: files of one recording in order; default those of path.
+    steering: where the steering angle is, if not in st_msgs/Steering. odometry: the topic to read, where several are of
+    type nav_msgs/Odometry. splits: files of one recording in order; default those of path.
     Raises RunError for a file that is not a bag, was not closed, or lacks one of the two.
     """
     storage, records = open_bag(path, splits), records_of(path)
-    topics_there = storage.topics()
-    store = _store_of(storage, topics_there, steering)
-    again = Reconstruction(path, storage, records, store)
-    needed: dict[Topic, tuple[str, ...]] = {}
-    if has_odometry := bool(odometry) or again.has(ODOMETRY) or not again.has(NCOM):
-        needed[_topic(path, topics_there, ODOMETRY, odometry)] = _ODOMETRY_FIELDS
-    if steering is None and (again.has(STEERING) or not again.has(CAN_FRAMES)):
-        needed[_topic(path, topics_there, STEERING)] = _STEERING_FIELDS
-    others = extra_fields(topics_there)
-    quick = storage.columns({**needed, **others}, store)
-    columns = {topic.type_name: quick.get(topic.name) or _one_by_one(path, storage, topic, fields, store)
-               for topic, fields in needed.items()}
-    topics = {topic.type_name: topic.name for topic in needed}
+    all_topics = storage.topics()
+    store = _store_of(storage, all_topics, steering)
+    reconstruction = Reconstruction(path, storage, records, store)
+    required: dict[Topic, tuple[str, ...]] = {}
+    if has_odometry := bool(odometry) or reconstruction.has(ODOMETRY) or not reconstruction.has(NCOM):
+        required[_find_topic(path, all_topics, ODOMETRY, odometry)] = _ODOMETRY_FIELDS
+    if steering is None and (reconstruction.has(STEERING) or not reconstruction.has(CAN_FRAMES)):
+        required[_find_topic(path, all_topics, STEERING)] = _STEERING_FIELDS
+    optional = auxiliary_fields(all_topics)
+    uniform = storage.columns({**required, **optional}, store)
+    columns = {topic.type_name: uniform.get(topic.name) or _read_one_by_one(path, storage, topic, fields, store)
+               for topic, fields in required.items()}
+    topics = {topic.type_name: topic.name for topic in required}
     if not has_odometry:
-        columns[ODOMETRY], topics[ODOMETRY] = again.odometry(_ODOMETRY_FIELDS), again.topic(NCOM).name + RECONSTRUCTED
+        columns[ODOMETRY] = reconstruction.odometry(_ODOMETRY_FIELDS)
+        topics[ODOMETRY] = reconstruction.topic(NCOM).name + RECONSTRUCTED
     if steering is not None:
-        named = steering_topic(path, topics_there, steering, store)
+        named = steering_topic(path, all_topics, steering, store)
         columns[STEERING], topics[STEERING] = steering_columns(path, storage, named, steering, store), named.name
     elif STEERING not in columns:
-        columns[STEERING], topics[STEERING] = again.steering(), again.topic(CAN_FRAMES).name + RECONSTRUCTED
+        columns[STEERING] = reconstruction.steering()
+        topics[STEERING] = reconstruction.topic(CAN_FRAMES).name + RECONSTRUCTED
     notes = [note for note in [missing_files(path) if path.is_dir() else ""] if note]
-    notes += _set_stamps(storage, topics, columns)
-    log, missing, more = _drive(path, name or path.stem, columns[ODOMETRY], columns[STEERING])
+    notes += _replace_meaningless_stamps(storage, topics, columns)
+    log, missing, row_notes = _drive_log(path, name or path.stem, columns[ODOMETRY], columns[STEERING])
     stamps = {"INS": columns[ODOMETRY]["header.stamp"], "steering": columns[STEERING]["header.stamp"]}
-    extras = bag_extras(storage, topics_there, {topic: quick[topic.name] for topic in others if topic.name in quick},
-                        stamps, missing, store, again)
-    passed_over = tuple(f"{t.name} ({t.type_name})" for t in topics_there if t.count and not (
-        t.name in topics.values() or t.type_name.startswith("st_msgs/") or t.name.startswith(SUITE_TOPICS)))
-    frame = again.map_frame()
+    extras = auxiliary_data(storage, all_topics, {t: uniform[t.name] for t in optional if t.name in uniform},
+                            stamps, missing, store, reconstruction)
+    unknown = tuple(f"{t.name} ({t.type_name})" for t in all_topics if t.count and not (
+        t.name in topics.values() or t.type_name.startswith("st_msgs/") or t.name.startswith(KNOWN_TOPICS)))
+    frame = reconstruction.map_frame()
     if has_odometry:
         first: Any = store.deserialize_cdr(next(storage.messages(topics[ODOMETRY])), ODOMETRY)
         frame = first.header.frame_id
-    origin = again.origin()
+    origin = reconstruction.origin()
     if origin is not None:
         origin = math.radians(origin[0]), math.radians(origin[1]), origin[2]
-    return BagDrive(log, topics, records, tuple(f"{path}: {note}" for note in (*notes, *more)), extras, frame,
-                    passed_over, origin)
+    return BagDrive(log, topics, records, tuple(f"{path}: {note}" for note in (*notes, *row_notes)), extras, frame,
+                    unknown, origin)
 
 
 def read_odometry(path: Path, odometry: str | None = None) -> InsLog:
     """The INS part of a bag, for a run with its steering in a CAN log. Raises RunError."""
     storage = open_bag(path)
     store = _store_of(storage, storage.topics(), None)
-    topic = _topic(path, storage.topics(), ODOMETRY, odometry)
-    columns = numbers(path, storage, topic, _ODOMETRY_FIELDS, store)
-    notes = _set_stamps(storage, {ODOMETRY: topic.name}, {ODOMETRY: columns})
-    ins_ns, values, _, more = _odometry_rows(columns)
-    return planar(path, ins_ns, values, tuple(f"{path}: {note}" for note in (*notes, *more)))
+    topic = _find_topic(path, storage.topics(), ODOMETRY, odometry)
+    columns = read_fields(path, storage, topic, _ODOMETRY_FIELDS, store)
+    notes = _replace_meaningless_stamps(storage, {ODOMETRY: topic.name}, {ODOMETRY: columns})
+    ins_ns, values, _, row_notes = _odometry_rows(columns)
+    return planar(path, ins_ns, values, tuple(f"{path}: {note}" for note in (*notes, *row_notes)))
 
 
 def _store_of(storage: Storage, topics: Sequence[Topic], steering: SteeringField | None) -> Typestore:
@@ -168,11 +169,12 @@ def _store_of(storage: Storage, topics: Sequence[Topic], steering: SteeringField
     return with_definitions(typestore(definitions()), storage.definitions(), names)
 
 
-def _set_stamps(storage: Storage, topics: Mapping[str, str], columns: dict[str, dict[str, np.ndarray]]) -> list[str]:
-    """Replaces meaningless stamps by the times of receipt, and reports it.
+def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
+                                columns: dict[str, dict[str, np.ndarray]]) -> list[str]:
+    """Replaces meaningless stamps by the times of receipt; returns a note on each.
 
-    A driver or simulator that leaves header.stamp at 0, or at one value, or stamps two topics with clocks that have
-    nothing in common, still has its messages recorded at the right moments.
+    A driver or simulator may leave header.stamp at 0 or at one value, or stamp two topics with clocks that have nothing
+    in common; its messages were still recorded at the right moments.
     """
     notes = []
     for kind, topic in topics.items():
@@ -195,52 +197,54 @@ def _set_stamps(storage: Storage, topics: Mapping[str, str], columns: dict[str, 
 
 
 def _log_times(storage: Storage, topic: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:
-    """When each message was received; its stamp where not every message was read."""
+    """When each message was received; the stamps where not every message was read."""
     times = np.array([log_ns for log_ns, _ in storage.timed(topic)], np.int64)
     return times if len(times) == len(columns["header.stamp"]) else columns["header.stamp"]
 
 
 def open_bag(path: Path, splits: Sequence[Path] = ()) -> Storage:
-    """The storage of a directory or a bare file, or of the files of one recording in order. Raises RunError."""
+    """The storage of a directory, a bare file, or the files of one recording in order. Raises RunError."""
     files = splits or ([path] if path.is_file() else storage_files(path))
     for file in files:
         check_readable(file)
     return open_storage(path, files, typestore(definitions()))
 
 
-def numbers(path: Path, storage: Storage, topic: Topic, fields: Sequence[str],
-            store: Typestore) -> dict[str, np.ndarray]:
-    """Numbers of all messages of a topic (cdr.Layout). Raises RunError."""
-    return storage.columns({topic: fields}, store).get(topic.name) or _one_by_one(path, storage, topic, fields, store)
+def read_fields(path: Path, storage: Storage, topic: Topic, fields: Sequence[str],
+                store: Typestore) -> dict[str, np.ndarray]:
+    """Numeric fields (cdr.Layout) of all messages of a topic. Raises RunError."""
+    uniform = storage.columns({topic: fields}, store)
+    return uniform.get(topic.name) or _read_one_by_one(path, storage, topic, fields, store)
 
 
 def records_of(path: Path) -> dict[str, dict[str, str]]:
-    """Metadata records of an MCAP recording, as the recorder and `st import` leave them; empty for other storage."""
-    records = _records(path)
-    records.pop(CLOSING, None)
+    """Metadata records of an MCAP recording, as the recorder and `st import` write them; empty for other storage."""
+    records = _read_records(path)
+    records.pop(CLOSING_RECORD, None)
     return records
 
 
 def was_cut(path: Path) -> bool:
     """Whether a recorder of the suite did not end this recording itself: full disk, kill, `st recover` afterwards."""
-    records = _records(path)
-    return bool(OURS & records.keys()) and CLOSING not in records
+    records = _read_records(path)
+    return bool(SUITE_RECORDS & records.keys()) and CLOSING_RECORD not in records
 
 
-def _records(path: Path) -> dict[str, dict[str, str]]:
+def _read_records(path: Path) -> dict[str, dict[str, str]]:
     records: dict[str, dict[str, str]] = {}
     for file in [path] if path.is_file() else storage_files(path):
         if file.suffix.lower() == ".mcap" and summary_of(file) is not None:
             try:
                 with file.open("rb") as stream:
                     records.update({m.name: dict(m.metadata) for m in make_reader(stream).iter_metadata()})
-            except (McapError, *DAMAGE) as error:
+            except DAMAGE as error:
                 what = f"its metadata records are damaged ({type(error).__name__})"
                 raise RunError(file, what, "repair the bag with `st recover`") from None
     return records
 
 
-def _topic(path: Path, topics: Sequence[Topic], type_name: str, name: str | None = None) -> Topic:
+def _find_topic(path: Path, topics: Sequence[Topic], type_name: str, name: str | None = None) -> Topic:
+    """The topic of a type; the one named, else the preferred one. Raises RunError."""
     found = [t for t in topics if t.type_name == type_name and t.count]
     if name is not None:
         named = next((t for t in topics if t.name.lstrip("/") == name.lstrip("/") and t.count), None)
@@ -253,25 +257,25 @@ def _topic(path: Path, topics: Sequence[Topic], type_name: str, name: str | None
         what = ", ".join(sorted(f"{t.name} ({t.type_name})" for t in topics if t.count))[:300] or "no messages"
         other = ", or name the topic with the angle by --steering-topic" if type_name == STEERING else ""
         raise RunError(path, f"no message of type {type_name} is in it; it has {what}",
-                       f"record the topic {PREFERRED[type_name]} too{other}")
-    preferred = [t for t in found if t.name.endswith(PREFERRED[type_name])] or found
+                       f"record the topic {PREFERRED_TOPICS[type_name]} too{other}")
+    preferred = [t for t in found if t.name.endswith(PREFERRED_TOPICS[type_name])] or found
     if len(preferred) > 1:
         names = ", ".join(sorted(t.name for t in preferred))
         raise RunError(path, f"several topics are of type {type_name}: {names}",
                        "name one of them with --odometry-topic" if type_name == ODOMETRY else
-                       f"leave one of them, or name one .../{PREFERRED[type_name]}")
+                       f"leave one of them, or name one .../{PREFERRED_TOPICS[type_name]}")
     return preferred[0]
 
 
-def _one_by_one(path: Path, storage: Storage, topic: Topic, fields: Sequence[str],
-                store: Typestore) -> dict[str, np.ndarray]:
-    rows = [[field_of(message, field) for field in fields] for _, message in deserialised(path, storage, topic, store)]
+def _read_one_by_one(path: Path, storage: Storage, topic: Topic, fields: Sequence[str],
+                     store: Typestore) -> dict[str, np.ndarray]:
+    rows = [[field_of(message, field) for field in fields] for _, message in deserialise(path, storage, topic, store)]
     return {field: np.array([row[k] for row in rows]) for k, field in enumerate(fields)}
 
 
 def _odometry_rows(odometry: Mapping[str, np.ndarray]) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, int],
                                                                list[str]]:
-    """(times, channels of the INS in the rows used, rows without a usable value by channel, notes)."""
+    """(times, INS channels in the rows used, channel -> rows without a usable value, notes)."""
     values = {
         "x": odometry["pose.pose.position.x"], "y": odometry["pose.pose.position.y"],
         "yaw": yaw_of(*(odometry[f"pose.pose.orientation.{k}"] for k in "xyzw")),
@@ -280,17 +284,17 @@ def _odometry_rows(odometry: Mapping[str, np.ndarray]) -> tuple[np.ndarray, dict
     }
     missing = {signal: int((~np.isfinite(value)).sum()) for signal, value in values.items()}
     good = np.isfinite(np.stack(list(values.values()))).all(axis=0)
-    time_ns, rows, notes = _rising(odometry["header.stamp"], good, "odometry messages")
+    time_ns, rows, notes = _usable_messages(odometry["header.stamp"], good, "odometry messages")
     return time_ns, {k: np.unwrap(v[rows]) if k == "yaw" else v[rows] for k, v in values.items()}, missing, notes
 
 
-def _drive(path: Path, name: str, odometry: Mapping[str, np.ndarray], steering: Mapping[str, np.ndarray],
-           ) -> tuple[DriveLog, dict[str, int], list[str]]:
-    """The log, rows without a usable value by channel, and notes for the user."""
+def _drive_log(path: Path, name: str, odometry: Mapping[str, np.ndarray], steering: Mapping[str, np.ndarray],
+               ) -> tuple[DriveLog, dict[str, int], list[str]]:
+    """(log, channel -> rows without a usable value, notes)."""
     ins_ns, values, missing, notes = _odometry_rows(odometry)
     good = np.isfinite(steering["road_wheel_angle"]) & steering["valid"].astype(bool)
     missing["road_wheel_angle"] = int((~good).sum())
-    steering_ns, steering_rows, more = _rising(steering["header.stamp"], good, "steering messages")
+    steering_ns, steering_rows, steering_notes = _usable_messages(steering["header.stamp"], good, "steering messages")
     wheel = steering["steering_wheel_angle"][steering_rows]
     try:
         log = DriveLog(
@@ -300,11 +304,11 @@ def _drive(path: Path, name: str, odometry: Mapping[str, np.ndarray], steering: 
         )
     except StCoreError as error:
         raise RunError(path, str(error)) from None
-    return log, missing, [*notes, *more]
+    return log, missing, [*notes, *steering_notes]
 
 
-def _rising(time_ns: np.ndarray, good: np.ndarray, what: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """(times that rise strictly, their rows, notes)."""
+def _usable_messages(time_ns: np.ndarray, good: np.ndarray, what: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """(strictly rising times of good messages, their rows, notes)."""
     time = np.asarray(time_ns, np.int64)
     usable = good & (time != 0)
     rows = np.flatnonzero(usable)
@@ -312,5 +316,5 @@ def _rising(time_ns: np.ndarray, good: np.ndarray, what: str) -> tuple[np.ndarra
     if (lost := len(time) - len(rows)):
         why = "a usable value" if (time[good] != 0).all() else "a usable value or a stamp"
         notes.append(f"{share(lost, len(time), what)} have no {why.removeprefix('a ')}; they were left out")
-    kept, more = usable_rows(time[rows], what)
-    return time[rows[kept]], rows[kept], [*notes, *more]
+    kept, time_notes = usable_rows(time[rows], what)
+    return time[rows[kept]], rows[kept], [*notes, *time_notes]

@@ -1,7 +1,7 @@
-"""The storages of rosbag2 behind one small interface: which topics there are, and the bytes of one of them.
+"""The storages of rosbag2 behind one interface: the topics of a recording, and the messages of a topic.
 
-MCAP and sqlite3 are read here, because a library that looks at every definition in a bag stops at the first foreign
-one it does not understand; what else rosbag2 can write (compressed files and messages) is read by rosbags.
+MCAP and sqlite3 are read here, because a library that parses every definition in a bag stops at the first foreign one
+it does not understand; what else rosbag2 can write (compressed files and messages) is read by rosbags.
 """
 
 import sqlite3
@@ -16,20 +16,20 @@ from typing import Any
 
 import numpy as np
 import yaml
-from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader
 from mcap.summary import Summary
 from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.rosbag2 import ReaderError
 from rosbags.typesys.store import Typestore
 
+from ..bag_metadata import read_information
+from ..mcap_contents import MAGIC
 from ..paths import natural_order
 from .cdr import DAMAGE, Block, Layout, blocks, summary_of
 from .errors import RunError, share, short
 
 EXTENSIONS = (".mcap", ".db3")
-MCAP_MAGIC = b"\x89MCAP0\r\n"
-NOT_CLOSED = "if it was cut off while recording, repair it with `st recover`"
+RECOVERY_ADVICE = "if it was cut off while recording, repair it with `st recover`"
 
 
 @dataclass(frozen=True)
@@ -47,33 +47,33 @@ class Storage(ABC):
 
     @abstractmethod
     def timed(self, topic: str) -> Iterator[tuple[int, bytes]]:
-        """(log time [ns], message), in the order of the file."""
+        """Yields (log time [ns], serialised message), in the order of the file."""
 
     @abstractmethod
     def definitions(self) -> dict[str, tuple[str, str]]:
         """Type -> (ros2msg or ros2idl, definition), as far as they are in the recording."""
 
     def messages(self, topic: str) -> Iterator[bytes]:
-        """Serialised messages, in the order of the file."""
+        """Yields the serialised messages, in the order of the file."""
         return (data for _, data in self.timed(topic))
 
     def columns(self, fields: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
-        """Some numbers of all messages (cdr.Layout) by topic, without topics of varying layout."""
+        """Numeric fields (cdr.Layout) of all messages, by topic and field; without topics of varying layout."""
         found = {}
         for topic, names in fields.items():
             rows = [np.frombuffer(data, np.uint8) for data in self.messages(topic.name)]
-            one = _Gathered(topic.type_name, names, store)
+            gathered = _GatheredFields(topic.type_name, names, store)
             if rows:
                 sizes = np.array([len(row) for row in rows])
-                one.add(np.concatenate(rows), np.cumsum(sizes) - sizes, sizes)
-            if one.alike and one.parts:
-                found[topic.name] = one.columns()
+                gathered.add(np.concatenate(rows), np.cumsum(sizes) - sizes, sizes)
+            if gathered.is_uniform and gathered.parts:
+                found[topic.name] = gathered.columns()
         return found
 
 
 def open_storage(path: Path, files: Sequence[Path], store: Typestore) -> Storage:
-    """Raises RunError for what is none, or was not closed."""
-    if path.is_dir() and information(path).get("compression_mode"):
+    """The storage of a bag. Raises RunError for other files and for a file that was not closed."""
+    if path.is_dir() and read_information(path).get("compression_mode"):
         return Rosbags(path, store)
     suffixes = {f.suffix.lower() for f in files}
     if suffixes == {".mcap"}:
@@ -84,37 +84,29 @@ def open_storage(path: Path, files: Sequence[Path], store: Typestore) -> Storage
                    "give the folder that ros2 bag or the recorder made")
 
 
-def information(path: Path) -> dict[str, Any]:
-    """Content of metadata.yaml of a bag; empty where it cannot be read."""
-    try:
-        about = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
-    except (OSError, yaml.YAMLError, KeyError, TypeError):
-        return {}
-    return about if isinstance(about, dict) else {}
+def _listed_files(directory: Path) -> list[str]:
+    listed = read_information(directory).get("relative_file_paths")
+    return [Path(str(name)).name for name in listed] if isinstance(listed, list) else []
 
 
 def storage_files(directory: Path) -> list[Path]:
     """Storage files of a bag directory in the order of recording: that of metadata.yaml, else by their numbers."""
     files = sorted((f for f in directory.iterdir() if f.suffix.lower() in EXTENSIONS), key=natural_order)
-    listed = information(directory).get("relative_file_paths")
-    names = [Path(str(name)).name for name in listed] if isinstance(listed, list) else []
-    order = {name: k for k, name in enumerate(names)}
+    order = {name: k for k, name in enumerate(_listed_files(directory))}
     return sorted(files, key=lambda f: order.get(f.name, -1)) if {f.name for f in files} <= order.keys() else files
 
 
 def missing_files(directory: Path) -> str:
-    """What metadata.yaml lists and the directory does not hold, in words; empty where all is there."""
-    listed = information(directory).get("relative_file_paths")
-    if not isinstance(listed, list):
-        return ""
-    missing = [str(name) for name in listed if not (directory / Path(str(name)).name).is_file()]
+    """A note on files that metadata.yaml lists and the directory does not hold; empty where none is missing."""
+    listed = _listed_files(directory)
+    missing = [name for name in listed if not (directory / name).is_file()]
     if not missing:
         return ""
     return f"{share(len(missing), len(listed), 'files')} of metadata.yaml are missing: {', '.join(missing)[:200]}"
 
 
 def time_span(file: Path) -> tuple[int, int] | None:
-    """Log times of the first and last message of a storage file [ns]; None for one that cannot be read."""
+    """Log times of the first and last message of a storage file [ns]; None for a file that cannot be read."""
     try:
         if file.suffix.lower() == ".db3":
             ((first, last),) = Sqlite([file]).query(file, "SELECT MIN(timestamp), MAX(timestamp) FROM messages")
@@ -137,13 +129,13 @@ class Mcap(Storage):
                 head = stream.read(8)
                 stream.seek(-min(8, file.stat().st_size), 2)
                 tail = stream.read(8)
-            if head != MCAP_MAGIC:
+            if head != MAGIC:
                 raise RunError(file, "cannot be read as a bag (not MCAP)", "correct its extension")
             summary = summary_of(file)
-            if summary is None and tail != MCAP_MAGIC:
-                raise RunError(file, "cannot be read as a bag (it was not closed)", NOT_CLOSED)
+            if summary is None and tail != MAGIC:
+                raise RunError(file, "cannot be read as a bag (it was not closed)", RECOVERY_ADVICE)
             self._files.append((file, summary))
-            channels = summary.channels.values() if summary else [one for _, one, _ in islice(self.stream(file), 1000)]
+            channels = summary.channels.values() if summary else [c for _, c, _ in islice(self.stream(file), 1000)]
             encodings |= {channel.message_encoding for channel in channels}
         if encodings and "cdr" not in encodings:
             raise RunError(self._files[0][0], f"its messages are encoded as {', '.join(sorted(map(str, encodings)))}, "
@@ -160,7 +152,7 @@ class Mcap(Storage):
         counts: Counter[tuple[str, str]] = Counter()
         for file, summary in self._files:
             if summary is None:
-                counts.update((one.topic, schema.name if schema else "") for schema, one, _ in self.stream(file))
+                counts.update((c.topic, schema.name if schema else "") for schema, c, _ in self.stream(file))
                 continue
             assert summary.statistics is not None  # summary_of
             for channel in summary.channels.values():
@@ -185,34 +177,35 @@ class Mcap(Storage):
         try:
             yield from blocks(file, summary, channels)
         except DAMAGE as error:
-            raise RunError(file, f"cannot be read as a bag ({short(error)})", NOT_CLOSED) from None
+            raise RunError(file, f"cannot be read as a bag ({short(error)})", RECOVERY_ADVICE) from None
 
     @staticmethod
     def stream(file: Path) -> Iterator[Any]:
+        """Yields (schema, channel, message) one by one, also of a file without an index."""
         try:
             with file.open("rb") as stream:
                 yield from NonSeekingReader(stream).iter_messages(log_time_order=False)
-        except (McapError, *DAMAGE) as error:
-            raise RunError(file, f"cannot be read as a bag ({short(error)})", NOT_CLOSED) from None
+        except DAMAGE as error:
+            raise RunError(file, f"cannot be read as a bag ({short(error)})", RECOVERY_ADVICE) from None
 
     def columns(self, fields: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
-        gathered = {topic.name: _Gathered(topic.type_name, names, store) for topic, names in fields.items()}
         if any(summary is None for _, summary in self._files):
             return super().columns(fields, store)
+        by_topic = {topic.name: _GatheredFields(topic.type_name, names, store) for topic, names in fields.items()}
         for file, summary in self._files:
             assert summary is not None and summary.statistics is not None  # summary_of
-            channels = {number: gathered[channel.topic] for number, channel in summary.channels.items()
-                        if channel.topic in gathered and channel.message_encoding == "cdr"}
+            channels = {number: by_topic[channel.topic] for number, channel in summary.channels.items()
+                        if channel.topic in by_topic and channel.message_encoding == "cdr"}
             left = {number: summary.statistics.channel_message_counts.get(number, 0) for number in channels}
             publishers = Counter(summary.channels[number].topic for number, count in left.items() if count)
             for topic, count in publishers.items():
-                gathered[topic].alike &= count == 1  # a block has the messages of one publisher only
+                by_topic[topic].is_uniform &= count == 1  # the messages of several publishers alternate in the file
             for number, block in self._blocks(file, summary, channels):
                 left[number] -= len(block.starts)
                 channels[number].add(block.buffer, block.starts, block.sizes)
             for number, count in left.items():
-                channels[number].alike &= count == 0
-        return {name: one.columns() for name, one in gathered.items() if one.alike and one.parts}
+                channels[number].is_uniform &= count == 0
+        return {name: fields.columns() for name, fields in by_topic.items() if fields.is_uniform and fields.parts}
 
 
 class Sqlite(Storage):
@@ -259,31 +252,31 @@ class Rosbags(Storage):
             self._reader = AnyReader([path], default_typestore=store)
             self._reader.open()
         except (AnyReaderError, ReaderError, OSError, KeyError) as error:
-            raise RunError(path, f"cannot be read as a bag ({short(error)})", NOT_CLOSED) from None
+            raise RunError(path, f"cannot be read as a bag ({short(error)})", RECOVERY_ADVICE) from None
 
     def topics(self) -> list[Topic]:
         return [Topic(c.topic, c.msgtype, c.msgcount) for c in self._reader.connections]
 
     def timed(self, topic: str) -> Iterator[tuple[int, bytes]]:
-        chosen = [c for c in self._reader.connections if c.topic == topic]
-        return ((log_ns, bytes(data)) for _, log_ns, data in self._reader.messages(connections=chosen))
+        connections = [c for c in self._reader.connections if c.topic == topic]
+        return ((log_ns, bytes(data)) for _, log_ns, data in self._reader.messages(connections=connections))
 
     def definitions(self) -> dict[str, tuple[str, str]]:
         forms = {1: "ros2msg", 2: "ros2idl"}  # rosbags.interfaces.MessageDefinitionFormat
         return {c.msgtype: (forms.get(c.msgdef.format.value, ""), c.msgdef.data) for c in self._reader.connections}
 
 
-class _Gathered:
-    """Fields of the messages of one topic, part by part. alike: whether all have the layout of the first."""
+class _GatheredFields:
+    """Fields of the messages of one topic, part by part. is_uniform: whether all have the layout of the first."""
 
     def __init__(self, type_name: str, fields: Sequence[str], store: Typestore):
         self._type_name, self._fields, self._store = type_name, fields, store
         self._layout: Layout | None = None
-        self.alike, self.parts = True, list[dict[str, np.ndarray]]()
+        self.is_uniform, self.parts = True, list[dict[str, np.ndarray]]()
 
     def add(self, buffer: np.ndarray, starts: np.ndarray, sizes: np.ndarray) -> None:
-        """Messages that begin at `starts` and are `sizes` bytes long."""
-        if not self.alike or not len(starts):
+        """Adds messages that begin at `starts` and are `sizes` bytes long."""
+        if not self.is_uniform or not len(starts):
             return
         if self._layout is None:
             first = buffer[starts[0] : starts[0] + sizes[0]].tobytes()
@@ -291,11 +284,11 @@ class _Gathered:
                 example = self._store.deserialize_cdr(first, self._type_name)
                 self._layout = Layout(self._store, self._type_name, example)
             except Exception:  # rosbags raises whatever struct and numpy raise; reading one by one reports it
-                self.alike = False
+                self.is_uniform = False
                 return
         layout = self._layout
-        self.alike = layout.fit(buffer, starts, sizes)
-        if self.alike:
+        self.is_uniform = layout.fits(buffer, starts, sizes)
+        if self.is_uniform:
             self.parts.append({field: layout.column(buffer, starts, field) for field in self._fields})
 
     def columns(self) -> dict[str, np.ndarray]:
@@ -303,7 +296,7 @@ class _Gathered:
 
 
 def parameters(records: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, Any]]:
-    """Parameters by node, of the metadata records of a recording; empty where it carries none."""
+    """Parameters by node, from the metadata records of a recording; empty where it has none."""
     try:
         document = yaml.safe_load(records.get("configuration", {}).get("parameters.yaml", "")) or {}
         return {node: dict(section["ros__parameters"]) for node, section in document.items()}
@@ -312,8 +305,8 @@ def parameters(records: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, 
 
 
 def text_of(records: Mapping[str, Mapping[str, str]], file: str) -> str | None:
-    """The text of a configuration file named in the parameters; None where the recording does not carry it."""
+    """The text of a configuration file named in the parameters; None where the recording does not include it."""
     parts = Path("/", file).parts
-    # Two files of one name are kept with a folder before it.
+    # Of two files with one name, the records keep a folder too.
     return next((text for key, text in records.get("configuration", {}).items()
                  if file and parts[-len(Path(key).parts):] == Path(key).parts), None)

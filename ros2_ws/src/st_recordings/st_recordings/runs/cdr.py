@@ -1,46 +1,49 @@
-"""Many ROS messages of one type at once: columns to serialised bytes (CDR) and back, without a Python object each,
-straight out of the chunks of an MCAP file.
+"""ROS messages as columns: to serialised bytes (CDR) and back without a Python object per message, and straight out of
+the chunks of an MCAP file.
 
-Messages with the same texts and sequence lengths are rows of bytes of one layout. The place of each number follows from
-the definition and one example.
+Messages of one type with the same texts and sequence lengths are rows of bytes of one layout. The place of each number
+follows from the definition and one example.
 """
 
 import os
 import struct
-import zlib
 from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
+from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import lz4.frame
 import numpy as np
 import zstandard
+from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import ChunkIndex
+from mcap.records import Chunk, ChunkIndex
+from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
 from mcap.summary import Summary
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-# The message types that recordings of the suite are read from and written to.
+# Message types of the recordings of the suite.
 ODOMETRY, STEERING = "nav_msgs/msg/Odometry", "st_msgs/msg/Steering"
 NCOM, WHEEL_SPEEDS, CAN_FRAMES = "st_msgs/msg/Ncom", "st_msgs/msg/WheelSpeeds", "st_msgs/msg/CanFrames"
 INS_ON_CAN, INS_STATUS = "st_msgs/msg/InsOnCan", "st_msgs/msg/InsStatus"
-
-# Signals of the CAN table, and the fields of WheelSpeeds they go to.
+# Signals of the CAN table -> fields of st_msgs/WheelSpeeds.
 WHEEL_FIELDS = {"wheel_speed_front_left": "front_left", "wheel_speed_front_right": "front_right",
                 "wheel_speed_rear_left": "rear_left", "wheel_speed_rear_right": "rear_right",
                 "vehicle_speed": "vehicle_speed"}
-
-
-_DTYPE = {"float64": "<f8", "float32": "<f4", "int64": "<i8", "uint64": "<u8", "int32": "<i4", "uint32": "<u4",
-          "int16": "<i2", "uint16": "<u2", "int8": "i1", "uint8": "u1", "byte": "u1", "char": "u1", "bool": "?"}
-_ENCAPSULATION = 4  # bytes before the body; alignment counts from behind them
+DAMAGE = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, OSError, OverflowError, MemoryError, McapError)
+"""Exceptions on reading an MCAP file that is damaged or contradicts its index."""
+_DTYPES = {"float64": "<f8", "float32": "<f4", "int64": "<i8", "uint64": "<u8", "int32": "<i4", "uint32": "<u4",
+           "int16": "<i2", "uint16": "<u2", "int8": "i1", "uint8": "u1", "byte": "u1", "char": "u1", "bool": "?"}
+_ENCAPSULATION = 4  # bytes before the body; alignment counts from their end
+_RECORD_HEAD = 9  # bytes of an MCAP record: opcode, length
+_MESSAGE_HEAD = _RECORD_HEAD + 22  # channel, sequence, log time, publish time
 
 
 @cache
@@ -56,10 +59,10 @@ def typestore(definitions: Path) -> Typestore:
 
 
 def with_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]], types: Iterable[str]) -> Typestore:
-    """A store in which some types, and the types they use, are as a recording defines them.
+    """The store with some types, and the types they use, as a recording defines them; itself where none differs.
 
-    definitions: of the recording (bag_storage.Storage.definitions). The store given where nothing differs from it.
-    A definition that cannot be parsed is ignored: the type is then that of the store, or unknown.
+    definitions: of the recording (bag_storage.Storage.definitions). A definition that cannot be parsed is ignored: the
+    type is then that of the store, or unknown.
     """
     own: dict[str, Any] = {}
     for name in types:
@@ -69,9 +72,8 @@ def with_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]
                 own |= get_types_from_idl(text) if encoding == "ros2idl" else get_types_from_msg(text, name)
         except Exception:  # rosbags raises whatever its parser raises
             continue
-    different = {name for name, (_, fields) in own.items()
-                 if name not in store.fielddefs or _plain(store.fielddefs[name][1]) != _plain(fields)}
-    if not different:
+    if all(name in store.fielddefs and _normalised(store.fielddefs[name][1]) == _normalised(fields)
+           for name, (_, fields) in own.items()):
         return store
     mixed = get_typestore(Stores.EMPTY)
     try:
@@ -81,7 +83,7 @@ def with_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]
     return mixed
 
 
-def _plain(fields: Any) -> list[tuple[str, Any]]:
+def _normalised(fields: Any) -> list[tuple[str, Any]]:
     return [(field[0].lower(), field[1]) for field in fields]
 
 
@@ -99,14 +101,14 @@ class Field:
 
 
 class Layout:
-    """Row of bytes of one message type, with the texts and sequence lengths of an example.
+    """The bytes of a message of one type, with the texts and sequence lengths of an example.
 
     template: the example, serialised. fields: path, as "pose.pose.position.x", -> place of the number; a time is one
-    field under its own path ("header.stamp"), in ns outside and sec, nanosec inside.
+    field under its own path ("header.stamp"): ns in columns, sec and nanosec in the message.
     """
 
     def __init__(self, store: Typestore, type_name: str, example: Any):
-        """Raises ValueError for a type with wide texts, which no message of ours has."""
+        """Raises ValueError for a type with wide texts, which no message of the suite has."""
         self._store = store
         self.template = np.frombuffer(bytes(store.serialize_cdr(example, type_name)), np.uint8)
         self.fields: dict[str, Field] = {}
@@ -119,7 +121,7 @@ class Layout:
             self._fixed[field.offset : field.offset + field.width] = False
 
     def _walk(self, type_name: str, value: Any, path: str, at: int) -> int:
-        """Notes the fields of one (nested) message; `at` and the result count from behind the encapsulation."""
+        """Adds the fields of a (nested) message at a byte; returns its end. Both count from after the encapsulation."""
         if type_name in ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"):
             at = _aligned(at, 4)
             self.fields[path] = Field(at + _ENCAPSULATION, "<i4", 2)
@@ -135,12 +137,12 @@ class Layout:
         if node == Nodetype.BASE:
             if detail[0] == "string":
                 return _aligned(at, 4) + 4 + len(value.encode()) + 1
-            return self._numbers(_DTYPE[detail[0]], 1, path, at)
+            return self._numbers(_DTYPES[detail[0]], 1, path, at)
         (inner, inner_detail), _ = detail
         if node == Nodetype.SEQUENCE:
             at = _aligned(at, 4) + 4
         if inner == Nodetype.BASE and inner_detail[0] != "string":
-            return self._numbers(_DTYPE[inner_detail[0]], len(value), path, at) if len(value) else at
+            return self._numbers(_DTYPES[inner_detail[0]], len(value), path, at) if len(value) else at
         for index, element in enumerate(value):
             at = self._walk_member(inner, inner_detail, element, f"{path}.{index}", at)
         return at
@@ -151,7 +153,7 @@ class Layout:
         return field.offset - _ENCAPSULATION + field.width
 
     def rows(self, n: int, columns: Mapping[str, np.ndarray]) -> np.ndarray:
-        """(n, length) uint8: the messages; what no column gives is as in the example.
+        """Serialised messages, (n, length) uint8; fields without a column are as in the example.
 
         columns: path -> (n,) or (n, count); times in ns.
         """
@@ -165,7 +167,7 @@ class Layout:
         return rows
 
     def column(self, buffer: np.ndarray, starts: np.ndarray, path: str) -> np.ndarray:
-        """One field of the messages that begin at `starts` in a uint8 buffer: (n,), or (n, count); times in ns."""
+        """One field of the messages that begin at `starts` in a uint8 buffer: (n,) or (n, count); times in ns."""
         field = self.fields[path]
         windows = np.ndarray((max(len(buffer) - field.width + 1, 0), field.width), np.uint8, buffer.data, 0, (1, 1))
         values = windows[starts + field.offset].view(field.dtype)
@@ -173,15 +175,15 @@ class Layout:
             return values[:, 0].astype(np.int64) * 1_000_000_000 + values[:, 1].astype(np.uint32).astype(np.int64)
         return values if field.count > 1 else values[:, 0]
 
-    def fit(self, buffer: np.ndarray, starts: np.ndarray, sizes: np.ndarray) -> bool:
-        """Whether messages at `starts` of so many bytes have the example's texts and sequence lengths, and so this
-        layout; the middleware fills up to a multiple of four bytes."""
+    def fits(self, buffer: np.ndarray, starts: np.ndarray, sizes: np.ndarray) -> bool:
+        """Whether the messages at `starts`, of `sizes` bytes, have the example's texts and sequence lengths, and so
+        this layout. The middleware pads messages to a multiple of four bytes."""
         sized = ((sizes >= len(self.template)) & (sizes < len(self.template) + 4)).all()
         return bool(sized) and all((buffer[starts + k] == self.template[k]).all() for k in np.nonzero(self._fixed)[0])
 
 
 def field_of(message: Any, path: str) -> Any:
-    """One field of a deserialised message by its path; a time in ns."""
+    """A field of a deserialised message by its path; a time in ns."""
     for part in path.split("."):
         message = getattr(message, part)
     return message.sec * 1_000_000_000 + message.nanosec if path.endswith("stamp") else message
@@ -189,13 +191,6 @@ def field_of(message: Any, path: str) -> Any:
 
 def _aligned(at: int, size: int) -> int:
     return -(-at // size) * size
-
-
-_RECORD_HEAD = 9  # opcode, length
-_MESSAGE_HEAD = _RECORD_HEAD + 22  # channel, sequence, log time, publish time
-_CHUNK, _MESSAGE_INDEX = 0x06, 0x07
-# What a file that contradicts its index, or was damaged, makes `blocks` raise.
-DAMAGE = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, OSError, OverflowError, MemoryError)
 
 
 @dataclass(frozen=True)
@@ -209,12 +204,15 @@ class Block:
 
 
 def summary_of(path: Path) -> Summary | None:
-    """Channels, schemas and chunks of a file that was closed; None for one without an index of its messages (cut, not
-    MCAP, or written without message index, or without channels and schemas behind the data)."""
+    """Channels, schemas and chunks of a file that was closed.
+
+    None for a file without an index of its messages: cut, not MCAP, written without message index, or without channels
+    and schemas after the data.
+    """
     try:
         with path.open("rb") as stream:
             summary = make_reader(stream).get_summary()
-    except (McapError, *DAMAGE):
+    except DAMAGE:
         return None
     if summary is None or not summary.chunk_indexes or summary.statistics is None:
         return None
@@ -227,32 +225,32 @@ def summary_of(path: Path) -> Summary | None:
 
 
 def blocks(path: Path, summary: Summary, channels: Collection[int]) -> Iterator[tuple[int, Block]]:
-    """The messages of some channels with the number of each, chunk by chunk. Raises one of DAMAGE."""
+    """Yields (channel, its messages in a chunk), chunk by chunk. Raises one of DAMAGE."""
     chunks = [chunk for chunk in sorted(summary.chunk_indexes, key=lambda c: c.chunk_start_offset)
               if not chunk.message_index_offsets.keys().isdisjoint(channels)]
     with path.open("rb") as stream:
-        for chunk, content in _unpacked(stream, chunks):
+        for chunk, content in _uncompressed_chunks(stream, chunks):
             buffer = np.frombuffer(content, np.uint8)
             for channel in channels:
                 if channel in chunk.message_index_offsets:
                     yield channel, _block(stream, chunk, channel, buffer)
 
 
-def _unpacked(stream: BinaryIO, chunks: Sequence[ChunkIndex]) -> Iterator[tuple[ChunkIndex, bytes]]:
-    """Chunks with their content. Unpacking takes most of the time and leaves the interpreter free: one is ahead."""
+def _uncompressed_chunks(stream: BinaryIO, chunks: Sequence[ChunkIndex]) -> Iterator[tuple[ChunkIndex, bytes]]:
+    """Yields chunks with their content; a thread is one chunk ahead, as decompression releases the interpreter."""
     with ThreadPoolExecutor(1) as pool:
-        coming: deque[tuple[ChunkIndex, Future[bytes]]] = deque()
+        pending: deque[tuple[ChunkIndex, Future[bytes]]] = deque()
         for chunk in chunks:
-            coming.append((chunk, pool.submit(_content, stream, chunk)))
-            if len(coming) > 1:
-                first, content = coming.popleft()
+            pending.append((chunk, pool.submit(_chunk_content, stream, chunk)))
+            if len(pending) > 1:
+                first, content = pending.popleft()
                 yield first, content.result()
-        for last, content in coming:
+        for last, content in pending:
             yield last, content.result()
 
 
 def _block(stream: BinaryIO, chunk: ChunkIndex, channel: int, buffer: np.ndarray) -> Block:
-    times, offsets = _index(stream, chunk.message_index_offsets[channel])
+    times, offsets = _message_index(stream, chunk.message_index_offsets[channel])
     words = np.ndarray((max(len(buffer) - 7, 0),), "<u8", buffer.data, 0, (1,))
     if len(offsets) and not 0 <= int(offsets.min()) <= int(offsets.max()) <= len(buffer) - _MESSAGE_HEAD:
         raise ValueError("a message index points outside its chunk")
@@ -262,28 +260,24 @@ def _block(stream: BinaryIO, chunk: ChunkIndex, channel: int, buffer: np.ndarray
     return Block(buffer, offsets + _MESSAGE_HEAD, sizes, times)
 
 
-def _content(stream: BinaryIO, chunk: ChunkIndex) -> bytes:
+def _chunk_content(stream: BinaryIO, chunk: ChunkIndex) -> bytes:
     record = os.pread(stream.fileno(), chunk.chunk_length, chunk.chunk_start_offset)
-    if len(record) < chunk.chunk_length or record[0] != _CHUNK:
+    if len(record) < chunk.chunk_length or record[0] != Opcode.CHUNK:
         raise ValueError("a chunk is missing")
-    checksum, name_length = struct.unpack_from("<II", record, _RECORD_HEAD + 24)
-    data = record[_RECORD_HEAD + 28 + 4 + name_length + 8 :]
-    if chunk.compression == "zstd":
-        data = zstandard.ZstdDecompressor().decompress(data, max_output_size=chunk.uncompressed_size)
-    elif chunk.compression == "lz4":
-        data = lz4.frame.decompress(data)
-    elif chunk.compression:
+    if chunk.compression not in ("", "zstd", "lz4"):
         raise ValueError(f"compression {chunk.compression!r} is not known")
-    if checksum and zlib.crc32(data) != checksum:
-        raise ValueError(f"the chunk at byte {chunk.chunk_start_offset} is damaged: wrong checksum")
-    return data
+    try:
+        content, size = get_chunk_data_stream(Chunk.read(ReadDataStream(BytesIO(record[_RECORD_HEAD:]))), True)
+    except CRCValidationError:
+        raise ValueError(f"the chunk at byte {chunk.chunk_start_offset} is damaged: wrong checksum") from None
+    return content.read(size)
 
 
-def _index(stream: BinaryIO, at: int) -> tuple[np.ndarray, np.ndarray]:
+def _message_index(stream: BinaryIO, at: int) -> tuple[np.ndarray, np.ndarray]:
     """(log times, offsets in the chunk) of the messages of one channel."""
     stream.seek(at)
     head = stream.read(_RECORD_HEAD + 6)
-    if len(head) < _RECORD_HEAD + 6 or head[0] != _MESSAGE_INDEX:
+    if len(head) < _RECORD_HEAD + 6 or head[0] != Opcode.MESSAGE_INDEX:
         raise ValueError("a message index is missing")
     size = struct.unpack_from("<I", head, _RECORD_HEAD + 2)[0]
     entries = np.frombuffer(stream.read(size), "<u8").reshape(-1, 2)

@@ -1,5 +1,5 @@
-"""Odometry and steering of a bag without such topics: both reconstructed from raw packets and frames, as the bridges
-publish them, and further channels for the checks, read only where their layout is constant.
+"""Reconstructs odometry and steering of a bag from raw packets and frames, as the bridges would have published them;
+reads steering from topics of any type, and further channels for the checks.
 """
 
 import math
@@ -26,24 +26,29 @@ from .ins_log import car_speed, is_newer, series
 from .ncom import ins_quality, to_body
 from .run_types import SteeringField
 
-ORIGIN, FIX = "ins/origin", "sensor_msgs/msg/NavSatFix"
-RECONSTRUCTED = " (reconstructed)"  # behind the name of the topic that it was computed from
+ORIGIN_TOPIC, ORIGIN_TYPE = "ins/origin", "sensor_msgs/msg/NavSatFix"
+RECONSTRUCTED = " (reconstructed)"  # appended to the name of the topic that odometry or steering was computed from
+_AUXILIARY_FIELDS = {WHEEL_SPEEDS: ("header.stamp", *WHEEL_FIELDS.values(), "valid"),
+                     INS_ON_CAN: ("header.stamp", "velocity_x"), NCOM: ("raw_packet",)}
+_STATUS_FIELDS = ("header.stamp", "navigation_status", "position_mode", "position_accuracy_north",
+                  "position_accuracy_east", "heading_accuracy")
 
 
 class Reconstruction:
-    """Of one recording. records: its metadata records: parameters of the nodes, DBC, table and vehicle."""
+    """Odometry, steering and speeds of one recording, computed from raw packets and frames."""
 
     def __init__(self, path: Path, storage: Storage, records: Mapping[str, Mapping[str, str]], store: Typestore):
+        """records: metadata records with the parameters of the nodes, DBC, table and vehicle."""
         self._path, self._storage, self._store = path, storage, store
         self._records, self._nodes = records, parameters(records)
         self._topics = storage.topics()
 
     def has(self, type_name: str) -> bool:
-        """Whether there are raw packets (NCOM) or frames (CAN_FRAMES)."""
+        """Whether the recording holds messages of a type."""
         return any(t.type_name == type_name and t.count for t in self._topics)
 
     def topic(self, type_name: str) -> Topic:
-        """Of those that are there."""
+        """The first topic of a type that has messages."""
         return next(t for t in self._topics if t.type_name == type_name and t.count)
 
     @property
@@ -55,28 +60,28 @@ class Reconstruction:
         return str(self._nodes.get("oxts_bridge", {}).get("map_frame", "map"))
 
     def odometry(self, fields: tuple[str, ...]) -> dict[str, np.ndarray]:
-        """The fields of nav_msgs/Odometry, as oxts_bridge had published them. Raises RunError, without a fix too."""
+        """Fields of nav_msgs/Odometry: stamp, position x, y, quaternion x, y, z, w, velocity x, y, yaw rate.
+
+        Raises RunError for damaged packets, or where none has a fix and a time.
+        """
         bridge = self._nodes.get("oxts_bridge", {})
         columns = self._storage.columns({self.topic(NCOM): ("header.stamp", "raw_packet")}, self._store)
-        found = columns.get(self.topic(NCOM).name)
-        if found is None:
+        raw = columns.get(self.topic(NCOM).name)
+        if raw is None:
             raise RunError(self._path, "its raw packets are not alike", "repair the bag with `st recover`")
-        packets = zip(found["header.stamp"].tolist(), map(bytes, found["raw_packet"]), strict=True)
-        rows = [(one.stamp_ns, *one.position, *one.orientation, *one.velocity[:2], one.rate[2])
-                for one in reconstruct_odometry(packets, self._origin(bridge), not bridge.get("replay_file"),
-                                          bridge.get("stamp_source") == "receive")]
+        packets = zip(raw["header.stamp"].tolist(), map(bytes, raw["raw_packet"]), strict=True)
+        odometry = reconstruct_odometry(packets, self._origin(bridge), not bridge.get("replay_file"),
+                                        bridge.get("stamp_source") == "receive")
+        rows = [(o.stamp_ns, *o.position[:2], *o.orientation, *o.velocity[:2], o.rate[2]) for o in odometry]
         if not rows:
             raise RunError(self._path, "none of its raw packets has a fix and a time", "record with the unit locked")
         stamps, *values = zip(*rows, strict=True)
-        names = [field for field in fields if not field.endswith("stamp")]
-        # Altitude is not among the requested fields.
-        chosen = [values[k] for k in (0, 1, *range(3, len(values)))]
-        return {"header.stamp": np.array(stamps, np.int64),
-                **{name: np.array(column) for name, column in zip(names, chosen, strict=True)}}
+        return {fields[0]: np.array(stamps, np.int64), **dict(zip(fields[1:], map(np.array, values), strict=True))}
 
     def origin(self) -> tuple[float, float, float] | None:
         """Recorded origin of the map frame: latitude, longitude [deg], altitude [m]."""
-        topic = next((t for t in self._topics if t.name.endswith(ORIGIN) and t.type_name == FIX and t.count), None)
+        topic = next((t for t in self._topics if t.name.endswith(ORIGIN_TOPIC) and t.type_name == ORIGIN_TYPE
+                      and t.count), None)
         if topic is None:
             return None
         fix: Any = self._store.deserialize_cdr(next(self._storage.messages(topic.name)), topic.type_name)
@@ -91,25 +96,25 @@ class Reconstruction:
         return Origin(source, (latitude, longitude, altitude) if source == GIVEN else None)
 
     def steering(self) -> dict[str, np.ndarray]:
-        """The fields of st_msgs/Steering, as canedge_bridge had published them. Raises RunError."""
+        """Fields of st_msgs/Steering. Raises RunError."""
         from .can_signals import steering_of
 
         bridge = self._nodes.get("canedge_bridge", {})
         signal = steering_of(self._signals, self._path, self._table)
-        ratio, offset = (self._steering(bridge, name) for name in ("steering_ratio", "steering_wheel_offset"))
+        ratio, offset = (self._steering_parameter(bridge, key) for key in ("steering_ratio", "steering_wheel_offset"))
         calibration = SteeringCalibration(bridge.get("steering_sign", 1), offset, ratio)
         latency_ns = round(float(bridge.get("steering_latency", 0.0)) * 1e9)
         return {"header.stamp": signal.time_ns - latency_ns,
                 "steering_wheel_angle": calibration.steering_wheel_angle(signal.values),
                 "road_wheel_angle": calibration.road_wheel_angle(signal.values), "valid": signal.valid}
 
-    def _steering(self, bridge: Mapping[str, Any], name: str) -> float:
-        value = float(bridge.get(name, math.nan))
+    def _steering_parameter(self, bridge: Mapping[str, Any], key: str) -> float:
+        value = float(bridge.get(key, math.nan))
         if math.isfinite(value):
             return value
         text = text_of(self._records, str(bridge.get("vehicle_file", "")))
         try:
-            return getattr(VehicleParameters.from_yaml(text or "", "the vehicle in the recording"), name)
+            return getattr(VehicleParameters.from_yaml(text or "", "the vehicle in the recording"), key)
         except StCoreError as error:
             raise RunError(self._path, f"the steering of its raw frames needs a vehicle file: {error}") from None
 
@@ -138,7 +143,7 @@ class Reconstruction:
 
     @cached_property
     def _signals(self) -> Any:
-        from .can_signals import decode_signals  # the CAN libraries: a second that other bags need not wait for
+        from .can_signals import decode_signals  # importing the CAN libraries takes a second, and other bags need none
         from .frames import read_frames
 
         table = self._table
@@ -150,53 +155,48 @@ class Reconstruction:
         return decode_signals(frames, table)
 
 
-_FIELDS = {WHEEL_SPEEDS: ("header.stamp", *WHEEL_FIELDS.values(), "valid"), INS_ON_CAN: ("header.stamp", "velocity_x"),
-           NCOM: ("raw_packet",)}
-_STATUS = ("header.stamp", "navigation_status", "position_mode", "position_accuracy_north", "position_accuracy_east",
-           "heading_accuracy")
+def auxiliary_fields(topics: Sequence[Topic]) -> dict[Topic, tuple[str, ...]]:
+    """Topics for the checks, one of a type, and their fields. Packets only if no other topics have their content."""
+    by_type = {topic.type_name: topic for topic in topics if topic.count}
+    fields = {by_type[name]: fields for name, fields in _AUXILIARY_FIELDS.items() if name in by_type}
+    if NCOM in by_type and INS_ON_CAN in by_type and INS_STATUS in by_type:
+        fields.pop(by_type[NCOM])
+    return fields
 
 
-def extra_fields(topics: Sequence[Topic]) -> dict[Topic, tuple[str, ...]]:
-    """The topics that are read, one of a type, and their fields. Packets only if no other topic has their content."""
-    of_type = {topic.type_name: topic for topic in topics if topic.count}
-    fields_of = {of_type[name]: fields for name, fields in _FIELDS.items() if name in of_type}
-    if NCOM in of_type and INS_ON_CAN in of_type and INS_STATUS in of_type:
-        fields_of.pop(of_type[NCOM])
-    return fields_of
+def auxiliary_data(storage: Storage, topics: Sequence[Topic], columns: Mapping[Topic, Mapping[str, np.ndarray]],
+                   stamps: Mapping[str, np.ndarray], missing: Mapping[str, int], store: Typestore,
+                   reconstruction: Reconstruction) -> AuxiliaryData:
+    """Data of a bag for the checks; the speeds are reconstructed where no topic has them.
 
-
-def bag_extras(storage: Storage, topics: Sequence[Topic], columns: Mapping[Topic, Mapping[str, np.ndarray]],
-               stamps: Mapping[str, np.ndarray], missing: Mapping[str, int], store: Typestore,
-               again: Reconstruction) -> AuxiliaryData:
-    """columns: of the topics of `extra_fields` that could be read. stamps, missing: of odometry and steering. again: of
-    the same recording, for the speeds where no topic has them.
+    columns: of the topics of `auxiliary_fields` that could be read. stamps, missing: of odometry and steering.
     """
-    by_type = {topic.type_name: found for topic, found in columns.items()}
+    by_type = {topic.type_name: fields for topic, fields in columns.items()}
     status = next((topic for topic in topics if topic.type_name == INS_STATUS and topic.count), None)
-    quality = _status(storage, status, store) if status else None
-    wheels = _wheels(by_type[WHEEL_SPEEDS]) if WHEEL_SPEEDS in by_type else None
+    quality = _reported_quality(storage, status, store) if status else None
+    wheels = _wheel_speed(by_type[WHEEL_SPEEDS]) if WHEEL_SPEEDS in by_type else None
     on_can = by_type.get(INS_ON_CAN)
     ins_speed = series(on_can["header.stamp"], on_can["velocity_x"]) if on_can else None
-    if WHEEL_SPEEDS not in by_type and again.bus_is_described:
-        wheels, ins_speed = again.speeds()
+    if WHEEL_SPEEDS not in by_type and reconstruction.bus_is_described:
+        wheels, ins_speed = reconstruction.speeds()
     if NCOM in by_type and (quality is None or ins_speed is None):
-        of_packets = _packets(by_type[NCOM]["raw_packet"])
-        quality, ins_speed = quality or of_packets[0], ins_speed or of_packets[1]
+        packet_quality, packet_speed = _decode_packets(by_type[NCOM]["raw_packet"])
+        quality, ins_speed = quality or packet_quality, ins_speed or packet_speed
     return AuxiliaryData(stamps, {name: count for name, count in missing.items() if count}, wheels, ins_speed, quality)
 
 
-def _wheels(columns: Mapping[str, np.ndarray]) -> Series | None:
+def _wheel_speed(columns: Mapping[str, np.ndarray]) -> Series | None:
     speeds = {}
     for name, field in WHEEL_FIELDS.items():
-        here = columns["valid"].astype(bool) & np.isfinite(columns[field])
-        found = series(columns["header.stamp"][here], columns[field][here])
-        if found is not None:
-            speeds[name] = found.time_ns, found.values
+        valid = columns["valid"].astype(bool)
+        speed = series(columns["header.stamp"][valid], columns[field][valid])
+        if speed is not None:
+            speeds[name] = speed.time_ns, speed.values
     return car_speed(speeds)
 
 
-def _packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
-    """Quality, and forward speed of the packets themselves."""
+def _decode_packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
+    """(quality, forward speed) of raw packets."""
     try:
         columns = file_decoder.decode_file(np.ascontiguousarray(raw, np.uint8).tobytes())
     except NcomError:
@@ -213,12 +213,12 @@ def _packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
     return ins_quality(columns, rows), series(columns.utc_ns[rows][fix], forward[fix])
 
 
-def _status(storage: Storage, topic: Topic, store: Typestore) -> InsQuality | None:
-    """About one message a second, with texts of all lengths."""
+def _reported_quality(storage: Storage, topic: Topic, store: Typestore) -> InsQuality | None:
+    """Quality in st_msgs/InsStatus: about one message a second, with texts of varying length."""
     try:
-        rows = [[field_of(message, field) for field in _STATUS]
-                for _, message in deserialised("", storage, topic, store)]
-    except (RunError, AttributeError):  # the extras are optional
+        rows = [[field_of(message, field) for field in _STATUS_FIELDS]
+                for _, message in deserialise("", storage, topic, store)]
+    except (RunError, AttributeError):  # the data for checks is optional
         return None
     if not rows:
         return None
@@ -230,7 +230,7 @@ def _status(storage: Storage, topic: Topic, store: Typestore) -> InsQuality | No
 
 
 def steering_topic(where: Any, topics: list[Topic], steering: SteeringField, store: Typestore) -> Topic:
-    """The topic named. Raises RunError where it is not in the bag, empty, or of a type that is not known."""
+    """The named topic. Raises RunError where it is not in the bag, empty, or of an unknown type."""
     found = next((t for t in topics if t.name.lstrip("/") == steering.topic.lstrip("/") and t.count), None)
     if found is None:
         names = ", ".join(sorted(t.name for t in topics if t.count))[:300] or "no messages"
@@ -243,9 +243,9 @@ def steering_topic(where: Any, topics: list[Topic], steering: SteeringField, sto
 
 
 def steering_value(where: Any, message: Any, steering: SteeringField) -> float:
-    """The angle in a message [rad, left +].
+    """The steering angle in a message [rad], left positive.
 
-    Raises RunError, naming the fields there are, where the path ends at no number.
+    Raises RunError with the existing fields where the path does not lead to a number.
     """
     value = message
     for part in steering.field.split("."):
@@ -272,13 +272,13 @@ def _is_list(value: Any) -> bool:
 
 
 def stamp_of(message: Any, log_ns: int) -> int:
-    """header.stamp [ns]; when the message was recorded where it has none, or it was left empty."""
+    """header.stamp [ns]; the log time where the message has no stamp, or an empty one."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     return (stamp.sec * 1_000_000_000 + stamp.nanosec if stamp else 0) or log_ns
 
 
-def deserialised(where: Any, storage: Storage, topic: Topic, store: Typestore) -> Iterator[tuple[int, Any]]:
-    """(log time [ns], message) of a topic. Raises RunError for a damaged one."""
+def deserialise(where: Any, storage: Storage, topic: Topic, store: Typestore) -> Iterator[tuple[int, Any]]:
+    """Yields (log time [ns], message) of a topic. Raises RunError for a damaged message."""
     for log_ns, data in storage.timed(topic.name):
         try:
             message = store.deserialize_cdr(data, topic.type_name)
@@ -290,13 +290,12 @@ def deserialised(where: Any, storage: Storage, topic: Topic, store: Typestore) -
 
 def steering_columns(where: Any, storage: Storage, topic: Topic, steering: SteeringField,
                      store: Typestore) -> dict[str, np.ndarray]:
-    """The fields of st_msgs/Steering, of a topic of another type. What is not measured is NaN. Raises RunError."""
+    """The fields of st_msgs/Steering from a topic of another type; NaN for what is not measured. Raises RunError."""
     stamps, angles = [], []
-    for log_ns, message in deserialised(where, storage, topic, store):
+    for log_ns, message in deserialise(where, storage, topic, store):
         stamps.append(stamp_of(message, log_ns))
         angles.append(steering_value(where, message, steering))
     values, missing = np.array(angles), np.full(len(angles), math.nan)
-    wheel = steering.quantity == "wheel"
-    # Of a hand wheel, the vehicle file makes the road wheels' angle (DriveLog.with_steering).
+    # DriveLog.with_steering computes the angle of the road wheels from that of a hand wheel.
     return {"header.stamp": np.array(stamps, np.int64), "road_wheel_angle": values,
-            "steering_wheel_angle": values if wheel else missing, "valid": np.isfinite(values)}
+            "steering_wheel_angle": values if steering.quantity == "wheel" else missing, "valid": np.isfinite(values)}
