@@ -1,10 +1,18 @@
-"""Errors about files: one sentence for the user, naming the file and what to do."""
+"""Errors and warnings about recordings: one sentence for the user that names the file and what to do."""
 
+import logging
+from collections.abc import Iterable
 from pathlib import Path
+
+COMPRESSED_MARKS = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip, or a spreadsheet", b"BZh": "bzip2", b"\xfd7zXZ": "xz",
+                    b"7z\xbc\xaf": "7-Zip", b"\x28\xb5\x2f\xfd": "zstd"}
+"""First bytes of a compressed file -> its kind."""
+_LOGGER = logging.getLogger("st_recordings")
+_logged: set[str] = set()
 
 
 class RunError(ValueError):
-    """A run, or a file of one, that cannot be used."""
+    """A run, or a file of one, cannot be used. path: the file, folder or option to name."""
 
     def __init__(self, path: Path | str, what: str, advice: str = ""):
         self.path, self.what, self.advice = path, what, advice
@@ -12,28 +20,31 @@ class RunError(ValueError):
 
 
 def printable(text: str) -> str:
-    """Names and pieces of damaged files as one line for a terminal: control characters are shown, not obeyed."""
+    """The text as one line for a terminal, with control characters (of damaged files) escaped."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 def share(count: int, total: int, what: str) -> str:
-    """A part of a recording with its share, "98 of 249 rows (39 %)"."""
+    """A part of a recording with its share, as "98 of 249 rows (39 %)"."""
     percent = 100.0 * count / max(total, 1)
     return f"{count} of {total} {what} ({f'{percent:.0f}' if percent >= 10 else f'{percent:.2g}'} %)"
 
 
 def short(error: Exception) -> str:
-    """The text of another library's error in one line, or its kind."""
+    """The text of a library's error in one line, or its type."""
     return (" ".join(str(error).split()) or type(error).__name__)[:120]
 
 
-PACKED = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip, or a spreadsheet", b"BZh": "bzip2", b"\xfd7zXZ": "xz",
-          b"7z\xbc\xaf": "7-Zip", b"\x28\xb5\x2f\xfd": "zstd"}
-"""First bytes of a compressed file -> its kind."""
+def log_warnings(warnings: Iterable[str]) -> None:
+    """Logs each warning once per process: on the terminal of every command, whatever else it prints."""
+    for warning in warnings:
+        if warning not in _logged:
+            _logged.add(warning)
+            _LOGGER.warning("warning: %s", printable(warning))
 
 
 def check_readable(path: Path) -> None:
-    """Raises RunError for a file that is missing, empty or not to be opened."""
+    """Raises RunError for a file that is missing, empty, compressed or cannot be opened."""
     try:
         if not path.is_file():
             raise RunError(path, "the file does not exist" if not path.exists() else "this is a folder, not a file")
@@ -41,7 +52,7 @@ def check_readable(path: Path) -> None:
             head = stream.read(6)
             if not head:
                 raise RunError(path, "the file is empty", "remove it from the command")
-            if packed := next((name for mark, name in PACKED.items() if head.startswith(mark)), None):
-                raise RunError(path, f"this is a compressed file ({packed})", "unpack it first")
+            if kind := next((name for mark, name in COMPRESSED_MARKS.items() if head.startswith(mark)), None):
+                raise RunError(path, f"this is a compressed file ({kind})", "unpack it first")
     except OSError as error:
         raise RunError(path, f"cannot be read: {error.strerror}") from None

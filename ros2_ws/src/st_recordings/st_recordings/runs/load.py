@@ -1,7 +1,6 @@
-"""A run read into a DriveLog: decoded, clocks aligned, with its provenance."""
+"""Reads a run into a DriveLog, decoded and with aligned clocks, with its provenance."""
 
 import hashlib
-import logging
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -13,27 +12,23 @@ from st_core.corrections import Correction, corrected, in_words
 from st_core.errors import StCoreError
 from st_core.vehicle import VehicleParameters
 
-from .errors import RunError, printable
+from .errors import RunError, log_warnings
 from .readers import READERS
 from .run_types import LoadedRun, ReadSettings, RunSource
-
-_LOGGER = logging.getLogger("st_recordings")
-_reported: set[str] = set()
 
 
 def read(source: RunSource, vehicle: VehicleParameters | None = None,
          settings: ReadSettings | None = None) -> LoadedRun:
-    """Read one run.
+    """Reads one run. Raises RunError, one sentence for the user, for a run that cannot be used.
 
     vehicle: steering ratio and offset for the road wheel angle; without one, the road wheel angle must be in the
     recording (bag, CSV). Samples that no working sensor produces (`st_core.checks.plausibility`) are left out and
-    listed in `auxiliary.implausible`; then what its run.yaml corrects is corrected, with a warning. Raises RunError,
-    one sentence for the user, for a run that cannot be used.
+    listed in `auxiliary.implausible`; then the corrections of its run.yaml are applied, with a warning.
     """
     settings = settings or ReadSettings()
     if source.problem is not None:
         raise source.problem
-    # Hashing does not hold the interpreter; it is done when the rest is.
+    # Hashing releases the interpreter, so it takes no time of its own.
     with ThreadPoolExecutor(1) as pool:
         digests = pool.submit(file_hashes, (*source.files, *source.can))
         loaded = _read(source, vehicle, settings)
@@ -42,18 +37,10 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     if vehicle is not None and log.steering_wheel_angle is not None:
         log = log.with_steering(vehicle)
     extras = replace(loaded.auxiliary, implausible=tuple(implausible), start_ns=start_ns)
-    loaded = treated(source, replace(loaded, log=log, auxiliary=extras), vehicle)
+    loaded = apply_run_file(source, replace(loaded, log=log, auxiliary=extras), vehicle)
     check_common_time(source, loaded.log.ins_time_ns, loaded.log.steering_time_ns)
-    report(loaded.warnings)
+    log_warnings(loaded.warnings)
     return replace(loaded, provenance={**loaded.provenance, "files": digests.result()})
-
-
-def report(warnings: Iterable[str]) -> None:
-    """Logs each warning once per process: on the terminal of every command, whatever else it prints."""
-    for warning in warnings:
-        if warning not in _reported:
-            _reported.add(warning)
-            _LOGGER.warning("warning: %s", printable(warning))
 
 
 def _read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
@@ -65,10 +52,10 @@ def _read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSe
     return reader.read(source, vehicle, settings)
 
 
-def treated(source: RunSource, run: LoadedRun, vehicle: VehicleParameters | None) -> LoadedRun:
-    """The run as its run.yaml corrects it. Labels stay with what they name, though the first samples may go.
+def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters | None) -> LoadedRun:
+    """The run with the corrections of its run.yaml. Raises RunError for a correction that leaves nothing.
 
-    Raises RunError for a correction that leaves nothing.
+    Labels, which count from the first sample, are shifted where first samples are left out.
     """
     left_out = source.settings.get("leave_out", ())
     phrases = (*in_words(source.settings.get("correct", {})),
@@ -91,7 +78,7 @@ def treated(source: RunSource, run: LoadedRun, vehicle: VehicleParameters | None
 
 
 def check_common_time(source: RunSource, ins_ns: np.ndarray, steering_ns: np.ndarray) -> None:
-    """Raises RunError where INS and steering have no time in common."""
+    """Raises RunError where INS and steering do not overlap in time."""
     if len(ins_ns) < 2 or len(steering_ns) < 2:
         raise RunError(source.where, "fewer than two measurements of INS or steering are in it",
                        "remove it from the command")
@@ -101,9 +88,11 @@ def check_common_time(source: RunSource, ins_ns: np.ndarray, steering_ns: np.nda
 
 
 def file_hashes(paths: Iterable[Path]) -> dict[str, str]:
-    """Path -> SHA-256 of files, and of the files in folders."""
-    found = {}
-    for file in (f for path in paths for f in (sorted(path.iterdir()) if path.is_dir() else [path]) if f.is_file()):
-        with file.open("rb") as stream:
-            found[str(file)] = hashlib.file_digest(stream, "sha256").hexdigest()
-    return found
+    """Path -> SHA-256 of the files, and of the files in the folders."""
+    hashes = {}
+    for path in paths:
+        for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+            if file.is_file():
+                with file.open("rb") as stream:
+                    hashes[str(file)] = hashlib.file_digest(stream, "sha256").hexdigest()
+    return hashes

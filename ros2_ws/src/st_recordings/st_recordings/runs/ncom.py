@@ -1,4 +1,4 @@
-"""The INS recording: .ncom, or .xcom searched for NCOM packets; poses, velocities, rates in the axes of the suite."""
+"""Reads the INS recording: .ncom, or .xcom searched for NCOM packets; pose, velocity and rates in the suite's axes."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,17 +13,21 @@ from st_core.checks import InsQuality
 from .errors import RunError, check_readable, share
 from .ins_log import InsLog, usable_rows
 
+ACCURACIES = {3: ("EastAcc", "NorthAcc", "AltAcc"), 4: ("VeAcc", "VnAcc", "VdAcc"),
+              5: ("RollAcc", "PitchAcc", "HeadingAcc")}
+"""Status channel -> its standard deviations of position, velocity or attitude."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class NcomLog(InsLog):
-    """columns, rows: the whole file, and which of its packets these are."""
+    """An INS log of NCOM packets. columns: the whole file. rows: packets of the file that are samples of the log."""
 
     columns: file_decoder.Columns
     rows: np.ndarray
 
 
 def read_ncom(file: Path) -> NcomLog:
-    """The packets of a file with a fix; origin of the map is the first. Raises RunError for a file without NCOM
+    """The packets of a file with a fix; the first is the origin of the map. Raises RunError for a file without NCOM
     packets, fix or time."""
     check_readable(file)
     try:
@@ -31,7 +35,7 @@ def read_ncom(file: Path) -> NcomLog:
     except NcomError as error:
         what = str(error).removeprefix(f"{file}: ")
         raise RunError(file, what, "remove it from the command, or give the right file") from None
-    warnings = _damage(columns, file)
+    warnings = _damage_warnings(columns, file)
     regular = (columns.kind == file_decoder.REGULAR) & (columns.order == packet_time.NEW)
     fix = regular & ~columns.approximate & np.isfinite(columns.latitude) & np.isfinite(columns.velocity_ned).all(axis=0)
     fix &= np.isfinite(columns.heading) & np.isfinite(columns.angular_rate).all(axis=0)
@@ -66,7 +70,7 @@ def read_ncom(file: Path) -> NcomLog:
 
 
 def to_body(vector: np.ndarray, yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
-    """(3, n) map axes -> body axes:  (Rz(yaw) Ry(pitch) Rx(roll))^T v,  axes forward, left, up."""
+    """Vectors (3, n) from map axes to body axes (forward, left, up): (Rz(yaw) Ry(pitch) Rx(roll))^T v, angles [rad]."""
     x, y, z = vector
     c, s = np.cos(yaw), np.sin(yaw)
     x, y = c * x + s * y, -s * x + c * y
@@ -78,7 +82,7 @@ def to_body(vector: np.ndarray, yaw: np.ndarray, pitch: np.ndarray, roll: np.nda
 
 def enu(origin: tuple[float, float, float], latitude: np.ndarray, longitude: np.ndarray,
         altitude: np.ndarray) -> np.ndarray:
-    """(3, n) east, north, up [m] of the origin's tangent plane, the columns of oxts_bridge.motion.LocalFrame."""
+    """East, north, up [m], (3, n), in the origin's tangent plane, as oxts_bridge.motion.LocalFrame; angles [rad]."""
     dx, dy, dz = ecef(latitude, longitude, altitude) - ecef(*(np.array([v]) for v in origin))
     s_lat, c_lat, s_lon, c_lon = np.sin(origin[0]), np.cos(origin[0]), np.sin(origin[1]), np.cos(origin[1])
     outward = c_lon * dx + s_lon * dy
@@ -86,21 +90,21 @@ def enu(origin: tuple[float, float, float], latitude: np.ndarray, longitude: np.
 
 
 def origin_offset(origin: tuple[float, float], latitude: float, longitude: float) -> tuple[float, float]:
-    """East, north [m] of the point latitude, longitude from an origin, all [deg], at height 0."""
-    first, other = np.radians(origin), np.radians([[latitude], [longitude]])
-    east, north, _ = enu((float(first[0]), float(first[1]), 0.0), other[0], other[1], np.zeros(1))[:, 0].tolist()
+    """East and north [m] of a point from an origin; latitudes and longitudes [deg], height 0."""
+    at, point = np.radians(origin).tolist(), np.radians([[latitude], [longitude]])
+    east, north, _ = enu((at[0], at[1], 0.0), point[0], point[1], np.zeros(1))[:, 0].tolist()
     return east, north
 
 
 def ecef(latitude: np.ndarray, longitude: np.ndarray, altitude: np.ndarray) -> np.ndarray:
-    """(3, n) earth-centred x, y, z [m]; latitude, longitude [rad], altitude [m] taken as ellipsoidal."""
+    """Earth-centred x, y, z [m], (3, n); latitude, longitude [rad], altitude [m] taken as ellipsoidal."""
     normal = SEMI_MAJOR_AXIS / np.sqrt(1 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2)
-    across = (normal + altitude) * np.cos(latitude)
-    up = (normal * (1 - ECCENTRICITY_SQUARED) + altitude) * np.sin(latitude)
-    return np.stack([across * np.cos(longitude), across * np.sin(longitude), up])
+    equatorial = (normal + altitude) * np.cos(latitude)
+    polar = (normal * (1 - ECCENTRICITY_SQUARED) + altitude) * np.sin(latitude)
+    return np.stack([equatorial * np.cos(longitude), equatorial * np.sin(longitude), polar])
 
 
-def _damage(columns: file_decoder.Columns, file: Path) -> list[str]:
+def _damage_warnings(columns: file_decoder.Columns, file: Path) -> list[str]:
     counters = columns.counters
     lost = []
     if counters.skipped_bytes:
@@ -112,32 +116,28 @@ def _damage(columns: file_decoder.Columns, file: Path) -> list[str]:
     return [f"{file}: {', '.join(lost)}; they were left out"] if lost else []
 
 
-ACCURACIES = {3: ("EastAcc", "NorthAcc", "AltAcc"), 4: ("VeAcc", "VnAcc", "VdAcc"),
-              5: ("RollAcc", "PitchAcc", "HeadingAcc")}
-
-
-def sent(columns: Columns, channel: int, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """(places of the packets that carry a status channel, (n, len(names)) values as in its table, NaN = invalid)."""
-    index = np.flatnonzero((columns.channel == channel) & columns.has_status)
-    batches = np.ascontiguousarray(columns.raw[index, BATCH_S]).view("<u8").ravel()
+def status_values(columns: Columns, channel: int, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """(packets that carry a status channel, its values (n, len(names)), NaN where invalid)."""
+    packets = np.flatnonzero((columns.channel == channel) & columns.has_status)
+    batches = np.ascontiguousarray(columns.raw[packets, BATCH_S]).view("<u8").ravel()
     different, which = np.unique(batches, return_inverse=True)
     fields = [decode_channel(channel, batch.tobytes()) for batch in different.astype("<u8")]
     values = np.array([[field.get(name) for name in names] for field in fields], float).reshape(-1, len(names))
-    return index, values[which]
+    return packets, values[which]
 
 
-def held(index: np.ndarray, values: np.ndarray, packets: np.ndarray) -> np.ndarray:
-    """What was `sent` last, at packets (places, rising): (n, k), NaN before the first."""
-    if not len(index):
+def latest_values(sent_in: np.ndarray, values: np.ndarray, packets: np.ndarray) -> np.ndarray:
+    """The last `status_values` before or in each packet, (n, k); NaN before the first. packets: rising."""
+    if not len(sent_in):
         return np.full((len(packets), values.shape[1]), np.nan)
-    newest = np.searchsorted(index, packets, side="right") - 1
+    newest = np.searchsorted(sent_in, packets, side="right") - 1
     return np.where((newest >= 0)[:, None], values[np.maximum(newest, 0)], np.nan)
 
 
 def ins_quality(columns: Columns, packets: np.ndarray) -> InsQuality:
-    """Quality that the unit reports at some of its packets (places, with a time that rises)."""
-    position = held(*sent(columns, 3, ACCURACIES[3]), packets)
-    heading = held(*sent(columns, 5, ("HeadingAcc",)), packets)[:, 0]
+    """Quality that the unit reports at given packets with rising time."""
+    position = latest_values(*status_values(columns, 3, ACCURACIES[3]), packets)
+    heading = latest_values(*status_values(columns, 5, ("HeadingAcc",)), packets)[:, 0]
     return InsQuality(columns.utc_ns[packets], columns.navigation_status[packets].astype(float),
-                      held(*sent(columns, 0, ("GpsPosMode",)), packets)[:, 0],
+                      latest_values(*status_values(columns, 0, ("GpsPosMode",)), packets)[:, 0],
                       np.hypot(position[:, 0], position[:, 1]), np.radians(heading))

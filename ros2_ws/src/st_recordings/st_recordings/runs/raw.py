@@ -1,4 +1,4 @@
-"""INS recording and CAN logs as the instruments wrote them: decoded, and their two clocks aligned (`st align`)."""
+"""Decodes an INS recording and CAN logs as the instruments wrote them, and aligns their two clocks (`st align`)."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -28,10 +28,10 @@ from .sources import find_runs
 
 @dataclass(frozen=True)
 class RawRun:
-    """INS and CAN files decoded and aligned, with everything that was in them: what `st import` writes down.
+    """Decoded and aligned INS and CAN files, with everything in them: what `st import` writes.
 
-    dbc: by which the CAN frames were decoded. steering: None for `st align`. shared: the signals the alignment rests
-    on, or by which it can be looked at. latency: of INS frames, in words.
+    dbc: with which the CAN frames were decoded. steering: None for `st align`. shared: the signals the alignment rests
+    on, or can be judged by. latency: text on the delay of INS frames.
     """
 
     name: str
@@ -51,9 +51,9 @@ ReadIns = Callable[[RunSource, ReadSettings], InsLog]
 
 def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns, keep_frames: bool = True,
              needs_steering: bool = True) -> RawRun:
-    """INS recording and CAN logs of a run.
+    """Reads and aligns the INS recording and CAN logs of a run.
 
-    keep_frames: False leaves the raw frames out as soon as they are decoded; they are most of what is in memory.
+    keep_frames: False drops the raw frames once they are decoded; they take most of the memory.
     Raises RunError; a refused alignment is returned as such.
     """
     if source.problem is not None:
@@ -67,10 +67,10 @@ def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns, keep_
     steering = steering_of(signals, can.files[0], table) if needs_steering else None
     if not keep_frames:
         can = replace(can, frames=no_frames())
-    ins, how = read_ins(source, settings), clock_settings(source, settings)
-    alignment, shared = align_clocks(ins, signals, **how)
-    known = "given" if settings.ins_can_latency or source.settings.get("ins_can_latency") else "assumed"
-    latency = "{:g} ± {:g} ms, ".format(*(1e3 * value for value in how["latency"])) + known
+    ins, options = read_ins(source, settings), clock_settings(source, settings)
+    alignment, shared = align_clocks(ins, signals, **options)
+    origin = "given" if settings.ins_can_latency or source.settings.get("ins_can_latency") else "assumed"
+    latency = "{:g} ± {:g} ms, ".format(*(1e3 * value for value in options["latency"])) + origin
     faults = [f"{can.files[0]}: {message}: {fault}" for message, fault in signals.faults.items()]
     return RawRun(source.name, dbc, ins, can, signals, steering, alignment, shared, latency,
                   (*ins.warnings, *can.warnings, *faults))
@@ -78,7 +78,7 @@ def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns, keep_
 
 def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings,
                  read_ins: ReadIns) -> LoadedRun:
-    """See `load.read`."""
+    """The drive of INS recording and CAN logs, as `load.read`."""
     if vehicle is None:
         raise RunError(source.where, "the steering of a CAN log needs the steering ratio and offset of the car",
                        "give its vehicle file")
@@ -86,11 +86,11 @@ def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings:
 
 
 def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, run: RawRun) -> LoadedRun:
-    """What was decoded, as a drive on the INS clock. Raises RunError, also for an alignment that must not be used."""
+    """The decoded run as a drive on the INS clock. Raises RunError, also for an alignment that must not be used."""
     warnings, verdict, reasons = list(run.warnings), run.alignment.verdict, "; ".join(run.alignment.reasons)
     if verdict is Verdict.REFUSED or (verdict is Verdict.DOUBTFUL and not settings.doubtful):
         raise RunError(source.where, f"its clock cannot be aligned with that of the CAN log: {reasons}",
-                       "look at it with `st align`, and give the offset by hand if you know it (--offset)")
+                       "inspect it with `st align`, and give the offset by hand if you know it (--offset)")
     if reasons:
         warnings.append(f"{source.where}: alignment of the clocks is {verdict}: {reasons}")
     ins, steering = run.ins, run.steering
@@ -125,13 +125,13 @@ def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
 
 
 def steering_times(run: RawRun, settings: ReadSettings) -> np.ndarray:
-    """When the steering angles were true, on the INS clock [ns]."""
+    """Times of the steering angles on the INS clock [ns], corrected for the steering latency."""
     assert run.steering is not None
     return run.alignment.to_reference_ns(run.steering.time_ns) - round(settings.steering_latency * 1e9)
 
 
 def about_alignment(alignment: Alignment) -> dict[str, Any]:
-    """Plain values for reports and metadata."""
+    """The alignment as plain values for reports and metadata."""
     return {
         "method": alignment.method, "verdict": str(alignment.verdict), "reasons": list(alignment.reasons),
         "at_ns": alignment.at_ns, "offset_s": alignment.offset_ns * 1e-9, "drift_ppm": alignment.drift_ppm,
@@ -141,7 +141,7 @@ def about_alignment(alignment: Alignment) -> dict[str, Any]:
 
 
 def clock_settings(source: RunSource, settings: ReadSettings) -> dict[str, Any]:
-    """Arguments of `align_clocks`: of the settings, else of the run's run.yaml. Raises RunError."""
+    """Arguments of `align_clocks` from the settings, else from the run's run.yaml. Raises RunError."""
     if settings.search and settings.search[0] >= settings.search[1]:
         raise RunError("--search", "{:g} is not below {:g}".format(*settings.search))
     offset = settings.offset if settings.offset is not None else source.settings.get("offset")
@@ -150,20 +150,20 @@ def clock_settings(source: RunSource, settings: ReadSettings) -> dict[str, Any]:
 
 
 def read_pair(files: Sequence[Path], settings: ReadSettings) -> RawRun:
-    """files: one INS recording (NCOM, or CSV with speed and yaw rate) and CAN logs, or a folder or run.yaml that names
-    them. No steering is needed. Raises RunError.
+    """Reads and aligns an INS recording and CAN logs; no steering is needed. Raises RunError.
+
+    files: the recording (NCOM, or CSV with speed and yaw rate) and the logs, or a folder or run.yaml that names them.
     """
-    source = _source(files)
+    source = _pair_source(files)
     read_ins = csv.read_motion if source.kind == "csv" else READERS[source.kind].read_ins
     assert read_ins is not None  # only such kinds have CAN logs
     return read_raw(source, settings, read_ins, keep_frames=False, needs_steering=False)
 
 
-def _source(files: Sequence[Path]) -> RunSource:
-    """CSV and CAN logs are a pair here only: elsewhere a CSV is a whole drive."""
+def _pair_source(files: Sequence[Path]) -> RunSource:
     tables = [f for f in files if f.suffix.lower() == ".csv"]
     logs = [f for f in files if f.suffix.lower() in EXTENSIONS]
-    if len(tables) == 1 and len(logs) == len(files) - 1 and logs:
+    if len(tables) == 1 and len(logs) == len(files) - 1 and logs:  # for other verbs, a CSV is a whole drive
         return RunSource(tables[0].stem, "csv", (tables[0],), tuple(logs))
     runs = find_runs(files)
     for run in runs:

@@ -1,4 +1,4 @@
-"""Columns of a raw run as serialised messages of the suite: blocks of (topic, times, bytes) ready to be written."""
+"""Serialises the columns of a raw run as messages of the suite, ready to be written."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -13,24 +13,27 @@ from st_core.vehicle import VehicleParameters
 
 from .can_signals import CanSignals
 from .cdr import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS, Layout
-from .frames import ERROR, EXTENDED, FD, REMOTE, Frames
-from .ncom import ACCURACIES, NcomLog, held, sent
+from .frames import ERROR, EXTENDED, FD, FRAME_HEAD_LENGTH, REMOTE, Frames
+from .ncom import ACCURACIES, NcomLog, latest_values, status_values
 
-# As in oxts_bridge.convert: large enough that filters ignore it, finite so that none breaks.
 UNKNOWN_VARIANCE = 1e6
+"""As in oxts_bridge.convert: large enough that filters ignore it, finite so that none breaks."""
+MAP_FRAME, INS_FRAME = "map", "ins_link"
+CAN_PERIOD_NS = 20_000_000
+"""Of one can/frames message, as the live bridge sends them."""
 
 
 class Covariances:
-    """Accuracies of one file; each is valid from the packet that carries it until the next."""
+    """Covariances of the odometry by the accuracies in one file, each valid from its packet until the next."""
 
     def __init__(self, columns: Columns):
-        self._held = {}
+        self._accuracies = {}
         for channel, names in ACCURACIES.items():
-            index, values = sent(columns, channel, names)
-            self._held[channel] = index, np.radians(values) if channel == 5 else values
+            packets, values = status_values(columns, channel, names)
+            self._accuracies[channel] = packets, np.radians(values) if channel == 5 else values
 
     def of(self, ins: NcomLog, rows: slice) -> tuple[np.ndarray, np.ndarray]:
-        """(pose, twist) covariances, (n, 36) each, of the odometry of some fixes.
+        """(pose, twist) covariances, (n, 36) each, for rows of the log.
 
         Pose: east, north, up, then rotations about the fixed axes. Twist: body axes. Variances that the unit does
         not report, and those of angular rates, are UNKNOWN_VARIANCE.
@@ -39,32 +42,28 @@ class Covariances:
         yaw, pitch, roll = (a[rows] for a in (ins.yaw, ins.pitch, ins.roll))
         pose, twist = np.zeros((len(packets), 6, 6)), np.zeros((len(packets), 6, 6))
         level = rotation(-yaw, 0 * yaw, 0 * yaw)
-        pose[:, :3, :3] = self._turned(3, packets, Rotation.identity(len(packets)))
-        pose[:, 3:, 3:] = self._turned(5, packets, level)
-        twist[:, :3, :3] = self._turned(4, packets, rotation(yaw, pitch, roll))
+        pose[:, :3, :3] = self._rotated(3, packets, Rotation.identity(len(packets)))
+        pose[:, 3:, 3:] = self._rotated(5, packets, level)
+        twist[:, :3, :3] = self._rotated(4, packets, rotation(yaw, pitch, roll))
         twist[:, 3:, 3:] = np.eye(3) * UNKNOWN_VARIANCE
         return pose.reshape(-1, 36), twist.reshape(-1, 36)
 
-    def _turned(self, channel: int, packets: np.ndarray, turn: Rotation) -> np.ndarray:
+    def _rotated(self, channel: int, packets: np.ndarray, turn: Rotation) -> np.ndarray:
         """R^T diag(variance) R, (n, 3, 3), of the accuracies of a channel."""
-        deviation = held(*self._held[channel], packets)
+        deviation = latest_values(*self._accuracies[channel], packets)
         known = np.isfinite(deviation).all(axis=1)[:, None, None]
-        turned = np.einsum("nij,ni,nik->njk", turn.as_matrix(), np.nan_to_num(deviation) ** 2, turn.as_matrix())
-        return np.where(known, turned, np.eye(3) * UNKNOWN_VARIANCE)
+        rotated = np.einsum("nij,ni,nik->njk", turn.as_matrix(), np.nan_to_num(deviation) ** 2, turn.as_matrix())
+        return np.where(known, rotated, np.eye(3) * UNKNOWN_VARIANCE)
 
 
 def rotation(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> Rotation:
-    """Body axes to map axes, Rz(yaw) Ry(pitch) Rx(roll) [rad]."""
+    """The rotation from body axes to map axes, Rz(yaw) Ry(pitch) Rx(roll), angles [rad]."""
     return Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=1))
-
-
-MAP_FRAME, INS_FRAME = "map", "ins_link"
-CAN_PERIOD_NS = 20_000_000  # of one can/frames message, as the live bridge sends them
 
 
 @dataclass(frozen=True)
 class Messages:
-    """Messages of one topic in order of time: message k is data[edges[k]:edges[k + 1]]. time_ns: when to play it."""
+    """Messages of one topic in order of time: message k is data[edges[k]:edges[k + 1]]. time_ns: their log times."""
 
     topic: str
     type_name: str
@@ -77,14 +76,15 @@ class Messages:
 
 
 class Serialiser:
-    """Makes messages of a run. store: types of ROS and of the suite."""
+    """Makes the messages of a run."""
 
     def __init__(self, store: Typestore):
+        """store: types of ROS and of the suite."""
         self._store = store
         self._layouts: dict[str, Layout] = {}
 
     def _blank(self, type_name: str, **texts: str) -> Any:
-        """A message of zeros. texts: of its own members and of its header."""
+        """A message of zeros. texts: by member of the message or its header."""
         values: dict[str, Any] = {}
         fields: Any = self._store.fielddefs[type_name][1]
         for name, (node, detail) in fields:
@@ -106,7 +106,7 @@ class Serialiser:
         return Messages(topic, type_name, time_ns, memoryview(rows.reshape(-1).data), edges)
 
     def odometry(self, ins: NcomLog, rows: slice, covariances: Covariances) -> Messages:
-        """Pose of the INS point in the map (ENU), twist in body axes (FLU) at it."""
+        """Odometry of the INS point: pose in the map (ENU), twist in body axes (FLU)."""
         pose_covariance, twist_covariance = covariances.of(ins, rows)
         columns = {"header.stamp": ins.time_ns[rows], "pose.covariance": pose_covariance,
                    "twist.covariance": twist_covariance}
@@ -119,33 +119,33 @@ class Serialiser:
         return self._messages("/ins/odometry", ODOMETRY, columns, frame_id=MAP_FRAME, child_frame_id=INS_FRAME)
 
     def ncom(self, raw: np.ndarray, time_ns: np.ndarray) -> Messages:
-        """The packets as they were. raw: (n, 72) uint8."""
+        """Raw packets. raw: (n, 72) uint8."""
         return self._messages("/ins/ncom", NCOM, {"header.stamp": time_ns, "raw_packet": raw}, frame_id=INS_FRAME)
 
     def steering(self, time_ns: np.ndarray, wheel: np.ndarray, valid: np.ndarray,
                  vehicle: VehicleParameters) -> Messages:
-        """wheel: steering wheel angle, sign applied [rad]."""
+        """Steering angles. wheel: steering wheel angle, sign applied [rad]."""
         return self._messages("/vehicle/steering", STEERING, {
             "header.stamp": time_ns, "steering_wheel_angle": wheel, "road_wheel_angle": vehicle.road_wheel_angle(wheel),
             "valid": valid})
 
     def wheel_speeds(self, message: str, signals: CanSignals, to_reference: Any) -> Messages:
-        """One per frame of a CAN message, NaN for what that frame does not hold."""
-        found = {field: signals.signals[name, message] for name, field in WHEEL_FIELDS.items()
-                 if (name, message) in signals.signals}
-        first = next(iter(found.values()))
+        """Wheel speeds, one message per frame of a CAN message; NaN for what the frame does not hold."""
+        wheels = {field: signals.signals[name, message] for name, field in WHEEL_FIELDS.items()
+                  if (name, message) in signals.signals}
+        first = next(iter(wheels.values()))
         unknown = dict.fromkeys(WHEEL_FIELDS.values(), np.full(len(first.values), np.nan))
         return self._messages("/vehicle/wheel_speeds", WHEEL_SPEEDS, {
             "header.stamp": to_reference(first.time_ns), "valid": first.valid, **unknown,
-            **{field: s.values for field, s in found.items()}})
+            **{field: signal.values for field, signal in wheels.items()}})
 
     def can_frames(self, frames: Frames, time_ns: np.ndarray, bus_name: str) -> Messages:
-        """Frames of one bus, in messages of 20 ms. time_ns: of each frame, rising.
+        """Frames of one bus, in messages of CAN_PERIOD_NS. time_ns: of each frame, rising.
 
-        Each frame is 20 bytes and its data, padded to 4: stamp, id, four flags, length of the data, the data.
+        Each frame is a head (stamp, id, four flags, length of the data) and its data, padded to 4 bytes.
         """
         n = len(frames)
-        width = 20 + frames.payload.shape[1]
+        width = FRAME_HEAD_LENGTH + frames.payload.shape[1]
         rows = np.zeros((n, width), np.uint8)
         words = rows[:, :12].view("<i4")
         words[:, 0], words[:, 1] = np.divmod(time_ns, 1_000_000_000)
@@ -155,9 +155,9 @@ class Serialiser:
         rows[:, 12] = (frames.id & np.uint32(EXTENDED)) != 0
         length = np.minimum(frames.length, frames.payload.shape[1]).astype(np.int64)
         rows[:, 16] = length
-        rows[:, 20:] = frames.payload
-        rows[:, 20:][np.arange(width - 20) >= length[:, None]] = 0
-        padded = 20 + (length + 3) // 4 * 4
+        rows[:, FRAME_HEAD_LENGTH:] = frames.payload
+        rows[:, FRAME_HEAD_LENGTH:][np.arange(width - FRAME_HEAD_LENGTH) >= length[:, None]] = 0
+        padded = FRAME_HEAD_LENGTH + (length + 3) // 4 * 4
         body = rows[np.arange(width) < padded[:, None]]
         starts = np.concatenate(([0], np.cumsum(padded)))
         cuts = np.nonzero(np.diff(time_ns // CAN_PERIOD_NS, prepend=-1))[0]
@@ -170,15 +170,15 @@ class Serialiser:
             head[8:12] = (at % 1_000_000_000).to_bytes(4, "little")
             head[-4:] = (last - first).to_bytes(4, "little")
             data += head
-            # The last frame of a message ends with its data, as a serialiser leaves it.
-            spare = int(padded[last - 1] - 20 - length[last - 1])
-            data += body[starts[first] : starts[last] - spare].tobytes()
+            # The last frame of a message is not padded.
+            padding = int(padded[last - 1] - FRAME_HEAD_LENGTH - length[last - 1])
+            data += body[starts[first] : starts[last] - padding].tobytes()
             edges.append(len(data))
         return Messages("/can/frames", CAN_FRAMES, time_ns[cuts], memoryview(bytes(data)), np.array(edges, np.int64))
 
 
 def in_time_order(parts: list[Messages]) -> Iterator[tuple[int, str, memoryview]]:
-    """(time in ns, topic, bytes) of all parts, merged."""
+    """Yields (log time [ns], topic, bytes) of all messages in order of time."""
     if not parts:
         return
     time_ns = np.concatenate([p.time_ns for p in parts])

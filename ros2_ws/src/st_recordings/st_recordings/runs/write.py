@@ -1,4 +1,4 @@
-"""A raw run written as one rosbag2 MCAP on the INS clock: what `st import` does."""
+"""Writes a raw run as one rosbag2 MCAP on the INS clock (`st import`)."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -16,7 +16,7 @@ from ..results import versions
 from .bag import definitions
 from .cdr import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS, typestore
 from .errors import RunError
-from .load import check_common_time, file_hashes, treated
+from .load import apply_run_file, check_common_time, file_hashes
 from .ncom import NcomLog
 from .raw import RawRun, about_alignment, as_drive, read_raw, steering_times
 from .readers.ncom import read_ins
@@ -25,13 +25,16 @@ from .run_types import LoadedRun, ReadSettings, RunSource
 
 TOPICS = {"/ins/odometry": ODOMETRY, "/ins/ncom": NCOM, "/vehicle/steering": STEERING,
           "/vehicle/wheel_speeds": WHEEL_SPEEDS, "/can/frames": CAN_FRAMES}
-BLOCK_NS = 20 * 10**9  # of the drive serialised at once
+BLOCK_NS = 20 * 10**9
+"""Part of the drive that is serialised at once, to bound the memory."""
+TIME_MARGIN_NS = 60 * 10**9
+"""Packets further from the fixes than this have a wrong time."""
 
 
 @dataclass(frozen=True)
 class Imported:
-    """directory: of the bag. counts: messages per topic. span: from first to last message [s]. findings: of the
-    checks."""
+    """Result of an import. directory: of the bag. counts: messages per topic. span: from first to last message [s].
+    findings: of the checks."""
 
     directory: Path
     counts: dict[str, int]
@@ -44,17 +47,17 @@ class Imported:
 def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, settings: ReadSettings,
                checked: Callable[[LoadedRun], Sequence[Finding]], progress: Callable[[float], None] | None = None
                ) -> Imported:
-    """Read a run of raw files, have it checked and write it.
+    """Reads a run of raw files, has it checked and writes it as a bag.
 
-    vehicle: for the road wheel angle. directory: of the bag, new. checked: the findings on a drive; raises RunError for
-    one that must not be written. progress: called with the share done, 0 to 1. Raises RunError for a run that cannot be
-    read or aligned, one that is refused, or a bag that cannot be written.
+    vehicle: for the road wheel angle. directory: of the new bag. checked: returns the findings on a drive; raises
+    RunError for one that must not be written. progress: called with the share done, 0 to 1. Raises RunError for a run
+    that cannot be read or aligned, one that is refused, or a bag that cannot be written.
     """
     if source.problem is None and source.kind != "ncom":
         raise RunError(source.where, f"import writes NCOM packets and CAN frames, this is a run of kind {source.kind}",
                        "evaluate, check, identify and discover read it directly")
     run = read_raw(source, settings, read_ins)
-    drive = treated(source, as_drive(source, vehicle, settings, run), vehicle)
+    drive = apply_run_file(source, as_drive(source, vehicle, settings, run), vehicle)
     check_common_time(source, drive.log.ins_time_ns, drive.log.steering_time_ns)
     findings = tuple(checked(drive))
     try:
@@ -64,7 +67,7 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
     store = typestore(definitions())
     ids = {topic: writer.add_topic(topic, name, definition=store.generate_msgdef(name, ros_version=2)[0],
                                    type_hash=store.hash_rihs01(name)) for topic, name in TOPICS.items()}
-    blocks = _Blocks(run, vehicle, settings, Serialiser(store))
+    blocks = _MessageBlocks(run, vehicle, settings, Serialiser(store))
     counts = dict.fromkeys(TOPICS, 0)
     try:
         for start in range(blocks.start_ns, blocks.end_ns + 1, BLOCK_NS):
@@ -76,7 +79,7 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
     finally:
         writer.close()
     if writer.error:
-        raise RunError(directory, writer.error, "make room and import again")
+        raise RunError(directory, writer.error, "free some space and import again")
     warnings = list(drive.warnings)
     if drive.auxiliary.corrected:
         warnings.append(f"{directory}: has the data as recorded; repeat the corrections of its run.yaml in a "
@@ -84,45 +87,45 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
     return Imported(directory, counts, (blocks.end_ns - blocks.start_ns) * 1e-9, run, tuple(warnings), findings)
 
 
-class _Blocks:
+class _MessageBlocks:
     """All messages of a run, some seconds at a time."""
 
     def __init__(self, run: RawRun, vehicle: VehicleParameters, settings: ReadSettings, serialiser: Serialiser):
-        self._run, self._vehicle, self._settings, self._make = run, vehicle, settings, serialiser
-        assert isinstance(run.ins, NcomLog) and run.steering is not None  # as read_ins of it
+        self._run, self._vehicle, self._settings, self._serialiser = run, vehicle, settings, serialiser
+        assert isinstance(run.ins, NcomLog) and run.steering is not None  # import_run reads no other
         self._ins, self._steering, columns = run.ins, run.steering, run.ins.columns
         self._covariances = Covariances(columns)
         structure_b = columns.navigation_status == 11
         self._packets = np.nonzero(~structure_b)[0]
-        self._packet_ns = _filled(columns.utc_ns[self._packets], run.ins.time_ns)
-        frame_ns = run.alignment.to_reference_ns(run.can.frames.time_ns)
+        self._packet_ns = _monotonic_times(columns.utc_ns[self._packets], run.ins.time_ns)
+        to_reference = run.alignment.to_reference_ns
+        self._frame_ns = to_reference(run.can.frames.time_ns)
         buses = np.unique(run.can.frames.bus).tolist()
         self._frames = [(bus, np.nonzero(run.can.frames.bus == bus)[0]) for bus in buses]
-        self._frame_ns = frame_ns
         self._steering_ns = steering_times(run, settings)
         messages = {message for name, message in run.signals.signals if name in WHEEL_FIELDS}
-        to_reference = run.alignment.to_reference_ns
         self._wheels = [serialiser.wheel_speeds(m, run.signals, to_reference) for m in sorted(messages)]
-        times = [run.ins.time_ns, self._packet_ns, frame_ns, self._steering_ns]
+        times = [run.ins.time_ns, self._packet_ns, self._frame_ns, self._steering_ns]
         self.start_ns = min(int(t[0]) for t in times if len(t))
         self.end_ns = max(int(t[-1]) for t in times if len(t))
 
     def messages(self, start_ns: int, end_ns: int) -> list[Messages]:
-        run, make = self._run, self._make
-        parts = [make.odometry(self._ins, _between(run.ins.time_ns, start_ns, end_ns), self._covariances)]
-        packets = _between(self._packet_ns, start_ns, end_ns)
-        parts.append(make.ncom(self._ins.columns.raw[self._packets[packets]], self._packet_ns[packets]))
+        run, serialiser = self._run, self._serialiser
+        parts = [serialiser.odometry(self._ins, _between(run.ins.time_ns, start_ns, end_ns), self._covariances)]
+        rows = _between(self._packet_ns, start_ns, end_ns)
+        parts.append(serialiser.ncom(self._ins.columns.raw[self._packets[rows]], self._packet_ns[rows]))
         rows = _between(self._steering_ns, start_ns, end_ns)
         wheel = self._settings.steering_sign * self._steering.values[rows]
-        parts.append(make.steering(self._steering_ns[rows], wheel, self._steering.valid[rows], self._vehicle))
+        parts.append(serialiser.steering(self._steering_ns[rows], wheel, self._steering.valid[rows], self._vehicle))
         for wheels in self._wheels:
             rows = _between(wheels.time_ns, start_ns, end_ns)
             parts.append(Messages(wheels.topic, wheels.type_name, wheels.time_ns[rows], wheels.data,
                                   wheels.edges[rows.start : rows.stop + 1]))
-        for bus, places in self._frames:
-            chosen = places[_between(self._frame_ns[places], start_ns, end_ns)]
-            if len(chosen):
-                parts.append(make.can_frames(run.can.frames.select(chosen), self._frame_ns[chosen], f"log:can{bus}"))
+        for bus, of_bus in self._frames:
+            frames = of_bus[_between(self._frame_ns[of_bus], start_ns, end_ns)]
+            if len(frames):
+                parts.append(serialiser.can_frames(run.can.frames.select(frames), self._frame_ns[frames],
+                                                   f"log:can{bus}"))
         return [p for p in parts if len(p)]
 
 
@@ -130,11 +133,10 @@ def _between(time_ns: np.ndarray, start_ns: int, end_ns: int) -> slice:
     return slice(*np.searchsorted(time_ns, (start_ns, end_ns)).tolist())
 
 
-def _filled(utc_ns: np.ndarray, fix_ns: np.ndarray) -> np.ndarray:
-    """Times that never fall: a packet without a time of its own gets that of the one before; all near the fixes."""
+def _monotonic_times(utc_ns: np.ndarray, fix_ns: np.ndarray) -> np.ndarray:
+    """Times of packets that never fall; a packet without a time near the fixes gets that of the one before."""
     known = utc_ns != file_decoder.UNKNOWN_TIME
-    margin = 60 * 10**9
-    near = known & (utc_ns >= fix_ns[0] - margin) & (utc_ns <= fix_ns[-1] + margin)
+    near = known & (utc_ns >= fix_ns[0] - TIME_MARGIN_NS) & (utc_ns <= fix_ns[-1] + TIME_MARGIN_NS)
     first = int(utc_ns[near].min()) if near.any() else int(fix_ns[0])
     return np.maximum.accumulate(np.where(near, utc_ns, first))
 
