@@ -31,7 +31,7 @@ LATE = {"RT_VelocityLevel": 0.0015, "RT_HeadingPitchRoll": 0.0017, "RT_RateVehic
 class Pair:
     def __init__(self, which: str):
         self.files = [vectors(which, f"can/{n}") for n in ("synthetic_rt_own_log.csv", "synthetic_leaf_rt.mf4")]
-        self.motion = ins_of(read_table(self.files[0], Layout()), MOTION).motion
+        self.ins = ins_of(read_table(self.files[0], Layout()), MOTION)
         self.log = read_can_logs(self.files[1:])
         table = load_signal_table(ROOT / "config/can/leaf_ze0.dbc", ROOT / "config/can/leaf_ze0.yaml")
         self.signals = decode_signals(self.log.frames, table)
@@ -53,7 +53,7 @@ def pair(request: pytest.FixtureRequest) -> Pair:
 
 def test_offset_and_drift_of_the_pair(pair: Pair) -> None:
     """As `st align` does it, knowing nothing of the latencies: within 1 ms and 5 ppm everywhere in the log."""
-    result, _ = align_clocks(pair.motion, pair.signals)
+    result, _ = align_clocks(pair.ins, pair.signals)
     assert result.verdict is Verdict.GOOD, result.reasons
     frames = pair.log.frames.time_ns
     errors = [pair.error(result, int(t)) for t in (frames[0], frames[len(frames) // 2], frames[-1])]
@@ -64,7 +64,7 @@ def test_offset_and_drift_of_the_pair(pair: Pair) -> None:
 
 def test_known_latencies_leave_microseconds(pair: Pair) -> None:
     signals = [replace(s, latency=LATE[s.name.split("(")[1].rstrip(")")], latency_uncertainty=0.0)
-               for s in shared_signals(pair.motion, pair.signals)]
+               for s in shared_signals(pair.ins, pair.signals)]
     assert len(signals) == len(LATE)
     result = align(signals)
     assert abs(pair.error(result, result.at_ns)) < min(1e-4, 3 * result.offset_deviation)
@@ -75,8 +75,8 @@ def test_known_latencies_leave_microseconds(pair: Pair) -> None:
 
 def test_latency_given_moves_the_offset_and_narrows_it(pair: Pair) -> None:
     """A frame that left 3 ms later than assumed was logged at an INS time 3 ms later: so much more is the offset."""
-    assumed, _ = align_clocks(pair.motion, pair.signals)
-    given, _ = align_clocks(pair.motion, pair.signals, latency=(0.005, 0.0005))
+    assumed, _ = align_clocks(pair.ins, pair.signals)
+    given, _ = align_clocks(pair.ins, pair.signals, latency=(0.005, 0.0005))
     assert given.offset_at_ns(assumed.at_ns) - assumed.offset_at_ns(assumed.at_ns) == pytest.approx(3e6, abs=5e3)
     noise = assumed.offset_deviation**2 - INS_ON_CAN[1] ** 2  # of the INS log: more at 25 Hz than at 100 Hz
     assert given.offset_deviation == pytest.approx((0.0005**2 + noise) ** 0.5, rel=0.02)
@@ -84,14 +84,14 @@ def test_latency_given_moves_the_offset_and_narrows_it(pair: Pair) -> None:
 
 def test_every_signal_shows_its_own_latency(pair: Pair) -> None:
     """Differences between the signals are differences of stamping: to 0.1 ms of the truth."""
-    result, _ = align_clocks(pair.motion, pair.signals)
+    result, _ = align_clocks(pair.ins, pair.signals)
     lag = {row.name.split("(")[1].rstrip(")"): row.difference for row in result.signals}
     for name, late in LATE.items():
         assert lag["RT_RateVehicle"] - lag[name] == pytest.approx(late - LATE["RT_RateVehicle"], abs=1e-4)
 
 
 def test_wheel_speed_alone_is_a_doubtful_substitute(pair: Pair) -> None:
-    result, _ = align_clocks(pair.motion, pair.without("ins_"))
+    result, _ = align_clocks(pair.ins, pair.without("ins_"))
     assert result.verdict is Verdict.DOUBTFUL
     assert "no INS frames" in result.reasons[-1]
     assert abs(pair.error(result, result.at_ns)) < 2 * result.offset_deviation
@@ -100,14 +100,14 @@ def test_wheel_speed_alone_is_a_doubtful_substitute(pair: Pair) -> None:
 def test_both_rear_wheels_align_better_than_one(pair: Pair) -> None:
     deviations = []
     for dropped in ("wheel_speed_rear_right", "nothing"):
-        result, _ = align_clocks(pair.motion, pair.without("ins_", "vehicle", dropped))
+        result, _ = align_clocks(pair.ins, pair.without("ins_", "vehicle", dropped))
         assert abs(pair.error(result, result.at_ns)) < 2 * result.offset_deviation
         deviations.append(result.signals[0].deviation)
     assert deviations[1] < deviations[0]
 
 
 def test_steering_alone_is_a_doubtful_substitute(pair: Pair) -> None:
-    result, _ = align_clocks(pair.motion, pair.without("ins_", "wheel", "vehicle"))
+    result, _ = align_clocks(pair.ins, pair.without("ins_", "wheel", "vehicle"))
     assert result.verdict is Verdict.DOUBTFUL
     assert "steering against yaw rate" in result.reasons[-1]
     assert abs(pair.error(result, result.at_ns)) < 2 * result.offset_deviation
@@ -116,10 +116,10 @@ def test_steering_alone_is_a_doubtful_substitute(pair: Pair) -> None:
 def test_a_steering_sensor_that_is_right_positive_aligns_as_well(pair: Pair) -> None:
     kept = pair.without("ins_", "wheel", "vehicle").signals
     turned = CanSignals({k: replace(s, values=-s.values) for k, s in kept.items()}, {})
-    result, _ = align_clocks(pair.motion, turned, steering_sign=-1)
+    result, _ = align_clocks(pair.ins, turned, steering_sign=-1)
     assert result.verdict is Verdict.DOUBTFUL
     assert abs(pair.error(result, result.at_ns)) < 2 * result.offset_deviation
-    wrong, _ = align_clocks(pair.motion, turned)
+    wrong, _ = align_clocks(pair.ins, turned)
     assert wrong.verdict is Verdict.REFUSED and "with the other steering_sign of the car they fit" in wrong.reasons[-1]
 
 
@@ -134,11 +134,11 @@ def test_a_steering_sensor_that_is_right_positive_aligns_as_well(pair: Pair) -> 
 def test_sentinels_within_the_range_of_a_signal_do_not_move_the_clock(pair: Pair, kept, signal, value) -> None:
     """1.2 s of a fixed value in the log or in the INS recording, which is as large as all motion together."""
     signals = {k: s for k, s in pair.signals.signals.items() if k[0].startswith(kept)}
-    clean, _ = align_clocks(pair.motion, CanSignals(signals, {}))
+    clean, _ = align_clocks(pair.ins, CanSignals(signals, {}))
 
     def spoiled(time_ns: np.ndarray, values: np.ndarray) -> np.ndarray:
         return np.where(np.abs((time_ns - time_ns[0]) * 1e-9 - 20.6) < 0.6, value, values)
-    motion = pair.motion
+    motion = pair.ins
     if hasattr(motion, signal):
         motion = replace(motion, **{signal: spoiled(motion.time_ns, getattr(motion, signal))})
     signals = {k: replace(s, values=spoiled(s.time_ns, s.values)) if k[0] == signal else s for k, s in signals.items()}
@@ -150,10 +150,10 @@ def test_sentinels_within_the_range_of_a_signal_do_not_move_the_clock(pair: Pair
 
 def test_nothing_shared_is_refused_and_can_be_given_by_hand(pair: Pair) -> None:
     nothing = pair.without("ins_", "wheel", "vehicle", "steering")
-    result, _ = align_clocks(pair.motion, nothing)
+    result, _ = align_clocks(pair.ins, nothing)
     assert result.verdict is Verdict.REFUSED
     assert "give the offset by hand" in result.reasons[0]
-    given, _ = align_clocks(pair.motion, nothing, offset=OFFSET - pair.log.start_ns * 1e-9)
+    given, _ = align_clocks(pair.ins, nothing, offset=OFFSET - pair.log.start_ns * 1e-9)
     assert given.method == by_hand(0, 0).method
     assert given.offset_ns == pytest.approx(OFFSET * 1e9 - pair.log.start_ns, abs=1000)
 

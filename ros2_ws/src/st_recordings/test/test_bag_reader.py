@@ -121,7 +121,7 @@ def test_the_quick_way_is_the_way_taken_and_equal(tmp_path: Path, monkeypatch: p
     else:
         write_rosbags(folder, OURS, StoragePlugin.SQLITE3)
     with monkeypatch.context() as patch:
-        patch.delattr(bag, "_one_by_one")
+        patch.delattr(bag, "_read_one_by_one")
         quick = read_bag(folder).log
     monkeypatch.setattr(kind, "columns", lambda *_: {})
     slow = read_bag(folder).log
