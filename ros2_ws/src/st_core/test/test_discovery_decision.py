@@ -31,7 +31,7 @@ from st_core.discovery.decision import (
 )
 from st_core.discovery.discover import by_sensors
 from st_core.discovery.evidence import AgainstFile, Agreement, Evidence
-from st_core.discovery.result import FittedParameter
+from st_core.discovery.result import Combination, FittedParameter
 from st_core.errors import ConfigurationError
 
 LIMITS = Limits()
@@ -85,6 +85,16 @@ def test_verdict_on_one_effect(evidence, rule, figures):
     assert (verdict.rule, verdict.subject) == (rule, evidence.name)
     assert {k: verdict.figures[k] for k in figures} == figures
     assert verdict.text
+
+
+def test_a_combination_that_differs_is_no_single_effect():
+    outcome, why = decide(replace(NOTHING, together=["front cornering stiffness over mass"]), LIMITS)
+    assert outcome == "ambiguous" and "front cornering stiffness over mass: not as in the vehicle file" in why.text
+
+
+@pytest.mark.parametrize(("file", "differs"), [(44.0, True), (38.0, False), (39.0, True), (33.0, False)])
+def test_a_combination_differs_outside_its_99_percent_interval(file, differs):
+    assert Combination("C/m", "N/(rad kg)", 35.0, (32.0, 38.0), file, ("mass",)).differs is differs
 
 
 def test_rules_are_asked_in_their_order():

@@ -45,7 +45,8 @@ class Rival:
 @dataclass(frozen=True)
 class Answer:
     """Everything the outcome depends on. left [1]: errors that are left, over the noise. seen [1]: share of the library
-    that these drives would show at its usual size. bound: number of effects that vary over the drives."""
+    that these drives would show at its usual size. bound: number of effects that vary over the drives. together: names
+    of combinations that differ from the vehicle file without a name."""
 
     stated: Sequence[Evidence]
     rivals: Mapping[str, Sequence[Rival]]
@@ -53,6 +54,7 @@ class Answer:
     left: float
     seen: float
     bound: int = 0
+    together: Sequence[str] = ()
 
 
 def judge(e: Evidence, limits: Limits) -> Reason:
@@ -245,6 +247,9 @@ def decide(a: Answer, limits: Limits) -> tuple[Outcome, Reason]:
         if others:
             return because("ambiguous", f"{1 + len(others)} names explain it equally well", names=1 + len(others))
         return because("named", "one effect is significant, relevant and not known to vary")
+    if a.together:
+        return because("ambiguous", f"{' and '.join(a.together)}: not as in the vehicle file, and no effect that "
+                       "changes it is separable from the others", combinations=len(a.together))
     verdicts = [judge(e, limits) for e in a.refused if is_relevant(e, limits)]
     if a.bound or any(v.rule == VARIES for v in verdicts):
         return because("bound", "something is significant, but not the same everywhere")

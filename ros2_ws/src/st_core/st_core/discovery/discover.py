@@ -55,6 +55,7 @@ from .result import (
     Run,
     Value,
     WhereStatement,
+    known_together,
 )
 from .search import Found, Search
 from .settings import DiscoverySettings
@@ -161,7 +162,8 @@ class _Work:
         untestable = self._untestable(power, names, driven)
         left = (gap_named["position_5s"].augmented / max(floor.get("position_5s", 0.0), 1e-9)
                 if "position_5s" in gap_named else 1.0)
-        outcome, why = self._outcome(found, effects, untestable, left, len(bound))
+        together = known_together(names.combinations, effects)
+        outcome, why = self._outcome(found, effects, untestable, left, len(bound), together)
         statements = self._where(base, floor) if settings.where else ()
         return Discovery(
             outcome=outcome, effects=effects, minor=names.minor,
@@ -206,12 +208,14 @@ class _Work:
         return certificate.driven(self.problem, found.fit, self.limits, self.settings.seed, self._tick("certifying"))
 
     def _outcome(self, found: Found, effects: Sequence[FoundEffect], untestable: Sequence[NotTestable], left: float,
-                 bound: int) -> tuple[Outcome, Reason]:
-        """left: position error over that of the noise [1]. bound: number of effects that vary over the drives."""
+                 bound: int, together: Sequence[Combination]) -> tuple[Outcome, Reason]:
+        """left: position error over that of the noise [1]. bound: number of effects that vary over the drives.
+        together: combinations that differ from the vehicle file without a name."""
         hypotheses = self.space.hypotheses
         seen = 1.0 - sum(n.name in hypotheses for n in untestable) / len(hypotheses)
         return decide(Answer([found.evidence[e.name] for e in effects], found.rivals,
-                             [e for e, *_ in found.refused.values()], left, seen, bound), self.limits)
+                             [e for e, *_ in found.refused.values()], left, seen, bound,
+                             [c.name for c in together]), self.limits)
 
     def _corrected(self, found: Found, parts: Mapping[str, Level]) -> tuple[Problem, Fit]:
         """What predicts best with the answer in it, whatever the vehicle file states, and the problem it is of; the

@@ -10,6 +10,7 @@ from st_core.discovery.following import MIN_SEPARATION
 from st_core.discovery.result import (
     PARTS,
     BoundEffect,
+    Combination,
     Discovery,
     ForceCurve,
     FoundEffect,
@@ -85,7 +86,7 @@ def title(found: Discovery) -> str:
     if found.outcome == "not_testable":
         return "These drives have too little excitation to show what may be missing"
     named = "; ".join((*(by_any_name(found, e) for e in by_size(found.effects)),
-                       *(text for text, _ in known_together(found))))
+                       *map(ratio_to_file, found.known_together)))
     if found.outcome == "unknown":
         known = f"; in addition {named}" if named else ""
         return f"{_errors(found)}: something is missing that no known effect explains{known}"
@@ -124,8 +125,8 @@ def summary(found: Discovery, update: VehicleUpdate | None, findings: Mapping[st
         recordings = (f"{one.text} ({', '.join((*names, effect_of(one)))}){more}. These are errors of the "
                       "recordings: correct them as st check proposes, and run st discover again")
     do = to_do(found, update)
-    together = [f"{text} of the vehicle file's: {', '.join(map(plain, effects[:-1]))} or {plain(effects[-1])}, which "
-                "these drives do not separate" for text, effects in known_together(found)]
+    together = [f"{ratio_to_file(one)} of the vehicle file's: {', '.join(map(plain, one.effects[:-1]))} or "
+                f"{plain(one.effects[-1])}, which these drives do not separate" for one in found.known_together]
     pairs = [("known only together", "; ".join(together)), ("not known", "; ".join(filter(None, unknown))),
              ("recordings", recordings), ("to do", "; ".join(filter(None, [do[0], following(found)])))]
     return [(key, text) for key, text in pairs if text]
@@ -201,15 +202,10 @@ def residual(found: Discovery) -> str:
     return f"{text}{worst}{worse}"
 
 
-def known_together(found: Discovery) -> list[tuple[str, tuple[str, ...]]]:
-    """Combinations that differ from the vehicle file although none of the effects that change them is named: each with
-    its ratio to the file's, and those effects."""
-    named = {name for e in found.effects for name in (e.name, *e.alternatives)}
-    differing = [c for c in found.combinations if c.differs and c.file > 0.0 and not named.intersection(c.effects)]
-    # Understeer and yaw gain follow from the stiffnesses: they are reported where those do not differ themselves.
-    shown = [c for c in differing if " over mass" in c.name] or differing[:1]
-    return [(f"{c.name} × {c.value / c.file:.2f} ({c.interval[0] / c.file:.2f} to {c.interval[1] / c.file:.2f})",
-             c.effects) for c in shown]
+def ratio_to_file(one: Combination) -> str:
+    """A combination over that of the vehicle file, with its 95 % interval."""
+    low, high = (edge / one.file for edge in one.interval)
+    return f"{one.name} × {one.value / one.file:.2f} ({low:.2f} to {high:.2f})"
 
 
 def not_separable(found: Discovery) -> str:
