@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 from st_core.bands.shares import Intervals
-from st_core.checks import check, pooled
+from st_core.checks import check, pool_estimates
 from st_core.discovery import DiscoverySettings, discover
 from st_core.log import DriveLog
 from st_core.model_file import ModelFile
@@ -20,7 +20,8 @@ from st_offline.discovery.vehicle_update import update_vehicle
 def mended(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[VehicleParameters, Model, Intervals]:
     """The car, the model and its 95 % intervals as read back from the files that `st discover` writes about these
     drives."""
-    sensors = pooled([{name: value for name, value in check(log, vehicle).estimates.items() if np.isfinite(value).all()}
+    sensors = pool_estimates([{name: value for name, value in check(log, vehicle).estimates.items()
+                               if np.isfinite(value).all()}
                       for log in logs])
     settings = DiscoverySettings()
     found = discover(logs, vehicle, "nonlinear", (), settings, identities=sensors)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 from st_core.augmented import AugmentedModel, augment
-from st_core.checks import check, pooled
+from st_core.checks import check, pool_estimates
 from st_core.discovery import Discovery, discover
 from st_core.log import DriveLog
 from st_core.relations import RelationSearch, find_relation, indicated
@@ -31,7 +31,7 @@ def run_case(case: LawCase, whole: bool = True) -> Record:
     drives = drives_of(case)
     vehicle, settings = drives.vehicle, case.settings
     begin = time.process_time()
-    sensors = pooled([{n: v for n, v in check(log, vehicle).estimates.items() if np.isfinite(v).all()}
+    sensors = pool_estimates([{n: v for n, v in check(log, vehicle).estimates.items() if np.isfinite(v).all()}
                       for log in drives.suspect])
     found = discover(drives.suspect, vehicle, "nonlinear", (), settings, identities=sensors)
     middle = time.process_time()

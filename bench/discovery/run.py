@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from st_core.checks import check, pooled
+from st_core.checks import check, pool_estimates
 from st_core.discovery import Discovery, DiscoverySettings, discover
 from st_core.discovery.result import FoundEffect
 from st_core.discovery.settings import Limits
@@ -62,7 +62,8 @@ def about(case: Question) -> Record:
 def _timed(suspect, vehicle, reference, settings: DiscoverySettings) -> tuple[Discovery, float]:
     """As `st discover` asks: with what the checks measured of the sensors."""
     begin = time.process_time()
-    sensors = pooled([{name: value for name, value in check(log, vehicle).estimates.items() if np.isfinite(value).all()}
+    sensors = pool_estimates([{name: value for name, value in check(log, vehicle).estimates.items()
+                               if np.isfinite(value).all()}
                       for log in suspect])
     found = discover(suspect, vehicle, "nonlinear", reference, settings, identities=sensors)
     return found, round(time.process_time() - begin, 2)

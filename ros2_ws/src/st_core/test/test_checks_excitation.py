@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from exact_drive import SPEED, Noise, Sines, exact_drive, late
-from st_core.checks import AuxiliaryData, Severity, across_runs, check
+from st_core.checks import AuxiliaryData, Severity, check, compare_runs
 from st_core.log import DriveLog
 
 STAMPS = 1_700_000_000_000_000_000 + 20_000_000 * np.arange(3000)
@@ -33,7 +33,7 @@ def test_a_run_at_standstill_is_not_judged_and_spoils_no_others(leaf, kind):
     found = check(standing(kind, leaf), leaf)
     assert not found.findings and not found.estimates
     wrong = [check(late(exact_drive(leaf, 60.0, seed=seed), 0.2, "yaw_rate"), leaf) for seed in range(3)]
-    assert across_runs([*wrong, found]) == across_runs(wrong) and across_runs(wrong)[0].alike
+    assert compare_runs([*wrong, found]) == compare_runs(wrong) and compare_runs(wrong)[0].alike
 
 
 @pytest.mark.parametrize("noise", [0.0005, 0.004, 0.01])
@@ -45,7 +45,7 @@ def test_one_late_sensor_is_one_finding_whatever_is_driven(leaf, noise):
         lags = [one for one in run.findings if one.name.endswith("_lag")]
         assert [one.name for one in lags] == ["yaw_rate_lag"]
         assert lags[0].value == pytest.approx(0.36, abs=0.015)
-    assert [one.name for one in across_runs(runs) if one.alike] == ["yaw_rate_lag"]
+    assert [one.name for one in compare_runs(runs) if one.alike] == ["yaw_rate_lag"]
 
 
 @pytest.mark.parametrize("factor", [0.9, 0.97, 1.1, 1.18])

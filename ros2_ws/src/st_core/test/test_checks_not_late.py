@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from exact_drive import Noise, Sines, exact_drive, late
-from st_core.checks import across_runs, check
+from st_core.checks import check, compare_runs
 from st_core.checks.regression import agreement
 
 SLALOM = {  # cornering brakes the car twice in each weave of 2 s: 0.06 m/s^2
@@ -76,5 +76,5 @@ def test_one_lag_in_several_sweeps_is_one_finding_of_the_sensor(leaf, channel, n
     sweep = {"speed": Sines(15.0, ()), "turning": Sines(0.0, parts)}
     runs = [check(late(exact_drive(leaf, 60.0, **sweep, seed=seed), seconds, channel), leaf) for seed in range(3)]
     assert [[one.name for one in run.findings] for run in runs] == [[name]] * 3
-    (one,) = across_runs(runs)
+    (one,) = compare_runs(runs)
     assert one.name == name and one.alike and one.mean == pytest.approx(seconds, abs=0.04)

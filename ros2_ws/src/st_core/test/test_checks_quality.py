@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from exact_drive import T0, exact_drive
 from exact_faults import plus
-from st_core.checks import AuxiliaryData, Checked, Finding, InsQuality, Severity, across_runs, check, pooled
+from st_core.checks import AuxiliaryData, Checked, Finding, InsQuality, Severity, check, compare_runs, pool_estimates
 
 RTK_INTEGER, RTK_FLOAT, DIFFERENTIAL, LOCKED, LOCKING = 6.0, 5.0, 4.0, 4.0, 3.0
 
@@ -65,7 +65,7 @@ def measured(value, half, name="yaw_rate_bias", told=True, unit="rad/s"):
 
 def test_runs_that_agree_are_alike_and_know_the_mean_better():
     draw = np.random.default_rng(0).standard_normal(8)
-    one, = across_runs([measured(0.004 + 0.0005 * d, 1.96 * 0.0005) for d in draw])
+    one, = compare_runs([measured(0.004 + 0.0005 * d, 1.96 * 0.0005) for d in draw])
     assert one.alike and (one.runs, one.reported) == (8, 8)
     assert one.mean == pytest.approx(0.004, abs=0.0005) and one.interval[0] < 0.004 < one.interval[1]
     assert one.interval[1] - one.interval[0] < 0.002
@@ -74,7 +74,7 @@ def test_runs_that_agree_are_alike_and_know_the_mean_better():
 
 def test_runs_that_differ_say_so_and_by_how_much():
     values = (-0.01, 0.0, 0.01, 0.02)
-    one, = across_runs([measured(value, 0.0002) for value in values])
+    one, = compare_runs([measured(value, 0.0002) for value in values])
     assert not one.alike and (one.lowest, one.highest) == (-0.01, 0.02)
     assert one.between == pytest.approx(np.std(values, ddof=1), rel=0.02)
     assert one.interval[0] < 0.0 < one.interval[1] and "differs" in one.text
@@ -82,43 +82,44 @@ def test_runs_that_differ_say_so_and_by_how_much():
 
 @pytest.mark.parametrize(("half", "alike"), [(0.005, True), (1e-5, False)])
 def test_runs_are_consistent_only_while_their_intervals_hold_the_mean(half, alike):
-    one, = across_runs([measured(v, half, "x_scale", unit="1") for v in (0.960, 0.964, 0.968)])
+    one, = compare_runs([measured(v, half, "x_scale", unit="1") for v in (0.960, 0.964, 0.968)])
     assert one.alike is alike and one.mean == pytest.approx(0.964, abs=1e-4)
 
 
 def test_two_of_four_intervals_that_miss_are_not_consistent():
     values = ((-1.0, 0.1), (-1.4, 0.1), (-1.2, 0.3), (-1.2, 0.3))
-    found = across_runs([measured(value, half, "measuring_point", unit="m") for value, half in values])
+    found = compare_runs([measured(value, half, "measuring_point", unit="m") for value, half in values])
     assert [one.alike for one in found] == [False]
 
 
 def test_a_mean_whose_interval_holds_zero_is_not_listed():
-    assert across_runs([measured(v, 0.6, "measuring_point", unit="m") for v in (-0.9, 0.0, -0.4)]) == []
+    assert compare_runs([measured(v, 0.6, "measuring_point", unit="m") for v in (-0.9, 0.0, -0.4)]) == []
 
 
 def test_a_run_counts_by_how_well_it_knows():
-    one, = across_runs([measured(0.004, 0.0001), measured(0.004, 0.0001), measured(0.02, 0.05)])
+    one, = compare_runs([measured(0.004, 0.0001), measured(0.004, 0.0001), measured(0.02, 0.05)])
     assert one.mean == pytest.approx(0.004, abs=1e-5)
 
 
 def test_what_was_measured_counts_also_where_it_was_not_told():
-    one, = across_runs([measured(0.004, 0.002), measured(0.003, 0.002, told=False), measured(0.005, 0.002, told=False)])
+    one, = compare_runs([measured(0.004, 0.002),
+                         measured(0.003, 0.002, told=False), measured(0.005, 0.002, told=False)])
     assert (one.runs, one.reported) == (3, 1)
-    assert across_runs([measured(0.004, 0.002, told=False)] * 3) == []
-    assert across_runs([measured(0.004, 0.002)] * 2) == []
+    assert compare_runs([measured(0.004, 0.002, told=False)] * 3) == []
+    assert compare_runs([measured(0.004, 0.002)] * 2) == []
 
 
 def test_the_most_frequent_first():
     both = Checked((*measured(1.0, 0.1, "a", unit="m").findings, *measured(1.0, 0.1, "b", unit="m").findings), {}, (),
                    {"a": (1.0, 0.9, 1.1), "b": (1.0, 0.9, 1.1)})
     only_b = replace(both, findings=both.findings[1:])
-    assert [(one.name, one.reported) for one in across_runs([both, only_b, only_b])] == [("b", 3), ("a", 1)]
+    assert [(one.name, one.reported) for one in compare_runs([both, only_b, only_b])] == [("b", 3), ("a", 1)]
 
 
 def test_drives_of_one_unit_together(leaf):
     biased = plus(0.005, "yaw_rate")
     runs = [check(biased(exact_drive(leaf, 30.0, seed=seed)), leaf) for seed in range(3)]
-    one, = across_runs(runs)
+    one, = compare_runs(runs)
     assert one.name == "yaw_rate_bias" and one.alike
     assert one.interval[0] < 0.005 < one.interval[1] and one.as_dict()["text"] == one.text
 
@@ -128,12 +129,13 @@ def estimate(value: float, deviation: float) -> tuple[float, float, float]:
 
 
 def test_one_run_is_taken_as_it_is():
-    assert pooled([{"yaw_rate_bias": (0.1, 0.0, 0.3)}]) == {"yaw_rate_bias": (0.1, 0.0, 0.3)}
-    assert pooled([]) == {}
+    assert pool_estimates([{"yaw_rate_bias": (0.1, 0.0, 0.3)}]) == {"yaw_rate_bias": (0.1, 0.0, 0.3)}
+    assert pool_estimates([]) == {}
 
 
 def test_alike_runs_are_weighed_by_their_precision():
-    value, low, high = pooled([{"a": estimate(1.0, 0.1)}, {"a": estimate(1.3, 0.3)}, {"b": estimate(5.0, 1.0)}])["a"]
+    runs = [{"a": estimate(1.0, 0.1)}, {"a": estimate(1.3, 0.3)}, {"b": estimate(5.0, 1.0)}]
+    value, low, high = pool_estimates(runs)["a"]
     assert value == pytest.approx((1.0 / 0.01 + 1.3 / 0.09) / (1 / 0.01 + 1 / 0.09))
     assert low < value < high
 
@@ -144,6 +146,6 @@ def test_the_interval_covers_the_mean_of_runs_that_differ():
     hits = 0
     for _ in range(200):
         values = rng.normal(2.0, 0.5, 8) + rng.normal(0.0, 0.05, 8)
-        _, low, high = pooled([{"a": estimate(value, 0.05)} for value in values])["a"]
+        _, low, high = pool_estimates([{"a": estimate(value, 0.05)} for value in values])["a"]
         hits += low <= 2.0 <= high
     assert 180 <= hits <= 199

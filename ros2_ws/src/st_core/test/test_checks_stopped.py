@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from exact_drive import exact_drive
 from st_core.checks import AuxiliaryData, Finding, Severity, check
-from st_core.checks.finding import merged
+from st_core.checks.finding import merge_findings
 
 CHANNELS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "acceleration_x", "acceleration_y",
             "road_wheel_angle")
@@ -56,8 +56,8 @@ def test_gaps_are_those_of_the_mended_time(log, leaf):
 def test_findings_of_unequal_severity_are_not_one():
     one = Finding("channel_frozen", Severity.WARNING, ("velocity_y",), "velocity_y is constant", 0.0)
     other = replace(one, severity=Severity.ERROR, channels=("yaw_rate",), text="yaw_rate is constant")
-    assert merged([one, other]) == [one, other]
-    assert merged([one, replace(other, severity=Severity.WARNING)])[0].channels == ("velocity_y", "yaw_rate")
+    assert merge_findings([one, other]) == [one, other]
+    assert merge_findings([one, replace(other, severity=Severity.WARNING)])[0].channels == ("velocity_y", "yaw_rate")
 
 
 def test_a_drive_that_stands_for_most_of_its_time_has_its_velocity_in_the_car(log, leaf):

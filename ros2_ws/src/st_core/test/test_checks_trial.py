@@ -7,7 +7,7 @@ import pytest
 from exact_drive import Sines, exact_drive
 from st_core.checks import Finding, Severity
 from st_core.checks.finding import Advice
-from st_core.checks.trial import tried
+from st_core.checks.trial import try_corrections
 from st_core.corrections import Correction, corrected
 from st_core.handling import understeer_coefficient
 
@@ -34,9 +34,9 @@ def test_a_right_correction_is_proposed_and_a_wrong_one_is_not(leaf, channel, se
     values = FAULTS[channel]
     broken = corrected(log, {channel: Correction(**values)}, leaf)
     right, wrong = (finding(severity, **{channel: one}) for one in (inverse(values), values))
-    (kept,) = tried([right], broken, leaf)
+    (kept,) = try_corrections([right], broken, leaf)
     assert kept.advice == right.advice and kept.tried[1] < 1.05 * kept.tried[0]
-    (refuted,) = tried([wrong], log, leaf)
+    (refuted,) = try_corrections([wrong], log, leaf)
     assert refuted.advice.kind == "look" and not refuted.advice.entry and refuted.tried[1] > refuted.tried[0]
     assert refuted.severity is (Severity.NOTE if severity is Severity.WARNING else Severity.ERROR)
 
@@ -46,7 +46,7 @@ def test_errors_are_tried_together(leaf):
     both = {"yaw": {"scale": -1.0}, "yaw_rate": {"scale": -1.0}}
     broken = corrected(log, {name: Correction(**one) for name, one in both.items()}, leaf)
     findings = [finding(Severity.ERROR, **{name: one}) for name, one in both.items()]
-    assert [one.advice for one in tried(findings, broken, leaf)] == [one.advice for one in findings]
+    assert [one.advice for one in try_corrections(findings, broken, leaf)] == [one.advice for one in findings]
 
 
 @pytest.mark.parametrize("ahead", [2.0, -2.0])
@@ -56,5 +56,5 @@ def test_on_a_circle_no_steering_excuses_a_wrong_correction(leaf, ahead):
     circle = exact_drive(leaf, 60.0, speed=Sines(speed, ()), turning=Sines(turning, ()))
     angle = leaf.wheelbase * turning / speed * (1.0 + understeer_coefficient(leaf) * speed**2)
     circle = replace(circle, steering_wheel_angle=None, road_wheel_angle=np.full(len(circle.road_wheel_angle), angle))
-    (refuted,) = tried([finding(Severity.WARNING, position={"ahead": ahead})], circle, leaf)
+    (refuted,) = try_corrections([finding(Severity.WARNING, position={"ahead": ahead})], circle, leaf)
     assert refuted.severity is Severity.NOTE and not refuted.advice.entry and refuted.tried[1] > 1.0 > refuted.tried[0]

@@ -1,4 +1,4 @@
-"""One quantity over several runs: consistent for a fault of the sensor, varying for an influence of the place."""
+"""Estimates of one quantity over several runs: consistent for a fault of the sensor, varying with place or load."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -11,16 +11,18 @@ from scipy.stats import binom, chi2
 from ..regression import random_effects, symmetric_interval
 from .finding import Checked
 
-FEWEST = 3  # runs
-SURE = 0.95
-ALIKE = 0.25  # part of the mean by which runs may differ and still be called alike
+MIN_RUNS = 3  # runs
+CONFIDENCE = 0.95
+MAX_RELATIVE_SPREAD = 0.25  # standard deviation between consistent runs over their mean
 
 
 @dataclass(frozen=True)
 class AcrossRuns:
-    """mean, interval: over the runs, between-run variance included (random effects, DerSimonian and Laird 1986), in
-    `unit`. between: standard deviation between runs beyond their own intervals. reported: runs in which it is a
-    finding.
+    """One quantity over several runs, in `unit`.
+
+    mean, interval: random effects, between-run variance included (DerSimonian and Laird 1986). between: standard
+    deviation between runs beyond their own intervals. reported: runs in which it is a finding. alike: whether the runs
+    are consistent.
     """
 
     name: str
@@ -36,6 +38,7 @@ class AcrossRuns:
 
     @property
     def text(self) -> str:
+        """A sentence with the verdict."""
         half = 0.5 * (self.interval[1] - self.interval[0])
         digits = max(1 - math.floor(math.log10(max(half, 1e-9))), 0)
         unit = "" if self.unit == "1" else f" {self.unit}"
@@ -47,42 +50,43 @@ class AcrossRuns:
                 "load or the day, or to a fault of some of the runs")
 
     def as_dict(self) -> dict[str, Any]:
+        """The content of check.json; `reported` is under the key "told"."""
         values = asdict(self)
         return {**values, "told": values.pop("reported"), "text": self.text}
 
 
-def across_runs(runs: Sequence[Checked]) -> list[AcrossRuns]:
-    """Every quantity that is a finding in one run at least and was measured in FEWEST, the most frequent first."""
-    units = {one.name: one.unit for run in runs for one in run.findings if one.interval is not None}
-    found = []
+def compare_runs(runs: Sequence[Checked]) -> list[AcrossRuns]:
+    """Every quantity that is a finding in some run and was measured in MIN_RUNS or more, the most frequent first."""
+    units = {finding.name: finding.unit for run in runs for finding in run.findings if finding.interval is not None}
+    compared = []
     for name, unit in units.items():
         rows = np.array([run.estimates[name] for run in runs if name in run.estimates])
-        if len(rows) < FEWEST:
+        if len(rows) < MIN_RUNS:
             continue
-        reported = sum(any(one.name == name for one in run.findings) for run in runs)
+        reported = sum(any(finding.name == name for finding in run.findings) for run in runs)
         mean, interval, between, excess = _random_effects(rows)
         missed = int(((rows[:, 1] > mean) | (rows[:, 2] < mean)).sum())
-        alike = missed <= binom.ppf(SURE, len(rows), 0.05) and (
-            excess <= chi2.ppf(SURE, len(rows) - 1) or between < ALIKE * abs(mean - null_of(name)))
-        one = AcrossRuns(name, unit, len(rows), reported, mean, interval, between, float(rows[:, 0].min()),
-                         float(rows[:, 0].max()), bool(alike))
-        if not one.alike or not one.interval[0] <= null_of(name) <= one.interval[1]:
-            found.append(one)
-    return sorted(found, key=lambda one: -one.reported)
+        homogeneous = excess <= chi2.ppf(CONFIDENCE, len(rows) - 1)
+        similar = between < MAX_RELATIVE_SPREAD * abs(mean - neutral_value(name))
+        alike = missed <= binom.ppf(CONFIDENCE, len(rows), 0.05) and (homogeneous or similar)
+        if not alike or not interval[0] <= neutral_value(name) <= interval[1]:
+            compared.append(AcrossRuns(name, unit, len(rows), reported, mean, interval, between,
+                                       float(rows[:, 0].min()), float(rows[:, 0].max()), bool(alike)))
+    return sorted(compared, key=lambda quantity: -quantity.reported)
 
 
-def pooled(runs: Sequence[Mapping[str, Sequence[float]]]) -> dict[str, tuple[float, float, float]]:
-    """Estimates (value, low, high) of several runs as one, random effects; of a quantity one run has, as they are."""
-    found = {}
+def pool_estimates(runs: Sequence[Mapping[str, Sequence[float]]]) -> dict[str, tuple[float, float, float]]:
+    """Estimates (value, low, high) of several runs pooled by random effects; those of a single run are unchanged."""
+    result = {}
     for name in dict.fromkeys(name for run in runs for name in run):
         rows = np.array([run[name] for run in runs if name in run], float)
         mean, interval, _, _ = _random_effects(rows)
-        found[name] = (mean, *interval) if len(rows) > 1 else tuple(rows[0].tolist())
-    return found
+        result[name] = (mean, *interval) if len(rows) > 1 else tuple(rows[0].tolist())
+    return result
 
 
-def null_of(name: str) -> float:
-    """Value of a quantity that is in order."""
+def neutral_value(name: str) -> float:
+    """Value of the quantity in a recording without fault."""
     return 1.0 if name.endswith("_scale") or name == "steering_sign" else 0.0
 
 

@@ -1,4 +1,4 @@
-"""Inputs and results of a check: auxiliary data of a recording, findings, channels and the identities behind them."""
+"""Inputs and results of a check: auxiliary data of a recording, findings, channels, and the identities behind them."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -11,7 +11,7 @@ SCHEMA = 1  # of check.json; keys are added, never renamed, within a number
 
 
 class Severity(StrEnum):
-    """error: an evaluation would be meaningless. warning: it would be biased. note: harmless here."""
+    """How grave a finding is. error: an evaluation would be meaningless; warning: biased; note: harmless here."""
 
     ERROR = "error"
     WARNING = "warning"
@@ -20,10 +20,10 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True)
 class Advice:
-    """What removes a finding. line: to be pasted, one line.
+    """What corrects a finding; line: one line to paste, or what to look at.
 
     kind: "run.yaml": `entry` is to be merged into the run's run.yaml; "vehicle": a value of the vehicle file;
-    "option": of the command line; "look": nothing to paste, `line` names what to look at.
+    "option": an option of the command line; "look": nothing to paste.
     """
 
     kind: Literal["run.yaml", "vehicle", "option", "look"]
@@ -32,20 +32,20 @@ class Advice:
 
     @classmethod
     def correct(cls, channel: str, **values: float) -> "Advice":
-        """Of a channel of the run; values: fields of `corrections.Correction`."""
-        words = ", ".join(f"{key}: {value:g}" for key, value in values.items())
-        return cls("run.yaml", f"correct: {{{channel}: {{{words}}}}}", {"correct": {channel: values}})
+        """Correction of a channel in run.yaml; values: fields of `corrections.Correction`."""
+        fields = ", ".join(f"{key}: {value:g}" for key, value in values.items())
+        return cls("run.yaml", f"correct: {{{channel}: {{{fields}}}}}", {"correct": {channel: values}})
 
 
 @dataclass(frozen=True)
 class Finding:
     """One fault or property of a recording.
 
-    name: stable, a key of docs/manual/checks.md. channels: fields of DriveLog (or time, wheel_speed, ins) it is about.
-    value, interval: estimate and its 95 % interval in `unit`; None if nothing is estimated. text: one
-    sentence. where: stretches in s after the first INS measurement; empty for the whole run. effect: by about how much
-    it moves the predicted or measured position after 5 s [m]; None where that means nothing. tried: prediction error
-    of the run after 5 s before and after the correction [m]; None where it was not tried.
+    name: stable, a key of docs/manual/checks.md. channels: fields of DriveLog (or time, wheel_speed, ins) it concerns.
+    text: one sentence. value, interval: estimate and its 95 % interval in `unit`, or None. where: stretches [s] after
+    the first INS measurement; empty for the whole run. effect: approximate shift of the predicted or measured position
+    after 5 s [m], or None. tried: prediction error of the run after 5 s before and after the correction [m]; None where
+    the correction was not tried.
     """
 
     name: str
@@ -63,41 +63,37 @@ class Finding:
     @property
     def of_acceleration(self) -> bool:
         """Whether no prediction depends on it: only identification and discovery use measured accelerations."""
-        named = [channel.startswith("acceleration") for channel in self.channels]
-        return self.effect is None and bool(named) and all(named)
+        return (self.effect is None and bool(self.channels)
+                and all(channel.startswith("acceleration") for channel in self.channels))
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values, as check.json has them."""
-        return {
-            "name": self.name, "severity": self.severity.value, "channels": list(self.channels), "value": self.value,
-            "unit": self.unit, "interval": None if self.interval is None else list(self.interval), "text": self.text,
-            "where": [list(stretch) for stretch in self.where], "effect": self.effect,
-            "cure": None if self.advice is None else {"kind": self.advice.kind, "line": self.advice.line,
-                                                    "entry": dict(self.advice.entry)},
-            "tried": None if self.tried is None else list(self.tried),
-        }
+        """The content of check.json; the advice is under the key "cure"."""
+        values = asdict(self)
+        advice = values.pop("advice")
+        return {**values, "severity": self.severity.value, "cure": advice}
 
 
-def merged(findings: Iterable[Finding]) -> list[Finding]:
+def merge_findings(findings: Iterable[Finding]) -> list[Finding]:
     """One finding for channels that are wrong in the same way, at the same times, by the same value."""
-    found: dict[tuple, Finding] = {}
-    for one in findings:
-        key = (one.name, one.severity, one.where, one.value)
-        if before := found.get(key):
-            names = (*before.channels, *one.channels)
-            text = before.text.replace(", ".join(before.channels), ", ".join(names), 1)
-            one = replace(before, channels=names, text=text)  # noqa: PLW2901
-        found[key] = one
-    return list(found.values())
+    groups: dict[tuple, Finding] = {}
+    for finding in findings:
+        key = (finding.name, finding.severity, finding.where, finding.value)
+        if (first := groups.get(key)) is None:
+            groups[key] = finding
+        else:
+            names = (*first.channels, *finding.channels)
+            text = first.text.replace(", ".join(first.channels), ", ".join(names), 1)
+            groups[key] = replace(first, channels=names, text=text)
+    return list(groups.values())
 
 
 @dataclass(frozen=True)
 class Channel:
-    """What was measured of one channel; all in its own `unit`.
+    """Sampling and noise of one channel, in its own `unit`.
 
-    rate: samples per second, median. gaps: intervals longer than 0.25 s; longest_gap [s]. noise: standard deviation of
-    what a second difference shows beyond motion. resolution: smallest step of its values, 0 where none is seen.
-    repeated: share of samples equal to the one before. missing: rows that held no number and were left out.
+    rate: median samples per second. gaps: number of intervals longer than 0.25 s; longest_gap [s]. noise: standard
+    deviation of white noise. resolution: smallest step of the values, 0 where they lie on no grid. repeated: share of
+    samples equal to the previous one. missing: rows without a number, left out.
     """
 
     unit: str
@@ -110,16 +106,11 @@ class Channel:
     repeated: float
     missing: int = 0
 
-    def as_dict(self) -> dict[str, Any]:
-        return asdict(self)
-
 
 @dataclass(frozen=True, eq=False)
 class Identity:
-    """Two roads to one quantity: measured against derived, (n,) each, at `time` [s after the first INS measurement].
-
-    findings: names of those that rest on it.
-    """
+    """A quantity from two sources, for a figure: measured and derived, (n,) each, at `time` [s after the first INS
+    measurement]. findings: names of the findings based on it."""
 
     name: str
     title: str
@@ -134,9 +125,9 @@ class Identity:
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """findings: the gravest first. channels: by name. identities: in the order they are judged.
+    """Result of a check: findings, the gravest first; channels by name; identities in the order they were judged.
 
-    estimates: (value, low, high), 95 %, by the name of the finding they would be: what was measured, right or wrong.
+    estimates: (value, low, high), 95 %, of every quantity measured, by the name of the finding it would be.
     """
 
     findings: tuple[Finding, ...]
@@ -145,18 +136,19 @@ class Checked:
     estimates: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     def of(self, severity: Severity) -> tuple[Finding, ...]:
-        return tuple(one for one in self.findings if one.severity is severity)
+        """Findings of one severity."""
+        return tuple(finding for finding in self.findings if finding.severity is severity)
 
     def as_dict(self) -> dict[str, Any]:
         """The run's part of check.json."""
-        return {"findings": [one.as_dict() for one in self.findings],
-                "channels": {name: channel.as_dict() for name, channel in self.channels.items()},
+        return {"findings": [finding.as_dict() for finding in self.findings],
+                "channels": {name: asdict(channel) for name, channel in self.channels.items()},
                 "estimates": {name: list(values) for name, values in self.estimates.items()}}
 
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """time_ns: int64, rising, on the INS clock. values: (n,)."""
+    """A signal: values (n,) at time_ns, int64, rising, on the INS clock."""
 
     time_ns: np.ndarray
     values: np.ndarray
@@ -164,7 +156,7 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class InsQuality:
-    """Status reported by the unit, each (n,) at time_ns [ns]; NaN where not known.
+    """Status reported by the INS, each (n,) at time_ns [ns]; NaN where unknown.
 
     navigation_status: NCOM byte 21, 4 = locked. position_mode: NCOM mode number, 6 = RTK integer, 5 = RTK float, -1 or
     NaN unknown. position_accuracy: horizontal standard deviation [m]. heading_accuracy: standard deviation [rad].
@@ -179,13 +171,13 @@ class InsQuality:
 
 @dataclass(frozen=True, eq=False)
 class AuxiliaryData:
-    """stamps: of "INS" and "steering" in the order of the recording, before anything was left out, int64 ns.
+    """What was recorded in addition to the drive, all optional.
 
-    missing: channel -> rows that held no usable value and were left out. wheel_speed: of the wheels or the car's own
-    speed signal [m/s]. ins_speed: forward speed from a second output of the INS (its CAN frames, the NCOM packets
-    recorded with an odometry) [m/s]. corrected: what run.yaml corrected, a phrase each. implausible: findings
-    of samples that the reader left out, see `plausibility`. start_ns: first recorded INS measurement; None for that of
-    the drive.
+    stamps: of "INS" and "steering" [int64 ns], in the order of the recording, before rows were left out. missing: rows
+    without a usable value, left out, by channel. wheel_speed: of the wheels or the car's own speed signal [m/s].
+    ins_speed: forward speed from a second output of the INS (its CAN frames, NCOM packets recorded with an odometry)
+    [m/s]. corrected: corrections made by run.yaml, a phrase each. implausible: findings of samples that the reader left
+    out, see `plausibility`. start_ns: first recorded INS measurement; None for that of the drive.
     """
 
     stamps: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -198,47 +190,34 @@ class AuxiliaryData:
     start_ns: int | None = None
 
 
-HORIZON = 5.0  # s, over which effects are judged
-WHEEL_SCALE = 0.03  # 1; tyres wear and are pumped up by that
+HORIZON = 5.0  # s, over which the effect of a fault is judged
+WHEEL_SCALE = 0.03  # 1; wear and inflation change the radius of a tyre by that
 
 
 @dataclass(frozen=True)
 class Limits:
-    """min_reported_effect [m]: what a fault must move the position after 5 s by; an RTK position is known to 2 cm.
+    """Limits of the findings; effects are shifts of the position after 5 s."""
 
-    warning [m]: a quarter metre; the best models are wrong by 0.4 m over such horizons. error [m]: 5 m; a model that
-    drove straight on in a bend of 250 m would be as wrong at 10 m/s, so nothing is left to compare.
-    unit: factor beyond which a ratio is a unit, a sign or an axis and no calibration; channel_unit: the same of an
-    accelerometer or a wheel, which a rolling body or a tyre may change more. settling [s]: for so long a model
-    remembers a wrong start of its yaw rate. lag [s]: below it is filtering inside a sensor; from grave_lag on it would
-    pass for a delay of the steering. correlation: two estimates
-    of a quantity below it are not compared.
-    bias_acceleration [m/s^2]: 0.1 is 0.6 degrees of mounting or road. tyre [m/s^2]: no road tyre gives more.
-    steering_unit: factor by which steering and curvature of any healthy car may differ beyond the understeer of its
-    file (ratio, wheelbase, guessed stiffnesses). steering_lag [s]: what a car itself may need. steering_offset [rad]:
-    at the road wheels.
-    mounting [m]: accuracy of a tape measure. heading [rad]: 0.1 degree, accuracy of a dual antenna.
-    """
-
-    min_reported_effect: float = 0.02
-    warning: float = 0.25
-    error: float = 5.0
-    unit: float = 1.33
-    channel_unit: float = 2.0
-    settling: float = 0.2
-    lag: float = 0.015
-    grave_lag: float = 0.05
-    correlation: float = 0.6
-    bias_acceleration: float = 0.1
-    tyre: float = 13.0
+    min_reported_effect: float = 0.02  # m; an RTK position is known to 2 cm
+    warning: float = 0.25  # m; the best models are wrong by 0.4 m over such horizons
+    error: float = 5.0  # m; as wrong as a model that drives straight on in a bend of 250 m at 10 m/s
+    unit: float = 1.33  # factor beyond which a ratio is a unit, a sign or an axis, not a calibration
+    channel_unit: float = 2.0  # the same for accelerometers and wheels, which roll and tyres change more
+    settling: float = 0.2  # s, for which a model remembers a wrong start of its yaw rate
+    lag: float = 0.015  # s; a smaller one is filtering inside a sensor
+    grave_lag: float = 0.05  # s; from here on it would pass for a delay of the steering
+    correlation: float = 0.6  # below it two estimates of a quantity are not compared
+    bias_acceleration: float = 0.1  # m/s^2; 0.6 deg of mounting or road
+    tyre: float = 13.0  # m/s^2; no road tyre gives more
+    # Steering over curvature of a healthy car, beyond the understeer of its file (ratio, wheelbase, stiffnesses).
     steering_unit: float = 1.5
-    steering_lag: float = 0.1
-    steering_offset: float = 0.02
-    mounting: float = 0.25
-    heading: float = 0.002
+    steering_lag: float = 0.1  # s; the response of the car itself may be that late
+    steering_offset: float = 0.02  # rad, at the road wheels
+    mounting: float = 0.25  # m; accuracy of a tape measure
+    heading: float = 0.002  # rad; 0.1 deg, accuracy of a dual antenna
 
     def severity(self, effect: float, grave: bool = False) -> Severity:
-        """Of an effect on the position after 5 s [m]; grave: at least a warning."""
+        """Severity of an effect on the position after 5 s [m]; grave: at least a warning."""
         if effect >= self.error:
             return Severity.ERROR
         return Severity.WARNING if grave or effect >= self.warning else Severity.NOTE
@@ -254,7 +233,7 @@ SYSTEMATIC = {
     "heading_misaligned": 0.001, "steering_offset": 0.001, "position_reference": 0.02, "measuring_point": 0.05,
     "map_shear": 0.001, "velocity_x_bias": 0.02, "velocity_y_bias": 0.02,
 }
-"""Systematic uncertainty of an identity, half of a 95 % interval, in the finding's unit (scales: share of the value):
-filters, interpolation between samples, roll, and for the steering the car's own response, which resampling does not
-cover. By finding, else by the last part of its name. Added in quadrature (GUM: type B to type A). Set from the errors
-of the estimates on the development drives of bench/checks; the sealed drives were not used."""
+"""Systematic uncertainty of an identity, half of a 95 % interval, in the finding's unit (scales: share of the value),
+by the finding's name or the last part of it. It covers filters, interpolation between samples, roll and, for the
+steering, the car's own response, which the spread over blocks does not. Added in quadrature (GUM: type B to type A).
+Set from the errors of the estimates on the development drives of bench/checks, not on the sealed ones."""

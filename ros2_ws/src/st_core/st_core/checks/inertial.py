@@ -1,9 +1,9 @@
-"""Channels that are derivatives of others, whatever the car.
+"""Checks of channels that are derivatives of others, for any vehicle.
 
     r = d(yaw)/dt        a_x = dv_x/dt - v_y r        a_y = dv_y/dt + v_x r
 
-An accelerometer feels gravity as well: a slope is a bias of a_x, a banked road or a mounting angle one of a_y. It may
-sit a metre or two from the point of the velocities; at speed v that looks like a lag of distance / v in a_y.
+An accelerometer measures gravity as well: a slope is a bias of a_x, a banked road or a mounting angle one of a_y. One
+that sits a metre or two from the point of the velocities seems to lag by distance / v in a_y at speed v.
 """
 
 import math
@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .finding import HORIZON, LIMITS, WHEEL_SCALE, Advice, Finding, Identity, Severity
-from .motion import MOVING, Motion, sideways
+from .motion import MOVING, Motion, moves_sideways
 from .regression import Agreement, Estimate, agreement, with_systematic
 
 
@@ -23,10 +23,9 @@ class Expected:
 
     against: name of the reference. unit: of the channel. lag [s], bias [unit]: smallest that are reported; scale:
     smallest deviation from 1. grave: (lag, scale, bias) from which on the finding is a warning whatever its effect on a
-    prediction, since identification and discovery use the channel too. reach: position after 5 s per unit of
-    error [m]. correlation: below which the two are not compared.
-    least_spread: standard deviation of the channel below which no lag is reported [unit].
-    factors: names of units by their factor. why: possible causes of a bias, for the text.
+    prediction, since identification and discovery use the channel too. reach: shift of the position after 5 s per unit
+    of error [m]. correlation: below which only the lag is judged. least_spread: standard deviation of the channel below
+    which no lag is reported [unit]. factors: names of units by their factor. causes: possible ones of a bias, as text.
     """
 
     channel: str
@@ -40,115 +39,112 @@ class Expected:
     least_spread: float = 0.0
     correlation: float = LIMITS.correlation
     factors: Mapping[float, str] = field(default_factory=dict)
-    why: str = ""
+    causes: str = ""
 
 
-def judged(found: Agreement | None, expected: Expected, scale_before: float = 1.0,
-           ) -> tuple[list[Finding], dict[str, Estimate]]:
-    """(findings, estimates by the name of their finding). scale_before: factor that was taken out already."""
+def judge_agreement(found: Agreement | None, expected: Expected, removed_scale: float = 1.0,
+                    ) -> tuple[list[Finding], dict[str, Estimate]]:
+    """(findings, estimates by the name of their finding). removed_scale: factor that was divided out before."""
     if found is None or abs(found.correlation) < min(expected.correlation, LIMITS.correlation):
         return [], {}
-    name, findings = expected.channel, []
+    name = expected.channel
     scale, lag, bias = (with_systematic(f"{name}_{kind}", getattr(found, kind)) for kind in ("scale", "lag", "bias"))
-    if abs(found.correlation) < expected.correlation:  # noise of either makes the scale and the bias wrong, not the lag
-        return ([_lag(found, lag, expected)] if _is_lag(found, lag, expected) else []), (
-            {f"{name}_lag": lag} if found.carries_lag else {})
-    factor = None if _diluted(scale, found) else _factor(scale.value, expected)
+    is_late = (lag.significant and found.late and abs(lag.value) >= expected.lag
+               and found.spread >= expected.least_spread)
+    late = [_lag_finding(found, lag, expected)] if is_late else []
+    estimates = {f"{name}_lag": lag} if found.carries_lag else {}
+    if abs(found.correlation) < expected.correlation:  # noise of either falsifies the scale and the bias, not the lag
+        return late, estimates
+    estimates |= {f"{name}_scale": scale.scaled(removed_scale), f"{name}_bias": bias}
+    # Regression on a noisy quantity gives between r^2 and 1 of the true slope (Fuller 1987, Measurement Error Models,
+    # 1.1), so noise of the derived quantity may explain a scale below 1.
+    explained_by_noise = scale.value < 1.0 and scale.value / found.correlation**2 + scale.half > 1.0
+    factor = None if explained_by_noise else _unit_factor(scale.value, expected)
+    findings = []
     if factor is not None:
-        findings.append(_gross(scale, factor, expected))
-    elif abs(scale.value - 1.0) >= expected.scale and scale.shifted(-1.0).significant and not _diluted(scale, found):
-        text = f"{name} is {in_words(scale)} times its value from {expected.against}"
-        findings.append(_finding("scale", text, scale, "1", abs(scale.value - 1.0) * found.spread, expected,
-                             {"scale": 1.0 / scale.value}, abs(scale.value - 1.0) >= expected.grave[1]))
+        findings.append(_unit_finding(scale, factor, expected))
+    elif (abs(scale.value - 1.0) >= expected.scale and scale.shifted(-1.0).significant and not explained_by_noise):
+        text = f"{name} is {format_estimate(scale)} times its value from {expected.against}"
+        findings.append(_make_finding("scale", text, scale, "1", abs(scale.value - 1.0) * found.spread, expected,
+                                      {"scale": 1.0 / scale.value}, abs(scale.value - 1.0) >= expected.grave[1]))
     # A scale that is reported is divided out before the bias is subtracted.
-    size, divided = abs(scale.value), scale.value if findings else 1.0
-    if _is_lag(found, lag, expected):
-        findings.append(_lag(found, lag, expected))
-    if bias.significant and abs(bias.value) / size >= expected.bias and factor is None:
+    divisor = scale.value if findings else 1.0
+    findings += late
+    error = abs(bias.value) / max(abs(scale.value), 1e-300)
+    if bias.significant and error >= expected.bias and factor is None:
         side = "high" if bias.value > 0.0 else "low"
         unit = expected.unit.replace("^2", "²")
-        text = f"{name} is {size_of(bias)} {unit} too {side} against {expected.against}{expected.why}"
-        findings.append(_finding("bias", text, bias, expected.unit, abs(bias.value) / size, expected,
-                             {"add": -bias.value / divided}, abs(bias.value) / size >= expected.grave[2]))
-    return findings, {**({f"{name}_lag": lag} if found.carries_lag else {}),
-                  f"{name}_scale": scale.scaled(scale_before), f"{name}_bias": bias}
+        text = f"{name} is {format_magnitude(bias)} {unit} too {side} against {expected.against}{expected.causes}"
+        findings.append(_make_finding("bias", text, bias, expected.unit, error, expected,
+                                      {"add": -bias.value / divisor}, error >= expected.grave[2]))
+    return findings, estimates
 
 
-def _diluted(scale: Estimate, found: Agreement) -> bool:
-    """Whether noise of the derived quantity explains a scale below 1: regression on a noisy quantity gives between r^2
-    and 1 of the true slope (Fuller 1987, Measurement Error Models, 1.1)."""
-    return scale.value < 1.0 and scale.value / found.correlation**2 + scale.half > 1.0
-
-
-def _is_lag(found: Agreement, lag: Estimate, expected: Expected) -> bool:
-    return lag.significant and found.late and abs(lag.value) >= expected.lag and found.spread >= expected.least_spread
-
-
-def _lag(found: Agreement, lag: Estimate, expected: Expected) -> Finding:
+def _lag_finding(found: Agreement, lag: Estimate, expected: Expected) -> Finding:
     rate = float(np.std(np.gradient(found.derived, found.time)))
-    text = (f"{expected.channel} {'lags' if lag.value > 0.0 else 'leads'} {expected.against} by {size_of(lag)} s"
-            f"{or_else(found)}")
+    text = (f"{expected.channel} {'lags' if lag.value > 0.0 else 'leads'} {expected.against} by "
+            f"{format_magnitude(lag)} s{format_alternative_lags(found)}")
     if abs(found.correlation) < expected.correlation:
         text += f"; their correlation is only {abs(found.correlation):.2f}, so scale and bias are not judged"
-    return _finding("lag", text, lag, "s", abs(lag.value) * rate, expected, {"earlier": lag.value},
-                    abs(lag.value) >= expected.grave[0])
+    return _make_finding("lag", text, lag, "s", abs(lag.value) * rate, expected, {"earlier": lag.value},
+                         abs(lag.value) >= expected.grave[0])
 
 
-def in_words(one: Estimate) -> str:
-    """value ± half of the 95 % interval, to two digits of that."""
-    digits = min(max(1 - math.floor(math.log10(one.half)), 0), 6) if one.half > 0.0 else 3
-    return f"{one.value:.{digits}f} ± {one.half:.{digits}f}"
+def format_estimate(estimate: Estimate) -> str:
+    """Value ± half of the 95 % interval, to two digits of that."""
+    digits = min(max(1 - math.floor(math.log10(estimate.half)), 0), 6) if estimate.half > 0.0 else 3
+    return f"{estimate.value:.{digits}f} ± {estimate.half:.{digits}f}"
 
 
-def size_of(one: Estimate) -> str:
-    """As in_words, without the sign."""
-    return in_words(one).removeprefix("-")
+def format_magnitude(estimate: Estimate) -> str:
+    """As `format_estimate`, without the sign."""
+    return format_estimate(estimate).removeprefix("-")
 
 
-def or_else(found: Agreement, response: float = 0.0) -> str:
-    """Other lags that fit as well, as text; response: of the car, included in the reported lag [s]."""
-    other = sorted(late + response for late in found.alike)
-    named = " or ".join(f"{'lags' if late > 0.0 else 'leads'} by {abs(late):.2f} s" for late in other)
-    return f" (or {named}: the drive repeats itself, and that fits as well)" if named else ""
+def format_alternative_lags(found: Agreement, response: float = 0.0) -> str:
+    """Other lags that fit equally well, as text; response: lag of the car, added to them [s]."""
+    others = sorted(lag + response for lag in found.alike)
+    text = " or ".join(f"{'lags' if lag > 0.0 else 'leads'} by {abs(lag):.2f} s" for lag in others)
+    return f" (or {text}: the drive repeats itself, and that fits as well)" if text else ""
 
 
-def _factor(scale: float, expected: Expected) -> float | None:
+def _unit_factor(scale: float, expected: Expected) -> float | None:
     """The unit or sign that a scale is, the scale itself where it is far from 1 and none of them, None near 1."""
     if 1.0 / LIMITS.channel_unit < scale < LIMITS.channel_unit:
         return None
-    signed = [sign * factor for factor in (1.0, *expected.factors) for sign in (1.0, -1.0)][1:]
-    near = [f for f in signed if f * scale > 0.0 and 1.0 / LIMITS.channel_unit < scale / f < LIMITS.channel_unit]
+    factors = [sign * factor for factor in (1.0, *expected.factors) for sign in (1.0, -1.0)][1:]
+    near = [f for f in factors if f * scale > 0.0 and 1.0 / LIMITS.channel_unit < scale / f < LIMITS.channel_unit]
     return min(near, key=lambda f: abs(np.log(scale / f)), default=scale)
 
 
-def _gross(scale: Estimate, factor: float, expected: Expected) -> Finding:
-    other_way = "it counts the other way" if factor < 0.0 else ""
-    reason = " and ".join(filter(None, (expected.factors.get(abs(factor), ""), other_way)))
-    text = (f"{expected.channel} is {in_words(scale)} times its value from {expected.against}"
+def _unit_finding(scale: Estimate, factor: float, expected: Expected) -> Finding:
+    opposite = "it counts the other way" if factor < 0.0 else ""
+    reason = " and ".join(filter(None, (expected.factors.get(abs(factor), ""), opposite)))
+    text = (f"{expected.channel} is {format_estimate(scale)} times its value from {expected.against}"
             + (f": {reason}?" if reason else ""))
-    exact = float(f"{1.0 / factor:.6g}")
     return Finding(f"{expected.channel}_scale", Severity.WARNING, (expected.channel,), text, scale.value, "1",
-                   scale.interval, (), None, _advice(expected.channel, {"scale": exact}))
+                   scale.interval, advice=_advice(expected.channel, "scale", float(f"{1.0 / factor:.6g}")))
 
 
-def _finding(kind: str, text: str, one: Estimate, unit: str, error: float, expected: Expected,
-             correct: dict[str, float], grave: bool) -> Finding:
-    """error: what it makes of the channel, root mean square [unit]."""
+def _make_finding(kind: str, text: str, estimate: Estimate, unit: str, error: float, expected: Expected,
+                  correct: dict[str, float], grave: bool) -> Finding:
+    """error: resulting error of the channel, root mean square [unit]."""
     effect = error * expected.reach
-    return Finding(f"{expected.channel}_{kind}", LIMITS.severity(effect, grave), (expected.channel,), text, one.value,
-                   unit, one.interval, (), effect if expected.reach else None,
-                   _advice(expected.channel, {key: float(f"{value:.5g}") for key, value in correct.items()}))
+    (key, value), = correct.items()
+    return Finding(f"{expected.channel}_{kind}", LIMITS.severity(effect, grave), (expected.channel,), text,
+                   estimate.value, unit, estimate.interval, (), effect if expected.reach else None,
+                   _advice(expected.channel, key, float(f"{value:.5g}")))
 
 
-def _advice(channel: str, correct: dict[str, float]) -> Advice:
+def _advice(channel: str, key: str, value: float) -> Advice:
     """Correction of a channel; for wheel speeds and a second INS output, which a run.yaml cannot correct, a hint."""
     if channel in ("wheel_speed", "ins_speed"):
         return Advice("look", "look at the source of it: unit, wheel radius, clock")
-    return Advice.correct(channel, **correct)
+    return Advice.correct(channel, **{key: value})
 
 
-def identity(found: Agreement | None, expected: Expected, title: str, measured: float = 1.0,
-             derived: float = 1.0) -> Identity | None:
+def agreement_panel(found: Agreement | None, expected: Expected, title: str, measured: float = 1.0,
+                    derived: float = 1.0) -> Identity | None:
     """Series of a figure. measured, derived: units that were divided out; the figure shows values as recorded."""
     return None if found is None else Identity(
         expected.channel, title, expected.unit, expected.channel, f"from {expected.against}", found.time,
@@ -158,42 +154,42 @@ def identity(found: Agreement | None, expected: Expected, title: str, measured: 
 
 G = 9.80665
 GYRO_CUTOFF, ACCELERATION_CUTOFF, SPEED_CUTOFF = 4.0, 1.5, 1.5  # Hz
-GYRO_CORRELATION = 0.9  # two outputs of one unit; less is a yaw too coarse to be differentiated
+GYRO_CORRELATION = 0.9  # of two outputs of one unit; less where yaw is too coarse to be differentiated
 GYRO_SCALE = 0.02  # 1; a gyroscope's scale is known to 1 %
-GYRO_BIAS = 0.001  # rad/s; an INS that is in order shows half of it
-ACCELERATION_SCALE = 0.35  # 1; a body that rolls and pitches makes up to a third of it
+GYRO_BIAS = 0.001  # rad/s; a faultless INS has half of it
+ACCELERATION_SCALE = 0.35  # 1; roll and pitch of the body change it by up to a third
 ACCELERATION_LAG = 0.12  # s; filters of accelerometers take up to 0.1 s
 LEVER = 1.5  # m between accelerometer and INS point
 GRAVE_ACCELERATION = 0.3  # m/s^2; a road's crossfall of 2.5 % is 0.25
 SPEED_SPREAD = 0.5  # m/s; at one speed only slip and noise would be compared
-WHEEL_LAG = 0.15  # s; wheel speeds are averaged over some turns
+WHEEL_LAG = 0.15  # s; wheel speeds are averaged over some revolutions
 FACTORS = {1.0 / G: "g"}
-LEANS = ": mounted askew, or the road is not level?"
 SPEED_FACTORS = {3.6: "km/h", 2.23694: "mph", 1.0 / 3.6: "divided by 3.6 twice"}
 
-Judged = tuple[list[Finding], dict[str, Estimate], Identity | None]
+Comparison = tuple[list[Finding], dict[str, Estimate], Identity | None]
+"""(findings, estimates by name of the finding, panel of the figure or None)."""
 
 
-def yaw_rate(motion: Motion) -> tuple[Agreement | None, Expected]:
-    """Against the change of yaw. A model forgets a wrong start of its yaw rate within the settling time."""
+def compare_yaw_rate(motion: Motion) -> tuple[Agreement | None, Expected]:
+    """Yaw rate against the change of yaw. A model forgets a wrong start of its yaw rate within the settling time."""
     reach = LIMITS.settling * float(np.median(np.abs(motion.velocity_x))) * HORIZON
     found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, GYRO_CUTOFF, True)
     return found, Expected("yaw_rate", "yaw", "rad/s", LIMITS.lag, GYRO_SCALE, GYRO_BIAS,
                            (LIMITS.grave_lag, 0.03, 0.01), reach, correlation=GYRO_CORRELATION)
 
 
-def turn_lag(motion: Motion) -> float:
-    """By how much the yaw rate lags yaw [s], where that hides how they agree; 0 where they agree without it."""
+def yaw_rate_lag(motion: Motion) -> float:
+    """Lag of the yaw rate behind yaw [s] that hides their agreement; 0 where they agree without it."""
     found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, ACCELERATION_CUTOFF, True)
     if found is None or not (found.late and found.lag.significant) or abs(found.lag.value) < LIMITS.grave_lag:
         return 0.0
-    # A yaw rate of the other sign fits half a period later, too.
-    now = abs(found.correlation_now)
-    return found.lag.value if found.correlation >= LIMITS.correlation and now < found.correlation - 0.05 else 0.0
+    # A yaw rate of the opposite sign also fits half a period later.
+    hidden = abs(found.correlation_now) < found.correlation - 0.05
+    return found.lag.value if found.correlation >= LIMITS.correlation and hidden else 0.0
 
 
-def corrected_yaw_rate(motion: Motion, found: Agreement) -> Motion:
-    """With the lag, scale and bias taken out, where they are known."""
+def correct_yaw_rate(motion: Motion, found: Agreement) -> Motion:
+    """The motion without the lag, scale and bias of its yaw rate, where they are known."""
     if found.correlation < LIMITS.correlation:
         return motion
     late = found.lag.value if found.lag.significant and found.late else 0.0
@@ -202,58 +198,54 @@ def corrected_yaw_rate(motion: Motion, found: Agreement) -> Motion:
     return motion.with_(yaw_rate=np.interp(motion.time + late, motion.time, rate))
 
 
-def accelerations(motion: Motion) -> list[Judged]:
-    """Findings of both accelerations against the derivative of velocity; none where its axes are wrong."""
-    if sideways(motion):
+def check_accelerations(motion: Motion) -> list[Comparison]:
+    """Both accelerations against the derivative of velocity; nothing where the axes of the velocity are wrong."""
+    if moves_sideways(motion):
         return []
-    derivative = {"acceleration_x": _slope(motion.time, motion.velocity_x) - motion.velocity_y * motion.yaw_rate,
-                  "acceleration_y": _slope(motion.time, motion.velocity_y) + motion.velocity_x * motion.yaw_rate}
-    speed = float(np.median(np.abs(motion.velocity_x)))
-    lags = {"acceleration_x": ACCELERATION_LAG,
-            "acceleration_y": max(ACCELERATION_LAG, LEVER / max(speed, MOVING))}
-    channels = {name: values for name in derivative if (values := getattr(motion, name)) is not None}
+    time, speed = motion.time, float(np.median(np.abs(motion.velocity_x)))
+    derived = {"acceleration_x": np.gradient(motion.velocity_x, time) - motion.velocity_y * motion.yaw_rate,
+               "acceleration_y": np.gradient(motion.velocity_y, time) + motion.velocity_x * motion.yaw_rate}
+    lags = {"acceleration_x": ACCELERATION_LAG, "acceleration_y": max(ACCELERATION_LAG, LEVER / max(speed, MOVING))}
+    measured = {name: values for name in derived if (values := getattr(motion, name)) is not None}
 
-    def against(name: str, values: np.ndarray) -> Agreement | None:
-        return agreement(motion.time, derivative[name], motion.time, values, ACCELERATION_CUTOFF)
-    agreements = {name: against(name, values) for name, values in channels.items()}
-    crossed = zip(channels, reversed(channels.values()), strict=True)
-    if len(channels) == 2 and not any(map(_correlates, agreements.values())) and all(
-            _correlates(against(name, values)) for name, values in crossed):
+    def compare(name: str, values: np.ndarray) -> Agreement | None:
+        return agreement(time, derived[name], time, values, ACCELERATION_CUTOFF)
+
+    def correlates(found: Agreement | None) -> bool:
+        return found is not None and abs(found.correlation) >= LIMITS.correlation
+
+    agreements = {name: compare(name, values) for name, values in measured.items()}
+    exchanged = dict(zip(measured, reversed(measured), strict=True))
+    if len(measured) == 2 and not any(map(correlates, agreements.values())) and all(
+            correlates(compare(name, measured[other])) for name, other in exchanged.items()):
         text = "acceleration_x and acceleration_y are exchanged (x is forward, y left)"
-        return [([Finding("acceleration_axes", Severity.WARNING, (*channels,), text, advice=Advice(
+        return [([Finding("acceleration_axes", Severity.WARNING, (*measured,), text, advice=Advice(
             "run.yaml", "columns: {acceleration_x: acceleration_y, acceleration_y: acceleration_x}",
-            {"columns": dict(zip(channels, reversed(channels), strict=True))}))], {}, None)]
-    findings = []
+            {"columns": exchanged}))], {}, None)]
+    comparisons = []
     for name, found in agreements.items():
-        expected = Expected(name, "velocity and yaw rate" if name[-1] == "y" else "velocity", "m/s^2", lags[name],
+        lateral = name == "acceleration_y"
+        expected = Expected(name, "velocity and yaw rate" if lateral else "velocity", "m/s^2", lags[name],
                             ACCELERATION_SCALE, LIMITS.bias_acceleration, (0.0, 0.0, GRAVE_ACCELERATION),
-                            factors=FACTORS, why=LEANS)
-        title = f"{'lateral' if name[-1] == 'y' else 'forward'} acceleration: sensor against velocity"
-        findings.append((*judged(found, expected), identity(found, expected, title)))
-    return findings
+                            factors=FACTORS, causes=": mounted askew, or the road is not level?")
+        title = f"{'lateral' if lateral else 'forward'} acceleration: sensor against velocity"
+        comparisons.append((*judge_agreement(found, expected), agreement_panel(found, expected, title)))
+    return comparisons
 
 
-def _correlates(found: Agreement | None) -> bool:
-    return found is not None and abs(found.correlation) >= LIMITS.correlation
-
-
-def speeds(motion: Motion) -> list[Judged]:
+def check_speeds(motion: Motion) -> list[Comparison]:
     """Other sources of the speed against the INS's forward speed."""
-    findings = []
+    comparisons = []
     for name in motion.speeds:
-        found = speed(motion, name)
+        found = compare_speed(motion, name)
         scale, lag = (WHEEL_SCALE, WHEEL_LAG) if name == "wheel_speed" else (0.005, 0.03)
         expected = Expected(name, "velocity_x", "m/s", lag, scale, np.inf, (0.0, 0.0, np.inf),
                             least_spread=SPEED_SPREAD, factors=SPEED_FACTORS)
         title = f"forward speed: {name.replace('_', ' ')} against velocity_x"
-        findings.append((*judged(found, expected), identity(found, expected, title)))
-    return findings
+        comparisons.append((*judge_agreement(found, expected), agreement_panel(found, expected, title)))
+    return comparisons
 
 
-def speed(motion: Motion, name: str) -> Agreement | None:
-    """Another source of the speed against the INS's forward speed."""
+def compare_speed(motion: Motion, name: str) -> Agreement | None:
+    """Another source of the speed, by its name in `motion.speeds`, against the INS's forward speed."""
     return agreement(motion.time, motion.velocity_x, *motion.speeds[name], SPEED_CUTOFF, biased=False)
-
-
-def _slope(time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    return np.gradient(values, time) if len(time) > 1 else np.zeros_like(values)

@@ -1,5 +1,4 @@
-"""Working copy of a drive for the checks: arrays in seconds, corrected by the findings so far, so that one fault gives
-one finding."""
+"""Working copy of a drive for the checks, corrected by the findings so far, so that one fault gives one finding."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -14,10 +13,10 @@ from .finding import AuxiliaryData
 
 LONGEST_GAP = 0.25  # s between samples; nothing is integrated across a longer one
 MOVING = 1.0  # m/s; slower driving is not used
-FEWEST_WINDOWS = 5  # that must show the car driving
-COHERENT = 0.5  # cosine between the ways of successive windows: 1 straight on, 0 for a random walk
-SPEEDS = 0.1  # standard deviation of the speed over its mean
-LEAST_SIGNAL = 10.0  # standard deviations of the velocity's noise
+MIN_DRIVEN_WINDOWS = 5  # that must show the car driving
+MIN_COHERENCE = 0.5  # cosine between displacements of successive windows: 1 straight on, 0 for a random walk
+MIN_SPEED_VARIATION = 0.1  # standard deviation of the speed over its mean
+MIN_SIGNAL_TO_NOISE = 10.0  # forward velocity over the standard deviation of its noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +42,7 @@ class Motion:
 
     @classmethod
     def of(cls, log: DriveLog, start: int, auxiliary: AuxiliaryData) -> "Motion":
-        """start: zero of the times [ns]."""
+        """Working copy of a drive. start: zero of the times [ns]."""
         series = {"wheel_speed": auxiliary.wheel_speed, "ins_speed": auxiliary.ins_speed}
         speeds = {name: ((one.time_ns - start) * NANOSECOND, one.values)
                   for name, one in series.items() if one and len(one.time_ns) > 1}
@@ -55,29 +54,29 @@ class Motion:
         return replace(self, **changes)
 
     def slower(self, factor: float) -> "Motion":
-        """With all times divided by a factor."""
+        """The motion with all times divided by a factor."""
         speeds = {name: (time / factor, values) for name, (time, values) in self.speeds.items()}
         return replace(self, time=self.time / factor, steering_time=self.steering_time / factor, speeds=speeds)
 
     def where(self, keep: np.ndarray) -> "Motion":
-        """With these samples of the INS only, (n,) bool."""
+        """The motion with these samples of the INS only, (n,) bool."""
         names = ("time", "x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "acceleration_x", "acceleration_y")
         kept = {name: value[keep] for name in names if (value := getattr(self, name)) is not None}
         return replace(self, **kept)
 
     @property
     def speed(self) -> np.ndarray:
-        """Over ground [m/s]."""
+        """Speed over ground [m/s]."""
         return np.hypot(self.velocity_x, self.velocity_y)
 
     @property
     def velocity_map(self) -> tuple[np.ndarray, np.ndarray]:
-        """Body velocity turned into the map [m/s]: R(yaw) v."""
+        """Velocity in the map frame, (east, north) [m/s]: R(yaw) v."""
         cosine, sine = np.cos(self.yaw), np.sin(self.yaw)
         return (cosine * self.velocity_x - sine * self.velocity_y, sine * self.velocity_x + cosine * self.velocity_y)
 
     def steering_at_ins(self) -> np.ndarray:
-        """Road wheel angle at the instants of the INS, NaN outside of what was recorded."""
+        """Road wheel angle at the instants of the INS, NaN outside the recorded time."""
         if not len(self.steering_time):
             return np.full(len(self.time), np.nan)
         return np.interp(self.time, self.steering_time, self.steering, left=np.nan, right=np.nan)
@@ -85,26 +84,26 @@ class Motion:
 
 def is_driven(motion: Motion) -> bool:
     """Whether the car drives at all, in whatever units: positions keep their direction of travel, or the forward
-    velocity is far beyond its own noise. Noise and a wandering receiver do neither."""
-    length = max(1.0, 5.0 * float(np.median(np.diff(motion.time)))) if len(motion.time) > 1 else 1.0
+    velocity exceeds its noise by far. A standing car with a wandering receiver does neither."""
+    length = max(1.0, 5.0 * float(np.median(np.diff(motion.time))))
     over = windows(motion.time, length, max(LONGEST_GAP, 0.5 * length))
-    if len(over) < FEWEST_WINDOWS:
+    if len(over) < MIN_DRIVEN_WINDOWS:
         return True  # too short to judge
-    way = over.change(motion.x) + 1j * over.change(motion.y)
-    product = (way[1:] * np.conj(way[:-1]))[over.last[:-1] == over.first[1:]]
+    moved = over.change(motion.x) + 1j * over.change(motion.y)
+    product = (moved[1:] * np.conj(moved[:-1]))[over.last[:-1] == over.first[1:]]
     speed = over.mean(motion.time, motion.velocity_x)
     noise = float(np.median(np.abs(np.diff(motion.velocity_x)))) / (0.6745 * np.sqrt(2.0))
-    return bool(np.sum(product.real) > COHERENT * np.sum(np.abs(product)) > 0.0
-                or np.sum(np.abs(speed) > LEAST_SIGNAL * max(noise, 1e-9)) >= FEWEST_WINDOWS)
+    return bool(np.sum(product.real) > MIN_COHERENCE * np.sum(np.abs(product)) > 0.0
+                or np.sum(np.abs(speed) > MIN_SIGNAL_TO_NOISE * max(noise, 1e-9)) >= MIN_DRIVEN_WINDOWS)
 
 
-def several_speeds(speed: np.ndarray) -> bool:
-    """Whether the speed varies enough to separate effects of different powers of it."""
-    return float(np.std(speed)) > SPEEDS * abs(float(np.mean(speed)))
+def has_varying_speed(speed: np.ndarray) -> bool:
+    """Whether the speed varies enough to separate effects that grow with different powers of it."""
+    return float(np.std(speed)) > MIN_SPEED_VARIATION * abs(float(np.mean(speed)))
 
 
-def sideways(motion: Motion) -> bool:
-    """Whether the velocity points to the side more than ahead: then its axes are not those of a car."""
+def moves_sideways(motion: Motion) -> bool:
+    """Whether the velocity is lateral rather than longitudinal: its axes are then not those of a car."""
     return float(np.sum(motion.velocity_y**2)) > float(np.sum(motion.velocity_x**2))
 
 
@@ -115,13 +114,14 @@ def integral(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Pairs of samples end to end, without a gap between: first, last are their indices, time that of the first [s]."""
+    """Consecutive windows without a gap: indices of their first and last samples, time of the first [s]."""
 
     first: np.ndarray
     last: np.ndarray
     time: np.ndarray
 
     def change(self, values: np.ndarray) -> np.ndarray:
+        """Change over each window."""
         return values[self.last] - values[self.first]
 
     def mean(self, time: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -137,7 +137,7 @@ def windows(time: np.ndarray, length: float, longest_gap: float = LONGEST_GAP) -
     if len(time) < 2:
         empty = np.zeros(0, np.int64)
         return Windows(empty, empty, np.zeros(0))
-    # The first sample of each; by the samples, not by the seconds: a gap may be of years.
+    # By the samples, not by the seconds, since a gap may last years.
     places = np.flatnonzero(np.diff(np.floor((time - time[0]) / length), prepend=-1.0))
     first, last = places[:-1], places[1:]
     gaps = np.concatenate(([0], np.cumsum(np.diff(time) > longest_gap)))
@@ -147,7 +147,7 @@ def windows(time: np.ndarray, length: float, longest_gap: float = LONGEST_GAP) -
 
 
 def stretches(times: np.ndarray, apart: float) -> tuple[tuple[float, float], ...]:
-    """Groups of instants [s] at most `apart` from each other, as (first, last)."""
+    """Groups (first, last) of instants [s] that follow each other within `apart` [s]."""
     if not len(times):
         return ()
     edges = [0, *(np.flatnonzero(np.diff(times) > apart) + 1).tolist(), len(times)]
@@ -155,83 +155,86 @@ def stretches(times: np.ndarray, apart: float) -> tuple[tuple[float, float], ...
 
 
 def spans(mask: np.ndarray) -> list[tuple[int, int]]:
-    """(first, last) of each stretch of a mask (n,)."""
+    """Indices (first, last) of each stretch of a mask (n,)."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
     return list(zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True))
 
 
-LEAST_TURN, LEAST_WAY = 0.02, 0.5  # rad and m; windows with less motion are not used
-LEAST_WINDOWS = 5
-NOTHING = 1e-10  # a ratio of two channels below it: nanoseconds make 1e-9
-ALIKE = 1.2  # two ratios that differ by less than this factor are one
+MIN_TURN, MIN_DISTANCE = 0.02, 0.5  # rad and m; windows with less motion are not used
+MIN_WINDOWS = 5
+MIN_RATIO = 1e-10  # of two channels; nanoseconds taken for seconds make 1e-9
+SAME_RATIO_FACTOR = 1.2  # ratios that differ by less are equal
 
 
 @dataclass(frozen=True)
 class Ratios:
-    """Medians over the windows, NaN with too little motion. way: position over velocity. Turns: yaw over
-    integrated yaw rate, yaw over course, yaw rate over course.
+    """Median ratios of channels over windows, NaN with too little motion.
+
+    distance: positions over integrated velocity. yaw_rate: yaw over integrated yaw rate. yaw_course, rate_course: yaw,
+    and integrated yaw rate, over the course.
     """
 
-    way: float
+    distance: float
     yaw_rate: float
     yaw_course: float
     rate_course: float
 
 
-def near(value: float, target: float, factor: float = ALIKE) -> bool:
+def is_near(value: float, target: float, factor: float = SAME_RATIO_FACTOR) -> bool:
+    """Whether two ratios have one sign and differ by less than a factor."""
     return bool(np.isfinite(value) and value * target > 0.0 and 1.0 / factor < value / target < factor)
 
 
 def ratios(motion: Motion, length: float = 1.0) -> Ratios:
+    """Ratios of channels over windows of `length` [s]."""
     over = windows(motion.time, length, max(0.25, 0.5 * length))
-    way = np.hypot(over.change(motion.x), over.change(motion.y))
-    run = over.change(integral(motion.time, motion.speed))
+    measured = np.hypot(over.change(motion.x), over.change(motion.y))
+    integrated = over.change(integral(motion.time, motion.speed))
     turn, rate = over.change(motion.yaw), over.change(integral(motion.time, motion.yaw_rate))
-    return Ratios(_way_ratio(way, run), _slope(turn, rate), *_against_course(motion, over, way))
+    return Ratios(_distance_ratio(measured, integrated), _slope(turn, rate), *_against_course(motion, over, measured))
 
 
-def _way_ratio(way: np.ndarray, run: np.ndarray) -> float:
-    enough = (way > LEAST_WAY) | (run > LEAST_WAY)
-    if enough.sum() < LEAST_WINDOWS or not run[enough].any():
+def _distance_ratio(measured: np.ndarray, integrated: np.ndarray) -> float:
+    enough = (measured > MIN_DISTANCE) | (integrated > MIN_DISTANCE)
+    weights = integrated[enough]
+    if len(weights) < MIN_WINDOWS or not weights.any():
         return float("nan")
-    ratio = way[enough] / np.maximum(run[enough], 1e-12)
-    return _moving(float(np.quantile(ratio, 0.5, weights=run[enough], method="inverted_cdf")))
+    ratio = measured[enough] / np.maximum(weights, 1e-12)
+    return _unless_constant(float(np.quantile(ratio, 0.5, weights=weights, method="inverted_cdf")))
 
 
-def _moving(ratio: float) -> float:
+def _unless_constant(ratio: float) -> float:
     """The ratio; NaN if one of the two channels is constant."""
-    return ratio if NOTHING < abs(ratio) < 1.0 / NOTHING else float("nan")
+    return ratio if MIN_RATIO < abs(ratio) < 1.0 / MIN_RATIO else float("nan")
 
 
 def _slope(top: np.ndarray, bottom: np.ndarray) -> float:
-    """Robust slope of top over bottom with a small constant: a bias of the yaw rate does not change its scale."""
-    if len(top) < LEAST_WINDOWS or max(np.percentile(np.abs(c), 95) for c in (top, bottom)) < LEAST_TURN:
+    """Robust slope of top over bottom with a small intercept, so that a bias of the yaw rate does not change it."""
+    if len(top) < MIN_WINDOWS or max(np.percentile(np.abs(c), 95) for c in (top, bottom)) < MIN_TURN:
         return float("nan")
-    less, more = sorted((top, bottom), key=lambda turns: float(np.percentile(np.abs(turns), 95)))
-    if float(np.percentile(np.abs(less), 95)) < LEAST_TURN and float(np.std(more)) < 0.5 * abs(float(np.mean(more))):
+    smaller, larger = sorted((top, bottom), key=lambda turns: float(np.percentile(np.abs(turns), 95)))
+    if float(np.percentile(np.abs(smaller), 95)) < MIN_TURN and (
+            float(np.std(larger)) < 0.5 * abs(float(np.mean(larger)))):
         return float("nan")  # one hardly turns, the other is a bias
     weights, slope = np.ones(len(top)), float("nan")
-    # Prior of the constant, equal to windows that turn by LEAST_TURN: a circle does not determine it.
-    prior = (len(top) * LEAST_TURN**2) / max(float(np.square(bottom).mean()), 1e-300)
+    # Prior of the intercept, which a circle does not determine: as windows that turn by MIN_TURN.
+    prior = (len(top) * MIN_TURN**2) / max(float(np.square(bottom).mean()), 1e-300)
     for _ in range(8):
         rows = np.array([[weights @ bottom**2, weights @ bottom], [weights @ bottom, weights.sum() + prior]])
-        slope, constant = np.linalg.lstsq(rows, [weights @ (bottom * top), weights @ top])[0]
-        rest = np.abs(top - slope * bottom - constant)
-        weights = 1.0 / np.maximum(1.0, rest / (3.0 * max(float(np.median(rest)), 1e-12)))
-    return _moving(float(slope))
+        slope, intercept = np.linalg.lstsq(rows, [weights @ (bottom * top), weights @ top])[0]
+        residual = np.abs(top - slope * bottom - intercept)
+        weights = 1.0 / np.maximum(1.0, residual / (3.0 * max(float(np.median(residual)), 1e-12)))
+    return _unless_constant(float(slope))
 
 
-def _against_course(motion: Motion, over: Windows, way: np.ndarray) -> tuple[float, float]:
-    """(yaw, yaw rate) over course: change from one window's middle to the next."""
+def _against_course(motion: Motion, over: Windows, distance: np.ndarray) -> tuple[float, float]:
+    """(yaw, integrated yaw rate) over course: change from one window's middle to the next."""
     if len(over) < 2:
         return float("nan"), float("nan")
-    course = np.unwrap(np.arctan2(over.change(motion.y), over.change(motion.x)))
-    scale = float(np.median(way)) if len(way) else 0.0
+    turn = np.diff(np.unwrap(np.arctan2(over.change(motion.y), over.change(motion.x))))
     # Consecutive windows in which the car moves: else the course is noise.
-    usable = (over.last[:-1] == over.first[1:]) & (np.minimum(way[1:], way[:-1]) > max(0.3 * scale, 1e-12))
-    turn = np.diff(course)[usable]
-    usable_turn = np.abs(turn) < 1.5
-    yaw = np.diff(over.mean(motion.time, motion.yaw))[usable][usable_turn]
-    rate = np.diff(over.mean(motion.time, integral(motion.time, motion.yaw_rate)))[usable][usable_turn]
-    turn = turn[usable_turn]
-    return _slope(yaw, turn), _slope(rate, turn)
+    moving = np.minimum(distance[1:], distance[:-1]) > max(0.3 * float(np.median(distance)), 1e-12)
+    usable = (over.last[:-1] == over.first[1:]) & moving & (np.abs(turn) < 1.5)
+    yaw = np.diff(over.mean(motion.time, motion.yaw))
+    rate = np.diff(over.mean(motion.time, integral(motion.time, motion.yaw_rate)))
+    return _slope(yaw[usable], turn[usable]), _slope(rate[usable], turn[usable])

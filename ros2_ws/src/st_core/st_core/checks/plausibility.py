@@ -1,9 +1,8 @@
 """Samples that no car and no working sensor produces: spikes, sentinels, values out of range, wrap-arounds.
 
-Judged on each channel alone, before anything is compared, so that one broken sample cannot pass for a wrong unit of the
-whole run. Whatever is found is reported and left out of the drive that every verb uses. A step from one sample to the
-next is large where it exceeds both what a car can do and what the channel usually does, so that a channel in another
-unit is not broken by its unit:
+Each channel is judged alone, before any comparison, so that a broken sample is not taken for a wrong unit of the whole
+run. Implausible samples are reported and left out of the drive that every verb uses. A step from one sample to the next
+is large where it exceeds both what a car can do and what the channel usually does, whatever its unit:
 
     |v_k - v_{k-1}| > max(limit, 20 median |v_k - v_{k-1}|),   median over the steps that are not 0
 
@@ -17,30 +16,31 @@ from typing import Any
 import numpy as np
 
 from ..log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
-from .finding import Advice, Finding, Severity, merged
+from .finding import Advice, Finding, Severity, merge_findings
 from .motion import LONGEST_GAP, spans, stretches
 
-MEDIANS = 20.0  # median steps; noise and quantisation stay below
-HALF_WINDOW = 0.1  # s to both sides of a sample that its spike is judged in; at least two updates of the channel
-SHORTEST_SENTINEL, SHORTEST_ZERO = 3, 0.2  # samples of one value between two large steps; s for the value 0
-PAUSES = 3.0  # times the usual pause of a channel, from which on a repeated value is not its update rate
+STEP_MEDIANS = 20.0  # median steps; noise and quantisation stay below
+HALF_WINDOW = 0.1  # s to both sides of a sample in which a spike is judged; at least two updates of the channel
+MIN_SENTINEL_SAMPLES = 3  # of one value between two large steps
+MIN_ZERO_TIME = 0.2  # s for the value 0
+SENTINEL_PAUSE_RATIO = 3.0  # times the usual pause of a channel; a shorter one is its update rate
 MOVING = 1.0  # m/s
-MOST = 0.5  # share of the samples; beyond it the channel is unusable and nothing is left out
-FEW = 0.01  # share of the samples up to which spikes are a note: the rest of the run is as good as without them
-WRAP_LIMIT = 0.3  # of the largest plausible step; smaller wraps are smaller than what a channel can do anyway
-WRAP_SPREAD, WRAP_SYMMETRY = 0.1, 0.2  # of the wrap's size: how far its steps may differ, and its ends be asymmetric
-MOST_WRAPPED = 0.2  # share of the samples; beyond it the true range is not certain
-ONE_WAY = 0.5  # net change of a stretch over the sum of its steps: 1 for a turn in another unit, 0 for noise
-JUMP = 30.0  # times the 90th percentile of all steps; the largest of seventeen real drives is 15
-LEAST = 20  # samples
-MOST_LISTED = 200  # stretches of a finding
+MAX_BAD_SHARE = 0.5  # of the samples; beyond it the channel is unusable and nothing is left out
+NOTE_SHARE = 0.01  # of the samples, up to which spikes are a note
+WRAP_LIMIT = 0.3  # of the largest plausible step; smaller wraps are within what a channel can do anyway
+WRAP_SPREAD, WRAP_SYMMETRY = 0.1, 0.2  # of the wrap's size: largest difference of its steps, asymmetry of its ends
+MAX_WRAPPED_SHARE = 0.2  # of the samples; beyond it the true range is uncertain
+MAX_NET_CHANGE = 0.5  # of a stretch over the sum of its steps: 1 for a turn in another unit, 0 for noise
+JUMP_RATIO = 30.0  # times the 90th percentile of all steps; the largest of seventeen real drives is 15
+MIN_SAMPLES = 20
+MAX_LISTED = 200  # stretches of a finding
 STEP_TIME = 0.05  # s
 
 
 @dataclass(frozen=True)
 class Plausible:
-    """What a road car can do in one channel. step: largest change between samples up to STEP_TIME apart [unit], in
-    proportion beyond. largest: magnitude [unit] that is out of range; inf without a limit."""
+    """Limits of one channel of a road car. step: largest change within STEP_TIME [unit], in proportion to longer times.
+    largest: magnitude [unit] beyond which a value is out of range."""
 
     unit: str
     step: float
@@ -62,9 +62,9 @@ CHANNELS: Mapping[str, Plausible] = {
 
 @dataclass(frozen=True)
 class _Channel:
-    """One channel without the samples that are NaN. rows: places in the log. step, usual: |change| from each sample to
-    the next, and the median of those that are not 0. split: whether a gap lies between. update [s]: median time between
-    changes."""
+    """One channel without NaN samples. rows: their indices in the log. step: |change| from each sample to the next;
+    usual: median of those that are not 0. split: whether a gap lies between. update: median time between changes [s].
+    """
 
     name: str
     plausible: Plausible
@@ -85,32 +85,34 @@ class _Channel:
     def limit(self) -> float:
         """Largest plausible change from one sample to the next [unit]."""
         physical = self.plausible.step * max(1.0, self.spacing / STEP_TIME, self.update / STEP_TIME)
-        return max(physical, MEDIANS * self.usual)
+        return max(physical, STEP_MEDIANS * self.usual)
 
 
-def plausible(log: DriveLog, start_ns: int | None = None) -> tuple[DriveLog, list[Finding]]:
+def without_implausible(log: DriveLog, start_ns: int | None = None) -> tuple[DriveLog, list[Finding]]:
     """(the drive without implausible samples, one finding for each kind and channel).
 
-    An INS row is left out for any of INS_SIGNALS; an optional signal becomes NaN; steering samples are left out of the
-    steering alone. A channel of which more than half is implausible keeps its samples, and its finding is an error.
-    start_ns: zero of the times in the findings; None for the first INS measurement.
+    A row of the INS is left out for any of INS_SIGNALS, an optional signal becomes NaN, and samples of the steering are
+    left out of the steering alone. A channel more than half of which is implausible keeps its samples, and its finding
+    is an error. start_ns: zero of the times in the findings; None for the first INS measurement.
     """
-    origin = start_ns if start_ns is not None else int(log.ins_time_ns[0]) if len(log.ins_time_ns) else 0
+    if start_ns is None:
+        start_ns = int(log.ins_time_ns[0]) if len(log.ins_time_ns) else 0
     bad_rows = np.zeros(len(log.ins_time_ns), bool)
     bad_steering = np.zeros(len(log.steering_time_ns), bool)
     blanked: dict[str, np.ndarray] = {}
     findings: list[Finding] = []
-    moving = _moving(log)
+    moving = _is_moving(log)
     steering = "road_wheel_angle" if log.steering_wheel_angle is None else "steering_wheel_angle"
     for name in (*INS_SIGNALS, "acceleration_x", "acceleration_y", steering):
         values = getattr(log, name)
         if values is None:
             continue
-        time_ns, at = log.ins_time_ns, moving
+        time_ns, is_moving = log.ins_time_ns, moving
         if name == steering:
             time_ns = log.steering_time_ns
-            at = np.interp(time_ns - origin, log.ins_time_ns - origin, moving) > 0.5 if len(moving) else moving
-        bad, found = implausible_samples(name, (time_ns - origin) * 1e-9, values, at)
+            if len(moving):
+                is_moving = np.interp(time_ns - start_ns, log.ins_time_ns - start_ns, moving) > 0.5
+        bad, found = implausible_samples(name, (time_ns - start_ns) * 1e-9, values, is_moving)
         findings += found
         if name == steering:
             bad_steering |= bad
@@ -118,15 +120,15 @@ def plausible(log: DriveLog, start_ns: int | None = None) -> tuple[DriveLog, lis
             blanked[name] = np.where(bad, np.nan, values)
         elif name not in OPTIONAL_INS_SIGNALS:
             bad_rows |= bad
-    return _without(log, bad_rows, bad_steering, blanked), merged(findings)
+    return _leave_out(log, bad_rows, bad_steering, blanked), merge_findings(findings)
 
 
 def implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
                         moving: np.ndarray) -> tuple[np.ndarray, list[Finding]]:
-    """(samples of one channel to leave out (n,) bool, the findings).
+    """(which samples of one channel to leave out (n,), the findings).
 
     name: a key of CHANNELS. time: rising [s], any zero; that of the findings. values: (n,), NaN where unknown; yaw
-    unwrapped. moving: (n,) whether the car moves. Nothing is left out of a channel more than half of which is bad.
+    unwrapped. moving: (n,) whether the car moves. Nothing is left out of a channel with more than half bad samples.
     """
     bad = np.zeros(len(values), bool)
     channel = _channel(name, time, values)
@@ -135,30 +137,30 @@ def implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
     findings = []
     large = channel.step > channel.limit
     taken = np.zeros(len(channel.values), bool)
-    for kind, samples in (("channel_wraps", _wrapped(channel)),
-                          ("sentinel_values", _sentinels(channel, large, moving[channel.rows])),
-                          ("sample_spikes", _spikes(channel, large)),
-                          ("out_of_range", _out_of_range(channel, large))):
+    for kind, samples in (("channel_wraps", _find_wraps(channel)),
+                          ("sentinel_values", _find_sentinels(channel, large, moving[channel.rows])),
+                          ("sample_spikes", _find_spikes(channel, large)),
+                          ("out_of_range", _find_out_of_range(channel, large))):
         new = np.setdiff1d(samples, np.flatnonzero(taken))
         taken[new] = True
         if len(new):
             findings.append(_finding(kind, channel, new))
     bad[channel.rows[taken]] = True
-    if name not in ("x", "y", "yaw") and len(jumps := _jumps(channel, large, taken)):
+    if name not in ("x", "y", "yaw") and len(jumps := _find_jumps(channel, large, taken)):
         findings.append(_finding("channel_jumps", channel, jumps))
-    return (bad if bad.mean() <= MOST else np.zeros_like(bad)), findings
+    return (bad if bad.mean() <= MAX_BAD_SHARE else np.zeros_like(bad)), findings
 
 
 def broken_channels(findings: Iterable[Finding]) -> set[str]:
-    """Channels that leaving samples out did not repair: nothing can be compared with them."""
-    return {channel for one in findings if one.name == "channel_jumps" or one.severity is Severity.ERROR
-            for channel in one.channels}
+    """Channels that cannot be compared, since leaving samples out did not repair them."""
+    return {channel for finding in findings for channel in finding.channels
+            if finding.name == "channel_jumps" or finding.severity is Severity.ERROR}
 
 
 def _channel(name: str, time: np.ndarray, values: np.ndarray) -> _Channel | None:
-    """None for a channel that is too short or constant."""
+    """The channel without NaN; None where it is too short or constant."""
     rows = np.flatnonzero(np.isfinite(values))
-    if len(rows) < LEAST:
+    if len(rows) < MIN_SAMPLES:
         return None
     time, values = time[rows], values[rows]
     step, spacing = np.abs(np.diff(values)), np.diff(time)
@@ -170,8 +172,8 @@ def _channel(name: str, time: np.ndarray, values: np.ndarray) -> _Channel | None
     return _Channel(name, CHANNELS[name], rows, time, values, step, float(np.median(step[changes])), split, update)
 
 
-def _moving(log: DriveLog) -> np.ndarray:
-    """Whether the car moves by its velocity or its positions, for each INS sample; a dropout of one is not a stop."""
+def _is_moving(log: DriveLog) -> np.ndarray:
+    """Whether the car moves by velocity or by positions, for each INS sample, so that a dropout of one is no stop."""
     if len(log.ins_time_ns) < 2:
         return np.zeros(len(log.ins_time_ns), bool)
     time = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
@@ -180,20 +182,20 @@ def _moving(log: DriveLog) -> np.ndarray:
     return (way / (end - begin) > MOVING) | (np.abs(log.velocity_x) > MOVING)
 
 
-def _jumps(channel: _Channel, large: np.ndarray, taken: np.ndarray) -> np.ndarray:
+def _find_jumps(channel: _Channel, large: np.ndarray, taken: np.ndarray) -> np.ndarray:
     """Samples after a step that neither wraps nor returns and is far beyond all others, whatever the unit. Steps at the
     end of a pause belong to a frozen channel."""
-    held = np.concatenate((channel.step[:1] == 0.0, channel.step == 0.0)) | np.concatenate(
-        (channel.step == 0.0, channel.step[-1:] == 0.0))
+    same = channel.step == 0.0
+    held = np.append(same[:1], same) | np.append(same, same[-1:])
     aside = taken | (held & (channel.update <= 1.5 * channel.spacing))
-    far = large & (channel.step > JUMP * float(np.percentile(channel.step[channel.step > 0.0], 90)))
+    far = large & (channel.step > JUMP_RATIO * float(np.percentile(channel.step[channel.step > 0.0], 90)))
     return 1 + np.flatnonzero(far & ~channel.split & ~aside[1:] & ~aside[:-1])
 
 
-def _wrapped(channel: _Channel) -> np.ndarray:
-    """Samples on the far side of a wrap-around: steps of one size R, from about R/2 to about -R/2 and back. The range
-    in which the channel is nearest to 0 is taken for the true one."""
-    least = max(WRAP_LIMIT * channel.plausible.step, MEDIANS * channel.usual)
+def _find_wraps(channel: _Channel) -> np.ndarray:
+    """Samples on the far side of a wrap-around: steps of one size R, from about R/2 to about -R/2 and back. The true
+    range is the one in which the channel is nearest to 0."""
+    least = max(WRAP_LIMIT * channel.plausible.step, STEP_MEDIANS * channel.usual)
     places = np.flatnonzero((channel.step > least) & ~channel.split)
     if len(places) < 2:
         return places[:0]
@@ -202,28 +204,28 @@ def _wrapped(channel: _Channel) -> np.ndarray:
     ends = channel.values[places] + channel.values[places + 1]
     wraps = (np.abs(np.abs(change) - size) < WRAP_SPREAD * size) & (np.abs(ends) < WRAP_SYMMETRY * size)
     # Next to a wrap the channel approaches the end of its range: neighbours of a spike or of a sentinel do not.
-    if wraps.sum() < 2 or wraps.mean() < MOST or np.abs(channel.values).max() > (0.5 + WRAP_SPREAD) * size:
+    if wraps.sum() < 2 or wraps.mean() < MAX_BAD_SHARE or np.abs(channel.values).max() > (0.5 + WRAP_SPREAD) * size:
         return places[:0]
     level = np.zeros(len(channel.values), np.int64)
     level[places[wraps] + 1] = -np.sign(change[wraps]).astype(np.int64)
     level = np.cumsum(level)
-    true = min(np.unique(level), key=lambda one: float(np.median(np.abs(channel.values + size * (level - one)))))
+    true = min(np.unique(level), key=lambda turn: float(np.median(np.abs(channel.values + size * (level - turn)))))
     return np.flatnonzero(level != true)
 
 
-def _out_of_range(channel: _Channel, large: np.ndarray) -> np.ndarray:
-    """Samples beyond what a car can do, in stretches that begin or end with a large step, of a channel that is mostly
-    within: a channel in another unit is beyond throughout, and gets there without a step."""
+def _find_out_of_range(channel: _Channel, large: np.ndarray) -> np.ndarray:
+    """Samples out of range, in stretches that begin or end with a large step, of a channel that is mostly within range:
+    a channel in another unit is beyond it throughout, and gets there without a step."""
     beyond = np.abs(channel.values) > channel.plausible.largest
-    if not beyond.any() or beyond.mean() > MOST:
+    if not beyond.any() or beyond.mean() > MAX_BAD_SHARE:
         return np.zeros(0, np.int64)
     found = [np.arange(first, last + 1) for first, last in spans(beyond)
              if (first > 0 and large[first - 1]) or (last < len(large) and large[last])]
-    return np.concatenate(found) if found else np.zeros(0, np.int64)
+    return np.concatenate(found or [np.zeros(0, np.int64)])
 
 
-def _sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) -> np.ndarray:
-    """Stretches of one value that the channel leaps to and from: a fixed far value, or 0 while the car moves."""
+def _find_sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) -> np.ndarray:
+    """Stretches of one value to and from which the channel jumps: a fixed far value, or 0 while the car moves."""
     same = np.concatenate((channel.step == 0.0, [False]))
     edges = np.flatnonzero(~same)
     first, last = np.concatenate(([0], edges[:-1] + 1)), edges
@@ -232,11 +234,11 @@ def _sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) -> np.n
     usual = float(np.percentile(count, 98))
     found = []
     zero_step = max(8.0 * channel.usual, 0.0 if usual < 2.0 else 0.3 * channel.limit)
-    for k in np.flatnonzero(count >= SHORTEST_SENTINEL):
+    for k in np.flatnonzero(count >= MIN_SENTINEL_SAMPLES):
         begin, end = int(first[k]), int(last[k])
         zero = channel.values[begin] == 0.0
         # A far value is reached by steps that no channel makes; a 0 may be the usual pause of a slow one.
-        if zero and not (count[k] > PAUSES * usual and duration[k] >= SHORTEST_ZERO
+        if zero and not (count[k] > SENTINEL_PAUSE_RATIO * usual and duration[k] >= MIN_ZERO_TIME
                          and moving[begin:end + 1].mean() > 0.5):
             continue
         enough = channel.step > zero_step if zero and channel.name != "velocity_x" else large
@@ -245,10 +247,10 @@ def _sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) -> np.n
         leaps = (begin > 0 and enough[begin - 1]) or (end < len(enough) and enough[end])
         if entered and left and leaps:
             found.append(np.arange(begin, end + 1))
-    return np.concatenate(found) if found else np.zeros(0, np.int64)
+    return np.concatenate(found or [np.zeros(0, np.int64)])
 
 
-def _spikes(channel: _Channel, large: np.ndarray) -> np.ndarray:
+def _find_spikes(channel: _Channel, large: np.ndarray) -> np.ndarray:
     """Samples further than the limit from the median of their surroundings (Hampel 1974, with a physical limit), and
     stretches in which most steps are large and unlike their neighbours: equal large steps are a turn in another unit.
 
@@ -273,7 +275,7 @@ def _spikes(channel: _Channel, large: np.ndarray) -> np.ndarray:
     dense = np.convolve(large & rough & ~channel.split, np.ones(2 * half + 1), "same") > half
     for first, last in spans(dense):
         places = first + np.flatnonzero(large[first:last + 1])
-        if len(places) and abs(channel.values[last + 1] - channel.values[first]) < ONE_WAY * channel.step[
+        if len(places) and abs(channel.values[last + 1] - channel.values[first]) < MAX_NET_CHANGE * channel.step[
                 first:last + 1].sum():
             found.append(np.arange(places[0] + 1, places[-1] + 1))
     return np.unique(np.concatenate(found))
@@ -303,17 +305,17 @@ def _finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
                          f"{float(channel.step[samples - 1].max()):.4g} {unit} from one sample to the next "
                          f"{when}, and does not return: it is compared with nothing",
     }[kind]
-    severity = (Severity.ERROR if share > (MOST_WRAPPED if kind == "channel_wraps" else MOST) else
-                Severity.NOTE if kind == "sample_spikes" and share <= FEW else Severity.WARNING)
+    severity = (Severity.ERROR if share > (MAX_WRAPPED_SHARE if kind == "channel_wraps" else MAX_BAD_SHARE) else
+                Severity.NOTE if kind == "sample_spikes" and share <= NOTE_SHARE else Severity.WARNING)
     text += "" if severity is Severity.ERROR or kind == "channel_jumps" else "; left out"
     advice = ("look at the definition of the signal: more bits, or a larger factor" if kind == "channel_wraps" else
               "look at the sensor and the logger" if kind == "channel_jumps" else
               "look at the sensor and the logger; no command uses the samples named")
-    return Finding(kind, severity, (channel.name,), text, value, unit, None, where[:MOST_LISTED],
+    return Finding(kind, severity, (channel.name,), text, value, unit, None, where[:MAX_LISTED],
                    advice=Advice("look", advice))
 
 
-def _without(log: DriveLog, rows: np.ndarray, steering: np.ndarray, blanked: Mapping[str, Any]) -> DriveLog:
+def _leave_out(log: DriveLog, rows: np.ndarray, steering: np.ndarray, blanked: Mapping[str, Any]) -> DriveLog:
     if blanked:
         log = replace(log, **blanked)
     if rows.any() and not rows.all():

@@ -1,4 +1,4 @@
-"""Positions sample by sample against integrated velocity: jumps, stale samples, stamps that jitter.
+"""Positions sample by sample against integrated velocity: jumps, stale samples, noise, jitter of the stamps.
 
     d_k = p_k - p_{k-1} - integral of R(yaw) v dt
 
@@ -12,138 +12,140 @@ from itertools import pairwise
 import numpy as np
 from scipy.stats import binomtest
 
-from .finding import LIMITS, Advice, Finding, Severity
+from ..regression import ROBUST
+from .finding import HORIZON, LIMITS, Advice, Finding, Severity
 from .motion import LONGEST_GAP, MOVING, Motion, integral, stretches
 from .sampling import resolution
 
-SIGMAS = 6.0  # robust standard deviations from which on a step is none of the noise
-LEAST_NOISE = 0.05  # m; RTK positions have 2 cm, and those of an INS far less from sample to sample
-SMALLEST_JUMP = 0.2  # m; what 10 ms are at 20 m/s
-MOST_JUMPS = 50  # that are listed one by one
-ASIDE = 0.5 * LONGEST_GAP + 0.01  # s to both sides that make a gap, rounded to 10 ms
-FEWEST, LEAST_STALE = 5, 0.05  # samples, and their share from which on one start in twenty is wrong by it
-ALIKE = 0.35  # spread of the ages of stale samples over their median
-BALANCE = 0.5  # steps forward over steps back, at least
-CROSSWISE = 0.3  # part of a stale sample's step across the track, at most
+OUTLIER_SIGMAS = 6.0  # robust standard deviations beyond which a step is not noise
+MIN_NOISE = 0.05  # m; RTK positions have 2 cm, and those of an INS far less from sample to sample
+MIN_JUMP = 0.2  # m; the way in 10 ms at 20 m/s
+MAX_LISTED_JUMPS = 50
+JUMP_MARGIN = 0.5 * LONGEST_GAP + 0.01  # s to both sides of a jump, so that a gap remains; rounded to 10 ms
+MIN_STALE_SAMPLES, WARNING_STALE_SHARE = 5, 0.05  # with this share, one start in twenty is wrong
+MAX_AGE_SPREAD = 0.35  # spread of the ages of stale samples over their median
+MIN_STEP_BALANCE = 0.5  # steps forward over steps back
+MAX_CROSS_TRACK_SHARE = 0.3  # of a stale sample's step
 
 
-def steps(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """(motion, with even stamps where they only jitter; what was found)."""
+def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
+    """(the motion, with evenly spaced stamps where they only jitter; the findings)."""
     if len(motion.time) < 50:
         return motion, []
-    rest, along = _rests(motion)
-    rounding = max(resolution(motion.x), resolution(motion.y))
-    jitter = _jitter(motion, along)
+    errors, along = _step_errors(motion)
+    jitter = _check_jitter(motion, along)
     if jitter:
-        return motion.with_(time=_even(motion.time)), jitter
-    stale, findings = _stale(motion, rest, along, rounding)
-    return motion, findings + _jumps(motion, rest, stale, rounding) + (_noise(motion, rest) if rounding == 0.0 else [])
+        return motion.with_(time=_even_stamps(motion.time)), jitter
+    rounding = max(resolution(motion.x), resolution(motion.y))
+    stale, findings = _check_stale(motion, errors, along, rounding)
+    findings += _check_jumps(motion, errors, stale, rounding)
+    return motion, findings + (_check_noise(motion, errors) if rounding == 0.0 else [])
 
 
-def _even(time: np.ndarray) -> np.ndarray:
-    """The same stretches without a gap, evenly stamped."""
+def _even_stamps(time: np.ndarray) -> np.ndarray:
+    """Evenly spaced stamps in each stretch without a gap."""
     edges = np.concatenate(([0], np.flatnonzero(np.diff(time) > LONGEST_GAP) + 1, [len(time)]))
     return np.concatenate([np.linspace(time[a], time[b - 1], b - a) for a, b in pairwise(edges)])
 
 
-def _rests(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
-    """(d_k [m], east + i north; its part along the track over the speed [s], NaN at standstill): n - 1 each."""
+def _step_errors(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
+    """(d_k [m], east + i north; its part along the track over the speed [s], NaN at standstill), n - 1 each."""
     east, north = motion.velocity_map
-    rest = (np.diff(motion.x) - np.diff(integral(motion.time, east))
-            + 1j * (np.diff(motion.y) - np.diff(integral(motion.time, north))))
+    errors = (np.diff(motion.x) - np.diff(integral(motion.time, east))
+              + 1j * (np.diff(motion.y) - np.diff(integral(motion.time, north))))
     speed = np.hypot(east, north)[1:]
     heading = np.exp(-1j * np.arctan2(north, east)[1:])
-    return rest, np.where(speed > MOVING, (rest * heading).real / np.maximum(speed, MOVING), np.nan)
+    return errors, np.where(speed > MOVING, (errors * heading).real / np.maximum(speed, MOVING), np.nan)
 
 
-def _stale(motion: Motion, rest: np.ndarray, along: np.ndarray, rounding: float) -> tuple[np.ndarray, list[Finding]]:
+def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
+                 rounding: float) -> tuple[np.ndarray, list[Finding]]:
     """(which steps are those of stale samples, the finding)."""
     known = np.isfinite(along)
     none = np.zeros(len(along), bool)
     if known.sum() < 50:
         return none, []
-    away = along - np.median(along[known])
+    age = along - np.median(along[known])
     spacing = float(np.median(np.diff(motion.time)))
-    small = np.abs(away[known]) < 0.15 * spacing
-    spread = 1.4826 * float(np.median(np.abs(away[known][small]))) if small.any() else np.inf
+    small = np.abs(age[known]) < 0.15 * spacing
+    spread = ROBUST * float(np.median(np.abs(age[known][small]))) if small.any() else np.inf
     speed = motion.speed[1:]
-    crosswise = np.sqrt(np.maximum(np.abs(rest) ** 2 - np.where(known, along * speed, 0.0) ** 2, 0.0))
+    across = np.sqrt(np.maximum(np.abs(errors) ** 2 - np.where(known, along * speed, 0.0) ** 2, 0.0))
     # Noise is as large across the track as along it; at low speed its part along is many milliseconds.
-    noise = 1.4826 * float(np.median(crosswise[known]))
-    large = known & (np.abs(away) > max(SIGMAS * spread, 0.15 * spacing)) & (np.abs(away) * speed > SIGMAS * noise)
-    # Along the track, whatever its direction: else positions jump.
-    if large.sum() < FEWEST or np.median(crosswise[large]) > CROSSWISE * np.median(np.abs(rest[large])):
+    noise = ROBUST * float(np.median(across[known]))
+    large = (known & (np.abs(age) > max(OUTLIER_SIGMAS * spread, 0.15 * spacing))
+             & (np.abs(age) * speed > OUTLIER_SIGMAS * noise))
+    # Stale samples step along the track; steps in any direction are jumps.
+    if large.sum() < MIN_STALE_SAMPLES or np.median(across[large]) > MAX_CROSS_TRACK_SHARE * np.median(
+            np.abs(errors[large])):
         return none, []
-    age = float(np.median(np.abs(away[large])))
-    alike = 1.4826 * float(np.median(np.abs(np.abs(away[large]) - age))) < ALIKE * age
-    back, forward = known & (away < -0.5 * age), known & (away > 0.5 * age)
-    far = float(np.median(np.abs(rest[large])))
-    balanced = BALANCE < forward.sum() / max(back.sum(), 1) < 1.0 / BALANCE
-    if not alike or not balanced or age > 1.2 * spacing or far < 3.0 * rounding:
+    usual = float(np.median(np.abs(age[large])))
+    similar = ROBUST * float(np.median(np.abs(np.abs(age[large]) - usual))) < MAX_AGE_SPREAD * usual
+    back, forward = known & (age < -0.5 * usual), known & (age > 0.5 * usual)
+    balanced = MIN_STEP_BALANCE < forward.sum() / max(back.sum(), 1) < 1.0 / MIN_STEP_BALANCE
+    if not similar or not balanced or usual > 1.2 * spacing or float(np.median(np.abs(errors[large]))) < 3.0 * rounding:
         return none, []
     share = float(back.sum() / known.sum())
     trials = max(round(float(known.sum()) * spacing), 1)  # errors of neighbouring samples are not independent
     ends = binomtest(round(share * trials), trials).proportion_ci(method="wilson")
     interval = min(float(ends.low), share), max(float(ends.high), share)
-    effect = age * float(np.median(speed[known]))
-    text = (f"at {100 * share:.2g} % of the rows the position falls back to one measured {age * 1e3:.0f} ms earlier, "
+    text = (f"at {100 * share:.2g} % of the rows the position falls back to one measured {usual * 1e3:.0f} ms earlier, "
             "and catches up later: in between it is one sample of the receiver old")
-    severity = Severity.WARNING if share > LEAST_STALE else Severity.NOTE
-    its = (back | forward) & (np.abs(away) < 1.6 * age) & (crosswise < CROSSWISE * np.abs(rest))
-    return its, [Finding(
-        "position_stale", severity, ("x", "y"), text, share, "1", interval,
-        stretches(motion.time[1:][back], 5.0)[:20], effect,
+    severity = Severity.WARNING if share > WARNING_STALE_SHARE else Severity.NOTE
+    stale = (back | forward) & (np.abs(age) < 1.6 * usual) & (across < MAX_CROSS_TRACK_SHARE * np.abs(errors))
+    return stale, [Finding(
+        "position_stale", severity, ("x", "y"), text, share, "1", interval, stretches(motion.time[1:][back], 5.0)[:20],
+        usual * float(np.median(speed[known])),
         Advice("look", "stamp positions with their own time, or leave out rows with an old one"))]
 
 
-def _jumps(motion: Motion, rest: np.ndarray, stale: np.ndarray, rounding: float) -> list[Finding]:
-    size = np.abs(rest - np.median(rest.real) - 1j * np.median(rest.imag))
-    scale = 1.4826 * float(np.median(size))
+def _check_jumps(motion: Motion, errors: np.ndarray, stale: np.ndarray, rounding: float) -> list[Finding]:
+    size = np.abs(errors - np.median(errors.real) - 1j * np.median(errors.imag))
+    scale = ROBUST * float(np.median(size))
     within = (np.diff(motion.time) <= LONGEST_GAP) & ~stale
-    large = within & (size > max(SIGMAS * scale, SMALLEST_JUMP, 2.0 * rounding))
+    large = within & (size > max(OUTLIER_SIGMAS * scale, MIN_JUMP, 2.0 * rounding))
     count = int(large.sum())
     if not count:
         return []
-    sizes = size[large]
     where = tuple((float(motion.time[k]), float(motion.time[k + 1])) for k in np.flatnonzero(large))
-    median, largest = float(np.median(sizes)), float(sizes.max())
+    median, largest = float(np.median(size[large])), float(size[large].max())
     text = (f"positions jump {count} time{'s' if count > 1 else ''}, by {median:.2f} m in the median, {largest:.2f} m "
             "at most, not explained by velocity")
-    share = min(count * 5.0 / max(float(motion.time[-1] - motion.time[0]), 1.0), 1.0)
+    share = min(count * HORIZON / max(float(motion.time[-1] - motion.time[0]), 1.0), 1.0)
     effect = median * float(np.sqrt(share))
     return [Finding("position_jumps", LIMITS.severity(effect, largest >= LIMITS.warning), ("x", "y"), text,
-                    float(count), "1", None, where[:MOST_JUMPS], effect, _without(where))]
+                    float(count), "1", None, where[:MAX_LISTED_JUMPS], effect, _leave_out_jumps(where))]
 
 
-def _without(where: Sequence[tuple[float, float]]) -> Advice:
-    """A gap at each jump: nothing is compared, and no prediction scored, across one."""
-    if len(where) > MOST_JUMPS:
+def _leave_out_jumps(where: Sequence[tuple[float, float]]) -> Advice:
+    """Makes a gap at each jump: nothing is compared, and no prediction scored, across one."""
+    if len(where) > MAX_LISTED_JUMPS:
         return Advice("look", "too many to leave out: use the positions of one receiver, with RTK, or post-process")
-    stretches: list[list[float]] = []
+    gaps: list[list[float]] = []
     for first, last in where:
-        begin, end = round(first - ASIDE, 2), round(last + ASIDE, 2)
-        if stretches and begin <= stretches[-1][1]:
-            stretches[-1][1] = end
+        begin, end = round(first - JUMP_MARGIN, 2), round(last + JUMP_MARGIN, 2)
+        if gaps and begin <= gaps[-1][1]:
+            gaps[-1][1] = end
         else:
-            stretches.append([begin, end])
-    return Advice("run.yaml", f"leave_out: {stretches}", {"leave_out": stretches})
+            gaps.append([begin, end])
+    return Advice("run.yaml", f"leave_out: {gaps}", {"leave_out": gaps})
 
 
-def _noise(motion: Motion, rest: np.ndarray) -> list[Finding]:
+def _check_noise(motion: Motion, errors: np.ndarray) -> list[Finding]:
     """White noise of positions: the size of d_k is Rayleigh distributed about sigma sqrt(2), its median 1.665 sigma."""
     within = np.diff(motion.time) <= LONGEST_GAP
     if within.sum() < 50:
         return []
-    sigma = float(np.median(np.abs(rest[within]))) / 1.665
-    if sigma < LEAST_NOISE:
+    sigma = float(np.median(np.abs(errors[within]))) / 1.665
+    if sigma < MIN_NOISE:
         return []
     text = f"positions are noisy: {sigma:.2f} m of standard deviation from one sample to the next"
     return [Finding("position_noise", LIMITS.severity(sigma), ("x", "y"), text, sigma, "m", effect=sigma,
                     advice=Advice("look", "record with RTK, or use the positions of the INS, not of the receiver"))]
 
 
-def _jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
-    """Uneven stamps of an even motion: d / v = -(dt - its mean)."""
+def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
+    """Finding of uneven stamps of a smooth motion: d / v = -(dt - its mean)."""
     spacing = np.diff(motion.time)
     usual = float(np.median(spacing))
     inside = (spacing < LONGEST_GAP) & np.isfinite(along)
@@ -159,5 +161,5 @@ def _jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
     if slope < 0.5 or effect < LIMITS.min_reported_effect:
         return []
     text = f"the stamps jitter by {deviation * 1e3:.1f} ms, the motion does not: they were made on arrival"
-    return [Finding("time_jitter", LIMITS.severity(effect), ("time",), text, deviation, "s", None, (), effect,
+    return [Finding("time_jitter", LIMITS.severity(effect), ("time",), text, deviation, "s", effect=effect, advice=
                     Advice("look", "use the time of measurement (GPS time), not that of reception"))]

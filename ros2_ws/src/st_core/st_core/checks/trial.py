@@ -1,13 +1,13 @@
-"""Every proposed correction is applied to the run it was found in, and proposed only if predictions do not get worse.
+"""Trial of corrections: each is applied to the run it was found in, and proposed unless predictions get worse.
 
 The error is the distance between the measured position and that of the linear single-track model, 5 s after starts that
-lie 5 s apart, so that they do not overlap; both come from the drive as corrected. A steering ratio or offset of the
-vehicle file that is wrong would favour corrections that happen to compensate it, so both are fitted before and after:
+lie 5 s apart, both from the corrected drive. A wrong steering ratio or offset of the vehicle file would favour
+corrections that happen to compensate it, so both are fitted before and after:
 
     e = e_0 + (de/dg) g + (de/do) o,    g, o: gain [1] and offset [rad] of the road wheel angle, least squares within
-                                        |g| <= MOST_GAIN, |o| <= MOST_OFFSET
+                                        |g| <= MAX_GAIN, |o| <= MAX_OFFSET
 
-Without the bounds a circle, on which gain and offset look alike, explains any error by huge values of both.
+Without bounds a circle, on which gain and offset are confounded, explains any error by huge values of both.
 
 Checked by: test_checks_trial.py.
 """
@@ -30,94 +30,97 @@ from ..vehicle import VehicleParameters
 from .finding import HORIZON, LIMITS, Advice, Finding, Severity
 from .motion import stretches
 
-# Factor, and m: less is the noise of positions, and on seventeen real drives what a correct one changed at most (7 %).
-WORSE, NOISE = 1.1, 0.02
-GAIN, OFFSET = 0.03, 0.003  # 1, rad; steps of the derivatives
-MOST_GAIN, MOST_OFFSET = LIMITS.steering_unit - 1.0, 0.1  # 1, rad at the road wheels; no car has more
-LEAST_STARTS = 4
-MOST_STARTS = 100  # spread over the run; more do not change an average by a per cent
-TIMES = {"ms": 1e3, "us": 1e6, "ns": 1e9}
-SPEEDS = 40  # at which steps are examined, between the lowest and the highest of the run
-PARTS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MOST_SUBSTEPS)  # of a step, which keep it a plain number
-TOGETHER = 1.0  # s; stretches closer than that are one
+# Factor and m; below is noise of positions, and the change by correct ones on seventeen real drives (7 % at most).
+MAX_ERROR_RATIO, ERROR_NOISE = 1.1, 0.02
+GAIN_STEP, OFFSET_STEP = 0.03, 0.003  # 1, rad; of the derivatives
+MAX_GAIN, MAX_OFFSET = LIMITS.steering_unit - 1.0, 0.1  # 1, rad at the road wheels; no car has more
+MIN_STARTS = 4
+MAX_STARTS = 100  # spread over the run; more change an average by less than a per cent
+TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
+SPEED_COUNT = 40  # at which steps are examined, between the lowest and the highest speed of the run
+STEP_DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MOST_SUBSTEPS)  # which keep a step a plain number
+MERGE_GAP = 1.0  # s; stretches closer than that are merged
 State = tuple[DriveLog, VehicleParameters]
 
 
-def tried(findings: list[Finding], log: DriveLog, vehicle: VehicleParameters) -> list[Finding]:
+def try_corrections(findings: list[Finding], log: DriveLog, vehicle: VehicleParameters) -> list[Finding]:
     """The findings with the error [m] before and after their correction, without the corrections that do harm.
 
     Corrections of errors are applied together, since one wrong unit hides another; then each warning separately. A
-    warning that its correction refutes becomes a note. Corrections that no prediction depends on are not tried.
+    warning refuted by its correction becomes a note. Corrections on which no prediction depends are not tried.
     """
-    tested = [one for one in findings if _is_tested(one)]
+    tested = [finding for finding in findings if _is_tested(finding)]
     if not tested:
         return findings
-    errors = [one for one in findings if one.severity is Severity.ERROR]
+    errors = [finding for finding in findings if finding.severity is Severity.ERROR]
     state: State = (log, vehicle)
-    replaced: dict[int, Finding] = {}
-    before = _error(state)
+    outcomes: dict[int, Finding] = {}
+    before = _prediction_error(state)
+    harmful = False
     if errors:
         together: State | None = state
-        for one in errors:
-            together = _applied(together, one.advice) if together else None
-        after = _error(together)
-        replaced |= {id(one): _judged(one, before, after) for one in errors if _is_tested(one)}
-        if together is None or after is None or (before is not None and _worse(before, after)):
-            return [replaced.get(id(one), one) for one in findings]
-        state, before = together, after
-    for one in tested:
-        if one.severity is Severity.WARNING:
-            replaced[id(one)] = _judged(one, before, _error(_applied(state, one.advice)))
-    return [replaced.get(id(one), one) for one in findings]
+        for finding in errors:
+            together = _apply_advice(together, finding.advice) if together else None
+        after = _prediction_error(together)
+        outcomes |= {id(finding): _with_outcome(finding, before, after) for finding in errors if _is_tested(finding)}
+        harmful = together is None or after is None or (before is not None and _is_worse(before, after))
+        if together is not None and not harmful:
+            state, before = together, after
+    for finding in tested:
+        if finding.severity is Severity.WARNING and not harmful:
+            after = _prediction_error(_apply_advice(state, finding.advice))
+            outcomes[id(finding)] = _with_outcome(finding, before, after)
+    return [outcomes.get(id(finding), finding) for finding in findings]
 
 
-def _is_tested(one: Finding) -> bool:
-    return (one.severity is not Severity.NOTE and one.advice is not None and bool(one.advice.entry)
-            and not one.of_acceleration and "leave_out" not in one.advice.entry)
+def _is_tested(finding: Finding) -> bool:
+    return (finding.severity is not Severity.NOTE and finding.advice is not None and bool(finding.advice.entry)
+            and not finding.of_acceleration and "leave_out" not in finding.advice.entry)
 
 
-def _judged(one: Finding, before: float | None, after: float | None) -> Finding:
+def _with_outcome(finding: Finding, before: float | None, after: float | None) -> Finding:
     if before is None or after is None:
-        return one
-    if not _worse(before, after):
-        return replace(one, tried=(before, after))
+        return finding
+    if not _is_worse(before, after):
+        return replace(finding, tried=(before, after))
     advice = (f"its correction would raise the prediction error of this run from {before:.2f} to {after:.2f} m and is "
               "not proposed: look for another cause")
-    severity = Severity.NOTE if one.severity is Severity.WARNING else one.severity
-    return replace(one, severity=severity, advice=Advice("look", advice), tried=(before, after))
+    severity = Severity.NOTE if finding.severity is Severity.WARNING else finding.severity
+    return replace(finding, severity=severity, advice=Advice("look", advice), tried=(before, after))
 
 
-def _worse(before: float, after: float) -> bool:
-    return after > WORSE * before + NOISE
+def _is_worse(before: float, after: float) -> bool:
+    return after > MAX_ERROR_RATIO * before + ERROR_NOISE
 
 
-def _error(state: State | None) -> float | None:
+def _prediction_error(state: State | None) -> float | None:
     """Root mean square distance after the horizon [m]; None where nothing can be predicted."""
     if state is None:
         return None
     log, vehicle = state
     starts = regular_starts(log, HORIZON)
-    starts = starts[::max(len(starts) // MOST_STARTS, 1)]
+    starts = starts[::max(len(starts) // MAX_STARTS, 1)]
     angle = log.road_wheel_angle
     try:
         base, gain, offset = (
-            evaluate_log(("linear",), vehicle, replace(log, road_wheel_angle=one), EvaluationSettings(), starts)
+            evaluate_log(("linear",), vehicle, replace(log, road_wheel_angle=changed), EvaluationSettings(), starts)
             .errors["linear", "hindsight"].at_seconds[:, -1, :2]
-            for one in (angle, (1.0 + GAIN) * angle, angle + OFFSET))
+            for changed in (angle, (1.0 + GAIN_STEP) * angle, angle + OFFSET_STEP))
     except StCoreError:
         return None
     known = np.isfinite(base + gain + offset).all(axis=1)
-    if known.sum() < LEAST_STARTS:
+    if known.sum() < MIN_STARTS:
         return None
     error = base[known].ravel()
-    slopes = np.stack([(one[known].ravel() - error) / step for one, step in ((gain, GAIN), (offset, OFFSET))], axis=1)
-    most = np.array([MOST_GAIN, MOST_OFFSET])
-    left = lsq_linear(slopes, error, (-most, most)).fun
-    return float(np.sqrt(2.0 * np.mean(left**2)))
+    slopes = np.stack([(gain[known].ravel() - error) / GAIN_STEP,
+                       (offset[known].ravel() - error) / OFFSET_STEP], axis=1)
+    bounds = np.array([MAX_GAIN, MAX_OFFSET])
+    residual = lsq_linear(slopes, error, (-bounds, bounds)).fun
+    return float(np.sqrt(2.0 * np.mean(residual**2)))
 
 
-def _applied(state: State, advice: Advice | None) -> State | None:
-    """The run as this correction leaves it; None where it cannot be applied here."""
+def _apply_advice(state: State, advice: Advice | None) -> State | None:
+    """The run with this correction; None where it cannot be applied here."""
     log, vehicle = state
     if advice is None or not advice.entry:
         return None
@@ -126,7 +129,7 @@ def _applied(state: State, advice: Advice | None) -> State | None:
         car = replace(vehicle, **values)
         return (log.with_steering(car) if log.steering_wheel_angle is not None else log), car
     try:
-        log = _relabelled(log, advice.entry)
+        log = _relabel_columns(log, advice.entry)
         changes = {name: Correction(**values) for name, values in advice.entry.get("correct", {}).items()}
         log = corrected(log, changes, vehicle, advice.entry.get("leave_out", ()))
     except StCoreError:
@@ -134,12 +137,12 @@ def _applied(state: State, advice: Advice | None) -> State | None:
     return log, vehicle
 
 
-def _relabelled(log: DriveLog, entry: Mapping[str, Any]) -> DriveLog:
-    """With another unit of time, and exchanged columns."""
+def _relabel_columns(log: DriveLog, entry: Mapping[str, Any]) -> DriveLog:
+    """The drive with another unit of time, and exchanged columns."""
     unit = entry.get("units", {}).get("t")
     if unit:
         start = log.start_ns
-        log = replace(log, **{name: start + np.round((getattr(log, name) - start) / TIMES[unit]).astype(np.int64)
+        log = replace(log, **{name: start + np.round((getattr(log, name) - start) / TIME_UNITS[unit]).astype(np.int64)
                               for name in ("ins_time_ns", "steering_time_ns")})
     columns = entry.get("columns", {})
     return replace(log, **{name: getattr(log, source) for name, source in columns.items()}) if columns else log
@@ -156,28 +159,28 @@ def step_too_long(models: Sequence[str | Model], vehicle: VehicleParameters, log
     speed = np.abs(log.velocity_x)
     if not len(speed):
         return None
-    speeds = np.linspace(speed.min(), speed.max(), SPEEDS)
+    speeds = np.linspace(speed.min(), speed.max(), SPEED_COUNT)
     factors = {model.name: np.array([growth(model, vehicle, v, step) for v in speeds]) for model in chosen}
     guilty = [name for name, factor in factors.items() if factor.max() > 1.0]
     if not guilty:
         return None
     unstable = np.interp(speed, speeds, np.max(list(factors.values()), axis=0)) > 1.0
     touched = speed[unstable] if unstable.any() else speed[:1]
-    value, unit, advice = _advice(chosen, vehicle, speeds.tolist(), step)
+    value, unit, advice = _step_advice(chosen, vehicle, speeds.tolist(), step)
     text = (f"integration steps of {1e3 * step:g} ms are too long for the {' and '.join(guilty)} model of "
             f"{vehicle.name} at {touched.min():.1f} to {touched.max():.1f} m/s: the lateral motion comes out wrong")
     seconds = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
-    where = () if unstable.all() else stretches(seconds[unstable], TOGETHER)
+    where = () if unstable.all() else stretches(seconds[unstable], MERGE_GAP)
     return Finding("step_too_long", Severity.WARNING, ("velocity_x",), text, value, unit, where=where, advice=advice)
 
 
-def _advice(models: Sequence[Model], vehicle: VehicleParameters, speeds: Sequence[float],
+def _step_advice(models: Sequence[Model], vehicle: VehicleParameters, speeds: Sequence[float],
           step: float) -> tuple[float | None, str, Advice]:
     needed = slip_speed_needed(models, vehicle, speeds, step)
     if needed is not None:
         line = f'minimum_slip_speed: {{value: {needed:g}, unit: m/s, source: "stable with steps of {1e3 * step:g} ms"}}'
         return needed, "m/s", Advice("vehicle", line, {"minimum_slip_speed": needed})
-    shorter = next((step / parts for parts in PARTS if stable(models, vehicle, speeds, step / parts)), None)
+    shorter = next((step / parts for parts in STEP_DIVISORS if stable(models, vehicle, speeds, step / parts)), None)
     if shorter is not None:
         return shorter, "s", Advice("option", f"--step {shorter:.9g}", {"step": shorter})
     return None, "s", Advice("look", f"no step down to {1e3 * step / MOST_SUBSTEPS:.2g} ms is short enough: look at "

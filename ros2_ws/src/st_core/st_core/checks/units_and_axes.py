@@ -1,7 +1,7 @@
 """Units, signs and axes: factors too large for a calibration error.
 
-Yaw change has three estimates (yaw, integrated yaw rate, course over ground), distance two (change of position,
-integrated velocity); the outlier of three is wrong:
+Yaw change has three estimates (yaw, integrated yaw rate, course over ground), of which the outlier is wrong; distance
+has two (change of position, integrated velocity):
 
     yaw / course = f, yaw / rate = f, rate / course = 1      -> yaw is f times too large
     position / velocity = 1 / f, yaw / rate = 1 / f          -> the stamps run f times too fast
@@ -13,91 +13,106 @@ from typing import Any
 
 import numpy as np
 
+from ..regression import ROBUST
 from .finding import LIMITS, Advice, Finding, Severity
-from .motion import ALIKE, LEAST_WAY, LEAST_WINDOWS, Motion, Windows, integral, near, ratios, sideways, windows
+from .motion import (
+    MIN_DISTANCE,
+    MIN_WINDOWS,
+    SAME_RATIO_FACTOR,
+    Motion,
+    Windows,
+    integral,
+    is_near,
+    moves_sideways,
+    ratios,
+    windows,
+)
 from .regression import Estimate
 
-LEAST_FOLLOWED, FOLLOWS = 0.2, 0.02  # rad of turning; largest misfit of positions, share of the distance
-ALONG = 0.1  # of the way, and of what yaw leaves: velocities that miss positions by less are those of the map
-GYRO = 0.005  # 1; scale error of a gyroscope or a projection that is in order
-LEAST_RATE = 0.005  # of the time; crystals are wrong by 0.0001, nominal rates by a whole sample
-CLEARLY = 0.8  # factor of the misfit
-TIE = 0.97  # factor of the misfit; closer, velocity_y is too small to show its unit, and has that of velocity_x
+MIN_YAW_RANGE = 0.2  # rad of turning
+MAX_FOLLOW_MISFIT = 0.02  # of the distance, up to which positions follow yaw and velocity
+MAX_MAP_MISFIT = 0.1  # of the distance, and of the misfit in body axes, up to which velocities are those of the map
+MAX_SCALE_ERROR = 0.005  # of a faultless gyroscope or projection
+MIN_RATE_ERROR = 0.005  # of the time; crystals are wrong by 0.0001, nominal rates by a whole sample
+CLEAR_MISFIT_RATIO = 0.8
+TIE_MISFIT_RATIO = 0.97  # beyond it velocity_y is too small to show its unit, and has that of velocity_x
 DEGREE, GON = 180.0 / np.pi, 200.0 / np.pi
 ANGLES = {DEGREE: "degrees", GON: "gon", 1000.0: "mrad"}
 SPEEDS = {3.6: "km/h", 2.23694: "mph", 1.94384: "knots"}
 LENGTHS = {1000.0: "millimetres", 100.0: "centimetres", 3.28084: "feet", 0.001: "kilometres"}
-FARTHEST = 1e-4  # below it positions are angles: a degree of the earth is 111 km
+MAX_DEGREE_RATIO = 1e-4  # below it positions are angles: a degree of the earth is 111 km
 TIMES = {1e3: ("milliseconds", "ms"), 1e6: ("microseconds", "us"), 1e9: ("nanoseconds", "ns")}
-SMALLEST_WRAP = 0.01  # rad; 360 degrees are 1.86 degrees more than a whole number of 2 pi
+MIN_WRAP_STEP = 0.01  # rad; 360 degrees are 1.86 degrees more than a whole number of 2 pi
+Corrected = tuple[Motion, Finding | None]
 
 
-def unit_of(factor: float, table: Mapping[float, Any]) -> float | None:
-    """The factor of a table of units that this one is, to 6 %."""
-    return next((known for known in table if near(factor, known, 1.06)), None)
+def match_unit(factor: float, table: Mapping[float, Any]) -> float | None:
+    """The factor of a table of units within 6 % of this one, or None."""
+    return next((known for known in table if is_near(factor, known, 1.06)), None)
 
 
 def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """(motion with units, signs and axes corrected, what was corrected). Its stamps are in seconds: see time_unit."""
-    found: list[Finding] = []
-    for step in (_both_turns, _north_east, _turns, _axes, _way, _velocity_axes, _turned):
+    """(motion with units, signs and axes corrected, the findings). Its stamps are in seconds: see `check_time_unit`."""
+    findings: list[Finding] = []
+    for step in (_correct_both_turns, _correct_north_east, _correct_turns, _correct_position_axes, _correct_distance,
+                 _correct_velocity_axes, _correct_yaw_offset):
         motion, finding = step(motion)
-        found += [finding] if finding else []
-    return motion, _one_yaw(found)
+        findings += [finding] if finding else []
+    return motion, _merge_yaw_findings(findings)
 
 
-def _one_yaw(found: list[Finding]) -> list[Finding]:
-    """A yaw that counts clockwise, and not from north, is one finding: each correction alone leaves an error."""
-    findings = {one.name: one for one in found}
-    if not {"yaw_convention", "yaw_offset"} <= findings.keys():
-        return found
-    clockwise, offset = findings["yaw_convention"], findings.pop("yaw_offset")
+def _merge_yaw_findings(findings: list[Finding]) -> list[Finding]:
+    """One finding for a yaw that counts clockwise, and not from north: each correction alone leaves an error."""
+    by_name = {finding.name: finding for finding in findings}
+    if not {"yaw_convention", "yaw_offset"} <= by_name.keys():
+        return findings
+    clockwise, offset = by_name["yaw_convention"], by_name.pop("yaw_offset")
     assert clockwise.advice and offset.advice  # both are made with one
     correct = dict(clockwise.advice.entry["correct"]["yaw"])
     correct["add"] += offset.advice.entry["correct"]["yaw"]["add"]
     text = f"{clockwise.text.partition(':')[0]}, and not from north: yaw is from east, counter-clockwise"
-    advice = Advice.correct("yaw", **correct)
-    return [replace(clockwise, text=text, advice=advice) if one is clockwise else one for one in findings.values()]
+    by_name["yaw_convention"] = replace(clockwise, text=text, advice=Advice.correct("yaw", **correct))
+    return list(by_name.values())
 
 
 def _error(name: str, channels: tuple[str, ...], text: str, value: float | None, advice: Advice) -> Finding:
-    return Finding(name, Severity.ERROR, channels, text, value, "1", None, (), None, advice)
+    return Finding(name, Severity.ERROR, channels, text, value, advice=advice)
 
 
-def time_unit(motion: Motion) -> tuple[Motion, Finding | None]:
-    """Stamps against positions and yaw: milliseconds taken for seconds."""
+def check_time_unit(motion: Motion) -> Corrected:
+    """Unit of the stamps against positions and yaw, as milliseconds taken for seconds."""
     if len(motion.time) < 20:
         return motion, None
     spacing = float(np.median(np.diff(motion.time)))
-    found = ratios(motion, max(1.0, 50 * spacing) if spacing > 0.2 else 1.0) if spacing > 2e-4 else ratios(
-        motion, 50 * spacing)
-    both = [r for r in (found.way, found.yaw_rate) if np.isfinite(r)]
-    if not both or not all(r > 0 and not 1 / LIMITS.unit < r < LIMITS.unit and near(r, both[0]) for r in both):
+    slow, fast = spacing > 0.2, spacing <= 2e-4
+    found = ratios(motion, max(1.0, 50 * spacing) if slow else 50 * spacing if fast else 1.0)
+    known = [ratio for ratio in (found.distance, found.yaw_rate) if np.isfinite(ratio)]
+    if not known or not all(r > 0 and not is_near(r, 1.0, LIMITS.unit) and is_near(r, known[0]) for r in known):
         return motion, None
-    factor = 1.0 / found.way
-    unit = unit_of(factor, TIMES)
+    factor = 1.0 / found.distance
+    unit = match_unit(factor, TIMES)
     # One ratio alone may also be the unit of velocity; then only a unit of time is accepted.
-    if not unit and (len(both) < 2 or 1 / 10 < factor < 10):
+    if not unit and (len(known) < 2 or 1 / 10 < factor < 10):
         return motion, None
-    words, advice = "", Advice("look", "look at the clock that stamps the rows")
+    reason, advice = "", Advice("look", "look at the clock that stamps the rows")
     if unit:
         factor, (name, symbol) = unit, TIMES[unit]
-        words, advice = f": {name}?", Advice("run.yaml", f"units: {{t: {symbol}}}", {"units": {"t": symbol}})
-    text = f"time runs {factor:g} times too fast for positions and yaw{words}"
+        reason, advice = f": {name}?", Advice("run.yaml", f"units: {{t: {symbol}}}", {"units": {"t": symbol}})
+    text = f"time runs {factor:g} times too fast for positions and yaw{reason}"
     return motion.slower(factor), _error("time_unit", ("time",), text, factor, advice)
 
 
-def nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate]) -> Finding | None:
-    """One finding for stamps at a wrong nominal rate: they make velocity and yaw rate too large by one factor, compared
-    with positions and yaw, which is that of the time. None where the two factors differ or one is 1."""
+def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate]) -> Finding | None:
+    """Finding of stamps at a wrong nominal rate, which make velocity and yaw rate too large by one factor, that of the
+    time, compared with positions and yaw. None where the two factors differ or one of them is 1."""
     velocity, turn = (estimates.get(name) for name in ("velocity_scale", "yaw_rate_scale"))
-    wrong = next((one for one in findings if one.name in ("velocity_scale", "position_scale")), None)
+    wrong = next((f for f in findings if f.name in ("velocity_scale", "position_scale")), None)
     if velocity is None or turn is None or wrong is None or turn.shifted(-1.0).covers(0.0):
         return None
-    apart = abs(velocity.value - turn.value)
-    if apart > float(np.hypot(np.hypot(velocity.half, turn.half), GYRO)) or abs(velocity.value - 1.0) < LEAST_RATE:
+    factor, difference = velocity.value, abs(velocity.value - turn.value)
+    if abs(factor - 1.0) < MIN_RATE_ERROR or difference > float(
+            np.hypot(np.hypot(velocity.half, turn.half), MAX_SCALE_ERROR)):
         return None
-    factor = velocity.value
     text = (f"time runs {factor:.4f} ± {velocity.half:.4f} times too fast for positions and yaw: are the rows stamped "
             "at a nominal rate that is not the true one?")
     scale = float(f"{1.0 / factor:.5g}")
@@ -110,47 +125,47 @@ def nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate]) -> 
 
 def yaw_is_late(motion: Motion, earlier: Motion) -> bool:
     """Whether positions follow velocity and yaw clearly better with `earlier`, the drive with another time of yaw."""
-    return _misfit(earlier) < CLEARLY * _misfit(motion)
+    return _misfit(earlier) < CLEAR_MISFIT_RATIO * _misfit(motion)
 
 
-def _both_turns(motion: Motion) -> tuple[Motion, Finding | None]:
-    """Yaw, of either sense, and yaw rate in one unit, which the course decides. Here the rate is corrected, then yaw.
-    """
+def _correct_both_turns(motion: Motion) -> Corrected:
+    """Yaw, of either sense, and yaw rate in one unit, shown by the course: here the rate is corrected, later yaw."""
     r = ratios(motion)
     # A course over one short bend is wrong by ten per cent; yaw and yaw rate decide together.
-    size = _angle(r.rate_course, ALIKE)
-    if size in ANGLES and near(abs(r.yaw_rate), 1.0, LIMITS.unit) and near(abs(r.yaw_course), size, LIMITS.unit):
-        return _yaw_rate(motion, r.rate_course, "the course of the positions", size)
+    size = _angle_unit(r.rate_course, SAME_RATIO_FACTOR)
+    if size in ANGLES and is_near(abs(r.yaw_rate), 1.0, LIMITS.unit) and (
+            is_near(abs(r.yaw_course), size, LIMITS.unit)):
+        return _scale_yaw_rate(motion, r.rate_course, "the course of the positions", size)
     return motion, None
 
 
-def _turns(motion: Motion) -> tuple[Motion, Finding | None]:
-    """Yaw and yaw rate, each against the other two."""
+def _correct_turns(motion: Motion) -> Corrected:
+    """Yaw and yaw rate, each against the other two estimates."""
     r = ratios(motion)
     if not np.isfinite(r.yaw_rate) or 1 / LIMITS.unit < r.yaw_rate < LIMITS.unit:
         return motion, None
-    if near(r.yaw_course, 1.0, LIMITS.unit) or _follows(motion) or near(1.0 / r.yaw_rate, DEGREE) or near(
-            r.rate_course, 1.0 / r.yaw_rate, LIMITS.unit):
-        return _yaw_rate(motion, 1.0 / r.yaw_rate)
-    if near(r.rate_course, -1.0, LIMITS.unit) and not near(r.yaw_course, -1.0, LIMITS.unit) and near(
+    if (is_near(r.yaw_course, 1.0, LIMITS.unit) or _positions_follow_yaw(motion) or is_near(1.0 / r.yaw_rate, DEGREE)
+            or is_near(r.rate_course, 1.0 / r.yaw_rate, LIMITS.unit)):
+        return _scale_yaw_rate(motion, 1.0 / r.yaw_rate)
+    if is_near(r.rate_course, -1.0, LIMITS.unit) and not is_near(r.yaw_course, -1.0, LIMITS.unit) and is_near(
             r.yaw_rate, -1.0, LIMITS.unit):
-        return _yaw_rate(motion, -1.0)
-    return _yaw(motion, r.yaw_rate)
+        return _scale_yaw_rate(motion, -1.0)
+    return _scale_yaw(motion, r.yaw_rate)
 
 
-def _north_east(motion: Motion) -> tuple[Motion, Finding | None]:
-    """Yaw and positions of the other sense than the yaw rate: north and east, if the other channels side with the rate.
+def _correct_north_east(motion: Motion) -> Corrected:
+    """Positions (north, east) and yaw of the opposite sense to the yaw rate, where the other channels confirm the rate.
     """
     r = ratios(motion)
-    if not (near(r.yaw_rate, -1.0, LIMITS.unit) and near(r.yaw_course, 1.0, LIMITS.unit)):
+    if not (is_near(r.yaw_rate, -1.0, LIMITS.unit) and is_near(r.yaw_course, 1.0, LIMITS.unit)):
         return motion, None
     turn = motion.yaw_rate * motion.velocity_x
-    sides = [_sense(motion.steering_at_ins() * motion.velocity_x, turn)]
+    votes = [_common_sign(motion.steering_at_ins() * motion.velocity_x, turn)]
     if motion.acceleration_y is not None:
-        sides.append(_sense(motion.acceleration_y, turn))
-    kept, mirrored = _misfit(motion), _misfit(motion.with_(velocity_y=-motion.velocity_y))
-    sides.append(1 if mirrored < CLEARLY * kept else -1 if kept < CLEARLY * mirrored else 0)
-    if sum(sides) <= 0:
+        votes.append(_common_sign(motion.acceleration_y, turn))
+    original, mirrored = _misfit(motion), _misfit(motion.with_(velocity_y=-motion.velocity_y))
+    votes.append(int(mirrored < CLEAR_MISFIT_RATIO * original) - int(original < CLEAR_MISFIT_RATIO * mirrored))
+    if sum(votes) <= 0:
         return motion, None
     text = ("x, y and yaw turn the other way than yaw rate and steering: x north, y east, and yaw a compass heading? "
             "x is east, y north, and yaw from east, counter-clockwise")
@@ -160,8 +175,8 @@ def _north_east(motion: Motion) -> tuple[Motion, Finding | None]:
         "position_axes", ("x", "y", "yaw"), text, None, Advice("run.yaml", line, entry))
 
 
-def _sense(values: np.ndarray, turn: np.ndarray) -> int:
-    """1 where values and turn clearly have one sign, -1 where the opposite one, else 0."""
+def _common_sign(values: np.ndarray, turn: np.ndarray) -> int:
+    """Sign of the correlation of values and turn; 0 where it is weak."""
     known = np.isfinite(values)
     if known.sum() < 50 or not np.std(values[known]) * np.std(turn[known]) > 0.0:
         return 0
@@ -169,20 +184,20 @@ def _sense(values: np.ndarray, turn: np.ndarray) -> int:
     return int(np.sign(correlation)) if abs(correlation) >= LIMITS.correlation else 0
 
 
-def _follows(motion: Motion) -> bool:
-    """Whether positions follow yaw and velocity, except for a constant rotation and a unit."""
+def _positions_follow_yaw(motion: Motion) -> bool:
+    """Whether positions follow yaw and velocity, apart from a constant rotation and a unit."""
     over = windows(motion.time, 1.0)
-    way = np.hypot(over.change(motion.x), over.change(motion.y))
-    run = over.change(integral(motion.time, motion.speed))
-    if len(over) < LEAST_WINDOWS or not np.ptp(motion.yaw) > LEAST_FOLLOWED:
+    distance = np.hypot(over.change(motion.x), over.change(motion.y))
+    integrated = over.change(integral(motion.time, motion.speed))
+    if len(over) < MIN_WINDOWS or not np.ptp(motion.yaw) > MIN_YAW_RANGE:
         return False
-    factor = float(np.sum(way) / max(np.sum(run), 1e-12))
+    factor = float(np.sum(distance) / max(np.sum(integrated), 1e-12))
     scaled = motion.with_(velocity_x=factor * motion.velocity_x, velocity_y=factor * motion.velocity_y)
-    return _misfit(scaled) < FOLLOWS * float(np.median(way))
+    return _misfit(scaled) < MAX_FOLLOW_MISFIT * float(np.median(distance))
 
 
-def _yaw_rate(motion: Motion, factor: float, against: str = "yaw", size: float = 0.0) -> tuple[Motion, Finding]:
-    size = size or _angle(factor)
+def _scale_yaw_rate(motion: Motion, factor: float, against: str = "yaw", size: float = 0.0) -> tuple[Motion, Finding]:
+    size = size or _angle_unit(factor)
     exact = float(np.copysign(size, factor))
     reason = (f": {ANGLES[size].replace('degrees', 'deg')}/s?" if size in ANGLES else
               ": it counts the other way (left is positive)" if exact == -1.0 else "")
@@ -191,8 +206,8 @@ def _yaw_rate(motion: Motion, factor: float, against: str = "yaw", size: float =
             _error("yaw_rate_scale", ("yaw_rate",), text, factor, Advice.correct("yaw_rate", scale=1.0 / exact)))
 
 
-def _yaw(motion: Motion, factor: float) -> tuple[Motion, Finding]:
-    size = _angle(factor)
+def _scale_yaw(motion: Motion, factor: float) -> tuple[Motion, Finding]:
+    size = _angle_unit(factor)
     if factor > 0.0:
         text = (f"yaw is {factor:.3g} times the angle from yaw rate and course"
                 + (f": {ANGLES[size]}?" if size in ANGLES else ""))
@@ -206,27 +221,28 @@ def _yaw(motion: Motion, factor: float) -> tuple[Motion, Finding]:
     return corrected, _error("yaw_convention", ("yaw",), text, factor, advice)
 
 
-def _angle(factor: float, within: float = 1.06) -> float:
-    """The unit of angles, or 1, that a factor is in size; its own size where it is none."""
-    return min((one for one in (*ANGLES, 1.0) if near(abs(factor), one, within)),
-               key=lambda one: abs(np.log(abs(factor) / one)), default=abs(factor))
+def _angle_unit(factor: float, within: float = 1.06) -> float:
+    """The unit of angles, or 1, near the magnitude of a factor; that magnitude where none is near."""
+    size = abs(factor)
+    return min((unit for unit in (*ANGLES, 1.0) if is_near(size, unit, within)),
+               key=lambda unit: abs(np.log(size / unit)), default=size)
 
 
 def _without_wraps(motion: Motion, yaw: np.ndarray) -> np.ndarray:
-    """A yaw that was unwrapped as if it were in rad still steps where it was wrapped: such steps are left out."""
+    """A yaw unwrapped as if it were in rad still steps where it was wrapped: such steps follow the yaw rate instead."""
     step = np.diff(yaw)
-    meant = 0.5 * (motion.yaw_rate[1:] + motion.yaw_rate[:-1]) * np.diff(motion.time)
-    away = np.abs(step - meant)
-    wrapped = away > max(8.0 * 1.4826 * float(np.median(away)), SMALLEST_WRAP)
-    return np.concatenate((yaw[:1], yaw[0] + np.cumsum(np.where(wrapped, meant, step))))
+    expected = np.diff(integral(motion.time, motion.yaw_rate))
+    error = np.abs(step - expected)
+    wrapped = error > max(8.0 * ROBUST * float(np.median(error)), MIN_WRAP_STEP)
+    return np.concatenate((yaw[:1], yaw[0] + np.cumsum(np.where(wrapped, expected, step))))
 
 
-def _axes(motion: Motion) -> tuple[Motion, Finding | None]:
-    """Positions mirrored against yaw and yaw rate, which agree."""
+def _correct_position_axes(motion: Motion) -> Corrected:
+    """Positions mirrored or exchanged, where yaw and yaw rate agree."""
     r = ratios(motion)
-    if not (near(r.yaw_course, -1.0, LIMITS.unit) and near(r.yaw_rate, 1.0, LIMITS.unit)):
+    if not (is_near(r.yaw_course, -1.0, LIMITS.unit) and is_near(r.yaw_rate, 1.0, LIMITS.unit)):
         return motion, None
-    _, measured, derived = _ways(motion, *motion.velocity_map)
+    _, measured, derived = _displacements(motion, *motion.velocity_map)
     angle = np.angle(np.sum(measured * derived))
     quarter = int(np.round(angle / (np.pi / 2))) % 4
     axes: dict[int, tuple[str, np.ndarray, np.ndarray, dict[str, Any]]] = {
@@ -237,41 +253,42 @@ def _axes(motion: Motion) -> tuple[Motion, Finding | None]:
             {"columns": {"x": "y", "y": "x"}, "correct": {"x": {"scale": -1.0}, "y": {"scale": -1.0}}}),
     }
     text, x, y, entry = axes[quarter]
-    key = "  # and ".join(f"{name}: {value}" for name, value in entry.items()).replace("'", "")
-    finding = _error("position_axes", ("x", "y"), f"positions turn the other way than the car: {text}", None,
-                     Advice("run.yaml", key, entry))
-    return motion.with_(x=x, y=y), finding
+    line = "  # and ".join(f"{name}: {value}" for name, value in entry.items()).replace("'", "")
+    return motion.with_(x=x, y=y), _error("position_axes", ("x", "y"),
+                                          f"positions turn the other way than the car: {text}", None,
+                                          Advice("run.yaml", line, entry))
 
 
-def _way(motion: Motion) -> tuple[Motion, Finding | None]:
-    """Positions against velocities: units."""
+def _correct_distance(motion: Motion) -> Corrected:
+    """Units of positions and velocities."""
     r = ratios(motion)
-    if not np.isfinite(r.way) or 1 / LIMITS.unit < r.way < LIMITS.unit:
+    if not np.isfinite(r.distance) or 1 / LIMITS.unit < r.distance < LIMITS.unit:
         return motion, None
-    speed, length = unit_of(1.0 / r.way, SPEEDS), unit_of(r.way, LENGTHS)
+    speed, length = match_unit(1.0 / r.distance, SPEEDS), match_unit(r.distance, LENGTHS)
     if length and not speed:
-        text = f"x and y are {r.way:.4g} times the integrated velocity: {LENGTHS[length]}?"
-        finding = _error("position_scale", ("x", "y"), text, r.way, Advice.correct("position", scale=1.0 / length))
-        return motion.with_(x=motion.x / length, y=motion.y / length), finding
-    if not speed and r.way < FARTHEST:
-        text = f"x and y are {r.way:.3g} times the integrated velocity: latitude and longitude? Metres are expected"
+        text = f"x and y are {r.distance:.4g} times the integrated velocity: {LENGTHS[length]}?"
+        return motion.with_(x=motion.x / length, y=motion.y / length), _error(
+            "position_scale", ("x", "y"), text, r.distance, Advice.correct("position", scale=1.0 / length))
+    if not speed and r.distance < MAX_DEGREE_RATIO:
+        text = (f"x and y are {r.distance:.3g} times the integrated velocity: latitude and longitude? Metres are "
+                "expected")
         advice = Advice("look", "project latitude and longitude to east and north")
-        return motion.with_(x=motion.x / r.way, y=motion.y / r.way), _error(
-            "position_scale", ("x", "y"), text, r.way, advice)
-    factor = speed or 1.0 / r.way
+        return motion.with_(x=motion.x / r.distance, y=motion.y / r.distance), _error(
+            "position_scale", ("x", "y"), text, r.distance, advice)
+    factor = speed or 1.0 / r.distance
     unit = f": {SPEEDS[speed]}?" if speed else ""
     both = motion.with_(velocity_x=motion.velocity_x / factor, velocity_y=motion.velocity_y / factor)
     forward = motion.with_(velocity_x=motion.velocity_x / factor)
-    alone = _misfit(forward) < TIE * _misfit(both)
+    alone = _misfit(forward) < TIE_MISFIT_RATIO * _misfit(both)
     name, channel = ("velocity_x_scale", "velocity_x") if alone else ("velocity_scale", "velocity")
     channels = ("velocity_x",) if alone else ("velocity_x", "velocity_y")
-    text = (f"{' and '.join(channels)} {'is' if alone else 'are'} {1.0 / r.way:.3g} times the rate of change of "
+    text = (f"{' and '.join(channels)} {'is' if alone else 'are'} {1.0 / r.distance:.3g} times the rate of change of "
             f"positions{unit}")
-    return (forward if alone else both), _error(name, channels, text, 1.0 / r.way,
+    return (forward if alone else both), _error(name, channels, text, 1.0 / r.distance,
                                                 Advice.correct(channel, scale=1.0 / factor))
 
 
-def _ways(motion: Motion, east: np.ndarray, north: np.ndarray) -> tuple[Windows, np.ndarray, np.ndarray]:
+def _displacements(motion: Motion, east: np.ndarray, north: np.ndarray) -> tuple[Windows, np.ndarray, np.ndarray]:
     """(windows of a second, change of position, integrated velocity): east + i north [m]."""
     over = windows(motion.time, 1.0)
     return (over, over.change(motion.x) + 1j * over.change(motion.y),
@@ -280,28 +297,28 @@ def _ways(motion: Motion, east: np.ndarray, north: np.ndarray) -> tuple[Windows,
 
 def _misfit(motion: Motion) -> float:
     """Median distance [m] between change of position and integrated velocity over a second, best turn removed."""
-    over, measured, derived = _ways(motion, *motion.velocity_map)
+    over, measured, derived = _displacements(motion, *motion.velocity_map)
     turn = np.sum(measured * np.conj(derived))
     return float(np.median(np.abs(measured - derived * turn / max(abs(turn), 1e-300)))) if len(over) else 0.0
 
 
-def _velocity_axes(motion: Motion) -> tuple[Motion, Finding | None]:
-    """Velocities in the map frame, which positions follow without rotation by yaw, or exchanged."""
-    over, measured, of_map = _ways(motion, motion.velocity_x, motion.velocity_y)
-    if len(over) < LEAST_WINDOWS:
+def _correct_velocity_axes(motion: Motion) -> Corrected:
+    """Velocities in the map frame, which positions follow without rotation by yaw, or exchanged velocities."""
+    over, measured, of_map = _displacements(motion, motion.velocity_x, motion.velocity_y)
+    if len(over) < MIN_WINDOWS:
         return motion, None
-    way, unchanged = float(np.median(np.abs(measured))), _misfit(motion)
+    distance, unchanged = float(np.median(np.abs(measured))), _misfit(motion)
     swapped = motion.with_(velocity_x=motion.velocity_y, velocity_y=motion.velocity_x)
-    most = ALONG * way  # of velocities in the right frame
+    most = MAX_MAP_MISFIT * distance  # misfit of velocities in the right frame
     misfit = float(np.median(np.abs(measured - of_map)))
-    if np.ptp(motion.yaw) > LEAST_FOLLOWED and misfit <= most and misfit < ALONG * unchanged:
+    if np.ptp(motion.yaw) > MIN_YAW_RANGE and misfit <= most and misfit < MAX_MAP_MISFIT * unchanged:
         body = (motion.velocity_x + 1j * motion.velocity_y) * np.exp(-1j * motion.yaw)
         text = "velocity_x and velocity_y are in the map frame, east and north: the body frame is expected"
         advice = Advice("look", "rotate them by yaw: velocity_x = cos(yaw) east + sin(yaw) north, "
                         "velocity_y = cos(yaw) north - sin(yaw) east")
         motion = motion.with_(velocity_x=body.real, velocity_y=body.imag)
-    elif way > 0.0 and sideways(motion) and float(
-            np.median(np.abs(measured - _ways(swapped, *swapped.velocity_map)[2]))) <= most:
+    elif distance > 0.0 and moves_sideways(motion) and float(
+            np.median(np.abs(measured - _displacements(swapped, *swapped.velocity_map)[2]))) <= most:
         text = "velocity_x and velocity_y are exchanged (x is forward, y left)"
         columns = {"velocity_x": "velocity_y", "velocity_y": "velocity_x"}
         advice = Advice("run.yaml", f"columns: {columns}".replace("'", ""), {"columns": columns})
@@ -311,11 +328,11 @@ def _velocity_axes(motion: Motion) -> tuple[Motion, Finding | None]:
     return motion, _error("velocity_axes", ("velocity_x", "velocity_y"), text, None, advice)
 
 
-def _turned(motion: Motion) -> tuple[Motion, Finding | None]:
-    """Yaw against the direction of travel: north for east, or reversed."""
-    over, measured, derived = _ways(motion, *motion.velocity_map)
+def _correct_yaw_offset(motion: Motion) -> Corrected:
+    """Yaw against the direction of travel: counted from another axis, or reversed."""
+    over, measured, derived = _displacements(motion, *motion.velocity_map)
     total, size = np.sum(derived * np.conj(measured)), float(np.abs(measured * derived).sum())
-    if len(over) < LEAST_WINDOWS or size < LEAST_WAY or abs(total) < 0.5 * size or abs(np.angle(total)) < 0.35:
+    if len(over) < MIN_WINDOWS or size < MIN_DISTANCE or abs(total) < 0.5 * size or abs(np.angle(total)) < 0.35:
         return motion, None
     angle = float(np.angle(total))
     quarter = np.round(angle / (np.pi / 2)) * np.pi / 2
@@ -327,7 +344,7 @@ def _turned(motion: Motion) -> tuple[Motion, Finding | None]:
     turns: dict[float, str] = {
         1.0: ": is it counted from north?", -1.0: ": is it counted from north or south?",
         2.0: ": does it point backwards?", -2.0: ": does it point backwards?"}
-    words = turns.get(round(exact / (np.pi / 2), 3), "")
-    text = f"yaw is {angle:+.2f} rad ({angle * DEGREE:+.0f} deg) off the direction in which positions move{words}"
+    reason = turns.get(round(exact / (np.pi / 2), 3), "")
+    text = f"yaw is {angle:+.2f} rad ({angle * DEGREE:+.0f} deg) off the direction in which positions move{reason}"
     finding = replace(_error("yaw_offset", ("yaw",), text, angle, Advice.correct("yaw", add=-float(exact))), unit="rad")
     return motion.with_(yaw=motion.yaw - exact), finding

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
-from st_core.checks import Severity, across_runs
+from st_core.checks import Severity, compare_runs
 from st_core.errors import ConfigurationError
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import json_text, new_folder
@@ -67,7 +67,7 @@ def run_command(job: Job, console: Console, report_vehicle: Callable[[str], None
         show(run, console)
     for name, problem in failed.items():
         report_problem(name, problem, console)
-    for number, one in enumerate(across_runs([run.checked for run in good])):
+    for number, one in enumerate(compare_runs([run.checked for run in good])):
         line(f"{'' if number else '[bold]all runs together[/bold]' + chr(10)}  {escape(one.text)}", console)
     if report_vehicle and not job.given:
         for file in sorted({run.vehicle_from for run in good}):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
-from st_core.checks import SCHEMA, Advice, Checked, Finding, Identity, Severity, across_runs
+from st_core.checks import SCHEMA, Advice, Checked, Finding, Identity, Severity, compare_runs
 from st_core.clock_types import none_needed
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import json_ready
@@ -210,7 +210,7 @@ def document(good: Sequence[CheckedRun], failed: Mapping[str, str]) -> dict[str,
                            for one in run.checked.identities],
             "warnings": list(run.warnings), "files": dict(run.files), "alignment": json_ready(dict(run.alignment)),
         } for run in good},
-        "together": [json_ready(one.as_dict()) for one in across_runs([run.checked for run in good])],
+        "together": [json_ready(one.as_dict()) for one in compare_runs([run.checked for run in good])],
         "failed": dict(failed),
     }
 

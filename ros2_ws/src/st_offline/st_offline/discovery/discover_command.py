@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import Progress
-from st_core.checks import pooled
+from st_core.checks import pool_estimates
 from st_core.discovery import Discovery, discover
 from st_core.discovery.where import survey
 from st_core.effects import load_folder
@@ -164,7 +164,7 @@ def _answer(request: Request, base: Model, progress: Progress) -> tuple[Discover
 
 def measured(drives: Sequence[Drive]) -> dict[str, tuple[float, float, float]]:
     """What the checks measured of the sensors, (value, low, high) by name, the drives together."""
-    return pooled([{name: value for name, value in d.about["estimates"].items() if None not in value}
+    return pool_estimates([{name: value for name, value in d.about["estimates"].items() if None not in value}
                    for d in drives if d.log is not None])
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from st_core.checks.plausibility import plausible
+from st_core.checks.plausibility import without_implausible
 from st_core.corrections import Correction, corrected, in_words
 from st_core.errors import StCoreError
 from st_core.vehicle import VehicleParameters
@@ -33,7 +33,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
         digests = pool.submit(file_hashes, (*source.files, *source.can))
         loaded = _read(source, vehicle, settings)
     start_ns = int(loaded.log.ins_time_ns[0]) if len(loaded.log.ins_time_ns) else 0
-    log, implausible = plausible(loaded.log, start_ns)
+    log, implausible = without_implausible(loaded.log, start_ns)
     if vehicle is not None and log.steering_wheel_angle is not None:
         log = log.with_steering(vehicle)
     extras = replace(loaded.auxiliary, implausible=tuple(implausible), start_ns=start_ns)
