@@ -9,7 +9,7 @@ from st_core.channels import FURTHER
 from st_core.log import INS_SIGNALS, DriveLog
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import RunError, columns, find_runs, read
-from st_recordings.runs.columns import COLUMNS, UNITS, Layout, plain
+from st_recordings.runs.columns import COLUMNS, UNITS, Layout, normalised
 from st_recordings.runs.csv import has_drive_columns, read_csv
 from support import ROOT
 
@@ -60,7 +60,7 @@ def assert_whole(log: DriveLog, but: Sequence[str] = ()) -> None:
 
 
 def test_no_name_means_two_channels() -> None:
-    names = [plain(name) for channel in COLUMNS.values() for name in channel.names]
+    names = [normalised(name) for channel in COLUMNS.values() for name in channel.names]
     assert len(names) == len(set(names)) and not columns.AMBIGUOUS & set(names)
 
 

@@ -1,4 +1,4 @@
-"""Which columns of a CSV file are which channels: the names people give them, and their units."""
+"""Finds the channels among the columns of a table, by the names that people give them, and their units."""
 
 import math
 import re
@@ -10,7 +10,7 @@ from st_core.channels import CHANNELS
 
 from .errors import RunError
 
-# Kind of quantity -> unit -> (factor to SI, other ways to write it). The first is the default.
+# Kind of quantity -> unit -> (factor to SI, other spellings). The first unit is the default.
 UNITS: Mapping[str, Mapping[str, tuple[float, tuple[str, ...]]]] = {
     "time": {"s": (1.0, ("sec", "secs", "second", "seconds", "utc")),
              "ms": (1e-3, ("msec", "millis", "milliseconds")),
@@ -35,25 +35,25 @@ UNITS: Mapping[str, Mapping[str, tuple[float, tuple[str, ...]]]] = {
 }
 
 
-def plain(text: str) -> str:
-    """As names and units are compared: lower case, letters and digits (and ° and µ) only."""
+def normalised(text: str) -> str:
+    """A name or unit as it is compared: lower case, letters, digits and ° only."""
     return re.sub(r"[^a-z0-9°]", "", text.lower().replace("µ", "u").replace("μ", "u").replace("²", "2"))
 
 
-_KNOWN = {kind: {plain(text): unit for unit, (_, others) in units.items() for text in (unit, *others)}
-          for kind, units in UNITS.items()}
+_UNIT_OF = {kind: {normalised(text): unit for unit, (_, others) in units.items() for text in (unit, *others)}
+            for kind, units in UNITS.items()}
 
 
 def unit_named(kind: str, text: str) -> str | None:
     """The unit of a kind of quantity that a text means; None where it means none."""
-    return _KNOWN[kind].get(plain(text))
+    return _UNIT_OF[kind].get(normalised(text))
 
 
 @dataclass(frozen=True)
 class Channel:
-    """kind: of quantity, a key of UNITS. names: of columns, the first that is there is taken. meaning: for the user.
+    """A channel of a table. kind: of quantity, a key of UNITS. meaning: for the user. names: of its column, by priority.
 
-    Of names, case and anything but letters and digits do not count.
+    Names are compared by letters and digits only, ignoring case.
     """
 
     kind: str
@@ -133,10 +133,11 @@ COLUMNS: Mapping[str, Channel] = {
 }
 """The one table of columns; docs/csv_columns.md is made from it (test_csv_columns.py)."""
 
-AMBIGUOUS = {plain(name) for name in _words("steering_angle steering steer steer_angle steering_position steering_pos")}
-"""Of the hand wheel in one file, of the road wheels in the next: not guessed."""
+AMBIGUOUS = {normalised(name) for name in
+             _words("steering_angle steering steer steer_angle steering_position steering_pos")}
+"""Names that some files use for the hand wheel and others for the road wheels."""
 
-_CHANNEL_OF = {plain(name): (channel, rank) for channel, about in COLUMNS.items()
+_CHANNEL_OF = {normalised(name): (channel, rank) for channel, about in COLUMNS.items()
                for rank, name in enumerate(about.names)}
 
 
@@ -154,7 +155,7 @@ class Layout:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a channel is: number and name of the column, its unit, and whether header or run.yaml state that unit."""
+    """The column of a channel: its number and name, its unit, and whether header or run.yaml state that unit."""
 
     column: int
     name: str
@@ -168,23 +169,23 @@ class Place:
 
 
 def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, Place]:
-    """The channels a header names. Raises RunError for a column of the layout that is not there, and for a unit of
-    what is not there."""
+    """The channels that a header names. Raises RunError for a column or unit of the layout without such a column."""
     found: dict[str, tuple[int, Place]] = {}
     for number, name in enumerate(names):
-        for channel, rank, unit in _meanings(name):
+        if meaning := _meaning(name):
+            channel, rank, unit = meaning
             if channel not in found or rank < found[channel][0]:
                 found[channel] = rank, _place(number, name, channel, unit)
     places = {channel: place for channel, (_, place) in found.items()}
     for channel, named in layout.columns.items():
         # A name without a column may be a channel: {x: y, y: x} exchanges the axes.
-        taken = found.get(named) if named not in names else None
-        alike = [number for same in (str, str.lower, plain, lambda name: plain(_splits(name)[0][0]))  # without its unit
-                 for number, name in enumerate(names) if same(name) == same(named)]
-        if not taken and not alike:
+        of_channel = found.get(named) if named not in names else None
+        matching = [number for form in (str, str.lower, normalised, lambda name: normalised(_splits(name)[0][0]))
+                    for number, name in enumerate(names) if form(name) == form(named)]  # the last form is without unit
+        if not of_channel and not matching:
             raise RunError(layout.source or file, f"columns: {channel}: {file.name} has no column {named[:60]!r}",
                            f"it has {', '.join(names)[:300]}")
-        number = taken[1].column if taken else alike[0]
+        number = of_channel[1].column if of_channel else matching[0]
         stated = (unit_named(COLUMNS[channel].kind, unit) for text in (names[number], named)
                   for base, unit in _splits(text) if unit and base)
         places[channel] = _place(number, names[number], channel, next(filter(None, stated), None))
@@ -204,8 +205,8 @@ def with_units(file: Path, places: dict[str, Place], layout: Layout) -> dict[str
 
 
 def doubtful_steering(names: Sequence[str]) -> str | None:
-    """A column that may be either steering angle."""
-    return next((name for name in names for base, _ in _splits(name) if plain(base) in AMBIGUOUS), None)
+    """The first column that may be either steering angle; None without one."""
+    return next((name for name in names for base, _ in _splits(name) if normalised(base) in AMBIGUOUS), None)
 
 
 def _place(number: int, name: str, channel: str, unit: str | None) -> Place:
@@ -213,21 +214,19 @@ def _place(number: int, name: str, channel: str, unit: str | None) -> Place:
     return Place(number, name, kind, unit or next(iter(UNITS[kind])), unit is not None)
 
 
-def _meanings(name: str) -> list[tuple[str, int, str | None]]:
-    """(channel, rank among its names, unit stated) of every channel a column may be."""
-    meanings: list[tuple[str, int, str | None]] = []
+def _meaning(name: str) -> tuple[str, int, str | None] | None:
+    """(channel, rank among its names, stated unit) that the name of a column means; None for another column."""
     for base, unit in _splits(name.lstrip("%# ").removeprefix("field.")):  # of `rostopic echo -p`
-        if plain(base) in _CHANNEL_OF:
-            channel, rank = _CHANNEL_OF[plain(base)]
-            if not unit:
-                meanings.append((channel, rank, None))
-            elif known := unit_named(COLUMNS[channel].kind, unit):
-                meanings.append((channel, rank, known))
-    return meanings[:1]
+        if normalised(base) in _CHANNEL_OF:
+            channel, rank = _CHANNEL_OF[normalised(base)]
+            known = unit_named(COLUMNS[channel].kind, unit)
+            if known or not unit:
+                return channel, rank, known
+    return None
 
 
 def _splits(name: str) -> list[tuple[str, str]]:
-    """Ways to part a column's name into name and unit, the whole name first: yaw_rate_deg_s -> yaw_rate, deg_s."""
+    """Ways to split the name of a column into name and unit, the whole name first: yaw_rate_deg_s -> yaw_rate, deg_s."""
     bracketed = re.fullmatch(r"(.*?)[\s_]*[\[(]([^\])]*)[\])]\s*", name)
     if bracketed:
         base, unit = bracketed.groups()

@@ -1,4 +1,4 @@
-"""A run.yaml: which files make a run, and how they are to be read, corrected and labelled."""
+"""Reads a run.yaml: which files make a run, and how they are to be read, corrected and labelled."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -18,9 +18,9 @@ from .run_types import Label, RunSource
 
 RUN_FILE = "run.yaml"
 RUN_SUFFIX = ".run.yaml"
-_FILES = tuple(dict.fromkeys(reader.key for reader in sorted(READERS.values(), key=lambda one: not one.needs_can)))
-_KEYS = ("name", *_FILES, "can", "offset", "ins_can_latency", "labels", "dbc", "signals", "columns", "units", "correct",
-         "leave_out")
+_FILE_KEYS = tuple(dict.fromkeys(reader.key for reader in sorted(READERS.values(), key=lambda r: not r.needs_can)))
+_KEYS = ("name", *_FILE_KEYS, "can", "offset", "ins_can_latency", "labels", "dbc", "signals", "columns", "units",
+         "correct", "leave_out")
 
 
 def is_run_file(path: Path) -> bool:
@@ -38,18 +38,18 @@ def read_run_file(path: Path) -> RunSource:
     unknown = [key for key in content if key not in _KEYS]
     if unknown:
         raise RunError(path, f"key {unknown[0]} is not known", f"known keys are {', '.join(_KEYS)}")
-    keys = [key for key in _FILES if key in content]
-    if len(keys) != 1:
-        what = f"{', '.join(_FILES[:-1])} and {_FILES[-1]}"
-        raise RunError(path, f"one of the keys {what} must name the file of the INS measurements")
-    file = _existing(path, keys[0], content[keys[0]])
-    reader = reader_of(file, keys[0])
-    assert reader is not None  # the key is one of theirs
-    logs = _logs(path, content.get("can", []))
+    file_keys = [key for key in _FILE_KEYS if key in content]
+    if len(file_keys) != 1:
+        known = f"{', '.join(_FILE_KEYS[:-1])} and {_FILE_KEYS[-1]}"
+        raise RunError(path, f"one of the keys {known} must name the file of the INS measurements")
+    file = _existing(path, file_keys[0], content[file_keys[0]])
+    reader = reader_of(file, file_keys[0])
+    assert reader is not None  # every key belongs to one
+    logs = _can_logs(path, content.get("can", []))
     if reader.needs_can and not logs:
         raise RunError(path, "no CAN log under the key can", "list the logs, a folder of them, or a pattern")
     for key in ("columns", "units"):
-        if key in content and keys[0] not in ("csv", "vbo"):
+        if key in content and file_keys[0] not in ("csv", "vbo"):
             raise RunError(path, f"{key}: only a csv or vbo has columns; the units of others are known",
                            "correct: changes values of every kind of recording")
     settings = {key: read(path, content[key]) for key, read in _SETTINGS.items()
@@ -64,7 +64,7 @@ def read_run_file(path: Path) -> RunSource:
     return RunSource(name, reader.kind, (file,), tuple(logs), _labels(path, content.get("labels", [])), settings)
 
 
-def _logs(path: Path, value: Any) -> list[Path]:
+def _can_logs(path: Path, value: Any) -> list[Path]:
     entries = [value] if isinstance(value, str) else value
     if not isinstance(entries, list) or not all(isinstance(e, str) for e in entries):
         raise RunError(path, "can: expected a file or a list of files")
@@ -103,7 +103,7 @@ def _existing(path: Path, key: str, text: Any) -> Path:
     try:
         if isinstance(text, str) and (path.parent / text).exists():
             return path.parent / text
-    except (OSError, ValueError):  # a name no file can have
+    except (OSError, ValueError):  # a name that no file can have
         pass
     raise RunError(path, f"{key}: there is no {str(text)[:200]!r} in its folder")
 

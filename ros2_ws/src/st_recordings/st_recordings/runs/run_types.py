@@ -1,4 +1,4 @@
-"""A run before and after it is read, and how it is to be read."""
+"""A run before and after it is read, and the settings for reading it."""
 
 import math
 from collections.abc import Mapping
@@ -16,12 +16,11 @@ from .errors import RunError
 
 @dataclass(frozen=True)
 class SteeringField:
-    """Where the steering angle is, in which unit and with which sign.
+    """Where the steering angle is in a recording of another make, its unit and sign.
 
     topic: of a bag, "" for a table. field: path in its messages, as "drive.steering_angle"; column of a table.
-    quantity: road (mean of the front wheels) or wheel (the hand wheel, offset not removed). unit: rad or deg; None for
-    that in the heading of the column of a table, rad in a bag.
-    sign: 1 where the number is positive to the left, -1 where to the right.
+    quantity: road (mean of the front wheels) or wheel (the hand wheel, offset not removed). unit: None for that in the
+    header of a table, and rad in a bag. sign: 1 where the number is positive to the left, -1 where to the right.
     """
 
     topic: str
@@ -32,7 +31,7 @@ class SteeringField:
 
     @property
     def scale(self) -> float:
-        """What the number is multiplied with to be in rad, left +."""
+        """Factor from the recorded number to rad, left positive."""
         return self.sign * (math.pi / 180.0 if self.unit == "deg" else 1.0)
 
 
@@ -47,11 +46,10 @@ class Label:
 
 @dataclass(frozen=True)
 class RunSource:
-    """The files of one run. kind: that of its reader ("bag", "ncom", "csv", "vbo"), or "" with a `problem`.
+    """The files of one run. kind: of its reader ("bag", "ncom", "csv", "vbo"), or "" with a `problem`.
 
     settings: from run.yaml: offset [s], ins_can_latency (value and deviation [s]), dbc, signals (paths), layout
-    (columns.Layout), correct (channel -> Correction), leave_out ((start, end) [s]). where: the file or folder to name
-    to the user.
+    (columns.Layout), correct (channel -> Correction), leave_out ((start, end) [s]).
     """
 
     name: str
@@ -64,19 +62,20 @@ class RunSource:
 
     @property
     def where(self) -> Path:
+        """The file or folder to name to the user."""
         return self.files[0] if self.files else Path(self.name)
 
 
 @dataclass(frozen=True)
 class ReadSettings:
-    """How raw files become a run.
+    """How raw files are read.
 
-    dbc, signals: of the CAN bus; default that of the Leaf. steering_sign: +1 where the decoded sensor is left
+    dbc, signals: of the CAN bus; default those of the Leaf. steering_sign: +1 where the decoded sensor is left
     positive. steering_latency: from the turn of the wheel to the frame in the log [s]. offset: INS minus CAN clock [s],
-    given by hand. search: bounds of that offset [s] when it is looked for. ins_can_latency: from the instant an INS
-    value is true to its CAN frame in the log, and the standard deviation of that [s]; None: assumed (clocks.py).
-    doubtful: whether an alignment that is doubtful may be used (with a warning); a refused one never is. steering:
-    where the angle is in bags without st_msgs/Steering, or in tables. odometry: topic of a bag that has several.
+    given by hand. search: bounds of that offset [s] otherwise. ins_can_latency: from the instant an INS value is true
+    to its CAN frame in the log, and its standard deviation [s]; None: assumed (clocks.py). doubtful: whether a doubtful
+    alignment may be used (with a warning); a refused one never is. steering: where the angle is in bags without
+    st_msgs/Steering, or in tables. odometry: the topic to read from a bag that has several.
     """
 
     dbc: Path | None = None
@@ -93,9 +92,9 @@ class ReadSettings:
 
 @dataclass(frozen=True)
 class LoadedRun:
-    """log: the drive on the INS clock. labels: named parts, in seconds after the first INS measurement.
+    """A run that was read. log: the drive on the INS clock.
 
-    provenance: files (path -> sha256), reader, settings, alignment, corrected: plain values for reports. warnings:
+    provenance: plain values for reports: files (path -> sha256), reader, settings, alignment, corrected. warnings:
     sentences. auxiliary: what else was recorded, for checks.
     """
 
@@ -108,6 +107,6 @@ class LoadedRun:
 
 
 def signal_files(source: RunSource, settings: ReadSettings) -> tuple[Path, Path]:
-    """(DBC, table) of a run: of the settings, else of its run.yaml, else the Leaf's."""
+    """(DBC, signal table) of a run: from the settings, else its run.yaml, else the Leaf's."""
     return (settings.dbc or source.settings.get("dbc") or config("car/leaf/can.dbc"),
             settings.signals or source.settings.get("signals") or config("car/leaf/signals.yaml"))

@@ -1,4 +1,4 @@
-"""Which files make a run: the same stem, one folder, one list of files, the splits of a bag, or a run.yaml."""
+"""Groups files into runs: by stem, folder, list of files, the splits of a bag, or a run.yaml."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -19,19 +19,19 @@ from .run_types import RunSource
 
 __all__ = ["RUN_FILE", "RUN_SUFFIX", "find_runs"]
 
-NO_NAME = ("run", "bag")  # of no meaning (run.ncom with run.mf4, bag/ of st live): the run has the folder's name
-DOCUMENTS = (".md", ".txt", ".rst", ".pdf", ".html", ".png", ".jpg", ".json", ".yaml", ".yml", "")
+GENERIC_NAMES = ("run", "bag")
+"""File names without meaning (run.ncom with run.mf4, bag/ of st live): the run has the name of the folder."""
+DOCUMENT_EXTENSIONS = (".md", ".txt", ".rst", ".pdf", ".html", ".png", ".jpg", ".json", ".yaml", ".yml", "")
 """Extensions that no recording has: README, LICENSE and the like, ignored among recordings."""
-SPLIT_GAP = 5.0
-"""s, longest time between the end of one file of a bag and the start of the next."""
+MAX_SPLIT_GAP = 5.0
+"""s, between the end of one file of a bag and the start of the next."""
 
 
 def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
-    """The runs in files and folders, in order of name; an entry that cannot be a run carries its `problem`.
+    """The runs in files and folders, in order of name; an entry that cannot be a run has a `problem`.
 
     Files given one by one that belong together (one INS recording and CAN logs, or the splits of a bag) are one run.
-    In a folder, searched through all its levels, other files are ignored, and so are bags without
-    odometry.
+    Folders are searched with all subfolders; other files in them are ignored, and so are bags without odometry.
     """
     runs: list[RunSource] = []
     loose: list[Path] = []
@@ -50,9 +50,8 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
         else:
             loose.append(path)
     if len(loose) > 1 or runs:
-        kept = [f for f in loose if reader_of(f) or f.suffix.lower() not in DOCUMENTS]
-        loose = kept or loose
-    return _with_own_names([*runs, *_from_files(loose, given=True)])
+        loose = [f for f in loose if reader_of(f) or f.suffix.lower() not in DOCUMENT_EXTENSIONS] or loose
+    return _with_distinct_names([*runs, *_from_files(loose, given=True)])
 
 
 def _in_folder(folder: Path) -> list[RunSource]:
@@ -86,53 +85,58 @@ def _in_folder(folder: Path) -> list[RunSource]:
 
 
 def _from_files(files: Sequence[Path], given: bool) -> list[RunSource]:
-    """Runs out of loose files. given: the user named each of them, so any other file is a problem."""
-    runs: list[RunSource] = []
+    """Runs of single files. given: the user named each of them, so any other file is a problem."""
     readers = {f: reader for f in files if (reader := reader_of(f)) is not None}
     logs = [f for f in files if f not in readers and f.suffix.lower() in CAN_EXTENSIONS and (given or is_can_log(f))]
-    for file in files:
-        if given and file not in readers and file not in logs:
-            known = ", ".join(sorted({*CAN_EXTENSIONS, *(e for one in READERS.values() for e in one.extensions)}))
-            what = f"the extension {file.suffix or '(none)'} is not one of a recording"
-            advice = ("convert the ROS 1 bag with rosbags-convert" if file.suffix.lower() == ".bag" else
-                      "a DBC belongs to --dbc or into the folder of --car" if file.suffix.lower() == ".dbc" else
-                      "unpack it first" if file.suffix.lower() in (".gz", ".zip", ".7z", ".bz2", ".xz", ".zst") else
-                      f"known are {known}, folders of bags, and run.yaml")
-            runs.append(_failed(file, RunError(file, what, advice)))
-    for group in _splits([f for f in readers if f.suffix.lower() in BAG_EXTENSIONS and f.is_file()]):
+    runs = [_unknown_file(f) for f in files if given and f not in readers and f not in logs]
+    for group in _split_bags([f for f in readers if f.suffix.lower() in BAG_EXTENSIONS and f.is_file()]):
         runs.append(RunSource(group[0].stem.rpartition("_")[0] or group[0].stem, readers[group[0]].kind, tuple(group)))
         readers = {f: reader for f, reader in readers.items() if f not in group}
-    rest = []
+    without_logs = []
     for file, reader in readers.items():
-        same = _logs_of(file, logs)
+        own_logs = _logs_of(file, logs)
         # A table with a CAN log of the same name and columns that are not recognised is an INS recording as well.
         if not reader.needs_can and not (logs and reader.is_ins_only(file)) and (
-                reader.kind != "csv" or not same or reader.has_drive(file)):
-            runs.append(_alone(file, reader))
+                reader.kind != "csv" or not own_logs or reader.has_drive(file)):
+            runs.append(_single_run(file, reader))
             continue
-        if given and not same and not logs and reader.needs_can:
-            same = [f for f in sorted(file.parent.iterdir())
-                    if f.stem == file.stem and f.suffix.lower() in CAN_EXTENSIONS]
-        if same:
-            runs.append(RunSource(file.stem, reader.kind, (file,), tuple(same)))
-            logs = [f for f in logs if f not in same]
+        if given and not own_logs and not logs and reader.needs_can:
+            own_logs = _logs_of(file, sorted(file.parent.iterdir()))
+        if own_logs:
+            runs.append(RunSource(file.stem, reader.kind, (file,), tuple(own_logs)))
+            logs = [f for f in logs if f not in own_logs]
         else:
-            rest.append(file)
-    if len(rest) == 1 and logs:
-        return [*runs, RunSource(rest[0].stem, readers[rest[0]].kind, (rest[0],), tuple(logs))]
-    return [*runs, *_unmatched(rest, readers, logs)]
+            without_logs.append(file)
+    if len(without_logs) == 1 and logs:
+        file = without_logs[0]
+        return [*runs, RunSource(file.stem, readers[file].kind, (file,), tuple(logs))]
+    return [*runs, *_unmatched(without_logs, readers, logs)]
 
 
-def _unmatched(rest: Sequence[Path], readers: dict[Path, Reader], logs: Sequence[Path]) -> Iterator[RunSource]:
+def _unknown_file(file: Path) -> RunSource:
+    extension = file.suffix.lower()
+    if extension == ".bag":
+        advice = "convert the ROS 1 bag with rosbags-convert"
+    elif extension == ".dbc":
+        advice = "a DBC belongs to --dbc or into the folder of --car"
+    elif extension in (".gz", ".zip", ".7z", ".bz2", ".xz", ".zst"):
+        advice = "unpack it first"
+    else:
+        known = sorted({*CAN_EXTENSIONS, *(e for reader in READERS.values() for e in reader.extensions)})
+        advice = f"known are {', '.join(known)}, folders of bags, and run.yaml"
+    return _failed(file, RunError(file, f"the extension {file.suffix or '(none)'} is not one of a recording", advice))
+
+
+def _unmatched(recordings: Sequence[Path], readers: dict[Path, Reader], logs: Sequence[Path]) -> Iterator[RunSource]:
     """INS recordings without CAN logs, and CAN logs without an INS recording."""
-    for file in rest:
+    for file in recordings:
         if not readers[file].needs_can:
-            yield _alone(file, readers[file])  # the error of its reader names what is missing in it
+            yield _single_run(file, readers[file])  # the error of its reader names what is missing in it
             continue
-        several = "several INS recordings and CAN logs are here" if logs else "no CAN log has the same stem"
-        yield _failed(file, RunError(file, f"no CAN log belongs to it: {several}",
+        why = "several INS recordings and CAN logs are here" if logs else "no CAN log has the same stem"
+        yield _failed(file, RunError(file, f"no CAN log belongs to it: {why}",
                                      "give them the same name, or list the files of each run in a run.yaml"))
-    for session in dict.fromkeys(session_of(f)[0] for f in logs) if not rest else ():
+    for session in dict.fromkeys(session_of(f)[0] for f in logs) if not recordings else ():
         file = next(f for f in logs if session_of(f)[0] == session)
         csv = READERS["csv"]
         tables = [f.name for f in sorted(file.parent.iterdir())
@@ -144,12 +148,12 @@ def _unmatched(rest: Sequence[Path], readers: dict[Path, Reader], logs: Sequence
 
 
 def _logs_of(file: Path, files: Sequence[Path]) -> list[Path]:
-    """CAN logs with the stem of a recording in its folder."""
+    """The CAN logs among the files with the stem and folder of a recording."""
     return [f for f in files if f.stem == file.stem and f.parent == file.parent and f.suffix.lower() in CAN_EXTENSIONS]
 
 
-def _splits(files: Sequence[Path]) -> list[list[Path]]:
-    """Bag files that follow each other, drive_0, drive_1, ...: each begins where the one before ended."""
+def _split_bags(files: Sequence[Path]) -> list[list[Path]]:
+    """Groups of bag files drive_0, drive_1, ..., each of which begins where the one before ended."""
     groups: list[list[Path]] = []
     for file in sorted(files, key=lambda f: (f.parent, natural_order(f))):
         if groups and _follows(groups[-1][-1], file):
@@ -163,12 +167,12 @@ def _follows(before: Path, file: Path) -> bool:
     (a, _, first), (b, _, second) = before.stem.rpartition("_"), file.stem.rpartition("_")
     if (before.parent, a, before.suffix) != (file.parent, b, file.suffix) or not (first.isdigit() and second.isdigit()):
         return False
-    spans = time_span(before), time_span(file)
-    return int(second) == int(first) + 1 and None not in spans and (
-        -SPLIT_GAP < (spans[1][0] - spans[0][1]) * 1e-9 < SPLIT_GAP)  # type: ignore[index]
+    earlier, later = time_span(before), time_span(file)
+    return int(second) == int(first) + 1 and earlier is not None and later is not None and (
+        abs(later[0] - earlier[1]) * 1e-9 < MAX_SPLIT_GAP)
 
 
-def _alone(path: Path, reader: Reader) -> RunSource:
+def _single_run(path: Path, reader: Reader) -> RunSource:
     return RunSource(path.name if path.is_dir() else path.stem, reader.kind, (path,))
 
 
@@ -183,13 +187,13 @@ def _failed(path: Path, problem: RunError) -> RunSource:
     return RunSource(path.name, "", (path,), problem=problem)
 
 
-def _with_own_names(runs: Sequence[RunSource]) -> list[RunSource]:
-    """The runs with distinct names, their folder in front where two are the same: results are stored under them."""
+def _with_distinct_names(runs: Sequence[RunSource]) -> list[RunSource]:
+    """The runs with distinct names, prefixed by their folder if necessary: results are stored under them."""
     taken: set[str] = set()
     named = []
     for run in sorted(runs, key=lambda r: (r.name, str(r.where))):
         name = run.name
-        if name in NO_NAME and run.files:
+        if name in GENERIC_NAMES and run.files:
             name = run.where.absolute().parent.name or name
         if name in taken and run.files:
             name = f"{run.where.absolute().parent.name}_{run.name}"

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .columns import COLUMNS, UNITS, Layout, Place, find_columns, plain, unit_named, with_units
+from .columns import COLUMNS, UNITS, Layout, Place, find_columns, normalised, unit_named, with_units
 from .csv_table import DAY, Table, table_of, text_of, with_seconds
 from .errors import RunError, check_readable
 
@@ -75,7 +75,7 @@ def _places(file: Path, names: list[str], sections: dict[str, str], layout: Layo
             channel, unit = standard
             kind = COLUMNS[channel].kind
             places[channel] = Place(number, name, kind, unit_named(kind, units.get(name, "")) or unit, True)
-        if plain(name) in TRUE_HEADING:
+        if normalised(name) in TRUE_HEADING:
             unit = unit_named("angle", units.get(name, "")) or "deg"
             places["true_heading"] = Place(number, name, "angle", unit, True)
     if "yaw" in places and "compass_heading" in places and "yaw" not in layout.columns:

@@ -1,6 +1,6 @@
-"""Kinds of recordings as plug-ins: one file each, found by being in this folder.
+"""Kinds of recordings as plug-ins: every file in this folder registers its `Reader`s.
 
-A file registers one `Reader`. What is slow to load it imports when it reads: most runs are of one kind.
+A plug-in imports slow libraries only when it reads, as most runs are of one kind.
 """
 
 import importlib
@@ -21,10 +21,10 @@ class Reader:
 
     kind: its name. key: of its file in a run.yaml. extensions: of its files, lower case. read: reads the whole drive of
     a run; raises RunError. read_ins: reads the INS alone, if the steering is in CAN logs. is_folder: whether a folder
-    is one recording. has_drive: quick test of a file found in a folder; True if undecided. is_incomplete:
-    whether a file without a drive in it was meant as one, and is to be reported. lacks_steering: whether a recording is
-    an INS alone, to which CAN logs belong; None for a kind that never has a steering angle. scales_yaw:
-    whether `read` itself applies a corrected scale of yaw.
+    is one recording. has_drive: quick test of a file found in a folder; True if undecided. is_incomplete: whether a
+    file without a drive was meant as one, and is to be reported. lacks_steering: whether a recording holds an INS
+    alone, to which CAN logs belong; None for a kind that never has a steering angle. scales_yaw: whether `read` itself
+    applies a corrected scale of yaw.
     """
 
     kind: str
@@ -47,6 +47,7 @@ class Reader:
         return self.lacks_steering is None or self.lacks_steering(path)
 
     def takes(self, path: Path) -> bool:
+        """Whether a file or folder is of this kind."""
         if path.is_dir():
             return self.is_folder is not None and self.is_folder(path)
         return path.suffix.lower() in self.extensions
@@ -56,7 +57,7 @@ READERS: dict[str, Reader] = {}
 
 
 def register(reader: Reader) -> Reader:
-    """Add a kind of recording. Raises ValueError for a name that is taken."""
+    """Adds a kind of recording. Raises ValueError for a name that is taken."""
     if reader.kind in READERS:
         raise ValueError(f"{reader.kind}: two readers have this name")
     READERS[reader.kind] = reader
@@ -64,9 +65,9 @@ def register(reader: Reader) -> Reader:
 
 
 def reader_of(path: Path, key: str | None = None) -> Reader | None:
-    """The reader of a file or folder; with a key of a run.yaml, the best match among those of the key."""
-    named = [reader for reader in READERS.values() if key in (None, reader.key)]
-    return next((reader for reader in named if reader.takes(path)), named[0] if key else None)
+    """The reader of a file or folder; with a key of a run.yaml, the best match among the readers of that key."""
+    candidates = [reader for reader in READERS.values() if key in (None, reader.key)]
+    return next((reader for reader in candidates if reader.takes(path)), candidates[0] if key else None)
 
 
 for _module in sorted(info.name for info in pkgutil.iter_modules(__path__)):
