@@ -26,10 +26,10 @@ from .frames import (
     without_clock_steps,
     without_duplicates,
 )
+from .ins_log import LATEST_TIME
 from .mf4 import read_mf4, refuse_makers_container, session_of
 
 BLOCK_SIZE = 65536  # messages converted to columns at a time
-LATEST = 9.0e9  # s since 1970, year 2255: whole nanoseconds do not reach much further
 FURTHEST_NS = 86400 * 10**9  # a frame that is a day from both of its neighbours has a damaged time
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times count from the start of the log
 MIN_FALLING_SHARE = 0.2
@@ -91,7 +91,7 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> Frames:
     try:
         messages = kind.messages(file, format_notes)
         while block := list(itertools.islice(messages, BLOCK_SIZE)):
-            timed = [message for message in block if 0.0 <= message.timestamp <= LATEST]
+            timed = [message for message in block if 0.0 <= message.timestamp <= LATEST_TIME]
             impossible += len(block) - len(timed)
             if timed:
                 parts.append(_columns(timed))

@@ -51,7 +51,7 @@ def unit_named(kind: str, text: str) -> str | None:
 
 @dataclass(frozen=True)
 class Channel:
-    """A channel of a table. kind: of quantity, a key of UNITS. meaning: for the user. names: of its column, by priority.
+    """A channel. kind: of quantity, a key of UNITS. meaning: for the user. names: of its column, preferred ones first.
 
     Names are compared by letters and digits only, ignoring case.
     """
@@ -226,7 +226,7 @@ def _meaning(name: str) -> tuple[str, int, str | None] | None:
 
 
 def _splits(name: str) -> list[tuple[str, str]]:
-    """Ways to split the name of a column into name and unit, the whole name first: yaw_rate_deg_s -> yaw_rate, deg_s."""
+    """Ways to split a column's name into name and unit, the whole name first: yaw_rate_deg_s -> yaw_rate, deg_s."""
     bracketed = re.fullmatch(r"(.*?)[\s_]*[\[(]([^\])]*)[\])]\s*", name)
     if bracketed:
         base, unit = bracketed.groups()

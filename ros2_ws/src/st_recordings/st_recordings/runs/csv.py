@@ -1,4 +1,5 @@
-"""Drives as tables: the columns of columns.py, or an INS log with speed and yaw rate only (for clock alignment)."""
+"""Reads drives from tables with the columns of columns.py, and INS logs with speed and yaw rate (for clock alignment).
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,25 +20,26 @@ from .run_types import ReadSettings, RunSource, SteeringField
 
 MOTION = ("velocity_x", "yaw_rate")
 ROAD, WHEEL, COMPASS = "road_wheel_angle", "steering_wheel_angle", "compass_heading"
-ADVICE = ("name the columns as in docs/csv_columns.md, or write a {stem}.run.yaml with the lines `{kind}: {name}`{can} "
-          "and `columns: {{{channel}: NAME, ...}}`")
+COLUMN_ADVICE = ("name the columns as in docs/csv_columns.md, or write a {stem}.run.yaml with the lines "
+                 "`{kind}: {name}`{can} and `columns: {{{channel}: NAME, ...}}`")
 STEERING_ADVICE = ("name its column, --steering-field NAME --steering-is wheel (or road), with --steering-sign -1 if "
                    "right is positive; or give the CAN log that has the steering as well")
 QUATERNION = {f"orientation_{axis}" for axis in "xyzw"}
-HELD_SHARE = 0.3
-"""Of the rows in which the car moves by several steps of the position's resolution and the position stays the same:
-with more, the position is slower than the rows."""
-LOST_ROWS, LATE_SHARE = 2.5, 0.1
-"""Times the usual interval: rows are lost. Of the new positions: with more behind lost rows, the stamps jitter."""
-REGULAR_SHARE = 0.9
-"""Of the distances between known samples of a channel [rows] that are multiples of the usual distance: with more, the
-blanks between them are its lower rate, not lost samples."""
+MAX_HELD_SHARE = 0.3
+"""Share of the rows of a moving car with an unchanged position, above which positions are slower than the rows."""
+MIN_LOST_INTERVAL = 2.5
+"""Usual intervals between two rows, above which rows are lost between them."""
+MAX_LATE_SHARE = 0.1
+"""Share of the new positions that follow lost rows, above which the stamps jitter and no row is lost."""
+MIN_REGULAR_SHARE = 0.9
+"""Share of the distances between known samples of a channel [rows] that are multiples of the usual distance, above
+which the blanks are due to its lower rate."""
 
 
 @dataclass(frozen=True)
 class CsvDrive:
-    """columns: channel -> column and unit, as they were used. origin: of the map, latitude, longitude [rad], height
-    [m]; None for a table with x and y."""
+    """The drive in a table. columns: channel -> column and unit, as they were used. origin: of the map, latitude,
+    longitude [rad], height [m]; None for a table with x and y."""
 
     log: DriveLog
     columns: Mapping[str, str]
@@ -47,7 +49,7 @@ class CsvDrive:
 
 
 def read_csv(file: Path, vehicle: VehicleParameters | None = None, layout: Layout | None = None) -> CsvDrive:
-    """A drive with INS and steering columns; see `drive_of`. Raises RunError."""
+    """The drive in a CSV file, as `drive_of`. Raises RunError."""
     return drive_of(read_table(file, layout or Layout()), vehicle)
 
 
@@ -63,12 +65,11 @@ def with_steering(layout: Layout, steering: SteeringField | None) -> Layout:
 
 def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: float = 1.0,
              steering: SteeringField | None = None) -> CsvDrive:
-    """The drive in a table.
+    """The drive in a table. Raises RunError.
 
-    A row without a number in a channel is left out of the samples of the INS, or of the steering, not of the other;
-    an acceleration is NaN there. vehicle: for a file with the hand wheel alone. yaw_scale: on the yaw as recorded; it
-    comes before unwrapping, which takes jumps of 2 pi for turns and must see radians. steering: its sign is applied.
-    Raises RunError.
+    A row without a number in an INS channel is left out of the INS samples but not of the steering, and vice versa;
+    an acceleration becomes NaN. vehicle: for a file with the hand wheel alone. yaw_scale: factor on the recorded yaw,
+    applied before unwrapping, which expects radians. steering: its sign is applied.
     """
     file = table.file
     _check_columns(table, (*INS_SIGNALS, ROAD))
@@ -101,8 +102,8 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
 
 
 def ins_of(table: Table, needed: Sequence[str] = INS_SIGNALS) -> InsLog:
-    """The INS part of a table, for a run with its steering in a CAN log; what is not needed may be NaN. Raises
-    RunError."""
+    """The INS part of a table, for a run with its steering in a CAN log. Channels that are not needed may be NaN.
+    Raises RunError."""
     _check_columns(table, needed, ", `can: [CAN LOGS]`")
     notes = list(table.warnings)
     columns, origin = _with_derived(table, notes)
@@ -156,14 +157,14 @@ def _lacking(places: Iterable[str], names: Iterable[str], needed: Iterable[str])
 
 
 def _check_columns(table: Table, needed: Sequence[str], can: str = "") -> None:
-    """can: line of a run.yaml with the CAN logs that belong to the table."""
+    """Raises RunError for missing columns. can: line of a run.yaml with the CAN logs that belong to the table."""
     missing = _lacking(table.places, table.names, ("t", *needed))
     if missing:
         texts = [f"{name} (or {WHEEL})" if name == ROAD else name for name in missing]
         raise RunError(table.file, f"no column of the header is known as {', '.join(texts)}; it has "
                        f"{', '.join(table.names)[:200]}", STEERING_ADVICE if missing == [ROAD] else
-                       ADVICE.format(stem=table.file.stem, kind=table.file.suffix[1:].lower(), name=table.file.name,
-                                     can=can, channel=missing[0]))
+                       COLUMN_ADVICE.format(stem=table.file.stem, kind=table.file.suffix[1:].lower(),
+                                            name=table.file.name, can=can, channel=missing[0]))
     doubtful = doubtful_steering(table.names)
     if ROAD in needed and ROAD not in table.places and WHEEL not in table.places:
         raise RunError(table.file, f"column {doubtful} may be of the steering wheel or of the road wheels",
@@ -172,10 +173,8 @@ def _check_columns(table: Table, needed: Sequence[str], can: str = "") -> None:
 
 
 def _with_derived(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray], tuple[float, float, float] | None]:
-    """(columns, origin of the map).
-
-    Columns have yaw of a compass heading or quaternion, velocities along the body axes of those to the east and north,
-    x and y of latitude and longitude, and positions at every row.
+    """(columns, origin of the map): with yaw from compass heading or quaternion, velocities in body axes from those
+    east and north, x and y from latitude and longitude, and positions at every row.
     """
     columns, origin = dict(table.columns), None
     if "yaw" not in columns and COMPASS in columns:
@@ -191,12 +190,12 @@ def _with_derived(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray]
         found = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude) & table.used)
         origin = (float(latitude[found[0]]), float(longitude[found[0]]), 0.0) if len(found) else None
         columns["x"], columns["y"], _ = enu(origin or (0.0, 0.0, 0.0), latitude, longitude, np.zeros(len(latitude)))
-    _spread_held_positions(table, columns, notes)
+    _interpolate_held_positions(table, columns, notes)
     return columns, origin
 
 
-def _spread_held_positions(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
-    """Positions that come slower than the rows and are repeated until the next: interpolated between the new ones."""
+def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
+    """Interpolates positions of a lower rate than the rows, which are repeated until the next new one."""
     if not columns.keys() >= {"x", "y", "velocity_x"}:
         return
     rows = np.flatnonzero(table.used & known(columns, ("x", "y", "velocity_x")))
@@ -210,14 +209,13 @@ def _spread_held_positions(table: Table, columns: dict[str, np.ndarray], notes: 
     seconds = (table.time_ns[rows] - table.time_ns[rows[0]]) * 1e-9
     resolution = max(float(step[new].min()), 1e-9)
     moving = np.abs(columns["velocity_x"][rows][1:]) * np.diff(seconds) > np.median(step[new]) / 20 + resolution / 20
-    held = moving & ~new
-    if held.sum() <= HELD_SHARE * max(moving.sum(), 1):
+    if (moving & ~new).sum() <= MAX_HELD_SHARE * max(moving.sum(), 1):
         return
     fresh = np.concatenate(([True], new))
-    # Behind lost rows a new position may be as old as they are: when it was true is not known.
-    behind = np.concatenate(([False], np.diff(seconds) > LOST_ROWS * np.median(np.diff(seconds))))
-    if (fresh & behind).sum() <= LATE_SHARE * fresh.sum() and (fresh & ~behind).sum() > 2:
-        fresh &= ~behind
+    # After lost rows a new position may be as old as they are, so its time is not known.
+    after_gap = np.concatenate(([False], np.diff(seconds) > MIN_LOST_INTERVAL * np.median(np.diff(seconds))))
+    if (fresh & after_gap).sum() <= MAX_LATE_SHARE * fresh.sum() and (fresh & ~after_gap).sum() > 2:
+        fresh &= ~after_gap
     for name in ("x", "y"):
         values = columns[name].copy()
         values[rows] = np.interp(seconds, seconds[fresh], columns[name][rows][fresh])
@@ -232,7 +230,7 @@ def _spread_held_positions(table: Table, columns: dict[str, np.ndarray], notes: 
 
 def _steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehicleParameters | None,
               steering: SteeringField | None, notes: list[str]) -> tuple[str, ...]:
-    """The steering channels that are used; the road wheel angle is added where only the hand wheel is there."""
+    """The steering channels to use; the road wheel angle is computed where the table has only the hand wheel."""
     if steering is not None and not steering.topic:
         named, other = (ROAD, WHEEL) if steering.quantity == "road" else (WHEEL, ROAD)
         columns[named] = steering.sign * columns[named]
@@ -252,7 +250,7 @@ def _steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehiclePara
 
 def _missing(table: Table, columns: Mapping[str, np.ndarray], steering: tuple[str, ...],
              notes: list[str]) -> dict[str, int]:
-    """Channel -> rows without a usable number, each reported."""
+    """Channel -> rows without a usable number, with a note on each."""
     lost = {"time": table.timeless, **{
         name: _lost_samples(columns[name]) for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, *steering)
         if name in columns}}
@@ -262,23 +260,25 @@ def _missing(table: Table, columns: Mapping[str, np.ndarray], steering: tuple[st
     for name, count in lost.items():
         place = table.places.get(name) or table.places.get(sources.get(name, ""))
         half = count > total / 2
-        follows = ("these rows were left out" if name == "time" else
-                   ("it is not used" if half else "it is not known there") if name in OPTIONAL_INS_SIGNALS else
-                   f"these samples of the {'steering' if name in steering else 'INS'} were left out")
+        if name == "time":
+            consequence = "these rows were left out"
+        elif name in OPTIONAL_INS_SIGNALS:
+            consequence = "it is not used" if half else "it is not known there"
+        else:
+            consequence = f"these samples of the {'steering' if name in steering else 'INS'} were left out"
         column = f" (column {place.name})" if place else ""
         notes.append(f"{table.file}: {name}{column}: {share(count, total, 'rows')} have no number"
-                     f"{', more than half' if half else ''}; {follows}")
+                     f"{', more than half' if half else ''}; {consequence}")
     return lost if ROAD in steering else {ROAD if name == WHEEL else name: count for name, count in lost.items()}
 
 
 def _lost_samples(column: np.ndarray) -> int:
-    """Rows without a number, apart from the regular blanks of a channel with a lower rate than the rows."""
-    known = np.flatnonzero(np.isfinite(column))
-    if len(known) < 3:
-        return int(len(column) - len(known))
-    steps = np.diff(known)
-    step = int(np.median(steps))
-    regular = step > 1 and np.mean(steps % step == 0) > REGULAR_SHARE
-    return round((known[-1] - known[0]) / step) + 1 - len(known) if regular else len(column) - len(known)
+    """Number of rows without a number, not counting the regular blanks of a channel of lower rate than the rows."""
+    known_rows = np.flatnonzero(np.isfinite(column))
+    steps = np.diff(known_rows)
+    step = int(np.median(steps)) if len(known_rows) >= 3 else 1
+    if step > 1 and np.mean(steps % step == 0) > MIN_REGULAR_SHARE:
+        return round((known_rows[-1] - known_rows[0]) / step) + 1 - len(known_rows)
+    return len(column) - len(known_rows)
 
 

@@ -1,4 +1,4 @@
-"""A CSV file as numbers: header, units and rows, with any delimiter, decimal mark, encoding and missing values."""
+"""Reads a CSV file as numbers: header, units and rows, of any delimiter, decimal mark, encoding and missing values."""
 
 import csv
 import io
@@ -12,12 +12,11 @@ import numpy as np
 
 from .columns import COLUMNS, UNITS, Layout, Place, find_columns, unit_named
 from .errors import RunError, check_readable, share, short
-from .ins_log import usable_rows
+from .ins_log import LATEST_TIME, usable_rows
 
-LATEST = 9.0e9  # s, year 2255; whole nanoseconds since 1970 do not reach much further
-HEADER_WITHIN = 60  # lines; exports of loggers have some lines of their own before the header
+MAX_HEADER_LINES = 60  # exports of loggers have some lines of their own before the header
 MISSING = frozenset(("", "-", "--", "nan", "na", "n/a", "#n/a", "#na", "null", "none", "inf", "-inf", "+inf", "nil"))
-_GROUPS = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+") for mark in ",."}
+_GROUPED = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+") for mark in ",."}
 _GROUPED_CELL = re.compile(r"(?:^|[;\t])\s*[+-]?[1-9]\d{0,2}(?:,\d{3})+\s*(?=[;\t\r\n]|$)", re.MULTILINE)
 _NUMERIC = re.compile(r'[\s"]*[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?[\s"]*')
 # 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.2026 10:11:12,5, 10:11:12.5; 05/04/2026 may be in April or May.
@@ -26,19 +25,20 @@ _STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\
                     r"(?:(\d{1,2}):)?(\d\d?):(\d\d(?:[.,]\d+)?) *(?:([AaPp])\.?[Mm]\.?)? *"
                     r"(?:Z|UTC|([+-])(\d\d):?(\d\d))?")
 _SLASHED = re.compile(r"(?<!\d)(\d\d?)/(\d\d?)/(\d{4})(?!\d)")
-DAY, HOUR = 86400.0, 3600.0
-_DAYS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # 1970-01-01 as they count days
+DAY, HOUR = 86400.0, 3600.0  # s
+_DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # 1970-01-01 as they count days
 _EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
 _SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # how a spreadsheet marks its delimiter
-_SPACES = re.compile(r"(?<=\d)[\u00a0\u202f\u2009'](?=\d{3}(?!\d))")
+_THOUSANDS_SPACES = re.compile(r"(?<=\d)[\u00a0\u202f\u2009'](?=\d{3}(?!\d))")
 
 
 @dataclass(frozen=True)
 class Table:
-    """names: of all columns. places: of the channels. columns: channel -> values in SI, NaN for a missing number.
+    """A table of channels. names: of all columns. places: of the channels. columns: channel -> values in SI, NaN for
+    a missing number.
 
     time_ns: of all rows that have a time, in the order of the file; rows without one are left out and counted in
-    `timeless`. used: of these rows, those with rising time (ins_log.usable_rows). warnings name the file.
+    `timeless`. used: whether each of these rows has a rising time (ins_log.usable_rows). warnings name the file.
     """
 
     file: Path
@@ -69,7 +69,7 @@ def _decoded(file: Path, size: int) -> str:
         raw = stream.read(size)
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return raw.decode("utf-16", "replace")
-    if len(raw) > 1 and not any(raw[1:200:2]) and all(raw[:200:2]):  # as some loggers write it, without its mark
+    if len(raw) > 1 and not any(raw[1:200:2]) and all(raw[:200:2]):  # UTF-16 without its mark, of some loggers
         return raw.decode("utf-16-le", "replace")
     try:
         return raw.decode("utf-8-sig", "strict" if size < 0 else "ignore")
@@ -83,23 +83,23 @@ def header_of(file: Path) -> list[str]:
     """Names of the columns; empty for a binary file."""
     try:
         lines = text_of(file, 1 << 16).splitlines()
-        return _parted(lines[_header_line(lines)])[0] if lines else []
+        return _split_header(lines[_header_line(lines)])[0] if lines else []
     except (OSError, RunError):
         return []
 
 
 def read_table(file: Path, layout: Layout) -> Table:
-    """Raises RunError for a binary file, one without time, or has a row that does not fit its header."""
+    """The table in a CSV file. Raises RunError for a binary file, unreadable times, or a row unlike the header."""
     check_readable(file)
     text = text_of(file)
     warnings: list[str] = []
-    at = _header_line(text.split("\n", HEADER_WITHIN + 1)[:HEADER_WITHIN], layout)
+    at = _header_line(text.split("\n", MAX_HEADER_LINES + 1)[:MAX_HEADER_LINES], layout)
     if at:
         before, text = text, text.split("\n", at)[at]
         if at > 1 or not _SEPARATOR.match(before):
             warnings.append(f"{file}: the header is in line {at + 1}; the {at} before it were skipped")
     header, _, body = text.partition("\n")
-    names, delimiter = _parted(header)
+    names, delimiter = _split_header(header)
     if delimiter == " ":
         body = "\n".join(" ".join(line.split()) for line in body.split("\n"))
     return table_of(file, names, body, delimiter, layout, warnings)
@@ -107,20 +107,20 @@ def read_table(file: Path, layout: Layout) -> Table:
 
 def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: Layout, warnings: list[str],
              places: dict[str, Place] | None = None) -> Table:
-    """A table out of its rows as text. places: of the channels; default those that the names mean. Raises RunError."""
+    """The table of rows of text. places: of the channels; default those that the names mean. Raises RunError."""
     if places is None:
         places = find_columns(file, names, layout)
-        places, body = _with_unit_row(file, places, body, delimiter, layout)
-    body = _with_points(file, body, delimiter)
+        places, body = _read_unit_row(file, places, body, delimiter, layout)
+    body = _with_decimal_points(file, body, delimiter)
     first: list[str] = []
     if "t" in places:
         column = places["t"].column
         first = next((line.split(delimiter)[column:][:1] for line in body.split("\n", 20) if line.strip()), [])
-        if first and _of_stamp(first[0].strip(' \r"')):
+        if first and _parse_stamp(first[0].strip(' \r"')):
             if "/" in first[0]:
                 body = _with_ordered_dates(file, body, warnings)
-            body = with_seconds(body, delimiter, column, _of_stamp)
-    rows = _rows(file, body, delimiter, len(names), warnings)
+            body = with_seconds(body, delimiter, column, _parse_stamp)
+    rows = _numbers(file, body, delimiter, len(names), warnings)
     warnings += [f"{file}: column {place.name} is there {names.count(place.name)} times; the first is used"
                  for place in places.values() if place.name and names.count(place.name) > 1]
     with np.errstate(over="ignore"):
@@ -131,18 +131,18 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
     if "t" not in columns:
         return Table(file, tuple(names), places, columns, np.empty(0, np.int64), 0, np.empty(0, bool), tuple(warnings))
     seconds = columns.pop("t")
-    timed = np.abs(seconds) <= LATEST
+    timed = np.abs(seconds) <= LATEST_TIME
     if first and len(seconds) and not np.isfinite(seconds).any():
         raise RunError(file, f"no time in column {places['t'].name} can be read, the first is {first[0].strip()!r}",
                        "export seconds, or date and time with seconds, as 2026-05-04 10:11:12.3")
     if not timed.any() and np.isfinite(seconds).any():
         raise RunError(file, f"times like {np.nanmax(np.abs(seconds)):.3g} in column {places['t'].name} are not in "
                        f"{places['t'].unit}", "declare their unit in a run.yaml, as units: {t: us}")
-    # Microseconds: what decimal seconds since 1970 still carry as a float.
+    # Seconds since 1970 as a float are exact to a microsecond.
     time_ns = np.round(seconds[timed] * 1e6).astype(np.int64) * 1000
-    kept, notes = usable_rows(time_ns, "rows") if len(time_ns) else (np.empty(0, np.int64), [])
+    usable, notes = usable_rows(time_ns, "rows") if len(time_ns) else (np.empty(0, np.int64), [])
     used = np.zeros(len(time_ns), dtype=bool)
-    used[kept] = True
+    used[usable] = True
     warnings += [f"{file}: {note}" for note in notes]
     if not places["t"].stated and used.sum() > 2 and (step := float(np.median(np.diff(time_ns[used])) * 1e-9)) > 1.0:
         warnings.append(f"{file}: its times are {step:g} s apart; if they are not seconds, declare their unit in a "
@@ -154,15 +154,15 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
 def _header_line(lines: list[str], layout: Layout | None = None) -> int:
     """Index of the line that names most channels; the first of several, and 0 where none names two."""
     counts = []
-    for line in lines[:HEADER_WITHIN]:
-        names, _ = _parted(line)
-        own = {name for name in (layout.columns.values() if layout else ()) if name in names}
-        counts.append(len(find_columns(Path(), names, Layout())) + len(own) if len(names) > 1 else 0)
+    for line in lines[:MAX_HEADER_LINES]:
+        names, _ = _split_header(line)
+        of_layout = set(layout.columns.values()).intersection(names) if layout else ()
+        counts.append(len(find_columns(Path(), names, Layout())) + len(of_layout) if len(names) > 1 else 0)
     best = max(counts, default=0)
     return counts.index(best) if best >= 2 else 0
 
 
-def _parted(header: str) -> tuple[list[str], str]:
+def _split_header(header: str) -> tuple[list[str], str]:
     """(names, delimiter)."""
     delimiter = next((mark for mark in (";", "\t", "|", ",") if mark in header), ",")
     if delimiter not in header and len(header.split()) > 2:
@@ -174,9 +174,9 @@ def _parted(header: str) -> tuple[list[str], str]:
     return [name.strip() for name in names], delimiter
 
 
-def _with_unit_row(file: Path, places: dict[str, Place], body: str, delimiter: str,
+def _read_unit_row(file: Path, places: dict[str, Place], body: str, delimiter: str,
                    layout: Layout) -> tuple[dict[str, Place], str]:
-    """Places with the units of a row below the names, and the rest of the body.
+    """(places with the units of a row below the names, the rest of the body).
 
     A first row without any number is a row of units, unless its cells only mark missing values. Raises
     RunError for a cell that is not a unit of its channel.
@@ -203,28 +203,27 @@ def _with_unit_row(file: Path, places: dict[str, Place], body: str, delimiter: s
 def with_seconds(body: str, delimiter: str, column: int, clock: Callable[[str], tuple[float, float] | None]) -> str:
     """The rows with seconds in place of times in another form; a time of day continues over midnight.
 
-    clock: of a cell, (seconds, after how many seconds they begin again, 0 for never); None for a cell that is not a
-    time.
+    clock: reads a cell as (seconds, period after which they restart, 0 for never); None for a cell that is no time.
     """
     rows = [line.split(delimiter) for line in body.split("\n")]
-    turns, before = 0.0, 0.0
+    offset, before = 0.0, 0.0
     for row in rows:
         if len(row) <= column or not "".join(row).strip():
             continue
-        found = clock(row[column].strip(' \r"'))
-        if found is None:
+        time = clock(row[column].strip(' \r"'))
+        if time is None:
             row[column] = "nan"
             continue
-        seconds, period = found
+        seconds, period = time
         if period and before - seconds > period / 2:
-            turns += period
+            offset += period
         before = seconds
-        row[column] = f"{turns + seconds:.6f}"
+        row[column] = f"{offset + seconds:.6f}"
     return "\n".join(map(delimiter.join, rows))
 
 
 def _with_ordered_dates(file: Path, body: str, warnings: list[str]) -> str:
-    """Dates like 25/04/2026 as 2026-04-25, where one of the file shows which number is the day."""
+    """The body with dates like 25/04/2026 as 2026-04-25, if one date of the file shows which number is the day."""
     pairs = {(int(a), int(b)) for a, b, _ in _SLASHED.findall(body) if int(a) <= 31 and int(b) <= 31}
     day_first, month_first = any(a > 12 for a, _ in pairs), any(b > 12 for _, b in pairs)
     if day_first != month_first:
@@ -235,9 +234,9 @@ def _with_ordered_dates(file: Path, body: str, warnings: list[str]) -> str:
     return body
 
 
-def _of_stamp(text: str) -> tuple[float, float] | None:
-    """Seconds since 1970, of the day or of the hour, of a date and time, and when they begin again; UTC without a
-    zone."""
+def _parse_stamp(text: str) -> tuple[float, float] | None:
+    """(seconds since 1970, of the day or of the hour, period after which they restart) of a date and time; UTC if it
+    has no zone."""
     match = _STAMP.fullmatch(text)
     if match is None:
         return None
@@ -259,15 +258,15 @@ def _of_stamp(text: str) -> tuple[float, float] | None:
 
 
 def _seconds(file: Path, times: np.ndarray, place: Place, warnings: list[str]) -> np.ndarray:
-    """Times [s] by their unit; without one, since 1970 where they are such times in ms, us, ns or days."""
+    """Times [s] by their stated unit; else since 1970, where they look like such times in ms, us, ns or days."""
     finite = times[np.isfinite(times)]
     median, steps = np.median(np.abs(finite)) if len(finite) else 0.0, np.abs(np.diff(finite))
     steps = steps[steps > 0.0]  # a coarse clock repeats its times
     meanings: list[tuple[float, float, str]] = []
-    if median > LATEST:
+    if median > LATEST_TIME:
         meanings = [(0.0, UNITS["time"][unit][0], f"{unit} since 1970") for unit in ("ms", "us", "ns")]
-    elif len(steps) and np.median(steps) < 2e-5:  # no logger is as fast
-        meanings = [(origin, DAY, f"days of {tool} (UTC)") for origin, tool in _DAYS]
+    elif len(steps) and np.median(steps) < 2e-5:  # faster than any logger
+        meanings = [(origin, DAY, f"days of {tool} (UTC)") for origin, tool in _DAY_COUNTS]
     for origin, factor, meaning in meanings if not place.stated else ():
         if _EPOCH[0] <= (median - origin) * factor <= _EPOCH[1]:
             warnings.append(f"{file}: times of column {place.name} are taken as {meaning}")
@@ -275,13 +274,13 @@ def _seconds(file: Path, times: np.ndarray, place: Place, warnings: list[str]) -
     return times * place.factor
 
 
-def _with_points(file: Path, body: str, delimiter: str) -> str:
+def _with_decimal_points(file: Path, body: str, delimiter: str) -> str:
     """The body with decimal points and without thousands separators.
 
     Which of comma and point is the decimal mark is decided over the whole file. Raises RunError where both readings of
     a cell remain possible: 1,234 is 1.234 or 1234.
     """
-    body = _SPACES.sub("", body)
+    body = _THOUSANDS_SPACES.sub("", body)
     quoted = delimiter == "," and '"' in body
     if not quoted and (delimiter == "," or "," not in body) and not re.search(r"\d\.\d{3}\.\d{3}(?!\d)", body):
         return body
@@ -294,17 +293,17 @@ def _with_points(file: Path, body: str, delimiter: str) -> str:
     marks = {"," if cell.rfind(",") > cell.rfind(".") else "." for cell in commas & points}
     for mark, with_it, other in ((",", commas, "."), (".", points, ",")):
         single = {cell for cell in with_it if other not in cell}
-        if any(cell.count(mark) == 1 and not _GROUPS[mark].fullmatch(cell) and
+        if any(cell.count(mark) == 1 and not _GROUPED[mark].fullmatch(cell) and
                np.isfinite(_number(cell.replace(",", "."))) for cell in single):
             marks.add(mark)
-        elif any(cell.count(mark) > 1 for cell in single if _GROUPS[mark].fullmatch(cell)):
+        elif any(cell.count(mark) > 1 for cell in single if _GROUPED[mark].fullmatch(cell)):
             marks.add(other)
-    doubtful = sorted(c for m, with_it in ((",", commas), (".", points)) for c in with_it if _GROUPS[m].fullmatch(c))
+    doubtful = sorted(c for m, with_it in ((",", commas), (".", points)) for c in with_it if _GROUPED[m].fullmatch(c))
     if doubtful and (len(marks) > 1 or not marks):
         why = "both commas and points are decimal marks in it" if marks else "nothing in the file decides it"
         raise RunError(file, f"{doubtful[0]} may be a number with a decimal mark or with a thousands separator: {why}",
                        "export it without thousands separators")
-    if len(marks) > 1:  # every cell has one mark, and it is a decimal mark
+    if len(marks) > 1:  # every cell has at most one mark, and it is decimal
         return "\n".join(delimiter.join(cell.replace(",", ".") for cell in row) for row in table)
     decimal = next(iter(marks), ",")
     separator = "." if decimal == "," else ","
@@ -320,26 +319,27 @@ def _cells(file: Path, lines: Iterable[str], delimiter: str) -> list[list[str]]:
         raise RunError(file, f"a row cannot be read ({error})", "correct or remove that row") from None
 
 
-def _rows(file: Path, body: str, delimiter: str, width: int, warnings: list[str]) -> np.ndarray:
+def _numbers(file: Path, body: str, delimiter: str, width: int, warnings: list[str]) -> np.ndarray:
+    """The numbers in the rows, (n, width), NaN where there is none. Rows of another width are left out."""
     lines = [line for line in body.splitlines() if line.strip() and not _is_comment(line, delimiter)]
     try:
         return _parsed(lines, delimiter, width)
     except ValueError as first:
         error = first
-    cells = [len(row) for row in _cells(file, lines, delimiter)]
-    whole = [line for line, count in zip(lines, cells, strict=False) if count in (width, width + 1)]
+    widths = [len(row) for row in _cells(file, lines, delimiter)]
+    whole = [line for line, count in zip(lines, widths, strict=False) if count in (width, width + 1)]
     lost = len(lines) - len(whole)
     if whole and 2 * lost < len(lines):
         try:
             rows = _parsed(whole, delimiter, width)
-            what = "the last row is cut; it was left out" if lost == 1 and cells[-1] != width else (
+            what = "the last row is cut; it was left out" if lost == 1 and widths[-1] != width else (
                 f"{share(lost, len(lines), 'rows')} have another number of cells than the header; they were left out")
             warnings.append(f"{file}: {what}")
             return rows
         except ValueError as second:
             error = second
     raise RunError(file, f"a row cannot be read ({short(error).partition('; use')[0]})", "correct or remove that row "
-                   "(rows count from 0 behind the header)") from None
+                   "(rows count from 0 after the header)") from None
 
 
 def _parsed(lines: list[str], delimiter: str, width: int) -> np.ndarray:
@@ -347,10 +347,10 @@ def _parsed(lines: list[str], delimiter: str, width: int) -> np.ndarray:
         return np.zeros((0, width))
     try:
         rows = np.loadtxt(lines, delimiter=delimiter, ndmin=2, comments=None)
-    except ValueError:  # a hole or a word somewhere: cell by cell, which takes three times as long
+    except ValueError:  # a cell is empty or text: convert cell by cell, which takes three times as long
         rows = np.loadtxt(lines, delimiter=delimiter, ndmin=2, quotechar='"', converters=_number, comments=None)
     if rows.shape[1] == width + 1 and all(line.rstrip().endswith(delimiter) for line in lines):
-        rows = rows[:, :width]  # a delimiter behind the last cell of every row
+        rows = rows[:, :width]  # every row ends with a delimiter
     if rows.shape[1] != width:
         raise ValueError(f"{rows.shape[1]} columns instead of {width}")
     return rows
@@ -369,5 +369,5 @@ def _number(text: str) -> float:
 
 
 def known(columns: Mapping[str, np.ndarray], names: Iterable[str]) -> np.ndarray:
-    """Rows in which all of some channels hold a number."""
+    """Whether each row has a number in all of the named channels."""
     return np.isfinite(np.stack([columns[name] for name in names])).all(axis=0)

@@ -16,6 +16,7 @@ _SPEEDS = (("wheel_speed_rear_left", "wheel_speed_rear_right"), ("wheel_speed_fr
            ("vehicle_speed",))
 SPEEDS = tuple(name for names in _SPEEDS for name in names)
 MAX_WHEEL_GAP_NS = 100_000_000  # two wheels are compared at instants between samples no further apart
+LATEST_TIME = 9.0e9  # s since 1970, year 2255; whole nanoseconds do not reach much further
 MAX_LOST_SHARE = 0.01
 """Share of rows not newer than all before, above which the clock was set back, and only one stretch is used."""
 MAX_LAST_STEP = 10.0

@@ -1,5 +1,5 @@
-"""Racelogic VBOX files (.vbo): sections of text, a row per sample; position, speed and course of the GNSS, channels of
-the CAN bus.
+"""Reads Racelogic VBOX files (.vbo): sections of text, a row per sample; position, speed and course of the GNSS, and
+channels of the CAN bus.
 
 Source: Racelogic, VBO file format. Latitude and longitude are in minutes of arc, west positive; time is HHMMSS.ss UTC.
 """
@@ -17,24 +17,24 @@ from .errors import RunError, check_readable
 
 _SECTION = re.compile(r"^\[([^\]]*)\][ \t]*\n", re.MULTILINE)
 _CREATED = re.compile(r"created on (\d{1,2})/(\d{1,2})/(\d{4})", re.IGNORECASE)
-# Standard channels by name in [column names]: what they are here, and their unit.
-_STANDARD = {"lat": ("latitude", "min"), "latitude": ("latitude", "min"), "long": ("longitude", "min"),
-             "longitude": ("longitude", "min"), "velocity": ("velocity_x", "km/h"),
-             "heading": ("compass_heading", "deg"), "time": ("t", "s")}
-# Units of other channels where [channel units] gives none: as the loggers of the maker send them.
+# Standard channels: name in [column names] -> (channel, unit).
+_STANDARD_CHANNELS = {"lat": ("latitude", "min"), "latitude": ("latitude", "min"), "long": ("longitude", "min"),
+                      "longitude": ("longitude", "min"), "velocity": ("velocity_x", "km/h"),
+                      "heading": ("compass_heading", "deg"), "time": ("t", "s")}
+# Units of the maker's loggers for other channels, where [channel units] gives none.
 _DEFAULT_UNITS = {"angular rate": "deg/s", "acceleration": "g", "angle": "deg", "speed": "km/h", "length": "m"}
-TRUE_HEADING = ("trueheading", "truehead", "headingtrue", "heading2", "dualantennaheading")
+TRUE_HEADING_NAMES = ("trueheading", "truehead", "headingtrue", "heading2", "dualantennaheading")
 MIN_HEADING_AGREEMENT = 0.5
 """Correlation of a yaw rate channel with the derivative of the heading below which it is not used."""
 MIN_TURN_RATE = 0.01
-"""rad/s, median of the heading's derivative from which the two are compared: 0.1 deg of noise at 5 Hz makes as much."""
+"""rad/s, median of the heading's derivative below which it is not compared: noise of 0.1 deg at 5 Hz gives as much."""
 
 
 def read_vbo(file: Path, layout: Layout) -> Table:
-    """A file as a table of the drive's channels (csv.drive_of). Raises RunError.
+    """The table of a drive's channels (csv.drive_of). Raises RunError.
 
     GNSS gives the course over ground. Where the file has no heading of two antennas, yaw is that course, the lateral
-    velocity is zero and the yaw rate, without a channel for it, is the derivative of the course, with a warning.
+    velocity is zero and the yaw rate, if it has no channel, is the derivative of the course, with a warning.
     """
     check_readable(file)
     text = text_of(file)
@@ -71,11 +71,11 @@ def _places(file: Path, names: list[str], sections: dict[str, str], layout: Layo
                                   stated=stated is not None)
     for number, name in enumerate(names):
         first = names.index(name) == number  # of columns of one name
-        if first and (standard := _STANDARD.get(name.lower())) and standard[0] not in layout.columns:
+        if first and (standard := _STANDARD_CHANNELS.get(name.lower())) and standard[0] not in layout.columns:
             channel, unit = standard
             kind = COLUMNS[channel].kind
             places[channel] = Place(number, name, kind, unit_named(kind, units.get(name, "")) or unit, True)
-        if normalised(name) in TRUE_HEADING:
+        if normalised(name) in TRUE_HEADING_NAMES:
             unit = unit_named("angle", units.get(name, "")) or "deg"
             places["true_heading"] = Place(number, name, "angle", unit, True)
     if "yaw" in places and "compass_heading" in places and "yaw" not in layout.columns:
@@ -84,7 +84,7 @@ def _places(file: Path, names: list[str], sections: dict[str, str], layout: Layo
 
 
 def _units(names: list[str], sections: dict[str, str]) -> dict[str, str]:
-    """Column -> unit: of [channel units], which belong to the last columns, and of velocity in [header]."""
+    """Column -> unit, from [channel units], which belong to the last columns, and from velocity in [header]."""
     lines = [line.strip() for line in sections.get("channel units", sections.get("units", "")).splitlines()]
     while lines and not lines[-1]:
         lines.pop()
@@ -96,7 +96,7 @@ def _units(names: list[str], sections: dict[str, str]) -> dict[str, str]:
 
 
 def _midnight(text: str) -> float:
-    """UTC [s] of the start of the day on which the file was made, 0 where the file does not give it."""
+    """UTC [s] of the start of the day on which the file was created; 0 where it does not state the day."""
     match = _CREATED.search(text[:2000])
     try:
         day, month, year = map(int, match.groups()) if match else (1, 1, 1970)
@@ -113,7 +113,7 @@ def _is_clock(body: str, column: int) -> bool:
 
 
 def _seconds(text: str, midnight: float) -> tuple[float, float] | None:
-    """UTC [s] of HHMMSS.ss on a day; the next days are not in it."""
+    """(UTC [s] of HHMMSS.ss on the day that began at midnight, period of a day); None for a cell that is no time."""
     try:
         clock = float(text)
     except ValueError:
@@ -123,7 +123,7 @@ def _seconds(text: str, midnight: float) -> tuple[float, float] | None:
 
 
 def _with_motion(table: Table, names: list[str], warnings: list[str]) -> Table:
-    """The table with longitude east positive, and with yaw, yaw rate and lateral velocity."""
+    """The table with longitude east positive, yaw, yaw rate and lateral velocity."""
     columns = dict(table.columns)
     if "longitude" in columns:
         columns["longitude"] = -columns["longitude"]
@@ -146,7 +146,7 @@ def _with_motion(table: Table, names: list[str], warnings: list[str]) -> Table:
 
 
 def _set_yaw_rate(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
-    """A yaw rate channel with the sign of the heading; else the derivative of the heading."""
+    """Gives the yaw rate channel the sign of the heading, or replaces it by the derivative of the heading."""
     rows = np.flatnonzero(table.used & np.isfinite(columns["yaw"]))
     derived = np.full(len(columns["yaw"]), np.nan)
     if len(rows) > 2:
