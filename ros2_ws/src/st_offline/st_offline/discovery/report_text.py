@@ -353,10 +353,12 @@ def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
         lines.append("do the next drive and add it to the runs")
     if found.known_together:
         lines.append("weigh the car and compare the tyres with those of the vehicle file")
-    if found.minor:
-        kept = ", ".join(plain(e.name) for e in found.minor)
-        contains = "model.yaml also contains" if found.effects else "predict with model.yaml; it contains"
-        lines.append(f"{contains} {kept}: part of the fit, not named and no property of the car")
+    if found.minor and found.effects:
+        kept = ", ".join(by_any_name(found, e) for e in found.minor)
+        lines.append(f"model.yaml also contains {kept}: part of the fit, not named and no property of the car")
+    elif found.minor:
+        lines.append(f"predict with model.yaml; it contains {', '.join(plain(e.name) for e in found.minor)}: part of the "
+                     "fit, not named")
     return lines or ["nothing"]
 
 
