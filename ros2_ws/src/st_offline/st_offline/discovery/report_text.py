@@ -357,8 +357,8 @@ def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
         kept = ", ".join(by_any_name(found, e) for e in found.minor)
         lines.append(f"model.yaml also contains {kept}: part of the fit, not named and no property of the car")
     elif found.minor:
-        lines.append(f"predict with model.yaml; it contains {', '.join(plain(e.name) for e in found.minor)}: part of the "
-                     "fit, not named")
+        lines.append(f"predict with model.yaml; it contains {', '.join(plain(e.name) for e in found.minor)}: part of "
+                     "the fit, not named")
     return lines or ["nothing"]
 
 
