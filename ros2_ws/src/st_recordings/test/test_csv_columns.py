@@ -99,7 +99,7 @@ def check(drive, channel: str) -> None:
         of = [values()[c] for c in (channel, *columns_of_wheels(channel))]
         np.testing.assert_allclose(drive.auxiliary.wheel_speed.values, np.mean(of, axis=0), atol=1e-9)
     else:
-        assert channel in drive.columns
+        assert channel in drive.provenance["columns"]
 
 
 @pytest.mark.parametrize(("names", "units"), [
@@ -117,8 +117,8 @@ def test_headers_as_people_write_them(tmp_path: Path, names: dict, units: dict) 
     assert_whole(drive.log)
     assert has_drive_columns(tmp_path / "d.csv")
     for channel, unit in units.items():
-        assert drive.columns[channel].endswith(f"[{unit}]")
-    assert drive.columns["velocity_y"] == "vy [m/s, assumed]"
+        assert drive.provenance["columns"][channel].endswith(f"[{unit}]")
+    assert drive.provenance["columns"]["velocity_y"] == "vy [m/s, assumed]"
 
 
 def test_a_better_name_goes_first_and_velocity_before_speed(tmp_path: Path) -> None:
@@ -132,7 +132,7 @@ def test_a_row_of_units_below_the_header(tmp_path: Path) -> None:
     (tmp_path / "d.csv").write_text("\n".join([lines[0], "ms,m,m,[deg],km/h,m/s,rad/s,m/s^2,m/s^2,rad", *lines[1:]]))
     drive = read_csv(tmp_path / "d.csv")
     assert_whole(drive.log)
-    assert drive.columns["velocity_x"] == "vx [km/h]" and not drive.warnings
+    assert drive.provenance["columns"]["velocity_x"] == "vx [km/h]" and not drive.warnings
 
 
 @pytest.mark.parametrize("delimiter", [";", "\t"])

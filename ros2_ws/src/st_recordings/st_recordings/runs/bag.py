@@ -10,7 +10,6 @@ import numpy as np
 from mcap.reader import make_reader
 from rosbags.typesys.store import Typestore
 from st_core.checks import AuxiliaryData
-from st_core.errors import StCoreError
 from st_core.log import DriveLog
 
 from ..bag_metadata import read_information
@@ -35,7 +34,7 @@ from .reconstruct import (
     steering_columns,
     steering_topic,
 )
-from .run_types import SteeringField
+from .run_types import SteeringField, drive_log
 
 KNOWN_TOPICS = ("/ins/", "/vehicle/", "/can/", "/predictor/", "/evaluator/", "/identifier/", "/view/", "/tf",
                 "/diagnostics", "/clock", "/rosout", "/parameter_events", "/events/")
@@ -296,14 +295,9 @@ def _drive_log(path: Path, name: str, odometry: Mapping[str, np.ndarray], steeri
     missing["road_wheel_angle"] = int((~good).sum())
     steering_ns, steering_rows, steering_notes = _usable_messages(steering["header.stamp"], good, "steering messages")
     wheel = steering["steering_wheel_angle"][steering_rows]
-    try:
-        log = DriveLog(
-            name, ins_time_ns=ins_ns, **values, steering_time_ns=steering_ns,
-            road_wheel_angle=steering["road_wheel_angle"][steering_rows],
-            steering_wheel_angle=wheel if np.isfinite(wheel).all() else None,
-        )
-    except StCoreError as error:
-        raise RunError(path, str(error)) from None
+    log = drive_log(path, name, ins_time_ns=ins_ns, **values, steering_time_ns=steering_ns,
+                    road_wheel_angle=steering["road_wheel_angle"][steering_rows],
+                    steering_wheel_angle=wheel if np.isfinite(wheel).all() else None)
     return log, missing, [*notes, *steering_notes]
 
 

@@ -1,14 +1,12 @@
-"""Reads drives from tables with the columns of columns.py, and INS logs with speed and yaw rate (for clock alignment).
-"""
+"""Reads drives from tables with the columns of columns.py, and INS logs of speed and yaw rate for clock alignment."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from st_core.checks import AuxiliaryData
-from st_core.errors import StCoreError
-from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
+from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 from st_core.vehicle import VehicleParameters
 
 from .columns import Layout, doubtful_steering, find_columns
@@ -16,7 +14,7 @@ from .csv_table import Table, header_of, known, read_table
 from .errors import RunError, share
 from .ins_log import SPEEDS, InsLog, car_speed, is_mostly_known, planar, yaw_of
 from .ncom import enu
-from .run_types import ReadSettings, RunSource, SteeringField
+from .run_types import LoadedRun, ReadSettings, RunSource, SteeringField, drive_log
 
 MOTION = ("velocity_x", "yaw_rate")
 ROAD, WHEEL, COMPASS = "road_wheel_angle", "steering_wheel_angle", "compass_heading"
@@ -36,19 +34,7 @@ MIN_REGULAR_SHARE = 0.9
 which the blanks are due to its lower rate."""
 
 
-@dataclass(frozen=True)
-class CsvDrive:
-    """The drive in a table. columns: channel -> column and unit, as they were used. origin: of the map, latitude,
-    longitude [rad], height [m]; None for a table with x and y."""
-
-    log: DriveLog
-    columns: Mapping[str, str]
-    auxiliary: AuxiliaryData
-    warnings: tuple[str, ...]
-    origin: tuple[float, float, float] | None = None
-
-
-def read_csv(file: Path, vehicle: VehicleParameters | None = None, layout: Layout | None = None) -> CsvDrive:
+def read_csv(file: Path, vehicle: VehicleParameters | None = None, layout: Layout | None = None) -> LoadedRun:
     """The drive in a CSV file, as `drive_of`. Raises RunError."""
     return drive_of(read_table(file, layout or Layout()), vehicle)
 
@@ -64,12 +50,13 @@ def with_steering(layout: Layout, steering: SteeringField | None) -> Layout:
 
 
 def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: float = 1.0,
-             steering: SteeringField | None = None) -> CsvDrive:
+             steering: SteeringField | None = None) -> LoadedRun:
     """The drive in a table. Raises RunError.
 
     A row without a number in an INS channel is left out of the INS samples but not of the steering, and vice versa;
     an acceleration becomes NaN. vehicle: for a file with the hand wheel alone. yaw_scale: factor on the recorded yaw,
-    applied before unwrapping, which expects radians. steering: its sign is applied.
+    applied before unwrapping, which expects radians. steering: its sign is applied. Provenance: columns (channel ->
+    column and unit, as they were used), and the origin of the map for a table with latitude and longitude.
     """
     file = table.file
     _check_columns(table, (*INS_SIGNALS, ROAD))
@@ -89,16 +76,14 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
     values["yaw"] = np.unwrap(yaw_scale * values["yaw"])
     values |= {name: columns[name][ins] for name in OPTIONAL_INS_SIGNALS if is_mostly_known(columns.get(name))}
     values |= {name: columns[name][steered] for name in {ROAD, *used}}
-    try:
-        log = DriveLog(file.stem, ins_time_ns=table.time_ns[ins], steering_time_ns=table.time_ns[steered], **values)
-    except StCoreError as error:
-        raise RunError(file, str(error)) from None
+    log = drive_log(file, file.stem, ins_time_ns=table.time_ns[ins], steering_time_ns=table.time_ns[steered], **values)
     speeds = {name: (table.time_ns[table.used], columns[name][table.used]) for name in SPEEDS if name in columns}
     first, last = np.flatnonzero(table.used)[[0, -1]]  # of the stretch that is used
     extras = AuxiliaryData({"INS": table.time_ns[first : last + 1]}, missing, car_speed(speeds))
-    taken = {channel: f"{place.name} [{place.unit}{'' if place.stated else ', assumed'}]"
-             for channel, place in table.places.items()}
-    return CsvDrive(log, taken, extras, tuple(notes), origin)
+    places = {channel: f"{place.name} [{place.unit}{'' if place.stated else ', assumed'}]"
+              for channel, place in table.places.items()}
+    provenance = {"columns": places, **({"origin": list(origin)} if origin else {})}
+    return LoadedRun(log, provenance, warnings=tuple(notes), auxiliary=extras)
 
 
 def ins_of(table: Table, needed: Sequence[str] = INS_SIGNALS) -> InsLog:

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from st_core.checks import AuxiliaryData
 from st_core.clock_types import Alignment, SharedSignal, Verdict
-from st_core.errors import StCoreError
-from st_core.log import OPTIONAL_INS_SIGNALS, DriveLog
+from st_core.log import OPTIONAL_INS_SIGNALS
 from st_core.vehicle import VehicleParameters
 
 from ..paths import json_ready
@@ -22,7 +21,7 @@ from .errors import RunError, check_readable, share
 from .frames import CanLog, no_frames
 from .ins_log import InsLog, is_mostly_known
 from .readers import READERS
-from .run_types import LoadedRun, ReadSettings, RunSource, signal_files
+from .run_types import LoadedRun, ReadSettings, RunSource, drive_log, signal_files
 from .sources import find_runs
 
 
@@ -104,16 +103,12 @@ def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
                  f"it is not {'known there' if is_mostly_known(accelerations[name]) else 'used'}"
                  for name, count in missing.items() if 0 < count < len(ins.time_ns)]
     missing["road_wheel_angle"] = int((~steering.valid).sum())
-    try:
-        log = DriveLog(
-            source.name, ins_time_ns=ins.time_ns, x=ins.position[0], y=ins.position[1], yaw=ins.yaw,
-            velocity_x=ins.velocity[0], velocity_y=ins.velocity[1], yaw_rate=ins.rate[2],
-            **{name: values for name, values in accelerations.items() if is_mostly_known(values)},
-            steering_time_ns=steering_ns[good], steering_wheel_angle=wheel,
-            road_wheel_angle=vehicle.road_wheel_angle(wheel),
-        )
-    except StCoreError as error:
-        raise RunError(source.where, str(error)) from None
+    log = drive_log(
+        source.where, source.name, ins_time_ns=ins.time_ns, x=ins.position[0], y=ins.position[1], yaw=ins.yaw,
+        velocity_x=ins.velocity[0], velocity_y=ins.velocity[1], yaw_rate=ins.rate[2],
+        **{name: values for name, values in accelerations.items() if is_mostly_known(values)},
+        steering_time_ns=steering_ns[good], steering_wheel_angle=wheel,
+        road_wheel_angle=vehicle.road_wheel_angle(wheel))
     about = {"reader": f"{source.kind} and CAN log", **({"origin": list(ins.origin)} if ins.origin else {}),
              "alignment": about_alignment(run.alignment),
              "settings": {"steering_sign": settings.steering_sign, "steering_latency": settings.steering_latency,

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from st_core.checks import AuxiliaryData
 from st_core.clock_types import Alignment, none_needed
+from st_core.errors import StCoreError
 from st_core.log import DriveLog
 
 from ..paths import config
@@ -104,6 +105,14 @@ class LoadedRun:
     warnings: tuple[str, ...] = ()
     alignment: Alignment = field(default_factory=none_needed)
     auxiliary: AuxiliaryData = field(default_factory=AuxiliaryData)
+
+
+def drive_log(where: Path, name: str, **columns: Any) -> DriveLog:
+    """The log of a run's columns. Raises RunError where DriveLog refuses them."""
+    try:
+        return DriveLog(name, **columns)
+    except StCoreError as error:
+        raise RunError(where, str(error)) from None
 
 
 def signal_files(source: RunSource, settings: ReadSettings) -> tuple[Path, Path]:

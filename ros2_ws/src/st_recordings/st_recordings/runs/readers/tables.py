@@ -20,11 +20,9 @@ def _register(kind: str, table_of: Callable[[Path, Layout], Table], **more: Call
     def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
         yaw = source.settings.get("correct", {}).get("yaw", Correction())
         layout = csv.with_steering(source.settings.get("layout") or Layout(), settings.steering)
-        drive = csv.drive_of(table_of(source.where, layout), vehicle, yaw.scale, settings.steering)
-        about = {"reader": kind, "columns": dict(drive.columns)} | (
-            {"origin": list(drive.origin)} if drive.origin else {})
-        return LoadedRun(replace(drive.log, name=source.name), about, source.labels, drive.warnings,
-                         auxiliary=drive.auxiliary)
+        run = csv.drive_of(table_of(source.where, layout), vehicle, yaw.scale, settings.steering)
+        return replace(run, log=replace(run.log, name=source.name), labels=source.labels,
+                       provenance={"reader": kind, **run.provenance})
 
     def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
         return csv.ins_of(table_of(source.where, source.settings.get("layout") or Layout()))
