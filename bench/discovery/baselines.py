@@ -34,7 +34,7 @@ def compared(case: Case, drives: Drives) -> dict[str, Any]:
     result: dict[str, Any] = {"tyres": round(judge.position(tyres), 4), "paramsd": round(judge.position(learnt), 4)}
     if case.with_vy:
         regression = Regression(drives.suspect, drives.vehicle, everything())
-        before, after = regression.left_over(drives.held_out)
+        before, after = regression.residual_over_noise(drives.held_out)
         result["regression"] = {"names": list(regression.names), "before": round(before, 4), "after": round(after, 4)}
     return result
 

@@ -72,7 +72,7 @@ class Regression:
             return ()
         return NAMED_BY[TERMS[int(np.argmax(np.abs(self.coefficients).max(axis=0)))]]
 
-    def left_over(self, runs: Sequence[DriveLog]) -> tuple[float, float]:
+    def residual_over_noise(self, runs: Sequence[DriveLog]) -> tuple[float, float]:
         """Mean square of the residual accelerations on other drives, before and after, in sizes of the fitted ones."""
         library, target = self._rows(runs)
         before = target / self._target_size

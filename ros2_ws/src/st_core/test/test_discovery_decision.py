@@ -29,7 +29,7 @@ from st_core.discovery.decision import (
     varies_over,
     varies_relevantly,
 )
-from st_core.discovery.discover import by_sensors
+from st_core.discovery.discover import with_sensor_interval
 from st_core.discovery.evidence import AgainstFile, Agreement, Evidence
 from st_core.discovery.result import Combination, FittedParameter
 from st_core.errors import ConfigurationError
@@ -173,7 +173,7 @@ def test_what_varies_must_be_relevant():
     ((-1.0, 9.0), None, (-1.0, 9.0)),
 ])
 def test_interval_is_as_sure_as_the_sensors_where_they_deny_the_null(interval, known, expected):
-    assert by_sensors(FittedParameter(4.0, "rad/s", interval, 0.0), known).interval == expected
+    assert with_sensor_interval(FittedParameter(4.0, "rad/s", interval, 0.0), known).interval == expected
 
 
 def test_every_level_has_words():

@@ -11,17 +11,17 @@ from st_core.discovery.evidence import (
     FLIPS,
     Scores,
     agreement,
-    by_sensors,
     chance,
     covariance,
     deviation,
+    distance_to_bound,
     evidence,
-    of_null,
+    null_p_value,
     pooled,
     screen,
+    sensor_p_values,
     shares,
     statistic,
-    to_bound,
 )
 from st_core.discovery.levels import KINDS, TIMES, conditions, levels, places, runs, sites
 from st_core.discovery.windows import Windows, noise_floor
@@ -107,10 +107,11 @@ def test_screen_leaves_out_what_is_there_and_is_the_same_twice():
 def test_null_is_hotellings_test():
     problem = linear_problem(FEW, {"mass": 1.0}, 3)
     fit = fitted(problem, "mass", "yaw_inertia")
-    assert of_null(problem, fit, "mass") < 1e-3 and of_null(problem, fit, "yaw_inertia") > 0.01
+    assert null_p_value(problem, fit, "mass") < 1e-3 and null_p_value(problem, fit, "yaw_inertia") > 0.01
     own = problem.space.indices("mass")
     z = (fit.vector - problem.start)[own] / deviation(problem, fit, "mass")
-    assert of_null(problem, fit, "mass") == pytest.approx(2.0 * stats.t.sf(abs(z[0]), problem.blocks - 1), rel=1e-6)
+    expected = 2.0 * stats.t.sf(abs(z[0]), problem.blocks - 1)
+    assert null_p_value(problem, fit, "mass") == pytest.approx(expected, rel=1e-6)
 
 
 def test_deviation_is_that_of_repeated_drives():
@@ -130,8 +131,8 @@ def test_distance_to_a_bound_counts_in_usual_sizes():
     inside, beyond = (fitted(linear_problem(FEW, {"yaw_inertia": by}, 4, size=0.2), "yaw_inertia")
                       for by in (6.0, 14.0))
     problem = linear_problem(FEW, {}, 4)
-    assert to_bound(problem, inside, "yaw_inertia") == pytest.approx(4.0, abs=0.1)
-    assert to_bound(problem, beyond, "yaw_inertia") == 0.0
+    assert distance_to_bound(problem, inside, "yaw_inertia") == pytest.approx(4.0, abs=0.1)
+    assert distance_to_bound(problem, beyond, "yaw_inertia") == 0.0
 
 
 @pytest.mark.parametrize(("effect", "by"), [("steering_lag", -1.0), ("combined_slip", 1.5)])
@@ -139,7 +140,7 @@ def test_bound_at_the_null_or_at_theory_is_none(effect, by):
     problem = linear_problem((effect,), {effect: by}, 5)
     fit = fitted(problem, effect)
     assert fit.vector[problem.space.indices(effect)[0]] == (0.0 if by < 0.0 else 1.0)
-    assert to_bound(problem, fit, effect) > 1.0
+    assert distance_to_bound(problem, fit, effect) > 1.0
 
 
 def test_sensors_confirm_or_contradict():
@@ -149,15 +150,15 @@ def test_sensors_confirm_or_contradict():
     off = value - 0.003
     reach = 0.001 * stats.norm.ppf(0.975)
     said = {"yaw_rate_bias.bias": (0.003, 0.003 - reach, 0.003 + reach)}
-    assert by_sensors(problem, fit, "yaw_rate_bias", said)[0] == pytest.approx(
+    assert sensor_p_values(problem, fit, "yaw_rate_bias", said)[0] == pytest.approx(
         2.0 * stats.norm.sf(abs(off) / np.hypot(0.001, own)), rel=1e-6)
     near = {"yaw_rate_bias.bias": (value, value - 1e-4, value + 1e-4)}
     far = {"yaw_rate_bias.bias": (0.0, -1e-4, 1e-4)}
-    assert by_sensors(problem, fit, "yaw_rate_bias", near)[0] == pytest.approx(1.0)
-    assert by_sensors(problem, fit, "yaw_rate_bias", far)[0] < 1e-6
-    assert by_sensors(problem, fit, "yaw_rate_bias", near)[1] < 1e-6  # and say that it is there
-    assert by_sensors(problem, fit, "yaw_rate_bias", far)[1] == pytest.approx(1.0)
-    assert by_sensors(problem, fit, "mass", far) == (None, None)
+    assert sensor_p_values(problem, fit, "yaw_rate_bias", near)[0] == pytest.approx(1.0)
+    assert sensor_p_values(problem, fit, "yaw_rate_bias", far)[0] < 1e-6
+    assert sensor_p_values(problem, fit, "yaw_rate_bias", near)[1] < 1e-6  # and say that it is there
+    assert sensor_p_values(problem, fit, "yaw_rate_bias", far)[1] == pytest.approx(1.0)
+    assert sensor_p_values(problem, fit, "mass", far) == (None, None)
 
 
 def test_shares_of_the_columns():
@@ -181,8 +182,8 @@ def test_evidence_of_a_fit_against_that_without():
     e = evidence(problem, base, fit, "mass", scores, {}, {})
     by_run = problem.held_out_apart(base) - problem.held_out_apart(fit)
     assert e.gain == pytest.approx(min((base.held_out - fit.held_out).sum(), by_run.sum()) / problem.number)
-    fall = (problem.position(problem.held_out_rows(base, problem.apart))
-            - problem.position(problem.held_out_rows(fit, problem.apart)))
+    fall = (problem.position(problem.held_out_rows(base, problem.held_out_groups))
+            - problem.position(problem.held_out_rows(fit, problem.held_out_groups)))
     assert e.position == e.position_somewhere == pytest.approx(fall.mean()) and e.position > 0.0
     halves = (np.arange(160) % 2, ["even", "odd"])
     bent = evidence(problem, base, fit, "mass", scores, {"condition": halves}, {})

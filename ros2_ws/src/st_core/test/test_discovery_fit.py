@@ -267,11 +267,11 @@ def test_prior_holds_the_rest_as_if_the_set_were_unknown():
     everything = np.arange(len(problem.space))
     free = problem.space.indices("mass", "steering_offset")
     rest = np.setdiff1d(everything, free)
-    held = problem.held(("mass", "steering_offset"), everything)
+    held = problem.prior_curvature(("mass", "steering_offset"), everything)
     np.testing.assert_allclose(held[np.ix_(rest, rest)], np.linalg.inv(np.linalg.inv(prior)[np.ix_(rest, rest)]),
                                rtol=1e-6, atol=1e-7)
     assert not held[free].any() and not held[:, free].any()
-    np.testing.assert_allclose(problem.held((), everything), prior)
+    np.testing.assert_allclose(problem.prior_curvature((), everything), prior)
 
 
 @pytest.mark.parametrize("strength", [1.0, 1e8])

@@ -35,7 +35,7 @@ def explained():
 
 def test_errors_at_the_end_are_those_of_the_last_point(explained):
     problem, final, ends, *_ = explained
-    rows = problem.held_out_rows(final, problem.apart).reshape(320, 4, len(COLUMNS))[:, -1]
+    rows = problem.held_out_rows(final, problem.held_out_groups).reshape(320, 4, len(COLUMNS))[:, -1]
     of = ends.of(final)
     np.testing.assert_allclose(of["yaw_rate"], np.square(rows[:, 1]))
     np.testing.assert_allclose(of["position_5s"], np.hypot(rows[:, 4], rows[:, 5]))
@@ -43,8 +43,8 @@ def test_errors_at_the_end_are_those_of_the_last_point(explained):
 
 def test_folds_are_whole_runs_where_there_are_three():
     four, two = (linear_problem(FEW, {}, 1, runs=n) for n in (4, 2))
-    assert (four.apart[four.block] == four.errors.windows.run).all()
-    assert (two.apart == two.fold).all()
+    assert (four.held_out_groups[four.block] == four.errors.windows.run).all()
+    assert (two.held_out_groups == two.fold).all()
 
 
 def test_steps_lead_from_the_base_to_the_answer(explained):

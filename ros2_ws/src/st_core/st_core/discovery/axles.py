@@ -96,8 +96,12 @@ class Axles:
         """Those of the effects that change the force of an axle at the slip driven."""
         slip = next(np.quantile(np.abs(one.samples.slip), (0.5, 0.95)) for one in self.regressions if one.axle == axle)
         force = axle_force(self.model, self.vehicle, axle, slip)
-        return tuple(n for n in names if np.abs(axle_force(self.problem.space.at(self.problem.put_back(self.fit, n)),
-                                                           self.vehicle, axle, slip) / force - 1.0).max() > ACTS)
+        acting = []
+        for name in names:
+            without = self.problem.space.at(self.problem.vector_without(self.fit, name))
+            if np.abs(axle_force(without, self.vehicle, axle, slip) / force - 1.0).max() > ACTS:
+                acting.append(name)
+        return tuple(acting)
 
     def worse(self, base: AugmentedModel, left_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[str, ...]:
         """Axles with measured forces that the answer describes less well than the file does, each run with the values

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 
 from ..effects import twins_of
-from .evidence import FLIPS, Scores, chance, left_over, score
+from .evidence import FLIPS, Scores, chance, residual_over_noise, score
 from .fit import Fit, Problem
 from .loss import Quadratic
 from .result import Certificate, Power
@@ -53,7 +53,7 @@ def _required(problem: Problem, rows: np.ndarray, moved: float, limits: Limits) 
     """Gain for each scored error a name is given for. rows: errors of the answer. moved [m]: fall of the mean position
     error."""
     required = limits.negligible if moved > limits.relevant_position else limits.relevant
-    return max(required, limits.unexplained_share) if left_over(problem, rows) > limits.left else required
+    return max(required, limits.unexplained_share) if residual_over_noise(problem, rows) > limits.left else required
 
 
 def driven(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callable[[], None]) -> Certificate:

@@ -136,7 +136,7 @@ class _Work:
         if len(self.windows) < 3:
             raise StCoreError(f"only {len(self.windows)} predictions of {settings.horizon:g} s fit into the runs: "
                               "drive longer, above walking speed, without gaps")
-        self.sensors = self._by_sensors(identities)
+        self.sensors = self._known_by_sensors(identities)
         self.threads = parallel
 
     def result(self) -> Discovery:
@@ -150,7 +150,7 @@ class _Work:
         whole, fit = self._corrected(found, parts)
         self._tick("explaining")()
         ends = waterfall.Ends(whole, settings.seed)
-        bound = self._bound(found, parts)
+        bound = self._varying_effects(found, parts)
         floor = self._floor(by_column)
         names = self._names(search, found, parts, floor)
         effects = names.stated
@@ -173,7 +173,7 @@ class _Work:
             where=statements, not_testable=untestable,
             next_manoeuvre=following(problem, found.fit, effects, driven, found.scores.design) if driven else None,
             separability=separability(problem, found.fit, effects, found.scores.design), certificate=power,
-            signature=self._left(left, statements), runs=self._run_table(),
+            signature=self._residual_signature(left, statements), runs=self._run_table(),
             start="reference" if self.reference else "vehicle file", base=space.at(base.vector),
             model=space.at(fit.vector) if fit.names else None, named=self._named_model(found, names),
             warnings=tuple(self.warnings), left_out=names.left_out, axle_curves=names.curves,
@@ -184,11 +184,11 @@ class _Work:
         """The effects of the search with the verdict on each name, and what they mean for the axles."""
         problem = self.problem
         all_free = joint(problem, found.fit) if problem.prior is None else None
-        position = problem.position(problem.held_out_rows(found.fit, problem.apart))
+        position = problem.position(problem.held_out_rows(found.fit, problem.held_out_groups))
         unexplained = (float(np.nanmean(position)) / max(floor["position_5s"], 1e-9)
                        if np.isfinite(position).any() else 1.0)
-        everything = [replace(self._effect(n, found, parts, all_free, unexplained), joint=self._joint(search, found, n))
-                      for n in found.order]
+        everything = [replace(self._effect(name, found, parts, all_free, unexplained),
+                              joint=self._cancelling(search, found, name)) for name in found.order]
         left_out = waterfall.left_out(problem, found.fit)
         axles, curves, combinations = self._axles(found, all_free, unexplained)
         verdicts = self._verdicts(found, everything, axles, left_out)
@@ -200,7 +200,7 @@ class _Work:
         """The model without the names that the axle forces contradict; None where no effect was found."""
         if not found.fit.names:
             return None
-        return self.space.at(self.problem.put_back(found.fit, *(e.name for e in names.denied)))
+        return self.space.at(self.problem.vector_without(found.fit, *(e.name for e in names.denied)))
 
     def _certificate(self, found: Found) -> Certificate:
         if not self.settings.certify:
@@ -229,7 +229,7 @@ class _Work:
         problem.loss.scale = scale
         fit = free.about(fit.names, fit.vector, fit.which, fit.slopes)
         gain = float((free.held_out_apart(found.fit) - free.held_out_apart(fit)).sum()) / problem.number
-        named, best = (float(np.nanmean(p.position(p.held_out_rows(f, p.apart))))
+        named, best = (float(np.nanmean(p.position(p.held_out_rows(f, p.held_out_groups))))
                        for p, f in ((problem, found.fit), (free, fit)))
         return (problem, found.fit) if gain < self.limits.relevant or best > named else (free, fit)
 
@@ -268,7 +268,7 @@ class _Work:
                                  f"{'it' if len(missing) == 1 else 'them'} are not looked at")
         return replace(settings, channels=tuple(c for c in settings.channels if c not in left_out))
 
-    def _by_sensors(self, identities: Sensors) -> dict[str, tuple[float, float, float]]:
+    def _known_by_sensors(self, identities: Sensors) -> dict[str, tuple[float, float, float]]:
         return {f"{effect}.{p.name}": identities[p.identity] for effect in self.space.hypotheses
                 for p in get_effect(effect).parameters if p.identity and p.identity in identities}
 
@@ -297,12 +297,13 @@ class _Work:
                         key=lambda r: -r.share)
         values = waterfall.parameters(self.problem, found.fit, name, parts, found.near, everything, unexplained)
         known = {} if self.reference else self.sensors
+        parameters = {n: with_sensor_interval(p, known.get(f"{name}.{n}")) for n, p in values.items()}
         return FoundEffect(
-            name, get_effect(name).kind, {n: by_sensors(p, known.get(f"{name}.{n}")) for n, p in values.items()},
+            name, get_effect(name).kind, parameters,
             tuple(r.name for r in others), evidence.position, _values(evidence), (),
             *most_affected(evidence, self.limits))
 
-    def _joint(self, search: Search, found: Found, name: str) -> tuple[str, ...]:
+    def _cancelling(self, search: Search, found: Found, name: str) -> tuple[str, ...]:
         """Effects of the answer that cancel one: without both, much less is lost than without either."""
         fit, alone = found.fit, search.promised(found.fit, name)
         return tuple(n for n in fit.names if n != name and search.promised(fit, n, name)
@@ -335,7 +336,7 @@ class _Work:
             for axle in axles.worse(self.space.at(self.space.null), left_out):
                 worse |= dict.fromkeys(axles.acting(axle, [e.name for e in everything]), axle)
         return {e.name: naming_verdict(found.evidence[e.name], self.limits, Checks(
-            bool(self.reference) or null_excluded(e), "" if self.reference else crossing(e),
+            bool(self.reference) or null_excluded(e), "" if self.reference else parameter_across_bound(e),
             driven if get_effect(e.name).at_peak_force else 1.0, worse.get(e.name, ""))) for e in everything}
 
     def _effective(self, whole: Problem, fit: Fit, found: Found) -> tuple[FoundEffect, ...]:
@@ -344,7 +345,7 @@ class _Work:
                                  ends.position_without(fit, n), {})
                      for n in fit.names if n not in found.fit.names)
 
-    def _bound(self, found: Found, parts: Mapping[str, Level]) -> list[tuple[BoundEffect, Fit | None]]:
+    def _varying_effects(self, found: Found, parts: Mapping[str, Level]) -> list[tuple[BoundEffect, Fit | None]]:
         """What is significant but not the same everywhere: effects refused for that, else the one that varies most."""
         collected: list[tuple[BoundEffect, Fit | None]] = []
         # One fact is not both named and "not named": not what is in the answer, nor what could stand in its place.
@@ -360,14 +361,14 @@ class _Work:
             for v in varying(self.problem, found.fit, parts):
                 evidence = evidence_of(self.problem, found.fit, v, parts)
                 if varies_relevantly(evidence, self.limits) and not self.space.overlaps(v.name, taken):
-                    collected.append((self._coming(v, evidence.position), None))
+                    collected.append((self._as_bound_effect(v, evidence.position), None))
                     break
         for bound, _ in collected:
             self.warnings.append(f"something that resembles {bound.resembles.replace('_', ' ')} is significant, but "
                                  f"differs over {WORDS[bound.to]}: it is reported, not named")
         return collected
 
-    def _coming(self, v: Varying, position: float) -> BoundEffect:
+    def _as_bound_effect(self, v: Varying, position: float) -> BoundEffect:
         """Shares are of the largest change any part shows. position [m]: fall of the error."""
         free = next(f for f in self.space.free if (f.effect, f.parameter) == (v.name, v.parameter))
         value, spread = max(v.values.values(), key=lambda each: abs(each[0] - free.null))
@@ -447,7 +448,7 @@ class _Work:
             result["position_5s"] = max(result.get("position_5s", 0.0), noise)
         return result
 
-    def _left(self, left: float, statements: Sequence[WhereStatement]) -> tuple[str, ...]:
+    def _residual_signature(self, left: float, statements: Sequence[WhereStatement]) -> tuple[str, ...]:
         """What is unexplained, in words."""
         if left <= self.limits.left:
             return ()
@@ -478,7 +479,7 @@ def _values(evidence: Evidence) -> dict[str, tuple[Value, ...]]:
             for level, a in evidence.agreement.items()}
 
 
-def crossing(effect: FoundEffect) -> str:
+def parameter_across_bound(effect: FoundEffect) -> str:
     """Parameter with an interval across a bound other than its null, its theoretical value, or one of a curve."""
     for p in get_effect(effect.name).parameters:
         fitted = effect.parameters.get(p.name)
@@ -493,7 +494,7 @@ def null_excluded(effect: FoundEffect) -> bool:
     return any(not p.interval[0] <= p.null <= p.interval[1] for p in effect.parameters.values())
 
 
-def by_sensors(fitted: FittedParameter, known: tuple[float, float, float] | None) -> FittedParameter:
+def with_sensor_interval(fitted: FittedParameter, known: tuple[float, float, float] | None) -> FittedParameter:
     """With an interval as wide as that measured by the sensors among themselves, (value, low, high), where they agree
     with the value and deny the null that its own interval contains."""
     _, low, high = known or (0.0, -np.inf, np.inf)

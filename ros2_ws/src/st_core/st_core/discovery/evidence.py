@@ -1,4 +1,4 @@
-"""Evidence of the drives for one effect in a set, in figures; `decision` draws the conclusions."""
+"""Statistics of one effect in a set of effects; `decision` draws the conclusions."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,18 +13,21 @@ from .levels import Level
 from .loss import Quadratic
 from .space import Space
 
-FLIPS = 400  # of the signs of blocks: enough to resolve a p-value of 0.01
+FLIPS = 400  # random sign patterns of the blocks: they resolve a p-value of 0.01
 TWO_SIDED = float(stats.norm.ppf(0.975))
-MIN_CURVATURE = 0.3  # of the curvature of the reweighted squares: errors far out may bend the loss down by no more
-PART_PRIOR = 0.05  # of the whole curvature: a part of the driving need not show everything else alone
-UNNAMED = 0.5  # usual sizes: standard deviation of an effect that is not in the set, for intervals of those that are
-MIN_INFORMATION_SHARE = 0.02  # of the information; a part with less is ignored
+MIN_CURVATURE = 0.3  # lowest curvature of the robust loss, over that of the reweighted squares (outliers reduce it)
+PART_PRIOR = 0.05  # of the curvature of all driving: prior for the other parameters in a part of the driving
+UNNAMED = 0.5  # usual sizes: prior standard deviation of effects outside the set, for intervals of those inside
+MIN_INFORMATION_SHARE = 0.02  # of the information of all driving; a part with less is ignored
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """An effect over the parts of a level. shares: of the value stated, with deviations, by part. differ [1]: chance
-    that parts of one value differ so. absent [1]: chance that the next part shows none of it or the opposite."""
+    """One effect in each part of the driving (runs, sites, ...).
+
+    shares: by part, its value over the stated one, and the standard deviation. differ [1]: p-value of the differences
+    if all parts had one value. absent [1]: probability that another part shows none of it, or the opposite.
+    """
 
     shares: Mapping[str, tuple[float, float]]
     differ: float
@@ -33,8 +36,8 @@ class Agreement:
 
 @dataclass(frozen=True)
 class AgainstFile:
-    """A quantity of the vehicle file an effect changes. value: with the effect; file, deviation: as the file has it
-    [unit]. deviations [1]: between them."""
+    """A quantity of the vehicle file that an effect changes. value: with the effect; file, deviation: value and
+    standard deviation of the file [unit]. deviations [1]: distance of the two in standard deviations."""
 
     key: str
     unit: str
@@ -46,19 +49,18 @@ class AgainstFile:
 
 @dataclass(frozen=True)
 class Evidence:
-    """name: of the effect. gain [1]: fall of the held-out loss for each scored error, about the share of their size;
-    the smaller of blocks and of whole runs held out. healthy [1]: the largest such gain of anything between drives of
-    the healthy car.
+    """What the drives show of one effect.
 
-    chance [1]: that anything of the library gains so much where nothing is. null [1]: of values at least as far from
-    their null, were that the truth. shares: by column of the errors, (what it takes away of the size of the errors of
-    the start, size without it over the noise) [1]. position [m]: fall of the mean held-out position error at
-    the end of the horizon; position_somewhere: the largest in one driving condition (lower 95 % bound). left [1]: size
-    of the errors with it over the noise, in the column where that is most. bound [1]: distance to the nearest bound in
-    usual sizes. size [1]: distance of a value from its null, in usual sizes. sensors [1]: chance of the fitted value by
-    what the sensors measure among themselves, and sensors_null of the null; None where they measure nothing.
-    against_file: the quantity of the vehicle file with the value furthest from the file's; None where the file does not
-    have it. agreement: by level.
+    gain [1]: reduction of the held-out loss per scored error, about the relative reduction of their size; the smaller
+    of two values, with blocks and with whole runs held out. healthy [1]: the largest such gain between drives of the
+    healthy car. chance [1]: probability that some effect of the library gains as much by chance. null [1]: p-value of
+    the values if the null were true. shares: by column of the errors, (reduction over the baseline error, error without
+    the effect over the noise) [1]. position [m]: reduction of the mean held-out position error at the end of the
+    horizon; position_somewhere: the largest in one driving condition (lower 95 % bound). left [1]: error with the
+    effect over the noise, in the column where this is largest. bound [1]: distance to the nearest bound, and size [1]:
+    distance from the null, both in usual sizes. sensors, sensors_null [1]: p-value of the fitted value and of the null
+    under what the sensors measure among themselves; None where they measure nothing. against_file: the quantity of the
+    vehicle file that is furthest from the file's value; None without one. agreement: by level.
     """
 
     name: str
@@ -79,20 +81,23 @@ class Evidence:
 
     @property
     def share(self) -> float:
-        """Share of the size of the errors removed when the loss falls by the gain for each of them: 1 - exp(-gain)."""
+        """Relative reduction of the size of the errors, 1 - exp(-gain)."""
         return share_of(self.gain)
 
 
 def share_of(gain: float) -> float:
-    """1 - exp(-gain): below 0 where errors grow."""
+    """1 - exp(-gain); negative where errors grow."""
     return -float(np.expm1(-gain))
 
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Efficient scores of the library on top of a fit. own: (b, k) by effect; information: (k, k). largest: (FLIPS,)
-    statistic of the best effect when the signs of the blocks are chance. design: what dependent windows make of the
-    variance of a score, pooled over the library [1]. gains: (b,) linear gain, and the vector it leads to, by effect."""
+    """Efficient scores of all effects of the library that are not in a fit.
+
+    own: (b, k) by effect. largest: (FLIPS,) largest statistic of the library under random signs of the blocks. design:
+    design effect, the factor by which dependent windows increase the variance of a score (median of the library) [1].
+    gains: by effect, (b,) gain by the quadratic approximation, and the vector at its optimum.
+    """
 
     own: Mapping[str, np.ndarray]
     largest: np.ndarray
@@ -102,11 +107,11 @@ class Scores:
 
 def score(q: Quadratic, problem: Problem, names: tuple[str, ...], effect: str,
           pull: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """((b, k) score of an effect that the effects `names` do not explain, (k,) information). q: by block, of all.
-    pull: (p,) half gradient of the prior where the quadratic is about a fit."""
+    """((b, k) score, (k,) information) of an effect, with the effects `names` projected out. q: by block, of all
+    parameters. pull: (p,) half gradient of the prior where the quadratic is about a fit."""
     new = problem.space.indices(effect)
     which = np.setdiff1d(problem.which(names), new)
-    h = q.hessian.sum(axis=0) + problem.held((*names, effect), np.arange(len(problem.space)))
+    h = q.hessian.sum(axis=0) + problem.prior_curvature((*names, effect), np.arange(len(problem.space)))
     gradient = q.gradient if pull is None else q.gradient - pull / len(q.gradient)
     if not len(which):
         return gradient[:, new], np.diag(h)[new]
@@ -118,13 +123,13 @@ def score(q: Quadratic, problem: Problem, names: tuple[str, ...], effect: str,
 
 
 def statistic(own: np.ndarray) -> float:
-    """s' (sum of s s')^-1 s: how far the sum of the blocks' scores is from what their signs by chance would give."""
+    """Score statistic s' (sum of s_b s_b')^-1 s with s = sum of s_b, of the scores (b, k) of the blocks."""
     total = own.sum(axis=0)
     return float(total @ np.linalg.pinv(own.T @ own) @ total)
 
 
 def screen(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
-    """Every effect of the library that is not in the fit, by the slopes about it."""
+    """Scores of every effect of the library that is not in the fit, by the slopes about it."""
     rows = problem.errors.at(fit.vector)
     q = problem.loss.quadratic(rows, problem.everything(fit.vector).values).summed(problem.block, problem.blocks)
     own, gains, ratios = {}, {}, []
@@ -133,7 +138,7 @@ def screen(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
         if problem.space.overlaps(effect, fit.names):
             continue
         names = (*fit.names, effect)
-        own[effect], information = score(q, problem, fit.names, effect, problem.pull(fit.vector))
+        own[effect], information = score(q, problem, fit.names, effect, problem.prior_gradient(fit.vector))
         seen = information > 1e-9 * max(float(np.trace(q.hessian.sum(axis=0))), 1e-30)
         ratios += list(2.0 * np.square(own[effect]).sum(axis=0)[seen] / information[seen])
         which = problem.which(names)
@@ -150,11 +155,12 @@ def screen(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
 
 
 def chance(own: np.ndarray, gain: np.ndarray, scores: Scores, library: int) -> float:
-    """That something of the library does as well where nothing is: the smaller p-value of two tests.
+    """Probability that some effect of the library does as well by chance: the smaller p-value of two tests.
 
-    Signs of blocks: the score beyond the largest of the library with signs drawn by chance, and a gain that is above
-    zero over the blocks. Likelihood ratio: twice the gain over the design effect, for all of the library; needed for
-    what acts in a few blocks only. The design effect is known from so many blocks: Fisher's F, not chi-square.
+    Sign flips: the score exceeds the largest of the library under random signs of the blocks, and the gain is positive
+    over the blocks. Likelihood ratio: twice the gain over the design effect, with Bonferroni's factor for the library;
+    needed for what acts in a few blocks only. The design effect is estimated from the blocks, hence Fisher's F instead
+    of chi-square.
     """
     blocks, values = own.shape
     if blocks < 2:
@@ -168,38 +174,38 @@ def chance(own: np.ndarray, gain: np.ndarray, scores: Scores, library: int) -> f
 
 def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scores, levels: Mapping[str, Level],
              sensors: Mapping[str, tuple[float, float, float]]) -> Evidence:
-    """Of an effect of `fit`, against `without` it. scores: of the library, on about that. sensors: parameters of the
-    effect as the sensors measure it among themselves, (value, low, high)."""
+    """Evidence for an effect of `fit`, compared with the fit `without` it. scores: of the library, about `without`.
+    sensors: parameters as the sensors measure them among themselves, (value, low, high)."""
     gain = without.held_out - fit.held_out
     by_run = float((problem.held_out_apart(without) - problem.held_out_apart(fit)).sum())
     own = scores.own.get(effect)
     if own is None:
         own = score_of(problem, without, effect, fit.slopes)
-    rows = problem.held_out_rows(without, problem.apart), problem.held_out_rows(fit, problem.apart)
+    rows = problem.held_out_rows(without, problem.held_out_groups), problem.held_out_rows(fit, problem.held_out_groups)
     before, after = (problem.position(r) for r in rows)
-    if problem.prior is not None:  # a known car is as it was without the effect: nothing else makes up for it
-        rows = problem.errors.at(problem.put_back(fit, effect)), rows[1]
-    overall, somewhere = falls(before - after, levels.get("condition"))
+    if problem.prior is not None:  # the healthy car is known: no other parameter compensates for the effect
+        rows = problem.errors.at(problem.vector_without(fit, effect)), rows[1]
+    overall, somewhere = error_reductions(before - after, levels.get("condition"))
     return Evidence(effect, min(float(gain.sum()), by_run) / problem.number,
-                    chance(own, gain, scores, len(problem.space.hypotheses)), of_null(problem, fit, effect),
+                    chance(own, gain, scores, len(problem.space.hypotheses)), null_p_value(problem, fit, effect),
                     shares(problem, *rows), overall, somewhere,
-                    left_over(problem, rows[1]),
-                    to_bound(problem, fit, effect), problem.healthy, size_of(problem, fit, effect),
-                    *by_sensors(problem, fit, effect, sensors), against_file(problem, fit, effect),
+                    residual_over_noise(problem, rows[1]),
+                    distance_to_bound(problem, fit, effect), problem.healthy, effect_size(problem, fit, effect),
+                    *sensor_p_values(problem, fit, effect, sensors), against_file(problem, fit, effect),
                     {name: agreement(problem, fit, effect, *level) for name, level in levels.items()})
 
 
-def left_over(problem: Problem, rows: np.ndarray) -> float:
-    """Size of errors over the noise. With a reference what no effect describes is in the healthy car as well, and no
-    change of it can imitate that: 1."""
+def residual_over_noise(problem: Problem, rows: np.ndarray) -> float:
+    """Largest ratio of error to noise over the columns. 1 with a reference: what no effect describes is in the healthy
+    car as well, and no change of the car can imitate it."""
     if problem.prior is not None:
         return 1.0
     return float((problem.sizes(rows) / np.maximum(problem.noise, 1e-12)).max())
 
 
 def shares(problem: Problem, without: np.ndarray, rows: np.ndarray) -> dict[str, tuple[float, float]]:
-    """By column: fall of the size of the errors over that of the start, or without the effect if that is larger; and
-    the size without it over the noise."""
+    """By column, (reduction of the error over the baseline error or, if larger, the error without the effect; error
+    without the effect over the noise)."""
     before, after = problem.sizes(without), problem.sizes(rows)
     return {column: (float(fall), float(over)) for column, fall, over in zip(
         problem.errors.windows.columns, (before - after) / np.maximum(problem.size_of_start, before),
@@ -207,18 +213,19 @@ def shares(problem: Problem, without: np.ndarray, rows: np.ndarray) -> dict[str,
 
 
 def score_of(problem: Problem, fit: Fit, effect: str, slopes: Slopes) -> np.ndarray:
-    """(b, k) efficient scores of an effect on top of a fit. slopes: of both, about a point near by."""
+    """(b, k) efficient scores of an effect that is not in the fit. slopes: of both, about a nearby point."""
     which = np.union1d(fit.which, problem.space.indices(effect))
     q = problem.loss.quadratic(problem.errors.at(fit.vector), slopes.of(which)).summed(problem.block, problem.blocks)
     whole = Quadratic(q.cost, np.zeros((problem.blocks, len(problem.space))),
                       np.zeros((problem.blocks, len(problem.space), len(problem.space))))
     whole.gradient[:, which] = q.gradient
     whole.hessian[:, which[:, None], which] = q.hessian
-    return score(whole, problem, fit.names, effect, problem.pull(fit.vector))[0]
+    return score(whole, problem, fit.names, effect, problem.prior_gradient(fit.vector))[0]
 
 
-def falls(fall: np.ndarray, condition: Level | None) -> tuple[float, float]:
-    """(mean fall of an error, the largest that is sure in one driving condition) from that of each window."""
+def error_reductions(fall: np.ndarray, condition: Level | None) -> tuple[float, float]:
+    """(mean reduction of an error, largest lower 95 % bound of it in one driving condition), from the reduction in each
+    window (n,)."""
     known = np.isfinite(fall)
     if not known.any():
         return 0.0, 0.0
@@ -230,7 +237,7 @@ def falls(fall: np.ndarray, condition: Level | None) -> tuple[float, float]:
     return overall, max(sure, default=overall)
 
 
-def to_bound(problem: Problem, fit: Fit, effect: str) -> float:
+def distance_to_bound(problem: Problem, fit: Fit, effect: str) -> float:
     """Distance of the effect's values to their nearest bounds, in usual sizes. Bounds at the null, at the theoretical
     value or of the shape of a curve do not count."""
     space, nearest = problem.space, np.inf
@@ -245,7 +252,7 @@ def to_bound(problem: Problem, fit: Fit, effect: str) -> float:
     return float(nearest)
 
 
-def size_of(problem: Problem, fit: Fit, effect: str) -> float:
+def effect_size(problem: Problem, fit: Fit, effect: str) -> float:
     """Largest distance of the effect's values from their null, in usual sizes."""
     own = problem.space.indices(effect)
     return float(np.abs((fit.vector - problem.space.null) / problem.space.scale)[own].max())
@@ -262,19 +269,19 @@ def against_file(problem: Problem, fit: Fit, effect: str) -> AgainstFile | None:
     return max(found, key=lambda a: a.deviations, default=None)
 
 
-def by_sensors(problem: Problem, fit: Fit, effect: str, sensors: Mapping) -> tuple[float | None, float | None]:
-    """Chance of a value at least as far from what the sensors measure among themselves, and of the null by that; None
-    where they measure nothing."""
+def sensor_p_values(problem: Problem, fit: Fit, effect: str, sensors: Mapping) -> tuple[float | None, float | None]:
+    """p-values of the fitted value and of the null under what the sensors measure among themselves; None where they
+    measure nothing."""
     own = dict(zip(problem.space.indices(effect), deviation(problem, fit, effect), strict=True))
     agree = [_as_far(fit.vector[i] - value, np.hypot(spread, own[i]))
              for i, value, spread in _measured(problem.space, effect, sensors)]
-    # With a reference the null is what the healthy car had, and that the sensors do not know.
+    # With a reference the null is the value of the healthy car, which the sensors do not know.
     deny = null_by_sensors(problem.space, effect, sensors) if problem.prior is None else None
     return min(agree, default=None), deny
 
 
 def null_by_sensors(space: Space, effect: str, sensors: Mapping) -> float | None:
-    """p-value of what the sensors measure among themselves without the effect; None where they measure nothing."""
+    """p-value of the null under what the sensors measure among themselves; None where they measure nothing."""
     return min((_as_far(space.free[i].null - value, spread) for i, value, spread in _measured(space, effect, sensors)),
                default=None)
 
@@ -294,46 +301,47 @@ def inverse(h: np.ndarray) -> np.ndarray:
 
 
 def deviation(problem: Problem, fit: Fit, effect: str) -> np.ndarray:
-    """(k,) standard deviations of the values of an effect [unit]: blocks independent, everything fitted joint."""
+    """(k,) standard deviations of the values of an effect [unit], from `covariance`."""
     variance = covariance(problem, fit)
     own = np.searchsorted(fit.which, problem.space.indices(effect))
     return np.sqrt(np.maximum(np.diag(variance)[own], 0.0)) * problem.space.scale[fit.which[own]]
 
 
 def covariance(problem: Problem, fit: Fit) -> np.ndarray:
-    """(a, a) of what moved, in usual sizes: sandwich over the blocks, about the second derivative of the loss."""
+    """(a, a) sandwich covariance of the fitted parameters in usual sizes: scatter of the scores of independent blocks,
+    bread the second derivative of the loss."""
     q = fit.quadratic.summed(problem.block, problem.blocks)
     bent = problem.loss.curvature(problem.errors.at(fit.vector), fit.slopes.of(fit.which))
-    h = inverse(_no_flatter(bent, q.hessian.sum(axis=0)) + problem.held(fit.names, fit.which))
-    off = q.gradient - q.gradient.mean(axis=0)  # at the optimum the sum is what the prior pulls
+    h = inverse(_no_flatter(bent, q.hessian.sum(axis=0)) + problem.prior_curvature(fit.names, fit.which))
+    off = q.gradient - q.gradient.mean(axis=0)  # at the optimum the sum equals the gradient of the prior
     scatter = off.T @ off * problem.blocks / max(problem.blocks - 1, 1)
-    if problem.prior is None:  # a value of the file is known to its deviation: (curvature deviation)^2 of the pull
-        scatter = scatter + np.diag(0.5 * problem.design * problem.known[fit.which])
+    if problem.prior is None:  # the prior's gradient scatters as the vehicle file's values do
+        scatter = scatter + np.diag(0.5 * problem.design * problem.file_curvature[fit.which])
     return h @ scatter @ h
 
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A fit with everything else of the library free as well. which: (a,) numbers that move; covariance: (a, a) of
-    them, in usual sizes; shift: (a,) by which their best values differ from the fit's."""
+    """A fit with all other effects of the library free as well. which: (a,) free parameters; covariance: (a, a) in
+    usual sizes; shift: (a,) of their optimum from the fit."""
 
     which: np.ndarray
     covariance: np.ndarray
     shift: np.ndarray
 
     def of(self, indices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(standard deviations, shifts) in usual sizes of some of the numbers."""
+        """(standard deviations, shifts) of some of the parameters, in usual sizes."""
         place = np.searchsorted(self.which, indices)
         return np.sqrt(np.maximum(np.diag(self.covariance)[place], 0.0)), self.shift[place]
 
 
 def joint(problem: Problem, fit: Fit) -> Joint:
-    """What a fit leaves open when the quantities of the vehicle file are as uncertain as it declares, and every effect
-    that was not chosen may be there with a standard deviation of UNNAMED.
+    """Covariance when the quantities of the vehicle file are as uncertain as it declares, and every effect outside the
+    set may be present with a standard deviation of UNNAMED.
 
         covariance = (D / 2) (H + K)^-1,   K: curvature of the priors,   D: the design effect
 
-    That an effect was not chosen does not mean that it is not there; what it could take from a value is in this.
+    An effect that was not selected may still be present; the covariance contains what it could contribute.
     Source: Laplace approximation of the posterior; Pauli and others, composite likelihoods with a curvature adjusted by
     the design effect, Statistica Sinica 21 (2011).
     """
@@ -341,18 +349,18 @@ def joint(problem: Problem, fit: Fit) -> Joint:
     others = [n for n in space.hypotheses if not space.overlaps(n, names) and not get_effect(n).members]
     which = np.union1d(fit.which, space.indices(*others))
     q = problem.loss.quadratic(problem.errors.at(fit.vector), problem.everything(fit.vector).of(which))
-    known = problem.known[which]
+    known = problem.file_curvature[which]
     free = ((known == 0.0) | (space.deviation[which] < np.inf)) & ~np.isin(which, fit.which)
     known[free] = 0.5 * problem.design / UNNAMED**2
     h = q.hessian.sum(axis=0) + np.diag(known)
     h = h + (1e-9 * np.trace(h) / len(h)) * np.eye(len(h))
     away = ((fit.vector - problem.start) / space.scale)[which]
-    shift = bounded(h, q.gradient.sum(axis=0) - known * away, *problem.room(fit.vector, which))
+    shift = bounded(h, q.gradient.sum(axis=0) - known * away, *problem.distance_to_bounds(fit.vector, which))
     return Joint(which, 0.5 * problem.design * np.linalg.inv(h), shift)
 
 
 def _no_flatter(bent: np.ndarray, whole: np.ndarray) -> np.ndarray:
-    """A curvature that is MIN_CURVATURE of `whole`, that of the reweighted squares, at the least in any direction."""
+    """The curvature `bent`, raised in any direction to MIN_CURVATURE of `whole`, that of the reweighted squares."""
     if not len(bent):
         return bent
     root = np.linalg.cholesky(whole + 1e-9 * (np.trace(whole) / len(whole) + 1e-12) * np.eye(len(whole)))
@@ -361,8 +369,8 @@ def _no_flatter(bent: np.ndarray, whole: np.ndarray) -> np.ndarray:
     return (turn * np.maximum(values, MIN_CURVATURE)) @ turn.T
 
 
-def of_null(problem: Problem, fit: Fit, effect: str) -> float:
-    """Chance of values as far from the start as these, by their sandwich covariance (Hotelling's T^2)."""
+def null_p_value(problem: Problem, fit: Fit, effect: str) -> float:
+    """p-value of the start for the values of an effect, by their sandwich covariance (Hotelling's T^2)."""
     own = problem.space.indices(effect)
     place = np.searchsorted(fit.which, own)
     variance = covariance(problem, fit)[np.ix_(place, place)]
@@ -375,10 +383,10 @@ def of_null(problem: Problem, fit: Fit, effect: str) -> float:
 
 
 def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, called: list[str]) -> Agreement:
-    """How much of an effect each part of the driving shows, by random effects.
+    """The value of an effect in each part of the driving, compared by a random-effects model.
 
-    Along the values stated, d, a part shows the share a = 1 + what its own gradient moves it by, everything else that
-    was fitted being free but held a little to the whole. Variances carry the design effect of dependent windows.
+    Along the stated values d, the share of a part is a = 1 + the step that its own gradient makes; the other fitted
+    parameters are free, with a weak prior (PART_PRIOR). Variances contain the design effect of dependent windows.
     """
     own = np.searchsorted(fit.which, problem.space.indices(effect))
     rest = np.setdiff1d(np.arange(len(fit.which)), own)

@@ -1,4 +1,4 @@
-"""Sets of effects fitted jointly through the simulator, and what they lose on driving they were not fitted to."""
+"""Joint fits of sets of effects through the simulator, and their loss on held-out driving."""
 
 from collections.abc import Callable, Iterable, Mapping
 from copy import copy
@@ -11,17 +11,17 @@ from .loss import Loss, Quadratic, rho
 from .space import GAIN, Quantities, prior_deviations
 
 ITERATIONS, STEP_SHARES = 5, (1.0, 0.5, 0.2)  # of a fit; of a step, until the loss falls
-SLOPES_VALID_WITHIN, SLOPES_CACHE_SIZE = 0.25, 4  # usual sizes: slopes of a point so near will do; points remembered
-MIN_LOSS_FALL = 2e-4  # fall of the loss for each scored number: a step that gains less is the last
-FOLDS = 8  # of the blocks, each held out once
-MAX_SCALED = 5.0  # scales of the start: a larger error counts as that, or a few lost windows were all that counts
-DIVERGED = 100.0  # m: a prediction that diverges is that far off
-TRUSTED = 0.05  # for each scored error: a fold that costs more by the quadratic is simulated
-RIDGE = 1e-6  # of the mean curvature: keeps solutions finite where driving shows nothing
+SLOPES_VALID_WITHIN, SLOPES_CACHE_SIZE = 0.25, 4  # slopes are reused within this distance [usual sizes]; points kept
+MIN_LOSS_FALL = 2e-4  # reduction of the loss per scored error: a fit ends after a smaller one
+FOLDS = 8  # groups of blocks, each held out once
+MAX_SCALED = 5.0  # scales of the baseline errors: larger errors are clipped, so that a few windows do not dominate
+DIVERGED = 100.0  # m: position error of a prediction that diverges
+TRUSTED = 0.05  # loss per scored error: where the quadratic predicts more for held-out folds, they are simulated
+RIDGE = 1e-6  # of the mean curvature: keeps steps finite along what the drives do not show
 
 
 def bounded(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Minimum of x'Ax - 2 b'x with low <= x <= high (low <= 0 <= high), by an active set, one released at a time."""
+    """Minimum of x'Ax - 2 b'x with low <= x <= high (low <= 0 <= high), by an active-set method."""
     x = np.linalg.solve(a, b)
     if ((x >= low) & (x <= high)).all():
         return x
@@ -49,7 +49,7 @@ def bounded(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> 
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """Fall of the errors per usual size, (a, n, m), of the parameters `which`, about `vector`."""
+    """Reduction of the errors per usual size, (a, n, m), of the parameters `which`, about `vector`."""
 
     vector: np.ndarray
     which: np.ndarray
@@ -59,7 +59,8 @@ class Slopes:
         return self.values[np.searchsorted(self.which, which)]
 
     def moved(self, vector: np.ndarray, scale: np.ndarray, taken: np.ndarray) -> "Slopes":
-        """About another vector: they give for the step there what the errors (n, m) have just lost (Broyden 1965)."""
+        """The slopes about another vector, by Broyden's update (1965): for the step there they give the reduction
+        `taken` (n, m) of the errors that was just measured."""
         step = ((vector - self.vector) / scale)[self.which]
         square = float(step @ step)
         if square == 0.0:
@@ -77,8 +78,8 @@ class Slopes:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A set of effects at its best. which: parameters that moved. slopes: of those at least. quadratic: by window, of
-    `which`. folds: step of the values fitted without each fold; held_out: (b,) loss of each block under those."""
+    """A set of effects with fitted values. which: free parameters. slopes: of those at least. quadratic: by window, of
+    `which`. folds: by fold, step to the values fitted without it; held_out: (b,) loss of each block at those values."""
 
     names: tuple[str, ...]
     vector: np.ndarray
@@ -90,7 +91,7 @@ class Fit:
 
 
 def freed(prior: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """A curvature (p, p) without some parameters, and of the others their marginal curvature (Schur complement)."""
+    """A prior curvature (p, p) with some parameters marginalised (Schur complement); zero for these."""
     rest = np.setdiff1d(np.arange(len(prior)), free)
     held = np.zeros_like(prior)
     cross = prior[np.ix_(rest, free)]
@@ -100,16 +101,16 @@ def freed(prior: np.ndarray, free: np.ndarray) -> np.ndarray:
 
 
 class Problem:
-    """One loss and the sets of effects that may lower it.
+    """A loss with its priors, and the fits of sets of effects to it.
 
-    start: (p,) where every search begins. prior: (p, p) curvature about `start` of everything that is not an effect of
-    the set, from reference drives; None: all of that stays where it is, but for the gain of the accelerometer.
-    block: (n,) number of the block of each window. noise: (c,) what noise alone leaves of each column [SI]. healthy:
-    gain for each scored error that drives of a healthy car show among themselves.
+    start: (p,) where every search begins. prior: (p, p) curvature about `start` of the parameters outside the set, from
+    reference drives; None: these stay at the start, except the gain of the accelerometer. block: (n,) number of the
+    block of each window. noise: (c,) error of each column from noise alone [SI]. healthy: gain per scored error between
+    drives of the healthy car.
 
-    quantities: (p,) what of the vehicle file each number changes, see `known`. Its standard deviation s enters the loss
-    as a Gaussian prior, 0.5 design (x / s)^2. design [1]: how many scored errors count as one independent error, see
-    `design_effect`; renewed as the search proceeds.
+    quantities: (p,) quantity of the vehicle file that each parameter changes. Its standard deviation s enters the loss
+    as a Gaussian prior, 0.5 design (x / s)^2. design [1]: number of scored errors that count as one independent error,
+    see `renew_design`.
     """
 
     def __init__(self, loss: Loss, start: np.ndarray, block: np.ndarray, prior: np.ndarray | None = None,
@@ -123,19 +124,20 @@ class Problem:
         self._whole: list[Slopes] = []
 
     def set_quantities(self, quantities: Quantities) -> None:
-        """What of the vehicle file each number changes. With a reference its drives know what is on top of the file."""
+        """Set the quantity of the vehicle file that each parameter changes. With a reference, its drives contain what
+        comes on top of the file."""
         self.quantities = quantities
         on_top = self.space.deviation if self.prior is None else np.inf
         self._deviation = np.minimum(prior_deviations(quantities, self.space.scale), on_top)
 
     @cached_property
     def size_of_start(self) -> np.ndarray:
-        """(c,) `sizes` where the search begins."""
+        """(c,) `sizes` of the baseline errors."""
         return np.maximum(self.sizes(self.errors.at(self.start)), 1e-12)
 
     def sizes(self, rows: np.ndarray) -> np.ndarray:
-        """(c,) root mean square error of each column over the horizon [SI]; one beyond
-        MAX_SCALED times what two thirds of the start's are below counts as that."""
+        """(c,) root mean square error of each column over the horizon [SI], clipped at MAX_SCALED scales of the
+        baseline errors."""
         most = MAX_SCALED * self._scale_of_start
         square = np.square(np.clip(np.nan_to_num(rows, nan=np.inf), -most, most))
         points = np.where(self.loss.known, square, 0.0).sum(axis=0) / np.maximum(self.loss.known.sum(axis=0), 1)
@@ -146,54 +148,55 @@ class Problem:
         return self.loss.scale_of(self.start)
 
     @cached_property
-    def apart(self) -> np.ndarray:
-        """(b,) whole runs where there are four or more, else the folds of blocks: what "held-out" means in reports."""
+    def held_out_groups(self) -> np.ndarray:
+        """(b,) group of each block for the held-out errors of reports: its run where there are four or more, else its
+        fold."""
         run = self.errors.windows.run
         of_block = np.zeros(self.blocks, int)
         of_block[self.block] = run
         return of_block if len(np.unique(run)) > 3 else self.fold
 
     def without_file(self) -> "Problem":
-        """The same problem without the values of the vehicle file: what predicts best, whatever it means."""
+        """The same problem without the priors of the vehicle file: what predicts best, plausible or not."""
         other = copy(self)
         other.set_quantities((None,) * len(self.space))
         return other
 
     @property
     def number(self) -> int:
-        """Errors that are scored."""
+        """Number of scored errors."""
         return self.loss.number
 
     def which(self, names: Iterable[str]) -> np.ndarray:
-        """Parameters that move when the effects `names` are free."""
+        """Parameters that are free in a fit of the effects `names`."""
         if self.prior is not None:
             return np.arange(len(self.space))
         always = (GAIN,) if "acceleration_y" in self.errors.windows.columns else ()
         return self.space.indices(*names, *always)
 
-    def held(self, names: Iterable[str], which: np.ndarray) -> np.ndarray:
+    def prior_curvature(self, names: Iterable[str], which: np.ndarray) -> np.ndarray:
         """(a, a) curvature of the prior about the start: that of the vehicle file for each; with a reference
         that of its drives for those that are not of the effects `names`."""
         if self.prior is None:
-            return np.diag(self.known[which])
+            return np.diag(self.file_curvature[which])
         return freed(self.prior, self.space.indices(*names))
 
     @property
-    def known(self) -> np.ndarray:
+    def file_curvature(self) -> np.ndarray:
         """(p,) curvature of the prior of the vehicle file."""
         return 0.5 * self.design / np.square(self._deviation)
 
-    def pull(self, vector: np.ndarray) -> np.ndarray:
+    def prior_gradient(self, vector: np.ndarray) -> np.ndarray:
         """(p,) half gradient of the prior of the vehicle file at a vector."""
-        return self.known * (vector - self.start) / self.space.scale
+        return self.file_curvature * (vector - self.start) / self.space.scale
 
     def renew_design(self, vector: np.ndarray) -> None:
-        """How many scored errors count as one independent error, from the errors at a vector: variance of the scores
-        between blocks, and between runs, over that of independent errors; median over the library, 1 at least.
+        """Estimate the design effect from the errors at a vector: variance of the scores between blocks, and between
+        runs, over that of independent errors; median over the library, at least 1.
 
             D = 2 n var(g_k) / H,   g_k: half gradient of part k of n, H: half of the curvature
 
-        Scores of a model that lacks something vary between its parts, so that D grows with what is lacking.
+        Scores of an incomplete model vary between parts of the driving, so that D grows with what is missing.
         Source: Kish, Survey Sampling (1965), ch. 8.
         """
         q = self.loss.quadratic(self.errors.at(vector), self.everything(vector).values)
@@ -206,18 +209,18 @@ class Problem:
                 found.append(float(np.median(2.0 * len(gradient) * gradient.var(axis=0, ddof=1) / information[seen])))
         self.design = max(found)
 
-    def room(self, vector: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def distance_to_bounds(self, vector: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         s = self.space
         return ((np.minimum(s.low - vector, 0.0) / s.scale)[which], (np.maximum(s.high - vector, 0.0) / s.scale)[which])
 
     def solve(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, which: np.ndarray) -> np.ndarray:
-        """(a,) the step from `vector` to the best point of a quadratic by window; within the bounds."""
+        """(a,) step from `vector` to the minimum of a quadratic by window, within the bounds."""
         return self.stepper(names, vector, which)(q.hessian.sum(axis=0), q.gradient.sum(axis=0))
 
     def stepper(self, names: Iterable[str], vector: np.ndarray,
                 which: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-        """A function from a hessian (a, a) and a gradient (a,) to the best step (a,) from the vector."""
-        held, room = self.held(names, which), self.room(vector, which)
+        """A function of a Hessian (a, a) and a gradient (a,) that gives the best step (a,) from the vector."""
+        held, room = self.prior_curvature(names, which), self.distance_to_bounds(vector, which)
         pulled = held @ ((vector - self.start) / self.space.scale)[which]
 
         def best_step(h: np.ndarray, g: np.ndarray) -> np.ndarray:
@@ -230,10 +233,10 @@ class Problem:
 
     def cost(self, names: Iterable[str], vector: np.ndarray, which: np.ndarray) -> float:
         away = ((vector - self.start) / self.space.scale)[which]
-        return self.loss.total(vector) + float(away @ self.held(names, which) @ away)
+        return self.loss.total(vector) + float(away @ self.prior_curvature(names, which) @ away)
 
     def everything(self, vector: np.ndarray) -> Slopes:
-        """Slopes of the whole library: those of a nearby point that follow the step, else recomputed."""
+        """Slopes of all parameters: those of a nearby point, updated for the step, or new ones."""
         for known in reversed(self._whole):
             if np.abs((vector - known.vector) / self.space.scale).max() < SLOPES_VALID_WITHIN:
                 return self._follow(known, vector, np.zeros(0, int))
@@ -248,14 +251,14 @@ class Problem:
         return self.space.inside(there)
 
     def begin(self, names: Iterable[str], vector: np.ndarray) -> np.ndarray:
-        """The vector with what is not of the effects `names`, nor moves with them, back at the start."""
+        """The vector with all parameters at the start that are not free in a fit of the effects `names`."""
         names = tuple(names)
         keep = np.union1d(self.space.indices(*names), self.which(names))
         there = self.start.copy()
         there[keep] = vector[keep]
         return there
 
-    def put_back(self, fit: Fit, *names: str) -> np.ndarray:
+    def vector_without(self, fit: Fit, *names: str) -> np.ndarray:
         """The vector of a fit with the effects `names` at the start."""
         there, own = fit.vector.copy(), self.space.indices(*names)
         there[own] = self.start[own]
@@ -263,8 +266,9 @@ class Problem:
 
     def fit(self, names: Iterable[str], slopes: Slopes, vector: np.ndarray | None = None, fresh: Iterable[str] = (),
             iterations: int = ITERATIONS) -> Fit:
-        """Robust Gauss-Newton. slopes: known ones, of all that moves at least, about a point near by; they follow the
-        steps. vector: where to begin, there if not given. fresh: effects with slopes recomputed at each step.
+        """Fit a set of effects by robust Gauss-Newton. slopes: of the free parameters at least, about a nearby point;
+        updated along the steps. vector: first point, default that of the slopes. fresh: effects whose slopes are
+        recomputed at each step.
         """
         names = tuple(names)
         which, new = self.which(names), self.space.indices(*fresh)
@@ -288,7 +292,7 @@ class Problem:
         return self.about(names, vector, which, slopes)
 
     def renewed(self, fit: Fit, iterations: int = 2) -> Fit:
-        """The fit continued with recomputed slopes."""
+        """The fit, continued with recomputed slopes."""
         own = np.union1d(self.space.indices(*fit.names), self.space.indices(GAIN))
         fresh = Slopes(fit.vector, fit.slopes.which, fit.slopes.values)
         if len(own):
@@ -313,16 +317,17 @@ class Problem:
 
     def leave_out(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, which: np.ndarray,
                   fold: np.ndarray, settled: bool = False) -> tuple[dict[int, np.ndarray], np.ndarray]:
-        """({fold: step of the values fitted without it}, (b,) loss of each block under them, and its part of the
-        cost of the prior). q: by block. settled: the vector is the best there is, whatever more the quadratic
-        promises; only what a fold moves it by counts. With a prior a fold moves only what that does not hold.
+        """({fold: step to the values fitted without it}, (b,) loss of each block at those values, with its part of the
+        prior's cost), by the quadratic. q: by block. settled: the vector is the optimum although the quadratic predicts
+        a further step; only the difference that a fold makes counts. With a prior from reference drives a fold moves
+        only the parameters of the set.
         """
         names = tuple(names)
         h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
         best_step = self.stepper(names, vector, which)
         promised = best_step(h, g)
-        held, away = self.held(names, which), ((vector - self.start) / self.space.scale)[which]
-        low, high = (edge - promised for edge in self.room(vector, which))
+        held, away = self.prior_curvature(names, which), ((vector - self.start) / self.space.scale)[which]
+        low, high = (edge - promised for edge in self.distance_to_bounds(vector, which))
         own = np.flatnonzero(np.isin(which, self.space.indices(*names)))
         gradient = q.gradient - q.hessian @ promised
         if settled:
@@ -346,21 +351,23 @@ class Problem:
         return steps, held_out
 
     def _robust(self, rise: np.ndarray, blocks: np.ndarray) -> np.ndarray:
-        """A rise of the quadratic as the loss would rise: beyond 1 for each scored error as its logarithm."""
+        """The increase of the robust loss for an increase of the quadratic: logarithmic beyond 1 per scored error."""
         number = np.maximum(self._numbers[blocks], 1)
         return np.where(rise > number, number * (1.0 + np.log(np.maximum(rise / number, 1.0))), rise)
 
     @cached_property
     def _numbers(self) -> np.ndarray:
-        """(b,) scored errors of each block."""
+        """(b,) number of scored errors of each block."""
         return np.bincount(self.block, self.loss.known.sum(axis=1), self.blocks)
 
     def _simulated(self, fit: Fit, fold: np.ndarray, steps: Mapping[int, np.ndarray],
                    held_out: np.ndarray) -> np.ndarray:
-        """(b,) held-out loss: `held_out`, by the quadratic; where that promises little of it, simulated. fold: (b,)."""
+        """(b,) held-out loss: that of the quadratic, `held_out`, or simulated where this is much above the fitted loss.
+        fold: (b,)."""
         if held_out.sum() - fit.quadratic.cost.sum() < TRUSTED * self.number:
             return held_out
-        held, away = self.held(fit.names, fit.which), ((fit.vector - self.start) / self.space.scale)[fit.which]
+        held = self.prior_curvature(fit.names, fit.which)
+        away = ((fit.vector - self.start) / self.space.scale)[fit.which]
         result = np.zeros(self.blocks)
         for k, d in steps.items():
             there = self.loss.by_window(self.moved(fit.vector, fit.which, d))
@@ -370,13 +377,14 @@ class Problem:
         return np.minimum(held_out, result)
 
     def held_out_apart(self, fit: Fit) -> np.ndarray:
-        """(b,) loss of each block under values fitted to the other runs."""
+        """(b,) loss of each block at values fitted to the other runs."""
         q = fit.quadratic.summed(self.block, self.blocks)
-        steps, held_out = self.leave_out(q, fit.names, fit.vector, fit.which, self.apart, True)
-        return self._simulated(fit, self.apart, steps, held_out)
+        steps, held_out = self.leave_out(q, fit.names, fit.vector, fit.which, self.held_out_groups, True)
+        return self._simulated(fit, self.held_out_groups, steps, held_out)
 
     def held_out_rows(self, fit: Fit, fold: np.ndarray | None = None) -> np.ndarray:
-        """(n, m) errors of each window under values fitted to other driving. fold: (b,); None: those of the search."""
+        """(n, m) errors of each window at values fitted to other driving. fold: (b,) groups, default those of the
+        search."""
         rows = self.errors.at(fit.vector)
         steps = fit.folds
         if fold is None:
@@ -390,7 +398,7 @@ class Problem:
             mine = fold[self.block] == k
             result[mine] -= np.einsum("p,pnm->nm", d, slopes[:, mine])
         before, after = (self.loss.scaled(each) for each in (rows, result))
-        if rho(after).sum() - rho(before).sum() > TRUSTED * self.number:  # the slopes reach no further
+        if rho(after).sum() - rho(before).sum() > TRUSTED * self.number:  # beyond the validity of the slopes
             for k, d in steps.items():
                 mine = fold[self.block] == k
                 result[mine] = self.errors.at(self.moved(fit.vector, fit.which, d))[mine]
@@ -404,7 +412,7 @@ class Problem:
         return last + columns.index("position_lateral"), last + columns.index("position_longitudinal")
 
     def position(self, rows: np.ndarray) -> np.ndarray:
-        """(n,) position error at the end of the horizon [m], DIVERGED at the most; NaN where it was not measured."""
+        """(n,) position error at the end of the horizon [m], at most DIVERGED; NaN where it was not measured."""
         if "position_lateral" not in self.errors.windows.columns:
             return np.full(len(rows), np.nan)
         ends = list(self.end_of)

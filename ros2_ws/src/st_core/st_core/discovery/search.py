@@ -294,7 +294,7 @@ class Search:
         p = self.problem
         scale, design = p.loss.scale.copy(), p.design
         free = np.isin(np.arange(len(p.space)), p.which(names))
-        curvature = np.where(free, np.maximum(JOINT_DEVIATION**-2, p.known), FIXED_CURVATURE)
+        curvature = np.where(free, np.maximum(JOINT_DEVIATION**-2, p.file_curvature), FIXED_CURVATURE)
         joint = Problem(p.loss, p.start, p.block, np.diag(curvature))
         p.loss.rescale(vector)
         for _ in range(JOINT_FITS):
@@ -404,8 +404,8 @@ def _constrained_step(problem: Problem, q: Quadratic, vector: np.ndarray, which:
     """(loss more, the best step) with some parts of the step `fixed`, the others `free`. q: about a vector, of `which`.
     """
     d = np.array(fixed)
-    h = q.hessian.sum(axis=0) + np.diag(problem.known[which])
-    g = q.gradient.sum(axis=0) - problem.pull(vector)[which]
+    h = q.hessian.sum(axis=0) + np.diag(problem.file_curvature[which])
+    g = q.gradient.sum(axis=0) - problem.prior_gradient(vector)[which]
     if free.any():
         a = h[np.ix_(free, free)]
         a = a + 1e-6 * (np.trace(a) / len(a) + 1e-9) * np.eye(len(a))

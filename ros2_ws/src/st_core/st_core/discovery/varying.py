@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 
 from ..effects import get_effect
-from .evidence import Evidence, falls, inverse, shares
+from .evidence import Evidence, error_reductions, inverse, shares
 from .fit import Fit, Problem
 from .levels import Level
 from .loss import Quadratic
@@ -100,6 +100,6 @@ def evidence_of(problem: Problem, fit: Fit, v: Varying, levels: Mapping[str, Lev
     for k, step in v.steps.items():
         mine = levels[v.level][0] == k
         own[mine] -= np.tensordot(step, slopes[:, mine], 1)
-    overall, somewhere = falls(problem.position(rows) - problem.position(own), levels.get("condition"))
+    overall, somewhere = error_reductions(problem.position(rows) - problem.position(own), levels.get("condition"))
     return Evidence(v.name, v.gain, v.chance, shares=shares(problem, rows, own), position=overall,
                     position_somewhere=somewhere, healthy=problem.healthy)

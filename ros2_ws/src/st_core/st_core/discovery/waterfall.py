@@ -20,7 +20,7 @@ class Ends:
     """Errors at the end of the horizon on held-out driving."""
 
     def __init__(self, problem: Problem, seed: int):
-        self.problem, self.fold = problem, problem.apart
+        self.problem, self.fold = problem, problem.held_out_groups
         self.names = problem.errors.windows.names
         self.run, self.block = problem.errors.windows.run, problem.block
         draws = np.random.default_rng(seed).integers(problem.blocks, size=(RESAMPLES, problem.blocks))
@@ -45,7 +45,7 @@ class Ends:
         """How much the mean held-out error after 5 s grows when an effect of a fit is left out, all else unchanged [m].
         """
         p = self.problem
-        there = p.put_back(fit, name)
+        there = p.vector_without(fit, name)
         return float(np.nanmean(p.position(p.errors.at(there))) - np.nanmean(p.position(p.errors.at(fit.vector))))
 
     def change(self, channel: str, before: np.ndarray, after: np.ndarray) -> Change:
