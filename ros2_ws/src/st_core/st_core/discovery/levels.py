@@ -1,12 +1,12 @@
-"""Ways to divide the driving: by run, site, time, place and kind of driving. What is real is in all of them."""
+"""Divisions of the driving by run, site, time, place and condition; a real effect appears in every part."""
 
 import numpy as np
 
 from .windows import Windows
 
-PLACE_SIZE = 50.0  # m, side of a place on the map
-SAME_SITE_SHARE = 0.2  # of the places of the shorter of two runs: then they are of one site
-MIN_RUNS = 5  # runs; with fewer each is divided into stretches
+PLACE_SIZE = 50.0  # m, side of the squares of the map that count as places
+SAME_SITE_SHARE = 0.2  # of the places of the shorter run: two runs that share more are at one site
+MIN_RUNS = 5  # fewer runs are divided into stretches
 TIMES = ("the first third of the runs", "the second third", "the last third")
 KINDS = ("slow and gentle", "fast and gentle", "slow and hard", "fast and hard")
 
@@ -14,7 +14,7 @@ Level = tuple[np.ndarray, list[str]]  # number of the part of each window, names
 
 
 def levels(windows: Windows) -> dict[str, Level]:
-    """(n,) number of the part of each window, and what the parts are called; only levels of two parts and more."""
+    """By level, (n,) part of each window and names of the parts; only levels with at least two parts."""
     site = sites(windows)
     driven = windows.driven
     parts = {
@@ -25,7 +25,7 @@ def levels(windows: Windows) -> dict[str, Level]:
         "condition": conditions(driven["speed"], driven["lateral_acceleration"]),
     }
     if site.max() + 1 == len(windows.names):
-        del parts["site"]  # nothing beyond the runs
+        del parts["site"]  # the same as the runs
     return {name: (number, called) for name, (number, called) in parts.items() if len(np.unique(number)) > 1}
 
 
@@ -44,8 +44,8 @@ def runs(windows: Windows) -> Level:
 
 
 def sites(windows: Windows) -> np.ndarray:
-    """(n,) number of the site of each window: runs that share places, or share them with the same run, are of one. The
-    origin of a map may be another at each site, so that nearness alone does not count."""
+    """(n,) site of each window: runs that share places, also through another run, are at one site. Distance alone does
+    not count, as each site may have a map of its own."""
     number = places(windows.driven["x"], windows.driven["y"])[0]
     visited = [set(number[windows.run == run]) for run in range(len(windows.names))]
     site = list(range(len(visited)))
@@ -63,7 +63,7 @@ def places(x: np.ndarray, y: np.ndarray) -> Level:
 
 
 def conditions(speed: np.ndarray, lateral: np.ndarray) -> Level:
-    """Halves by speed, and by how hard it corners at that speed."""
+    """Four kinds of driving: slow or fast, and each with less or more lateral acceleration than its median."""
     fast = speed > np.median(speed)
     hard = np.zeros(len(speed), bool)
     for half in (fast, ~fast):

@@ -1,4 +1,5 @@
-"""The set of effects that explains the drives best: forward, backward and exchange steps with one and the same test."""
+"""Search for the set of effects that explains the drives best: forward, backward and exchange steps, one test for
+all."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -15,11 +16,11 @@ from .loss import Quadratic
 from .result import Reason
 from .settings import Limits
 
-CONTENDERS = 4  # refitted through the simulator in a step
-CONTENDER_SHARE = 0.5  # of the best one's gain: contenders below that are not refitted
-JOINT_DEVIATION = 3.0  # usual sizes: prior of everything fitted at once
-FIXED_CURVATURE = 1e9  # of what is not fitted
-JOINT_FITS, JOINT_STEP = 4, 0.1  # fits of many effects at once; the step in usual sizes that ends them
+CONTENDERS = 4  # effects refitted through the simulator in one step
+CONTENDER_SHARE = 0.5  # of the best gain: contenders below that are not refitted
+JOINT_DEVIATION = 3.0  # usual sizes: prior standard deviation where many effects are fitted at once
+FIXED_CURVATURE = 1e9  # prior curvature that fixes a parameter
+JOINT_FITS, JOINT_STEP = 4, 0.1  # most fits of many effects at once; smaller steps [usual sizes] end them
 EXCHANGE_ROUNDS = 3
 
 Near = tuple[tuple[str, ...], np.ndarray]  # names of a set, vector of its fit
@@ -27,9 +28,11 @@ Near = tuple[tuple[str, ...], np.ndarray]  # names of a set, vector of its fit
 
 @dataclass
 class Found:
-    """fit: the answer. order: names in order of selection. evidence, without: of each, the fit without it. refused:
-    what was tried on top of it, with the verdict. rivals: in the place of each. known: scores of the library on top of
-    it. near: other sets that are worse by less than what no effect describes."""
+    """State of the search. fit: the current set. order: its names in order of selection. evidence: by name; without: by
+    name, the fit without it. refused: by name, what was tried in addition, with evidence and verdict. rivals: by name,
+    effects tried in its place. known: scores of the rest of the library. near: sets that are hardly worse
+    (`_near_sets`).
+    """
 
     fit: Fit
     order: list[str]
@@ -42,14 +45,13 @@ class Found:
 
     @property
     def scores(self) -> Scores:
-        assert self.known is not None, "a step is looked for, or evidence taken, only with the scores"
+        assert self.known is not None, "scores are computed before steps and evidence"
         return self.known
 
 
 class Search:
-    """levels: ways to divide the driving. sensors: what the sensors measure among themselves, (value, low, high) by
-    "effect.parameter". tick: called now and then during the search. judge: the
-    verdict on an effect."""
+    """levels: divisions of the driving. sensors: what the sensors measure among themselves, (value, low, high) by
+    "effect.parameter". tick: called at every refit. judge: verdict on an effect."""
 
     def __init__(self, problem: Problem, limits: Limits, levels: Mapping[str, Level], sensors: Mapping,
                  seed: int = 0, tick: Callable[[], None] = lambda: None,
@@ -58,11 +60,11 @@ class Search:
         self._judge = judge
         self.seed = seed
         self._visited: set[frozenset[str]] = set()
-        self._required: frozenset[str] = frozenset()  # of every set
+        self._required: frozenset[str] = frozenset()  # effects that stay in every set
         self._fits_tried: list[tuple[np.ndarray, Near, float]] = []
 
     def run(self) -> Found:
-        """The best of three starts: nothing; what that found and all physics at once; everything at once."""
+        """The best answer from three starts: the empty set; that answer with all physics; the whole library."""
         p = self.problem
         p.renew_design(p.start)
         first = self._step_from(p.fit((), p.everything(p.start)))
@@ -80,9 +82,11 @@ class Search:
         return found
 
     def _add_partial_rivals(self, found: Found) -> None:
-        """Rivals that take a part only: what comes on top of the measured car, a load, at the largest value that these
-        drives do not exclude, if that is relevant. What is nearer to the vehicle file with it has it as an alternative,
-        and its values with it count as nearly as good: only stiffness over load acts."""
+        """Add a load as a rival that explains part of an effect: only the ratio of stiffness to mass acts.
+
+        The load is set to the upper end of its 95 % interval, if that is a relevant size. Effects whose values are then
+        nearer to the vehicle file get it as an alternative, and the set with it counts as hardly worse.
+        """
         p, names = self.problem, found.fit.names
         for other in (n for n in p.space.on_top if n not in names):
             if p.space.overlaps(other, names) or not names:
@@ -102,14 +106,14 @@ class Search:
                 found.near.append((fit.names, there))
 
     def _upper_end(self, fit: Fit, name: str) -> np.ndarray:
-        """The vector at the upper end of the 95 % interval of an effect of one number, all else following."""
+        """The vector with an effect of one parameter at the upper end of its 95 % interval, the others adjusted."""
         spread, k = covariance(self.problem, fit), int(np.searchsorted(fit.which, self.problem.space.indices(name)[0]))
         step = TWO_SIDED * spread[:, k] / np.sqrt(max(spread[k, k], 1e-12))
         return self.problem.moved(fit.vector, fit.which, step)
 
     def corrections(self, answer: Fit) -> Fit:
-        """What predicts better than an answer of another problem, with all effects of that and more; the answer as it
-        is here where nothing is better."""
+        """The best fit that contains all effects of an answer of another problem; the answer itself where nothing more
+        helps."""
         self._required = frozenset(answer.names)
         p = self.problem
         found = self._step_from(p.fit(answer.names, p.everything(answer.vector), answer.vector))
@@ -117,7 +121,8 @@ class Search:
         return self._drop_rejected(found).fit
 
     def _near_sets(self, found: Found) -> list[Near]:
-        """Sets tried that are worse by less than `limits.unexplained_share` of what is left; none if that is noise."""
+        """Sets that were tried and are worse by less than `limits.unexplained_share` of the residual; none where the
+        residual is noise."""
         p, limits = self.problem, self.limits
         if max((e.left for e in found.evidence.values()), default=0.0) <= limits.left:
             return []
@@ -125,7 +130,8 @@ class Search:
         return [near for scale, near, loss in self._fits_tried if scale is p.loss.scale and loss < most]
 
     def _step_from(self, fit: Fit, revisit: bool = False) -> Found | None:
-        """Steps until nothing is accepted; None if they lead to a set of another start, unless `revisit`."""
+        """Forward and backward steps until no effect is accepted; None if they lead to a set of another start, unless
+        `revisit`."""
         found = Found(fit, list(fit.names))
         here: set[frozenset[str]] = set()
         while True:
@@ -144,13 +150,13 @@ class Search:
             found.known = None
 
     def _rescale(self, fit: Fit) -> Fit:
-        """At the scale and the design effect of its own errors."""
+        """The fit with the scale and the design effect of its own errors."""
         self.problem.loss.rescale(fit.vector)
         self.problem.renew_design(fit.vector)
         return self.problem.renewed(fit)
 
     def _drop_failing(self, fit: Fit) -> Fit:
-        """Without the effects that fail the test, weakest first."""
+        """The fit without the effects that fail the test, removed weakest first."""
         while fit.names:
             found = Found(fit, list(fit.names), known=self._scores(fit))
             weakest = self._weakest_failing(found, self.limits.relevant)
@@ -171,7 +177,8 @@ class Search:
         return fit
 
     def _select(self, answers: list[Found]) -> Found:
-        """At the scale of the one with the smallest errors; one effect more must pay for itself."""
+        """The answer with the lowest held-out loss, at the scale of the one with the smallest errors; each effect costs
+        `limits.negligible`."""
         p = self.problem
         if len(answers) > 1:
             smallest = min(answers, key=lambda a: float(np.log(p.loss.scale_of(a.fit.vector)).sum()))
@@ -182,17 +189,17 @@ class Search:
         return min(answers, key=lambda a: float(a.fit.held_out.sum()) + price * len(a.fit.names))
 
     def _forward(self, found: Found) -> Fit | None:
-        """The best effect more that is accepted; None if there is none."""
+        """The fit with the best further effect that is accepted; None if there is none."""
         p, limits = self.problem, self.limits
         self.tick()
         found.known = found.known or self._scores(found.fit)
         gains = found.scores.gains
         largest = max((gain.sum() for gain, _ in gains.values()), default=0.0)
         least = max(limits.negligible * p.number, CONTENDER_SHARE * largest)
-        # What comes on top of the measured car is tried in the place of what it acts like only, by exchange.
+        # A load is tried only in the place of what it acts like, by exchange.
         ranked = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum())
                   if gains[e][0].sum() > CONTENDER_SHARE * least and e not in p.space.on_top]
-        # What is significant comes first: where much is noise, something gains more by chance.
+        # Significant effects come first: with much noise, others gain more by chance.
         library = len(p.space.hypotheses)
         significant = [e for e in ranked if chance(found.scores.own[e], gains[e][0], found.scores, library)
                   <= limits.false_alarm]
@@ -202,7 +209,7 @@ class Search:
         if not fits:
             return None
         without, fits = self._refine(found.fit, fits)
-        best, found.refused = 0.0, {}  # of those that are sure, but no effect of the car everywhere
+        best, found.refused = 0.0, {}  # best gain of the significant effects that are refused
         for effect in self._members_first(fits, without):
             gain = self._gain(without, fits[effect])
             if gain < CONTENDER_SHARE * best:
@@ -217,7 +224,7 @@ class Search:
         return self._add_confirmed(found, without, [n for n in gains if n not in fits])
 
     def _add_confirmed(self, found: Found, without: Fit, names: list[str]) -> Fit | None:
-        """The first effect more that the sensors show among themselves, however little the errors show of it."""
+        """The fit with an effect that the sensors confirm among themselves, however little it reduces the errors."""
         for effect in names:
             shown = null_by_sensors(self.problem.space, effect, self.sensors)
             if self.problem.prior is not None or shown is None or shown > self.limits.false_alarm:
@@ -228,7 +235,8 @@ class Search:
         return None
 
     def _refit_with(self, fit: Fit, effect: str, there: np.ndarray, around: Slopes | None = None) -> Fit:
-        """A fit with an effect more, begun where the quadratic promises most. around: slopes, of `fit` if not given."""
+        """A fit with a further effect, started at the optimum of the quadratic. around: slopes, default those of
+        `fit`."""
         p = self.problem
         self.tick()
         better = p.loss.total(there) < p.loss.total(fit.vector)
@@ -240,7 +248,7 @@ class Search:
         return float((without.held_out - fit.held_out).sum())
 
     def _members_first(self, fits: Mapping[str, Fit], without: Fit) -> list[str]:
-        """Best first; a member precedes its composite unless that is clearly better."""
+        """Names by gain; a member precedes its composite unless that is clearly better."""
         gain = {e: self._gain(without, f) for e, f in fits.items()}
         order = sorted(fits, key=lambda e: -gain[e])
         for name in [e for e in order if get_effect(e).members]:
@@ -252,7 +260,7 @@ class Search:
         return order
 
     def _refine(self, without: Fit, fits: dict[str, Fit]) -> tuple[Fit, dict[str, Fit]]:
-        """Contenders refitted at the scale of the best: large errors mask their differences."""
+        """The contenders, refitted at the scale of the best one: large errors would mask their differences."""
         p = self.problem
         best = max(fits, key=lambda e: self._gain(without, fits[e]))
         gain = self._gain(without, fits[best])
@@ -267,7 +275,7 @@ class Search:
         return evidence(self.problem, without, fit, effect, scores, self.levels, self.sensors)
 
     def _backward(self, fit: Fit, scores: Scores) -> Fit:
-        """Without what the other effects make superfluous."""
+        """The fit without the effects that the others make superfluous."""
         p = self.problem
         while len(fit.names) > max(len(self._required), 1):
             promised = {n: self.promised(fit, n) for n in fit.names if n not in self._required}
@@ -281,7 +289,7 @@ class Search:
         return fit
 
     def promised(self, fit: Fit, *names: str) -> float:
-        """Loss that a fit without some of its effects would have more, by its quadratic."""
+        """Increase of the loss without some effects of a fit, by its quadratic."""
         p = self.problem
         q = fit.quadratic
         rest = tuple(n for n in fit.names if n not in names)
@@ -290,7 +298,8 @@ class Search:
         return _constrained_step(p, q, fit.vector, fit.which, step, ~removed)[0]
 
     def _prune(self, vector: np.ndarray, names: list[str]) -> Fit | None:
-        """From many effects at once, held a little, without those that are missed least; None if that is not new."""
+        """A joint fit of many effects with a weak prior, reduced by those whose removal costs least; None if the
+        remaining set was tried before."""
         p = self.problem
         scale, design = p.loss.scale.copy(), p.design
         free = np.isin(np.arange(len(p.space)), p.which(names))
@@ -324,7 +333,7 @@ class Search:
         return self._rescale(p.fit(tuple(names), everything, iterations=2))
 
     def _exchange_until_accepted(self, found: Found) -> Found:
-        """Exchanges where that is better, and without what the test rejects, until all are accepted."""
+        """Exchange effects and drop rejected ones until the test accepts all."""
         for _ in range(EXCHANGE_ROUNDS):
             found = self._drop_rejected(found)
             better = self._exchange(found)
@@ -337,7 +346,7 @@ class Search:
         return self._drop_rejected(found)
 
     def _drop_rejected(self, found: Found) -> Found:
-        """With what fails the test left out; evidence filled in."""
+        """Drop the effects that fail the test, and fill in the evidence of the others."""
         while weakest := self._weakest_failing(found):
             fit = self._rescale(found.without[weakest])
             refused = {weakest: (found.evidence[weakest], self._judge(found.evidence[weakest], self.limits), found.fit)}
@@ -345,8 +354,8 @@ class Search:
         return found
 
     def _weakest_failing(self, found: Found, sure: float = np.inf) -> str:
-        """Fill in `evidence` and `without`. The weakest effect that fails the test; "" if none does. sure: of the size
-        of the errors; no refit without an effect that costs three times that at least."""
+        """Fill in `evidence` and `without`, and return the weakest effect that fails the test, "" if none does. sure:
+        an effect whose removal costs three times this share of the errors passes without a refit."""
         p = self.problem
         found.known = found.known or self._scores(found.fit)
         found.evidence, found.without = {}, {}
@@ -363,7 +372,8 @@ class Search:
         return min(failing, key=lambda n: found.evidence[n].gain, default="")
 
     def _exchange(self, found: Found) -> Fit | None:
-        """Fill in `rivals`. The fit with one effect exchanged that is better than the present one; None if none is."""
+        """Fill in `rivals`, and return the best fit with one effect exchanged if it is significantly better, else
+        None."""
         p, better = self.problem, None
         around = p.everything(found.fit.vector)
         q = p.loss.quadratic(p.errors.at(found.fit.vector), around.values)
@@ -390,7 +400,7 @@ class Search:
         return better
 
     def _exchange_step(self, q: Quadratic, fit: Fit, rest: tuple[str, ...], other: str) -> tuple[float, np.ndarray]:
-        """(loss more, vector) with another effect in the place of one, by the quadratic of everything about the fit."""
+        """(increase of the loss, vector) with another effect in the place of one, by the quadratic about the fit."""
         p = self.problem
         everything = np.arange(len(p.space))
         free = np.isin(everything, p.which((*rest, other)))
@@ -401,8 +411,8 @@ class Search:
 
 def _constrained_step(problem: Problem, q: Quadratic, vector: np.ndarray, which: np.ndarray, fixed: np.ndarray,
              free: np.ndarray) -> tuple[float, np.ndarray]:
-    """(loss more, the best step) with some parts of the step `fixed`, the others `free`. q: about a vector, of `which`.
-    """
+    """(increase of the loss, best step) with some components of the step `fixed` and the others `free`. q: about the
+    vector, of the parameters `which`."""
     d = np.array(fixed)
     h = q.hessian.sum(axis=0) + np.diag(problem.file_curvature[which])
     g = q.gradient.sum(axis=0) - problem.prior_gradient(vector)[which]
@@ -414,6 +424,6 @@ def _constrained_step(problem: Problem, q: Quadratic, vector: np.ndarray, which:
 
 
 def no_worse(difference: np.ndarray) -> float:
-    """p-value of a loss not being higher, from its differences by block."""
+    """p-value of the hypothesis that a loss is not higher, from its differences by block (b,)."""
     spread = float(difference.std(ddof=1)) * np.sqrt(len(difference)) if len(difference) > 1 else np.inf
     return float(stats.norm.sf(difference.sum() / max(spread, 1e-12)))

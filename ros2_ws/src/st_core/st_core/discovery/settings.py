@@ -1,4 +1,4 @@
-"""Options of a discovery, and the limits of its decision: every number that decides what is stated.
+"""Options of a discovery, and the limits of its decision: all numbers that decide what is named.
 
 What the benchmark's scores become at half and twice each limit: docs/measurements/discovery_scores.md.
 """
@@ -14,25 +14,26 @@ from ..errors import ConfigurationError
 class Limits:
     """Raises ConfigurationError naming the limit that is not a positive number.
 
-    false_alarm [1]: chance, over the whole library, that drives without any gap make one statement; and, of a law that
-    is proposed, that the predicted path does not improve with it.
-    doubt [1]: chance at which a comparison counts as undecided: two names, a value over runs, an interval.
-    relevant [1]: share of the size of the errors an effect must take away to be relevant: of those without it, over all
-    channels, to be kept; of those of the start, in one channel, to be named ...
-    relevant_position [m]: ... or this much of the mean position error after 5 s, over all or in one driving condition.
-    size [1]: ... or, of an effect that the sensors show among themselves, this share of its usual size; and the share a
-    load must reach that the drives do not exclude, to be the other name of softer tyres.
-    negligible [1]: share of the size of the errors below which nothing is looked at, however sure.
-    rival [1]: share of an effect's gain another name must reach to be called an alternative.
-    file [1]: standard deviations of a quantity of the vehicle file beyond which a value is refused as contradicting it.
-    peak [1]: share of the peak force of an axle that must have been driven for a peak to be stated.
-    bound [1]: distance to a bound, as share of the usual size of an effect, below which a value counts as on it.
-    unexplained_share [1]: where more is left than `left` times the noise, share of that an effect must take away to be
-    named, a name be better than another to be stated alone, and a set of effects be worse than the answer for its
-    values not to be in the intervals: a smaller difference may imitate what no effect describes.
-    left [1]: times the noise floor: errors beyond that need an explanation, or are reported as unexplained.
-    shown [1]: share of drawn cases in which a size must be found to be called visible in these drives.
-    most [1]: effects in one answer.
+    false_alarm [1]: probability, over the whole library, of a statement about drives without any gap; and, for a
+    proposed relation, that the predicted path does not improve with it.
+    doubt [1]: p-value above which a comparison is undecided: two names, a value between runs, an interval.
+    relevant [1]: relative reduction of the errors from which an effect is relevant: of the errors without it, over all
+    channels, to be kept; of the baseline errors, in one channel, to be named ...
+    relevant_position [m]: ... or this reduction of the mean position error after 5 s, overall or in one driving
+    condition.
+    size [1]: ... or, for an effect that the sensors show among themselves, this share of its usual size; also the share
+    that a load not excluded by the drives must reach to be an alternative to softer tyres.
+    negligible [1]: relative reduction of the errors below which an effect is ignored, however significant.
+    rival [1]: share of an effect's gain that another must reach in its place to be an alternative.
+    file [1]: standard deviations from the value of the vehicle file beyond which a value is refused.
+    peak [1]: share of the peak force of an axle that must have been driven for a peak to be named.
+    bound [1]: distance to a bound, over the usual size of an effect, below which a value counts as on it.
+    unexplained_share [1]: where the residual exceeds `left` times the noise, the share of it by which an effect must
+    reduce it to be named, by which a name must beat another to stand alone, and by which a set must be worse than the
+    answer for its values to be left out of the intervals; smaller differences may imitate what no effect describes.
+    left [1]: residual over the noise beyond which it needs an explanation, or is reported as unexplained.
+    shown [1]: share of simulated cases in which a size must be found to be called visible in these drives.
+    most [1]: largest number of effects in one answer.
     """
 
     false_alarm: float = 0.01
@@ -60,13 +61,12 @@ class Limits:
 class DiscoverySettings:
     """Raises ConfigurationError naming the key and the limit.
 
-    channels: what of the log is used as measurement. Without velocity_y the sideslip is not looked at at all, neither
-    as a measurement nor as the start of a prediction. seed: of every drawing of numbers. horizon [s]: of the
-    predictions. windows: predictions looked at, about; their starts are as far apart as that makes them, `interval` [s]
-    at least: closer ones bring next to nothing new over five seconds. block [s]: driving further apart counts as
-    independent. effects: names that take part; None: all that apply. limits: of the decision. certify: run the whole
-    search on drives with known effects. where: report where the model misses. noise: one standard deviation by channel,
-    as measured; None: from the data.
+    channels: measurements that are used. Without velocity_y the sideslip is used neither as a measurement nor as the
+    start of a prediction. seed: of all random numbers. horizon [s]: of the predictions. windows: approximate number of
+    predictions; their starts are at least `interval` [s] apart, as closer ones add little over five seconds. block [s]:
+    driving further apart counts as independent. effects: names to choose from; None: all that apply. limits: of the
+    decision. certify: run the whole search on drives with known effects. where: report where the model fails. noise:
+    standard deviation by channel; None: estimated from the data.
     """
 
     channels: tuple[str, ...] = tuple(CHANNELS)

@@ -1,6 +1,8 @@
-"""The numbers a discovery may change: all parameters of all effects of the library, and how much a roll of the body
-adds to the accelerometer. One vector; one set of compiled functions for all its values. And how well the vehicle file
-fixes each of them."""
+"""The parameter vector of a discovery, and how well the vehicle file fixes each parameter.
+
+The vector contains all parameters of all effects of the library, and the gain of the accelerometer by body roll. All
+its values share one set of compiled functions.
+"""
 
 import math
 from collections.abc import Collection, Sequence
@@ -15,14 +17,14 @@ from ..models import Model, get_model
 from ..vehicle import DEFAULT_UNCERTAINTIES, VehicleParameters, quantity, value_of
 from .settings import DiscoverySettings
 
-DIFFERENCE_STEP = 0.02  # of the usual size of an effect: step of the difference quotient
+DIFFERENCE_STEP = 0.02  # step of the difference quotients, over the usual size of an effect
 GAIN = "acceleration_gain"
 GAIN_USUAL, GAIN_BOUNDS = 0.05, (-0.3, 0.5)  # body roll of 5 mrad s^2/m, times g
 
 
 @dataclass(frozen=True)
 class Free:
-    """One number. usual: a usual size of it as a discovery, the unit of all that follows; > 0."""
+    """One parameter of the vector. usual: its usual size, the unit in which steps and distances are measured; > 0."""
 
     effect: str
     parameter: str
@@ -35,11 +37,13 @@ class Free:
 
 
 class Space:
-    """base: the model discoveries are changes of. more: effects of the model that are not searched.
-    library: names of the effects to choose from, all that apply if not given.
-    hypotheses: names of the effects that take part. null: (p,) the vector of the base; scale, low, high: (p,) usual
-    sizes and bounds. deviation: (p,) of what comes on top of the measured car [usual sizes], inf for all else; on_top:
-    names of those hypotheses."""
+    """base: model that the effects are added to. more: further effects of the model, not searched. library: names of
+    the effects to choose from, default all that apply.
+
+    hypotheses: names of the effects that are searched. null: (p,) vector of the base; scale, low, high: (p,) usual
+    sizes and bounds. deviation: (p,) of what is added to the measured car, as a load [usual sizes], inf for all else;
+    on_top: names of these hypotheses.
+    """
 
     def __init__(self, base: str | Model, settings: DiscoverySettings, more: Sequence[str] = (),
                  library: Collection[str] | None = None):
@@ -71,28 +75,28 @@ class Space:
         return len(self.scale)
 
     def at(self, vector: np.ndarray) -> AugmentedModel:
-        """The model at a vector; what is out of bounds is taken back to them."""
+        """The model with the values of a vector, limited to the bounds."""
         return self.model.with_vector(self.inside(vector)[:-1].tolist())
 
     def inside(self, vector: np.ndarray) -> np.ndarray:
         return np.clip(vector, self.low, self.high)
 
     def indices(self, *names: str) -> np.ndarray:
-        """Where the parameters of effects are in the vector, rising."""
+        """Increasing indices of the parameters of effects in the vector."""
         return np.array(sorted({i for name in names for i in self._places.get(name, ())}), int)
 
     def values(self, name: str, vector: np.ndarray) -> dict[str, float]:
-        """Of an effect in a vector, by parameter."""
+        """Values of an effect in a vector, by parameter."""
         return {self.free[i].parameter: float(vector[i]) for i in self.indices(name)}
 
     def overlaps(self, name: str, names: Sequence[str]) -> bool:
-        """Whether an effect is one of `names`, or made of one of them, or one of them of it."""
+        """Whether an effect is one of `names`, a member of one, or has one as a member."""
         own = {name, *get_effect(name).members}
         return any(own & {other, *get_effect(other).members} for other in names)
 
 
 def usual_size(effect: str, unit: str) -> float:
-    """The largest |initial - null| of the effect's parameters of a unit: wind comes from any side."""
+    """The largest |initial - null| of the effect's parameters of one unit: the components of wind share it."""
     return max(abs(p.initial - p.null) for p in get_effect(effect).parameters if p.fit and p.unit == unit)
 
 
@@ -114,9 +118,9 @@ def _chosen(takes_part: Sequence[str], settings: DiscoverySettings, known: Seque
 class Known:
     """A quantity of the vehicle file that a parameter of an effect changes.
 
-    key: of the file. unit: SI. value, deviation [SI]: as the file has it. slope: change of the quantity per unit of the
+    key: in the file. unit: SI. value, deviation [SI]: of the file. slope: change of the quantity per unit of the
     parameter. stated: whether the file states the deviation; otherwise it is the default of the quantity. absent: value
-    of the quantity in a model without the effect [SI]; another one than `value` where the base model leaves it out.
+    of the quantity in a model without the effect [SI]; not `value` where the base model lacks the quantity.
     """
 
     key: str
@@ -128,7 +132,7 @@ class Known:
     absent: float
 
     def at(self, change: float) -> float:
-        """The quantity [SI] when the parameter differs by `change` from where nothing is changed."""
+        """The quantity [SI] at a parameter that differs by `change` from its null."""
         return self.absent + self.slope * change
 
     def deviations(self, change: float) -> float:
@@ -140,13 +144,12 @@ Quantities = tuple[Known | None, ...]
 
 
 def known_quantities(space: Space, vehicle: VehicleParameters) -> Quantities:
-    """(p,) for each number of the space, the quantity that the file fixes best of those it changes; None for none."""
+    """(p,) for each parameter, the quantity it changes that the file fixes best; None without one."""
     return (*(_known(space, vehicle, i) for i in range(len(space.free))), None)
 
 
 def prior_deviations(known: Quantities, scale: np.ndarray) -> np.ndarray:
-    """(p,) standard deviation of each number of a space about its null, in usual sizes `scale`; inf where it is free.
-    """
+    """(p,) prior standard deviation of each parameter about its null [usual sizes `scale`]; inf without a prior."""
     return np.array([np.inf if k is None or k.absent != k.value else k.deviation / abs(k.slope) / s
                      for k, s in zip(known, scale, strict=True)])
 

@@ -1,4 +1,4 @@
-"""How far the gap shrinks: step by step, by channel, by part; on driving the values were not fitted to."""
+"""Reduction of the held-out error by step, channel and part of the answer."""
 
 from collections.abc import Mapping, Sequence
 
@@ -13,7 +13,7 @@ from .fit import Fit, Problem
 from .levels import Level
 from .result import PARTS, BudgetLine, Change, FittedParameter, Gap, Step
 
-RESAMPLES = 400  # of whole blocks: ends of a 95 % interval
+RESAMPLES = 400  # bootstrap samples of whole blocks, for 95 % intervals
 
 
 class Ends:
@@ -42,14 +42,13 @@ class Ends:
         return result
 
     def position_without(self, fit: Fit, name: str) -> float:
-        """How much the mean held-out error after 5 s grows when an effect of a fit is left out, all else unchanged [m].
-        """
+        """Increase of the mean position error after 5 s without an effect of a fit, the others unchanged [m]."""
         p = self.problem
         there = p.vector_without(fit, name)
         return float(np.nanmean(p.position(p.errors.at(there))) - np.nanmean(p.position(p.errors.at(fit.vector))))
 
     def change(self, channel: str, before: np.ndarray, after: np.ndarray) -> Change:
-        """With a 95 % interval of the fall from whole blocks drawn again."""
+        """Error before and after, with a 95 % interval of the reduction by bootstrap of whole blocks."""
         turn = (lambda v: v) if channel == "position_5s" else np.sqrt
         known = np.isfinite(before) & np.isfinite(after)
         if not known.any():
@@ -70,16 +69,19 @@ class Ends:
 def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Level],
                near: Sequence[tuple[Sequence[str], np.ndarray]] = (),
                everything: Joint | None = None, unexplained: float = 1.0) -> dict[str, FittedParameter]:
-    """Values with 95 % intervals: the widest of blocks taken as independent, of what the parts of any level differ by,
-    and of a fit with `everything` else free; and from there to the values in `near`, sets of effects that are nearly as
-    good: so that what the equations of the model are not those of the car is in it too. unexplained: errors that are
-    left over those of noise, which widens the interval of the fit alone (Birge, Phys. Rev. 40, 1932)."""
+    """Values with 95 % intervals.
+
+    Half width: the largest of that from independent blocks, that of the differences between parts of any level, and
+    that of a fit with `everything` else free, there with the model error and widened by `unexplained`, the residual
+    over the noise (Birge, Phys. Rev. 40, 1932). The interval extends to the values in `near`, sets of effects that are
+    hardly worse. So it contains that the equations of the model are not those of the car.
+    """
     space, result = problem.space, {}
     own = space.indices(effect)
     model_error = np.array([p.model_error for p in get_effect(effect).parameters if p.fit])
     place = np.searchsorted(fit.which, own)
     spread = np.sqrt(np.maximum(np.diag(covariance(problem, fit))[place], 0.0)) * space.scale[own]
-    if problem.prior is not None:  # the reference does not know the healthy car exactly either
+    if problem.prior is not None:  # the healthy car is known with an uncertainty too
         spread = np.hypot(spread, np.sqrt(0.5 * np.diag(inverse(problem.prior))[own]) * space.scale[own])
     quantile = float(stats.t.ppf(0.975, max(problem.blocks - len(fit.which), 2)))
     reach = quantile * spread
@@ -95,7 +97,7 @@ def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Lev
     others -= fit.vector[own]
     for i, r, below, above in zip(own, reach, others.min(axis=0), others.max(axis=0), strict=True):
         f, value = space.free[i], float(fit.vector[i])
-        # With a reference the value is what has changed since.
+        # With a reference the value is the change since then.
         value = f.null + value - float(problem.start[i]) if problem.prior is not None else value
         interval = value + float(below - r), value + float(above + r)
         result[f.parameter] = FittedParameter(value, f.unit, interval, f.null)
@@ -103,8 +105,9 @@ def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Lev
 
 
 def _over_parts(collected: Mapping[str, tuple[float, float]]) -> float:
-    """Half width of the interval that contains the value of the next part in 95 %, in shares of the value: where parts
-    differ, the equations of the model are not those of the car. 0 where two parts or less speak."""
+    """Half width of the 95 % prediction interval for another part, relative to the value; 0 with fewer than three
+    parts.
+    """
     if len(collected) < 3:
         return 0.0
     shares, deviations = np.array(list(collected.values())).T
@@ -114,7 +117,9 @@ def _over_parts(collected: Mapping[str, tuple[float, float]]) -> float:
 
 def steps(problem: Problem, final: Fit, order: Sequence[str], ends: Ends,
           levels: Mapping[str, Level]) -> tuple[list[Step], Fit]:
-    """From the base to the answer, one effect more at a time; and the fit of the base. Leaves the scale of the loss."""
+    """The steps from the base to the answer, one effect at a time, and the fit of the base. Keeps the scale of the
+    loss.
+    """
     if not order:
         return [], final
     scale = problem.loss.scale.copy()  # the design effect stays that of the answer
@@ -143,7 +148,7 @@ def steps(problem: Problem, final: Fit, order: Sequence[str], ends: Ends,
 
 
 def gaps(ends: Ends, base: Fit, final: Fit, floor: Mapping[str, float]) -> dict[str, Gap]:
-    """By channel, and of the position after 5 s."""
+    """Errors before and after by channel, and of the position after 5 s."""
     before, after, result = ends.of(base), ends.of(final), {}
     for channel in after:
         change = ends.change(channel, before[channel], after[channel])
@@ -158,7 +163,7 @@ def gaps(ends: Ends, base: Fit, final: Fit, floor: Mapping[str, float]) -> dict[
 
 
 def left_out(problem: Problem, fit: Fit) -> dict[str, dict[str, dict[str, float]]]:
-    """Values by run, effect and parameter, fitted without that run; nothing of a single run."""
+    """Values by run, effect and parameter, fitted without that run; empty for a single run."""
     windows = problem.errors.windows
     if len(np.unique(windows.run)) < 2:
         return {}
@@ -171,9 +176,9 @@ def left_out(problem: Problem, fit: Fit) -> dict[str, dict[str, dict[str, float]
 
 
 def budget(problem: Problem, base: Fit, final: Fit, whole: Fit, bound: Fit | None, ends: Ends) -> list[BudgetLine]:
-    """Every part added last and added first: of the mean position error after 5 s, and of the loss at the scale of the
-    answer. whole: with effective corrections as well. bound: a fit with what varies with place, time or condition as
-    well."""
+    """Contribution of each part when added last and when added first, to the mean position error after 5 s and to the
+    loss at the scale of the answer. whole: fit with effective corrections. bound: fit with what varies with place, time
+    or condition."""
     def size(fit: Fit) -> tuple[float, float]:
         end = ends.of(fit)
         values = end.get("position_5s", np.zeros(1))
@@ -184,8 +189,7 @@ def budget(problem: Problem, base: Fit, final: Fit, whole: Fit, bound: Fit | Non
                           last[1] / max(start[1], 1e-9), first[1] / max(start[1], 1e-9))
 
     def fitted(names: tuple[str, ...]) -> Fit:
-        """The better of two fits, begun at the answer and at the base, with the slopes of each; the base at the worst.
-        """
+        """The best of two fits, started at the answer and at the base, and the base itself."""
         near = problem.renewed(problem.fit(names, final.slopes, iterations=3))
         far = problem.renewed(problem.fit(names, problem.everything(base.vector), base.vector, names))
         return min((near, far, base), key=lambda fit: float(fit.held_out.sum()))

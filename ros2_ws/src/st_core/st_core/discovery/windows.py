@@ -1,8 +1,8 @@
-"""Multi-step errors: from instants of the recorded drives the model predicts what the sensors then showed.
+"""Multi-step errors: predictions from many instants of the recorded drives, compared with the sensors.
 
-All runs are laid out one after the other on one clock, so that one call of the batch predicts every window of a
-discovery. A window starts from the measured state. Without the measured sideslip it starts from that of steady
-cornering and is scored once that guess is forgotten.
+All runs are placed one after the other on one clock, so that one batch predicts all windows. A window starts from the
+measured state. Without measured sideslip it starts from that of steady cornering, and is scored after its influence has
+decayed.
 """
 
 from collections import OrderedDict
@@ -30,19 +30,21 @@ from ..vehicle import VehicleParameters
 from .settings import DiscoverySettings
 
 STEP = 0.05  # s, of the integration
-SIDESLIP_SETTLING_TIME = 0.75  # s until a guessed sideslip is forgotten
-MARGIN_NS = 600_000_000  # at both ends of a run: a delayed or early steering is known there too
-MAX_GAP = 0.1  # s: nothing is interpolated across a longer one, as in PredictionSettings.maximum_gap
-MIN_SPEED = 1.5  # m/s. Slower windows show no lateral motion
-PAUSE_NS = 5_000_000_000  # between runs laid out on one clock
-RECORDING_CACHE_SIZE = 4  # recordings as the last models correct them, and what follows from them
-LOOKUP_CACHE_SIZE = 8  # sets of instants remembered, with where they lie between the samples
-SCORED_SHARES = (0.1, 0.25, 0.5, 1.0)  # of the horizon: where it is scored
+SIDESLIP_SETTLING_TIME = 0.75  # s, decay of an assumed initial sideslip
+MARGIN_NS = 600_000_000  # ns at both ends of a run, so that delayed or advanced steering is known
+MAX_GAP = 0.1  # s, longest gap that is interpolated, as PredictionSettings.maximum_gap
+MIN_SPEED = 1.5  # m/s; slower windows show no lateral motion
+PAUSE_NS = 5_000_000_000  # ns between runs on the common clock
+RECORDING_CACHE_SIZE = 4  # corrected recordings, and tables computed from them
+LOOKUP_CACHE_SIZE = 8  # sets of instants with their neighbouring samples
+SCORED_SHARES = (0.1, 0.25, 0.5, 1.0)  # points of the horizon that are scored
 
 
 class Signals(LogSignals):
-    """A drive with the slope of the forward speed over 2 STEP, without delay, as forward acceleration. Where the last
-    requested instants lie between the samples is kept: a fit requests the same ones thousands of times."""
+    """Signals of a drive with the centred slope of the forward speed over 2 STEP as forward acceleration.
+
+    The neighbouring samples of requested instants are cached, as a fit requests the same ones thousands of times.
+    """
 
     def __init__(self, log: DriveLog, maximum_gap: float):
         self.log, self.maximum_gap = log, maximum_gap
@@ -65,15 +67,15 @@ class Signals(LogSignals):
     def _find_neighbours(self, times: np.ndarray, requested: np.ndarray) -> Neighbours:
         key = _memory(times), _memory(requested)
         known = self._places.pop(key, None)
-        # The same place in memory may hold other numbers by now: to compare them takes a hundredth of a search.
+        # The memory may have been reused for other values; comparing takes a hundredth of a search.
         if known is None or not (np.array_equal(known[0], times) and np.array_equal(known[1], requested)):
             known = times.copy(), requested.copy(), super()._find_neighbours(times, requested)
         return _remember(self._places, key, known, LOOKUP_CACHE_SIZE)[2]
 
 
 class Batch(LogBatch):
-    """A LogBatch for thousands of fits: the caller validates the step once. The recording and what depends on the
-    inputs alone are cached for models that correct it alike, as most do that a fit tries one after the other."""
+    """A LogBatch for thousands of fits: the caller validates the step once, and recordings and input tables are cached
+    for models that correct the recording equally."""
 
     def __init__(self, *arguments: Any, **options: Any):
         super().__init__(*arguments, **options)
@@ -85,7 +87,7 @@ class Batch(LogBatch):
         return _remember(self._recordings, key, self._recordings.pop(key, None) or super().recording(model))
 
     def _table(self, block: Block, values: list[np.ndarray], model: Any, p: Any) -> np.ndarray:
-        # The values are kept as well, so that no others are ever at their place in memory.
+        # The values are kept too, so that their memory is not reused while their id is a key.
         key = (block.number, model.inputs, model.looked_at(p), *map(id, values))
         known = self._tables.pop(key, None) or (values, super()._table(block, values, model, p))
         return _remember(self._tables, key, known)[1]
@@ -95,7 +97,7 @@ class Batch(LogBatch):
 
 
 def _memory(array: np.ndarray) -> tuple:
-    """What two views of the same numbers have in common."""
+    """Key that is equal for two views of the same memory."""
     return array.ctypes.data, array.shape, array.strides
 
 
@@ -108,8 +110,8 @@ def _remember(kept: OrderedDict, key: tuple, value: Any, most: int = RECORDING_C
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """values: (n, k, c), measured minus predicted, SI, columns as `columns`; NaN where not known. predicted: (n, k) the
-    lateral acceleration the sensor would show. time: (k,) after the start [s]."""
+    """Errors of a model. values: (n, k, c), measured minus predicted, SI, columns as `columns`; NaN where not known.
+    predicted: (n, k) lateral acceleration that the sensor would show [m/s^2]. time: (k,) after the start [s]."""
 
     values: np.ndarray
     predicted: np.ndarray
@@ -118,14 +120,14 @@ class Errors:
 
 
 def score_points(settings: DiscoverySettings) -> np.ndarray:
-    """Multiples of STEP after the start at which errors are taken."""
+    """Multiples of STEP after the start at which predictions are scored."""
     first = 0.0 if "velocity_y" in settings.channels else SIDESLIP_SETTLING_TIME
     points = np.maximum(np.round((first + settings.horizon * np.array(SCORED_SHARES)) / STEP), 1).astype(int)
     return np.unique(points)
 
 
 def smoothed(time_ns: np.ndarray, values: np.ndarray, width_ns: int) -> np.ndarray:
-    """Mean over `width_ns` about each sample, as far as there are samples: centred, no delay."""
+    """Centred mean over `width_ns` about each sample, over fewer samples at the ends."""
     total = np.concatenate(([0.0], np.cumsum(values)))
     low = np.searchsorted(time_ns, time_ns - width_ns // 2)
     high = np.searchsorted(time_ns, time_ns + width_ns // 2, side="right")
@@ -133,21 +135,21 @@ def smoothed(time_ns: np.ndarray, values: np.ndarray, width_ns: int) -> np.ndarr
 
 
 def steady_velocity_y(log: DriveLog, vehicle: VehicleParameters) -> np.ndarray:
-    """v_y at the INS of steady cornering [m/s]: r (l_r - m l_f v^2 / (l C_r)) + r d_x."""
+    """v_y at the INS point in steady cornering [m/s]: r (l_r - m l_f v^2 / (l C_r)) + r d_x."""
     slip = vehicle.mass * vehicle.cg_to_front_axle / (vehicle.wheelbase * vehicle.cornering_stiffness_rear)
     return log.yaw_rate * (vehicle.cg_to_rear_axle - slip * log.velocity_x**2 + vehicle.cg_to_ins_x)
 
 
 def prepared(log: DriveLog, vehicle: VehicleParameters, settings: DiscoverySettings) -> DriveLog:
-    """The drive windows start from: yaw rate without most of its noise, sideslip guessed where it is not to be used."""
+    """The drive for the initial states: yaw rate smoothed, sideslip that of steady cornering where it is not used."""
     rate = smoothed(log.ins_time_ns, log.yaw_rate, 50_000_000)
     log = replace(log, yaw_rate=rate)
     return log if "velocity_y" in settings.channels else replace(log, velocity_y=steady_velocity_y(log, vehicle))
 
 
 class Windows:
-    """The windows of some runs. starts_ns: (n,) on the common clock; run, block: (n,) whole numbers; seconds: (n,) into
-    the run."""
+    """The windows of some runs. starts_ns: (n,) on the common clock; run, block: (n,) numbers; seconds: (n,) after the
+    start of the run."""
 
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings):
         self.vehicle, self.settings = vehicle, settings
@@ -175,11 +177,11 @@ class Windows:
 
     @property
     def speeds(self) -> np.ndarray:
-        """(n, points) forward speed at the points of the windows that are compared [m/s]."""
+        """(n, k) measured forward speed at the scored points [m/s]."""
         return self._measured["velocity_x"]
 
     def measured_at(self, times: np.ndarray, *names: str) -> tuple[np.ndarray, ...]:
-        """What was measured at any times [ns] of the common clock."""
+        """Measured signals at any times [ns] of the common clock."""
         return tuple(self._batch.signals.ins_at(times, *names))
 
     def _readings(self, times: np.ndarray) -> dict[str, np.ndarray]:
@@ -197,15 +199,15 @@ class Windows:
 
     @cached_property
     def known(self) -> np.ndarray:
-        """(n, m) which errors of a window, all points and columns in a row, have a measurement, and inputs up to it."""
+        """(n, m) which errors have a measurement, and inputs up to it; points and columns of a window in one row."""
         there = [np.isfinite([self._measured[name] for name in channel.signals]).all(axis=0)
                  for channel in self.channels for _ in channel.columns]
         return (np.stack(there, axis=-1) & self._with_inputs[..., None]).reshape(len(self), -1)
 
     @cached_property
     def _with_inputs(self) -> np.ndarray:
-        """(n, k) points of a window before the first gap of steering or INS: beyond it no prediction can be made,
-        whatever the model. MARGIN_NS around a gap, as at the ends of a run."""
+        """(n, k) points before the first gap of steering or INS, beyond which no model can predict. MARGIN_NS around a
+        gap, as at the ends of a run."""
         until = np.full(len(self), np.iinfo(np.int64).max)
         for time_ns in (self.joined.steering_time_ns, self.joined.ins_time_ns):
             gaps = np.flatnonzero(np.diff(time_ns) > MAX_GAP / NANOSECOND)
@@ -215,7 +217,8 @@ class Windows:
 
     @cached_property
     def driven(self) -> dict[str, np.ndarray]:
-        """(n,) of each window: x, y [m] of its start, speed [m/s], lateral acceleration [m/s^2] in magnitude, means."""
+        """(n,) of each window: x, y of the start [m], mean speed [m/s], mean magnitude of lateral acceleration
+        [m/s^2]."""
         grid = self.starts_ns[:, None] + np.round(np.linspace(0.0, self._length, 12) / NANOSECOND).astype(np.int64)
         x, y, rate, speed = self._batch.signals.ins_at(grid, "x", "y", "yaw_rate", "velocity_x")
         with np.errstate(all="ignore"):
@@ -223,17 +226,14 @@ class Windows:
                     "lateral_acceleration": np.abs(np.nan_to_num(rate * speed)).mean(axis=1)}
 
     def errors(self, model: AugmentedModel, gain: float = 0.0) -> Errors:
-        """Errors of a model; gain: what the accelerometer shows more than the motion, as a body that rolls makes it."""
+        """Errors of a model. gain: relative excess of the accelerometer over the motion, as from body roll [1]."""
         shown, true = self._seen(model, gain)
         parts = [part for channel in self.channels for part in channel.off(self._measured, shown, true)]
         return Errors(np.stack(parts, axis=-1), shown.acceleration_y, self.columns, self.time)
 
     def _seen(self, model: AugmentedModel, gain: float) -> tuple[Measured, Measured]:
-        """What the INS would show at the points, with and without errors of its own; acceleration and yaw rate as means
-        over 2 STEP, as measured.
-
-        The gain is of what the unit feels; what the sensor adds of its own comes after.
-        """
+        """INS readings at the scored points with and without sensor errors; acceleration and yaw rate as means over
+        2 STEP, like the measurements. The gain applies to the true specific force, before the sensor errors."""
         states = self._batch.predict(model, self.vehicle).states
         with np.errstate(all="ignore"):
             shown = true_readings(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)))
@@ -249,7 +249,7 @@ class Windows:
             return model.observe(true), true
 
     def _specific_force(self, model: AugmentedModel, states: np.ndarray) -> np.ndarray | float:
-        """What an accelerometer shows on top of the motion [m/s^2]."""
+        """Lateral specific force minus lateral acceleration at the scored points [m/s^2]."""
         if not any(e.specific_force for e in model.active):
             return 0.0
         recording = self._batch.recording(model)
@@ -263,8 +263,8 @@ class Windows:
 
 def added_acceleration(model: AugmentedModel, vehicle: VehicleParameters, states: tuple, angle: np.ndarray,
                        acceleration: np.ndarray) -> np.ndarray | float:
-    """a_y an accelerometer at the CG shows on top of the motion [m/s^2]; states: the six, arrays as the inputs."""
-    # Only those effects that act on an accelerometer, and what changes the inputs they look at.
+    """Lateral specific force minus lateral acceleration at the CG [m/s^2]. states: the six, arrays like the inputs."""
+    # Only effects that act on an accelerometer, and those that change their inputs.
     model = model.only(e for e in model.effects if e.lifts or (e in model.active and (e.specific_force or e.inputs)))
     added = compose(model.base, model.effects).specific_force
     if added is None:
@@ -275,7 +275,7 @@ def added_acceleration(model: AugmentedModel, vehicle: VehicleParameters, states
 
 
 def _join(runs: Sequence[DriveLog]) -> tuple[DriveLog, list[int]]:
-    """All runs on one clock, PAUSE_NS apart, and what was added to the times of each."""
+    """All runs on one clock, PAUSE_NS apart, and the offset of each [ns]."""
     names = dict.fromkeys((*INS_SIGNALS, *(name for channel in CHANNELS.values() for name in channel.signals)))
     offsets, at = [], 0
     for run in runs:
