@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from exact_drive import late
-from st_core.corrections import Correction, corrected
+from st_core.corrections import Correction, apply_corrections
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 
@@ -82,4 +82,4 @@ def cured(log: DriveLog, entry: Mapping[str, Any], car: VehicleParameters) -> Dr
         log = replace(log, **{name: start + (getattr(log, name) - start) // count
                               for name in ("ins_time_ns", "steering_time_ns")})
     corrections = {channel: Correction(**fields) for channel, fields in entry.get("correct", {}).items()}
-    return corrected(log, corrections, car, entry.get("leave_out", ()))
+    return apply_corrections(log, corrections, car, entry.get("leave_out", ()))

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from st_cli.cli import app
-from st_core.clock_alignment import align, by_hand
+from st_core.clock_alignment import align, manual_alignment
 from st_core.clock_types import Alignment, Verdict
 from st_recordings.runs.can_logs import read_can_logs
 from st_recordings.runs.can_signals import CanSignals, decode_signals, load_signal_table
@@ -157,7 +157,7 @@ def test_nothing_shared_is_refused_and_can_be_given_by_hand(pair: Pair) -> None:
     assert result.verdict is Verdict.REFUSED
     assert "give the offset by hand" in result.reasons[0]
     given, _ = align_clocks(pair.ins, nothing, offset=OFFSET - pair.log.start_ns * 1e-9)
-    assert given.method == by_hand(0, 0).method
+    assert given.method == manual_alignment(0, 0).method
     assert given.offset_ns == pytest.approx(OFFSET * 1e9 - pair.log.start_ns, abs=1000)
 
 

@@ -20,7 +20,7 @@ from .log_signals import Acceleration, LogSignals, same
 from .models import Model, get_model
 from .planned_inputs import SLIP_FREE
 from .prediction import step_count
-from .readings import corrected_log, followed_steering, has_memory, reading_errors
+from .readings import correct_log, has_memory, reading_errors, wheel_angles_ahead
 from .start_grid import Block, plan
 from .timeseries import NANOSECOND, half_step_grid
 from .types import STATE_NAMES
@@ -176,7 +176,7 @@ class LogBatch:
 
     def recording(self, model: Model) -> Recording:
         """The drive with the sensor and steering corrections of the model applied."""
-        log = corrected_log(model, self.signals.log, self.signals.maximum_gap)
+        log = correct_log(model, self.signals.log, self.signals.maximum_gap)
         return self._recorded if log is self.signals.log else Recording(self.signals.of(log))
 
     def _sample(self, block: Block, recording: Recording, model: Model) -> list[np.ndarray]:
@@ -212,7 +212,7 @@ class LogBatch:
                 angle = path[0]
         angle, acceleration = (np.broadcast_to(v, times.shape) for v in (angle, acceleration))
         if has_memory(model):
-            angle = np.array([followed_steering(model, raw.steering_time_ns, raw.road_wheel_angle, *column,
+            angle = np.array([wheel_angles_ahead(model, raw.steering_time_ns, raw.road_wheel_angle, *column,
                                                 signals.maximum_gap)
                               for column in zip(times.T, angle.T, strict=True)]).T
         others = [np.broadcast_to(signals.sample(*self.others[name], times[0]), times.shape) for name in model.signals]

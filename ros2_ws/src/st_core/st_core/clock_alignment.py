@@ -2,7 +2,7 @@
 
     t_reference = t_other + offset + drift (t_other - t_0)
 
-`reference` is the INS recording, `other` the CAN log. Every result has an uncertainty and a verdict with reasons.
+`reference` is the INS recording, `other` the CAN log. An alignment has an uncertainty and a verdict with reasons.
 """
 
 from collections.abc import Sequence
@@ -12,36 +12,36 @@ from itertools import pairwise
 import numpy as np
 
 from .clock_fit import DRIFT_PRIOR_PPM, STEP, Fit, Pair, coarse_offset, fit, mean_correlation, resample
-from .clock_steps import MOST_WINDOWS, WindowLag, clock_step, window_lags
+from .clock_steps import MAX_WINDOWS, WindowLag, find_clock_step, window_lags
 from .clock_types import (
     LONGEST_SPAN,
-    STEP_TOO_LARGE,
+    MAX_STEP,
     UNUSUAL_DRIFT_PPM,
     Alignment,
     SharedSignal,
     SignalLag,
     Verdict,
-    refused,
-    step_reason,
+    describe_step,
+    refused_alignment,
 )
 from .regression import ROBUST
 
-CUTOFFS = (0.5, 4.0)  # Hz: the first for a drift that has not been found yet, the second for the result
-STAMP_GRID = 50e-6  # s; loggers do not stamp finer than this, so no result is surer
+CUTOFFS = (0.5, 4.0)  # Hz; the first while the drift is unknown, the second for the result
+STAMP_GRID = 50e-6  # s; resolution of the stamps of loggers, a lower limit of the uncertainty
 GOOD_PEAK, USABLE_PEAK = 0.95, 0.80
-SHORT_OVERLAP = 20.0  # s
-AGREEMENT = 0.005  # s between signals
+MIN_OVERLAP = 20.0  # s
+MAX_DISAGREEMENT = 0.005  # s, of one signal with all
 GOOD_DEVIATION, USABLE_DEVIATION = 0.005, 0.05  # s
-STEP_SEARCH = 5.0, 40.0  # s; the second where one offset does not fit the whole
+STEP_SEARCH = 5.0, 40.0  # s; the second where one offset does not fit the whole recording
 
 
-def by_hand(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal] = ()) -> Alignment:
-    """Alignment with a measured offset, reference minus other clock. Its uncertainty is not known (NaN).
+def manual_alignment(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal] = ()) -> Alignment:
+    """Alignment with a given offset, reference minus other clock [ns], of unknown uncertainty (NaN).
 
-    signals: checked against it within 5 s; the offset is used as given in any case.
+    signals: compared with it within 5 s for the verdict; the offset is used as given in any case.
     """
     offset = offset_ns * 1e-9
-    check = align(signals, search=(offset - 5.0, offset + 5.0)) if signals else refused()
+    check = align(signals, search=(offset - 5.0, offset + 5.0)) if signals else refused_alignment()
     if check.verdict is Verdict.REFUSED:
         return Alignment(at_ns, offset_ns, 0.0, float("nan"), float("nan"), "by hand", Verdict.DOUBTFUL,
                          ("the offset was given by hand and could not be checked",))
@@ -55,47 +55,47 @@ def by_hand(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal] = ()) ->
 
 def align(signals: Sequence[SharedSignal], minimum_overlap: float | None = None,
           search: tuple[float, float] | None = None) -> Alignment:
-    """Offset and drift from the signals that both recordings hold.
+    """Alignment by the signals of both recordings.
 
-    Coarse: masked normalised cross-correlation, the mean over the signals, at all lags. Fine: robust joint fit of
-    offset and drift (clock_fit.fit). Then the checks that make the verdict: height of the peak, a second one like it,
-    enough variation, agreement between the signals, steps of a clock.
+    Coarse: masked normalised cross-correlation at all lags, averaged over the signals. Fine: robust joint fit of offset
+    and drift (`clock_fit.fit`). The verdict rests on the height of the peak, a similar second peak, enough variation,
+    agreement between the signals, and steps of a clock.
 
     Args:
         minimum_overlap: [s]; default 40 % of the shorter recording, and where nothing fits then, 20 s.
         search: bounds of reference minus other time [s]; default everywhere.
 
-    Never raises for what is in a recording: a refused alignment has its reasons. Valid for drifts of a few hundred
+    Never raises for the content of a recording: a refused alignment has its reasons. Valid for drifts of a few hundred
     ppm and recordings of up to two days. Checked by: the synthetic pair in tests/golden/test_alignment.py, and
     simulated clocks in test_clock_alignment.py (the standard deviations too).
     """
-    usable, reasons = _usable(signals)
+    usable, reasons = _usable_signals(signals)
     if not usable:
-        return refused(*reasons)
-    pairs = _pairs(usable)
+        return refused_alignment(*reasons)
+    pairs = _resampled_pairs(usable)
     fine = pairs[CUTOFFS[-1]]
     if not fine:
-        return refused(*reasons, "the shared signals are known for a few seconds only")
+        return refused_alignment(*reasons, "the shared signals are known for a few seconds only")
     if minimum_overlap is not None:
-        return _attempt(fine, pairs, usable, reasons, minimum_overlap, search)
+        return _align_with_overlap(fine, pairs, usable, reasons, minimum_overlap, search)
     shorter = min(max(side.known.sum() for side in sides) * STEP
                   for sides in ([p.reference for p in fine], [p.other for p in fine]))
-    result = _attempt(fine, pairs, usable, reasons, max(0.4 * shorter, 10.0), search)
+    result = _align_with_overlap(fine, pairs, usable, reasons, max(0.4 * shorter, 10.0), search)
     if result.verdict is Verdict.REFUSED and max((s.correlation for s in result.signals), default=0.0) < USABLE_PEAK:
-        short = _attempt(fine, pairs, usable, reasons, SHORT_OVERLAP, search)
+        short = _align_with_overlap(fine, pairs, usable, reasons, MIN_OVERLAP, search)
         if short.verdict is not Verdict.REFUSED:
             return short.doubted(f"the recordings share only {short.overlap:.0f} s")
     return result
 
 
-def _attempt(fine: Sequence[Pair], pairs: dict[float, list[Pair]], usable: Sequence[SharedSignal],
+def _align_with_overlap(fine: Sequence[Pair], pairs: dict[float, list[Pair]], usable: Sequence[SharedSignal],
              reasons: Sequence[str], needed: float, search: tuple[float, float] | None) -> Alignment:
     r0, o0 = int(usable[0].reference_time_ns[0]), int(usable[0].other_time_ns[0])
-    epoch = (r0 - o0) * 1e-9  # what lies between the two origins; taken out of the floats, put back at the end
+    epoch = (r0 - o0) * 1e-9  # between the two origins, kept apart from the floats
     span = (search[0] - epoch, search[1] - epoch) if search else (-np.inf, np.inf)
     coarse = coarse_offset(fine, needed, 2.0, span)
     if coarse is None:
-        return refused(*reasons, f"at no offset do the recordings share {needed:.0f} s of like motion")
+        return refused_alignment(*reasons, f"at no offset do the recordings share {needed:.0f} s of like motion")
     (first, second), (r_first, r_second) = coarse
     # The fit is centred in the overlap, where offset and drift hardly correlate.
     low = max(min(p.other.origin for p in fine), min(p.reference.origin for p in fine) - first)
@@ -106,13 +106,13 @@ def _attempt(fine: Sequence[Pair], pairs: dict[float, list[Pair]], usable: Seque
         for cutoff in CUTOFFS[1:]:
             solution = fit(pairs[cutoff], solution.offset, middle, solution.drift)
     except ValueError as error:
-        return refused(*reasons, str(error))
+        return refused_alignment(*reasons, str(error))
     singles = []
     for pair, residual, correlation in zip(fine, solution.residual, solution.correlation, strict=True):
         alone = fit([pair], solution.offset, middle, solution.drift, free_drift=False)
         singles.append(SignalLag(pair.name, alone.offset - solution.offset, alone.offset_deviation, residual,
                                  correlation))
-    # A straight line through stamps that are all off by a slowly changing part of the grid.
+    # Stamps are all off by a slowly changing part of the grid.
     drift_deviation = float(np.hypot(solution.drift_deviation, STAMP_GRID / max(high - low, 1.0))) * 1e6
     at_ns = o0 + round(middle * 1e9)
     result = Alignment(
@@ -122,10 +122,10 @@ def _attempt(fine: Sequence[Pair], pairs: dict[float, list[Pair]], usable: Seque
         signals=tuple(singles),
         peak=(first + epoch, r_first), second_peak=(second + epoch, r_second), overlap=max(high - low, 0.0),
     )
-    return _judged(result, solution, fine, o0)
+    return _with_verdict(result, solution, fine, o0)
 
 
-def _usable(signals: Sequence[SharedSignal]) -> tuple[list[SharedSignal], list[str]]:
+def _usable_signals(signals: Sequence[SharedSignal]) -> tuple[list[SharedSignal], list[str]]:
     usable, reasons = [], []
     for signal in signals:
         known = [np.isfinite(v) for v in (signal.reference, signal.other)]
@@ -145,8 +145,8 @@ def _usable(signals: Sequence[SharedSignal]) -> tuple[list[SharedSignal], list[s
     return usable, reasons or ([] if usable else ["the recordings share no signal"])
 
 
-def _pairs(signals: Sequence[SharedSignal]) -> dict[float, list[Pair]]:
-    """Per cut-off: every signal of which something is left at all. Times count from the first signal's first."""
+def _resampled_pairs(signals: Sequence[SharedSignal]) -> dict[float, list[Pair]]:
+    """Pairs by cut-off, of the signals that remain after masking. Times count from the first sample of the first."""
     rows = []
     reference_ns, other_ns = int(signals[0].reference_time_ns[0]), int(signals[0].other_time_ns[0])
     for signal in signals:
@@ -160,7 +160,7 @@ def _pairs(signals: Sequence[SharedSignal]) -> dict[float, list[Pair]]:
 
 
 def _offset_deviation(solution: Fit, singles: Sequence[SignalLag], signals: Sequence[SharedSignal]) -> float:
-    """Fit, plus what the signals differ among themselves beyond their own noise, plus the latency."""
+    """Standard deviation of the fit, disagreement of the signals beyond their noise, and latency in quadrature."""
     excess = 0.0
     if len(singles) > 1:
         weights = np.array([s.deviation**-2 for s in singles])
@@ -170,11 +170,11 @@ def _offset_deviation(solution: Fit, singles: Sequence[SignalLag], signals: Sequ
     return float(np.sqrt(solution.offset_deviation**2 + excess + latency**2 + STAMP_GRID**2 / 12))
 
 
-def _judged(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_ns: int) -> Alignment:
+def _with_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_ns: int) -> Alignment:
     refusals, doubts = [], []
     assert result.peak and result.second_peak
     (first, r_first), (second, r_second) = result.peak, result.second_peak
-    # After the fit: a drift has smeared the peak of the coarse search, but not these.
+    # Of the fit, since a drift smears the peak of the coarse search.
     weakest = min(max(s.correlation, 0.0) for s in result.signals)
     strongest = max(s.correlation for s in result.signals)
     if strongest < USABLE_PEAK:
@@ -192,42 +192,42 @@ def _judged(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_ns: i
     elif solution.offset_deviation > GOOD_DEVIATION:
         doubts.append(f"{why}: the offset is only known to {solution.offset_deviation * 1e3:.1f} ms")
     for row in result.signals:
-        if abs(row.difference) > max(AGREEMENT, 3 * row.deviation):
+        if abs(row.difference) > max(MAX_DISAGREEMENT, 3 * row.deviation):
             doubts.append(f"{row.name} alone gives an offset {row.difference * 1e3:+.1f} ms away")
     if abs(result.drift_ppm) - 2.0 * (result.drift_deviation or 0.0) > UNUSUAL_DRIFT_PPM:
         doubts.append(f"a drift of {result.drift_ppm:.0f} ppm is more than two quartz clocks have")
     lags = window_lags(pairs, solution.offset, STEP_SEARCH[weakest < GOOD_PEAK])
-    step = clock_step(lags)
+    step = find_clock_step(lags)
     if step:
-        reason = step_reason(step[1], other_ns * 1e-9 + step[0] - result.at_ns * 1e-9)
-        # All other doubts follow from it.
-        refusals, doubts = ([reason], []) if abs(step[1]) > STEP_TOO_LARGE else ([], [reason])
+        reason = describe_step(step[1], other_ns * 1e-9 + step[0] - result.at_ns * 1e-9)
+        # All other doubts are consequences of the step.
+        refusals, doubts = ([reason], []) if abs(step[1]) > MAX_STEP else ([], [reason])
     if refusals:
         return replace(result, verdict=Verdict.REFUSED, reasons=(*result.reasons, refusals[0]))
     return result.doubted(*doubts)
 
 
-def _fine(signals: Sequence[SharedSignal]) -> tuple[list[Pair], int, int]:
-    """(pairs of the usable signals, what their times count from: reference, other [ns])."""
-    usable, _ = _usable(signals)
+def _fine_pairs(signals: Sequence[SharedSignal]) -> tuple[list[Pair], int, int]:
+    """(pairs of the usable signals, zero of their reference and other times [ns])."""
+    usable, _ = _usable_signals(signals)
     if not usable:
         return [], 0, 0
-    return _pairs(usable)[CUTOFFS[-1]], int(usable[0].reference_time_ns[0]), int(usable[0].other_time_ns[0])
+    return _resampled_pairs(usable)[CUTOFFS[-1]], int(usable[0].reference_time_ns[0]), int(usable[0].other_time_ns[0])
 
 
 def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.ndarray]:
-    """What the coarse search sees: offsets [s], reference minus other clock, and the mean correlation at each.
+    """Offsets [s], reference minus other clock, and the mean correlation of the signals at each.
 
     Empty where no signal is usable. Lags with less than 10 s in common are left out.
     """
-    fine, r0, o0 = _fine(signals)
+    fine, r0, o0 = _fine_pairs(signals)
     curve = mean_correlation(fine, 10.0, (-np.inf, np.inf)) if fine else None
     return (curve[0] + (r0 - o0) * 1e-9, curve[1]) if curve else (np.zeros(0), np.zeros(0))
 
 
 def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment, search: float = 2.0) -> list[WindowLag]:
-    """What is left of the offset in stretches of 30 s by themselves; time in s after `at_ns`, other clock."""
-    fine, r0, o0 = _fine(signals)
+    """Residual offsets of windows of 30 s after an alignment; time [s] after `at_ns`, other clock."""
+    fine, r0, o0 = _fine_pairs(signals)
     if not fine:
         return []
     middle = (alignment.at_ns - o0) * 1e-9
@@ -236,11 +236,11 @@ def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment, search:
     return [WindowLag(w.time - middle, w.lag - drift * (w.time - middle), w.deviation) for w in found]
 
 
-def standstill_masked(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np.ndarray, speed: np.ndarray,
+def mask_standstill(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np.ndarray, speed: np.ndarray,
                       threshold: float = 0.3, margin: float = 2.0) -> np.ndarray:
-    """The values, NaN where the speed stays below `threshold` [m/s] for `margin` [s] around.
+    """The values, NaN where the speed stays below `threshold` [m/s] within `margin` [s].
 
-    Standstill has no information about time but correlates with every other standstill.
+    Standstill carries no information about time, but correlates with every other standstill.
     """
     moving_ns = speed_time_ns[np.isfinite(speed) & (np.abs(speed) > threshold)]
     if not len(moving_ns):
@@ -254,24 +254,24 @@ def standstill_masked(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np
 
 def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray, resolution: float = 0.001,
                         latency: float = 0.0, latency_uncertainty: float = 0.0) -> Alignment:
-    """Offset and drift from frames in which the unit sends its own time.
+    """Alignment by frames in which the INS sends its own time.
 
     Args:
         other_time_ns: when each frame was logged.
         reference_time_ns: the time it carried, UTC; frames of an unlocked unit (no time) left out.
         resolution: of that time [s].
-        latency: a frame is logged this late after the instant it names [s].
+        latency: delay from the instant that a frame names to its stamp in the log [s].
 
-    A straight line through one point per frame, medians per second, refitted without what lies off it (soft L1).
+    A robust straight line (soft L1) through the medians per second.
     """
     if len(other_time_ns) < 2:
-        return refused("the time frames hold no time (the unit had not locked yet?)")
+        return refused_alignment("the time frames hold no time (the unit had not locked yet?)")
     if abs(int(other_time_ns[-1]) - int(other_time_ns[0])) * 1e-9 > LONGEST_SPAN:
-        return refused("the log spans days: its clock was set during the recording")
+        return refused_alignment("the log spans days: its clock was set during the recording")
     o0, r0 = int(other_time_ns[0]), int(reference_time_ns[0])
     time = (other_time_ns - o0) * 1e-9 - latency
     offset = (reference_time_ns - r0) * 1e-9 - time
-    time, offset = _medians(time, offset)
+    time, offset = _medians_per_second(time, offset)
     middle = float(time[0] + time[-1]) / 2
     design = np.stack([np.ones_like(time), time - middle], axis=1)
     weight = np.ones_like(time)
@@ -292,12 +292,13 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
         drift_deviation=float(np.sqrt(covariance[1, 1])) * 1e6,
         method="time frame", verdict=Verdict.GOOD, overlap=float(time[-1] - time[0]),
     )
-    # Of the offsets, not of what the line leaves of them: a step has tilted the line.
-    usual, edges = np.median(offset), np.linspace(0, len(time), min(len(time), MOST_WINDOWS) + 1).astype(int)
-    step = clock_step([WindowLag(float(np.median(time[a:b])) - middle, float(np.median(offset[a:b]) - usual), scale)
-                       for a, b in pairwise(edges)])
-    if step and abs(step[1]) > STEP_TOO_LARGE:
-        return replace(result, verdict=Verdict.REFUSED, reasons=(step_reason(step[1], step[0]),))
+    # Of the offsets, not of the residuals: a step has tilted the line.
+    usual, edges = np.median(offset), np.linspace(0, len(time), min(len(time), MAX_WINDOWS) + 1).astype(int)
+    lags = [WindowLag(float(np.median(time[a:b])) - middle, float(np.median(offset[a:b]) - usual), scale)
+            for a, b in pairwise(edges)]
+    step = find_clock_step(lags)
+    if step and abs(step[1]) > MAX_STEP:
+        return replace(result, verdict=Verdict.REFUSED, reasons=(describe_step(step[1], step[0]),))
     doubts = []
     worst = int(np.argmax(np.abs(residual)))
     if abs(residual[worst]) > 0.02:
@@ -308,7 +309,7 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
     return result.doubted(*doubts)
 
 
-def _medians(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _medians_per_second(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     second = np.floor(time - time[0]).astype(np.int64)
     edges = np.nonzero(np.diff(second, prepend=second[0] - 1, append=second[-1] + 1))[0]
     if len(edges) - 1 > 0.5 * len(time):

@@ -14,15 +14,15 @@ from scipy.signal import butter, sosfiltfilt
 from .regression import robust_deviation
 
 RATE = 100.0  # Hz of the grid on which signals are filtered
-DECIMATION = 5  # the filtered signals hold nothing above a few hertz, so the fit needs no more than 20 Hz
+DECIMATION = 5  # filtered signals contain nothing above a few hertz, so 20 Hz are enough for the fit
 STEP = DECIMATION / RATE
-LONGEST_GAP = 0.15  # s; a longer one is not bridged
-FILTER_SETTLES = 0.5  # s at 1 Hz cut-off: masked on both sides of a gap, inversely proportional to the cut-off
+LONGEST_GAP = 0.15  # s, that is interpolated
+FILTER_SETTLES = 0.5  # s over the cut-off [Hz], masked on both sides of a gap
 
 
 @dataclass(frozen=True)
 class Resampled:
-    """A signal on a regular grid: values [its unit], and where they are measured (not gap, not edge). origin [s]."""
+    """A signal on a regular grid from `origin` [s]; known: where it was measured, away from gaps and edges."""
 
     origin: float
     values: np.ndarray
@@ -41,7 +41,7 @@ def resample(time: np.ndarray, values: np.ndarray, cutoff: float, angle: bool = 
         values: NaN where not to be used.
         cutoff: of the low-pass [Hz], the same for both recordings, so that it shifts neither against the other.
         angle: values are an angle [rad], wrapped or not; the result is its rate [rad/s], in which the unknown zero of
-            the angle cancels. Filtered first: a difference of neighbours would be all rounding.
+            the angle cancels. It is filtered before it is differentiated, which would amplify rounding.
     """
     good = np.isfinite(values)
     time, values = time[good], np.unwrap(values[good]) if angle else values[good]
@@ -59,7 +59,7 @@ def resample(time: np.ndarray, values: np.ndarray, cutoff: float, angle: bool = 
     if angle:
         sampled = np.gradient(sampled) * RATE if len(grid) > 1 else np.zeros_like(sampled)
     known = maximum_filter1d((~bridged).astype(np.uint8), 2 * margin + 1, mode="constant") == 0
-    known[:margin] = known[len(known) - margin :] = False
+    known[:margin] = known[len(known) - margin:] = False
     return Resampled(float(start), sampled[::DECIMATION], known[::DECIMATION])
 
 
@@ -93,7 +93,7 @@ def masked_correlation(reference: Resampled, other: Resampled, minimum_overlap: 
     covariance = lagged(ff * gf) - sum_f * sum_g / n
     variance_f = lagged(rfft(f * f, size) * mf2) - sum_f**2 / n
     variance_g = lagged(mf1 * np.conj(rfft(g * g, size))) - sum_g**2 / n
-    # A stretch without variation correlates with anything: it must carry a share of the whole variance.
+    # A stretch without variation correlates with anything, so it must contain a share of the whole variance.
     floor_f, floor_g = (1e-3 * v.max(initial=0.0) + 1e-12 for v in (variance_f, variance_g))
     usable = (n * STEP >= minimum_overlap) & (variance_f > floor_f) & (variance_g > floor_g)
     r = np.zeros(len(n))
@@ -106,14 +106,14 @@ def _mean(signal: Resampled) -> float:
     return float(signal.values[signal.known].mean()) if signal.known.any() else 0.0
 
 
-DRIFT_PRIOR_PPM = 100.0  # two quartz clocks differ by 20 to 50 ppm; a short recording is less certain
+DRIFT_PRIOR_PPM = 100.0  # two quartz clocks differ by 20 to 50 ppm
 BLOCK = 5.0  # s; residuals further apart than this count as independent
 ITERATIONS = 12
 
 
 @dataclass(frozen=True)
 class Pair:
-    """One shared signal on both grids; time of `other` is already rid of its latency."""
+    """One shared signal of both recordings; the latency is subtracted from the time of `other`."""
 
     name: str
     reference: Resampled
@@ -122,7 +122,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Fit:
-    """t_reference = t_other + offset + drift (t_other - middle).
+    """Fitted relation t_reference = t_other + offset + drift (t_other - middle).
 
     offset [s] at `middle` [s, other clock], drift [1], with their standard deviations; residual: per signal, rms over
     the standard deviation of the signal; correlation: per signal, at the solution.
@@ -138,13 +138,12 @@ class Fit:
 
 
 def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0, free_drift: bool = True) -> Fit:
-    """Gauss-Newton with soft-L1 weights on offset and drift, and a gain and a bias for every signal.
+    """Offset and drift by Gauss-Newton with soft-L1 weights, with a gain and a bias for every signal.
 
         residual_k(t) = reference_k(t + offset + drift (t - middle)) - gain_k other_k(t) - bias_k,   over its own spread
 
-    The gain takes up a wheel speed that reads some percent high, the bias a gyro offset. The deviations are those of a
-    sandwich estimate over blocks of 5 s, so that autocorrelated residuals do not pass for independent ones. A weak
-    prior on the drift (100 ppm) keeps short recordings from inventing one.
+    The gain absorbs the scale of a wheel speed, the bias a gyro offset. The deviations are a sandwich estimate over
+    blocks of 5 s, since residuals are autocorrelated. A weak prior (100 ppm) limits the drift of short recordings.
 
     Raises ValueError when fewer than 2 s are known on both sides.
     """
@@ -171,8 +170,8 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
 
 
 class _Detail(NamedTuple):
-    """One signal: time of its points; score: (2, n), weighted derivative times residual, gain and bias projected out;
-    residual and correlation as in `Fit`."""
+    """Fit of one signal. score: (2, n) weighted derivative times residual, gain and bias projected out; residual and
+    correlation as in `Fit`."""
 
     time: np.ndarray
     score: np.ndarray
@@ -182,25 +181,25 @@ class _Detail(NamedTuple):
 
 def _normal_equations(pairs: Sequence[Pair], splines: Sequence[CubicSpline], parameters: np.ndarray, middle: float,
                       free_drift: bool) -> tuple[np.ndarray, np.ndarray, list[_Detail]]:
-    """(normal matrix, gradient, details by signal)"""
+    """(normal matrix, gradient, details by signal)."""
     normal = np.diag([0.0, (DRIFT_PRIOR_PPM * 1e-6) ** -2])
     gradient = np.array([0.0, normal[1, 1] * parameters[1] if free_drift else 0.0])
     details = []
     for pair, spline in zip(pairs, splines, strict=True):
-        time, mapped, other = _common(pair, parameters, middle)
+        time, mapped, other = _common_samples(pair, parameters, middle)
         if len(time) * STEP < 2.0:
             raise ValueError(f"{pair.name}: less than 2 s of it is known on both sides")
         reference, slope = spline(mapped), spline(mapped, 1)
         weight = np.ones(len(time))  # of the squares: soft L1
         for _ in range(2):
-            gain, bias = _line(other, reference, weight)
+            gain, bias = _weighted_line(other, reference, weight)
             residual = reference - gain * other - bias
             scale = max(robust_deviation(residual), 1e-4 * float(reference.std()), 1e-12)
             weight = 1.0 / np.sqrt(1.0 + (residual / (2 * scale)) ** 2)
         jacobian = np.zeros((2, len(time)))
         for k, derivative in enumerate([slope, slope * (time - middle)] if free_drift else [slope]):
-            # The part that gain and bias explain has no information about time.
-            gain, bias = _line(other, derivative, weight)
+            # The part that gain and bias explain carries no information about time.
+            gain, bias = _weighted_line(other, derivative, weight)
             jacobian[k] = (derivative - gain * other - bias) / scale
         score = jacobian * (weight * residual / scale)
         normal += [[float((row * column).sum()) for column in jacobian] for row in jacobian * weight]
@@ -213,7 +212,7 @@ def _normal_equations(pairs: Sequence[Pair], splines: Sequence[CubicSpline], par
     return normal, gradient, details
 
 
-def _line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
+def _weighted_line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
     """(gain, bias) of the weighted least squares line y = gain x + bias; gain 0 where x does not vary."""
     # Plain sums: a dot product would start threads of the linear algebra library for each of these short rows.
     total = float(weight.sum())
@@ -226,7 +225,7 @@ def _line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[float, floa
     return gain, mean_y - gain * mean_x
 
 
-def _common(pair: Pair, parameters: np.ndarray, middle: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _common_samples(pair: Pair, parameters: np.ndarray, middle: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(time [s, other clock], the same on the reference clock, value of `other`) where both sides are known."""
     known, time = pair.reference.known, pair.other.time
     mapped = time + parameters[0] + parameters[1] * (time - middle)
@@ -261,12 +260,12 @@ def mean_correlation(pairs: Sequence[Pair], minimum_overlap: float,
     return lags, np.mean([np.interp(lags, row_lags, row) for row_lags, row in rows], axis=0)
 
 
-def coarse_offset(
-    pairs: Sequence[Pair], minimum_overlap: float, exclusion: float, span: tuple[float, float] = (-np.inf, np.inf)
-) -> tuple[tuple[float, float], tuple[float, float]] | None:
+def coarse_offset(pairs: Sequence[Pair], minimum_overlap: float, exclusion: float,
+                  span: tuple[float, float] = (-np.inf, np.inf),
+                  ) -> tuple[tuple[float, float], tuple[float, float]] | None:
     """The two best offsets [s] by the mean of the signals' correlations: ((first, second), (r_first, r_second)).
 
-    exclusion: the second peak lies at least this far from the first [s], and beyond the valley next to it.
+    exclusion: least distance of the second peak from the first [s]; it also lies beyond the valley next to that.
     None where no lag has enough overlap.
     """
     curve = mean_correlation(pairs, minimum_overlap, span)
@@ -278,14 +277,14 @@ def coarse_offset(
         return None
     left, right = _valley(r, best, -1), _valley(r, best, +1)
     reach = int(exclusion / STEP)
-    rest = r.copy()
-    rest[min(left, max(best - reach, 0)) : max(right, best + reach) + 1] = 0.0
-    second = int(np.argmax(rest))
-    return (float(lags[best]), float(lags[second])), (float(r[best]), float(max(rest[second], 0.0)))
+    remaining = r.copy()
+    remaining[min(left, max(best - reach, 0)):max(right, best + reach) + 1] = 0.0
+    second = int(np.argmax(remaining))
+    return (float(lags[best]), float(lags[second])), (float(r[best]), float(max(remaining[second], 0.0)))
 
 
 def _valley(r: np.ndarray, index: int, direction: int) -> int:
-    """Where the correlation stops falling on one side of a peak."""
+    """Index at which the correlation stops falling on one side of a peak."""
     row = r[index:] if direction > 0 else r[index::-1]
     rising = np.nonzero(np.diff(row) > 0)[0]
     return index + direction * int(rising[0] if len(rising) else len(row) - 1)

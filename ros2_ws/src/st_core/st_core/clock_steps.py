@@ -1,4 +1,4 @@
-"""Do one offset and one drift describe the whole recording? Lags of single windows, and the step that explains them."""
+"""Steps of a clock: lags of single windows, and the step that explains them better than an offset and a drift."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,16 +8,16 @@ import numpy as np
 from .clock_fit import STEP, Pair, Resampled, coarse_offset, fit
 
 WINDOW = 30.0  # s
-MOST_WINDOWS = 150  # of a long recording, every so many seconds one
-SMALLEST_STEP = 0.01  # s
+MAX_WINDOWS = 150  # of a long recording, evenly spaced
+MIN_STEP = 0.01  # s
 USUAL_DRIFT = 50e-6
-SURE = 30.0  # by how much a step must lower the sum of squares (in standard deviations) of the window lags
-OUTLIER = 5.0  # standard deviations; a window further off counts no more than this
+MIN_STEP_EVIDENCE = 30.0  # reduction of the sum of squared window lags over their variances by a step
+OUTLIER = 5.0  # standard deviations, at which the weight of a window is limited
 
 
 @dataclass(frozen=True)
 class WindowLag:
-    """Offset of a stretch of `other` around `time` [s, other clock] minus a common offset, and its deviation [s]."""
+    """Offset of one window of `other` around `time` [s, other clock] minus the common offset; its deviation [s]."""
 
     time: float
     lag: float
@@ -25,14 +25,14 @@ class WindowLag:
 
 
 def window_lags(pairs: Sequence[Pair], offset: float, search: float) -> list[WindowLag]:
-    """The lag of every stretch of 30 s, relative to `offset`, searched within +/- `search` [s].
+    """Lags of windows of 30 s relative to `offset`, searched within +/- `search` [s].
 
-    Stretches that do not vary enough to be placed within 50 ms, or that fit at two places, are left out.
+    Windows that vary too little to be located within 50 ms, or that fit at two places, are left out.
     """
     lags = []
     first = min(p.other.origin for p in pairs)
     last = max(p.other.time[-1] for p in pairs)
-    for start in np.arange(first, last - WINDOW / 2, max(WINDOW, (last - first) / MOST_WINDOWS)):
+    for start in np.arange(first, last - WINDOW / 2, max(WINDOW, (last - first) / MAX_WINDOWS)):
         middle = start + WINDOW / 2
         cut = [Pair(p.name, _cut(p.reference, start + offset - search, start + offset + WINDOW + search),
                     _cut(p.other, start, start + WINDOW)) for p in pairs]
@@ -55,8 +55,8 @@ def _cut(signal: Resampled, start: float, end: float) -> Resampled:
     return Resampled(signal.origin + low * STEP, signal.values[low:high], signal.known[low:high])
 
 
-def clock_step(lags: Sequence[WindowLag]) -> tuple[float, float] | None:
-    """(time, size) [s] of the one step that explains the window lags much better than a straight line; None without.
+def find_clock_step(lags: Sequence[WindowLag]) -> tuple[float, float] | None:
+    """(time, size) [s] of the step that explains the window lags far better than a straight line; None without one.
 
         lag(t) = a + b t          against          lag(t) = a + b t + size (t > time),        b about 0 +/- 50 ppm
 
@@ -76,13 +76,13 @@ def clock_step(lags: Sequence[WindowLag]) -> tuple[float, float] | None:
         cost, solution = _robust_line(np.column_stack([plain, after]), lag, deviation)
         if best is None or cost < best[0]:
             best = (cost, (lags[k - 1].time + lags[k].time) / 2, float(solution[2]))
-    if best is None or without - best[0] < SURE or abs(best[2]) < SMALLEST_STEP:
+    if best is None or without - best[0] < MIN_STEP_EVIDENCE or abs(best[2]) < MIN_STEP:
         return None
     return best[1], best[2]
 
 
 def _robust_line(design: np.ndarray, value: np.ndarray, deviation: np.ndarray) -> tuple[float, np.ndarray]:
-    """(sum of capped squares, solution) of a line with the usual drift as a prior; outliers weigh less and less."""
+    """(sum of capped squares, solution) of a robust line with the usual drift as a prior."""
     prior = np.zeros((1, design.shape[1]))
     prior[0, 1] = 1 / USUAL_DRIFT
     weight = 1 / deviation

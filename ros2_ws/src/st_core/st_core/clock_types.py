@@ -1,19 +1,19 @@
-"""What clock alignment takes and gives: shared signals in, an alignment with its verdict out."""
+"""Inputs and result of a clock alignment: shared signals, and the alignment with its verdict."""
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
 
-AMBIGUOUS = 0.9  # second peak over the first
+AMBIGUOUS_PEAK_RATIO = 0.9  # second peak of the correlation over the first
 UNUSUAL_DRIFT_PPM = 200.0
-STEP_TOO_LARGE = 0.05  # s
-LONGEST_SPAN = 48 * 3600.0  # s; a recording that spans more has a clock that was set while it ran
+MAX_STEP = 0.05  # s
+LONGEST_SPAN = 48 * 3600.0  # s; in a longer recording the clock was set while it ran
 
 
 class Verdict(StrEnum):
-    """good: use it. doubtful: look at the picture first. refused: this is not an alignment. not needed: there was
-    nothing to align, all was recorded on one clock."""
+    """Verdict on an alignment. good: use it; doubtful: look at the figure first; refused: not an alignment; not needed:
+    everything was recorded on one clock."""
 
     GOOD = "good"
     DOUBTFUL = "doubtful"
@@ -23,7 +23,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class SharedSignal:
-    """One quantity in both recordings, each on its own clock. NaN where it should not be used (standstill, not ready).
+    """One quantity in both recordings, each on its own clock; NaN where it should not be used (standstill, not ready).
 
     times: int64 ns, strictly increasing. Values share sign and, up to a gain and a bias, scale.
     angle: the values are an angle [rad], wrapped or not, with a zero of its own on each side; its rate is compared.
@@ -44,7 +44,7 @@ class SharedSignal:
 
 @dataclass(frozen=True)
 class SignalLag:
-    """One signal alone: its offset minus the common one [s], deviation [s], residual over spread, correlation."""
+    """Fit of one signal alone: offset minus the common one [s], deviation [s], residual over spread, correlation."""
 
     name: str
     difference: float
@@ -55,9 +55,9 @@ class SignalLag:
 
 @dataclass(frozen=True)
 class Alignment:
-    """How to turn the other clock into the reference clock.
+    """Conversion of the other clock to the reference clock.
 
-    at_ns: instant on the other clock of `offset_ns`. drift_ppm: how much faster the reference clock runs.
+    at_ns: instant on the other clock of `offset_ns`. drift_ppm: by how much the reference clock runs faster.
     offset_deviation [s], drift_deviation [ppm]: one standard deviation; the offset's includes that of the latency.
     method: "time frame", "shared signals", "by hand" or "none". overlap: common time [s].
     peak, second_peak: (offset in s, correlation) of the coarse search, None without one.
@@ -77,7 +77,7 @@ class Alignment:
     overlap: float = 0.0
 
     def to_reference_ns(self, other_ns: np.ndarray | int) -> np.ndarray:
-        """Time on the other clock -> time on the reference clock [ns], in whole nanoseconds."""
+        """Time on the reference clock [ns] of a time on the other clock [ns]."""
         since = np.asarray(other_ns, dtype=np.int64) - self.at_ns
         return since + self.at_ns + self.offset_ns + np.round(since * (self.drift_ppm * 1e-6)).astype(np.int64)
 
@@ -88,26 +88,28 @@ class Alignment:
     @property
     def ambiguous(self) -> bool:
         """Whether another offset fits nearly as well."""
-        return self.peak is not None and self.second_peak is not None and self.second_peak[1] > AMBIGUOUS * self.peak[1]
+        return (self.peak is not None and self.second_peak is not None
+                and self.second_peak[1] > AMBIGUOUS_PEAK_RATIO * self.peak[1])
 
     def doubted(self, *reasons: str) -> "Alignment":
-        """The same, at most doubtful, with further reasons."""
+        """The alignment with further reasons, at most doubtful."""
         if not reasons:
             return self
         verdict = Verdict.DOUBTFUL if self.verdict is Verdict.GOOD else self.verdict
         return replace(self, verdict=verdict, reasons=(*self.reasons, *reasons))
 
 
-def none_needed(at_ns: int = 0) -> Alignment:
-    """Both recordings are on one clock already."""
+def alignment_not_needed(at_ns: int = 0) -> Alignment:
+    """Alignment of recordings that are on one clock already."""
     return Alignment(at_ns, 0, 0.0, 0.0, 0.0, "none", Verdict.NOT_NEEDED)
 
 
-def refused(*reasons: str) -> Alignment:
-    """No alignment at all."""
+def refused_alignment(*reasons: str) -> Alignment:
+    """Alignment that could not be found, with the reasons."""
     return Alignment(0, 0, 0.0, float("inf"), float("inf"), "none", Verdict.REFUSED, reasons)
 
 
-def step_reason(size: float, when: float) -> str:
+def describe_step(size: float, when: float) -> str:
+    """Reason of a verdict for a step of a clock by `size` [s] at `when` [s]."""
     return (f"a clock steps by {size * 1e3:+.0f} ms about {when:+.0f} s from the middle of the common time: "
             "align the parts before and after it by themselves")

@@ -1,4 +1,4 @@
-"""Corrections of known faults of a recording: scales, biases, delays, reference point, misalignment of the INS.
+"""Corrections of known faults of a recording: scale, bias, delay, reference point, misalignment of the INS.
 
     corrected value = scale * recorded value + add,   at   recorded stamp - earlier
 
@@ -21,16 +21,16 @@ from .vehicle import VehicleParameters
 MAXIMUM_GAP = 0.25
 """s. A signal shifted in time is not interpolated across longer gaps."""
 
-LARGEST = {"scale": 1e12, "add": 1e12, "earlier": 60.0, "ahead": 100.0}
-"""Plausible limits; a channel that is a minute late belongs to another recording."""
+MAX_VALUES = {"scale": 1e12, "add": 1e12, "earlier": 60.0, "ahead": 100.0}
+"""Largest magnitude of each field; a channel that is a minute late belongs to another recording."""
 
 STEERING = ("road_wheel_angle", "steering")
-_PAIRS = {"position": ("x", "y"), "velocity": ("velocity_x", "velocity_y")}
-_ALL = ("scale", "add", "earlier")
+_COMPONENTS = {"position": ("x", "y"), "velocity": ("velocity_x", "velocity_y")}
+_FIELDS = ("scale", "add", "earlier")
 CHANNELS: Mapping[str, tuple[str, ...]] = {
-    **dict.fromkeys(("x", "y"), _ALL), "position": ("scale", "earlier", "ahead"), "yaw": _ALL, "heading": ("add",),
-    **dict.fromkeys(("velocity_x", "velocity_y"), _ALL), "velocity": ("scale", "earlier"),
-    **dict.fromkeys(("yaw_rate", *OPTIONAL_INS_SIGNALS, *STEERING), _ALL),
+    "x": _FIELDS, "y": _FIELDS, "position": ("scale", "earlier", "ahead"), "yaw": _FIELDS, "heading": ("add",),
+    "velocity_x": _FIELDS, "velocity_y": _FIELDS, "velocity": ("scale", "earlier"),
+    **dict.fromkeys(("yaw_rate", *OPTIONAL_INS_SIGNALS, *STEERING), _FIELDS),
 }
 """Channels that can be corrected, with the applicable fields of Correction."""
 
@@ -53,7 +53,7 @@ class Correction:
     ahead: float = 0.0
 
 
-def corrected(log: DriveLog, corrections: Mapping[str, Correction], vehicle: VehicleParameters | None = None,
+def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehicle: VehicleParameters | None = None,
               leave_out: Sequence[tuple[float, float]] = ()) -> DriveLog:
     """The corrected drive.
 
@@ -70,7 +70,7 @@ def corrected(log: DriveLog, corrections: Mapping[str, Correction], vehicle: Veh
     without a vehicle it is removed.
 
     leave_out: intervals of INS samples to remove, (start, end) [s] after the first recorded one, both included.
-    Raises StCoreError for a channel not in CHANNELS, a value beyond LARGEST, and corrections that remove all samples.
+    Raises StCoreError for a channel not in CHANNELS, a value beyond MAX_VALUES, and where no sample remains.
     """
     check_corrections(corrections)
     since_ns = log.ins_time_ns - log.ins_time_ns[:1]
@@ -80,7 +80,7 @@ def corrected(log: DriveLog, corrections: Mapping[str, Correction], vehicle: Veh
     if not used.all():
         log = log.with_ins(used)
     log = _correct_ins(log, corrections)
-    log = _rotated(log, corrections.get("heading", Correction()).add)
+    log = _rotate(log, corrections.get("heading", Correction()).add)
     ahead = corrections.get("position", Correction()).ahead
     if ahead:
         forward, left = body_to_map(ahead, 0.0, log.yaw)
@@ -93,14 +93,14 @@ def corrected(log: DriveLog, corrections: Mapping[str, Correction], vehicle: Veh
 
 
 def check_corrections(corrections: Mapping[str, Correction]) -> None:
-    """Raises StCoreError for an unknown channel, a field not applicable to it, and a value beyond LARGEST."""
+    """Raises StCoreError for an unknown channel, a field not applicable to it, and a value beyond MAX_VALUES."""
     for channel, correction in corrections.items():
         if channel not in CHANNELS:
             raise StCoreError(f"{channel}: unknown channel; known are {', '.join(CHANNELS)}")
         for name, neutral in vars(Correction()).items():
             value = getattr(correction, name)
-            if not abs(value) <= LARGEST[name]:
-                raise StCoreError(f"{channel}: {name}: {value!r} is not within +-{LARGEST[name]:g}")
+            if not abs(value) <= MAX_VALUES[name]:
+                raise StCoreError(f"{channel}: {name}: {value!r} is not within +-{MAX_VALUES[name]:g}")
             if value != neutral and name not in CHANNELS[channel]:
                 raise StCoreError(f"{channel}: {name} does not apply here; valid are {', '.join(CHANNELS[channel])}")
         if correction.scale == 0.0:
@@ -109,12 +109,12 @@ def check_corrections(corrections: Mapping[str, Correction]) -> None:
         raise StCoreError(f"{' and '.join(STEERING)} are the same channel; correct one of them")
 
 
-def in_words(corrections: Mapping[str, Correction]) -> tuple[str, ...]:
-    """A phrase for each channel, as "yaw_rate x 0.01745 - 0.004 rad/s, 0.31 s earlier"."""
-    return tuple(_phrase(channel, correction) for channel, correction in corrections.items())
+def describe_corrections(corrections: Mapping[str, Correction]) -> tuple[str, ...]:
+    """A phrase for each channel, such as "yaw_rate x 0.01745 - 0.004 rad/s, 0.31 s earlier"."""
+    return tuple(_describe(channel, correction) for channel, correction in corrections.items())
 
 
-def _phrase(channel: str, correction: Correction) -> str:
+def _describe(channel: str, correction: Correction) -> str:
     words = [channel]
     if correction.scale != 1.0:
         words.append(f"x {correction.scale:.6g}")
@@ -129,7 +129,7 @@ def _phrase(channel: str, correction: Correction) -> str:
 
 
 def _correct_ins(log: DriveLog, corrections: Mapping[str, Correction]) -> DriveLog:
-    group = {name: pair for pair, names in _PAIRS.items() for name in names}
+    group = {name: pair for pair, names in _COMPONENTS.items() for name in names}
     parts: dict[str, Any] = {}
     for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS):
         steps = [corrections[key] for key in (name, group.get(name, "")) if key in corrections]
@@ -150,7 +150,7 @@ def _correct_ins(log: DriveLog, corrections: Mapping[str, Correction]) -> DriveL
     return replace(log.with_ins(known), **{name: values[known] for name, values in parts.items()})
 
 
-def _rotated(log: DriveLog, angle: float) -> DriveLog:
+def _rotate(log: DriveLog, angle: float) -> DriveLog:
     if not angle:
         return log
     parts: dict[str, Any] = {"yaw": log.yaw + angle}

@@ -21,7 +21,7 @@ from .log import DriveLog
 from .log_signals import Acceleration, LogSignals
 from .models import Model, get_model
 from .prediction import PredictionSettings
-from .readings import corrected_log, reading_errors
+from .readings import correct_log, reading_errors
 from .timeseries import NANOSECOND, half_step_grid
 from .types import STATE_NAMES, InputSequence
 from .vehicle import VehicleParameters
@@ -316,7 +316,7 @@ def _instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.ndarray, 
 def predict_held_per_step(model: Model, vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
                           times_ns: np.ndarray, step: float) -> np.ndarray:
     """(n, points, 6): as `LogBatch.predict`, but each step with the inputs at its start. times_ns: (n, points)."""
-    own = signals.of(corrected_log(model, signals.log, signals.maximum_gap))
+    own = signals.of(correct_log(model, signals.log, signals.maximum_gap))
     angle, acceleration = own.road_wheel_angle_at(times_ns), own.ins_at(times_ns, "velocity_x_dot")[0]
     states = own.states_at(starts_ns, model.effective_vehicle(vehicle))
     p = model.parameters(vehicle)

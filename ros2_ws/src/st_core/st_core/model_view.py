@@ -17,13 +17,13 @@ from .models import Model
 from .readings import (
     MEMORY,
     MEMORY_NS,
-    ahead_ns,
-    corrected_sample,
-    corrected_steering,
-    followed_steering,
+    correct_sample,
+    correct_steering,
     has_memory,
+    missing_reading,
     readings,
-    wanting,
+    required_lookahead_ns,
+    wheel_angles_ahead,
 )
 from .timeseries import NANOSECOND, half_step_grid, interpolate
 from .types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState, ins_to_cg
@@ -39,7 +39,7 @@ class ModelView:
     """
 
     def __init__(self, model: Model, vehicle: VehicleParameters, shared: MeasurementHistory):
-        lacking = wanting(model, OPTIONAL_INS_SIGNALS)
+        lacking = missing_reading(model, OPTIONAL_INS_SIGNALS)
         if lacking:
             raise ConfigurationError("model {}: effect {} needs {}, which is not measured live".format(
                 model.name, *lacking))
@@ -50,7 +50,7 @@ class ModelView:
         self.has_memory = has_memory(model)
         self.corrects_samples = isinstance(model, AugmentedModel) and model.has_sensors
         self._history = shared.for_corrected_samples() if self.corrects_samples else shared
-        self.ahead_ns = ahead_ns(model)
+        self.ahead_ns = required_lookahead_ns(model)
 
     @staticmethod
     def span(models: Sequence[Model], span: float) -> float:
@@ -59,7 +59,7 @@ class ModelView:
 
     def add_ins(self, sample: InsSample) -> None:
         """Correct an INS sample and add it to the history of a model with `corrects_samples`."""
-        self._history.add_ins(corrected_sample(self.model, sample))
+        self._history.add_ins(correct_sample(self.model, sample))
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> None:
         """Add a road wheel angle [rad] to the history of a model with `corrects_samples`."""
@@ -78,7 +78,7 @@ class ModelView:
         if not self.has_memory:
             return state, now
         series, grid = self._history.steering, half_step_grid(time_ns, steps, step)
-        angle = followed_steering(self.model, series.times, series.rows[:, 0], grid,
+        angle = wheel_angles_ahead(self.model, series.times, series.rows[:, 0], grid,
                                   np.full(len(grid), now.road_wheel_angle), series.maximum_gap_ns * NANOSECOND)
         return state, InputSequence(angle, np.full(len(grid), now.velocity_x_dot))
 
@@ -91,7 +91,7 @@ class ModelView:
         gap_ns = series.maximum_gap_ns
         span = times_ns[0] - MEMORY_NS, times_ns[-1] + gap_ns + self.ahead_ns
         rows = slice(*np.searchsorted(series.times, span).tolist())
-        wheels = corrected_steering(self.model, series.times[rows], series.rows[rows, 0], gap_ns * NANOSECOND)
+        wheels = correct_steering(self.model, series.times[rows], series.rows[rows, 0], gap_ns * NANOSECOND)
         return InputSequence(interpolate(*wheels, times_ns, gap_ns), acceleration)
 
     def shown(self, trajectory: Trajectory) -> Measured:

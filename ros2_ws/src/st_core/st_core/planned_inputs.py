@@ -14,7 +14,7 @@ import numpy as np
 from .errors import StCoreError
 from .handling import understeer_coefficient
 from .models import Model
-from .readings import followed_steering, has_memory
+from .readings import has_memory, wheel_angles_ahead
 from .timeseries import NANOSECOND, half_step_grid, interpolate
 from .types import ControlInput, InputSequence, VehicleState
 from .vehicle import VehicleParameters
@@ -206,5 +206,5 @@ def wheel_sequence(model: Model, planned: InputSequence, start_ns: int, step: fl
     if not has_memory(model):
         return planned
     grid = half_step_grid(start_ns, len(planned.road_wheel_angle) // 2, step)
-    wheels = followed_steering(model, steering_time_ns, road_wheel_angle, grid, planned.road_wheel_angle, maximum_gap)
+    wheels = wheel_angles_ahead(model, steering_time_ns, road_wheel_angle, grid, planned.road_wheel_angle, maximum_gap)
     return InputSequence(wheels, planned.velocity_x_dot, planned.signals)

@@ -1,6 +1,5 @@
-"""Between what was measured and what a model is about: logs and samples corrected, states turned into readings.
-
-For a model without such effects everything passes unchanged, so callers need not ask.
+"""Measurements as a model needs them: logs and samples corrected by its sensor and input effects, and readings of an
+INS predicted from states. For a model without such effects everything passes unchanged.
 """
 
 from collections.abc import Sequence
@@ -19,19 +18,19 @@ from .types import InsSample, cg_to_ins_position, pose_errors
 from .vehicle import VehicleParameters
 
 MEMORY = 5.0
-"""s. How far back live predictions look for effects with memory; a lag of 0.5 s has then forgotten all but e^-10."""
+"""s of steering before now that live predictions need for effects with memory; a lag of 0.5 s decays to e^-10."""
 MEMORY_NS = round(MEMORY / NANOSECOND)
 
 
-def corrected_sample(model: Model, sample: InsSample) -> InsSample:
-    """The sample as a faultless INS would have given it; NaN where that takes an acceleration, see `wanting`."""
+def correct_sample(model: Model, sample: InsSample) -> InsSample:
+    """The sample of a faultless INS; NaN where that needs an acceleration, see `missing_reading`."""
     if not isinstance(model, AugmentedModel) or not model.has_sensors:
         return sample
     true = model.correct(Measured(*sample[1:], acceleration_x=np.nan, acceleration_y=np.nan))
     return InsSample(sample.time_ns, *true[:6])
 
 
-def wanting(model: Model, unknown: Sequence[str]) -> tuple[str, str] | None:
+def missing_reading(model: Model, unknown: Sequence[str]) -> tuple[str, str] | None:
     """(effect, reading) of the first sensor effect that cannot correct pose, velocity or yaw rate where these
     accelerations are not known; None without such an effect."""
     if not isinstance(model, AugmentedModel):
@@ -45,7 +44,7 @@ def wanting(model: Model, unknown: Sequence[str]) -> tuple[str, str] | None:
     return None
 
 
-def corrected_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray,
+def correct_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray,
                        maximum_gap: float) -> tuple[np.ndarray, np.ndarray]:
     """(time [ns], road wheel angle [rad]) at the wheels: delay, play and lag applied to a recorded angle.
 
@@ -62,11 +61,11 @@ def corrected_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray,
 
 
 def has_memory(model: Model) -> bool:
-    """Whether the angle of the wheels depends on what the steering did before."""
+    """Whether the angle of the wheels depends on earlier steering."""
     return isinstance(model, AugmentedModel) and model.has_memory
 
 
-def followed_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray, grid_ns: np.ndarray, ahead: np.ndarray,
+def wheel_angles_ahead(model: Model, time_ns: np.ndarray, angle: np.ndarray, grid_ns: np.ndarray, ahead: np.ndarray,
                       maximum_gap: float) -> np.ndarray:
     """Angle of the wheels [rad] at rising instants (m,) [ns] when the steering is `ahead` (m,) [rad] from the first on.
 
@@ -77,25 +76,25 @@ def followed_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray, grid
         return ahead
     before = slice(*np.searchsorted(time_ns, (grid_ns[0] - MEMORY_NS, grid_ns[0])).tolist())
     gap_ns, spacing = round(maximum_gap / NANOSECOND), int(grid_ns[1] - grid_ns[0])
-    # No further apart than half of a gap, at which memory would start again.
+    # Samples no further apart than half of a gap, at which memory would be reset.
     parts = max(1, -(-2 * spacing // gap_ns))
     finer, whole = np.arange(parts * (len(ahead) - 1) + 1) / parts, np.arange(len(ahead))
     after = grid_ns[0] + np.round(np.interp(finer, whole, grid_ns - grid_ns[0])).astype(np.int64)
-    beyond = after[-1] + (spacing // parts) * np.arange(1, 2 + parts * ahead_ns(model) // spacing)
+    beyond = after[-1] + (spacing // parts) * np.arange(1, 2 + parts * required_lookahead_ns(model) // spacing)
     series = (np.concatenate((time_ns[before], after, beyond)),
               np.concatenate((angle[before], np.interp(finer, whole, ahead), np.full(len(beyond), ahead[-1]))))
-    return interpolate(*corrected_steering(model, *series, maximum_gap), grid_ns, gap_ns)
+    return interpolate(*correct_steering(model, *series, maximum_gap), grid_ns, gap_ns)
 
 
-def ahead_ns(model: Model) -> int:
-    """How far ahead the steering must be known [ns] for the angle of the wheels: > 0 where its stamps are late."""
+def required_lookahead_ns(model: Model) -> int:
+    """Time ahead for which the steering must be known to give the angle of the wheels [ns]; > 0 for late stamps."""
     if not isinstance(model, AugmentedModel) or not model.has_memory:
         return 0
     time, _ = model.steering(np.zeros(1), np.zeros(1), np.ones(1, bool))
     return max(0, round(-float(time[0]) / NANOSECOND))
 
 
-def corrected_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveLog:
+def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveLog:
     """The drive as faultless sensors would have recorded it, with the angle the wheels had: what a model starts from.
 
     Input effects without memory (ratio, offset) are not applied: they are in the model's `inputs`. maximum_gap: [s].
@@ -106,7 +105,7 @@ def corrected_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> Driv
     parts: dict[str, Any] = {}
     if model.has_sensors:
         names = Measured._fields[:-1]
-        lacking = wanting(model, [name for name in names if getattr(log, name) is None])
+        lacking = missing_reading(model, [name for name in names if getattr(log, name) is None])
         if lacking:
             raise StCoreError("{}: effect {} needs {}, which is not in it".format(log.name, *lacking))
         nothing = np.zeros(len(log.ins_time_ns))
@@ -114,7 +113,7 @@ def corrected_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> Driv
                                         for n in Measured._fields)))
         parts |= {name: getattr(true, name) for name in names if getattr(log, name) is not None}
     if model.has_memory:
-        time_ns, angle = corrected_steering(model, log.steering_time_ns, log.road_wheel_angle, maximum_gap)
+        time_ns, angle = correct_steering(model, log.steering_time_ns, log.road_wheel_angle, maximum_gap)
         parts |= {"steering_time_ns": time_ns, "road_wheel_angle": angle, "steering_wheel_angle": None}
     return replace(log, **parts) if parts else log
 
@@ -122,11 +121,11 @@ def corrected_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> Driv
 def readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple | None = None,
              p: Any = None) -> Measured:
     """What the INS shows while the car is in `states`: `true_readings` with the sensor effects."""
-    true = true_readings(model, vehicle, states, w, p)
+    true = faultless_readings(model, vehicle, states, w, p)
     return model.observe(true) if isinstance(model, AugmentedModel) else true
 
 
-def true_readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple | None = None,
+def faultless_readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple | None = None,
                   p: Any = None) -> Measured:
     """What a faultless INS would show while the car is in `states`, at the INS point.
 

@@ -7,7 +7,7 @@ import pytest
 from driven import SILENT, drive, weave
 from st_core.augmented import augment
 from st_core.errors import StCoreError
-from st_core.identification.axle_curve import axle_curve, axle_force, drawn_models, force_error
+from st_core.identification.axle_curve import axle_curve, axle_force, draw_models, force_error
 from st_core.identification.cornering_stiffness import axle_regressions, identify_stiffness
 from st_core.tyres import GRAVITY, magic_formula_coefficients, magic_formula_force
 
@@ -51,7 +51,7 @@ def test_curve_has_the_band_of_its_draws_over_the_driven_slip(leaf):
                                    "front_stiffness": {"factor": 1.1}})
     spread = np.diag([{"peak": 0.1, "curvature": 0.0, "factor": 0.0}[p.name] ** 2 for _, p in model.free])
     driven = np.random.default_rng(1).normal(0.0, 0.02, 5000)
-    curve = axle_curve(model, leaf, "front", driven, drawn_models(model, spread, leaf, 400))
+    curve = axle_curve(model, leaf, "front", driven, draw_models(model, spread, leaf, 400))
     assert curve.slip[-1] == pytest.approx(np.quantile(np.abs(driven), 0.995)) and curve.slip[0] == 0.0
     assert curve.force[1] / curve.file[1] == pytest.approx(1.1, rel=0.02) and curve.density.sum() == pytest.approx(1.0)
     assert curve.density[0] > 5 * curve.density[-1]

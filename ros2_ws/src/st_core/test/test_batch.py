@@ -18,7 +18,7 @@ from st_core.log import DriveLog
 from st_core.log_signals import LogSignals
 from st_core.models import MODELS
 from st_core.prediction import PredictionSettings, predict
-from st_core.readings import corrected_log
+from st_core.readings import correct_log
 from st_core.stability import StepTooLongWarning
 from st_core.start_grid import plan
 from st_core.types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState
@@ -53,7 +53,7 @@ def regular(first_ms, count, step_ms=100):
 
 def one_by_one(model, car, log, start_ns, horizon, held=False, step=0.05):
     """(points, 6) by `predict`, from inputs sampled for this start alone."""
-    signals = LogSignals(corrected_log(model, log), 0.1, 5.0)
+    signals = LogSignals(correct_log(model, log), 0.1, 5.0)
     times = start_ns + np.round(np.arange(2 * round(horizon / step) + 1) * 0.5 * step * 1e9).astype(np.int64)
     angle, acceleration = signals.road_wheel_angle_at(times), signals.ins_at(times, "velocity_x_dot")[0]
     inputs = ControlInput(angle[0], acceleration[0]) if held else InputSequence(angle, acceleration)

@@ -8,7 +8,7 @@ import pytest
 from exact_drive import SPEED, Noise, Sines, exact_drive
 from st_core.checks import AuxiliaryData, Severity, check
 from st_core.checks.sampling import resolution
-from st_core.corrections import corrected
+from st_core.corrections import apply_corrections
 
 
 @pytest.fixture(scope="module")
@@ -167,7 +167,7 @@ def test_positions_that_jump(log, size, end, stretches):
     assert one.where == (pytest.approx((12.34, 12.35)), pytest.approx((end - 0.01, end)))
     left_out = one.advice.entry["leave_out"]
     assert np.ravel(left_out) == pytest.approx(stretches, abs=0.011)
-    assert "position_jumps" not in found(corrected(wrong, {}, None, left_out))
+    assert "position_jumps" not in found(apply_corrections(wrong, {}, None, left_out))
 
 
 def test_positions_that_jump_all_the_time(log):

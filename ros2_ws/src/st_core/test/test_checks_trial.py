@@ -8,7 +8,7 @@ from exact_drive import Sines, exact_drive
 from st_core.checks import Finding, Severity
 from st_core.checks.finding import Advice
 from st_core.checks.trial import try_corrections
-from st_core.corrections import Correction, corrected
+from st_core.corrections import Correction, apply_corrections
 from st_core.handling import understeer_coefficient
 
 FAULTS = {
@@ -32,7 +32,7 @@ def test_a_right_correction_is_proposed_and_a_wrong_one_is_not(leaf, channel, se
     log = exact_drive(leaf, 60.0)
     log = replace(log, steering_wheel_angle=None)
     values = FAULTS[channel]
-    broken = corrected(log, {channel: Correction(**values)}, leaf)
+    broken = apply_corrections(log, {channel: Correction(**values)}, leaf)
     right, wrong = (finding(severity, **{channel: one}) for one in (inverse(values), values))
     (kept,) = try_corrections([right], broken, leaf)
     assert kept.advice == right.advice and kept.tried[1] < 1.05 * kept.tried[0]
@@ -44,7 +44,7 @@ def test_a_right_correction_is_proposed_and_a_wrong_one_is_not(leaf, channel, se
 def test_errors_are_tried_together(leaf):
     log = replace(exact_drive(leaf, 60.0), steering_wheel_angle=None)
     both = {"yaw": {"scale": -1.0}, "yaw_rate": {"scale": -1.0}}
-    broken = corrected(log, {name: Correction(**one) for name, one in both.items()}, leaf)
+    broken = apply_corrections(log, {name: Correction(**one) for name, one in both.items()}, leaf)
     findings = [finding(Severity.ERROR, **{name: one}) for name, one in both.items()]
     assert [one.advice for one in try_corrections(findings, broken, leaf)] == [one.advice for one in findings]
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, lfilter
-from st_core.clock_alignment import align, align_by_time_frame, by_hand, standstill_masked
-from st_core.clock_types import SharedSignal, Verdict, none_needed
+from st_core.clock_alignment import align, align_by_time_frame, manual_alignment, mask_standstill
+from st_core.clock_types import SharedSignal, Verdict, alignment_not_needed
 
 EPOCH_NS = 1_700_000_000_000_000_000
 
@@ -66,12 +66,12 @@ def test_known_offset_and_drift_come_back(offset: float, drift: float) -> None:
 
 
 def test_the_mapping_is_exact_to_the_nanosecond() -> None:
-    result = replace(by_hand(3_217_000_001, EPOCH_NS), drift_ppm=40.0)
+    result = replace(manual_alignment(3_217_000_001, EPOCH_NS), drift_ppm=40.0)
     times = EPOCH_NS + np.array([0, 1_000_000_000, -25_000_000_000])
     assert (result.to_reference_ns(times) - times).tolist() == [3_217_000_001, 3_217_040_001, 3_216_000_001]
     assert result.to_reference_ns(EPOCH_NS) == EPOCH_NS + 3_217_000_001
-    assert none_needed().to_reference_ns(times).tolist() == times.tolist()
-    assert (none_needed().method, none_needed().verdict) == ("none", "not needed")
+    assert alignment_not_needed().to_reference_ns(times).tolist() == times.tolist()
+    assert (alignment_not_needed().method, alignment_not_needed().verdict) == ("none", "not needed")
 
 
 def test_the_deviations_are_honest() -> None:
@@ -173,7 +173,7 @@ def test_gaps_and_standstill_do_no_harm() -> None:
     assert result.offset_ns * 1e-9 == pytest.approx(true_offset(result.at_ns, 0.7, 10e-6), abs=2e-4)
     time = nanoseconds(np.arange(0, 30, 0.1))
     speed = np.where(np.arange(300) < 100, 0.0, 5.0)
-    masked = standstill_masked(time, speed, time, speed)
+    masked = mask_standstill(time, speed, time, speed)
     assert np.isnan(masked[:80]).all() and np.isfinite(masked[80:]).all()
 
 
@@ -193,11 +193,11 @@ def test_a_coarse_wrapped_angle_with_another_zero_is_enough() -> None:
 
 def test_an_offset_given_by_hand_is_kept_and_commented_on() -> None:
     signals = recorded(Drive(13, 120), 120, 2.0, 0.0)
-    right, wrong = (by_hand(offset, EPOCH_NS, signals) for offset in (2_001_000_000, 1_600_000_000))
+    right, wrong = (manual_alignment(offset, EPOCH_NS, signals) for offset in (2_001_000_000, 1_600_000_000))
     assert (right.verdict, right.offset_ns) == (Verdict.GOOD, 2_001_000_000)
     assert (wrong.verdict, wrong.offset_ns) == (Verdict.DOUBTFUL, 1_600_000_000)
     assert "put it +400 ms away" in wrong.reasons[0]
-    assert "could not be checked" in by_hand(0, EPOCH_NS).reasons[0]
+    assert "could not be checked" in manual_alignment(0, EPOCH_NS).reasons[0]
 
 
 def test_time_frames_give_offset_and_drift() -> None:

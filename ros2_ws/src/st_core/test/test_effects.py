@@ -14,7 +14,7 @@ from st_core.errors import ConfigurationError
 from st_core.log import DriveLog
 from st_core.models import MODELS
 from st_core.prediction import predict
-from st_core.readings import corrected_log, readings
+from st_core.readings import correct_log, readings
 from st_core.timeseries import NANOSECOND
 from st_core.types import ControlInput, InputSequence, VehicleState
 
@@ -98,7 +98,7 @@ def test_null_changes_nothing_to_the_last_bit(car, base, name):
         np.testing.assert_array_equal(predict(model, car, STATE, inputs).states, plain.states)
     assert model.effective_vehicle(car) == car
     log = weaving_log()
-    corrected = corrected_log(model, log)
+    corrected = correct_log(model, log)
     for field in (*Measured._fields, "ins_time_ns", "steering_time_ns", "road_wheel_angle"):
         np.testing.assert_array_equal(getattr(corrected, field), getattr(log, field))
     state = STATE.as_tuple()
@@ -114,7 +114,7 @@ def test_initial_value_shows_somewhere(leaf, base, name):
     moved = np.abs(predict(model, leaf, STATE, varied_inputs(100)).states
                    - predict(base, leaf, STATE, varied_inputs(100)).states).max()
     log = weaving_log()
-    corrected = corrected_log(model, log)
+    corrected = correct_log(model, log)
     measured = max(float(np.abs(getattr(corrected, f) - getattr(log, f)).max())
                    for f in (*Measured._fields, "steering_time_ns", "road_wheel_angle"))
     lever = abs(model.effective_vehicle(leaf).cg_to_ins_x - leaf.cg_to_ins_x)
@@ -134,7 +134,7 @@ def test_mirrored_in_gives_mirrored_out(leaf, base, name, share):
     log = weaving_log()
     fields = {f: getattr(log, f) for f in log.__dataclass_fields__}
     log_mirrored = DriveLog(**{f: -v if f in MIRRORED_LOG else v for f, v in fields.items()})
-    here, there = corrected_log(model, log), corrected_log(other, log_mirrored)
+    here, there = correct_log(model, log), correct_log(other, log_mirrored)
     for field in MIRRORED_LOG:
         np.testing.assert_allclose(getattr(there, field), -getattr(here, field), rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(there.velocity_x, here.velocity_x, rtol=1e-13)

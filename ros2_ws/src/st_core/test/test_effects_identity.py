@@ -9,7 +9,7 @@ from st_core.augmented import augment
 from st_core.checks import check
 from st_core.effects import EFFECTS, Measured
 from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
-from st_core.readings import corrected_log
+from st_core.readings import correct_log
 
 MEASURED = {(name, p.name): p.identity for name, effect in EFFECTS.items() for p in effect.parameters if p.identity}
 
@@ -56,7 +56,7 @@ def test_what_really_was_late_is_put_right_to_first_order(leaf, effect, channels
     true = exact_drive(leaf, 60.0, noise=SILENT)
     recorded = late(true, seconds, *channels)
     _, there, here = np.intersect1d(true.ins_time_ns, recorded.ins_time_ns, return_indices=True)
-    mended = corrected_log(augment("linear", {effect: {"time": seconds}}), recorded)
+    mended = correct_log(augment("linear", {effect: {"time": seconds}}), recorded)
     inside = slice(10, -10)  # at the ends the slope is not that of the middle
     for name in channels:
         was = getattr(recorded, name)[here] - getattr(true, name)[there]

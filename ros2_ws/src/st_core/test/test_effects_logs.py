@@ -10,7 +10,7 @@ from st_core.log import DriveLog
 from st_core.log_signals import LogSignals
 from st_core.models import MODELS
 from st_core.prediction import predict
-from st_core.readings import corrected_log
+from st_core.readings import correct_log
 from st_core.timeseries import NANOSECOND
 from st_core.types import InputSequence, VehicleState
 
@@ -30,7 +30,7 @@ STARTS = np.array([1_000_000_000, 1_500_000_000, 2_100_000_000, 3_333_000_000, 5
 
 
 def one_by_one(model, car) -> np.ndarray:
-    signals = LogSignals(corrected_log(model, LOG), 0.1, 5.0)
+    signals = LogSignals(correct_log(model, LOG), 0.1, 5.0)
     half_steps = np.round(np.arange(2 * round(HORIZON / STEP) + 1) * 0.5 * STEP / NANOSECOND).astype(np.int64)
     states = signals.states_at(STARTS, model.effective_vehicle(car))
     paths = []

@@ -12,7 +12,7 @@ from st_core.evaluation import Evaluator
 from st_core.log import DriveLog
 from st_core.models import MODELS
 from st_core.prediction import Predictor
-from st_core.readings import corrected_log, corrected_sample, readings, wanting
+from st_core.readings import correct_log, correct_sample, missing_reading, readings
 from st_core.types import InsSample, VehicleState, body_to_map, ins_to_cg_acceleration, map_to_body
 from steady_circle import cg_to_ins
 
@@ -103,10 +103,10 @@ def test_logs_and_samples_are_corrected_alike():
     time_ns = np.arange(5, dtype=np.int64) * 10_000_000
     columns = [np.linspace(a, a + 0.1, 5) for a in (3.0, 4.0, 0.2, 11.0, 0.1, 0.3)]
     log = DriveLog("short", time_ns, *columns, time_ns, np.zeros(5))
-    corrected = corrected_log(model, log)
+    corrected = correct_log(model, log)
     assert corrected.acceleration_x is None and corrected.acceleration_y is None
     for i in range(5):
-        sample = corrected_sample(model, InsSample(int(time_ns[i]), *(float(c[i]) for c in columns)))
+        sample = correct_sample(model, InsSample(int(time_ns[i]), *(float(c[i]) for c in columns)))
         assert sample.time_ns == time_ns[i]
         for name in ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate"):
             assert getattr(sample, name) == pytest.approx(getattr(corrected, name)[i], rel=1e-14), name
@@ -142,23 +142,23 @@ def test_a_correction_that_needs_an_acceleration_is_made_of_the_measured_one_or_
     columns = [np.linspace(a, a + 0.1, 5) for a in (3.0, 4.0, 0.2, 11.0, 0.1, 0.3)]
     log = DriveLog("short", time_ns, *columns, time_ns, np.zeros(5))
     measured = replace(log, acceleration_y=np.full(5, 2.0))
-    np.testing.assert_allclose(corrected_log(leaning, measured).yaw, log.yaw - 0.02, rtol=1e-14)
+    np.testing.assert_allclose(correct_log(leaning, measured).yaw, log.yaw - 0.02, rtol=1e-14)
     with pytest.raises(StCoreError, match="short: effect leaning needs acceleration_y, which is not in it"):
-        corrected_log(leaning, log)
+        correct_log(leaning, log)
     with pytest.raises(ConfigurationError, match="effect leaning needs acceleration_y, which is not measured live"):
         Predictor(leaf, [leaning])
     with pytest.raises(ConfigurationError, match="effect leaning needs acceleration_y, which is not measured live"):
         Evaluator(leaf, models=[leaning])
-    assert math.isnan(corrected_sample(leaning, InsSample(5, 1.0, 2.0, 0.3, 4.0, 0.5, 0.6)).yaw)
+    assert math.isnan(correct_sample(leaning, InsSample(5, 1.0, 2.0, 0.3, 4.0, 0.5, 0.6)).yaw)
 
 
 def test_no_effect_of_the_library_needs_an_acceleration_to_correct_the_rest():
     for effect in EFFECTS.values():
         if effect.correct:
-            assert wanting(augment("linear", [effect.name]), ("acceleration_x", "acceleration_y")) is None
+            assert missing_reading(augment("linear", [effect.name]), ("acceleration_x", "acceleration_y")) is None
 
 
 def test_models_without_sensor_effects_hand_samples_through():
     sample = InsSample(5, 1.0, 2.0, 0.3, 4.0, 0.5, 0.6)
-    assert corrected_sample(MODELS["linear"], sample) is sample
-    assert corrected_sample(augment("linear", ["mass"]), sample) is sample
+    assert correct_sample(MODELS["linear"], sample) is sample
+    assert correct_sample(augment("linear", ["mass"]), sample) is sample

@@ -5,7 +5,7 @@ import pytest
 from st_core.augmented import augment
 from st_core.effects.steering_backlash import affine, clamp, scan
 from st_core.log import DriveLog
-from st_core.readings import corrected_log, corrected_steering
+from st_core.readings import correct_log, correct_steering
 from st_core.timeseries import NANOSECOND
 
 RANDOM = np.random.default_rng(5)
@@ -106,13 +106,13 @@ def drive(time_ns: np.ndarray) -> DriveLog:
 def test_log_is_corrected_on_the_steering_side_only_where_it_must_be():
     start = 1_700_000_000_123_456_789  # floats do not hold such nanoseconds
     log = drive(start + np.arange(0, 10_000_000_000, 10_000_000))
-    late = corrected_log(augment("linear", {"steering_delay": {"time": 0.0375}}), log)
+    late = correct_log(augment("linear", {"steering_delay": {"time": 0.0375}}), log)
     np.testing.assert_array_equal(late.steering_time_ns - log.steering_time_ns, 37_500_000)
     np.testing.assert_array_equal(late.ins_time_ns, log.ins_time_ns)
     assert late.steering_wheel_angle is None  # it no longer belongs to the road wheel angle
-    same = corrected_log(augment("linear", {"mass": {"factor": 1.2}}), log)
-    assert same is log and corrected_log(augment("linear", []), log) is log
-    lag = corrected_log(augment("linear", {"steering_lag": {"time_constant": 0.1}}), log)
+    same = correct_log(augment("linear", {"mass": {"factor": 1.2}}), log)
+    assert same is log and correct_log(augment("linear", []), log) is log
+    lag = correct_log(augment("linear", {"steering_lag": {"time_constant": 0.1}}), log)
     np.testing.assert_array_equal(lag.steering_time_ns, log.steering_time_ns)
     assert lag.road_wheel_angle[300] == pytest.approx(0.1 * np.sin(3.0 - 0.1), abs=1e-3)
 
@@ -121,13 +121,13 @@ def test_gap_in_the_recording_is_found_by_its_length():
     time_ns = np.concatenate((np.arange(100), np.arange(100) + 130)) * 10_000_000
     angle = np.concatenate((np.zeros(100), np.full(100, 0.1)))
     model = augment("linear", {"steering_lag": {"time_constant": 0.2}})
-    _, restarted = corrected_steering(model, time_ns, angle, 0.1)
+    _, restarted = correct_steering(model, time_ns, angle, 0.1)
     np.testing.assert_allclose(restarted[100:], 0.1, rtol=1e-14)
-    _, carried = corrected_steering(model, time_ns, angle, 0.5)
+    _, carried = correct_steering(model, time_ns, angle, 0.5)
     assert 0.0 < carried[100] < 0.1
 
 
 def test_empty_recording_stays_empty():
     model = augment("linear", ["steering_lag", "steering_delay", "steering_backlash"])
-    time_ns, angle = corrected_steering(model, np.empty(0, np.int64), np.empty(0), 0.1)
+    time_ns, angle = correct_steering(model, np.empty(0, np.int64), np.empty(0), 0.1)
     assert not len(time_ns) and not len(angle)

@@ -11,7 +11,7 @@ import pytest
 from experiment_tables import axle_lift, flat_plank, turntable, weighings
 from st_core.identification.cg_height import LiftedCar, cg_height, pitch_from_lift
 from st_core.identification.magic_formula import fit_tyre, magic_formula
-from st_core.identification.mass_and_cg import mass_and_cg, swapped_axles
+from st_core.identification.mass_and_cg import describe_swapped_axles, mass_and_cg
 from st_core.identification.result import IdentificationError
 from st_core.identification.steering_ratio import steering_ratio
 from st_core.tyres import magic_formula_coefficients, magic_formula_stiffness, tyre_force
@@ -73,10 +73,10 @@ def test_weighings_that_are_no_cars_are_refused(leaf, change, said):
 def test_exchanged_axles_are_noticed_beside_the_vehicle_file(leaf):
     data = weighings(leaf, 0)
     found = mass_and_cg(replace(data, readings=data.readings[:, [2, 3, 0, 1]]), leaf.wheelbase)
-    said = swapped_axles(found, leaf.wheelbase, leaf.cg_to_front_axle)
+    said = describe_swapped_axles(found, leaf.wheelbase, leaf.cg_to_front_axle)
     assert "the vehicle file has 1.176 m; with front and rear columns exchanged it would be 1.17" in said
     right = mass_and_cg(data, leaf.wheelbase)
-    assert swapped_axles(right, leaf.wheelbase, leaf.cg_to_front_axle) == ""
+    assert describe_swapped_axles(right, leaf.wheelbase, leaf.cg_to_front_axle) == ""
 
 
 def test_axle_lift_finds_the_height_within_its_interval(leaf, lifted):

@@ -14,9 +14,9 @@ from st_core.identification.result import (
     Estimate,
     Identification,
     IdentificationError,
-    against_file,
-    apply,
-    stale_scales,
+    apply_to_vehicle,
+    compare_with_file,
+    describe_stale_scales,
 )
 from st_core.provenance import Provenance
 from st_core.tyres import stiffness_scale
@@ -55,14 +55,14 @@ def test_a_verdict_states_once_that_zero_is_inside():
 
 def test_coverage_counts_filled_bins():
     coverage = Coverage("speed", "m/s", np.array([0.0, 5.0, 10.0, 15.0]), np.array([100, 3, 50]), 20, 3)
-    assert (coverage.filled, coverage.enough) == (2, False)
-    assert coverage.words() == "speed: 2 of 3 bins from 0 to 15 m/s hold at least 20 samples (needed: 3)"
+    assert (coverage.filled, coverage.sufficient) == (2, False)
+    assert coverage.describe() == "speed: 2 of 3 bins from 0 to 15 m/s hold at least 20 samples (needed: 3)"
 
 
 def test_values_go_into_the_vehicle_with_their_provenance(leaf):
     found = outcome(estimate("mass", 1700.0, 2.0), estimate("tyre_front.p_dy1", 0.9, 0.01, "doubtful"),
                     estimate("yaw_inertia", 1.0, math.inf, "unidentifiable"), estimate("heading_misalignment", 0.01))
-    car = apply(leaf, [found], "2026-05-01")
+    car = apply_to_vehicle(leaf, [found], "2026-05-01")
     assert (car.mass, car.tyre_front.p_dy1, car.yaw_inertia) == (1700.0, 0.9, leaf.yaw_inertia)
     assert car.provenance["mass"] == Provenance(2.0, "a test", "one, two", "2026-05-01")
     assert set(car.provenance) == {"mass", "tyre_front.p_dy1"}
@@ -75,23 +75,23 @@ def test_values_go_into_the_vehicle_with_their_provenance(leaf):
 
 def test_a_value_no_vehicle_file_may_hold_is_refused(leaf):
     with pytest.raises(ConfigurationError, match="mass: 10 is outside 50 to 60000 kg"):
-        apply(leaf, [outcome(estimate("mass", 10.0))], "2026-05-01")
+        apply_to_vehicle(leaf, [outcome(estimate("mass", 10.0))], "2026-05-01")
 
 
 def test_contradictions_with_the_file_are_said_with_numbers(leaf):
     car = known(leaf, mass=3.0)
-    said = against_file(car, estimate("mass", 1601.0, 4.0))
+    said = compare_with_file(car, estimate("mass", 1601.0, 4.0))
     assert "mass 1601 contradicts 1590" in said and "+11 is 2.2 times the combined uncertainty" in said
     assert "before, 2026-01-01" in said
-    assert against_file(car, estimate("mass", 1599.0, 4.0)) == ""
-    assert against_file(leaf, estimate("mass", 3000.0)) == ""  # nobody knows how sure the file's value was
+    assert compare_with_file(car, estimate("mass", 1599.0, 4.0)) == ""
+    assert compare_with_file(leaf, estimate("mass", 3000.0)) == ""  # nobody knows how sure the file's value was
 
 
 def test_a_scale_that_was_set_before_the_stiffness_changed_is_named(leaf):
     fixed = replace(leaf, sources={**leaf.sources, "tyre_front.lambda_ky": "by hand"})
     found = [outcome(estimate("cornering_stiffness_front", 80000.0))]
-    assert stale_scales(fixed, found)[0].startswith("tyre_front.lambda_ky was set in the vehicle file before corn")
-    assert stale_scales(leaf, found) == ()
+    assert describe_stale_scales(fixed, found)[0].startswith("tyre_front.lambda_ky was set in the vehicle file ")
+    assert describe_stale_scales(leaf, found) == ()
 
 
 def test_lambda_is_the_papers_at_the_static_load(leaf):

@@ -9,7 +9,7 @@ from ..errors import StCoreError
 from ..log_evaluation import EvaluationSettings, evaluate_blocks, regular_starts, usable_starts
 from ..log_signals import LogSignals
 from ..models import Model
-from ..readings import corrected_log
+from ..readings import correct_log
 from ..timeseries import NANOSECOND, half_step_grid
 from ..vehicle import VehicleParameters
 from .conditions import conditions_at
@@ -101,7 +101,7 @@ def _known(models: Sequence[Model], signals: LogSignals, starts_ns: np.ndarray,
     """Starts (n,) with a completely measured horizon, also for models that shift recorded signals in time."""
     known = np.ones(len(starts_ns), bool)
     times = starts_ns[:, None] + half_step_grid(0, settings.prediction.steps, settings.prediction.step)
-    own_logs = [corrected_log(model, signals.log, signals.maximum_gap) for model in models]
+    own_logs = [correct_log(model, signals.log, signals.maximum_gap) for model in models]
     for log in {id(log): log for log in (signals.log, *own_logs)}.values():
         own = signals if log is signals.log else signals.of(log)
         state, = own.ins_at(starts_ns, "x")

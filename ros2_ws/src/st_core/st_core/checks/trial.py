@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from ..corrections import Correction, corrected
+from ..corrections import Correction, apply_corrections
 from ..errors import StCoreError
 from ..log import DriveLog
 from ..log_evaluation import EvaluationSettings, evaluate_log, regular_starts
@@ -131,7 +131,7 @@ def _apply_advice(state: State, advice: Advice | None) -> State | None:
     try:
         log = _relabel_columns(log, advice.entry)
         changes = {name: Correction(**values) for name, values in advice.entry.get("correct", {}).items()}
-        log = corrected(log, changes, vehicle, advice.entry.get("leave_out", ()))
+        log = apply_corrections(log, changes, vehicle, advice.entry.get("leave_out", ()))
     except StCoreError:
         return None
     return log, vehicle

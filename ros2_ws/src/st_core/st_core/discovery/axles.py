@@ -9,10 +9,10 @@ from ..augmented import AugmentedModel
 from ..effects import COMBINATIONS, EFFECTS
 from ..errors import StCoreError
 from ..handling import understeer_coefficient
-from ..identification.axle_curve import axle_curve, axle_force, drawn_models, force_error
+from ..identification.axle_curve import axle_curve, axle_force, draw_models, force_error
 from ..identification.cornering_stiffness import AXLES, AxleRegression, axle_regressions
 from ..log import DriveLog
-from ..readings import corrected_log
+from ..readings import correct_log
 from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .evidence import Joint
 from .fit import Fit, Problem
@@ -47,7 +47,7 @@ class Axles:
                 problem.space.scale[which], problem.space.scale[which]) * max(unexplained, 1.0) ** 2
             model_error = np.array([p.model_error for _, p in self.model.free])[which]
             covariance[which, which] += np.square(model_error)
-            self.draws = drawn_models(self.model, covariance, vehicle, DRAWS)
+            self.draws = draw_models(self.model, covariance, vehicle, DRAWS)
 
     def _regressions(self) -> tuple[AxleRegression, AxleRegression]:
         """Slip and force of both axles with steering and sensors corrected by the answer, body as in the file and with
@@ -58,7 +58,7 @@ class Axles:
         car = around.effective_vehicle(self.vehicle)
         p = around.parameters(self.vehicle)
         for run in self.runs:
-            log = corrected_log(around, run)
+            log = correct_log(around, run)
             nothing = np.zeros(len(log.road_wheel_angle))
             angle = around.inputs(log.road_wheel_angle, nothing, p)[0]
             log = replace(log, road_wheel_angle=np.asarray(angle), steering_wheel_angle=None)

@@ -14,7 +14,7 @@ from ..log import OPTIONAL_INS_SIGNALS, DriveLog
 from ..manoeuvres import CATALOGUE, Manoeuvre
 from ..models import Model
 from ..prediction import predict
-from ..readings import corrected_steering, true_readings
+from ..readings import correct_steering, faultless_readings
 from ..types import InputSequence, VehicleState
 from ..vehicle import VehicleParameters
 from .evidence import inverse
@@ -46,10 +46,10 @@ def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameter
     forward = np.where(times < 0.0, 0.0, manoeuvre.forward(begun))
     start = VehicleState(0.0, 0.0, manoeuvre.speed, 0.0, 0.0, 0.0)
     times_ns = np.round((times + LEAD_TIME) * 1e9).astype(np.int64)
-    wheels = np.interp(times_ns, *corrected_steering(model, times_ns, angle, 0.1))
+    wheels = np.interp(times_ns, *correct_steering(model, times_ns, angle, 0.1))
     path = predict(model, vehicle, start, InputSequence(wheels, forward), (lead + steps) * PERIOD, PERIOD)
     states = tuple(path.states[lead:].T)
-    true = true_readings(model, vehicle, states)
+    true = faultless_readings(model, vehicle, states)
     a_y = np.gradient(true.velocity_y, PERIOD) + true.velocity_x * true.yaw_rate
     kept = slice(2 * lead, None, 2)
     specific_force = added_acceleration(model, vehicle, states, wheels[kept], forward[kept])

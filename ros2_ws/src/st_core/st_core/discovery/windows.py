@@ -23,7 +23,7 @@ from ..errors import StCoreError
 from ..log import INS_SIGNALS, DriveLog
 from ..log_signals import LogSignals, same
 from ..models import Model
-from ..readings import true_readings
+from ..readings import faultless_readings
 from ..start_grid import Block
 from ..timeseries import NANOSECOND, Neighbours
 from ..vehicle import VehicleParameters
@@ -236,7 +236,7 @@ class Windows:
         2 STEP, like the measurements. The gain applies to the true specific force, before the sensor errors."""
         states = self._batch.predict(model, self.vehicle).states
         with np.errstate(all="ignore"):
-            shown = true_readings(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)))
+            shown = faultless_readings(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)))
             before, true, after = (Measured(*(value[:, i] for value in shown)) for i in self._around)
             turning = [e.velocity_x * e.yaw_rate for e in (before, true, after)]
             a_y = (after.velocity_y - before.velocity_y) / (2 * STEP) + (

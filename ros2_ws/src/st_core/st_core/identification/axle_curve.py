@@ -1,11 +1,11 @@
-"""Lateral force of an axle against its slip angle over the driven range: of a model with its band, and as measured.
+"""Lateral force of an axle against its slip angle over the driven range: model with band, and measurement.
 
     F(alpha) = (F_model(-alpha) - F_model(alpha)) / 2,   alpha >= 0
 
-F_model is what the model's equations of motion ask of the axle at equal slip of both axles, straight wheels, no forward
-acceleration: every effect that acts at that state is in it, offsets cancel. The slip angle is the geometric one of the
-measured steering, as in a regression: compliance makes the axle softer. Roll steer does not act at this state. No curve
-is given beyond the driven slip. Checked by: test_axle_curve.py.
+F_model is the axle force in the model's equations of motion at equal slip of both axles, straight wheels and no
+forward acceleration: every effect that acts at that state is included, offsets cancel. The slip angle is the geometric
+one of the measured steering, as in a regression, so compliance makes the axle softer. Roll steer does not act at this
+state. No curve is given beyond the driven slip. Checked by: test_axle_curve.py.
 """
 
 from collections.abc import Iterable
@@ -17,10 +17,10 @@ from ..augmented import AugmentedModel
 from ..errors import ConfigurationError, StCoreError
 from ..models import Model, get_model
 from ..vehicle import VehicleParameters
-from .cornering_stiffness import DRIVEN, AxleSamples
+from .cornering_stiffness import DRIVEN_QUANTILE, AxleSamples
 
 SPEED = 20.0  # m/s, at which the curve is evaluated: no minimum_slip_speed is higher
-FEWEST_DRAWS = 20
+MIN_DRAWS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ def axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven
     size = size[np.isfinite(size)]
     if len(size) < 2 or not size.max() > 0.0:
         raise StCoreError(f"{axle} axle: {len(size)} driven slip angles; two or more above 0 are needed")
-    slip = np.linspace(0.0, float(np.quantile(size, DRIVEN)), points)
+    slip = np.linspace(0.0, float(np.quantile(size, DRIVEN_QUANTILE)), points)
     model = get_model(model)
     if original is None:
         original = model.base if isinstance(model, AugmentedModel) else model
@@ -88,12 +88,12 @@ def axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven
                      counts / max(int(counts.sum()), 1), level)
 
 
-def drawn_models(model: AugmentedModel, covariance: np.ndarray, vehicle: VehicleParameters, count: int = 200,
+def draw_models(model: AugmentedModel, covariance: np.ndarray, vehicle: VehicleParameters, count: int = 200,
                  seed: int = 0) -> list[AugmentedModel]:
     """Models with values drawn from a normal distribution about those of `model`, within the bounds of each parameter.
 
     covariance: (p, p) of `model.vector` [SI]; rows of zeros for what is constant. vehicle: draws outside the limits of
-    a vehicle file are left out. Raises StCoreError where fewer than FEWEST_DRAWS are left: the uncertainty is as wide
+    a vehicle file are left out. Raises StCoreError where fewer than MIN_DRAWS are left: the uncertainty is as wide
     as the bounds.
     """
     low, high = np.array([p.bounds for _, p in model.free]).T.reshape(2, -1)
@@ -106,8 +106,8 @@ def drawn_models(model: AugmentedModel, covariance: np.ndarray, vehicle: Vehicle
         except ConfigurationError:
             continue
         found.append(one)
-    if len(found) < FEWEST_DRAWS:
-        raise StCoreError(f"{len(found)} of {count} drawn parameter sets are a car; {FEWEST_DRAWS} are needed")
+    if len(found) < MIN_DRAWS:
+        raise StCoreError(f"{len(found)} of {count} drawn parameter sets are a car; {MIN_DRAWS} are needed")
     return found
 
 

@@ -2,7 +2,7 @@
 
     S(p) = sum r(p)^2,   s^2 = S_min / (n - k),   covariance = s^2 (J^T J)^-1 over the parameters inside their bounds
 
-The 95 % interval of parameter i ends where fixing it costs as much as chance would, all others fitted again:
+The 95 % interval of parameter i ends where fixing it raises the sum of squares significantly, all others refitted:
 
     min over the others of S = S_min + s^2 F_0.95(1, n - k)
 
@@ -19,19 +19,17 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import f as fisher
 
 Residuals = Callable[[np.ndarray], np.ndarray]
-"""From parameters (k,) or many sets of them (m, k) to residuals (n,) or (m, n)."""
+"""Function of parameters (k,) or many sets of them (m, k): residuals (n,) or (m, n)."""
 
-ENOUGH = 0.03  # of the rise, at which an end of an interval is found
-MOST_STEPS = 8
-EDGE = 1e-6  # of the bounds' width: nearer than that is at the bound
+END_TOLERANCE = 0.03  # of the rise at an end of an interval
+MAX_STEPS = 8
+BOUND_TOLERANCE = 1e-6  # distance from a bound over the width between both
 
 
 @dataclass(frozen=True)
 class CurveFit:
-    """values (k,), their covariance (k, k), residuals (n,), scatter s, freedom n - k; bounds (k,) each.
-
-    A parameter at its bound has no covariance (zero).
-    """
+    """Fitted values (k,), covariance (k, k), zero for parameters at a bound; residuals (n,), scatter s, freedom n - k;
+    bounds (k,) each."""
 
     values: np.ndarray
     covariance: np.ndarray
@@ -46,13 +44,13 @@ class CurveFit:
         return np.sqrt(np.diag(self.covariance))
 
     def at_bound(self, index: int) -> bool:
-        near = EDGE * (self.upper[index] - self.lower[index])
+        near = BOUND_TOLERANCE * (self.upper[index] - self.lower[index])
         return not self.lower[index] + near < self.values[index] < self.upper[index] - near
 
 
 @dataclass(frozen=True)
 class Interval:
-    """95 % interval of one parameter. lower_open, upper_open: whether the end is a bound and not the data's."""
+    """95 % interval of one parameter. lower_open, upper_open: whether an end is the bound, not determined by data."""
 
     low: float
     high: float
@@ -62,7 +60,7 @@ class Interval:
 
 def fit_curve(residuals: Residuals, starts: Sequence[Sequence[float]], lower: Sequence[float],
               upper: Sequence[float]) -> CurveFit:
-    """The least sum of squares from the best of several starts, every parameter within its bounds."""
+    """Least squares from the best of several starts, every parameter within its bounds."""
     low, high = np.asarray(lower, float), np.asarray(upper, float)
     rough = [_solve(residuals, start, low, high, 1e-3, 40) for start in starts] if len(starts) > 1 else []
     begin = min(rough, key=lambda one: one.cost).x if rough else starts[0]
@@ -70,7 +68,7 @@ def fit_curve(residuals: Residuals, starts: Sequence[Sequence[float]], lower: Se
     n, k = found.jac.shape
     freedom = n - k
     scatter = math.sqrt(2.0 * found.cost / freedom) if freedom > 0 else math.nan
-    near = EDGE * (high - low)
+    near = BOUND_TOLERANCE * (high - low)
     free = (found.x > low + near) & (found.x < high - near)
     covariance = np.zeros((k, k))
     if free.any():
@@ -87,18 +85,18 @@ def _solve(residuals: Residuals, start: Sequence[float] | np.ndarray, low: np.nd
 
 
 def profile_interval(residuals: Residuals, fit: CurveFit, index: int) -> Interval:
-    """The interval above for parameter `index`, found by the secant method on the root of the rise."""
-    low, low_open = _end(residuals, fit, index, -1.0)
-    high, high_open = _end(residuals, fit, index, 1.0)
+    """Profile-likelihood interval of parameter `index`, by the secant method on the root of the rise."""
+    low, low_open = _interval_end(residuals, fit, index, -1.0)
+    high, high_open = _interval_end(residuals, fit, index, 1.0)
     return Interval(low, high, low_open, high_open)
 
 
-def _end(residuals: Residuals, fit: CurveFit, index: int, side: float) -> tuple[float, bool]:
+def _interval_end(residuals: Residuals, fit: CurveFit, index: int, side: float) -> tuple[float, bool]:
     threshold = fit.scatter**2 * float(fisher.ppf(0.95, 1, fit.freedom))
     bound = float((fit.upper if side > 0.0 else fit.lower)[index])
     value, spread = float(fit.values[index]), float(fit.deviations[index])
     room = abs(bound - value)
-    if room <= EDGE * float(fit.upper[index] - fit.lower[index]):
+    if room <= BOUND_TOLERANCE * float(fit.upper[index] - fit.lower[index]):
         return bound, True
     distance = min(math.sqrt(threshold) / fit.scatter * spread, room) if spread > 0.0 else 0.1 * room
     least = float(fit.residuals @ fit.residuals)
@@ -106,19 +104,17 @@ def _end(residuals: Residuals, fit: CurveFit, index: int, side: float) -> tuple[
     slope = fit.covariance[others, index] / spread**2 if spread > 0.0 else np.zeros(int(others.sum()))
     start = fit.values[others] + slope * side * distance
     known = (0.0, 0.0)
-    for _ in range(MOST_STEPS):
-        start, cost = _held(residuals, fit, index, value + side * distance, start)
+    for _ in range(MAX_STEPS):
+        start, cost = _fit_with_fixed(residuals, fit, index, value + side * distance, start)
         root = math.sqrt(max(cost - least, 0.0) / threshold)
         if distance >= room and root < 1.0:
             return bound, True
-        if abs(root - 1.0) < ENOUGH:
-            break
-        if distance == known[0]:
+        if abs(root - 1.0) < END_TOLERANCE or distance == known[0]:
             break
         steepness = (root - known[1]) / (distance - known[0])
         known = (distance, root)
         step = (1.0 - root) / steepness if steepness > 0.0 else distance
-        # Neither back past the estimate nor out of sight in one step.
+        # Steps are limited: not back past the estimate, and not far beyond it.
         distance = min(max(distance + step, 0.3 * distance), 4.0 * distance, room)
     return value + side * distance, False
 
@@ -134,14 +130,15 @@ def _jacobian(residuals: Residuals, upper: np.ndarray) -> Callable[[np.ndarray],
     return jacobian
 
 
-def _held(residuals: Residuals, fit: CurveFit, index: int, value: float, start: np.ndarray) -> tuple[np.ndarray, float]:
-    """The other parameters fitted with one held, and the sum of squares then."""
+def _fit_with_fixed(residuals: Residuals, fit: CurveFit, index: int, value: float,
+                    start: np.ndarray) -> tuple[np.ndarray, float]:
+    """(the other parameters fitted with one fixed, sum of squares)."""
     others = np.arange(len(fit.values)) != index
     low, high = fit.lower[others], fit.upper[others]
 
-    def rest(free: np.ndarray) -> np.ndarray:
+    def of_others(free: np.ndarray) -> np.ndarray:
         return residuals(np.insert(free, index, value, axis=-1))
 
-    # The rise looked for is a twentieth of the sum; a ten-thousandth is exact enough.
-    found = _solve(rest, start, low, high, 1e-4, 60)
+    # The rise is about a twentieth of the sum; a ten-thousandth is exact enough.
+    found = _solve(of_others, start, low, high, 1e-4, 60)
     return found.x, 2.0 * found.cost

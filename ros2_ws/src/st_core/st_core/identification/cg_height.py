@@ -10,9 +10,9 @@ the wheel centres under the CG when the car is level:
     all:         h = r + l b / m,  b the slope of m_r over tan(theta), each lift with a level of its own
     r = r_front (1 - l_f / l) + r_rear l_f / l
 
-r is made of the loaded wheel radii of the LEVEL car, because h is the height there. That the rear tyres give way
-further when lifted does not enter: the force still passes the wheel centre. It does where the pitch is worked out from
-the lift of the front wheels: sin(theta + theta_0) = (lift + r_front - r_rear) / l with the radii as they then are.
+r is made of the loaded wheel radii of the level car, because h is the height there. The further deflection of the rear
+tyres when lifted does not enter: the force still passes the wheel centre. It enters the pitch computed from the lift of
+the front wheels: sin(theta + theta_0) = (lift + r_front - r_rear) / l with the radii as they then are.
 
     u(h)^2 = (l / m)^2 u(b)^2 + (h - r)^2 (u(m)^2 / m^2 + u(l)^2 / l^2) + u(r)^2
 
@@ -29,12 +29,12 @@ from ..regression import symmetric_interval, welch_freedom
 from .result import Coverage, Estimate, Identification, IdentificationError
 from .steering_ratio import Line, fit_line
 
-LEVEL = math.radians(0.5)  # a row below counts as level
-SMALLEST_RANGE = math.radians(3.0)  # of pitch; below it the load changes by less than wheel scales resolve
-LARGEST_PITCH = math.radians(45.0)
+MAX_LEVEL_PITCH = math.radians(0.5)  # a row below counts as level
+MIN_PITCH_RANGE = math.radians(3.0)  # of pitch; below it the load changes by less than wheel scales resolve
+MAX_PITCH = math.radians(45.0)
 BIN = math.radians(3.0)
 RADIUS_UNCERTAINTY = 0.003  # m, of a wheel radius read off a ruler
-LOAD_MISMATCH = 0.02  # between the level rear load and the vehicle file's
+MAX_LOAD_DIFFERENCE = 0.02  # between the level rear load and the vehicle file's
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ def pitch_from_lift(lift: np.ndarray, front_radius: np.ndarray, rear_radius: np.
     theta = asin((lift + r_front - r_rear) / l) - the same of the first row; (n,) each. Raises IdentificationError.
     """
     rise = (lift + front_radius - rear_radius) / wheelbase
-    if not np.isfinite(rise).all() or np.abs(rise).max() >= math.sin(LARGEST_PITCH):
+    if not np.isfinite(rise).all() or np.abs(rise).max() >= math.sin(MAX_PITCH):
         raise IdentificationError(f"lift of {np.nanmax(lift):.3f} m on a wheelbase of {wheelbase:.3f} m: every row "
                                   "needs both wheel radii, and a pitch below 45 deg; are lift and radii in the unit "
                                   "of the header?")
@@ -86,7 +86,7 @@ def cg_height(data: Lift, car: LiftedCar) -> Identification:
     Raises IdentificationError, with the numbers, for rows that cannot give one: no level row, too little pitch, pitch
     in the wrong unit, load that falls as the nose rises.
     """
-    level = _checked(data)
+    level = _check_rows(data)
     line = fit_line(np.tan(data.pitch), data.rear_load, data.lifts)
     if line.slope <= 0.0:
         raise IdentificationError(f"the rear load changes by {line.slope * math.tan(math.radians(10.0)):+.1f} kg for "
@@ -124,18 +124,18 @@ def cg_height(data: Lift, car: LiftedCar) -> Identification:
     return Identification("cg-height", (estimate,), used, (), None, (coverage,), tuple(warnings), figure)
 
 
-def _checked(data: Lift) -> np.ndarray:
+def _check_rows(data: Lift) -> np.ndarray:
     """Which rows are level."""
     pitch, load = data.pitch, data.rear_load
     if not (np.isfinite(pitch).all() and np.isfinite(load).all() and (load > 0.0).all()):
         raise IdentificationError("every row needs a pitch and a rear load above 0 kg")
-    if np.abs(pitch).max(initial=0.0) > LARGEST_PITCH:
+    if np.abs(pitch).max(initial=0.0) > MAX_PITCH:
         raise IdentificationError(f"pitch reaches {np.abs(pitch).max():.3g} rad = "
                                   f"{math.degrees(np.abs(pitch).max()):.0f} deg, limit 45 deg: is the unit in the "
                                   "header right, or are two columns exchanged?")
-    level = np.abs(pitch) <= LEVEL
+    level = np.abs(pitch) <= MAX_LEVEL_PITCH
     span = float(np.ptp(pitch)) if len(pitch) else 0.0
-    if span < SMALLEST_RANGE:
+    if span < MIN_PITCH_RANGE:
         raise IdentificationError(f"pitch ranges over {math.degrees(span):.3g} deg, at least 3 are needed: lift "
                                   "further; if the column is in radians, name it pitch_rad")
     steps = len(np.unique(np.round(np.degrees(pitch[~level]), 1)))
@@ -172,7 +172,7 @@ def _single_heights(data: Lift, car: LiftedCar, level: np.ndarray, radius: float
     groups = np.asarray(data.lifts)
     zero = np.array([data.rear_load[level & (groups == name)].mean() if (level & (groups == name)).any()
                      else line.levels[name] for name in data.lifts])
-    usable = data.pitch >= SMALLEST_RANGE
+    usable = data.pitch >= MIN_PITCH_RANGE
     if not usable.any():
         usable = data.pitch == data.pitch.max()
     single = np.full(len(data.pitch), np.nan)
@@ -197,7 +197,7 @@ def _order_warnings(data: Lift) -> list[str]:
 def _load_warnings(data: Lift, car: LiftedCar, level: np.ndarray) -> list[str]:
     measured = float(data.rear_load[level].mean())
     expected = car.mass * car.cg_to_front_axle / car.wheelbase
-    if abs(measured - expected) <= LOAD_MISMATCH * car.mass:
+    if abs(measured - expected) <= MAX_LOAD_DIFFERENCE * car.mass:
         return []
     return [f"Level, {measured:.1f} kg stand on the rear wheels; mass and CG position of the vehicle file make that "
             f"{expected:.1f} kg. The car was loaded differently: the height is that of the car as lifted, and is only "

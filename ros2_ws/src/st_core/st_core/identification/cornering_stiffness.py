@@ -1,10 +1,10 @@
-"""Axle forces and slip angles as measured, and the axle cornering stiffnesses as the paper finds them from them.
+"""Measured axle forces and slip angles, and the paper's regression of the axle cornering stiffnesses on them.
 
     F_f cos(delta) = (l_r m a_y + I_z r_dot) / L,    F_r = (l_f m a_y - I_z r_dot) / L
 
 from the force and moment balance of the single-track car, a_y at the CG; slip angles from the velocity at each axle.
 The stiffness is the slope of force over slip. Samples that are slow, near-straight or beyond |a_y| = 4 m/s^2 are left
-out, and those with |alpha| > 2 deg in the regression of their axle. An intercept takes up offsets of steering and INS.
+out, and those with |alpha| > 2 deg in the regression of their axle. An intercept absorbs offsets of steering and INS.
 The slope is the secant over that range: a tyre that begins to saturate within it gives less than its stiffness at zero
 slip, and noise of the slip angle draws the slope towards zero as well. `AxleRegression.model_error` is the standard
 uncertainty of the secant as stiffness at zero slip, by `regression.extrapolation_uncertainty` from the lower half of
@@ -21,21 +21,29 @@ from ..log import DriveLog
 from ..models._base import axle_slip_angles
 from ..regression import Spread, blocks, extrapolation_uncertainty
 from ..vehicle import VehicleParameters
-from .result import Coverage, Estimate, Identification, IdentificationError, Status, strong_correlations
-from .run_samples import ACCELERATION_EDGES, SPEED_EDGES, RunSamples, coverage, prepared, require, run_samples
+from .result import Coverage, Estimate, Identification, IdentificationError, Status, describe_correlations
+from .run_samples import (
+    ACCELERATION_EDGES,
+    SPEED_EDGES,
+    RunSamples,
+    prepare_drives,
+    require_coverage,
+    run_samples,
+    signal_coverage,
+)
 
 AXLES = ("front", "rear")
 METHOD = "regression of axle force on slip angle (paper)"
 MINIMUM_SPEED, MAXIMUM_RADIUS, MAXIMUM_ACCELERATION = 3.0, 300.0, 4.0  # m/s, m, m/s^2
 MAXIMUM_SLIP = np.deg2rad(2.0)
-FEWEST = 500
-"""Least samples of an axle for a regression."""
-LARGEST_RANGE_RATIO = 0.8
-"""Mean slip or acceleration of the lower range over that of all driving beyond which the difference of the two shows no
-trend: extrapolated to zero it would be multiplied by more than 5."""
-LARGEST_RELATIVE = 0.1
-"""Standard uncertainty over stiffness from which on it is doubtful."""
-DRIVEN = 0.995  # quantile of the slip angles up to which driving counts as covered
+MIN_AXLE_SAMPLES = 500
+"""Samples of an axle that a regression needs."""
+MAX_RANGE_RATIO = 0.8
+"""Largest mean slip or acceleration of the lower range over that of all driving; beyond it the extrapolation to zero
+would multiply their difference by more than 5."""
+MAX_RELATIVE_UNCERTAINTY = 0.1
+"""Standard uncertainty over stiffness, from which on the stiffness is doubtful."""
+DRIVEN_QUANTILE = 0.995  # quantile of the slip angles up to which driving counts as covered
 
 Slope = tuple[float, Spread, np.ndarray, np.ndarray]
 
@@ -61,7 +69,7 @@ class AxleSamples:
         slope, centre = self._line()
         slip = self.slip - centre
         size, force = np.abs(slip), -self.force * np.sign(slip)
-        number = np.digitize(size, np.linspace(0.0, float(np.quantile(size, DRIVEN)), count + 1)) - 1
+        number = np.digitize(size, np.linspace(0.0, float(np.quantile(size, DRIVEN_QUANTILE)), count + 1)) - 1
         group = blocks(self.run_of, self.time)
         rows = []
         for k in range(count):
@@ -115,12 +123,12 @@ class AxleRegression:
     def estimate(self, runs: tuple[str, ...]) -> Estimate:
         """The stiffness at zero slip, with the degrees of freedom of interval95."""
         half = 0.5 * (self.interval95[1] - self.interval95[0]) * self.uncertainty / max(self.standard_error, 1e-300)
-        status: Status = "identified" if self.uncertainty < LARGEST_RELATIVE * self.stiffness else "doubtful"
+        status: Status = "identified" if self.uncertainty < MAX_RELATIVE_UNCERTAINTY * self.stiffness else "doubtful"
         if self.reasons:
             text, status = "; ".join(self.reasons), "unidentifiable"
             verdict = f"{text[0].upper()}{text[1:]}."
         else:
-            slip = np.rad2deg(np.quantile(np.abs(self.samples.slip[self.samples.used]), DRIVEN))
+            slip = np.rad2deg(np.quantile(np.abs(self.samples.slip[self.samples.used]), DRIVEN_QUANTILE))
             model_error = (f"model error +/- {100 * self.model_error / self.stiffness:.1f} % included"
                            if np.isfinite(self.model_error) else "its change with the slip range is not known")
             verdict = (f"{self.stiffness:.0f} N/rad +/- {100 * self.uncertainty / self.stiffness:.1f} % from "
@@ -152,24 +160,24 @@ def axle_regressions(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tu
     vehicle: mass, inertia, lengths, lever arm, steering; its stiffnesses do not enter. Offset and ratio must be right.
     Raises IdentificationError only for no drive, one named twice, or one too short.
     """
-    own, _ = prepared(logs, vehicle)
+    own, _ = prepare_drives(logs, vehicle)
     return _regressions([run_samples(log, vehicle) for log in own], vehicle)[0]
 
 
 def _regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> tuple[
         tuple[AxleRegression, AxleRegression], np.ndarray, tuple[tuple[str, str], ...]]:
-    """(regressions, correlation of the two stiffnesses (2, 2), (run, what of it is left out))."""
-    masks, rejected = zip(*(_gate(run) for run in runs), strict=True)
+    """(regressions, correlation of the two stiffnesses (2, 2), (run, reason why samples are left out))."""
+    masks, rejected = zip(*(_select_samples(run) for run in runs), strict=True)
     times = [run.time for run in runs]
     covered = (
-        coverage("speed in bends", "m/s", SPEED_EDGES, [run.velocity_x[m] for run, m in zip(runs, masks, strict=True)],
-                 times, 2.0, 1),
-        coverage("lateral acceleration", "m/s^2", ACCELERATION_EDGES,
-                 [run.lateral_acceleration[m] for run, m in zip(runs, masks, strict=True)], times, 1.0, 3))
-    thin = "; ".join(c.words() for c in covered if not c.enough)
-    samples = [_axle(runs, masks, vehicle, index) for index in range(2)]
+        signal_coverage("speed in bends", "m/s", SPEED_EDGES,
+                        [run.velocity_x[m] for run, m in zip(runs, masks, strict=True)], times, 2.0, 1),
+        signal_coverage("lateral acceleration", "m/s^2", ACCELERATION_EDGES,
+                        [run.lateral_acceleration[m] for run, m in zip(runs, masks, strict=True)], times, 1.0, 3))
+    thin = "; ".join(c.describe() for c in covered if not c.sufficient)
+    samples = [_axle_samples(runs, masks, vehicle, index) for index in range(2)]
     slopes = [_slope(one) if one.used.sum() >= 10 else None for one in samples]
-    front, rear = (_result(*pair, covered, [f"too little excitation: {thin}"] if thin else [])
+    front, rear = (_make_regression(*pair, covered, [f"too little excitation: {thin}"] if thin else [])
                    for pair in zip(samples, slopes, strict=True))
     return (front, rear), _correlation(*slopes), tuple(r for rows in rejected for r in rows)
 
@@ -186,10 +194,10 @@ def _slope(samples: AxleSamples) -> Slope:
 def _model_error(samples: AxleSamples, slope: Slope) -> float:
     """See the module; NaN for too few samples or one size of slip."""
     size = np.abs(samples.slip - samples._line()[1])
-    low = replace(samples, used=samples.used & (size <= 0.5 * np.quantile(size[samples.used], DRIVEN)))
+    low = replace(samples, used=samples.used & (size <= 0.5 * np.quantile(size[samples.used], DRIVEN_QUANTILE)))
     mean, mean_low = (float((size[one.used] ** 3).sum() / (size[one.used] ** 2).sum()) if one.used.any() else np.inf
                       for one in (samples, low))
-    if low.used.sum() < FEWEST or mean_low > LARGEST_RANGE_RATIO * mean:
+    if low.used.sum() < MIN_AXLE_SAMPLES or mean_low > MAX_RANGE_RATIO * mean:
         return float("nan")
     value, spread, *_ = _slope(low)
     return extrapolation_uncertainty((slope[0], float(slope[1].covariance[0, 0]), mean),
@@ -205,12 +213,12 @@ def _correlation(front: Slope | None, rear: Slope | None) -> np.ndarray:
     return np.corrcoef(pulls) if len(one) > 2 and (pulls.std(axis=1) > 0.0).all() else np.eye(2)
 
 
-def _result(samples: AxleSamples, slope: Slope | None, covered: tuple[Coverage, ...],
+def _make_regression(samples: AxleSamples, slope: Slope | None, covered: tuple[Coverage, ...],
             reasons: Sequence[str]) -> AxleRegression:
     nan, count = float("nan"), int(samples.used.sum())
-    reasons = [*reasons, *([] if count >= FEWEST else [
+    reasons = [*reasons, *([] if count >= MIN_AXLE_SAMPLES else [
         f"too few samples: {count} of the {samples.axle} axle pass (speed, bend, |a_y|, slip angle below "
-        f"{np.rad2deg(MAXIMUM_SLIP):g} deg), {FEWEST} are needed; check offset and lever arm too"])]
+        f"{np.rad2deg(MAXIMUM_SLIP):g} deg), {MIN_AXLE_SAMPLES} are needed; check offset and lever arm too"])]
     failed = (samples.axle, nan, nan, (nan, nan), samples, covered)
     if slope is None:
         return AxleRegression(*failed, tuple(reasons), f"{count} samples")
@@ -234,23 +242,24 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
     A slope with zero inside its interval is not given: value NaN, unidentifiable, with the reason as its verdict.
     Raises IdentificationError, with the numbers, for too little excitation.
     """
-    logs, noticed = prepared(logs, vehicle)
+    logs, noticed = prepare_drives(logs, vehicle)
     runs = [run_samples(log, vehicle) for log in logs]
     regressions, correlation, rejected = _regressions(runs, vehicle)
-    require(regressions[0].coverage, "Drive bends to both sides at several speeds, with 0.5 to 4 m/s^2 across.")
-    for one in regressions:
-        if int(one.samples.used.sum()) < FEWEST:
-            raise IdentificationError("; ".join(one.reasons))
+    require_coverage(regressions[0].coverage,
+                     "Drive bends to both sides at several speeds, with 0.5 to 4 m/s^2 across.")
+    for regression in regressions:
+        if int(regression.samples.used.sum()) < MIN_AXLE_SAMPLES:
+            raise IdentificationError("; ".join(regression.reasons))
     names = tuple(run.name for run in runs)
-    estimates = tuple(one.estimate(names) for one in regressions)
-    figure = {f"{key}_{one.axle}": getattr(one.samples, key)[one.samples.used]
-              for one in regressions for key in ("slip", "force", "run_of")}
+    estimates = tuple(regression.estimate(names) for regression in regressions)
+    figure = {f"{key}_{regression.axle}": getattr(regression.samples, key)[regression.samples.used]
+              for regression in regressions for key in ("slip", "force", "run_of")}
     return Identification("stiffness", estimates, names, rejected, correlation, regressions[0].coverage,
-                          (*noticed, *strong_correlations([e.parameter for e in estimates], correlation)), figure)
+                          (*noticed, *describe_correlations([e.parameter for e in estimates], correlation)), figure)
 
 
-def _gate(run: RunSamples) -> tuple[np.ndarray, list[tuple[str, str]]]:
-    """(which samples enter, (run, what of it is left out))."""
+def _select_samples(run: RunSamples) -> tuple[np.ndarray, list[tuple[str, str]]]:
+    """(which samples enter, (run, reason why others are left out))."""
     slow = np.abs(run.velocity_x) < MINIMUM_SPEED
     straight = ~slow & (np.abs(run.yaw_rate) * MAXIMUM_RADIUS < np.abs(run.velocity_x))
     hard = ~slow & ~straight & (np.abs(run.lateral_acceleration) > MAXIMUM_ACCELERATION)
@@ -260,7 +269,7 @@ def _gate(run: RunSamples) -> tuple[np.ndarray, list[tuple[str, str]]]:
                                        for why, b in reasons.items() if b.any()]
 
 
-def _axle(runs: Sequence[RunSamples], masks: Sequence[np.ndarray], vehicle: VehicleParameters,
+def _axle_samples(runs: Sequence[RunSamples], masks: Sequence[np.ndarray], vehicle: VehicleParameters,
           index: int) -> AxleSamples:
     rows = []
     for number, (run, mask) in enumerate(zip(runs, masks, strict=True)):

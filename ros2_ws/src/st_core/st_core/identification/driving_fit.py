@@ -1,10 +1,9 @@
-"""Parameters of the vehicle file and of the recording fitted to predictions of several drives at once.
+"""Fit of vehicle and recording parameters to predictions of several drives at once.
 
-The problem, loss and fit are those of `discovery`: windows all over the drives are predicted with the measured inputs,
-errors of yaw rate and lateral velocity at the INS are scored under Student's distribution, and the effects that stand
-for the parameters are fitted together. Here nothing else is free and the file does not act as a prior: the drives alone
-decide. Steering, tyres and INS noise enter where they act, so the estimate is not drawn towards zero by noisy slip
-angles as a regression of force on slip is. Checked by: test_driving_fit.py.
+Problem, loss and fit are those of `discovery`: windows all over the drives are predicted with the measured inputs,
+errors of yaw rate and lateral velocity at the INS have Student's distribution, and the effects that represent the
+parameters are fitted together. Nothing else is free, and the vehicle file is no prior. Noise of the slip angle does not
+draw the estimate towards zero, as it does in a regression of force on slip. Checked by: test_driving_fit.py.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -37,20 +36,20 @@ from ..vehicle import VehicleParameters
 from .result import IdentificationError
 
 MISALIGNMENT, DELAY, RELAXATION = "ins_misalignment", SteeringDelay.name, TyreRelaxation.name
-ROUNDS, SETTLED = 6, 0.02
-"""Fits with the scale of the errors left by the one before, and the relative change of it at which they end."""
-NEAR_BOUND = 1e-3
-"""Share of the allowed range within which a value is at its bound."""
-ILL_CONDITIONED = 1e12
-LEAST_BEND = 0.2
-"""Second derivative of the loss over its weighted squares; 0.7 for errors distributed as the loss takes them."""
+MAX_ROUNDS, SCALE_TOLERANCE = 6, 0.02
+"""Number of fits, each with the scale of the errors of the previous one, and the relative change at which they end."""
+BOUND_TOLERANCE = 1e-3
+"""Distance from a bound over the width between both, within which a value is at the bound."""
+MAX_CONDITION = 1e12
+MIN_CURVATURE_RATIO = 0.2
+"""Second derivative of the loss over its weighted squares; 0.7 for errors distributed as the loss assumes."""
 
 Values = Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """A quantity [unit, SI] that driving shows, and the effect that represents it in the fit.
+    """A quantity [unit, SI] that can be identified from driving, and the effect that represents it in the fit.
 
     of: value of the quantity from the vehicle and the values of the effects by "effect.parameter". relative: judged by
     its relative uncertainty; else `usual` is the uncertainty up to which it counts as identified [SI].
@@ -73,7 +72,7 @@ def _offset(car: VehicleParameters, values: Values) -> float:
     return car.steering_wheel_offset - values[f"{SteeringOffset.name}.angle"] * factor * car.steering_ratio
 
 
-FREE: Mapping[str, FreeParameter] = {
+FREE_PARAMETERS: Mapping[str, FreeParameter] = {
     "cornering_stiffness_front": _scaled(FrontStiffness.name, "cornering_stiffness_front", "N/rad"),
     "cornering_stiffness_rear": _scaled(RearStiffness.name, "cornering_stiffness_rear", "N/rad"),
     "yaw_inertia": _scaled(YawInertia.name, "yaw_inertia", "kg m^2"),
@@ -81,10 +80,10 @@ FREE: Mapping[str, FreeParameter] = {
     "steering_wheel_offset": FreeParameter(SteeringOffset.name, "rad", _offset, usual=0.02),
     "cg_to_ins_x": FreeParameter(
         SensorLeverArm.name, "m", lambda car, values: car.cg_to_ins_x + values[f"{SensorLeverArm.name}.x"], usual=0.1),
-    # Heading the unit reports too far to the left.
+    # Angle by which the reported heading is too far left.
     MISALIGNMENT: FreeParameter(HeadingMisalignment.name, "rad",
                                 lambda car, values: values[f"{HeadingMisalignment.name}.angle"], usual=0.005),
-    # The wheels after the measured angle.
+    # Delay of the wheels after the measured angle.
     DELAY: FreeParameter(DELAY, "s", lambda car, values: values[f"{DELAY}.time"], usual=0.02),
     # Distance rolled until 63 % of a slip step is force.
     RELAXATION: FreeParameter(RELAXATION, "m", lambda car, values: values[f"{RELAXATION}.length"], usual=0.1),
@@ -108,7 +107,7 @@ class DrivingFitSettings:
 
 
 class _GatedWindows(Windows):
-    """Windows of which only those within the settings' speed and acceleration count. used: (n,) which."""
+    """Windows limited to the speed and acceleration of the settings. used: (n,) which ones count."""
 
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DrivingFitSettings):
         super().__init__(runs, vehicle, DiscoverySettings(
@@ -163,7 +162,7 @@ class DrivingFit:
         return sum(used for used, _ in self.windows.values())
 
     def change_with(self, name: str) -> dict[str, float]:
-        """Change of each other value [SI] per unit of `name`, when that is held elsewhere and the rest fitted again."""
+        """Change of each other value [SI] per unit of `name`, when that is changed and the rest refitted."""
         inverse = np.linalg.inv(self.hessian)
         covariance = self.slopes @ inverse @ self.slopes.T
         k = self.names.index(name)
@@ -172,16 +171,16 @@ class DrivingFit:
 
 def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Sequence[str],
                 base: str | Model = "nonlinear", settings: DrivingFitSettings | None = None) -> DrivingFit:
-    """The values of `names` (of FREE, each once) that predict the drives best; others stay as in the vehicle file.
+    """The values of `names` (of FREE_PARAMETERS, each once) that predict the drives best, all others unchanged.
 
-    logs: as `run_samples.prepared` returns them. base: linear, nonlinear, or either with effects that are known.
+    logs: as `run_samples.prepare_drives` returns them. base: linear, nonlinear, or either with effects that are known.
     Raises IdentificationError for an unknown name, for too few windows, and where the drives do not fix the values.
     """
     settings = settings or DrivingFitSettings()
     for name in names:
-        if name not in FREE:
-            raise IdentificationError(f"{name}: not found from driving; there are {', '.join(FREE)}")
-    effects = tuple(dict.fromkeys(FREE[name].effect for name in names))
+        if name not in FREE_PARAMETERS:
+            raise IdentificationError(f"{name}: not found from driving; there are {', '.join(FREE_PARAMETERS)}")
+    effects = tuple(dict.fromkeys(FREE_PARAMETERS[name].effect for name in names))
     model = get_model(base)
     library = {*effects, *(model.values if isinstance(model, AugmentedModel) else ())}
     try:
@@ -199,24 +198,24 @@ def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Seq
     space = Space(model, windows.settings, library=library)
     loss = Loss(Errors(windows, space), space.null)
     problem = Problem(loss, space.null, windows.block)
-    vector = _fitted(problem, effects)
-    return _result(problem, windows, vector, effects, names, counts)
+    vector = _fit_with_scale(problem, effects)
+    return _make_fit(problem, windows, vector, effects, names, counts)
 
 
-def _fitted(problem: Problem, effects: tuple[str, ...]) -> np.ndarray:
-    """The vector at which scale and values no longer change."""
+def _fit_with_scale(problem: Problem, effects: tuple[str, ...]) -> np.ndarray:
+    """The vector at which scale and values have converged."""
     vector, which, loss = problem.start.copy(), problem.which(effects), problem.loss
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         before = loss.scale.copy()
         slopes = Slopes(vector, which, loss.slopes(vector, which))
         vector = problem.fit(effects, slopes, vector=vector, fresh=effects, iterations=12).vector
         loss.rescale(vector)
-        if np.abs(loss.scale / before - 1.0).max() < SETTLED:
+        if np.abs(loss.scale / before - 1.0).max() < SCALE_TOLERANCE:
             break
     return vector
 
 
-def _result(problem: Problem, windows: _GatedWindows, vector: np.ndarray, effects: tuple[str, ...],
+def _make_fit(problem: Problem, windows: _GatedWindows, vector: np.ndarray, effects: tuple[str, ...],
             names: Sequence[str], counts: Mapping[str, tuple[int, int]]) -> DrivingFit:
     space, which = problem.space, problem.which(effects)
     rows = problem.errors.at(vector)
@@ -227,27 +226,28 @@ def _result(problem: Problem, windows: _GatedWindows, vector: np.ndarray, effect
     hessian, gradient = group.sums(quadratic.hessian[used]), group.sums(quadratic.gradient[used])
     whole = hessian.sum(axis=0)
     size = np.sqrt(np.diag(whole).clip(1e-300))
-    if np.linalg.cond(whole / np.outer(size, size)) > ILL_CONDITIONED:
+    if np.linalg.cond(whole / np.outer(size, size)) > MAX_CONDITION:
         raise IdentificationError(f"{', '.join(names)}: not fixed by the data; drive with more variety of speed and "
                                   "bends, or free fewer parameters")
-    # The loss bends less than its weighted squares: what a block moves is that much more.
-    bend = np.clip((np.diag(problem.loss.curvature(rows, slopes)) / np.diag(whole)).mean(), LEAST_BEND, 1.0)
+    # The loss is less curved than its weighted squares, so each block has that much more influence.
+    bend = np.clip((np.diag(problem.loss.curvature(rows, slopes)) / np.diag(whole)).mean(), MIN_CURVATURE_RATIO, 1.0)
     own = group.leave_out(bend * hessian, gradient)
 
     def quantities(there: np.ndarray) -> np.ndarray:
         known = {f"{e}.{p}": value for e in effects for p, value in space.values(e, there).items()}
-        return np.array([FREE[name].of(windows.vehicle, known) for name in names])
+        return np.array([FREE_PARAMETERS[name].of(windows.vehicle, known) for name in names])
 
     values = quantities(vector)
     step = 1e-4
     change = np.stack([(quantities(vector + step * space.scale * unit) - values) / step
                        for unit in np.eye(len(space))[which]], axis=1)
-    margin = NEAR_BOUND * (space.high - space.low)
+    margin = BOUND_TOLERANCE * (space.high - space.low)
     stopped = {space.free[i].effect for i in which
                if not space.low[i] + margin[i] < vector[i] < space.high[i] - margin[i]}
     points, columns = len(windows.time), len(windows.columns)
     residuals = -rows.reshape(len(rows), points, columns)[used].reshape(-1, columns)
     return DrivingFit(
-        tuple(names), values, group.spread(own @ change.T), tuple(n for n in names if FREE[n].effect in stopped),
-        change, whole, residuals, windows.columns, np.repeat(windows.run[used], points),
-        np.repeat(windows.seconds[used], points), counts, windows.curvature_square, windows.acceleration, windows.peaks)
+        tuple(names), values, group.spread(own @ change.T),
+        tuple(name for name in names if FREE_PARAMETERS[name].effect in stopped), change, whole, residuals,
+        windows.columns, np.repeat(windows.run[used], points), np.repeat(windows.seconds[used], points), counts,
+        windows.curvature_square, windows.acceleration, windows.peaks)

@@ -1,7 +1,7 @@
 """Stiffnesses, steering and yaw inertia from multi-step predictions of several drives at once.
 
-The offset of the steering and the misalignment of the INS are always fitted in addition, which would
-otherwise pass for tyres. Stiffness: with the nonlinear model it is the slope at small slip at the static load, and the
+The offset of the steering and the misalignment of the INS are always fitted in addition, since they resemble tyres.
+Stiffness: with the nonlinear model it is the slope at small slip at the static load, and the
 tyre's curve is that of the vehicle file; with the linear one it is the secant that predicts best over the slips driven.
 A tyre of another curve gives another value for another range of slip. The interval includes that: the fit is repeated
 on the windows of small lateral acceleration, and the difference extrapolated to zero slip (`slip_range_uncertainty`).
@@ -12,7 +12,7 @@ Steering ratio, where no turntables are at hand:
 
 Slow bends show the ratio, fast ones add the understeer, straights the offset; so the stiffnesses are fitted too, and
 dead time and relaxation, or a car that lags would pass for one of another ratio. The ratio comes out relative to the
-wheelbase: 1 % more of the one is 1 % less of the other.
+wheelbase: an error of 1 % of the wheelbase is one of 1 % of the ratio.
 
 Yaw inertia, from transients: I_z r_dot = l_f F_f cos(delta) - l_r F_r. In steady bends r_dot is zero and any inertia
 fits. Steering dynamics, a time stamp that is off, and the relaxation of the tyres delay the response as inertia does;
@@ -34,24 +34,32 @@ from ..models import Model, get_model
 from ..regression import correlation_of, extrapolation_uncertainty
 from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
-from .cornering_stiffness import DRIVEN, LARGEST_RANGE_RATIO, LARGEST_RELATIVE, slip_angles
-from .driving_fit import DELAY, FREE, MISALIGNMENT, RELAXATION, DrivingFit, DrivingFitSettings, fit_driving
-from .result import Coverage, Estimate, Identification, IdentificationError, Status, contradiction, strong_correlations
-from .run_samples import ACCELERATION_EDGES, SPEED_EDGES, coverage, prepared, require, run_samples
+from .cornering_stiffness import DRIVEN_QUANTILE, MAX_RANGE_RATIO, MAX_RELATIVE_UNCERTAINTY, slip_angles
+from .driving_fit import DELAY, FREE_PARAMETERS, MISALIGNMENT, RELAXATION, DrivingFit, DrivingFitSettings, fit_driving
+from .result import (
+    Coverage,
+    Estimate,
+    Identification,
+    IdentificationError,
+    Status,
+    describe_contradiction,
+    describe_correlations,
+)
+from .run_samples import ACCELERATION_EDGES, SPEED_EDGES, prepare_drives, require_coverage, run_samples, signal_coverage
 
 STIFFNESSES = ("cornering_stiffness_front", "cornering_stiffness_rear")
 RATIO, OFFSET = "steering_ratio", "steering_wheel_offset"
 NUISANCE = (OFFSET, MISALIGNMENT)
-NEEDS = {"speed": (5.0, 1), "lateral acceleration": (2.0, 3)}
-RELATIVE: tuple[tuple[float, str, Status], ...] = (
-    (LARGEST_RELATIVE, "Fixed", "identified"), (5.0 * LARGEST_RELATIVE, "Poorly fixed", "doubtful"),
+REQUIRED_COVERAGE = {"speed": (5.0, 1), "lateral acceleration": (2.0, 3)}
+UNCERTAINTY_GRADES: tuple[tuple[float, str, Status], ...] = (
+    (MAX_RELATIVE_UNCERTAINTY, "Fixed", "identified"), (5.0 * MAX_RELATIVE_UNCERTAINTY, "Poorly fixed", "doubtful"),
     (np.inf, "Not identifiable: fixed only", "unidentifiable"))
-"""Standard uncertainty over value of a stiffness, ratio or inertia, up to which it is so."""
+"""(largest standard uncertainty over value of a stiffness, ratio or inertia; words of the verdict; status)."""
 INERTIA_NAMES = ("yaw_inertia", *STIFFNESSES, DELAY, RELAXATION, *NUISANCE)
 YAW_ACCELERATION_EDGES = np.array([-10.0, -0.3, -0.1, 0.1, 0.3, 10.0])  # rad/s^2, left +
-TRANSIENTS = DrivingFitSettings(interval=0.3)
+TRANSIENT_SETTINGS = DrivingFitSettings(interval=0.3)
 SINGLE_TRACK = 0.8**2
-"""Standard uncertainty of a stiffness for what one track leaves out, as a share of it over (L / R)^2. Two wheels with
+"""Standard uncertainty of a stiffness by the single-track assumption, relative, over (L / R)^2. Two wheels with
 Ackermann angles turn an axle's force into a yaw moment that one wheel does not have. On the virtual Leaf without noise:
 rear stiffness 4.6 m^2 / R^2 too small, 1.1 % at 20 m, 0.1 % at 60 m. All of it counts, as for full Ackermann angles."""
 
@@ -63,19 +71,19 @@ def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
 
     vehicle: everything else, and where the fit starts. base: linear, nonlinear, or either with effects that are known
     (`augment`: for example drive force on steered wheels). also: further parameters to fit and report, of
-    `driving_fit.FREE` (steering_ratio needs low and high speeds, cg_to_ins_x tight bends). nuisance:
+    `driving_fit.FREE_PARAMETERS` (steering_ratio needs low and high speeds, cg_to_ins_x tight bends). nuisance:
     fitted too, not reported. Raises IdentificationError for too thin driving.
     """
     settings = settings or DrivingFitSettings()
     names = tuple(dict.fromkeys((*STIFFNESSES, *also, *nuisance)))
-    logs, noticed = prepared(logs, vehicle)
-    needs = NEEDS | ({"speed": (5.0, 2)} if RATIO in names else {})
+    logs, noticed = prepare_drives(logs, vehicle)
+    needs = REQUIRED_COVERAGE | ({"speed": (5.0, 2)} if RATIO in names else {})
     covered = driving_coverage(logs, needs, settings.minimum_speed)
-    require(covered, "Drive bends to both sides, at two speeds or more, with 1 to 4 m/s^2 across.")
+    require_coverage(covered, "Drive bends to both sides, at two speeds or more, with 1 to 4 m/s^2 across.")
     fit = fit_driving(logs, vehicle, names, base, settings)
-    method = f"multi-step prediction, {described(base)}"
+    method = f"multi-step prediction, {describe_model(base)}"
     systematic = slip_range_uncertainty(logs, vehicle, base, settings, fit)
-    result = estimates_of("stiffness", vehicle, fit, method, (*STIFFNESSES, *also), covered, systematic)
+    result = make_identification("stiffness", vehicle, fit, method, (*STIFFNESSES, *also), covered, systematic)
     kind = "Secant" if get_model(base).name.startswith("linear") else "Slope at zero slip of the file's tyre curve"
     estimates = []
     for one, slip in zip(result.estimates, driven_slip(logs, vehicle, settings), strict=False):
@@ -100,7 +108,7 @@ def slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehicleParameters,
             settings, maximum_acceleration=float(np.median(fit.peaks)), fewest_windows=settings.fewest_windows // 2))
     except IdentificationError:
         return {}
-    if low.acceleration > LARGEST_RANGE_RATIO * fit.acceleration:
+    if low.acceleration > MAX_RANGE_RATIO * fit.acceleration:
         return {}
     places = {name: fit.names.index(name) for name in STIFFNESSES}
     return {name: extrapolation_uncertainty(*(
@@ -109,13 +117,13 @@ def slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 
 
 def driven_slip(logs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DrivingFitSettings) -> np.ndarray:
-    """DRIVEN quantile of the slip angle of (front, rear) axle [rad] at the settings' speeds and accelerations."""
+    """DRIVEN_QUANTILE of the slip angle of (front, rear) axle [rad] at the settings' speeds and accelerations."""
     driven = []
     for run in (run_samples(log, vehicle) for log in logs):
         used = ((run.velocity_x >= settings.minimum_speed)
                 & (np.abs(run.velocity_x * run.yaw_rate) <= settings.maximum_acceleration))
         driven.append(np.abs(slip_angles(run, vehicle))[:, used])
-    return np.quantile(np.concatenate(driven, axis=1), DRIVEN, axis=1)
+    return np.quantile(np.concatenate(driven, axis=1), DRIVEN_QUANTILE, axis=1)
 
 
 def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
@@ -134,25 +142,25 @@ def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
 
 
 def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
-                         settings: DrivingFitSettings = TRANSIENTS) -> Identification:
+                         settings: DrivingFitSettings = TRANSIENT_SETTINGS) -> Identification:
     """Yaw inertia with its uncertainty; stiffnesses and steering delay are reported too.
 
     Raises IdentificationError without transients: half a second of r_dot above 0.3 rad/s^2 to either side.
     """
-    logs, noticed = prepared(logs, vehicle)
+    logs, noticed = prepare_drives(logs, vehicle)
     runs = [run_samples(log, vehicle, cutoff=5.0) for log in logs]
     fast = [run.yaw_acceleration[run.velocity_x >= settings.minimum_speed] for run in runs]
     covered = (*driving_coverage(logs, {"speed": (5.0, 1), "lateral acceleration": (1.0, 3)}, settings.minimum_speed),
-               coverage("yaw acceleration", "rad/s^2", YAW_ACCELERATION_EDGES, fast, [run.time for run in runs], 0.5,
-                        5))
-    require(covered, "Steady bends do not show the yaw inertia: drive steps, lane changes or a sine sweep.")
+               signal_coverage("yaw acceleration", "rad/s^2", YAW_ACCELERATION_EDGES, fast,
+                               [run.time for run in runs], 0.5, 5))
+    require_coverage(covered, "Steady bends do not show the yaw inertia: drive steps, lane changes or a sine sweep.")
     fit = fit_driving(logs, vehicle, INERTIA_NAMES, base, settings)
     # Of the dead time [s], and through it of the inertia; see the module.
     sampling = float(np.median(np.concatenate([np.diff(log.steering_time_ns) for log in logs]))) * NANOSECOND
     dead_time = sampling / np.sqrt(12.0 * sum(used > 0 for used, _ in fit.windows.values()))
     timing = {DELAY: dead_time, "yaw_inertia": abs(fit.change_with(DELAY)["yaw_inertia"]) * dead_time}
-    result = estimates_of("yaw-inertia", vehicle, fit, f"multi-step prediction of transients, {described(base)}",
-                          INERTIA_NAMES[:4], covered, timing)
+    method = f"multi-step prediction of transients, {describe_model(base)}"
+    result = make_identification("yaw-inertia", vehicle, fit, method, INERTIA_NAMES[:4], covered, timing)
     inertia = result["yaw_inertia"]
     warnings = [*noticed, *result.warnings]
     implausible = [text for text in objections(replace(vehicle, yaw_inertia=max(inertia.value, 10.0)))
@@ -161,12 +169,13 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, b
         text = f"{implausible[0]}: the transients are too weak, or steering or tyre dynamics pass for inertia."
         warnings.append(text)
         inertia = replace(inertia, status="unidentifiable", verdict=f"{text} {inertia.verdict}")
-    conflict = contradiction(inertia, vehicle.yaw_inertia, 0.1 * vehicle.yaw_inertia, "the vehicle file (as +/- 10 %)")
+    conflict = describe_contradiction(inertia, vehicle.yaw_inertia, 0.1 * vehicle.yaw_inertia,
+                                      "the vehicle file (as +/- 10 %)")
     return replace(result, estimates=(inertia, *result.estimates[1:]),
                    warnings=(*warnings, conflict) if conflict else tuple(warnings))
 
 
-def estimates_of(what: str, vehicle: VehicleParameters, fit: DrivingFit, method: str, reported: Sequence[str],
+def make_identification(what: str, vehicle: VehicleParameters, fit: DrivingFit, method: str, reported: Sequence[str],
                  covered: Sequence[Coverage], systematic: Mapping[str, float] | None = None) -> Identification:
     """Result of a fit. reported: parameters to give as estimates; correlation over them. systematic: standard
     uncertainties the drives cannot show, added to theirs."""
@@ -180,39 +189,40 @@ def estimates_of(what: str, vehicle: VehicleParameters, fit: DrivingFit, method:
     uncertainty = np.sqrt(np.diag(covariance))
     runs = tuple(name for name, (used, _) in fit.windows.items() if used)
     estimates = tuple(
-        Estimate(fit.names[i], float(fit.values[i]), FREE[fit.names[i]].unit, float(uncertainty[i]),
-                 spread.interval(i, fit.values[i], uncertainty[i]), method, runs, *_judged(fit, i, uncertainty[i]))
+        Estimate(fit.names[i], float(fit.values[i]), FREE_PARAMETERS[fit.names[i]].unit, float(uncertainty[i]),
+                 spread.interval(i, fit.values[i], uncertainty[i]), method, runs,
+                 *_judge_estimate(fit, i, uncertainty[i]))
         for i in chosen)
     rejected = [(name, f"{every - used} of {every} predictions are too slow, beyond the limit of lateral acceleration "
                  "or with gaps") for name, (used, every) in fit.windows.items() if used < every]
-    others = [f"{n} = {fit.values[i]:.4g} +/- {uncertainty[i]:.2g} {FREE[n].unit} was fitted too."
+    others = [f"{n} = {fit.values[i]:.4g} +/- {uncertainty[i]:.2g} {FREE_PARAMETERS[n].unit} was fitted too."
               for i, n in enumerate(fit.names) if n not in reported]
     if RATIO not in fit.names:
         others.append(f"{RATIO} {vehicle.steering_ratio:.4g} of the vehicle file is taken as exact: an error of it "
                       "changes the front stiffness; st identify steering finds it from drives at two speeds or more.")
-    warnings = (*strong_correlations(fit.names, correlation_of(covariance)), *others)
+    warnings = (*describe_correlations(fit.names, correlation_of(covariance)), *others)
     figure = {"residuals": fit.residuals, "residual_run": fit.run_of, "residual_time": fit.time, "names": fit.names,
               "covariance": covariance}
     return Identification(what, estimates, runs, tuple(rejected), correlation_of(covariance[np.ix_(chosen, chosen)]),
                           tuple(covered), warnings, figure)
 
 
-def _judged(fit: DrivingFit, index: int, uncertainty: float) -> tuple[str, Status]:
-    """(how well the data fix the value and the data it is based on, status)."""
+def _judge_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[str, Status]:
+    """(verdict: how well the data fix the value, and their number; status)."""
     name, value, basis = fit.names[index], fit.values[index], f"{fit.number} predictions in {fit.spread.basis[index]}"
     if name in fit.at_bound:
         return (f"Stopped at its bound {value:.4g}: the data do not fix it, or contradict the rest of the vehicle "
                 "file."), "unidentifiable"
-    if not FREE[name].relative:
-        return (f"{value:.4g} +/- {uncertainty:.2g} {FREE[name].unit}, from {basis}.",
-                "identified" if uncertainty < FREE[name].usual else "doubtful")
+    if not FREE_PARAMETERS[name].relative:
+        return (f"{value:.4g} +/- {uncertainty:.2g} {FREE_PARAMETERS[name].unit}, from {basis}.",
+                "identified" if uncertainty < FREE_PARAMETERS[name].usual else "doubtful")
     share = uncertainty / abs(value)
-    head, status = next((head, status) for limit, head, status in RELATIVE if not share > limit)
+    head, status = next((head, status) for limit, head, status in UNCERTAINTY_GRADES if not share > limit)
     return f"{head} to +/- {100.0 * share:.1f} %, from {basis}.", status
 
 
-def described(base: str | Model) -> str:
-    """The model a fit predicts with, in words."""
+def describe_model(base: str | Model) -> str:
+    """Text that names the model of a fit."""
     if isinstance(base, AugmentedModel):
         return f"{base.base.name} tyres with {', '.join(effect.name for effect in base.effects)}"
     return f"{get_model(base).name} tyres"
@@ -226,7 +236,7 @@ def driving_coverage(logs: Sequence[DriveLog], needs: Mapping[str, tuple[float, 
     """
     times = [(log.ins_time_ns - log.ins_time_ns[:1]) * NANOSECOND for log in logs]
     fast = [log.velocity_x >= minimum_speed for log in logs]
-    return tuple(coverage(name, unit, edges, [signal(log)[m] for log, m in zip(logs, fast, strict=True)], times,
+    return tuple(signal_coverage(name, unit, edges, [signal(log)[m] for log, m in zip(logs, fast, strict=True)], times,
                           *needs[name])
                  for name, unit, edges, signal in (
                      ("speed", "m/s", SPEED_EDGES, lambda log: log.velocity_x),

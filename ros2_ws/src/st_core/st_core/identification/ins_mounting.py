@@ -1,6 +1,6 @@
-"""Where the INS sits and where it points, from slow driving.
+"""Lever arm and misalignment of the INS, from slow driving.
 
-The rear axle of a slow car moves where it points, but for a little slip, so at the INS, d_x ahead of the CG and turned
+The rear axle of a slow car moves in its heading, apart from a little slip. At the INS, d_x ahead of the CG and turned
 by gamma to the left,
 
     v_y = -gamma v_x + (l_r + d_x) r - s v_x^2 r,    s = m l_f / (L C_r)
@@ -10,8 +10,8 @@ its forward speed in bends to one side against the other:
 
     phi + c phi^3 = delta - K v_x r,    phi = atan(L r / (v_x + r d_y))
 
-which needs tight bends to both sides. Ratio, offset and understeer of the steering are fitted with it, and c, what
-the axle's mean angle differs from the formula in tight bends: driven more often to one side that would pass for d_y.
+which needs tight bends to both sides. Ratio, offset and understeer of the steering are fitted as well, and c, the
+deviation of the mean steering angle from the formula in tight bends, which uneven driving would turn into d_y.
 Checked by: test_identification_driving.py.
 """
 
@@ -23,15 +23,15 @@ from ..log import DriveLog
 from ..regression import Blocks, Spread, blocks, correlation_of
 from ..vehicle import VehicleParameters
 from .driving_fit import MISALIGNMENT
-from .result import Estimate, Identification, Status, strong_correlations
-from .run_samples import SPEED_EDGES, RunSamples, coverage, prepared, require, run_samples
+from .result import Estimate, Identification, Status, describe_correlations
+from .run_samples import SPEED_EDGES, RunSamples, prepare_drives, require_coverage, run_samples, signal_coverage
 
 MINIMUM_SPEED, MAXIMUM_SPEED = 1.5, 9.0  # m/s
 MAXIMUM_ACCELERATION = 2.5  # m/s^2 across
 CURVATURE_EDGES = np.array([-0.3, -0.05, -0.02, -0.005, 0.005, 0.02, 0.05, 0.3])  # 1/m, left +
-TIGHT = 0.03  # 1/m, below which left and right do not show d_y
-TIGHT_SECONDS = 5.0  # to each side
-EVERY = 0.1  # s between the samples kept: behind the filter nearer ones add nothing
+MIN_CURVATURE = 0.03  # 1/m, below which left and right do not show d_y
+MIN_TIGHT_TIME = 5.0  # to each side
+SAMPLE_INTERVAL = 0.1  # s between the samples kept; after the filter, closer ones add nothing
 
 
 def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
@@ -39,15 +39,15 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
 
     vehicle: the lengths; its lever arm does not enter. Raises IdentificationError for too thin driving.
     """
-    logs, noticed = prepared(logs, vehicle)
+    logs, noticed = prepare_drives(logs, vehicle)
     runs = [run_samples(log, vehicle) for log in logs]
     masks = [(run.velocity_x >= MINIMUM_SPEED) & (run.velocity_x <= MAXIMUM_SPEED)
              & (np.abs(run.velocity_x * run.yaw_rate) <= MAXIMUM_ACCELERATION) for run in runs]
     kept, times = list(zip(runs, masks, strict=True)), [run.time for run in runs]
-    covered = (coverage("speed", "m/s", SPEED_EDGES[:5], [run.velocity_x[m] for run, m in kept], times, 5.0, 1),
-               coverage("curvature", "1/m", CURVATURE_EDGES, [run.yaw_rate[m] / run.velocity_x[m] for run, m in kept],
-                        times, 2.0, 3))
-    require(covered, "Drive slowly (2 to 8 m/s): straight on, and bends to both sides.")
+    covered = (signal_coverage("speed", "m/s", SPEED_EDGES[:5], [run.velocity_x[m] for run, m in kept], times, 5.0, 1),
+               signal_coverage("curvature", "1/m", CURVATURE_EDGES,
+                               [run.yaw_rate[m] / run.velocity_x[m] for run, m in kept], times, 2.0, 3))
+    require_coverage(covered, "Drive slowly (2 to 8 m/s): straight on, and bends to both sides.")
     columns = [_columns(run, mask, vehicle) for run, mask in kept]
     run_of = np.concatenate([np.full(len(c), i) for i, c in enumerate(columns)])
     time, speed, across, rate, angle = np.concatenate(columns).T
@@ -62,9 +62,9 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
                            f"{np.rad2deg(-theta[0]):+.2f} deg, reported heading against the car's axis", 0.005)]
     correlation = correlation_of(spread.covariance[np.ix_([1, 0], [1, 0])] * np.array([[1, -1], [-1, 1]]))
     together = correlation_of(spread.covariance)[1:, 1:]
-    warnings = [*noticed, *strong_correlations(["lever arm", "rear slip"], together),
-                _stiffness_words(theta[2], spread.covariance[2, 2], vehicle)]
-    across_estimate = _across(speed, rate, angle, group, vehicle, used)
+    warnings = [*noticed, *describe_correlations(["lever arm", "rear slip"], together),
+                _compare_rear_slip(theta[2], spread.covariance[2, 2], vehicle)]
+    across_estimate = _lateral_position(speed, rate, angle, group, vehicle, used)
     if isinstance(across_estimate, str):
         warnings.append(across_estimate)
     else:
@@ -83,24 +83,24 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
 
 
 def _columns(run: RunSamples, mask: np.ndarray, vehicle: VehicleParameters) -> np.ndarray:
-    """(time, v_x, v_y, r, delta) at the INS, every EVERY seconds."""
+    """(time, v_x, v_y, r, delta) at the INS, every SAMPLE_INTERVAL."""
     where = np.flatnonzero(mask)
     if len(where):
-        where = where[np.unique(np.floor(run.time[where] / EVERY), return_index=True)[1]]
+        where = where[np.unique(np.floor(run.time[where] / SAMPLE_INTERVAL), return_index=True)[1]]
     rate = run.yaw_rate[where]
     return np.stack([run.time[where], run.velocity_x[where] - rate * vehicle.cg_to_ins_y,
                      run.velocity_y[where] + rate * vehicle.cg_to_ins_x, rate, run.road_wheel_angle[where]], axis=1)
 
 
-def _across(speed: np.ndarray, rate: np.ndarray, angle: np.ndarray, group: Blocks, vehicle: VehicleParameters,
+def _lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.ndarray, group: Blocks, vehicle: VehicleParameters,
             used: tuple[str, ...]) -> Estimate | str:
     curvature = rate / speed
-    seconds = [float(np.count_nonzero(side * curvature > TIGHT)) * EVERY for side in (1.0, -1.0)]
-    if min(seconds) < TIGHT_SECONDS:
-        return (f"cg_to_ins_y is not given: tighter than R = {1 / TIGHT:.0f} m there are {seconds[0]:.0f} s to the "
-                f"left and {seconds[1]:.0f} s to the right, {TIGHT_SECONDS:g} s to each are needed.")
+    seconds = [float(np.count_nonzero(side * curvature > MIN_CURVATURE)) * SAMPLE_INTERVAL for side in (1.0, -1.0)]
+    if min(seconds) < MIN_TIGHT_TIME:
+        return (f"cg_to_ins_y is not given: tighter than R = {1 / MIN_CURVATURE:.0f} m there are {seconds[0]:.0f} s to "
+                f"the left and {seconds[1]:.0f} s to the right, {MIN_TIGHT_TIME:g} s to each are needed.")
     d_y = 0.0
-    for _ in range(4):  # the equation is linear in d_y but for a little
+    for _ in range(4):  # the equation is nearly linear in d_y
         forward = speed + rate * d_y
         kinematic = np.arctan(vehicle.wheelbase * rate / forward)
         slope = -vehicle.wheelbase * rate**2 / (forward**2 + (vehicle.wheelbase * rate) ** 2)
@@ -124,8 +124,8 @@ def _estimate(name: str, value: float, spread: Spread, index: int, factor: float
                     f"{head}{words}, +/- {uncertainty:.2g} {unit}, from {spread.basis[index]}.", found)
 
 
-def _stiffness_words(slip: float, variance: float, vehicle: VehicleParameters) -> str:
-    """The rear stiffness that the slip s implies, when it is fixed and not the vehicle file's."""
+def _compare_rear_slip(slip: float, variance: float, vehicle: VehicleParameters) -> str:
+    """A sentence where the slip s contradicts the rear stiffness of the vehicle file, else an empty text."""
     expected = vehicle.mass * vehicle.cg_to_front_axle / (vehicle.wheelbase * vehicle.cornering_stiffness_rear)
     found, uncertainty = -slip, float(np.sqrt(variance))
     if uncertainty > 0.5 * expected or abs(found - expected) < 2.0 * uncertainty:

@@ -1,14 +1,14 @@
 """Magic Formula of one tyre from flat-plank tables: lateral force against slip angle at several vertical loads.
 
 Equations in `tyres.py`; scale factors lambda are 1, p_ey3 stays as the vehicle file has it (the paper: symmetric). One
-more parameter, a shift s of the slip angle common to all loads, takes up conicity and plysteer and is then dropped:
+more parameter, a shift s of the slip angle common to all loads, absorbs conicity and plysteer and is then dropped:
 
     F_y(F_z, alpha) = D sin(C atan(B x - E (B x - atan(B x)))),   x = alpha + s
 
 First the load nearest to nominal_load: p_cy1, p_dy1, p_ey1 and the stiffness K there. Then, these held, how they
 depend on the load: p_dy2, p_ey2, p_ky2, p_ky4 (p_ky1 follows from K). That is the paper's order; its result starts a
-fit of all at once, which the values and intervals are from: an interval of the second stage alone would take the first
-one's results for exact. Both are compared. With two loads p_ky4 stays as the vehicle file has it; with one, every load
+fit of all at once, which gives the values and intervals, since those of the second stage alone would take the first
+stage for exact. Both are compared. With two loads p_ky4 stays as the vehicle file has it; with one, every load
 dependency does.
 
 Slip angle in rad, force in N, of one tyre, steady state; signs either way (see tyres.py for ours). Source: paper,
@@ -26,14 +26,14 @@ from ..regression import correlation_of
 from ..tyres import MagicFormula, magic_formula_stiffness, tyre_force
 from ..vehicle import TYRE_QUANTITIES
 from .bounded_fit import CurveFit, Residuals, fit_curve, profile_interval
-from .result import Coverage, Estimate, Identification, IdentificationError, Status, strong_correlations
+from .result import Coverage, Estimate, Identification, IdentificationError, Status, describe_correlations
 
-LARGEST_SLIP = math.radians(40.0)
-SMALLEST_SLIP = math.radians(3.0)
-LEVEL_GAP = 0.04  # loads closer than this are one level: the carriage does not hold a load to the newton
-FEWEST_POINTS = 7  # of the nominal load; five parameters are fitted to them
+MAX_SLIP = math.radians(40.0)
+MIN_SLIP = math.radians(3.0)
+LEVEL_GAP = 0.04  # relative; loads closer than this are one level, since the carriage does not hold a load exactly
+MIN_POINTS = 7  # of the nominal load; five parameters are fitted to them
 SLIP_BINS = np.radians([0.0, 0.75, 1.5, 3.0, 5.0, 8.0, 12.0, 20.0])
-BINS_NEEDED = 3
+MIN_FILLED_BINS = 3
 
 
 @dataclass(frozen=True)
@@ -49,10 +49,10 @@ class FlatPlank:
 
 def load_levels(data: FlatPlank) -> tuple[np.ndarray, np.ndarray]:
     """Mean load of each level, rising (m,) [N], and the level of each row (n,)."""
-    if len(data.load) < FEWEST_POINTS or not (np.isfinite(data.load).all() and (data.load > 0.0).all()):
+    if len(data.load) < MIN_POINTS or not (np.isfinite(data.load).all() and (data.load > 0.0).all()):
         lowest = float(np.min(data.load)) if len(data.load) else math.nan
         raise IdentificationError(f"{data.tyre}: {len(data.load)} rows with loads from {lowest:.4g} N: "
-                                  f"{FEWEST_POINTS} rows with loads above 0 are needed; are load and lateral force "
+                                  f"{MIN_POINTS} rows with loads above 0 are needed; are load and lateral force "
                                   "exchanged?")
     order = np.argsort(data.load)
     rising = data.load[order]
@@ -62,10 +62,10 @@ def load_levels(data: FlatPlank) -> tuple[np.ndarray, np.ndarray]:
     return np.array([data.load[level == k].mean() for k in range(level.max() + 1)]), level
 
 
-def check(data: FlatPlank, levels: np.ndarray, level: np.ndarray, nominal_load: float) -> tuple[FlatPlank, bool]:
+def check_table(data: FlatPlank, levels: np.ndarray, level: np.ndarray, nominal_load: float) -> tuple[FlatPlank, bool]:
     """The table with the force opposing the slip angle, and whether its sign was changed for that.
 
-    Raises IdentificationError, with the numbers, for a table that is none.
+    Raises IdentificationError, with the numbers, for an unusable table.
     """
     if not (np.isfinite(data.slip).all() and np.isfinite(data.force).all()):
         raise IdentificationError(f"{data.tyre}: every row needs a slip angle and a lateral force")
@@ -77,10 +77,10 @@ def check(data: FlatPlank, levels: np.ndarray, level: np.ndarray, nominal_load: 
             raise IdentificationError(f"{data.tyre}: {(level == k).sum()} rows at {value:.0f} N, at least 3 are "
                                       "needed: add some, or leave them out; or are load and lateral force exchanged?")
     largest = float(np.abs(data.slip).max())
-    if largest > LARGEST_SLIP:
+    if largest > MAX_SLIP:
         raise IdentificationError(f"{data.tyre}: slip angle reaches {largest:.4g} rad = {math.degrees(largest):.0f} "
                                   "deg, limit 40 deg: if the column is in degrees, name it slip_angle_deg")
-    if largest < SMALLEST_SLIP:
+    if largest < MIN_SLIP:
         raise IdentificationError(f"{data.tyre}: slip angle reaches {math.degrees(largest):.3g} deg only, at least 3 "
                                   "are needed; if the column is in radians, name it slip_angle_rad")
     ratio = float((np.abs(data.force) / data.load).max())
@@ -94,12 +94,12 @@ def check(data: FlatPlank, levels: np.ndarray, level: np.ndarray, nominal_load: 
                                   "the file")
     rows = level == nominal
     distinct = len(np.unique(np.round(np.degrees(data.slip[rows]), 2)))
-    if distinct < FEWEST_POINTS:
+    if distinct < MIN_POINTS:
         raise IdentificationError(f"{data.tyre}: {distinct} different slip angles at {levels[nominal]:.0f} N, at least "
-                                  f"{FEWEST_POINTS} are needed")
+                                  f"{MIN_POINTS} are needed")
     coverage = slip_coverage(data, levels, level)[nominal]
-    if not coverage.enough:
-        raise IdentificationError(f"{data.tyre}: {coverage.words()}")
+    if not coverage.sufficient:
+        raise IdentificationError(f"{data.tyre}: {coverage.describe()}")
     trend = float(data.slip @ data.force) / math.sqrt(float(data.slip @ data.slip) * float(data.force @ data.force))
     if abs(trend) < 0.5:
         raise IdentificationError(f"{data.tyre}: lateral force and slip angle are correlated by {trend:+.2f} only: "
@@ -108,10 +108,10 @@ def check(data: FlatPlank, levels: np.ndarray, level: np.ndarray, nominal_load: 
 
 
 def slip_coverage(data: FlatPlank, levels: np.ndarray, level: np.ndarray) -> tuple[Coverage, ...]:
-    """One entry per load: how the slip angle's magnitude is covered."""
+    """Coverage of the slip angle's magnitude, one entry per load."""
     magnitude = np.abs(data.slip)
     return tuple(Coverage(f"slip angle at {load:.0f} N", "deg", np.degrees(SLIP_BINS),
-                          np.histogram(magnitude[level == k], SLIP_BINS)[0], 1, BINS_NEEDED)
+                          np.histogram(magnitude[level == k], SLIP_BINS)[0], 1, MIN_FILLED_BINS)
                  for k, load in enumerate(levels))
 
 
@@ -119,9 +119,9 @@ SHIFT = "slip_shift"
 # Below p_ky4 = 1 the stiffness would never reach its largest value p_ky1 F_z0, and p_ky1 would lose its meaning; above
 # 2 it would change its sign at some load.
 FIT_BOUNDS = {SHIFT: (-math.radians(2.0), math.radians(2.0)), "p_ky4": (1.0, 2.0)}
-NOMINAL = ("p_cy1", "p_dy1", "p_ey1")
-CURVE = ("p_ky1", "p_ky2", "p_ky4")
-ALL = ("p_cy1", "p_dy1", "p_dy2", "p_ey1", "p_ey2", "p_ky1", "p_ky2", "p_ky4")
+NOMINAL_PARAMETERS = ("p_cy1", "p_dy1", "p_ey1")
+STIFFNESS_PARAMETERS = ("p_ky1", "p_ky2", "p_ky4")
+FITTED_PARAMETERS = ("p_cy1", "p_dy1", "p_dy2", "p_ey1", "p_ey2", "p_ky1", "p_ky2", "p_ky4")
 STARTS = ((1.1, -0.5), (1.3, 0.2), (1.6, -0.5), (1.3, -3.0))  # of (C, E): where the nominal fit begins
 MEANING = {"p_cy1": "shape", "p_dy1": "peak friction", "p_dy2": "peak friction over load", "p_ey1": "curvature",
            "p_ey2": "curvature over load", "p_ky1": "stiffness", "p_ky2": "load of the largest stiffness",
@@ -149,7 +149,7 @@ class TyreFit:
         value = magic_formula_stiffness(load, self.tyre)
         gradient = np.zeros(len(self.names))
         for k, name in enumerate(self.names):
-            if name in CURVE:
+            if name in STIFFNESS_PARAMETERS:
                 step = 1e-5 * abs(getattr(self.tyre, name))
                 up = self.tyre._replace(**{name: getattr(self.tyre, name) + step})
                 gradient[k] = (magic_formula_stiffness(load, up) - value) / step
@@ -162,21 +162,21 @@ def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
     Raises IdentificationError for a table that cannot give a tyre.
     """
     levels, level = load_levels(data)
-    data, flipped = check(data, levels, level, start.nominal_load)
+    data, flipped = check_table(data, levels, level, start.nominal_load)
     base = start._replace(lambda_ky=1.0, lambda_cy=1.0, lambda_muy=1.0)
     nominal = int(np.argmin(np.abs(levels - start.nominal_load)))
-    first = _nominal(replace(data, **{key: getattr(data, key)[level == nominal] for key in ("load", "slip", "force")}),
-                     base)
+    at_nominal = {key: getattr(data, key)[level == nominal] for key in ("load", "slip", "force")}
+    first = _fit_nominal_load(replace(data, **at_nominal), base)
     staged = first
-    names: tuple[str, ...] = (*NOMINAL, "p_ky1", SHIFT)
+    names: tuple[str, ...] = (*NOMINAL_PARAMETERS, "p_ky1", SHIFT)
     if len(levels) > 1:
         free = ("p_dy2", "p_ey2", "p_ky2") + (("p_ky4",) if len(levels) > 2 else ())
-        staged = _load_dependency(data, first, free)
-        names = (*(name for name in ALL if name in (*NOMINAL, "p_ky1", *free)), SHIFT)
-    # Shape and curvature trade against each other, and what the stages settle on may be a side valley.
+        staged = _fit_load_dependency(data, first, free)
+        names = (*(name for name in FITTED_PARAMETERS if name in (*NOMINAL_PARAMETERS, "p_ky1", *free)), SHIFT)
+    # Shape and curvature are confounded, and the stages may end in a local minimum.
     others = [staged._replace(p_cy1=shape, p_ey1=curvature, p_ey2=-1.0) for shape, curvature in STARTS]
     fit = _fit(data, (staged, *others), names)
-    return TyreFit(_with(staged, names, fit.values.tolist()), names, fit, staged, levels, level, flipped)
+    return TyreFit(_with_values(staged, names, fit.values.tolist()), names, fit, staged, levels, level, flipped)
 
 
 def magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
@@ -217,13 +217,13 @@ def magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
               "level": level, "residuals": fit.residuals, "grid": grid, "names": found.names[:-1],
               "curves": np.stack([tyre_force(grid + fit.values[-1], load, tyre) for load in levels]),
               "stiffness": np.array([found.stiffness(load) for load in levels])}
-    warnings = [*_warnings(data, found, peak), *strong_correlations([e.parameter for e in estimates], correlation,
+    warnings = [*_warnings(data, found, peak), *describe_correlations([e.parameter for e in estimates], correlation,
                                                                     0.98)]
     return Identification("tyre", tuple(estimates), (data.name,), (), correlation, slip_coverage(data, levels, level),
                           tuple(warnings), figure)
 
 
-def _nominal(data: FlatPlank, base: MagicFormula) -> MagicFormula:
+def _fit_nominal_load(data: FlatPlank, base: MagicFormula) -> MagicFormula:
     """First stage. The load dependencies of `base` explain the small differences from the nominal load."""
     inner = np.abs(data.slip) <= max(math.radians(2.0), np.sort(np.abs(data.slip))[min(3, len(data.slip) - 1)])
     slope = float(data.slip[inner] @ data.force[inner]) / float(data.slip[inner] @ data.slip[inner])
@@ -231,18 +231,18 @@ def _nominal(data: FlatPlank, base: MagicFormula) -> MagicFormula:
     at_one = base._replace(p_ky1=-1.0)
     start_stiffness = slope / abs(float(magic_formula_stiffness(level, at_one)))
     friction = float(np.abs(data.force).max()) / level
-    names = (*NOMINAL, "p_ky1", SHIFT)
+    names = (*NOMINAL_PARAMETERS, "p_ky1", SHIFT)
     starts = [base._replace(p_cy1=shape, p_dy1=friction, p_ey1=curvature, p_ky1=start_stiffness)
               for shape, curvature in STARTS]
-    return _with(base, names, _fit(data, starts, names).values.tolist())
+    return _with_values(base, names, _fit(data, starts, names).values.tolist())
 
 
-def _load_dependency(data: FlatPlank, first: MagicFormula, free: Sequence[str]) -> MagicFormula:
+def _fit_load_dependency(data: FlatPlank, first: MagicFormula, free: Sequence[str]) -> MagicFormula:
     """Second stage: K at the nominal load held, which makes p_ky1 follow from p_ky2 and p_ky4."""
     held = float(magic_formula_stiffness(first.nominal_load, first))
 
     def tyre(values: Any) -> MagicFormula:
-        changed = _with(first, free, values)
+        changed = _with_values(first, free, values)
         one = magic_formula_stiffness(first.nominal_load, changed._replace(p_ky1=-1.0))
         return changed._replace(p_ky1=-held / one)
 
@@ -264,12 +264,12 @@ def _fit(data: FlatPlank, starts: Sequence[MagicFormula], names: Sequence[str]) 
 def _residuals(data: FlatPlank, start: MagicFormula, names: Sequence[str]) -> Residuals:
     def residuals(values: np.ndarray) -> np.ndarray:
         columns = np.moveaxis(values, -1, 0)[..., None]
-        return tyre_force(data.slip + columns[-1], data.load, _with(start, names, columns)) - data.force
+        return tyre_force(data.slip + columns[-1], data.load, _with_values(start, names, columns)) - data.force
 
     return residuals
 
 
-def _with(tyre: MagicFormula, names: Sequence[str], values: Any) -> MagicFormula:
+def _with_values(tyre: MagicFormula, names: Sequence[str], values: Any) -> MagicFormula:
     """The tyre with values in the order of names; each may be a number or an array, one element per set."""
     return tyre._replace(**{name: value for name, value in zip(names, values, strict=True) if name != SHIFT})
 

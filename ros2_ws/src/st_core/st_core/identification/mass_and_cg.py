@@ -2,8 +2,8 @@
 
     m = sum of the four readings,   l_f = l (rear readings) / m
 
-Several weighings of the same car, rolled off and on again between them, show what friction in tyres and suspension does
-to a reading. Each scale has an error of its own that repeats in every weighing and does not average out:
+Several weighings of the same car, rolled off and on again between them, show the scatter by friction in tyres and
+suspension. The error of each scale repeats in every weighing and does not average out:
 
     u(m)^2   = s_m^2 / n + 4 u_s^2
     u(l_f)^2 = s_l^2 / n + 2 u_s^2 (l_f^2 + l_r^2) / m^2 + (l_f / l)^2 u(l)^2
@@ -23,13 +23,13 @@ from .result import Estimate, Identification, IdentificationError
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 SCALE_UNCERTAINTY = 0.5  # kg, of one scale: class III pads of 500 kg in steps of 0.5 kg
-LARGEST_SIDE_DIFFERENCE = 0.2  # of an axle's load; a car with one person in it stays below 0.12
-LARGEST_SCATTER = 0.02  # of the mass, between weighings of one car
+MAX_SIDE_DIFFERENCE = 0.2  # of an axle's load; a car with one person in it stays below 0.12
+MAX_SCATTER = 0.02  # of the mass, between weighings of one car
 
 
 @dataclass(frozen=True)
 class Weighings:
-    """readings: (n, 4) [kg], columns as WHEELS. names: of the n weighings. loads: (n,) what was in the car, in words.
+    """readings: (n, 4) [kg], columns as WHEELS. names: of the n weighings. loads: (n,) what was in the car, as text.
 
     scale_uncertainty: standard uncertainty of one scale [kg].
     """
@@ -46,7 +46,7 @@ def mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncertainty: f
     wheelbase [m] with its standard uncertainty [m]. Weighings with another loading are rejected.
     Raises IdentificationError, with the numbers, for readings impossible for a car: missing, negative, swapped.
     """
-    readings = _checked(weighings)
+    readings = _check_readings(weighings)
     load = max(weighings.loads, key=weighings.loads.count)
     keep = np.array([one == load for one in weighings.loads])
     named = list(zip(weighings.names, weighings.loads, strict=True))
@@ -57,7 +57,7 @@ def mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncertainty: f
     all_distances = wheelbase * readings[:, 2:].sum(axis=1) / all_masses
     masses, distances = all_masses[keep], all_distances[keep]
     n, mass, front = len(chosen), float(masses.mean()), float(distances.mean())
-    if np.ptp(masses) > LARGEST_SCATTER * mass:
+    if np.ptp(masses) > MAX_SCATTER * mass:
         raise IdentificationError(f"the weighings of one loading differ by {np.ptp(masses):.1f} kg of {mass:.1f} kg: "
                                   "not the same car; weigh again, or note what was in it")
     scatter = np.cov(masses, distances) / n if n > 1 else np.zeros((2, 2))
@@ -86,7 +86,7 @@ def mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncertainty: f
     return Identification("scales", estimates, used, rejected, correlation_of(covariance), (), tuple(warnings), figure)
 
 
-def swapped_axles(found: Identification, wheelbase: float, expected: float) -> str:
+def describe_swapped_axles(found: Identification, wheelbase: float, expected: float) -> str:
     """A sentence when front and rear readings look exchanged: the CG fits the file's [m] only from the other end."""
     front = found["cg_to_front_axle"].value
     if abs(front - expected) > 0.05 * wheelbase and abs(wheelbase - front - expected) < 0.02 * wheelbase:
@@ -95,7 +95,7 @@ def swapped_axles(found: Identification, wheelbase: float, expected: float) -> s
     return ""
 
 
-def _checked(weighings: Weighings) -> np.ndarray:
+def _check_readings(weighings: Weighings) -> np.ndarray:
     readings = np.asarray(weighings.readings, dtype=float)
     if readings.ndim != 2 or readings.shape[1] != len(WHEELS) or not len(readings):
         raise IdentificationError(f"readings of shape {readings.shape}: four wheels per weighing, and at least one "
@@ -106,7 +106,7 @@ def _checked(weighings: Weighings) -> np.ndarray:
                 raise IdentificationError(f"weighing {name}: {wheel} reads {value:g} kg; all four wheels must stand on "
                                           "scales")
         for axle, (a, b) in (("front", row[:2]), ("rear", row[2:])):
-            if abs(a - b) > LARGEST_SIDE_DIFFERENCE * (a + b):
+            if abs(a - b) > MAX_SIDE_DIFFERENCE * (a + b):
                 raise IdentificationError(
                     f"weighing {name}: the {axle} wheels carry {a:.1f} and {b:.1f} kg, "
                     f"{100 * abs(a - b) / (a + b):.0f} % of the axle apart; are two "

@@ -1,12 +1,12 @@
-"""Steering offset, steering ratio and stiffness scale while driving, by the fit of `driving_fit` to the recent driving.
+"""Online identification of steering offset, steering ratio and stiffness scale, by `driving_fit` on recent driving.
 
-Samples of INS and steering are kept while the car moves, the last BUFFER seconds of them. After every FIT_EVERY seconds
-of usable driving both stiffnesses, ratio, offset, INS misalignment, dead time of the steering and relaxation of the
-tyres are fitted together, so that delay and transients do not pass for ratio. The deviation has two parts, added in
-quadrature: the variation between blocks of driving, as a normal deviation with the same 95 % interval, and SYSTEMATIC,
-what the single-track model itself is off. A value counts as estimated when the driving is rich enough (`_missing`) and
-its deviation is below LIMITS; as invalid when it lies where no such car is, or the model leaves too much unexplained.
-Valid for |a_y| <= 4 m/s^2 and dry, level roads. Nothing is applied to the vehicle. Checked by: test_online.py.
+Samples of INS and steering are kept while the car moves, the last BUFFER seconds of them. After every FIT_INTERVAL of
+usable driving both stiffnesses, ratio, offset, INS misalignment, dead time of the steering and relaxation of the tyres
+are fitted together, so that delay and transients are not taken for a ratio. The deviation adds two parts in quadrature:
+the variation between blocks of driving, as a normal deviation with the same 95 % interval, and SYSTEMATIC, the error of
+the single-track model. A value is estimated when there is enough excitation (`_missing_driving`) and its deviation is
+below MAX_DEVIATIONS; invalid when it is implausible for the car, or the model leaves too much unexplained. Valid for
+|a_y| <= 4 m/s^2 on dry, level roads. Nothing is applied to the vehicle. Checked by: test_online.py.
 """
 
 import math
@@ -23,7 +23,7 @@ from ..timeseries import NANOSECOND
 from ..types import InsSample
 from ..vehicle import VehicleParameters
 from .driving_fit import DELAY, MISALIGNMENT, RELAXATION, DrivingFitSettings, fit_driving
-from .run_samples import prepared
+from .run_samples import prepare_drives
 
 Status = Literal["unestimated", "estimated", "invalid"]
 NAMES = ("steering_wheel_offset", "steering_ratio", "stiffness_scale")
@@ -32,25 +32,26 @@ STIFFNESSES = ("cornering_stiffness_front", "cornering_stiffness_rear")
 FITTED = ("steering_wheel_offset", "steering_ratio", *STIFFNESSES, MISALIGNMENT, DELAY, RELAXATION)
 
 SETTINGS = DrivingFitSettings(interval=1.0, fewest_windows=20)
-BUFFER, SPACING_NS = 400.0, 19_000_000  # s of driving kept; ns between kept samples at least: 50 Hz
-FIT_EVERY = 15.0  # s of usable driving
+BUFFER, SPACING_NS = 400.0, 19_000_000  # s of driving kept; least ns between kept samples: 50 Hz
+FIT_INTERVAL = 15.0  # s of usable driving
 MOVING = 2.0  # m/s, below which samples are not kept
-MAXIMUM_GAP = 0.1  # s; a longer pause between samples counts for nothing
+MAXIMUM_GAP = 0.1  # s; a longer pause between samples is not driving time
 SYSTEMATIC = (math.radians(0.05), 0.005, 0.03)
 """Of offset [rad], and relative of ratio and scale: largest errors on the realistic virtual Leaf, bends and slaloms."""
-UNKNOWN = (math.radians(30.0), 0.2, 0.5)  # deviations without a fit; ratio and scale relative
-LIMITS = (math.radians(0.5), 0.015, 0.06)  # of the deviation; ratio and scale relative
-PLAUSIBLE = (math.radians(45.0), (0.6, 1.6), (0.3, 3.0))  # offset; ratio over the file's; scale
-LARGEST_UNEXPLAINED = 0.2  # of the root mean square yaw rate; 0.02 to 0.04 on the virtual Leaf, 0.1 with a noisy INS
-SMALLEST_YAW_RATE = 0.02  # rad/s, to which that is compared on straights
+UNKNOWN_DEVIATIONS = (math.radians(30.0), 0.2, 0.5)  # deviations without a fit; ratio and scale relative
+MAX_DEVIATIONS = (math.radians(0.5), 0.015, 0.06)  # of an estimated value; ratio and scale relative
+MAX_OFFSET = math.radians(45.0)
+PLAUSIBLE_RANGES = ((0.6, 1.6), (0.3, 3.0))  # ratio over the file's, scale
+MAX_UNEXPLAINED = 0.2  # of the root mean square yaw rate; 0.02 to 0.04 on the virtual Leaf, 0.1 with a noisy INS
+MIN_YAW_RATE = 0.02  # rad/s, with which the residual is compared on straights
 SPEED_BINS = (5.0, 7.0, 10.0, 14.0, 20.0)  # m/s
-BEND, PULL = 0.02, 1.5  # l r / v [rad] and |v r| [m/s^2] from which a sample counts as a bend, as tyre load
+MIN_BEND_ANGLE = 0.02  # rad, l r / v of a bend
+MIN_LOADED_ACCELERATION = 1.5  # m/s^2, |v r| that loads the tyres
 
 
 @dataclass(frozen=True)
 class Tracked:
-    """The present estimate of one parameter. deviation: one standard deviation. reason: why it is not, or no longer,
-    estimated."""
+    """Current estimate of one parameter. deviation: one standard deviation. reason: why it is not estimated."""
 
     parameter: str
     value: float
@@ -61,8 +62,8 @@ class Tracked:
 
 
 @dataclass
-class Seconds:
-    """Driving used so far [s], by what it shows."""
+class DrivingTime:
+    """Driving used so far [s], by kind."""
 
     used: float = 0.0
     straight: float = 0.0
@@ -76,8 +77,8 @@ class Seconds:
 
 @dataclass(frozen=True)
 class OnlineFit:
-    """values, deviations: (3,) in the order of NAMES. unexplained: share of the yaw rate. stopped: names at a bound.
-    problem: why the fit is missing, else empty."""
+    """Result of one fit: values and deviations (3,) in the order of NAMES. unexplained: residual over the yaw rate.
+    stopped: names at a bound. problem: why there is no fit, else empty."""
 
     values: tuple[float, ...]
     deviations: tuple[float, ...]
@@ -87,36 +88,36 @@ class OnlineFit:
 
 
 def fit_recent(log: DriveLog, vehicle: VehicleParameters) -> OnlineFit:
-    """One fit to a drive; never raises for what is in it. May run in a thread of its own."""
+    """One fit to a drive; never raises for its content. May run in another thread."""
     try:
-        logs, _ = prepared([log], vehicle)
+        logs, _ = prepare_drives([log], vehicle)
         fit = fit_driving(logs, vehicle, FITTED, "nonlinear", SETTINGS)
     except (StCoreError, np.linalg.LinAlgError) as error:
-        return _no_fit(vehicle, str(error))
+        return _missing_fit(vehicle, str(error))
     files = [getattr(vehicle, name) for name in STIFFNESSES]
     # Half of each stiffness over the file's: one scale of both.
     rows = np.zeros((3, len(FITTED)))
     rows[0, 0] = rows[1, 1] = 1.0
     rows[2, 2:4] = 0.5 / np.array(files)
     values = rows @ fit.values
-    low_high = [fit.spread.interval(k, 0.0)[1] for k in range(len(FITTED))]
-    normal = np.array(low_high) / 1.96 / np.maximum(fit.spread.deviations, 1e-300)
+    half = np.array([fit.spread.interval(k, 0.0)[1] for k in range(len(FITTED))])
+    normal = half / 1.96 / np.maximum(fit.spread.deviations, 1e-300)
     covariance = rows @ (fit.spread.covariance * np.outer(normal, normal)) @ rows.T
     own = np.array([SYSTEMATIC[0], SYSTEMATIC[1] * values[1], SYSTEMATIC[2] * values[2]])
     deviations = np.sqrt(np.diag(covariance) + own**2)
-    rate = max(float(np.sqrt(np.mean(np.square(log.yaw_rate)))), SMALLEST_YAW_RATE)
-    left = float(np.sqrt(np.mean(np.square(fit.residuals[:, 0]))))
-    return OnlineFit(tuple(values.tolist()), tuple(deviations.tolist()), left / rate, fit.at_bound)
+    rate = max(float(np.sqrt(np.mean(np.square(log.yaw_rate)))), MIN_YAW_RATE)
+    residual = float(np.sqrt(np.mean(np.square(fit.residuals[:, 0]))))
+    return OnlineFit(tuple(values.tolist()), tuple(deviations.tolist()), residual / rate, fit.at_bound)
 
 
-def _no_fit(vehicle: VehicleParameters, problem: str) -> OnlineFit:
+def _missing_fit(vehicle: VehicleParameters, problem: str) -> OnlineFit:
     ratio = vehicle.steering_ratio
     return OnlineFit((vehicle.steering_wheel_offset, ratio, 1.0),
-                     (UNKNOWN[0], UNKNOWN[1] * ratio, UNKNOWN[2]), problem=problem)
+                     (UNKNOWN_DEVIATIONS[0], UNKNOWN_DEVIATIONS[1] * ratio, UNKNOWN_DEVIATIONS[2]), problem=problem)
 
 
 class OnlineIdentifier:
-    """Consumes samples in order of time, reports estimates. `snapshot` and `take` let the fit run elsewhere."""
+    """Consumes samples in order of time and reports estimates. `snapshot` and `take` allow the fit to run elsewhere."""
 
     def __init__(self, vehicle: VehicleParameters):
         self.reset(vehicle)
@@ -124,12 +125,12 @@ class OnlineIdentifier:
     def reset(self, vehicle: VehicleParameters) -> None:
         """Forget all driving and start with this vehicle."""
         self.vehicle = vehicle
-        self.seconds = Seconds()
+        self.seconds = DrivingTime()
         most = round(BUFFER / NANOSECOND / SPACING_NS)
         self._ins: deque[InsSample] = deque(maxlen=most)
         self._steering: deque[tuple[int, float]] = deque(maxlen=most)
         self._newest_ns, self._fitted_at = 0, 0.0
-        self._fit = _no_fit(vehicle, "the first fit is not done")
+        self._fit = _missing_fit(vehicle, "the first fit is not done")
 
     def add_ins(self, sample: InsSample) -> bool:
         """An INS sample at the INS point; False if it is not finite or not newer. A jump back of time forgets all."""
@@ -157,10 +158,10 @@ class OnlineIdentifier:
     @property
     def due(self) -> bool:
         """Whether there is enough new driving for another fit."""
-        return self.seconds.used - self._fitted_at >= FIT_EVERY and len(self._steering) > 1
+        return self.seconds.used - self._fitted_at >= FIT_INTERVAL and len(self._steering) > 1
 
     def snapshot(self) -> tuple[DriveLog, VehicleParameters]:
-        """The driving that is kept, for `fit_recent`; the next fit is due FIT_EVERY later."""
+        """The driving that is kept, for `fit_recent`; the next fit is due FIT_INTERVAL later."""
         self._fitted_at = self.seconds.used
         columns = np.array([sample[1:7] for sample in self._ins]).T
         times = np.array([sample.time_ns for sample in self._ins], np.int64)
@@ -171,23 +172,23 @@ class OnlineIdentifier:
                         steering_times, self.vehicle.road_wheel_angle(angle), angle), self.vehicle
 
     def take(self, fit: OnlineFit) -> None:
-        """The result of a fit to a snapshot."""
+        """Store the result of a fit to a snapshot."""
         self._fit = fit
 
     def tracked(self) -> tuple[Tracked, ...]:
-        """What is known of each parameter; a value that is not estimated carries the reason."""
-        missing, trouble = self._missing(), self._trouble()
-        rows = []
+        """Current estimate of each parameter, with the reason where it is not estimated."""
+        missing, trouble = self._missing_driving(), self._implausible_values()
+        estimates = []
         for k, name in enumerate(NAMES):
             value, deviation = self._fit.values[k], self._fit.deviations[k]
             reason = missing[name] or self._fit.problem
-            if not reason and not deviation / (value if k else 1.0) <= LIMITS[k]:
+            if not reason and not deviation / (value if k else 1.0) <= MAX_DEVIATIONS[k]:
                 reason = "the driving so far leaves the deviation too large"
             status: Status = "unestimated" if reason else "estimated"
             if not missing[name] and trouble.get(name):
                 status, reason = "invalid", trouble[name]
-            rows.append(Tracked(name, value, UNITS[k], deviation, status, reason))
-        return tuple(rows)
+            estimates.append(Tracked(name, value, UNITS[k], deviation, status, reason))
+        return tuple(estimates)
 
     def _count(self, sample: InsSample, time: float) -> None:
         speed, rate, seconds = sample.velocity_x, sample.yaw_rate, self.seconds
@@ -198,15 +199,15 @@ class OnlineIdentifier:
             return
         bend, pull = self.vehicle.wheelbase * rate / speed, speed * rate
         seconds.used += time
-        seconds.straight += time * (abs(bend) < 0.25 * BEND)
-        seconds.left += time * (bend > BEND)
-        seconds.right += time * (bend < -BEND)
-        seconds.pull_left += time * (pull > PULL)
-        seconds.pull_right += time * (pull < -PULL)
+        seconds.straight += time * (abs(bend) < 0.25 * MIN_BEND_ANGLE)
+        seconds.left += time * (bend > MIN_BEND_ANGLE)
+        seconds.right += time * (bend < -MIN_BEND_ANGLE)
+        seconds.pull_left += time * (pull > MIN_LOADED_ACCELERATION)
+        seconds.pull_right += time * (pull < -MIN_LOADED_ACCELERATION)
         seconds.speeds[sum(speed >= edge for edge in SPEED_BINS[1:])] += time
 
-    def _missing(self) -> Mapping[str, str]:
-        """What driving is missing, by parameter; an empty text where nothing is."""
+    def _missing_driving(self) -> Mapping[str, str]:
+        """Driving that is still missing, by parameter; an empty text where none is."""
         s = self.seconds
         bends = min(s.left, s.right)
         filled = sum(time >= 5.0 for time in s.speeds)
@@ -221,17 +222,17 @@ class OnlineIdentifier:
         return {name: "; ".join(f"{have:.0f} of {needed:g}{'' if isinstance(needed, int) else ' s'} {what}"
                                 for have, needed, what in rows if have < needed) for name, rows in needs.items()}
 
-    def _trouble(self) -> Mapping[str, str]:
-        """Why values are implausible, by parameter."""
+    def _implausible_values(self) -> Mapping[str, str]:
+        """Reasons why values are implausible, by parameter."""
         fit, (offset, ratio, scale) = self._fit, self._fit.values
-        if fit.unexplained > LARGEST_UNEXPLAINED:
+        if fit.unexplained > MAX_UNEXPLAINED:
             return dict.fromkeys(NAMES, f"the model leaves {100 * fit.unexplained:.0f} % of the yaw rate unexplained: "
                                         "another road, load or sensor than the equations describe")
         troubles = {}
-        if abs(offset) > PLAUSIBLE[0]:
+        if abs(offset) > MAX_OFFSET:
             troubles[NAMES[0]] = f"{math.degrees(offset):.0f} deg is beyond 45 deg"
         relative = ratio / self.vehicle.steering_ratio
-        for name, value, (low, high) in ((NAMES[1], relative, PLAUSIBLE[1]), (NAMES[2], scale, PLAUSIBLE[2])):
+        for name, value, (low, high) in zip(NAMES[1:], (relative, scale), PLAUSIBLE_RANGES, strict=True):
             if not low < value < high:
                 troubles[name] = f"{value:.2f} times the vehicle file's is outside {low:g} to {high:g}"
         for name in fit.stopped:

@@ -1,4 +1,4 @@
-"""Result of an identification: values with uncertainty, their data and status; `apply` puts them into a vehicle."""
+"""Result of an identification: values with uncertainty, data and status; applied to a vehicle by `apply_to_vehicle`."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,11 +16,11 @@ if TYPE_CHECKING:  # the checks' own intervals come from here
 
 Status = Literal["identified", "doubtful", "unidentifiable"]
 
-CONTRADICTION = 1.959963984540054  # combined standard uncertainties: two-sided probability of 5 %
+NORMAL_QUANTILE = 1.959963984540054  # two-sided probability of 5 %
 
 
 class IdentificationError(StCoreError):
-    """Data that cannot give the parameter. Its text is one line: what is wrong, the numbers, what to do."""
+    """Data from which a parameter cannot be identified; one line: what is wrong, the numbers, what to do."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,9 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Coverage:
-    """How the data fill the range of one signal: counts (n,) in bins between edges (n + 1,), and how many are required.
+    """Coverage of the range of one signal: counts (n,) in bins between edges (n + 1,).
 
-    needed: samples a bin must hold to count as filled. bins_needed: filled bins below which the data are too thin.
+    needed: samples of a filled bin. bins_needed: least number of filled bins.
     """
 
     signal: str
@@ -62,10 +62,10 @@ class Coverage:
         return int(np.count_nonzero(np.asarray(self.counts) >= self.needed))
 
     @property
-    def enough(self) -> bool:
+    def sufficient(self) -> bool:
         return self.filled >= self.bins_needed
 
-    def words(self) -> str:
+    def describe(self) -> str:
         return (f"{self.signal}: {self.filled} of {len(self.counts)} bins from {self.edges[0]:.4g} to "
                 f"{self.edges[-1]:.4g} {self.unit} hold at least {self.needed} samples (needed: {self.bins_needed})")
 
@@ -75,12 +75,11 @@ class Identification:
     """Outcome of one experiment.
 
     An estimate with zero inside its 95 % interval is doubtful at most, and unidentifiable where only positive values
-    are possible; parameters of the tyres' formula are exempt, zero is a value like others for them.
+    are possible; parameters of the tyres' formula, which may well be zero, are exempt.
 
-    what: name of the experiment, as `st identify` calls it. used: data that entered. rejected: (data, why).
-    correlation: matrix over the estimates, in their order, or None. coverage: excitation, one entry per signal.
-    warnings: sentences. figure: plain arrays (and numbers, texts) that its picture is drawn from. findings: of the
-    checks, by drive, of those used and of those refused.
+    what: name of the experiment in `st identify`. used: names of the data. rejected: (data, reason). correlation:
+    matrix over the estimates, in their order, or None. coverage: excitation by signal. warnings: sentences. figure:
+    arrays, numbers and texts for its figure. findings: of the checks, by drive, used or refused.
     """
 
     what: str
@@ -94,13 +93,10 @@ class Identification:
     findings: "Mapping[str, tuple[Finding, ...]]" = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "estimates", tuple(_without_sign(one) for one in self.estimates))
+        object.__setattr__(self, "estimates", tuple(_with_status(estimate) for estimate in self.estimates))
 
     def __getitem__(self, parameter: str) -> Estimate:
-        for estimate in self.estimates:
-            if estimate.parameter == parameter:
-                return estimate
-        raise KeyError(parameter)
+        return {estimate.parameter: estimate for estimate in self.estimates}[parameter]
 
     def document(self) -> dict[str, dict[str, Any]]:
         """Body of identification.json: {parameter: {value, unit, standard_uncertainty, interval95, method, runs, ...}}.
@@ -108,16 +104,17 @@ class Identification:
         A number that is not finite (an unidentifiable parameter) becomes None: JSON has no infinity.
         """
         return {e.parameter: {
-            "value": _plain(e.value), "unit": e.unit, "standard_uncertainty": _plain(e.standard_uncertainty),
-            "interval95": [_plain(end) for end in e.interval95], "method": e.method, "runs": list(e.runs),
+            "value": _finite_or_none(e.value), "unit": e.unit,
+            "standard_uncertainty": _finite_or_none(e.standard_uncertainty),
+            "interval95": [_finite_or_none(end) for end in e.interval95], "method": e.method, "runs": list(e.runs),
             "verdict": e.verdict} for e in self.estimates}
 
 
-NEAR_ZERO = " Not distinguishable from zero."
+NOT_ZERO = " Not distinguishable from zero."
 
 
-def _without_sign(estimate: Estimate) -> Estimate:
-    """The estimate with the status that an interval holding zero allows."""
+def _with_status(estimate: Estimate) -> Estimate:
+    """The estimate with the status that its interval allows: zero may be inside."""
     low, high = estimate.interval95
     if not low <= 0.0 <= high or estimate.status == "unidentifiable" or "." in estimate.parameter:
         return estimate
@@ -125,39 +122,39 @@ def _without_sign(estimate: Estimate) -> Estimate:
     if known is not None and known.minimum > 0.0:
         return replace(estimate, status="unidentifiable",
                        verdict=f"Not identifiable: zero is inside the interval. {estimate.verdict}")
-    verdict = f"{estimate.verdict.removesuffix(NEAR_ZERO)}{NEAR_ZERO}"
+    verdict = f"{estimate.verdict.removesuffix(NOT_ZERO)}{NOT_ZERO}"
     return replace(estimate, status="doubtful", verdict=verdict)
 
 
-def contradiction(estimate: Estimate, value: float, standard_uncertainty: float, origin: str) -> str:
-    """A sentence when another experiment's value differs by more than chance (two-sided, 5 %), else an empty text.
+def describe_contradiction(estimate: Estimate, value: float, standard_uncertainty: float, origin: str) -> str:
+    """A sentence where a value of another experiment differs significantly (two-sided, 5 %), else an empty text.
 
         z = (x_1 - x_2) / sqrt(u_1^2 + u_2^2),    reported when |z| > 1.96
     """
     spread = math.hypot(estimate.standard_uncertainty, standard_uncertainty)
     gap = estimate.value - value
-    if not math.isfinite(spread) or abs(gap) <= CONTRADICTION * spread:
+    if not math.isfinite(spread) or abs(gap) <= NORMAL_QUANTILE * spread:
         return ""
     times = f"{abs(gap) / spread:.1f} times" if spread > 0.0 else "without"
     return (f"{estimate.parameter} {estimate.value:.5g} contradicts {value:.5g} {estimate.unit} of {origin}: the "
             f"difference {gap:+.3g} is {times} the combined uncertainty.")
 
 
-def strong_correlations(names: Sequence[str], correlation: np.ndarray, limit: float = 0.95) -> tuple[str, ...]:
-    """A sentence for each pair of parameters that the data hardly separate."""
+def describe_correlations(names: Sequence[str], correlation: np.ndarray, limit: float = 0.95) -> tuple[str, ...]:
+    """A sentence for each pair of parameters correlated beyond a limit, which the data hardly separate."""
     return tuple(f"{names[i]} and {names[j]} are correlated by {correlation[i, j]:+.3f}: the data fix a combination of "
                  "the two better than each." for i in range(len(names)) for j in range(i + 1, len(names))
                  if abs(correlation[i, j]) > limit)
 
 
-def _plain(number: float) -> float | None:
+def _finite_or_none(number: float) -> float | None:
     return float(number) if math.isfinite(number) else None
 
 
-def apply(vehicle: VehicleParameters, found: Iterable[Identification], date: str) -> VehicleParameters:
-    """The vehicle with every identified or doubtful value of a parameter it has; unidentifiable ones stay as they were.
+def apply_to_vehicle(vehicle: VehicleParameters, found: Iterable[Identification], date: str) -> VehicleParameters:
+    """The vehicle with every identified or doubtful value of a parameter it has; unidentifiable ones are unchanged.
 
-    date: YYYY-MM-DD, into the provenance. A lambda_ky that was derived from the stiffness is derived again.
+    date: YYYY-MM-DD, for the provenance. A lambda_ky that was derived from the stiffness is derived again.
     Raises ConfigurationError, naming the key and the limit, when a value lies outside what a vehicle file may hold.
     """
     values: dict[str, float] = {}
@@ -177,7 +174,7 @@ def apply(vehicle: VehicleParameters, found: Iterable[Identification], date: str
     return replace(changed, sources={**changed.sources, **sources}, provenance={**vehicle.provenance, **provenance})
 
 
-def stale_scales(vehicle: VehicleParameters, found: Iterable[Identification]) -> tuple[str, ...]:
+def describe_stale_scales(vehicle: VehicleParameters, found: Iterable[Identification]) -> tuple[str, ...]:
     """A sentence for each tyre with a lambda_ky set in the file although a value it depends on has changed."""
     changed = {estimate.parameter for one in found for estimate in one.estimates if estimate.status != "unidentifiable"}
     sentences = []
@@ -191,10 +188,10 @@ def stale_scales(vehicle: VehicleParameters, found: Iterable[Identification]) ->
     return tuple(sentences)
 
 
-def against_file(vehicle: VehicleParameters, estimate: Estimate) -> str:
-    """A sentence when the value contradicts the one the vehicle file has with an uncertainty, else an empty text."""
+def compare_with_file(vehicle: VehicleParameters, estimate: Estimate) -> str:
+    """A sentence where the value contradicts that of the vehicle file and its uncertainty, else an empty text."""
     before = vehicle.provenance.get(estimate.parameter)
     if before is None or before.uncertainty is None or estimate.status == "unidentifiable":
         return ""
     origin = f"the vehicle file ({before.method or vehicle.sources[estimate.parameter]}, {before.date or 'no date'})"
-    return contradiction(estimate, value_of(vehicle, estimate.parameter), before.uncertainty, origin)
+    return describe_contradiction(estimate, value_of(vehicle, estimate.parameter), before.uncertainty, origin)

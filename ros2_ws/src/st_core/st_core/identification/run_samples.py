@@ -1,4 +1,4 @@
-"""A drive as samples at the CG, on the INS clock, all signals behind the same filter: what regressions work on."""
+"""Samples of a drive for regressions: at the CG, on the INS clock, all signals through the same filter."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,13 +13,13 @@ from ..vehicle import VehicleParameters
 from .result import Coverage, IdentificationError
 
 EDGE = 0.2
-"""s. The filter starts at rest at both ends of a stretch without gaps; its output is not used for so long."""
+"""s at both ends of a stretch without gaps in which the output of the filter, which starts at rest, is not used."""
 MAXIMUM_GAP = 0.1
-"""s between samples; nothing is interpolated across a longer one."""
-SHORTEST, FEWEST = 5.0, 50
-"""s of common measurement, and INS samples, below which a drive is not used."""
-NOTICED_BIAS = 5.0e-4
-"""rad/s, 0.03 deg/s: above the drift of an INS in order; 0.1 deg at the hand wheel at 15 m/s."""
+"""s between samples that are interpolated."""
+MIN_COMMON_TIME, MIN_SAMPLES = 5.0, 50
+"""s of common measurement, and INS samples, of a drive that is used."""
+MIN_REPORTED_BIAS = 5.0e-4
+"""rad/s, 0.03 deg/s: above the drift of a faultless INS; it acts as 0.1 deg at the hand wheel at 15 m/s."""
 SPEED_EDGES = np.array([0.0, 3.0, 6.0, 9.0, 12.0, 15.0, 20.0, 30.0, 60.0])  # m/s
 ACCELERATION_EDGES = np.array([-8.0, -4.0, -3.0, -2.0, -1.0, -0.3, 0.3, 1.0, 2.0, 3.0, 4.0, 8.0])  # m/s^2, left +
 
@@ -69,14 +69,14 @@ def run_samples(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) 
     _, a_y = ins_to_cg_acceleration(0.0, across_dot + speed * yaw_rate, yaw_rate, yaw_acceleration, d_x, d_y)
     angle, _ = smooth(log.steering_time_ns, log.road_wheel_angle)
     angle = LogSignals(log, MAXIMUM_GAP, 5.0).sample(log.steering_time_ns, angle, time_ns)
-    known = np.isfinite(angle) & _settled(time_ns) & np.isfinite(yaw_acceleration) & np.isfinite(a_y)
+    known = np.isfinite(angle) & _away_from_edges(time_ns) & np.isfinite(yaw_acceleration) & np.isfinite(a_y)
     columns = ((time_ns - time_ns[:1]) * NANOSECOND, speed + yaw_rate * d_y, across - yaw_rate * d_x, log.yaw, yaw_rate,
                yaw_acceleration, a_y, angle, vehicle.steering_wheel_angle(angle))
     return RunSamples(log.name, *(column[known] for column in columns))
 
 
-def prepared(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[list[DriveLog], tuple[str, ...]]:
-    """(drives prepared for the estimators, warnings).
+def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[list[DriveLog], tuple[str, ...]]:
+    """(drives as the estimators need them, warnings).
 
     The road wheel angle is that of this vehicle's ratio and offset, where the hand wheel was recorded. The mean
     difference of yaw rate and rate of change of yaw is removed from each drive: the bias of a gyro would appear as an
@@ -90,45 +90,44 @@ def prepared(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[list
     own = [log if log.steering_wheel_angle is None else log.with_steering(vehicle) for log in logs]
     noticed = []
     for k, log in enumerate(own):
-        if log.overlap < SHORTEST or len(log.ins_time_ns) < FEWEST:
+        if log.overlap < MIN_COMMON_TIME or len(log.ins_time_ns) < MIN_SAMPLES:
             raise IdentificationError(
                 f"{log.name}: too few samples: {len(log.ins_time_ns)} of the INS, {log.overlap:.1f} s together with "
-                f"the steering; at least {SHORTEST:g} s and {FEWEST} are needed")
+                f"the steering; at least {MIN_COMMON_TIME:g} s and {MIN_SAMPLES} are needed")
         bias = yaw_rate_bias(log)
         own[k] = replace(log, yaw_rate=log.yaw_rate - bias)
-        if abs(bias) > NOTICED_BIAS:
+        if abs(bias) > MIN_REPORTED_BIAS:
             noticed.append(f"{log.name} {bias:+.4f}")
     words = f"The yaw rate drifts against the heading (removed, rad/s): {', '.join(noticed)}."
     return own, (words,) if noticed else ()
 
 
 def yaw_rate_bias(log: DriveLog) -> float:
-    """Mean of yaw rate minus rate of change of yaw, over all that has no gaps [rad/s]."""
+    """Mean of yaw rate minus rate of change of yaw outside gaps [rad/s]."""
     spacing = np.diff(log.ins_time_ns) * NANOSECOND
     whole = spacing <= MAXIMUM_GAP
     turned = (0.5 * (log.yaw_rate[1:] + log.yaw_rate[:-1]) * spacing - np.diff(log.yaw))[whole]
     return float(turned.sum() / max(spacing[whole].sum(), NANOSECOND))
 
 
-def coverage(signal: str, unit: str, edges: np.ndarray, values: Sequence[np.ndarray], times: Sequence[np.ndarray],
-             seconds_needed: float, bins_needed: int) -> Coverage:
-    """Samples by bin over all drives. values: (n,) of each drive; times: of all its samples [s]; a bin counts from
-    `seconds_needed` on."""
+def signal_coverage(signal: str, unit: str, edges: np.ndarray, values: Sequence[np.ndarray],
+                    times: Sequence[np.ndarray], seconds_needed: float, bins_needed: int) -> Coverage:
+    """Coverage of one signal over all drives. values: (n,) of each drive; times: of all its samples [s];
+    seconds_needed: in a filled bin."""
     interval = float(np.median(np.concatenate([np.diff(time) for time in times])))
     return Coverage(signal, unit, edges, np.histogram(np.concatenate(values), edges)[0],
                     max(1, round(seconds_needed / interval)), bins_needed)
 
 
-def require(coverages: Sequence[Coverage], advice: str) -> None:
-    """Raises IdentificationError with the numbers of every signal with too little excitation; `advice`: what to drive.
-    """
-    thin = [c.words() for c in coverages if not c.enough]
-    if thin:
-        raise IdentificationError(f"too little excitation: {'; '.join(thin)}. {advice}")
+def require_coverage(coverages: Sequence[Coverage], advice: str) -> None:
+    """Raises IdentificationError, with the numbers, for signals with too little excitation; advice: what to drive."""
+    insufficient = [coverage.describe() for coverage in coverages if not coverage.sufficient]
+    if insufficient:
+        raise IdentificationError(f"too little excitation: {'; '.join(insufficient)}. {advice}")
 
 
-def _settled(time_ns: np.ndarray) -> np.ndarray:
-    """Whether a sample lies EDGE away from the ends of its stretch without a gap."""
+def _away_from_edges(time_ns: np.ndarray) -> np.ndarray:
+    """Which samples are at least EDGE away from the ends of their stretch without a gap."""
     edge = round(EDGE / NANOSECOND)
     breaks = np.flatnonzero(np.diff(time_ns) > round(MAXIMUM_GAP / NANOSECOND))
     begins = time_ns[np.concatenate(([0], breaks + 1))]

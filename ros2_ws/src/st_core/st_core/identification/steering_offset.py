@@ -20,36 +20,36 @@ from ..regression import Spread, blocks
 from ..timeseries import filtered_derivative
 from ..vehicle import VehicleParameters
 from .driving_fit import DrivingFitSettings, fit_driving
-from .result import Estimate, Identification, IdentificationError, contradiction
-from .run_samples import RunSamples, prepared, run_samples
+from .result import Estimate, Identification, IdentificationError, describe_contradiction
+from .run_samples import RunSamples, prepare_drives, run_samples
 
 PAPER, DIRECT = "steering_wheel_offset", "steering_wheel_offset_direct"
 SETTINGS = DrivingFitSettings(horizon=2.0, maximum_acceleration=0.5, fewest_windows=40, channels=("yaw_rate",))
 WINDOW = 2.0  # s
-STRAIGHT = 500.0  # m, radius
-STEADY = np.deg2rad(3.0)  # at the hand wheel, standard deviation in a window
-FEWEST_WINDOWS = 10
-SMOOTHING = 1.0  # Hz, low-pass on the measured yaw rate, forward and backward
+MIN_RADIUS = 500.0  # m, radius
+MAX_HAND_DEVIATION = np.deg2rad(3.0)  # at the hand wheel, standard deviation in a window
+MIN_WINDOWS = 10
+CUTOFF = 1.0  # Hz, low-pass on the measured yaw rate, forward and backward
 
 
 def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                              settings: DrivingFitSettings = SETTINGS) -> Identification:
-    """Offset by both ways [rad at the hand wheel, left +]; parameters PAPER and DIRECT.
+    """Offset by both methods [rad at the hand wheel, left +]; parameters PAPER and DIRECT.
 
     vehicle: ratio and all else; its offset is where the search starts. Raises IdentificationError for too little
     driving straight on.
     """
-    logs, noticed = prepared(logs, vehicle)
+    logs, noticed = prepare_drives(logs, vehicle)
     runs = [run_samples(log, vehicle) for log in logs]
-    windows = [_windows(run, vehicle, settings.minimum_speed) for run in runs]
+    windows = [_straight_windows(run, vehicle, settings.minimum_speed) for run in runs]
     values = np.concatenate([w[:, 1] for w in windows])
-    if len(values) < FEWEST_WINDOWS:
+    if len(values) < MIN_WINDOWS:
         raise IdentificationError(
-            f"too few samples: {len(values)} windows of {WINDOW:g} s are straighter than R = {STRAIGHT:g} m, with a "
-            f"steady hand and faster than {settings.minimum_speed:g} m/s; {FEWEST_WINDOWS} are needed")
-    # Smoothed, all samples of the yaw rate count, not those at the points of the horizon alone, where road noise would
-    # be 0.02 deg at the hand wheel after four minutes.
-    smooth = [replace(log, yaw_rate=filtered_derivative(log.ins_time_ns, log.yaw_rate, SMOOTHING, 0.1, "zero_phase")[0])
+            f"too few samples: {len(values)} windows of {WINDOW:g} s are straighter than R = {MIN_RADIUS:g} m, with a "
+            f"steady hand and faster than {settings.minimum_speed:g} m/s; {MIN_WINDOWS} are needed")
+    # Smoothing uses all samples of the yaw rate, not only those at the points of the horizon, where road noise would be
+    # 0.02 deg at the hand wheel after four minutes.
+    smooth = [replace(log, yaw_rate=filtered_derivative(log.ins_time_ns, log.yaw_rate, CUTOFF, 0.1, "zero_phase")[0])
               for log in logs]
     fit = fit_driving(smooth, vehicle, (PAPER,), "linear", settings)
     predicted = {name: count for name, (count, _) in fit.windows.items()}
@@ -62,7 +62,8 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
     used = {run.name: len(w) for run, w in zip(runs, windows, strict=True)}
     direct = _estimate(DIRECT, float(values.mean()), spread, "mean reading on steady straights", used,
                        f"{len(values)} windows of {WINDOW:g} s")
-    conflict = contradiction(paper, direct.value, direct.standard_uncertainty, "the mean reading on steady straights")
+    conflict = describe_contradiction(paper, direct.value, direct.standard_uncertainty,
+                                      "the mean reading on steady straights")
     if conflict:
         paper = replace(paper, status="doubtful", verdict=f"{paper.verdict} {conflict}")
     rejected = tuple((name, "no straight piece in it") for name, n in predicted.items() if not n and not used[name])
@@ -72,7 +73,7 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
                           rejected, None, (), (*noticed, *([conflict] if conflict else [])), figure)
 
 
-def _windows(run: RunSamples, vehicle: VehicleParameters, minimum_speed: float) -> np.ndarray:
+def _straight_windows(run: RunSamples, vehicle: VehicleParameters, minimum_speed: float) -> np.ndarray:
     """(time, offset [rad]) of the steady straight windows of a run, (n, 2)."""
     understeer = understeer_coefficient(vehicle)
     rows = []
@@ -83,7 +84,7 @@ def _windows(run: RunSamples, vehicle: VehicleParameters, minimum_speed: float) 
             continue
         mean_speed = float(speed.mean())
         curvature = float(run.yaw[part][-1] - run.yaw[part][0]) / (mean_speed * float(time[-1] - time[0]))
-        if abs(curvature) * STRAIGHT > 1.0 or hand.std() > STEADY:
+        if abs(curvature) * MIN_RADIUS > 1.0 or hand.std() > MAX_HAND_DEVIATION:
             continue
         turning = vehicle.wheelbase * curvature * (1.0 + understeer * mean_speed**2)
         rows.append((start, float(hand.mean()) - vehicle.steering_ratio * turning))

@@ -3,8 +3,8 @@
     delta = (left + right) / 2,    delta_k = a_j + delta_h,k / i + e_k,    i = 1 / b,    u(i) = i^2 u(b)
 
 b is one slope through all sweeps, a_j a level per sweep: where the turntables read zero is not where the car drives
-straight, so no steering-wheel offset comes out of this. What the straight line leaves over is looked at with a cubic:
-its share that noise cannot explain (F test, 1 %) is the nonlinearity of the steering.
+straight, so the steering-wheel offset cannot be identified. A cubic fitted to the residuals is the nonlinearity of the
+steering, where it is significant (F test, 1 %).
 
 Of `fit_line`, with x_j, y_j the means of group j:
 
@@ -41,7 +41,7 @@ class Line:
 def fit_line(x: np.ndarray, y: np.ndarray, groups: Sequence[str]) -> Line:
     """Least squares of the above. groups: a name per point. Raises IdentificationError when x does not vary."""
     members = {str(name): np.asarray(groups) == name for name in dict.fromkeys(groups)}
-    centred_x, centred_y = (_centred(v, members.values()) for v in (x, y))
+    centred_x, centred_y = (_subtract_means(v, members.values()) for v in (x, y))
     spread = float(centred_x @ centred_x)
     freedom = len(x) - len(members) - 1
     if freedom < 1 or spread <= 1e-12 * float(x @ x):
@@ -60,7 +60,7 @@ def cubic_remainder(x: np.ndarray, line: Line, names: Sequence[str]) -> tuple[tu
         e = c_1 x + c_3 x^3,    F = (sum e^2 - sum e_c^2) / 1 / (sum e_c^2 / (freedom - 1))
     """
     groups = np.asarray(names)
-    basis = _centred(np.stack([x, x**3], axis=1), [groups == name for name in line.levels])
+    basis = _subtract_means(np.stack([x, x**3], axis=1), [groups == name for name in line.levels])
     residual = line.residuals
     coefficients, *_ = np.linalg.lstsq(basis, residual, rcond=None)
     unexplained = residual - basis @ coefficients
@@ -72,7 +72,7 @@ def cubic_remainder(x: np.ndarray, line: Line, names: Sequence[str]) -> tuple[tu
     return (float(coefficients[0]), float(coefficients[1])), significant
 
 
-def _centred(values: np.ndarray, members: Iterable[np.ndarray]) -> np.ndarray:
+def _subtract_means(values: np.ndarray, members: Iterable[np.ndarray]) -> np.ndarray:
     """Values (n, ...) minus the mean of their group."""
     result = np.array(values, float)
     for member in members:
@@ -80,10 +80,10 @@ def _centred(values: np.ndarray, members: Iterable[np.ndarray]) -> np.ndarray:
     return result
 
 
-FEWEST_ROWS = 5
-SMALLEST_RANGE = math.radians(90.0)  # of the hand wheel
-LARGEST_HAND = math.radians(1200.0)
-LARGEST_WHEEL = math.radians(60.0)
+MIN_ROWS = 5
+MIN_RANGE = math.radians(90.0)  # of the hand wheel
+MAX_HAND_ANGLE = math.radians(1200.0)
+MAX_WHEEL_ANGLE = math.radians(60.0)
 BIN = math.radians(90.0)
 
 
@@ -103,7 +103,7 @@ def steering_ratio(data: Turntable) -> Identification:
     Raises IdentificationError, with the numbers, for too few rows, too small a range, a wrong unit or sign, exchanged
     columns.
     """
-    _check(data)
+    _check_rows(data)
     mean = 0.5 * (data.left + data.right)
     line = fit_line(data.hand, mean, data.sweeps)
     limits = VEHICLE_QUANTITIES["steering_ratio"]
@@ -136,11 +136,11 @@ def steering_ratio(data: Turntable) -> Identification:
                           figure)
 
 
-def _check(data: Turntable) -> None:
-    columns = {"hand wheel": (data.hand, LARGEST_HAND), "left wheel": (data.left, LARGEST_WHEEL),
-               "right wheel": (data.right, LARGEST_WHEEL)}
-    if len(data.hand) < FEWEST_ROWS:
-        raise IdentificationError(f"{len(data.hand)} rows, at least {FEWEST_ROWS} are needed")
+def _check_rows(data: Turntable) -> None:
+    columns = {"hand wheel": (data.hand, MAX_HAND_ANGLE), "left wheel": (data.left, MAX_WHEEL_ANGLE),
+               "right wheel": (data.right, MAX_WHEEL_ANGLE)}
+    if len(data.hand) < MIN_ROWS:
+        raise IdentificationError(f"{len(data.hand)} rows, at least {MIN_ROWS} are needed")
     for name, (angle, largest) in columns.items():
         if not np.isfinite(angle).all():
             raise IdentificationError(f"the {name} angle is missing in row {int(np.argmin(np.isfinite(angle))) + 1}")
@@ -151,14 +151,14 @@ def _check(data: Turntable) -> None:
         if not np.ptp(angle) > 0.0:
             raise IdentificationError(f"the {name} angle is {math.degrees(angle[0]):.4g} deg in every row: it must "
                                       "vary")
-    if np.ptp(data.hand) < SMALLEST_RANGE:
+    if np.ptp(data.hand) < MIN_RANGE:
         raise IdentificationError(f"the hand wheel ranges over {math.degrees(np.ptp(data.hand)):.3g} deg, at least 90 "
                                   "are needed; if the column is in radians, name it steering_wheel_rad")
 
 
 def _warnings(data: Turntable, line: Line) -> list[str]:
     sentences = []
-    left_turn, right_turn = data.hand > SMALLEST_RANGE, data.hand < -SMALLEST_RANGE
+    left_turn, right_turn = data.hand > MIN_RANGE, data.hand < -MIN_RANGE
     split = data.left - data.right - np.median(data.left - data.right)
     inner = np.concatenate([split[left_turn], split[right_turn]])
     if left_turn.any() and right_turn.any() and inner.mean() < -math.radians(0.3):

@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from st_core.checks import SCHEMA, Advice, Checked, Finding, Identity, Severity, compare_runs
-from st_core.clock_types import none_needed
+from st_core.clock_types import alignment_not_needed
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import json_ready
 from st_recordings.results import versions
@@ -170,7 +170,7 @@ class CheckedRun:
     duration: float
     warnings: tuple[str, ...]
     files: Mapping[str, str]
-    alignment: Mapping[str, Any] = field(default_factory=lambda: about_alignment(none_needed()))
+    alignment: Mapping[str, Any] = field(default_factory=lambda: about_alignment(alignment_not_needed()))
     where: str = "RUN"
 
 

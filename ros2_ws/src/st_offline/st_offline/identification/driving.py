@@ -10,10 +10,10 @@ from scipy.stats import chi2
 from st_core.checks import Finding
 from st_core.errors import StCoreError
 from st_core.identification.cornering_stiffness import identify_stiffness
-from st_core.identification.driving_fit import FREE
+from st_core.identification.driving_fit import FREE_PARAMETERS
 from st_core.identification.driving_prediction import identify_steering, identify_yaw_inertia, predict_stiffness
 from st_core.identification.ins_mounting import identify_ins_mounting
-from st_core.identification.result import Estimate, Identification, IdentificationError, contradiction
+from st_core.identification.result import Estimate, Identification, IdentificationError, describe_contradiction
 from st_core.identification.steering_offset import identify_steering_offset
 from st_core.log import DriveLog
 from st_core.models import MODELS, Model
@@ -186,7 +186,7 @@ def _in_line(run: np.ndarray, time: np.ndarray) -> np.ndarray:
 
 
 def _unit(parameter: str) -> tuple[float, str]:
-    unit = FREE[parameter].unit
+    unit = FREE_PARAMETERS[parameter].unit
     return UNITS.get(unit, (1.0, unit))
 
 
@@ -247,7 +247,7 @@ def stiffness(logs: Sequence[DriveLog], vehicle, base: Model) -> Identification:
             estimates.append(one)
             comparisons.append(f"The paper's regression gives no {one.parameter}: {other.verdict}")
             continue
-        words = contradiction(one, other.value, other.standard_uncertainty, "the paper's regression")
+        words = describe_contradiction(one, other.value, other.standard_uncertainty, "the paper's regression")
         if words and abs(one.value - other.value) > DISAGREEMENT * other.value:
             # A regression averages over the tyre's curve, so a few per cent are expected; more is a fault elsewhere.
             words += f" {ADVICE}"

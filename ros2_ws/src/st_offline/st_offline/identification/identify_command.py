@@ -15,9 +15,9 @@ from st_core.identification.result import (
     Coverage,
     Identification,
     IdentificationError,
-    against_file,
-    apply,
-    stale_scales,
+    apply_to_vehicle,
+    compare_with_file,
+    describe_stale_scales,
 )
 from st_core.provenance import Provenance
 from st_core.vehicle import VehicleParameters, quantity, value_of
@@ -60,11 +60,11 @@ def run(job: Job, console: Console) -> int:
     """
     with console.status(f"identifying: {job.experiment.what}"):
         found = tuple(replace(one, warnings=(*one.warnings, *filter(None, (
-            against_file(job.setup.vehicle, estimate) for estimate in one.estimates)))) for one in identified(job))
+            compare_with_file(job.setup.vehicle, estimate) for estimate in one.estimates)))) for one in identified(job))
     now = datetime.now(UTC)
-    car = apply(job.setup.vehicle, found, f"{now:%Y-%m-%d}")
+    car = apply_to_vehicle(job.setup.vehicle, found, f"{now:%Y-%m-%d}")
     found = (replace(found[0], warnings=(*found[0].warnings, *objections(car, job.setup.vehicle))), *found[1:])
-    stale = stale_scales(job.setup.vehicle, found)
+    stale = describe_stale_scales(job.setup.vehicle, found)
     with console.status("writing"):
         files = write(job, found, car, about(job, now))
     show(found, job.setup.vehicle, stale, console)
@@ -94,7 +94,7 @@ def show(found: Sequence[Identification], vehicle: VehicleParameters, stale: Seq
             for name, value, _, interval, unit, before, status in rows(one, vehicle)],
             title=one.what, title_justify="left", padding=(0, 2, 0, 0)))
         for style, texts in (("default", [f"{e.parameter}: {e.verdict}" for e in one.estimates]),
-                             ("dim", [coverage.words() for coverage in one.coverage]),
+                             ("dim", [coverage.describe() for coverage in one.coverage]),
                              ("dim", [f"left out: {name}: {why}" for name, why in one.rejected]),
                              ("yellow", one.warnings)):
             for text in texts:

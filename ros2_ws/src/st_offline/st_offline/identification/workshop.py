@@ -9,7 +9,7 @@ import numpy as np
 from st_core.identification.cg_height import Lift, LiftedCar, cg_height, pitch_from_lift
 from st_core.identification.lambda_ky import TableStiffness, lambda_ky
 from st_core.identification.magic_formula import FlatPlank, fit_tyre, magic_formula
-from st_core.identification.mass_and_cg import SCALE_UNCERTAINTY, WHEELS, Weighings, mass_and_cg, swapped_axles
+from st_core.identification.mass_and_cg import SCALE_UNCERTAINTY, WHEELS, Weighings, describe_swapped_axles, mass_and_cg
 from st_core.identification.result import Identification
 from st_core.identification.steering_ratio import Turntable, steering_ratio
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
@@ -38,7 +38,7 @@ def identify_scales(files: Sequence[Path], setup: Setup) -> tuple[Identification
     vehicle = setup.vehicle
     weighings = Weighings(np.concatenate(readings), tuple(names), tuple(loads), scales.pop())
     found = mass_and_cg(weighings, vehicle.wheelbase, setup.uncertainty_of("wheelbase"))
-    swapped = swapped_axles(found, vehicle.wheelbase, vehicle.cg_to_front_axle)
+    swapped = describe_swapped_axles(found, vehicle.wheelbase, vehicle.cg_to_front_axle)
     return (replace(found, warnings=(*found.warnings, *([swapped] if swapped else []))),)
 
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 from st_core.checks.plausibility import implausible_samples
-from st_core.clock_alignment import align, align_by_time_frame, by_hand, standstill_masked
-from st_core.clock_types import Alignment, SharedSignal, Verdict, refused
+from st_core.clock_alignment import align, align_by_time_frame, manual_alignment, mask_standstill
+from st_core.clock_types import Alignment, SharedSignal, Verdict, refused_alignment
 
 from .can_signals import CanSignals, Signal
 from .ins_log import InsLog
@@ -49,12 +49,13 @@ def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, sear
     time_frames = [signal for signal in can.all_of("ins_unix_time") if np.isfinite(signal.values).sum() > 1]
     if offset is not None:
         at_ns = int(pairs[0].other_time_ns[0]) if pairs else 0
-        result = by_hand(round(offset * 1e9), at_ns, pairs)
+        result = manual_alignment(round(offset * 1e9), at_ns, pairs)
     elif ins.absolute and time_frames:
         finest = min(time_frames, key=lambda s: TIME_FRAME_RESOLUTION.get(s.message, 1.0))
         result = _align_by_checked_time_frame(finest, pairs if not warning else [], latency)
     elif not pairs:
-        return refused("the CAN log and the INS recording have no signal in common; give the offset by hand"), pairs
+        reason = "the CAN log and the INS recording have no signal in common; give the offset by hand"
+        return refused_alignment(reason), pairs
     else:
         result = align(pairs, search=search)
         if result.ambiguous and search is None and ins.absolute:
@@ -142,7 +143,7 @@ def without_implausible(ins: InsLog, can: CanSignals) -> tuple[InsLog, CanSignal
 
 def _is_moving(time_ns: np.ndarray, speed_time_ns: np.ndarray, speed: np.ndarray) -> np.ndarray:
     """Whether the car moves within two seconds of each instant."""
-    return np.isfinite(standstill_masked(time_ns, np.ones(len(time_ns)), speed_time_ns, speed, MIN_MOVING_SPEED))
+    return np.isfinite(mask_standstill(time_ns, np.ones(len(time_ns)), speed_time_ns, speed, MIN_MOVING_SPEED))
 
 
 def _opposite_sign_note(pairs: list[SharedSignal], result: Alignment, search: tuple[float, float] | None) -> str:
@@ -188,10 +189,10 @@ def _pair(name: str, kind: str, time_ns: np.ndarray, values: np.ndarray, signal:
           latency: tuple[float, float]) -> SharedSignal:
     other = signal.values
     if speed is not None:
-        other = standstill_masked(signal.time_ns, other, speed.time_ns, speed.values)
+        other = mask_standstill(signal.time_ns, other, speed.time_ns, speed.values)
     return SharedSignal(name, time_ns, values, signal.time_ns, other, *latency, MIN_VARIATION[kind],
                         angle=kind == "angle")
 
 
 def _without_standstill(ins: InsLog, values: np.ndarray) -> np.ndarray:
-    return standstill_masked(ins.time_ns, values, ins.time_ns, ins.velocity[0])
+    return mask_standstill(ins.time_ns, values, ins.time_ns, ins.velocity[0])

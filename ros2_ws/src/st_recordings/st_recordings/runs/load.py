@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from st_core.checks.plausibility import without_implausible
-from st_core.corrections import Correction, corrected, in_words
+from st_core.corrections import Correction, apply_corrections, describe_corrections
 from st_core.errors import StCoreError
 from st_core.vehicle import VehicleParameters
 
@@ -58,7 +58,7 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
     Labels, which count from the first sample, are shifted where first samples are left out.
     """
     left_out = source.settings.get("leave_out", ())
-    phrases = (*in_words(source.settings.get("correct", {})),
+    phrases = (*describe_corrections(source.settings.get("correct", {})),
                *(f"INS left out from {start:g} to {end:g} s" for start, end in left_out))
     if not phrases:
         return run
@@ -66,7 +66,7 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
     if "yaw" in corrections and READERS[source.kind].scales_yaw:
         corrections["yaw"] = replace(corrections["yaw"], scale=1.0)
     try:
-        log = corrected(run.log, corrections, vehicle, left_out)
+        log = apply_corrections(run.log, corrections, vehicle, left_out)
     except StCoreError as error:
         raise RunError(source.where, str(error)) from None
     cut = (int(log.ins_time_ns[0]) - int(run.log.ins_time_ns[0])) * 1e-9 if len(log.ins_time_ns) else 0.0

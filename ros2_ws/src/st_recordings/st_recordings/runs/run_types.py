@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from st_core.checks import AuxiliaryData
-from st_core.clock_types import Alignment, none_needed
+from st_core.clock_types import Alignment, alignment_not_needed
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 
@@ -103,7 +103,7 @@ class LoadedRun:
     provenance: Mapping[str, Any]
     labels: tuple[Label, ...] = ()
     warnings: tuple[str, ...] = ()
-    alignment: Alignment = field(default_factory=none_needed)
+    alignment: Alignment = field(default_factory=alignment_not_needed)
     auxiliary: AuxiliaryData = field(default_factory=AuxiliaryData)
 
 
