@@ -1,4 +1,4 @@
-"""What follows from the evidence: pure functions of figures and limits. No statistics here, no decisions elsewhere."""
+"""Decisions from evidence: pure functions of statistics and limits. All decisions of a discovery are made here."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,10 +15,10 @@ STATED, NEGLIGIBLE, CHANCE, NULL, IRRELEVANT, SENSORS, FILE, BOUND, VARIES, MINO
 
 @dataclass(frozen=True)
 class Checks:
-    """What is checked of an effect once intervals and axle curves are known. null_outside: one of its values has an
-    interval without the null. crossing: parameter with an interval across a bound, "" for none. driven [1]: share of
-    the peak force that was driven, of an effect that is a peak. worse_axle: axle with measured forces that the
-    effects acting on it, this one among them, describe less well than the vehicle file does; "" for none."""
+    """Checks of an effect that need intervals and axle curves. null_outside: an interval excludes the null. crossing:
+    parameter whose interval crosses a bound, "" for none. driven [1]: share of the peak force that was driven, for an
+    effect on the peak. worse_axle: axle whose measured forces are described less well with the effects acting on it,
+    this one included, than with the vehicle file; "" for none."""
 
     null_outside: bool = True
     crossing: str = ""
@@ -28,9 +28,9 @@ class Checks:
 
 @dataclass(frozen=True)
 class Rival:
-    """Another name in the place of one of the answer, `instead`. share [1]: of that one's gain. worse [1]: chance that
-    it equals it. less [1]: gain it lacks. evidence, values: its own, there. shared: it takes a part of what that one
-    does and leaves the rest to it."""
+    """Another effect in the place of one of the answer, `instead`. share [1]: of the gain of `instead`. worse [1]:
+    p-value of the hypothesis that it is no worse. less [1]: gain that it lacks. evidence, values: in that place.
+    shared: it takes over a part of what `instead` does."""
 
     name: str
     instead: str
@@ -44,9 +44,9 @@ class Rival:
 
 @dataclass(frozen=True)
 class Answer:
-    """Everything the outcome depends on. left [1]: errors that are left, over the noise. seen [1]: share of the library
-    that these drives would show at its usual size. bound: number of effects that vary over the drives. together: names
-    of combinations that differ from the vehicle file without a name."""
+    """What the outcome depends on. left [1]: residual over the noise. seen [1]: share of the library that these drives
+    would show at its usual size. bound: number of effects that vary over the drives. together: names of combinations
+    that differ from the vehicle file without a named effect."""
 
     stated: Sequence[Evidence]
     rivals: Mapping[str, Sequence[Rival]]
@@ -86,13 +86,13 @@ def judge(e: Evidence, limits: Limits) -> Reason:
 
 
 def predicts(e: Evidence, limits: Limits) -> Reason:
-    """The verdict on one effect as a correction that only has to help, everywhere: whatever it means."""
+    """The verdict on one effect as an effective correction: it has to improve the prediction everywhere."""
     return _by_chance(e, limits) or _varying(e, limits) or Reason(
         STATED, e.name, {"gain": e.gain, "chance": e.chance}, f"it reduces the size of the errors by {e.share:.1%}")
 
 
 def _varying(e: Evidence, limits: Limits) -> Reason | None:
-    """Why an effect is not the same everywhere; None where it may be."""
+    """The reason why an effect is not the same everywhere; None where it may be."""
     level = varies_over(e, limits)
     if not level:
         return None
@@ -109,18 +109,18 @@ def _of(known: AgainstFile, number: float) -> str:
 
 
 def _by_chance(e: Evidence, limits: Limits) -> Reason | None:
-    """Why the drives alone do not show an effect, or not enough of it; None where they do."""
+    """The reason why the drives do not show an effect, or not enough of it; None where they do."""
     if e.gain < limits.negligible:
         return Reason(NEGLIGIBLE, e.name, {"gain": e.gain, "negligible": limits.negligible},
                       f"it reduces the size of the errors by {e.share:.1%}, below the limit of "
                       f"{limits.negligible:.1%}")
     if e.chance > limits.false_alarm:
         return Reason(CHANCE, e.name, {"chance": e.chance, "false_alarm": limits.false_alarm},
-                      f"with probability {e.chance:.2g} something gains as much where nothing is")
+                      f"some effect gains as much by chance with probability {e.chance:.2g}")
     if e.gain < e.healthy:
         return Reason(CHANCE, e.name, {"gain": e.gain, "healthy": e.healthy},
                       f"it reduces the size of the errors by {e.share:.1%}; between drives of the healthy car "
-                      f"something takes {share_of(e.healthy):.1%}")
+                      f"some effect reduces them by {share_of(e.healthy):.1%}")
     if e.null > limits.doubt:
         return Reason(NULL, e.name, {"chance": e.null, "doubt": limits.doubt},
                       f"values as far from their null come by chance with probability {e.null:.2g}")
@@ -134,19 +134,19 @@ def _by_chance(e: Evidence, limits: Limits) -> Reason | None:
 
 
 def confirmed(e: Evidence, limits: Limits) -> bool:
-    """Whether the sensors among themselves deny that there is nothing, and agree with the value."""
+    """Whether the measurements of the sensors among themselves exclude the null and agree with the value."""
     return (e.sensors is not None and e.sensors_null is not None and e.sensors >= limits.doubt
             and e.sensors_null < limits.false_alarm)
 
 
 def position_of(e: Evidence) -> float:
-    """Fall of the position error, over all or in one driving condition [m]."""
+    """Reduction of the position error, overall or in one driving condition [m]."""
     return max(e.position, e.position_somewhere)
 
 
 def is_relevant(e: Evidence, limits: Limits) -> bool:
-    """Whether an effect is large enough for a name: by the channel where it acts most, by the position, or as a
-    significant error of a sensor."""
+    """Whether an effect is large enough to be named: in the channel that it affects most, in the position, or as an
+    error of a sensor that the others confirm."""
     return (most_affected(e, limits)[1] >= limits.relevant or position_of(e) >= limits.relevant_position
             or (confirmed(e, limits) and e.size >= limits.size))
 
@@ -164,7 +164,7 @@ def _relevance(e: Evidence, limits: Limits) -> dict[str, float]:
 
 
 def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) -> Reason:
-    """Whether an accepted effect is stated, or only kept, so that it does not bend other values."""
+    """Whether an accepted effect is named, or only kept so that it does not bias other values."""
     sure, checks = confirmed(e, limits), checks or Checks()
     if checks.worse_axle:
         return Reason(FORCES, e.name, {"gain": e.gain}, f"the measured forces of the {checks.worse_axle} axle are "
@@ -204,13 +204,13 @@ WORDS = {"run": "the runs", "site": "the sites", "time": "the time in the runs",
 
 
 def varies_over(e: Evidence, limits: Limits) -> str:
-    """The level over which an effect differs so much that the next part may show none of it; "" for none."""
+    """The level over which an effect varies so much that another part may show none of it; "" for none."""
     found = [level for level, a in e.agreement.items() if a.differ < limits.false_alarm and a.absent > limits.doubt]
     return max(found, key=lambda level: e.agreement[level].absent, default="")
 
 
 def varies_relevantly(e: Evidence, limits: Limits) -> bool:
-    """Whether an effect with another value in each part of the driving is reported as bound to it."""
+    """Whether an effect with a different value in each part of the driving is reported."""
     return e.chance < limits.false_alarm and e.gain > max(limits.relevant, e.healthy) and is_relevant(e, limits)
 
 
@@ -232,7 +232,7 @@ def alternative(rival: Rival, limits: Limits) -> Reason:
 
 
 def decide(a: Answer, limits: Limits) -> tuple[Outcome, Reason]:
-    """The outcome, and the rule that made it."""
+    """The outcome, and the rule that decided it."""
     def because(outcome: Outcome, text: str, **figures: float) -> tuple[Outcome, Reason]:
         return outcome, Reason(outcome, "answer", figures, text)
 

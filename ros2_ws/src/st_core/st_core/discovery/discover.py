@@ -1,4 +1,4 @@
-"""From drives to the name of what the model lacks."""
+"""Discovery of missing effects: from recorded drives to named effects, their values and what remains open."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -76,11 +76,11 @@ ALREADY_GIVEN = {
 def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
              reference: Sequence[DriveLog] = (), settings: DiscoverySettings | None = None,
              progress: Progress | None = None, identities: Sensors | None = None, parallel: int = 1) -> Discovery:
-    """The effects the base model lacks to explain the runs.
+    """Find the effects that the base model lacks to explain the runs.
 
-    runs: suspect drives. vehicle: as in its file; the search starts there. reference: drives of the healthy car; the
-    search then starts from the fit to them, and what is found is what has changed since. identities: (value, low, high)
-    by the name of an estimate of `st_core.checks`: what the sensors measure among themselves. parallel: threads.
+    runs: suspect drives. vehicle: of the vehicle file, where the search starts. reference: drives of the healthy car;
+    the search then starts from the fit to them, and finds changes since then. identities: (value, low, high) by the
+    name of an estimate of `st_core.checks`, as the sensors measure it among themselves. parallel: threads.
     progress(stage, done, total): called during the work.
 
     Raises StCoreError for runs in which nothing can be predicted, ConfigurationError for settings that do not fit the
@@ -92,7 +92,7 @@ def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | M
 
 def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model, names: Sequence[str],
                 settings: DiscoverySettings | None = None) -> Model:
-    """The base with some effects fitted jointly to the runs: what the search would find given their names."""
+    """The base model with the given effects fitted jointly to the runs."""
     settings = settings or DiscoverySettings()
     space = Space(base, settings)
     windows = Windows(runs, vehicle, settings)
@@ -108,7 +108,8 @@ def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str 
 
 
 class _Names(NamedTuple):
-    """The effects of an answer by verdict, the verdicts by name, and the axles under the answer."""
+    """The effects of an answer by verdict, the verdicts by name, values without each run, and what holds for the axles.
+    """
 
     stated: tuple[FoundEffect, ...]
     minor: tuple[FoundEffect, ...]
@@ -181,7 +182,7 @@ class _Work:
             acceleration_gain=float(fit.vector[-1]), noise={c: g.augmented for c, g in gap.items()})
 
     def _names(self, search: Search, found: Found, parts: Mapping[str, Level], floor: Mapping[str, float]) -> _Names:
-        """The effects of the search with the verdict on each name, and what they mean for the axles."""
+        """The verdict on each effect of the search, with force curves and combinations of the axles."""
         problem = self.problem
         all_free = joint(problem, found.fit) if problem.prior is None else None
         position = problem.position(problem.held_out_rows(found.fit, problem.held_out_groups))
@@ -197,7 +198,7 @@ class _Work:
         return _Names(stated, minor, denied, verdicts, left_out, curves, combinations)
 
     def _named_model(self, found: Found, names: _Names) -> AugmentedModel | None:
-        """The model without the names that the axle forces contradict; None where no effect was found."""
+        """The model without the effects that the axle forces contradict; None if no effect was found."""
         if not found.fit.names:
             return None
         return self.space.at(self.problem.vector_without(found.fit, *(e.name for e in names.denied)))
@@ -218,8 +219,8 @@ class _Work:
                              [c.name for c in together]), self.limits)
 
     def _corrected(self, found: Found, parts: Mapping[str, Level]) -> tuple[Problem, Fit]:
-        """What predicts best with the answer in it, whatever the vehicle file states, and the problem it is of; the
-        answer itself where that gains too little. With a reference all that its drives show is free already."""
+        """The problem and fit that predict best with the answer included, without the priors of the vehicle file; the
+        answer itself where the gain is too small, and with a reference, whose drives leave these parameters free."""
         problem, scale = self.problem, self.problem.loss.scale
         if problem.prior is not None:
             return problem, found.fit
@@ -236,13 +237,13 @@ class _Work:
     # Inputs
 
     def _problem(self) -> tuple[Problem, dict[str, float]]:
-        """What is searched, from the fit to the reference if there is one, and the noise of every column."""
+        """The problem to search, starting from the fit to the reference if there is one, and the noise by column."""
         settings, space = self.settings, self.space
         start, prior, between, by_column = space.null, None, 0.0, noise_floor(self.windows)
         if self.reference:
             healthy = learn(self.reference, self.vehicle, space, settings, self.threads, self._tick("reference"))
             start, prior, between = healthy.vector, healthy.prior, healthy.gain
-            # Errors that no effect describes in the healthy car either are not a change of it.
+            # Residuals of the healthy car are no change of it.
             by_column = {c: max(by_column[c], float(v))
                          for c, v in zip(self.windows.columns, healthy.left, strict=True)}
             by_column["position_5s"] = healthy.position
@@ -304,7 +305,7 @@ class _Work:
             *most_affected(evidence, self.limits))
 
     def _cancelling(self, search: Search, found: Found, name: str) -> tuple[str, ...]:
-        """Effects of the answer that cancel one: without both, much less is lost than without either."""
+        """Effects of the answer that cancel this one: removing both costs much less than removing one."""
         fit, alone = found.fit, search.promised(found.fit, name)
         return tuple(n for n in fit.names if n != name and search.promised(fit, n, name)
                      < self.limits.rival * max(alone, search.promised(fit, n)))
@@ -316,8 +317,8 @@ class _Work:
 
     def _axles(self, found: Found, all_free: Joint | None,
                unexplained: float) -> tuple[Axles | None, tuple[ForceCurve, ...], tuple[Combination, ...]]:
-        """(forces of the axles under the answer, their curves, what acts together); nothing for a base without tyres,
-        driving without slip, or values so uncertain that they are outside those of cars."""
+        """(axle forces under the answer, force curves, combinations); empty for a base without tyres, driving without
+        slip, or values so uncertain that they exceed those of cars."""
         base = self.space.at(self.problem.start)
         try:
             axles = Axles(self.problem, found.fit, all_free, self.runs, self.vehicle, unexplained)
@@ -327,8 +328,8 @@ class _Work:
 
     def _verdicts(self, found: Found, everything: Sequence[FoundEffect], axles: Axles | None,
                   left_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, Reason]:
-        """The verdict on each effect of the answer. With a reference its own drives decide instead of
-        intervals, which hold what it leaves open."""
+        """The verdict on each effect of the answer. With a reference, intervals do not decide, as they contain what its
+        drives leave open."""
         worse: dict[str, str] = {}
         driven = 1.0
         if axles is not None and not self.reference:
@@ -346,9 +347,9 @@ class _Work:
                      for n in fit.names if n not in found.fit.names)
 
     def _varying_effects(self, found: Found, parts: Mapping[str, Level]) -> list[tuple[BoundEffect, Fit | None]]:
-        """What is significant but not the same everywhere: effects refused for that, else the one that varies most."""
+        """The effect that is significant but varies over the driving: one refused for that, else the most variable."""
         collected: list[tuple[BoundEffect, Fit | None]] = []
-        # One fact is not both named and "not named": not what is in the answer, nor what could stand in its place.
+        # An effect of the answer, or an alternative to one, is not reported as varying as well.
         taken = [*found.fit.names, *(r.name for others in found.rivals.values() for r in others
                                      if alternative(r, self.limits).rule == "alternative")]
         for name, (evidence, verdict, fit) in found.refused.items():
@@ -369,7 +370,7 @@ class _Work:
         return collected
 
     def _as_bound_effect(self, v: Varying, position: float) -> BoundEffect:
-        """Shares are of the largest change any part shows. position [m]: fall of the error."""
+        """Shares are relative to the largest change of any part. position [m]: reduction of the error."""
         free = next(f for f in self.space.free if (f.effect, f.parameter) == (v.name, v.parameter))
         value, spread = max(v.values.values(), key=lambda each: abs(each[0] - free.null))
         change = value - free.null or free.usual
@@ -384,7 +385,7 @@ class _Work:
 
     def _candidates(self, found: Found, named: Mapping[str, Reason]) -> tuple[Candidate, ...]:
         problem, space, rows = self.problem, self.space, []
-        # Of a name that was tried in several places, where it explains most.
+        # An effect that was tried in several places is listed where it explains most.
         rivals = {r.name: r for r in sorted((r for others in found.rivals.values() for r in others),
                                             key=lambda r: (alternative(r, self.limits).rule == "alternative", r.share))}
         for name in space.hypotheses:
@@ -438,7 +439,7 @@ class _Work:
 
     @staticmethod
     def _floor(by_column: Mapping[str, float]) -> dict[str, float]:
-        """Of each channel at the end of the horizon, and of the mean position error."""
+        """Noise of each channel at the end of the horizon, and of the mean position error."""
         result: dict[str, float] = {}
         for column, value in by_column.items():
             channel = OF_COLUMN[column].name if column in OF_COLUMN else column
@@ -449,7 +450,7 @@ class _Work:
         return result
 
     def _residual_signature(self, left: float, statements: Sequence[WhereStatement]) -> tuple[str, ...]:
-        """What is unexplained, in words."""
+        """Description of the residual, empty where it is near the noise."""
         if left <= self.limits.left:
             return ()
         return (f"errors are {left:.1f} times the noise", *(f"{w.channel}: {w.condition}" for w in statements[:5]))
@@ -480,7 +481,8 @@ def _values(evidence: Evidence) -> dict[str, tuple[Value, ...]]:
 
 
 def parameter_across_bound(effect: FoundEffect) -> str:
-    """Parameter with an interval across a bound other than its null, its theoretical value, or one of a curve."""
+    """Name of a parameter whose interval crosses a bound, "" without one. Bounds at the null, at the theoretical value
+    and of curve shapes do not count."""
     for p in get_effect(effect.name).parameters:
         fitted = effect.parameters.get(p.name)
         if fitted is not None and not p.shape and any(
@@ -490,13 +492,13 @@ def parameter_across_bound(effect: FoundEffect) -> str:
 
 
 def null_excluded(effect: FoundEffect) -> bool:
-    """Whether the interval of one of its values leaves out the null."""
+    """Whether the interval of one of the values excludes the null."""
     return any(not p.interval[0] <= p.null <= p.interval[1] for p in effect.parameters.values())
 
 
 def with_sensor_interval(fitted: FittedParameter, known: tuple[float, float, float] | None) -> FittedParameter:
-    """With an interval as wide as that measured by the sensors among themselves, (value, low, high), where they agree
-    with the value and deny the null that its own interval contains."""
+    """The value with the width of the interval that the sensors measure among themselves, (value, low, high), where
+    they agree with the value and exclude the null although its own interval contains it."""
     _, low, high = known or (0.0, -np.inf, np.inf)
     open_ = fitted.interval[0] <= fitted.null <= fitted.interval[1]
     if not open_ or not low <= fitted.value <= high or low <= fitted.null <= high:
