@@ -69,11 +69,11 @@ class AugmentedModel(Model):
         return any(effect.observe for effect in self.active)
 
     @property
-    def measuring(self) -> tuple:
+    def correction_key(self) -> tuple:
         """Cache key of a corrected recording: equal for models whose `steering` and `correct` change it equally."""
         return tuple((e.name, *self.values[e.name].values()) for e in self.active if e.steering or e.observe)
 
-    def looked_at(self, p: Any) -> tuple:
+    def input_dependencies(self, p: Any) -> tuple:
         """The part of the parameters p that `inputs` depends on; a cache key for inputs."""
         own = compose(self.base, self.effects).own
         return (p.base, *(t for e, t in zip(own, p.effects, strict=True) if e.inputs or e.prepare)) if own else p

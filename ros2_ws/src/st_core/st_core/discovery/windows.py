@@ -83,12 +83,12 @@ class Batch(LogBatch):
         self._tables: OrderedDict[tuple, tuple[list[np.ndarray], np.ndarray]] = OrderedDict()
 
     def recording(self, model: Any) -> Recording:
-        key = model.measuring
+        key = model.correction_key
         return _remember(self._recordings, key, self._recordings.pop(key, None) or super().recording(model))
 
     def _table(self, block: Block, values: list[np.ndarray], model: Any, p: Any) -> np.ndarray:
         # The values are kept too, so that their memory is not reused while their id is a key.
-        key = (block.number, model.inputs, model.looked_at(p), *map(id, values))
+        key = (block.number, model.inputs, model.input_dependencies(p), *map(id, values))
         known = self._tables.pop(key, None) or (values, super()._table(block, values, model, p))
         return _remember(self._tables, key, known)[1]
 
