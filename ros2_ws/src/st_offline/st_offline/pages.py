@@ -48,6 +48,6 @@ def template(name: str, **filters: Callable) -> jinja2.Template:
     environment = jinja2.Environment(loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True,
                                      undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters.update(drawing=Markup, cells=lambda row: list(row.values()), **filters)
-    environment.globals.update(checking=check_report, columns=columns, findings_in=check_report.findings_in,
+    environment.globals.update(checking=check_report, columns=columns, findings_in=check_report.findings_from_json,
                                colours=MODEL_COLOUR, dark=DARK)
     return environment.get_template(name)

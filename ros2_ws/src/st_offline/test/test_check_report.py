@@ -10,15 +10,17 @@ import yaml
 from st_core.checks import Advice, Channel, Checked, Finding, Identity, Severity
 from st_core.clock_types import Alignment, Verdict
 from st_core.vehicle import VehicleParameters
-from st_offline.checking import check_report as words
-from st_offline.checking.check_page import summary, title, write_page
+from st_offline.checking import check_report
+from st_offline.checking.check_page import page_summary, page_title, write_page
 from st_offline.checking.check_report import (
     CheckedRun,
+    describe_effect,
+    describe_stretches,
     document,
-    documents,
-    findings_in,
+    findings_as_json,
+    findings_from_json,
     print_findings,
-    show,
+    print_run,
 )
 from st_offline.checking.gate import Refused
 from st_offline.checking.run_corrections import run_yaml, with_corrections
@@ -81,35 +83,36 @@ class Lines:
     (1234.5, (1230.0, 1239.0), "m/s^2", "1234.5 ± 4.5 m/s²"), (None, None, "m", ""), (6, (6.0, 6.0), "1", "6"),
 ])
 def test_numbers_have_the_digits_their_interval_bears(value, interval, unit, text):
-    assert words.number(value, interval, unit) == text
+    assert check_report.format_value(value, interval, unit) == text
 
 
 def test_where_and_effect():
-    assert words.where(DEGREES) == "whole run" and words.where(JUMPS) == "1.0 to 1.5 s, 3.0 to 3.2 s"
-    assert words.where(Finding("a", Severity.NOTE, (), "t", where=((0.71, 0.72), (3.0, 3.2)))) == "0.7 s, 3.0 to 3.2 s"
+    assert describe_stretches(DEGREES) == "whole run" and describe_stretches(JUMPS) == "1.0 to 1.5 s, 3.0 to 3.2 s"
+    short = Finding("a", Severity.NOTE, (), "t", where=((0.71, 0.72), (3.0, 3.2)))
+    assert describe_stretches(short) == "0.7 s, 3.0 to 3.2 s"
     many = tuple((float(k), k + 0.5) for k in range(9))
-    assert words.where(Finding("a", Severity.NOTE, (), "t", where=many)).endswith("3.0 to 3.5 s and 5 more")
-    assert words.effect(DEGREES) == "shifts the position after 5 s by about 130 m" and words.effect(COARSE) == ""
+    assert describe_stretches(Finding("a", Severity.NOTE, (), "t", where=many)).endswith("3.0 to 3.5 s and 5 more")
+    assert describe_effect(DEGREES) == "shifts the position after 5 s by about 130 m" and describe_effect(COARSE) == ""
 
 
 def test_the_verdict_counts_and_says_what_it_means():
-    assert words.verdict(checked()) == "1 error, 2 warnings, 1 note: an evaluation would be meaningless"
-    assert words.verdict(checked([MOVED])) == "1 warning: an evaluation would be biased"
+    assert check_report.verdict(checked()) == "1 error, 2 warnings, 1 note: an evaluation would be meaningless"
+    assert check_report.verdict(checked([MOVED])) == "1 warning: an evaluation would be biased"
     leans = Finding("acceleration_y_bias", Severity.WARNING, ("acceleration_y",), "too low")
-    assert words.verdict(checked([leans])) == "1 warning: identify and discover would be misled"
-    assert words.verdict(checked([MOVED, leans])) == "2 warnings: an evaluation would be biased"
-    assert words.verdict(checked([])) == "nothing found, in 1 comparison"
-    assert "nothing to compare" in words.verdict(Checked((), {}, ()))
-    assert words.answer(checked([DEGREES])) == "1 error: yaw rate is 57.3 times too large: deg/s?"
+    assert check_report.verdict(checked([leans])) == "1 warning: identify and discover would be misled"
+    assert check_report.verdict(checked([MOVED, leans])) == "2 warnings: an evaluation would be biased"
+    assert check_report.verdict(checked([])) == "nothing found, in 1 comparison"
+    assert "nothing to compare" in check_report.verdict(Checked((), {}, ()))
+    assert check_report.headline(checked([DEGREES])) == "1 error: yaw rate is 57.3 times too large: deg/s?"
 
 
 def test_the_gravest_comes_first():
-    assert sorted((COARSE, MOVED, JUMPS, DEGREES), key=words.gravity) == [DEGREES, MOVED, JUMPS, COARSE]
+    assert sorted((COARSE, MOVED, JUMPS, DEGREES), key=check_report.gravity) == [DEGREES, MOVED, JUMPS, COARSE]
 
 
 def test_the_terminal_holds_everything_and_obeys_no_name():
     console = Lines()
-    show(run(HOSTILE), console)
+    print_run(run(HOSTILE), console)
     text = console.file.getvalue()
     for one in ALL:
         assert one.text in text and one.name in text and one.advice.line in text
@@ -128,19 +131,19 @@ def test_other_verbs_print_each_finding_once_with_its_runs():
 def test_an_opposite_steering_sign_comes_first_with_what_to_type():
     sign = Finding("steering_sign", Severity.ERROR, ("road_wheel_angle",), "is -1 times the angle", -1.0, "1")
     console = Lines()
-    show(replace(run("drive", (DEGREES, sign)), where="logs/drive.csv"), console)
+    print_run(replace(run("drive", (DEGREES, sign)), where="logs/drive.csv"), console)
     first = console.file.getvalue().splitlines()[0]
     assert "opposite sign" in first and "--steering-sign -1" in first and "CAN" not in first
     assert "`st check logs/drive.csv --propose-correction run.yaml`" in first
     assert "opposite sign" in str(Refused("a.csv", [sign])) and "opposite" not in str(Refused("a.csv", [DEGREES]))
-    assert summary([run("drive", (sign,))])[1].startswith("The steering angle has the opposite sign")
+    assert page_summary([run("drive", (sign,))])[1].startswith("The steering angle has the opposite sign")
 
 
 def test_an_opposite_sign_in_a_can_log_is_answered_with_its_option():
     sign = Finding("steering_sign", Severity.ERROR, ("road_wheel_angle",), "is -1 times the angle", -1.0, "1")
     alignment = about_alignment(Alignment(0, 0, 0.0, 0.001, 0.1, "shared signals", Verdict.GOOD))
     console = Lines()
-    show(replace(run("drive", (sign,)), alignment=alignment), console)
+    print_run(replace(run("drive", (sign,)), alignment=alignment), console)
     first = console.file.getvalue().splitlines()[0]
     assert "steering_sign in car.yaml" in first and "--steering-field" not in first and "run.yaml" not in first
 
@@ -148,13 +151,13 @@ def test_an_opposite_sign_in_a_can_log_is_answered_with_its_option():
 def test_the_clocks_of_many_runs_are_one_sentence():
     found = {str(n): about_alignment(Alignment(0, -n * 100_000_000, 0.0, 0.001 * n, 0.1, "shared signals", verdict))
              for n, verdict in enumerate((Verdict.GOOD, Verdict.GOOD, Verdict.DOUBTFUL), 1)}
-    assert words.clocks({**found, "csv": {"method": "none"}}) == (
+    assert check_report.describe_clocks({**found, "csv": {"method": "none"}}) == (
         "steering clocks of 3 runs: +0.100 to +0.300 s relative to INS, found from the data, at worst ± 3.0 ms, "
         "1 of them doubtful")
-    assert words.clocks({**found, "set": {**found["1"], "method": "by hand"}}).endswith(
+    assert check_report.describe_clocks({**found, "set": {**found["1"], "method": "by hand"}}).endswith(
         "; set: steering clock: +0.100 s relative to INS, set by hand")
     del found["3"]
-    assert words.clocks(found).count("steering clock:") == 2
+    assert check_report.describe_clocks(found).count("steering clock:") == 2
 
 
 @pytest.mark.parametrize(("method", "text"), [
@@ -163,17 +166,17 @@ def test_the_clocks_of_many_runs_are_one_sentence():
      "good)")])
 def test_the_clock_of_the_steering_is_stated(method, text):
     alignment = about_alignment(Alignment(0, -430_000_000, 0.0, 0.0012, 0.1, method, Verdict.GOOD))
-    assert words.clock(alignment) == text
+    assert check_report.describe_clock(alignment) == text
     console = Lines()
-    show(replace(run(), alignment=alignment), console)
+    print_run(replace(run(), alignment=alignment), console)
     assert (text in console.file.getvalue()) and ("steering clock" in console.file.getvalue()) is bool(text)
 
 
 def test_findings_survive_json():
-    about = json.loads(json.dumps({"findings": documents(ALL)}, allow_nan=False))
-    back = findings_in(about)
-    assert back[:3] == list(ALL[:3]) and back[3].value is None and documents(back) == about["findings"]
-    assert findings_in({}) == []
+    about = json.loads(json.dumps({"findings": findings_as_json(ALL)}, allow_nan=False))
+    back = findings_from_json(about)
+    assert back[:3] == list(ALL[:3]) and back[3].value is None and findings_as_json(back) == about["findings"]
+    assert findings_from_json({}) == []
 
 
 def test_the_document_has_no_number_json_lacks():
@@ -196,7 +199,7 @@ def test_the_page_holds_every_finding_escaped_and_loads_nothing(tmp_path):
     assert "57.30 ± 0.10" in text and "1.0 to 1.5 s, 3.0 to 3.2 s" in text and "after 5 s by about 130 m" in text
     assert text.count("<figure>") == 2 and "var(--bad)" in text and "prefers-color-scheme: dark" in text
     assert "correct: {&#34;yaw_rate&#34;: {&#34;scale&#34;: 0.01745}}" in text
-    assert title(runs).startswith("Errors in 1 of 2 runs (<script>")
+    assert page_title(runs).startswith("Errors in 1 of 2 runs (<script>")
 
 
 def test_a_page_of_many_runs_stays_small(tmp_path):
@@ -264,15 +267,15 @@ def test_what_was_corrected_before_is_corrected_further():
 
 @pytest.mark.parametrize(("name", "message"), [("cure.yaml", "name it run.yaml"), ("run.yaml", "exists; choose")])
 def test_a_proposal_nobody_would_read_or_that_overwrites_is_refused(tmp_path, name, message):
-    from st_offline.checking.run_corrections import check_name
+    from st_offline.checking.run_corrections import check_file_name
 
     (tmp_path / name).write_text("name: mine\n")
     with pytest.raises(OutputError, match=message):
-        check_name(tmp_path / name)
+        check_file_name(tmp_path / name)
 
 
 def test_a_quantity_has_the_unit_of_its_finding():
-    assert words.quantity("yaw_rate_lag", (0.31, 0.29, 0.33)) == "0.310 ± 0.020 s"
-    assert words.quantity("yaw_rate_bias", (0.004, 0.003, 0.005)) == "0.0040 ± 0.0010 rad/s"
-    assert words.quantity("acceleration_y_bias", (-0.6, -0.8, -0.4)) == "-0.60 ± 0.20 m/s²"
-    assert words.quantity("x_scale", (0.97, 0.96, 0.98)) == "0.970 ± 0.010"
+    assert check_report.format_quantity("yaw_rate_lag", (0.31, 0.29, 0.33)) == "0.310 ± 0.020 s"
+    assert check_report.format_quantity("yaw_rate_bias", (0.004, 0.003, 0.005)) == "0.0040 ± 0.0010 rad/s"
+    assert check_report.format_quantity("acceleration_y_bias", (-0.6, -0.8, -0.4)) == "-0.60 ± 0.20 m/s²"
+    assert check_report.format_quantity("x_scale", (0.97, 0.96, 0.98)) == "0.970 ± 0.010"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from st_core.vehicle import VehicleParameters
-from st_offline.checking.gate import passed_bag
+from st_offline.checking.gate import check_bag
 from st_recordings.paths import config
 from st_recordings.runs import ReadSettings, find_runs, read
 from st_recordings.runs.bag import definitions, read_bag
@@ -105,7 +105,7 @@ def test_the_hand_wheel_becomes_the_road_wheels_by_the_vehicle_file(tmp_path):
 def test_what_is_no_angle_is_refused_by_name(tmp_path, topic, field, said):
     folder = bag(tmp_path / "drive")
     with pytest.raises(RunError) as error:
-        passed_bag(folder, None, True, ReadSettings(steering=SteeringField(topic, field)))
+        check_bag(folder, None, True, ReadSettings(steering=SteeringField(topic, field)))
     assert said in str(error.value) and "\n" not in str(error.value)
 
 

@@ -30,8 +30,8 @@ def replay(
     from st_live.replaying import replay_bag
     from st_live.report import conclude
     from st_live.suite import SuiteError
-    from st_offline.checking.check_report import documents, print_findings
-    from st_offline.checking.gate import passed_bag
+    from st_offline.checking.check_report import findings_as_json, print_findings
+    from st_offline.checking.gate import check_bag
     from st_recordings.paths import new_folder
 
     console = Console()
@@ -39,14 +39,14 @@ def replay(
         vehicle, read = read_options.resolve()
         bag, _ = recordings_of(bag)
         page = LiveView(view, view_address, view_save)
-        findings = passed_bag(bag, vehicle, force, read)
+        findings = check_bag(bag, vehicle, force, read)
         print_findings({bag.name: findings}, console)
         shared.report_default_car_of_bag("replay", bag, vehicle)
         folder = new_folder(output, f"replay-{bag.stem}")
         outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console, page, bands, course, adaptive,
                                    read)
     about = {"what": f"replay of {bag.name}", "source": str(bag), "vehicle": name,
-             "findings": documents(findings)}
+             "findings": findings_as_json(findings)}
     status = conclude(folder, outcome, about, console)
     page.finish(folder, console)
     raise typer.Exit(status)
@@ -74,12 +74,12 @@ def verify(
     from st_live.suite import SuiteError
     from st_live.verification import verify_command
     from st_offline.checking.check_report import print_findings
-    from st_offline.checking.gate import passed_bag
+    from st_offline.checking.gate import check_bag
 
     with shared.refusals("verify", SuiteError):
         vehicle, read = read_options.resolve()
         shared.report_default_car_of_bag("verify", bag, vehicle)
         console = Console()
-        print_findings({bag.name: passed_bag(recordings_of(bag)[0], vehicle, force, read)}, console)
+        print_findings({bag.name: check_bag(recordings_of(bag)[0], vehicle, force, read)}, console)
         status = verify_command(bag, vehicle, tolerance, replayed, output, console, read)
     raise typer.Exit(status)

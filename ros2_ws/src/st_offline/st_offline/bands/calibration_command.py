@@ -27,7 +27,7 @@ from st_recordings.paths import OutputError
 from st_recordings.recorded import recorded_configuration
 from st_recordings.runs import LoadedRun, RunError, RunSource, find_runs, read
 
-from ..checking.gate import passed
+from ..checking.gate import check_for_use
 from ..evaluation.work import Task, load_models, model_hashes
 from ..terminal import line
 
@@ -86,7 +86,7 @@ def collect(sources: Sequence[RunSource], task: Task, models: Sequence[Model], r
                         raise RunError(source.where, f"has the same content as {before[digest]}",
                                        "give every recording once")
                 _refuse_other_car(source, run, task.vehicle)
-                passed(source.where, run, task.vehicle, task.force, models, task.settings.prediction.step)
+                check_for_use(source.where, run, task.vehicle, task.force, models, task.settings.prediction.step)
                 samples.append(run_samples(models, task.vehicle, task.settings.signals(run.log), task.settings))
         except (RunError, StCoreError) as error:
             problems.append(f"{source.name}: {' '.join(str(error).split())}")

@@ -1,1 +1,1 @@
-"""Recordings checked: the gate every verb passes them through, and the work and the output of `st check`."""
+"""Checks of recordings: the gate before every verb, and the command `st check`."""

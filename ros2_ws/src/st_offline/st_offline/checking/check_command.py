@@ -17,9 +17,9 @@ from st_recordings.runs.raw import about_alignment
 
 from ..terminal import line, list_files, progress_bars, report_problem
 from .check_page import write_page
-from .check_report import CheckedRun, document, show
-from .gate import PROBLEMS, checked_log, in_words
-from .run_corrections import check_name, run_yaml
+from .check_report import CheckedRun, document, print_run
+from .gate import RUN_ERRORS, check_log, describe_problem
+from .run_corrections import check_file_name, run_yaml
 
 MODELS = ("linear", "nonlinear")
 
@@ -47,7 +47,7 @@ def run_command(job: Job, console: Console, report_vehicle: Callable[[str], None
     """
     sources = find_runs(job.paths)
     if job.correction_file is not None:
-        check_name(job.correction_file)
+        check_file_name(job.correction_file)
         if len(sources) != 1:
             raise ConfigurationError(f"--propose-correction: {len(sources)} runs were given, and a run.yaml describes "
                                      "one: name it")
@@ -58,13 +58,13 @@ def run_command(job: Job, console: Console, report_vehicle: Callable[[str], None
         for source in progress.track(sources, description="checking"):
             try:
                 good.append(check_run(source, job))
-            except PROBLEMS as error:
-                failed[source.name] = in_words(error, source)
+            except RUN_ERRORS as error:
+                failed[source.name] = describe_problem(error, source)
     if not good:
         raise ConfigurationError("no run can be read: " + "; ".join(failed.values()))
     new_folder(folder, "")
     for run in good:
-        show(run, console)
+        print_run(run, console)
     for name, problem in failed.items():
         report_problem(name, problem, console)
     for number, one in enumerate(compare_runs([run.checked for run in good])):
@@ -84,14 +84,14 @@ def check_run(source: RunSource, job: Job) -> CheckedRun:
     if source.kind == "bag" and not job.given:
         car, _, car_from = configuration_of(records_of(source.where), None)
     run = read(source, car, job.read)
-    checked = checked_log(run.log, car, run.auxiliary, MODELS)
+    checked = check_log(run.log, car, run.auxiliary, MODELS)
     return CheckedRun(source.name, checked, car, car_from, run.log.duration, run.warnings, run.provenance["files"],
                       about_alignment(run.alignment), str(source.where))
 
 
 def write(good: Sequence[CheckedRun], failed: Mapping[str, str], folder: Path, json: Path | None,
           texts: Mapping[Path, str], console: Console) -> dict[Path, str]:
-    """All files, with what they are. texts: text of a run.yaml by its file."""
+    """Write all files; what they contain, by file. texts: text of a run.yaml by its file."""
     content = document(good, failed)
     page, numbers = folder / "report.html", json or folder / "check.json"
     with console.status("drawing, writing the page"):

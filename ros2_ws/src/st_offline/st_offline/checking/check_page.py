@@ -1,4 +1,4 @@
-"""The page of `st check`: what is wrong, what to do, and each comparison as a figure."""
+"""The page of `st check`: findings, corrections, and a figure of each comparison."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -14,19 +14,19 @@ from ..evaluation.drawing import BAD, TEXT, WARN, WIDTH, Drawn, Place, broken, f
 from ..evaluation.evaluation_report import MAX_FIGURES
 from ..evaluation.work import slug
 from ..pages import template
-from . import check_report as words
+from . import check_report
 from .check_report import CheckedRun, residual_rms
 
 HEIGHT = 3.1  # inch
 GAP = 1.5  # s; no line across
-LEAST_SHADE = 0.004  # of the width: what is shorter must be seen too
+LEAST_SHADE = 0.004  # of the width, so that short stretches are visible
 SHADE = {Severity.ERROR: BAD, Severity.WARNING: WARN, Severity.NOTE: MEASURED_COLOUR}
 DERIVED_COLOUR = MODEL_COLOUR["kinematic"]
 
 
-def panel(identity: Identity, checked: Checked, place: Place) -> Drawn:
-    """The figure of one identity; the stretches of the findings that rest on it are shaded."""
-    findings = sorted((one for one in checked.findings if one.name in identity.findings), key=words.gravity)
+def draw_panel(identity: Identity, checked: Checked, place: Place) -> Drawn:
+    """Figure of one identity, with the stretches of its findings shaded."""
+    findings = sorted((one for one in checked.findings if one.name in identity.findings), key=check_report.gravity)
     with style():
         figure, (upper, lower) = plt.subplots(2, 1, figsize=(WIDTH, HEIGHT), sharex=True, height_ratios=(3, 2))
         time = np.asarray(identity.time, float)
@@ -43,7 +43,7 @@ def panel(identity: Identity, checked: Checked, place: Place) -> Drawn:
                     axes.axvspan(start, max(end, start + shortest), color=SHADE[finding.severity], alpha=0.3, lw=0)
         lower.axhline(0.0, color=TEXT, lw=0.5)
         lower.set_xlabel("after the first INS measurement, s")
-        unit = words.unit(identity.unit) or "1"
+        unit = check_report.unit_symbol(identity.unit) or "1"
         upper.set_ylabel(unit)
         lower.set_ylabel(f"difference\n{unit}")
         figure.align_ylabels()
@@ -51,16 +51,16 @@ def panel(identity: Identity, checked: Checked, place: Place) -> Drawn:
         key = f"identity-{identity.name}"
         shaded = ", shaded where a finding has its stretches" if any(one.where for one in findings) else ""
         caption = f"Grey: {identity.measured_label}; blue: {identity.derived_label}; below, grey minus blue{shaded}."
-        size = f"{residual_rms(identity):.2g} {words.unit(identity.unit)}".strip()
+        size = f"{residual_rms(identity):.2g} {check_report.unit_symbol(identity.unit)}".strip()
         found = findings[0].text if findings else f"no finding; they differ by {size} (root mean square)"
         return finish(figure, place, key, f"{identity.title[0].upper()}{identity.title[1:]}: {found}", caption)
 
 
-def title(good: Sequence[CheckedRun]) -> str:
-    """Verdict over all runs in one sentence."""
+def page_title(good: Sequence[CheckedRun]) -> str:
+    """Verdict on all runs in one sentence."""
     if len(good) == 1:
-        return f"{good[0].name}: {words.answer(good[0].checked)}"
-    worst = {severity: [run.name for run in good if run.checked.of(severity)] for severity in words.GRAVITY[:2]}
+        return f"{good[0].name}: {check_report.headline(good[0].checked)}"
+    worst = {severity: [run.name for run in good if run.checked.of(severity)] for severity in check_report.GRAVITY[:2]}
     if not any(worst.values()):
         return f"{len(good)} runs: no error and no warning"
     counts = [f"{severity.value}s in {len(names)} of {len(good)} runs ({', '.join(names)})"
@@ -69,21 +69,21 @@ def title(good: Sequence[CheckedRun]) -> str:
     return sentence[0].upper() + sentence[1:]
 
 
-def summary(good: Sequence[CheckedRun]) -> list[str]:
-    """What the findings mean, what to do, and what belongs to the car: at most three sentences."""
+def page_summary(good: Sequence[CheckedRun]) -> list[str]:
+    """Meaning of the findings, what to do, and the clocks: at most three sentences."""
     findings = [one for run in good for one in run.checked.findings]
-    gravest = min(findings, key=words.gravity, default=None)
+    gravest = min(findings, key=check_report.gravity, default=None)
     if gravest is None or gravest.severity is Severity.NOTE:
         return ["Nothing has to be corrected: every command can use these runs."]
     sizes = [one.effect for one in findings if one.severity is not Severity.NOTE and one.effect is not None]
     size = f", by up to {max(sizes):.2g} m after 5 s" if sizes and gravest.severity is Severity.WARNING else ""
     refused = ": every command refuses such a run without --force" if gravest.severity is Severity.ERROR else ""
-    meaning = words.MEANING[gravest.severity]
-    sign = next(filter(None, (words.opposite_sign(
+    meaning = check_report.MEANING[gravest.severity]
+    sign = next(filter(None, (check_report.advise_steering_sign(
         run.checked.findings, run.where, run.alignment["method"] != "none") for run in good)), "")
     correct = (f"Correct: `st check {good[0].where if len(good) == 1 else 'RUN'} --propose-correction run.yaml` writes "
                "the corrections into a run.yaml; use that instead of the recording.")
-    clocks = words.clocks({run.name: run.alignment for run in good})
+    clocks = check_report.describe_clocks({run.name: run.alignment for run in good})
     return [f"{meaning[0].upper()}{meaning[1:]}{size}{refused}.", f"{sign[0].upper()}{sign[1:]}." if sign else correct,
             *([f"{clocks}."] if clocks else [])]
 
@@ -91,9 +91,9 @@ def summary(good: Sequence[CheckedRun]) -> list[str]:
 def write_page(file: Path, good: Sequence[CheckedRun], failed: Mapping[str, str], content: dict[str, Any]) -> None:
     """content: of check.json."""
     text = template("checking/check.html.jinja").render(
-        title=title(good), summary=summary(good), runs=good, content=content, figures=_figures(good),
+        title=page_title(good), summary=page_summary(good), runs=good, content=content, figures=_figures(good),
         problems=failed,
-        groups=words.by_name({run.name: run.checked.findings for run in good}))
+        groups=check_report.group_by_name({run.name: run.checked.findings for run in good}))
     file.write_text(text, encoding="utf-8")
 
 
@@ -103,9 +103,9 @@ def _figures(runs: Sequence[CheckedRun]) -> list[Drawn]:
     for run in runs:
         for identity in run.checked.identities:
             concerned = [one for one in run.checked.findings if one.name in identity.findings]
-            gravest = min(map(words.gravity, concerned), default=len(words.GRAVITY))
+            gravest = min(map(check_report.gravity, concerned), default=len(check_report.GRAVITY))
             ranked.append((gravest, -max((one.effect or 0.0 for one in concerned), default=0.0), len(ranked), run,
                            identity))
     return [replace(drawn, title=f"{run.name}: {drawn.title}" if len(runs) > 1 else drawn.title)
             for *_, run, identity in sorted(ranked)[:MAX_FIGURES]
-            for drawn in [panel(identity, run.checked, Place(None, (), f"{slug(run.name)}-"))]]
+            for drawn in [draw_panel(identity, run.checked, Place(None, (), f"{slug(run.name)}-"))]]

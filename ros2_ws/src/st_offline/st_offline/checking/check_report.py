@@ -1,4 +1,4 @@
-"""Findings of `st check` in words, on the terminal, as plain values, and check.json (docs/manual/checks.md)."""
+"""Findings of the checks as text, on the terminal, and in check.json (docs/manual/checks.md)."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,60 +18,61 @@ from st_recordings.runs.raw import about_alignment
 
 from ..terminal import line
 
-MOST_STRETCHES = 4
-MOST_LISTED = 3  # findings in a headline
+MAX_STRETCHES = 4
+MAX_LISTED = 3  # findings in a headline
 GRAVITY = (Severity.ERROR, Severity.WARNING, Severity.NOTE)
 MEANING = {
     Severity.ERROR: "an evaluation would be meaningless", Severity.WARNING: "an evaluation would be biased",
     Severity.NOTE: "harmless here",
 }
-QUANTITIES = {"yaw_rate_bias": "rad/s", "yaw_offset": "rad", "heading_misaligned": "rad", "steering_offset": "rad",
+QUANTITY_UNITS = {"yaw_rate_bias": "rad/s", "yaw_offset": "rad", "heading_misaligned": "rad", "steering_offset": "rad",
               "position_reference": "m", "measuring_point": "m"}
-PLACE = {"run.yaml": "in its run.yaml: ", "vehicle": "in the vehicle file: ", "option": "with the option ", "look": ""}
+ADVICE_PLACE = {"run.yaml": "in its run.yaml: ", "vehicle": "in the vehicle file: ", "option": "with the option ",
+                "look": ""}
 
 
 def gravity(finding: Finding) -> int:
-    """Sorts by severity, errors first; findings of one severity stay in their order."""
+    """Sort key: errors first; findings of one severity keep their order."""
     return GRAVITY.index(finding.severity)
 
 
-def counts(findings: Sequence[Finding]) -> str:
+def count_by_severity(findings: Sequence[Finding]) -> str:
     """"2 errors, 1 warning"; empty for none."""
     numbers = ((severity.value, sum(one.severity is severity for one in findings)) for severity in GRAVITY)
     return ", ".join(f"{count} {name}{'' if count == 1 else 's'}" for name, count in numbers if count)
 
 
 def verdict(checked: Checked) -> str:
-    """One line on a run: how many findings, and what they mean for an evaluation."""
+    """One line on a run: number of findings by severity, and their meaning for an evaluation."""
     if not checked.findings:
         count = len(checked.identities)
         compared = f"in {count} comparison{'' if count == 1 else 's'}" if count else "but there was nothing to compare"
         return f"nothing found, {compared}"
     worst = min(checked.findings, key=gravity).severity
     if worst is Severity.WARNING and all(one.of_acceleration for one in checked.of(worst)):
-        return f"{counts(checked.findings)}: identify and discover would be misled"
-    return f"{counts(checked.findings)}: {MEANING[worst]}"
+        return f"{count_by_severity(checked.findings)}: identify and discover would be misled"
+    return f"{count_by_severity(checked.findings)}: {MEANING[worst]}"
 
 
-def answer(checked: Checked) -> str:
-    """Verdict with the most severe findings."""
+def headline(checked: Checked) -> str:
+    """Verdict with the texts of the most severe findings."""
     if not checked.findings:
         return verdict(checked)
     worst = min(checked.findings, key=gravity).severity
     texts = [one.text for one in checked.findings if one.severity is worst]
-    more = f"; and {len(texts) - MOST_LISTED} more" if len(texts) > MOST_LISTED else ""
-    return f"{counts(checked.findings)}: {'; '.join(texts[:MOST_LISTED])}{more}"
+    more = f"; and {len(texts) - MAX_LISTED} more" if len(texts) > MAX_LISTED else ""
+    return f"{count_by_severity(checked.findings)}: {'; '.join(texts[:MAX_LISTED])}{more}"
 
 
-def unit(text: str) -> str:
+def unit_symbol(text: str) -> str:
     return "" if text == "1" else text.replace("^2", "²")
 
 
-def number(value: float | None, interval: Sequence[float] | None = None, of: str = "1") -> str:
-    """An estimate with the digits its interval bears: "57.30 ± 0.02 m"; empty for none."""
+def format_value(value: float | None, interval: Sequence[float] | None = None, of: str = "1") -> str:
+    """An estimate with the significant digits of its interval, such as "57.30 ± 0.02 m"; empty for none."""
     if value is None:
         return ""
-    ending = f" {unit(of)}" if unit(of) else ""
+    ending = f" {unit_symbol(of)}" if unit_symbol(of) else ""
     if interval is None or not interval[1] > interval[0]:
         return f"{value:.4g}{ending}"
     low, high = value - interval[0], interval[1] - value
@@ -81,29 +82,29 @@ def number(value: float | None, interval: Sequence[float] | None = None, of: str
     return f"{value:.{decimals}f} ± {0.5 * (low + high):.{decimals}f}{ending}"
 
 
-def estimate(finding: Finding) -> str:
-    return number(finding.value, finding.interval, finding.unit)
+def format_finding_value(finding: Finding) -> str:
+    return format_value(finding.value, finding.interval, finding.unit)
 
 
-def quantity(name: str, value: Sequence[float]) -> str:
-    """An estimate (value, low, high) by the name of the finding it would be."""
+def format_quantity(name: str, value: Sequence[float]) -> str:
+    """An estimate (value, low, high) as text, by the name of the finding it would be."""
     kind = name.rpartition("_")[2]
-    of = QUANTITIES.get(name, {"lag": "s", "bias": "m/s^2"}.get(kind, "1"))
-    return number(value[0], value[1:], of)
+    of = QUANTITY_UNITS.get(name, {"lag": "s", "bias": "m/s^2"}.get(kind, "1"))
+    return format_value(value[0], value[1:], of)
 
 
-def where(finding: Finding) -> str:
+def describe_stretches(finding: Finding) -> str:
     """The stretches of the run, or "whole run"."""
     if not finding.where:
         return "whole run"
     shown = ", ".join(f"{start:.1f}{f' to {end:.1f}' if end - start >= 0.05 else ''} s"
-                      for start, end in finding.where[:MOST_STRETCHES])
-    more = len(finding.where) - MOST_STRETCHES
+                      for start, end in finding.where[:MAX_STRETCHES])
+    more = len(finding.where) - MAX_STRETCHES
     return shown + (f" and {more} more" if more > 0 else "")
 
 
-def effect(finding: Finding) -> str:
-    """What it does to a position after 5 s; empty where that means nothing."""
+def describe_effect(finding: Finding) -> str:
+    """Effect on the position after 5 s; empty where none is known."""
     if finding.of_acceleration:
         return "no effect on a prediction, but identify and discover are misled"
     if finding.effect is None:
@@ -112,15 +113,15 @@ def effect(finding: Finding) -> str:
     return f"shifts the position after 5 s by about {size} m"
 
 
-def correction(found: Advice | None) -> str:
-    """What corrects it and where that is written; empty where nothing is known."""
-    return f"{PLACE[found.kind]}{found.line}" if found else ""
+def describe_correction(found: Advice | None) -> str:
+    """The correction and the place to write it; empty where none is known."""
+    return f"{ADVICE_PLACE[found.kind]}{found.line}" if found else ""
 
 
-def opposite_sign(findings: Iterable[Finding], source: str = "RUN", can: bool | None = None) -> str:
-    """What to type where the steering angle counts the other way; empty where it does not.
+def advise_steering_sign(findings: Iterable[Finding], source: str = "RUN", can: bool | None = None) -> str:
+    """Advice for a steering angle of the opposite sign; empty where the sign is right.
 
-    can: whether the steering is in a CAN log, in a table if False; None where that is not known.
+    can: whether the steering is in a CAN log rather than in a table; None where that is unknown.
     """
     if not any(one.name == "steering_sign" for one in findings):
         return ""
@@ -131,22 +132,22 @@ def opposite_sign(findings: Iterable[Finding], source: str = "RUN", can: bool | 
     return f"the steering angle has the opposite sign (left is positive): {what}"
 
 
-def clocks(alignments: Mapping[str, Mapping[str, Any]]) -> str:
-    """Sentence on the steering clocks of several runs by their names; of more than two, the range of those found."""
+def describe_clocks(alignments: Mapping[str, Mapping[str, Any]]) -> str:
+    """Sentence on the steering clocks of several runs; of more than two, the range of those found from the data."""
     found = [one for one in alignments.values() if one["method"] not in ("none", "by hand")]
     if len(found) <= 2:
-        return "; ".join(f"{name}: {text}" for name, one in alignments.items() if (text := clock(one)))
+        return "; ".join(f"{name}: {text}" for name, one in alignments.items() if (text := describe_clock(one)))
     ahead = sorted(-one["offset_s"] for one in found)
     deviation = max(one["offset_deviation_s"] or 0.0 for one in found)
     doubtful = sum(one["verdict"] != "good" for one in found)
     of_all = (f"steering clocks of {len(found)} runs: {ahead[0]:+.3f} to {ahead[-1]:+.3f} s relative to INS, found "
               f"from the data, at worst ± {1e3 * deviation:.1f} ms, {doubtful or 'none'} of them doubtful")
-    by_hand = [f"{name}: {clock(one)}" for name, one in alignments.items() if one["method"] == "by hand"]
+    by_hand = [f"{name}: {describe_clock(one)}" for name, one in alignments.items() if one["method"] == "by hand"]
     return "; ".join([of_all, *by_hand])
 
 
-def clock(alignment: Mapping[str, Any]) -> str:
-    """Sentence on the clock of the steering by `about_alignment`; empty where both are on one clock."""
+def describe_clock(alignment: Mapping[str, Any]) -> str:
+    """Sentence on the clock of the steering, from `about_alignment`; empty where there is only one clock."""
     if alignment["method"] == "none":
         return ""
     # INS minus other clock; the other one runs ahead where that is negative.
@@ -159,7 +160,7 @@ def clock(alignment: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class CheckedRun:
-    """One run of `st check`. vehicle_from: file or recording. warnings: of the reading, with what was corrected.
+    """One run of `st check`. vehicle_from: file or recording. warnings: of the reader, corrections included.
     alignment: of `about_alignment`. where: file or folder, as typed.
     """
 
@@ -174,17 +175,17 @@ class CheckedRun:
     where: str = "RUN"
 
 
-def documents(findings: Sequence[Finding]) -> list[dict[str, Any]]:
-    """Findings as JSON has them."""
+def findings_as_json(findings: Sequence[Finding]) -> list[dict[str, Any]]:
+    """Findings as values for JSON."""
     return [json_ready(one.as_dict()) for one in findings]
 
 
-def findings_in(about: Mapping[str, Any]) -> list[Finding]:
+def findings_from_json(about: Mapping[str, Any]) -> list[Finding]:
     """Findings of a run, read from a report (its key "findings")."""
-    return [_finding(entry) for entry in about.get("findings", ())]
+    return [_finding_from_json(entry) for entry in about.get("findings", ())]
 
 
-def _finding(entry: Mapping[str, Any]) -> Finding:
+def _finding_from_json(entry: Mapping[str, Any]) -> Finding:
     values = dict(entry)
     advice = values.pop("cure")
     interval = tuple(entry["interval"]) if entry["interval"] else None
@@ -222,30 +223,31 @@ def residual_rms(one: Identity) -> float:
     return float(np.sqrt(np.square(apart).mean())) if len(apart) else float("nan")
 
 
-STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
+SEVERITY_STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
 
 
-def show(run: CheckedRun, console: Console) -> None:
+def print_run(run: CheckedRun, console: Console) -> None:
     """Print the verdict, the clock, and each finding with its correction."""
     worst = min((one.severity for one in run.checked.findings), key=GRAVITY.index, default=Severity.NOTE)
-    colour = "green" if worst is Severity.NOTE else STYLE[worst]
-    if hint := opposite_sign(run.checked.findings, run.where, run.alignment["method"] != "none"):
+    colour = "green" if worst is Severity.NOTE else SEVERITY_STYLE[worst]
+    if hint := advise_steering_sign(run.checked.findings, run.where, run.alignment["method"] != "none"):
         line(f"[bold red]{escape(run.name)}: {escape(hint)}[/]", console)
     line(f"[bold]{escape(run.name)}[/bold]: [{colour}]{escape(verdict(run.checked))}[/]  "
          f"[dim]{run.duration:.0f} s, {escape(run.vehicle.name)} from {escape(run.vehicle_from)}[/dim]", console)
-    if text := clock(run.alignment):
+    if text := describe_clock(run.alignment):
         line(f"  {escape(text)}", console)
     for finding in run.checked.findings:
-        line(f"  [{STYLE[finding.severity]}]{finding.severity.value}[/] [bold]{escape(finding.name)}[/bold]: "
+        line(f"  [{SEVERITY_STYLE[finding.severity]}]{finding.severity.value}[/] [bold]{escape(finding.name)}[/bold]: "
              f"{escape(finding.text)}", console)
-        line(f"    [dim]{escape('; '.join(filter(None, (where(finding), effect(finding)))))}[/dim]", console)
+        details = "; ".join(filter(None, (describe_stretches(finding), describe_effect(finding))))
+        line(f"    [dim]{escape(details)}[/dim]", console)
         if finding.advice:
-            line(f"    {'correction, ' if PLACE[finding.advice.kind] else 'advice: '}"
-                 f"{escape(correction(finding.advice))}", console)
+            line(f"    {'correction, ' if ADVICE_PLACE[finding.advice.kind] else 'advice: '}"
+                 f"{escape(describe_correction(finding.advice))}", console)
 
 
-def by_name(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, list[str]]]:
-    """Each finding once, the gravest and largest first: that of the run with the largest effect, and all its runs."""
+def group_by_name(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, list[str]]]:
+    """Findings grouped by name, the gravest and largest first: (that of the largest effect, names of all its runs)."""
     found: dict[str, list[tuple[Finding, str]]] = {}
     for name, findings in runs.items():
         for one in findings:
@@ -260,15 +262,16 @@ def by_name(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, list[s
 
 
 def print_findings(runs: Mapping[str, Sequence[Finding]], console: Console) -> None:
-    """Print each error and warning of the runs once, and how many notes there are; for verbs other than `st check`."""
+    """Print each error and warning of the runs once, and the number of notes; for verbs other than `st check`."""
     notes = 0
-    for finding, names in by_name(runs):
+    for finding, names in group_by_name(runs):
         if finding.severity is Severity.NOTE:
             notes += len(names)
             continue
-        parts = [finding.text, effect(finding), correction(finding.advice)] if len(names) == 1 else [
-            f"{finding.text} (largest of {len(names)})", effect(finding), "corrections: st check"]
-        line(f"{escape(', '.join(dict.fromkeys(names)))}: [{STYLE[finding.severity]}]{finding.severity.value}: "
+        parts = [finding.text, describe_effect(finding), describe_correction(finding.advice)] if len(names) == 1 else [
+            f"{finding.text} (largest of {len(names)})", describe_effect(finding), "corrections: st check"]
+        severity = finding.severity
+        line(f"{escape(', '.join(dict.fromkeys(names)))}: [{SEVERITY_STYLE[severity]}]{severity.value}: "
              f"{escape(' | '.join(filter(None, parts)))}[/]", console)
     if notes:
         line(f"[dim]{notes} note{'' if notes == 1 else 's'} of the checks, harmless here: st check lists them[/dim]",

@@ -15,14 +15,14 @@ from st_recordings.runs.errors import printable
 from st_recordings.runs.readers import READERS
 from st_recordings.runs.sources import RUN_FILE, RUN_SUFFIX
 
-from . import check_report as words
+from . import check_report
 
-OF_A_CSV = {"columns", "units"}
-HEAD = "# Proposed by st check. Every verb that reads it lists the corrections.\n"
+CSV_KEYS = {"columns", "units"}
+HEADER = "# Proposed by st check. Every verb that reads it lists the corrections.\n"
 
 
-def check_name(file: Path) -> None:
-    """Raises OutputError for a file that no verb would read, or that is there already."""
+def check_file_name(file: Path) -> None:
+    """Raises OutputError for a file that no verb would read, or that exists."""
     if file.name != RUN_FILE and not file.name.endswith(RUN_SUFFIX):
         raise OutputError(f"--propose-correction {file}: name it run.yaml or NAME.run.yaml, else no verb reads it")
     if file.exists():
@@ -32,21 +32,20 @@ def check_name(file: Path) -> None:
 def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: ReadSettings) -> str:
     """Text of a run.yaml at `file`: the run as it was read, and its corrections, each with its finding.
 
-    Corrections of notes, which are harmless, and other advice are comments. Paths are relative to the
-    file.
+    Corrections of notes, which are harmless, and other advice become comments. Paths are relative to the file.
     """
     corrections: dict[str, Any] = {}
-    lines = [HEAD]
+    lines = [HEADER]
     for one in findings:
         lines.append(f"# {one.severity.value}: {one.name}: {printable(one.text)}\n")
         if one.advice is None:
             continue
         applicable = one.advice.kind == "run.yaml" and one.severity is not Severity.NOTE
-        readable = applicable and (source.kind == "csv" or not OF_A_CSV & one.advice.entry.keys())
+        readable = applicable and (source.kind == "csv" or not CSV_KEYS & one.advice.entry.keys())
         if not (readable and merge(corrections, one.advice.entry)):
             reason = ("" if not applicable else "not taken, a graver finding has another value: " if readable else
                       "not taken, a csv only has columns and units: ")
-            lines.append(f"#   {reason}{printable(words.correction(one.advice))}\n")
+            lines.append(f"#   {reason}{printable(check_report.describe_correction(one.advice))}\n")
     if read.steering_sign != 1 or read.steering_latency:
         lines.append(f"# it was read with --steering-sign {read.steering_sign} --steering-latency "
                      f"{read.steering_latency:g}\n")
@@ -58,15 +57,15 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
 
 
 def merge(corrections: dict[str, Any], entry: Mapping[str, Any]) -> bool:
-    """Adds an entry in place, lists one after another; returns False without adding anything if it contradicts."""
-    if not _agree(corrections, entry):
+    """Adds an entry in place, concatenating lists; False, and nothing added, where it contradicts."""
+    if not _is_consistent(corrections, entry):
         return False
-    _add(corrections, plain(entry))
+    _merge_into(corrections, as_yaml_values(entry))
     return True
 
 
 def with_corrections(settings: Mapping[str, Any], corrections: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings of a run.yaml with further corrections, combined with those it already has:
+    """Settings of a run.yaml with further corrections, applied after those it already has:
 
         scale = scale2 scale1,  add = scale2 add1 + add2,  earlier = earlier1 + earlier2,  ahead = ahead1 + ahead2
     """
@@ -74,7 +73,7 @@ def with_corrections(settings: Mapping[str, Any], corrections: Mapping[str, Any]
     for key, value in corrections.items():
         before = found.get(key)
         if key == "correct":
-            found[key] = {channel: _further((before or {}).get(channel, {}), value.get(channel, {}))
+            found[key] = {channel: _combine((before or {}).get(channel, {}), value.get(channel, {}))
                           for channel in {**(before or {}), **value}}
         elif isinstance(value, list):
             found[key] = [*(before or ()), *value]
@@ -83,7 +82,7 @@ def with_corrections(settings: Mapping[str, Any], corrections: Mapping[str, Any]
     return found
 
 
-def _further(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:
+def _combine(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:
     found = {**first, **second}
     if "scale" in first and "scale" in second:
         found["scale"] = first["scale"] * second["scale"]
@@ -95,16 +94,16 @@ def _further(first: Mapping[str, float], second: Mapping[str, float]) -> dict[st
     return found
 
 
-def _agree(known: Mapping[str, Any], entry: Mapping[str, Any]) -> bool:
+def _is_consistent(known: Mapping[str, Any], entry: Mapping[str, Any]) -> bool:
     return all(key not in known or isinstance(value, list | tuple) or known[key] == value
-               or (isinstance(value, Mapping) and isinstance(known[key], Mapping) and _agree(known[key], value))
+               or (isinstance(value, Mapping) and isinstance(known[key], Mapping) and _is_consistent(known[key], value))
                for key, value in entry.items())
 
 
-def _add(known: dict[str, Any], entry: Mapping[str, Any]) -> None:
+def _merge_into(known: dict[str, Any], entry: Mapping[str, Any]) -> None:
     for key, value in entry.items():
         if isinstance(value, Mapping):
-            _add(known.setdefault(key, {}), value)
+            _merge_into(known.setdefault(key, {}), value)
         else:
             before = known.get(key, [])
             known[key] = [*before, *(one for one in value if one not in before)] if isinstance(value, list) else value
@@ -116,23 +115,24 @@ def _settings(source: RunSource, file: Path, read: ReadSettings) -> dict[str, An
              "ins_can_latency": list(read.ins_can_latency) if read.ins_can_latency else None}
     settings = {**source.settings, **{key: value for key, value in given.items() if value is not None}}
     layout = settings.pop("layout", None)
-    found = {key: _relative(value, file) if isinstance(value, Path) else plain(value)
+    found = {key: _relative(value, file) if isinstance(value, Path) else as_yaml_values(value)
              for key, value in settings.items()}
     if layout is not None:
-        found |= {key: plain(value) for key in ("columns", "units") if (value := getattr(layout, key))}
+        found |= {key: as_yaml_values(value) for key in ("columns", "units") if (value := getattr(layout, key))}
     if source.labels:
         found["labels"] = [{"name": one.name, "start": one.start, "end": one.end} for one in source.labels]
     return found
 
 
-def plain(value: Any) -> Any:
-    """Mappings, tuples, corrections and numbers of any kind as YAML writes them."""
+def as_yaml_values(value: Any) -> Any:
+    """Mappings, sequences, corrections and numbers as plain values for YAML."""
     if isinstance(value, Correction):
-        return {one.name: plain(kept) for one in fields(value) if (kept := getattr(value, one.name)) != one.default}
+        return {field.name: as_yaml_values(getattr(value, field.name)) for field in fields(value)
+                if getattr(value, field.name) != field.default}
     if isinstance(value, Mapping):
-        return {str(key): plain(one) for key, one in value.items()}
+        return {str(key): as_yaml_values(one) for key, one in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(one) for one in value]
+        return [as_yaml_values(one) for one in value]
     return float(f"{value:.9g}") if isinstance(value, float) else value
 
 

@@ -15,7 +15,7 @@ from st_core.vehicle import quantity
 from st_recordings.paths import json_ready
 from st_recordings.results import versions
 
-from ..checking.check_report import findings_in
+from ..checking.check_report import findings_from_json
 from ..evaluation.drawing import Drawn
 from ..pages import Table, template
 from ..terminal import list_files, report_problem, rows_table
@@ -112,7 +112,7 @@ def write_page(file: Path, found: Discovery, update: VehicleUpdate | None, conte
     recordings = {**refused, **about["runs"], **about["reference"]}
     text = template("discovery/discovery.html.jinja", plain=plain, channel=quantities.channel).render(
         title=report_text.title(found), found=found, content=content, figures=figures, law=law, report=report_text,
-        summary=report_text.summary(found, update, {name: findings_in(run) for name, run in recordings.items()}),
+        summary=report_text.summary(found, update, {name: findings_from_json(run) for name, run in recordings.items()}),
         details=report_text.details(found, update), recordings=recordings, **_tables(found, content))
     file.write_text(text, encoding="utf-8")
 
@@ -212,7 +212,7 @@ def show(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Dr
                 report_text.effect_rows(found)]
         console.print(rows_table(rows, padding=(0, 1)))
         console.print(f"[dim]{report_text.EFFECT_NOTE}.[/dim]", highlight=False)
-    about = {drive.name: findings_in(drive.about) for drive in recordings}
+    about = {drive.name: findings_from_json(drive.about) for drive in recordings}
     advice = report_text.to_do(found, update)[1:MAX_ADVICE]
     for question, text in (*report_text.summary(found, update, about),
                            *(("to do", text) for text in advice),

@@ -25,8 +25,8 @@ from st_recordings.recorded import recorded_configuration
 from st_recordings.runs import ReadSettings, RunSource, read
 from st_recordings.runs.load import file_hashes
 
-from ..checking.check_report import documents
-from ..checking.gate import PROBLEMS, Refused, checked_log, in_words, refuse
+from ..checking.check_report import findings_as_json
+from ..checking.gate import RUN_ERRORS, Refused, check_log, describe_problem, refuse_errors
 
 ANSWER_FORMAT = 2  # of a cached answer; files of another number are not used
 
@@ -103,19 +103,19 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
         if source.problem is not None:
             raise source.problem
         run = read(source, vehicle, settings)
-        checked = checked_log(run.log, vehicle, run.auxiliary)
+        checked = check_log(run.log, vehicle, run.auxiliary)
         text = recorded_configuration(run.provenance["recorded"]).vehicle if source.kind == "bag" else None
         car = "" if text is None else VehicleParameters.from_yaml(text, "the vehicle in the recording").name
         about = {"files": file_hashes((*source.files, *source.can)),
                  "duration_s": run.log.duration, "alignment": run.alignment.verdict.value,
-                 "warnings": list(run.warnings), "findings": documents(checked.findings),
+                 "warnings": list(run.warnings), "findings": findings_as_json(checked.findings),
                  "estimates": json_ready(checked.estimates), "vehicle": car}
-        refuse(source.where, checked.findings, force)
+        refuse_errors(source.where, checked.findings, force)
         return Drive(source.name, run.log, about)
     except Refused as error:
-        return Drive(source.name, None, {"findings": documents(error.findings)}, str(error))
-    except PROBLEMS as error:
-        return Drive(source.name, None, {}, in_words(error, source))
+        return Drive(source.name, None, {"findings": findings_as_json(error.findings)}, str(error))
+    except RUN_ERRORS as error:
+        return Drive(source.name, None, {}, describe_problem(error, source))
 
 
 def cache_folder() -> Path | None:

@@ -22,8 +22,7 @@ from st_core.discovery.settings import Limits
 from st_core.effects import EFFECTS, get_effect
 from st_core.vehicle import VEHICLE_QUANTITIES
 
-from ..checking.check_report import by_name
-from ..checking.check_report import effect as effect_of
+from ..checking.check_report import describe_effect, group_by_name
 from .quantities import change, channel, decimal, fitted, metres, plain, short_values, size, values
 from .vehicle_update import VehicleUpdate
 
@@ -117,12 +116,12 @@ def summary(found: Discovery, update: VehicleUpdate | None, findings: Mapping[st
             ) -> list[tuple[str, str]]:
     """Below the title: what is not known, and what to do, recordings first. findings: of the checks, by run."""
     unknown = [residual(found), not_separable(found), not_visible(found)]
-    serious = [(one, names) for one, names in by_name(findings) if one.severity is not Severity.NOTE]
+    serious = [(one, names) for one, names in group_by_name(findings) if one.severity is not Severity.NOTE]
     recordings = ""
     if serious:
         one, names = serious[0]
         more = f" and {len(serious) - 1} more" if len(serious) > 1 else ""
-        recordings = (f"{one.text} ({', '.join((*names, effect_of(one)))}){more}. These are errors of the "
+        recordings = (f"{one.text} ({', '.join((*names, describe_effect(one)))}){more}. These are errors of the "
                       "recordings: correct them as st check proposes, and run st discover again")
     do = to_do(found, update)
     together = [f"{ratio_to_file(one)} of the vehicle file's: {', '.join(map(plain, one.effects[:-1]))} or "

@@ -13,7 +13,7 @@ from st_recordings.paths import new_folder
 from st_recordings.runs import RunError, RunSource, find_runs
 
 from ..bands.bands_report import print_tables
-from ..checking.check_report import clock, findings_in, print_findings
+from ..checking.check_report import describe_clock, findings_from_json, print_findings
 from ..terminal import line, list_files, progress_bars, report_problem
 from .drawing import check_formats
 from .evaluation_report import Choices, finding, settings_in_words, write_results
@@ -53,9 +53,9 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
 
         advise([s for s, report in zip(sources, found, strict=True) if not report.problem], task, tolerance, console)
     for report in good:
-        if text := clock(report.about["alignment"]):
+        if text := describe_clock(report.about["alignment"]):
             line(f"{escape(report.name)}: {escape(text)}", console)
-    print_findings({report.name: findings_in(report.about) for report in found}, console)
+    print_findings({report.name: findings_from_json(report.about) for report in found}, console)
     list_files({files[key]: what for key, what in FILE_DESCRIPTIONS.items()}, console)
     failed = [report for report in found if report.problem]
     for report in failed:

@@ -18,7 +18,7 @@ from st_recordings.results import versions
 
 from ..bands.bands_report import adaptive_rows, band_figures, band_rows, finished_shares, share_rows
 from ..bands.scoring import finished, finished_adaptive, pooled_sums
-from ..checking.check_report import by_name, clocks, effect, findings_in
+from ..checking.check_report import describe_clocks, describe_effect, findings_from_json, group_by_name
 from ..pages import template
 from . import tables
 from .drawing import TEXT, WIDTH, Drawn, Place, finish, style
@@ -213,10 +213,11 @@ def summary(reports: Sequence[RunReport], over: str, horizon: float) -> list[str
     best = min(models, key=lambda m: values(models, m, "hindsight", "lateral", over)["rmse"] or math.inf)
     held = shown(values(models, best, "forecast", "lateral", over)["rmse"])
     minutes = sum(r.about["duration"] for r in reports) / 60.0
-    groups = [(one, names) for one, names in by_name({r.name: findings_in(r.about) for r in reports})
+    groups = [(one, names) for one, names in group_by_name({r.name: findings_from_json(r.about) for r in reports})
               if one.severity is not Severity.NOTE]
-    biased = "; ".join(f"{one.name} in {', '.join(names)} ({effect(one) or one.text})" for one, names in groups)
-    steering = clocks({report.name: report.about["alignment"] for report in reports})
+    biased = "; ".join(f"{one.name} in {', '.join(names)} ({describe_effect(one) or one.text})"
+                       for one, names in groups)
+    steering = describe_clocks({report.name: report.about["alignment"] for report in reports})
     return [f"{minutes:.1f} minutes, predictions of {horizon:g} s. With the measured inputs (hindsight) the error is "
             f"the model's; with the inputs of the start held (forecast) it includes the driver: {best} {held} m.",
             f"The recordings bias this: {biased}." if biased else "The checks found no error and no warning.",

@@ -33,8 +33,8 @@ from st_recordings.runs.raw import about_alignment
 
 from ..bands.bands_report import intervals_of, share_sums
 from ..bands.scoring import AdaptiveScorer, Scorer
-from ..checking.check_report import documents
-from ..checking.gate import PROBLEMS, Refused, in_words, passed
+from ..checking.check_report import findings_as_json
+from ..checking.gate import RUN_ERRORS, Refused, check_for_use, describe_problem
 from . import tables
 from .background import in_background
 from .drawing import Drawn, Place
@@ -96,9 +96,9 @@ def evaluate_run(source: RunSource, task: Task, progress: Progress | None = None
             warnings.simplefilter("ignore", StepTooLongWarning)
             return _evaluate(source, task, progress)
     except Refused as error:
-        return RunReport(source.name, problem=str(error), about={"findings": documents(error.findings)})
-    except PROBLEMS as error:
-        return RunReport(source.name, problem=in_words(error, source))
+        return RunReport(source.name, problem=str(error), about={"findings": findings_as_json(error.findings)})
+    except RUN_ERRORS as error:
+        return RunReport(source.name, problem=describe_problem(error, source))
 
 
 def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunReport:
@@ -170,7 +170,7 @@ def _require_scores(source: RunSource, run: LoadedRun, evaluation: LogEvaluation
 
 def _findings(source: RunSource, run: LoadedRun, task: Task, models: Sequence[Model]) -> list[dict[str, Any]] | Refused:
     try:
-        return passed(source.where, run, task.vehicle, task.force, models, task.settings.prediction.step)
+        return check_for_use(source.where, run, task.vehicle, task.force, models, task.settings.prediction.step)
     except Refused as error:
         return error
 

@@ -20,7 +20,7 @@ from st_core.models import MODELS, Model
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_recordings.runs import RunError, find_runs, read
 
-from ..checking.gate import checked_log, refuse
+from ..checking.gate import check_log, refuse_errors
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
 from .experiment import Experiment, Setup, number
 
@@ -215,8 +215,8 @@ def experiment(name: str, what: str, needs: str, compute: Callable[..., Identifi
         for source in find_runs(files):
             try:
                 run = read(source, setup.vehicle, setup.read)
-                findings[source.name] = checked_log(run.log, setup.vehicle, run.auxiliary).findings
-                refuse(source.where, findings[source.name], setup.force)
+                findings[source.name] = check_log(run.log, setup.vehicle, run.auxiliary).findings
+                refuse_errors(source.where, findings[source.name], setup.force)
             except (RunError, StCoreError) as error:
                 failed[source.name] = error
                 continue

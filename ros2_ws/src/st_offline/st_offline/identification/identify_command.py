@@ -27,7 +27,7 @@ from st_recordings.results import versions
 from st_recordings.runs import find_runs
 from st_recordings.runs.load import file_hashes
 
-from ..checking.check_report import documents, print_findings
+from ..checking.check_report import findings_as_json, print_findings
 from ..discovery.vehicle_update import edited_or_whole
 from ..evaluation.drawing import Drawn, Place
 from ..pages import template
@@ -167,7 +167,7 @@ def details(found: Identification) -> dict[str, Any]:
         "status": {e.parameter: e.status for e in found.estimates},
         "correlation": None if matrix is None else [[round(float(x), 6) for x in row] for row in matrix],
         "warnings": list(found.warnings),
-        "findings": {name: documents(findings) for name, findings in found.findings.items()},
+        "findings": {name: findings_as_json(findings) for name, findings in found.findings.items()},
         "coverage": [{"signal": c.signal, "unit": c.unit, "edges": [float(x) for x in c.edges],
                       "counts": [int(x) for x in c.counts], "needed": c.needed, "bins_needed": c.bins_needed}
                      for c in found.coverage],
@@ -192,5 +192,5 @@ def page(found: Sequence[Identification], figures: Sequence[Drawn | None], vehic
 
     return template("identification/page.html.jinja").render(
         title=f"{vehicle.name}: {', '.join(values)}", found=list(zip(found, figures, strict=True)), about=facts,
-        recordings={name: {"findings": documents(findings)} for name, findings in checked(found).items()},
+        recordings={name: {"findings": findings_as_json(findings)} for name, findings in checked(found).items()},
         heads=HEADS, rows=lambda one: rows(one, vehicle), excitation=excitation, correlation=correlation)
