@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from st_recordings.car import car_named, read_vehicle
+from st_recordings.car import load_car, read_vehicle
 from st_recordings.runs import find_runs, read
 
 from bench.strangers import plants
@@ -40,7 +40,7 @@ def test_a_third_of_the_cases_has_nothing_wrong(half):
 def test_the_files_are_those_of_a_user(tmp_path):
     case = cases("development")["van_offset"]
     truth = write(case, tmp_path, shorten=0.3)
-    vehicle = read_vehicle(car_named(str(tmp_path / "car")).vehicle)
+    vehicle = read_vehicle(load_car(str(tmp_path / "car")).vehicle)
     logs = [read(source, vehicle).log for source in find_runs([tmp_path / "drives"])]
     assert len(logs) == len(case.drives) and vehicle.mass == true_car(case).numbers.mass
     low, high = truth["effects"]["steering_offset"]
