@@ -28,8 +28,8 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class Predictions:
-    """Predictions of one model: start times (n,) rising, states (n, points, 6) at the CG, step [s], configuration
-    hashes."""
+    """Predictions of one model: start times (n,) rising, states (n, points, 6) at the CG, step [s], hashes of the
+    configurations."""
 
     starts_ns: np.ndarray
     states: np.ndarray
@@ -151,7 +151,10 @@ def read_scores(bags: Sequence[Path], progress: Progress | None = None) -> dict[
 
 def read_messages(bags: Sequence[Path], type_name: str, progress: Progress | None = None,
                   topic_end: str = "") -> Iterator[Any]:
-    """Yields the messages of a type, of topics whose name ends so. progress: called with messages read, and all."""
+    """Yields the messages of a type, of the topics whose name ends with `topic_end`.
+
+    progress: called with the number of messages read in a bag, and their total.
+    """
     store = typestore(definitions())
     for bag in bags:
         storage = open_bag(bag)

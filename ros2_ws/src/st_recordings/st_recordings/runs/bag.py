@@ -243,7 +243,7 @@ def _read_records(path: Path) -> dict[str, dict[str, str]]:
 
 
 def _find_topic(path: Path, topics: Sequence[Topic], type_name: str, name: str | None = None) -> Topic:
-    """The topic of a type; the one named, else the preferred one. Raises RunError."""
+    """The topic of a type: the named one, else the preferred one. Raises RunError."""
     found = [t for t in topics if t.type_name == type_name and t.count]
     if name is not None:
         named = next((t for t in topics if t.name.lstrip("/") == name.lstrip("/") and t.count), None)

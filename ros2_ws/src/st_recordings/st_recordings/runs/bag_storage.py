@@ -307,6 +307,6 @@ def parameters(records: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, 
 def text_of(records: Mapping[str, Mapping[str, str]], file: str) -> str | None:
     """The text of a configuration file named in the parameters; None where the recording does not include it."""
     parts = Path("/", file).parts
-    # Of two files with one name, the records keep a folder too.
+    # The records name files with the end of their path that tells them apart.
     return next((text for key, text in records.get("configuration", {}).items()
                  if file and parts[-len(Path(key).parts):] == Path(key).parts), None)

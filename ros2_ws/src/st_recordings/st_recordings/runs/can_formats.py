@@ -65,9 +65,6 @@ class Lines:
     def unread(self, line: str) -> None:
         self._unread.append(line)
 
-    def read(self) -> str:
-        return "".join(self)
-
     def close(self) -> None:
         self._stream.close()
 

@@ -30,7 +30,7 @@ from .ins_log import LATEST_TIME
 from .mf4 import read_mf4, refuse_makers_container, session_of
 
 BLOCK_SIZE = 65536  # messages converted to columns at a time
-FURTHEST_NS = 86400 * 10**9  # a frame that is a day from both of its neighbours has a damaged time
+MAX_TIME_JUMP_NS = 86400 * 10**9  # a frame further from both of its neighbours has a damaged time
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times count from the start of the log
 MIN_FALLING_SHARE = 0.2
 """Share of falling times in a candump that begins at 0, from which its times are those since the frame before."""
@@ -99,13 +99,13 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> Frames:
         what = f"cannot be read as a {kind.name} log ({short(error)})"
         raise RunError(file, what, "copy or export it again") from None
     if not parts:
-        format_notes += _skipped(impossible)
+        format_notes += _impossible_time_notes(impossible)
         what = f"no whole frame is in it ({'; '.join(format_notes)})" if format_notes else "no frames are in the log"
         raise RunError(file, what, "copy or export it again")
     frames = concatenated(parts)
-    single = np.abs(frames.time_ns - median_filter(frames.time_ns, 3, mode="mirror")) > FURTHEST_NS
-    frames, impossible = frames.select(~single), impossible + int(single.sum())
-    format_notes += _skipped(impossible)
+    is_outlier = np.abs(frames.time_ns - median_filter(frames.time_ns, 3, mode="mirror")) > MAX_TIME_JUMP_NS
+    frames, impossible = frames.select(~is_outlier), impossible + int(is_outlier.sum())
+    format_notes += _impossible_time_notes(impossible)
     steps = np.diff(frames.time_ns[1:])  # a coarse clock repeats its times; times since the frame before also fall
     if kind.name == "candump" and frames.time_ns[0] == 0 and len(steps) and (
             (steps < 0).mean() > MIN_FALLING_SHARE or not steps.any()):
@@ -116,8 +116,8 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> Frames:
     return merged([frames])
 
 
-def _skipped(impossible: int) -> list[str]:
-    return [f"frames with an impossible time: {impossible}; they were skipped"] if impossible else []
+def _impossible_time_notes(count: int) -> list[str]:
+    return [f"frames with an impossible time: {count}; they were skipped"] if count else []
 
 
 def _columns(messages: Sequence[can.Message]) -> Frames:
