@@ -11,6 +11,8 @@ from typing import Any
 
 import yaml
 
+from .paths import replace_file
+
 FILE_NAME = "metadata.yaml"
 INFINITE_NS = 2**63 - 1  # a duration that is not set; also the start of an empty bag
 MAX_CUSTOM_DATA_LENGTH = 200  # characters; longer texts stay in the MCAP metadata records only
@@ -109,17 +111,8 @@ class BagInformation:
         return yaml.dump(self.document(), Dumper=_NoAliases, sort_keys=False)
 
     def save(self, directory: Path) -> None:
-        """Replaces metadata.yaml in one step: a reader sees the old or the new one, never half. Raises OSError."""
-        temporary = directory / (FILE_NAME + ".new")
-        try:
-            with temporary.open("w") as stream:
-                stream.write(self.text())
-                stream.flush()
-                os.fsync(stream.fileno())
-            temporary.replace(directory / FILE_NAME)
-        except OSError:
-            temporary.unlink(missing_ok=True)
-            raise
+        """Replaces the metadata.yaml of a directory. Raises OSError."""
+        replace_file(directory / FILE_NAME, self.text())
 
 
 class _NoAliases(yaml.SafeDumper):

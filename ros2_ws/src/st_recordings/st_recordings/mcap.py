@@ -93,9 +93,8 @@ class BagWriter:
     def message_count(self) -> int:
         return self._bag_file.count
 
-    def add_topic(
-        self, name: str, type_name: str, qos: Sequence[Qos] = (Qos(),), definition: str = "", type_hash: str = ""
-    ) -> int:
+    def add_topic(self, name: str, type_name: str, qos: Sequence[Qos] = (Qos(),), definition: str = "",
+                  type_hash: str = "") -> int:
         """Adds a topic of type "pkg/msg/Type" and returns its id for `write`.
 
         definition, type_hash: default to those of the installed package; raises UnknownTypeError without one.
@@ -107,10 +106,8 @@ class BagWriter:
             number = self._schemas[type_name] = len(self._schemas) + 1
             new.append(Schema(id=number, name=type_name, encoding="ros2msg", data=definition.encode()))
         self._topics.append(Topic(name, type_name, type_hash, [q.to_entry() for q in qos]))
-        new.append(Channel(
-            id=len(self._topics), topic=name, message_encoding="cdr", schema_id=self._schemas[type_name],
-            metadata={"offered_qos_profiles": qos_text(qos), "topic_type_hash": type_hash},
-        ))
+        metadata = {"offered_qos_profiles": qos_text(qos), "topic_type_hash": type_hash}
+        new.append(Channel(len(self._topics), name, "cdr", metadata, self._schemas[type_name]))
         if not (self.closed or self.error):
             try:
                 # Outside of chunks, so that a damaged chunk costs only its own messages.

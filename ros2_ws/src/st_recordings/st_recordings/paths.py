@@ -72,6 +72,20 @@ def new_folder(given: Path | None, name: str, create: bool = True) -> Path:
     return folder.absolute()
 
 
+def replace_file(path: Path, text: str) -> None:
+    """Writes a file in one step: a reader sees the old or the new one, never half. An OSError keeps the old."""
+    temporary = path.with_name(f"{path.name}.new")
+    try:
+        with temporary.open("w") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        temporary.replace(path)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
 def natural_order(path: Path) -> tuple[list[tuple[bool, int, str]], str]:
     """Sort key of a file name by its numbers: drive_9 comes before drive_10."""
     parts = re.split(r"(\d+)", path.stem)

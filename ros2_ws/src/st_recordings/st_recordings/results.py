@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from st_core.evaluation import Statistic
 
-from .paths import json_ready, source_version
+from .paths import json_ready, replace_file, source_version
 from .recorded import ERROR, read_messages
 from .runs.bag import definitions, open_bag, read_fields
 from .runs.bag_storage import Storage
@@ -174,13 +174,8 @@ def _statistics(scores: MeanErrors | None) -> dict[str, Any]:
 
 
 def write_summary(path: Path, summary: dict[str, Any]) -> None:
-    """Writes the file whole or, on a full disk, not at all."""
-    part = path.with_name(f"{path.name}.part")
-    try:
-        part.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n")
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+    """Writes summary.json. Raises OSError."""
+    replace_file(path, json.dumps(summary, indent=2, allow_nan=False) + "\n")
 
 
 def versions() -> dict[str, str]:

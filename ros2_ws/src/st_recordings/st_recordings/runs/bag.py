@@ -14,14 +14,7 @@ from st_core.log import DriveLog
 
 from ..bag_metadata import read_information
 from ..paths import project_root
-from .bag_storage import (
-    EXTENSIONS,
-    Storage,
-    Topic,
-    missing_files,
-    open_storage,
-    storage_files,
-)
+from .bag_storage import EXTENSIONS, Storage, Topic, missing_files, open_storage, storage_files
 from .cdr import CAN_FRAMES, DAMAGE, NCOM, ODOMETRY, STEERING, field_of, summary_of, typestore, with_definitions
 from .errors import RunError, check_readable, share
 from .ins_log import InsLog, planar, usable_rows, yaw_of
