@@ -264,7 +264,7 @@ def steering_value(where: Any, message: Any, steering: SteeringField) -> float:
     if isinstance(value, bool | str) or not isinstance(value, int | float | np.number):
         raise RunError(where, f"--steering-field: {steering.field!r} of {steering.topic} is not a number",
                        "give the path to one number, as drive.steering_angle")
-    return steering.sign * float(value) * (math.pi / 180.0 if steering.unit == "deg" else 1.0)
+    return steering.scale * float(value)
 
 
 def _is_list(value: Any) -> bool:

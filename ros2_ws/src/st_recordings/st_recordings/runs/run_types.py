@@ -1,5 +1,6 @@
 """A run before and after it is read, and the settings for reading it."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,6 +29,11 @@ class SteeringField:
     quantity: Literal["road", "wheel"] = "road"
     unit: Literal["rad", "deg"] | None = None
     sign: int = 1
+
+    @property
+    def scale(self) -> float:
+        """Factor from the recorded number to rad, left positive."""
+        return self.sign * (math.pi / 180.0 if self.unit == "deg" else 1.0)
 
 
 @dataclass(frozen=True)
