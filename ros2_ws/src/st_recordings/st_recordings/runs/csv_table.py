@@ -112,43 +112,49 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
         places = find_columns(file, names, layout)
         places, body = _read_unit_row(file, places, body, delimiter, layout)
     body = _with_decimal_points(file, body, delimiter)
-    first: list[str] = []
-    if "t" in places:
-        column = places["t"].column
-        first = next((line.split(delimiter)[column:][:1] for line in body.split("\n", 20) if line.strip()), [])
-        if first and _parse_stamp(first[0].strip(' \r"')):
-            if "/" in first[0]:
+    time, first_time = places.get("t"), None
+    if time is not None:
+        cells = next((line.split(delimiter) for line in body.split("\n", 20) if line.strip()), [])
+        first_time = cells[time.column].strip() if time.column < len(cells) else None
+        if first_time and _parse_stamp(first_time.strip(' \r"')):
+            if "/" in first_time:
                 body = _with_ordered_dates(file, body, warnings)
-            body = with_seconds(body, delimiter, column, _parse_stamp)
+            body = with_seconds(body, delimiter, time.column, _parse_stamp)
     rows = _numbers(file, body, delimiter, len(names), warnings)
     warnings += [f"{file}: column {place.name} is there {names.count(place.name)} times; the first is used"
                  for place in places.values() if place.name and names.count(place.name) > 1]
     with np.errstate(over="ignore"):
-        columns = {channel: rows[:, place.column] * place.factor for channel, place in places.items()}
-    if "t" in places:
-        columns["t"] = _seconds(file, rows[:, places["t"].column], places["t"], warnings)
+        columns = {channel: rows[:, place.column] * place.factor for channel, place in places.items() if channel != "t"}
     columns = {channel: np.where(np.isfinite(values), values, np.nan) for channel, values in columns.items()}
-    if "t" not in columns:
+    if time is None:
         return Table(file, tuple(names), places, columns, np.empty(0, np.int64), 0, np.empty(0, bool), tuple(warnings))
-    seconds = columns.pop("t")
+    seconds = _seconds(file, rows[:, time.column], time, warnings)
+    timed, time_ns, used = _usable_times(file, seconds, time, first_time, warnings)
+    columns = {channel: values[timed] for channel, values in columns.items()}
+    return Table(file, tuple(names), places, columns, time_ns, int((~timed).sum()), used, tuple(warnings))
+
+
+def _usable_times(file: Path, seconds: np.ndarray, place: Place, first_time: str | None,
+                  warnings: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(whether each row has a time, those times [ns], whether each of them is used). Raises RunError without any."""
     timed = np.abs(seconds) <= LATEST_TIME
-    if first and len(seconds) and not np.isfinite(seconds).any():
-        raise RunError(file, f"no time in column {places['t'].name} can be read, the first is {first[0].strip()!r}",
+    if first_time is not None and len(seconds) and not np.isfinite(seconds).any():
+        raise RunError(file, f"no time in column {place.name} can be read, the first is {first_time!r}",
                        "export seconds, or date and time with seconds, as 2026-05-04 10:11:12.3")
     if not timed.any() and np.isfinite(seconds).any():
-        raise RunError(file, f"times like {np.nanmax(np.abs(seconds)):.3g} in column {places['t'].name} are not in "
-                       f"{places['t'].unit}", "declare their unit in a run.yaml, as units: {t: us}")
+        largest = np.abs(seconds[np.isfinite(seconds)]).max()
+        raise RunError(file, f"times like {largest:.3g} in column {place.name} are not in {place.unit}",
+                       "declare their unit in a run.yaml, as units: {t: us}")
     # Seconds since 1970 as a float are exact to a microsecond.
     time_ns = np.round(seconds[timed] * 1e6).astype(np.int64) * 1000
     usable, notes = usable_rows(time_ns, "rows") if len(time_ns) else (np.empty(0, np.int64), [])
     used = np.zeros(len(time_ns), dtype=bool)
     used[usable] = True
     warnings += [f"{file}: {note}" for note in notes]
-    if not places["t"].stated and used.sum() > 2 and (step := float(np.median(np.diff(time_ns[used])) * 1e-9)) > 1.0:
+    if not place.stated and used.sum() > 2 and (step := float(np.median(np.diff(time_ns[used])) * 1e-9)) > 1.0:
         warnings.append(f"{file}: its times are {step:g} s apart; if they are not seconds, declare their unit in a "
                         "run.yaml, as units: {t: ms}")
-    columns = {channel: values[timed] for channel, values in columns.items()}
-    return Table(file, tuple(names), places, columns, time_ns, int((~timed).sum()), used, tuple(warnings))
+    return timed, time_ns, used
 
 
 def _header_line(lines: list[str], layout: Layout | None = None) -> int:
