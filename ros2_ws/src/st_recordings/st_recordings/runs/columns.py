@@ -178,20 +178,28 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
                 found[channel] = rank, _place(number, name, channel, unit)
     places = {channel: place for channel, (_, place) in found.items()}
     for channel, named in layout.columns.items():
-        # A name without a column may be a channel: {x: y, y: x} exchanges the axes.
-        of_channel = found.get(named) if named not in names else None
-        matching = [number for form in (str, str.lower, normalised, lambda name: normalised(_splits(name)[0][0]))
-                    for number, name in enumerate(names) if form(name) == form(named)]  # the last form is without unit
-        if not of_channel and not matching:
+        if named not in names and named in found:  # a channel, not a column: {x: y, y: x} exchanges the axes
+            column: int | None = found[named][1].column
+        else:
+            column = _column_number(names, named)
+        if column is None:
             raise RunError(layout.source or file, f"columns: {channel}: {file.name} has no column {named[:60]!r}",
                            f"it has {', '.join(names)[:300]}")
-        number = of_channel[1].column if of_channel else matching[0]
-        stated = (unit_named(COLUMNS[channel].kind, unit) for text in (names[number], named)
+        stated = (unit_named(COLUMNS[channel].kind, unit) for text in (names[column], named)
                   for base, unit in _splits(text) if unit and base)
-        places[channel] = _place(number, names[number], channel, next(filter(None, stated), None))
+        places[channel] = _place(column, names[column], channel, next(filter(None, stated), None))
     if "compass_heading" in layout.columns and "yaw" not in layout.columns:
         places.pop("yaw", None)
     return with_units(file, places, layout)
+
+
+def _column_number(names: Sequence[str], named: str) -> int | None:
+    """The column of a name: the same, else but for case, else but for other characters, else but for its unit."""
+    for form in (str, str.lower, normalised, lambda name: normalised(_splits(name)[0][0])):
+        for number, name in enumerate(names):
+            if form(name) == form(named):
+                return number
+    return None
 
 
 def with_units(file: Path, places: dict[str, Place], layout: Layout) -> dict[str, Place]:

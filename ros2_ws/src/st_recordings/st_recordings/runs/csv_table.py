@@ -296,15 +296,16 @@ def _with_decimal_points(file: Path, body: str, delimiter: str) -> str:
     cells = {cell.strip(' \r"') for row in table for cell in row}
     commas = {cell for cell in cells if "," in cell}
     points = {cell for cell in cells if "." in cell}
+    # Decimal marks that the cells show: the last of two different marks, ...
     marks = {"," if cell.rfind(",") > cell.rfind(".") else "." for cell in commas & points}
-    for mark, with_it, other in ((",", commas, "."), (".", points, ",")):
-        single = {cell for cell in with_it if other not in cell}
+    for mark, cells_with_mark, other in ((",", commas, "."), (".", points, ",")):
+        single = {cell for cell in cells_with_mark if other not in cell}
         if any(cell.count(mark) == 1 and not _GROUPED[mark].fullmatch(cell) and
                np.isfinite(_number(cell.replace(",", "."))) for cell in single):
-            marks.add(mark)
+            marks.add(mark)  # ... the mark of 12,5, ...
         elif any(cell.count(mark) > 1 for cell in single if _GROUPED[mark].fullmatch(cell)):
-            marks.add(other)
-    doubtful = sorted(c for m, with_it in ((",", commas), (".", points)) for c in with_it if _GROUPED[m].fullmatch(c))
+            marks.add(other)  # ... and the mark that is not in 1,234,567
+    doubtful = sorted(cell for cell in commas | points if any(form.fullmatch(cell) for form in _GROUPED.values()))
     if doubtful and (len(marks) > 1 or not marks):
         why = "both commas and points are decimal marks in it" if marks else "nothing in the file decides it"
         raise RunError(file, f"{doubtful[0]} may be a number with a decimal mark or with a thousands separator: {why}",
