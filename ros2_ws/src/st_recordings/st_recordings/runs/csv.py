@@ -10,7 +10,7 @@ from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 from st_core.vehicle import VehicleParameters
 
 from .columns import Layout, doubtful_steering, find_columns
-from .csv_table import Table, header_of, known, read_table
+from .csv_table import Table, all_known, header_of, read_table
 from .errors import RunError, share
 from .ins_log import SPEEDS, InsLog, car_speed, is_mostly_known, planar, yaw_of
 from .ncom import enu
@@ -59,26 +59,28 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
     column and unit, as they were used), and the origin of the map for a table with latitude and longitude.
     """
     file = table.file
-    _check_columns(table, (*INS_SIGNALS, ROAD))
+    _require_columns(table, (*INS_SIGNALS, ROAD))
     notes = list(table.warnings)
     columns, origin = _with_derived(table, notes)
-    used = _steering(table, columns, vehicle, steering, notes)
-    missing = _missing(table, columns, used, notes)
-    ins = table.used & known(columns, INS_SIGNALS)
-    steered = table.used & known(columns, used)
+    used = _use_steering(table, columns, vehicle, steering, notes)
+    missing = _count_missing(table, columns, used, notes)
+    ins = table.used & all_known(columns, INS_SIGNALS)
+    steered = table.used & all_known(columns, used)
     if min(ins.sum(), steered.sum()) < 2:
-        worst = max(missing, key=lambda name: missing[name], default="")
-        why = (f": {worst} has no number in {missing[worst]} of {len(table.time_ns) + table.timeless}" if worst else
-               f": {share(int(table.used.sum()), len(table.used), 'rows')} have a time later than all before"
-               if len(table.used) > 1 else "")
-        raise RunError(file, f"fewer than two usable rows are in it{why}", "remove it from the command")
+        reason = ""
+        if missing:
+            worst = max(missing, key=lambda name: missing[name])
+            reason = f": {worst} has no number in {missing[worst]} of {len(table.time_ns) + table.timeless}"
+        elif len(table.used) > 1:
+            reason = f": {share(int(table.used.sum()), len(table.used), 'rows')} have a time later than all before"
+        raise RunError(file, f"fewer than two usable rows are in it{reason}", "remove it from the command")
     values = {name: columns[name][ins] for name in INS_SIGNALS}
     values["yaw"] = np.unwrap(yaw_scale * values["yaw"])
     values |= {name: columns[name][ins] for name in OPTIONAL_INS_SIGNALS if is_mostly_known(columns.get(name))}
     values |= {name: columns[name][steered] for name in {ROAD, *used}}
     log = drive_log(file, file.stem, ins_time_ns=table.time_ns[ins], steering_time_ns=table.time_ns[steered], **values)
     speeds = {name: (table.time_ns[table.used], columns[name][table.used]) for name in SPEEDS if name in columns}
-    first, last = np.flatnonzero(table.used)[[0, -1]]  # of the stretch that is used
+    first, last = np.flatnonzero(table.used)[[0, -1]]
     extras = AuxiliaryData({"INS": table.time_ns[first : last + 1]}, missing, car_speed(speeds))
     places = {channel: f"{place.name} [{place.unit}{'' if place.stated else ', assumed'}]"
               for channel, place in table.places.items()}
@@ -89,15 +91,16 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
 def ins_of(table: Table, needed: Sequence[str] = INS_SIGNALS) -> InsLog:
     """The INS part of a table, for a run with its steering in a CAN log. Channels that are not needed may be NaN.
     Raises RunError."""
-    _check_columns(table, needed, ", `can: [CAN LOGS]`")
+    _require_columns(table, needed, ", `can: [CAN LOGS]`")
     notes = list(table.warnings)
     columns, origin = _with_derived(table, notes)
     used = [name for name in INS_SIGNALS if name in columns
             and (name in needed or (name == "yaw" and np.isfinite(columns[name]).any()))]
-    rows = table.used & known(columns, used)
+    rows = table.used & all_known(columns, used)
     if rows.sum() < 2:
         raise RunError(table.file, "fewer than two usable rows are in it", "remove it from the command")
-    _missing(table, {name: columns[name] for name in (*used, *OPTIONAL_INS_SIGNALS) if name in columns}, (), notes)
+    reported = {name: columns[name] for name in (*used, *OPTIONAL_INS_SIGNALS) if name in columns}
+    _count_missing(table, reported, (), notes)
     values = {name: columns[name][rows] for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS) if name in columns}
     if "yaw" in values:
         values["yaw"] = np.unwrap(values["yaw"])
@@ -111,39 +114,43 @@ def read_motion(source: RunSource, settings: ReadSettings) -> InsLog:
 
 def has_drive_columns(file: Path) -> bool:
     """Whether the header names all columns of a drive (not whether the rows are good)."""
-    return not _lacking_in(file)
+    return not _missing_in_header(file)
 
 
 def lacks_steering(file: Path) -> bool:
     """Whether the header names all columns of an INS and none of a steering angle."""
-    return _lacking_in(file) == [ROAD]
+    return _missing_in_header(file) == [ROAD]
 
 
-def _lacking_in(file: Path) -> list[str]:
+def _missing_in_header(file: Path) -> list[str]:
     names = header_of(file)
-    return _lacking(find_columns(file, names, Layout()), names, ("t", *INS_SIGNALS, ROAD))
+    return _missing_channels(find_columns(file, names, Layout()), names, ("t", *INS_SIGNALS, ROAD))
 
 
 def looks_like_a_drive(file: Path) -> bool:
-    """Whether the header names a position and the motion of a car, though columns of a drive may lack."""
+    """Whether the header names a position and the motion of a car, though columns of a drive may be missing."""
     names = header_of(file)
-    lacking = _lacking(find_columns(file, names, Layout()), names, INS_SIGNALS)
-    return len(lacking) <= 1 and not {"x", "y"} & set(lacking)
+    missing = _missing_channels(find_columns(file, names, Layout()), names, INS_SIGNALS)
+    return len(missing) <= 1 and not {"x", "y"} & set(missing)
 
 
-def _lacking(places: Iterable[str], names: Iterable[str], needed: Iterable[str]) -> list[str]:
+def _missing_channels(places: Iterable[str], names: Iterable[str], needed: Iterable[str]) -> list[str]:
+    """The needed channels that no column gives, directly or derived."""
     found = set(places)
-    found |= ({"yaw"} if COMPASS in found or found >= QUATERNION else set()) | ({ROAD} if WHEEL in found else set())
-    found |= {"velocity_x", "velocity_y"} if found >= {"yaw", "velocity_east", "velocity_north"} else set()
-    found |= {"x", "y"} if {"latitude", "longitude"} <= found else set()
-    if doubtful_steering(list(names)):
+    if COMPASS in found or found >= QUATERNION:
+        found.add("yaw")
+    if found >= {"yaw", "velocity_east", "velocity_north"}:
+        found |= {"velocity_x", "velocity_y"}
+    if found >= {"latitude", "longitude"}:
+        found |= {"x", "y"}
+    if WHEEL in found or doubtful_steering(list(names)):
         found.add(ROAD)
     return [name for name in needed if name not in found]
 
 
-def _check_columns(table: Table, needed: Sequence[str], can: str = "") -> None:
+def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None:
     """Raises RunError for missing columns. can: line of a run.yaml with the CAN logs that belong to the table."""
-    missing = _lacking(table.places, table.names, ("t", *needed))
+    missing = _missing_channels(table.places, table.names, ("t", *needed))
     if missing:
         texts = [f"{name} (or {WHEEL})" if name == ROAD else name for name in missing]
         raise RunError(table.file, f"no column of the header is known as {', '.join(texts)}; it has "
@@ -183,7 +190,7 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], no
     """Interpolates positions of a lower rate than the rows, which are repeated until the next new one."""
     if not columns.keys() >= {"x", "y", "velocity_x"}:
         return
-    rows = np.flatnonzero(table.used & known(columns, ("x", "y", "velocity_x")))
+    rows = np.flatnonzero(table.used & all_known(columns, ("x", "y", "velocity_x")))
     if len(rows) < 3:
         return
     x, y = columns["x"][rows], columns["y"][rows]
@@ -213,7 +220,7 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], no
                  "Hz; they were interpolated between")
 
 
-def _steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehicleParameters | None,
+def _use_steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehicleParameters | None,
               steering: SteeringField | None, notes: list[str]) -> tuple[str, ...]:
     """The steering channels to use; the road wheel angle is computed where the table has only the hand wheel."""
     if steering is not None and not steering.topic:
@@ -233,7 +240,7 @@ def _steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehiclePara
     return (ROAD, WHEEL) if WHEEL in columns else (ROAD,)
 
 
-def _missing(table: Table, columns: Mapping[str, np.ndarray], steering: tuple[str, ...],
+def _count_missing(table: Table, columns: Mapping[str, np.ndarray], steering: tuple[str, ...],
              notes: list[str]) -> dict[str, int]:
     """Channel -> rows without a usable number, with a note on each."""
     lost = {"time": table.timeless, **{

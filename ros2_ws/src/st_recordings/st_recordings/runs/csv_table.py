@@ -375,6 +375,6 @@ def _number(text: str) -> float:
         return float("nan")
 
 
-def known(columns: Mapping[str, np.ndarray], names: Iterable[str]) -> np.ndarray:
+def all_known(columns: Mapping[str, np.ndarray], names: Iterable[str]) -> np.ndarray:
     """Whether each row has a number in all of the named channels."""
     return np.isfinite(np.stack([columns[name] for name in names])).all(axis=0)
