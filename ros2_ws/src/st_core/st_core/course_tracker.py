@@ -1,19 +1,20 @@
-"""Inputs over the horizon from a remembered course, mixed with held ones by how well each did in the recent past.
+"""Inputs over the horizon from a remembered course, mixed with held inputs according to their recent errors.
 
-At every start the passes near the car are candidates. A candidate predicts by the way s ahead
+At every start the passes near the car are candidates. A candidate predicts, over the distance s ahead,
 
     v(s) = v_pass(s) v_now / v_pass(0),      k(s) = k_pass(s) + e''(s),     e(s) = A exp(-s / l_1) + B exp(-s / l_2)
 
-e: lateral distance to the pass, from the present distance and direction (A, B), as a driver steers back to a line. It
-weighs exp(-d^2 / 2), d^2 the sum of squared differences in place, direction, recent speed and recent curvature, each
-over its scale. The mean of the candidates is one of the curvatures and one of the speeds that are mixed:
+e: lateral distance to the pass, as a driver returns to a line; A and B follow from the present distance and direction.
+Its weight is exp(-d^2 / 2), d^2 the sum of squared differences in position, direction, recent speed and recent
+curvature, each over its scale. The weighted mean of the candidates is one of the curvatures and speeds that are mixed:
 
     curvature: held, course              speed: acceleration held, none, fading with FADING, course
     share of each ~ E^-2,      E: mean square error of the forecasts that have ended, forgotten with FORGETTING
 
-E of a curvature is of the place after the way driven, E of a speed is of that way. So a driver who leaves the
-remembered line or speed gets the held one back within seconds, smoothly and independently. Source: combination by past
-performance, Bates and Granger, The combination of forecasts, 1969. Checked by: test_course.py; docs/manual/forecast.md.
+E of a curvature is that of the position after the distance driven, E of a speed that of the distance. So when the
+driver leaves the remembered line or speed, the held one takes over within seconds, smoothly and independently. Source:
+combination by past performance, Bates and Granger, The combination of forecasts, 1969. Checked by: test_course.py;
+docs/manual/forecast.md.
 """
 
 import math
@@ -33,27 +34,27 @@ from .types import InputSequence, wrap_angle
 from .vehicle import VehicleParameters
 
 RETURN_LENGTHS = (40.0, 100.0)
-"""m, l_1 and l_2: at 15 m/s a driver is back on the line in about 10 s."""
+"""m, l_1 and l_2: at 15 m/s a driver returns to the line within about 10 s."""
 SCALES = {"place": 2.0, "direction": 0.1, "speed": 0.1, "curvature": 0.01}
 """m, rad, share of the speed, 1/m: differences between drives of one driver on one course."""
 MAX_DIFFERENCE = 7.0
-"""d of the nearest candidate from which the driver follows none of them."""
+"""d of the nearest candidate above which the driver follows none."""
 RECENT = 2.0
-"""s of the own way that is compared with a candidate's."""
+"""s of past driving that is compared with a candidate."""
 BLEND = 0.3
-"""s in which measured steering and acceleration turn into the remembered ones: the lag of a driver's hand and foot."""
+"""s, time constant from the measured to the remembered steering and acceleration: the lag of a driver."""
 FADING = 0.7
-"""s in which an acceleration fades: pedals change about once a second."""
+"""s, time constant of a fading acceleration: pedals change about once a second."""
 FORGETTING = 10.0
-"""s: two horizons."""
+"""s, memory of the errors E: two horizons."""
 CURVATURE_PRIOR, SPEED_PRIOR = (1.0, 0.2), (1.0, 1.0, 0.5, 0.3)
-"""m^2, E before a forecast has ended, in the order above; from leave-one-run-out errors of real laps."""
+"""m^2, initial E in the order above, from leave-one-run-out errors of real laps."""
 SQUARES = (0.01, 9.0)
-"""m^2 that a squared error is limited to: the accuracy of the INS, and what one error may change at once."""
+"""m^2, limits of a squared error: the accuracy of the INS, and the largest influence of one error."""
 JUMP = 2.0
-"""m between position and way driven from which on the past is dropped."""
+"""m, difference between displacement and distance driven above which the tracker restarts."""
 MIN_SPEED = 0.5
-"""m/s: curvature is not defined in standstill."""
+"""m/s: curvature is not defined at standstill."""
 
 
 class Own(NamedTuple):
@@ -72,7 +73,7 @@ class Own(NamedTuple):
 
     @property
     def direction(self) -> float:
-        """Of the motion, from east [rad]."""
+        """Direction of motion from east [rad]."""
         return self.yaw + math.atan2(self.velocity_y, self.velocity_x)
 
     @property
@@ -82,9 +83,9 @@ class Own(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CourseForecast:
-    """inputs: on the half-step grid of the horizon; None where the course is not used. curvature_share, speed_share: of
-    the course in the mixture, 0 to 1. spread: standard deviation of the candidates' speeds [m/s] at the end. reason: ""
-    or why the course is not used, in one line.
+    """Forecast of a course. inputs: on the half-step grid of the horizon; None where the course is not used.
+    curvature_share, speed_share: of the course in the mixture, 0 to 1. spread: standard deviation of the candidates'
+    speeds at the end [m/s]. reason: why the course is not used, in one line, or "".
     """
 
     inputs: InputSequence | None
@@ -95,8 +96,8 @@ class CourseForecast:
 
 
 class _Open(NamedTuple):
-    """A forecast that has not ended: when it does [ns], way [m] and motion at its start, predicted ways [m] by speed,
-    and the course's path (points, 2) [m] every SPACING m."""
+    """A forecast that has not ended: its end [ns], distance [m] and motion at its start, predicted distances [m] by
+    kind of speed, and path of the course (points, 2) [m] every SPACING m."""
 
     due_ns: int
     way: float
@@ -106,10 +107,10 @@ class _Open(NamedTuple):
 
 
 class CourseTracker:
-    """Follows the car along a course, one call a start, in order of time.
+    """Follows the car along a course; called at every start, in order of time.
 
-    horizon, step [s]. Keeps RECENT seconds of the own way and the forecasts that have not ended. Restarts when time
-    runs backward or stops for longer than a horizon, and when the position jumps.
+    horizon, step [s]. Keeps RECENT seconds of driving and the forecasts that have not ended. Restarts when time runs
+    backward or pauses for longer than a horizon, and when the position jumps.
     """
 
     def __init__(self, course: Course, vehicle: VehicleParameters, horizon: float = 5.0, step: float = 0.05):
@@ -119,14 +120,14 @@ class CourseTracker:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the own way, open forecasts and errors."""
+        """Forget past driving, open forecasts and errors."""
         self._way = 0.0
         self._past: deque[tuple[float, Own]] = deque()
         self._open: deque[_Open] = deque()
         self._curvature_errors, self._speed_errors = np.array(CURVATURE_PRIOR), np.array(SPEED_PRIOR)
 
     def update(self, own: Own) -> CourseForecast:
-        """The forecast from this start; without inputs where the motion is not finite or no pass leads on."""
+        """The forecast from this start; without inputs where the motion is not finite or no pass continues."""
         if not all(map(math.isfinite, own)) or own.velocity_x < MIN_SPEED:
             return CourseForecast(None, reason="course: the car's own motion is not known or too slow")
         elapsed = self._advance(own)
@@ -160,7 +161,7 @@ class CourseTracker:
         return elapsed
 
     def _score(self, own: Own, elapsed: float) -> None:
-        """Errors of the forecasts that have ended, into E."""
+        """Update E with the errors of the forecasts that have ended."""
         share = min(elapsed / FORGETTING, 1.0)
         while self._open and self._open[0].due_ns <= own.time_ns:
             ended = self._open.popleft()
@@ -228,7 +229,7 @@ class CourseTracker:
 
 
 def _arc(own: Own, way: float) -> tuple[float, float]:
-    """Place after a way [m] of constant curvature."""
+    """Position after a distance [m] of constant curvature."""
     chord = own.direction + 0.5 * own.curvature * way
     length = way * float(np.sinc(0.5 * own.curvature * way / math.pi))
     return own.x + length * math.cos(chord), own.y + length * math.sin(chord)

@@ -96,7 +96,7 @@ class Evaluator:
         return sum(len(group) for group in self._waiting.values())
 
     def add_ins(self, sample: InsSample) -> bool:
-        """Take an INS sample; False if it was refused. When its time jumps back, what was waiting ends incomplete."""
+        """Add an INS sample; False if it was refused. When its time jumps back, pending predictions end incomplete."""
         generation = self.history.generation
         for view in self._correcting_views:
             view.add_ins(sample)
@@ -106,19 +106,19 @@ class Evaluator:
         return accepted
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
-        """Take a road wheel angle [rad], left +; False if it was refused."""
+        """Add a road wheel angle [rad], left +; False if it was refused."""
         for view in self._correcting_views:
             view.add_steering(time_ns, road_wheel_angle)
         return self.history.add_steering(time_ns, road_wheel_angle)
 
     def view(self, model: str) -> ModelView:
-        """What that model makes of the measurements. Raises ConfigurationError for an unknown one."""
+        """The measurements as corrected by a model. Raises ConfigurationError for an unknown model."""
         if model not in self._views:
             get_model(model)  # raises with the list of known models
         return self._views[model]
 
     def add_prediction(self, model: str, start_ns: int, trajectory: Trajectory, mode: Mode = "forecast") -> None:
-        """Take an issued prediction (CG). With a forecast hindsight is scored, from the same start."""
+        """Add an issued prediction (at the CG). With a forecast, hindsight is scored from the same start."""
         key = (start_ns, len(trajectory.states) - 1, trajectory.step)
         self._waiting.setdefault(key, []).append(_Pending(model, mode, trajectory))
         if self.pending > self.MAXIMUM_PENDING:
@@ -140,7 +140,7 @@ class Evaluator:
         return scores
 
     def flush(self) -> list[Score]:
-        """Scores of everything still waiting: the end of the data. Horizons that reach beyond it are incomplete."""
+        """Scores of all pending predictions at the end of the data. Horizons that reach beyond it are incomplete."""
         scores, self._overtaken = self._overtaken, []
         for key in sorted(self._waiting):
             scores += self._score(key, self._waiting[key])
@@ -168,7 +168,7 @@ class Evaluator:
         no_position = self._why("INS", self.history.ins, times[::2], measured[0], start_ns)
         no_inputs = (self._why("INS", self.history.ins, times, ins[:, DERIVATIVE], start_ns)
                      or self._why("steering", self.history.steering, times, angle, start_ns))
-        # The same points for every model: without the last input some still have a finite last position.
+        # The same points for every model: some models have a finite last position without the last input.
         scorable = inputs.known_so_far[::2]
         jump_ns, jump = self._jump(start_ns, int(times[-1]))
         unbroken = times[::2] < jump_ns
@@ -192,7 +192,8 @@ class Evaluator:
         return scores
 
     def _jump(self, start_ns: int, end_ns: int) -> tuple[int, str]:
-        """(instant, reason) of the first jump of the position within a horizon; without one its end is not reached."""
+        """(instant, reason) of the first jump of the position within a horizon; an instant after its end without
+        one."""
         within = [time_ns for time_ns in self.history.ins.breaks if start_ns < time_ns <= end_ns]
         if not within:
             return end_ns + 1, ""

@@ -1,8 +1,8 @@
-"""Every model over a whole recorded drive: a prediction every 100 ms, scored against what the car then did.
+"""Evaluation of models over a recorded drive: a prediction every 100 ms, compared with the measured motion.
 
 The offline counterpart of Predictor and Evaluator: from the same start it gives the same trajectory and the same error
-(`st verify` measures that). Memory is bounded: whole trajectories exist for one block of starts at a time; what is kept
-of each start are its errors' means, squares and extremes over the horizon and their values at whole seconds.
+(`st verify` measures that). Memory is bounded: whole trajectories exist for one block of starts at a time; for each
+start the mean, mean square and largest error over the horizon are kept, and the errors at whole seconds.
 """
 
 from collections import deque
@@ -27,10 +27,10 @@ from .types import STATE_NAMES, InputSequence
 from .vehicle import VehicleParameters
 
 MODES: tuple[Mode, ...] = ("hindsight", "forecast")
-"""Those of every evaluation; plan and course come in addition where their inputs are given."""
+"""Modes of every evaluation; plan and course are added where their inputs are given."""
 AXES = ("longitudinal", "lateral", "yaw")
 BLOCK = 1024  # starts predicted together; each model and mode then takes 7 MB
-AHEAD = 2  # blocks being made, one a thread
+AHEAD = 2  # blocks computed in advance, one per thread
 CONDITIONS = ("speed", "lateral_acceleration", "velocity_x_dot", "steering_rate", "heading_change")
 ALL = slice(None)
 
@@ -38,8 +38,9 @@ Progress = Callable[[int, int], None]
 Planned = tuple[np.ndarray, ...]
 Watch = Callable[[np.ndarray, "Block"], None]
 Ahead = Callable[[np.ndarray], tuple[np.ndarray, ...]]
-"""Of starts (n,) [ns], rising: road wheel angle [rad], velocity_x_dot [m/s^2] and, of a path, `SLIP_FREE` [rad] over
-the horizon, each (n, 2 * steps + 1) on the half-step grid; NaN where not known. Called once, with every start."""
+"""Function of increasing starts (n,) [ns] that gives road wheel angle [rad], velocity_x_dot [m/s^2] and, for a path,
+`SLIP_FREE` [rad] over the horizon, each (n, 2 * steps + 1) on the half-step grid; NaN where not known. It is called
+once, with all starts."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class EvaluationSettings:
                 raise ConfigurationError(f"{key}: {getattr(self, key)!r} is neither of {', '.join(choices)}")
 
     def signals(self, log: DriveLog) -> LogSignals:
-        """The drive's signals as these settings have them."""
+        """The signals of a drive with the gap, filter and acceleration of these settings."""
         return LogSignals(log, self.prediction.maximum_gap, self.prediction.filter_cutoff, self.acceleration)
 
     def as_dict(self) -> dict[str, float | str]:
@@ -156,13 +157,13 @@ def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log:
                  settings: EvaluationSettings | None = None, starts_ns: np.ndarray | None = None,
                  progress: Progress | None = None, watch: Watch | None = None,
                  ahead: Mapping[Mode, Ahead] | None = None) -> LogEvaluation:
-    """Predict with every model from every start and score it.
+    """Predict with every model from every start, and score the predictions.
 
-    log: its signals are made with the settings, unless they are given.
+    log: a drive, or its signals; of a drive they are computed with the settings.
     starts_ns: increasing; default every `interval` of the drive from its first INS sample on. A start where INS or
-    steering is not known, or slower than minimum_speed, is skipped and counted. progress(done, total): after each
-    block. watch(starts_ns, block): sees each block with its whole errors before they are let go.
-    ahead: inputs of further modes, plan and course; where they are not known, inputs are held.
+    steering is not known, or slower than minimum_speed, is skipped and counted. progress(done, total): called after
+    each block. watch(starts_ns, block): called with the complete errors of each block. ahead: inputs of further modes,
+    plan and course; where they are not known, inputs are held.
     Source: paper, section on the comparison. Checked by: test_log_evaluation.py, against the live classes.
     """
     settings = settings or EvaluationSettings()
@@ -193,7 +194,7 @@ def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log:
 
 
 def regular_starts(log: DriveLog, interval: float) -> np.ndarray:
-    """Instants [ns] `interval` [s] apart, from the first INS sample, while both INS and steering last."""
+    """Instants [ns] `interval` [s] apart, from the first INS sample, as long as both INS and steering are recorded."""
     if not log.overlap:
         return np.empty(0, np.int64)
     first = int(log.ins_time_ns[0])
@@ -205,7 +206,7 @@ def regular_starts(log: DriveLog, interval: float) -> np.ndarray:
 
 def usable_starts(signals: LogSignals, vehicle: VehicleParameters, requested: np.ndarray,
                   minimum_speed: float) -> tuple[np.ndarray, dict[str, int]]:
-    """The starts from which a prediction can be made, and how many of the others there are by reason."""
+    """The starts from which a prediction can be made, and the number of the others by reason."""
     speed, yaw_rate, acceleration = signals.ins_at(requested, "velocity_x", "yaw_rate", "velocity_x_dot")
     angle = signals.road_wheel_angle_at(requested)
     no_ins, no_steering = np.isnan(speed) | np.isnan(acceleration), np.isnan(angle)
@@ -231,12 +232,12 @@ class Block:
 def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
                     settings: EvaluationSettings,
                     ahead: Mapping[Mode, Ahead] | None = None) -> Iterator[tuple[slice, Block]]:
-    """Errors and whole trajectories of BLOCK starts at a time, with the rows of `starts_ns` they belong to.
+    """Errors and whole trajectories of BLOCK starts at a time, with their rows of `starts_ns`.
 
-    While one is looked at the next are being made: kernels and arrays leave the interpreter to other threads.
+    The next blocks are computed in threads meanwhile: compiled kernels and array operations release the interpreter.
     """
     blocks = [slice(first, min(first + BLOCK, len(starts_ns))) for first in range(0, len(starts_ns), BLOCK)]
-    # In order and here: a course follows the drive.
+    # In order of time and in this thread: a course follows the drive.
     inputs = {mode: of_mode(starts_ns) for mode, of_mode in (ahead or {}).items()} if len(starts_ns) else {}
 
     def make(starts_ns: np.ndarray, rows: slice) -> Block:

@@ -1,4 +1,4 @@
-"""From a state and inputs to a trajectory; live, from the newest measurements. No clock: the caller passes time in."""
+"""Predictions: from a state and inputs to a trajectory, and live from the newest measurements; time is passed in."""
 
 import hashlib
 import json
@@ -33,10 +33,10 @@ def step_count(horizon: float, step: float) -> int:
 
 @dataclass(frozen=True)
 class PredictionSettings:
-    """How predictions are made. Raises ConfigurationError naming the key and the limit.
+    """Settings of a prediction. Raises ConfigurationError naming the key and the limit.
 
-    horizon, step [s]. minimum_speed [m/s]: none is made below. stale_after [s]: none is made from older inputs.
-    maximum_gap [s]: nothing is interpolated across a longer one. filter_cutoff [Hz]: of the forward speed.
+    horizon, step [s]. minimum_speed [m/s]: no prediction below. stale_after [s]: no prediction from older inputs.
+    maximum_gap [s]: longest gap that is interpolated. filter_cutoff [Hz]: of the forward speed.
     """
 
     horizon: float = 5.0
@@ -115,7 +115,7 @@ def _grid(model: Model, p: Any, inputs: ControlInput | InputSequence, steps: int
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Where a prediction starts: measured_at [ns], the CG state then and the inputs then."""
+    """Start of a prediction: the measured instant [ns], and the CG state and inputs there."""
 
     time_ns: int
     state: VehicleState
@@ -124,7 +124,9 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Skip:
-    """No prediction this time. kind: stale (an input is missing, stale or invalid) or slow. reason: for a person."""
+    """No prediction at this tick. kind: stale (an input is missing, stale or invalid) or slow. reason: text for the
+    user.
+    """
 
     kind: Literal["stale", "slow"]
     reason: str
@@ -142,7 +144,7 @@ class Predictor:
     for one that needs signals which are not measured live.
     """
 
-    # Kept so that a late sample still finds its place and the filter its past.
+    # s of history, for late samples and the memory of the filter.
     SPAN = 2.0
 
     def __init__(self, vehicle: VehicleParameters, models: Sequence[str | Model],
@@ -174,11 +176,11 @@ class Predictor:
         return tuple(self._views)
 
     def car(self, model: str) -> VehicleParameters:
-        """The car as that model takes it to be, for the lever arm from its CG to the INS."""
+        """The vehicle parameters of a model, with the lever arm from its CG to the INS."""
         return self._views[model].car
 
     def model_inputs(self, model: str, planned: InputSequence) -> InputSequence:
-        """Planned inputs that a model takes (`planned_inputs.model_inputs`)."""
+        """Planned inputs for a model (`planned_inputs.model_inputs`)."""
         return model_inputs(self._views[model].model, planned)
 
     def add_ins(self, sample: InsSample) -> bool:
@@ -246,7 +248,7 @@ class Predictor:
         return None
 
     def _newest_of_both(self) -> int | None:
-        """Until when both go on [ns]."""
+        """The earlier of the newest samples of INS and steering [ns]."""
         ins, steering = self.history.ins.newest, self.history.steering.newest
         return None if ins is None or steering is None else min(ins, steering)
 
@@ -265,7 +267,7 @@ class Predictor:
         return problem or plan.sequence(start.time_ns, settings.steps, settings.step)
 
     def run(self, start: Start, model: str, ahead: InputSequence | None = None) -> Trajectory:
-        """The trajectory of one model from a start, at the CG as that model has it, see `car`.
+        """The trajectory of one model from a start, at the CG of that model (`car`).
 
         ahead: inputs on the half-step grid of the horizon, of a plan (`planned`) or a course; None: inputs held.
         """

@@ -1,9 +1,9 @@
-"""Start times laid out for a batch: which instants to sample, and where each start finds its own among them.
+"""Layout of start times for a batch: the instants to sample, and the place of each start among them.
 
 Windows of starts 0.1 s apart overlap fifty-fold. Where the starts are multiples of half an integration step apart, the
 instants are shared: one grid for the log, stored as [phase, index] of grid point g = index * q + phase, q half steps
-between starts. Then neighbouring starts are neighbours in memory at every instant, and no window is ever copied. Starts
-at odd times get instants of their own in the same layout.
+between starts. So neighbouring starts are neighbours in memory at every instant, and no window is copied. Starts at
+other times get instants of their own in the same layout.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,10 +17,11 @@ OWN_BLOCK = 2**17  # instants
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Some columns of a batch. rows: which of the starts. selected: the column of each of them.
+    """Columns of a batch that are computed together. rows: of the starts. selected: the column of each of them.
 
     starts_ns: (count,) of the columns. times_ns: instants to sample, (m,) where shared, else (instants, columns).
-    offsets: column i has its instant k at `offsets[k] + i` of a row of the table. columns: count made up to a multiple.
+    offsets: instant k of column i is at `offsets[k] + i` of a row of the table. columns: count, padded to a multiple of
+    the lanes.
     """
 
     number: int
@@ -42,11 +43,11 @@ class Block:
         return self.spacing > 0
 
     def laid_out(self, values: np.ndarray) -> np.ndarray:
-        """(m,) what is known at times_ns, in the order `offsets` speaks of."""
+        """(m,) values at times_ns in the order that `offsets` refers to."""
         return (values.reshape(-1, self.spacing).T if self.shared else values).ravel()
 
     def table(self, fields: tuple) -> np.ndarray:
-        """(fields, m): quantities, each an array that is laid out or a number."""
+        """(fields, m) table of quantities, each an array in this layout or a number."""
         result = np.empty((len(fields), self.times_ns.size))
         for row, field in zip(result, fields, strict=True):
             row[:] = field
@@ -54,9 +55,9 @@ class Block:
 
 
 def plan(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, share: bool = True) -> Iterator[Block]:
-    """Blocks that cover all starts. starts_ns: rising. instants_ns: after each start, rising from 0.
+    """Blocks that cover all starts. starts_ns: increasing. instants_ns: after each start, increasing from 0.
 
-    share: False where the same instant means something else to each start.
+    share: False where the value at an instant depends on the start.
     """
     runs = _runs(starts_ns, instants_ns) if share else []
     columns = sum(cover + _reach(spacing, instants_ns) for _, spacing, cover in runs)
@@ -67,7 +68,7 @@ def plan(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, share: bool
 
 
 def _reach(spacing: int, instants_ns: np.ndarray) -> int:
-    """Columns a window reaches beyond its own."""
+    """Columns that a window extends beyond its own."""
     return (len(instants_ns) - 1) // spacing
 
 
@@ -93,7 +94,7 @@ def _runs(starts_ns: np.ndarray, instants_ns: np.ndarray) -> list[tuple[slice, i
 
 def _shared(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int,
             runs: Sequence[tuple[slice, int, int]]) -> Iterator[Block]:
-    """Runs one after the other in a block: columns between them, as many as a window reaches, are unused."""
+    """Runs one after the other in a block; the columns that a window extends into are unused between them."""
     pieces = []
     for rows, spacing, cover in runs:
         place = (starts_ns[rows] - starts_ns[rows.start]) // (int(instants_ns[1]) * spacing)
