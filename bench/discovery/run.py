@@ -74,8 +74,10 @@ def answer(found: Discovery) -> Record:
     gap = found.gap.get("position_5s")
     return {
         "outcome": found.outcome,
-        "effects": [{"name": e.name, "kind": e.kind, "alternatives": list(e.alternatives),
-                     "position_5s": round(e.position_5s, 4), "values": _values(e)} for e in found.effects],
+        "effects": [*({"name": e.name, "kind": e.kind, "alternatives": list(e.alternatives),
+                       "position_5s": round(e.position_5s, 4), "values": _values(e)} for e in found.effects),
+                    *({"name": c.effects[0], "kind": "combination", "alternatives": list(c.effects[1:]),
+                       "position_5s": 0.0, "values": {}} for c in found.known_together)],
         "kept": {e.name: _values(e) for e in found.minor},
         "on_top": {c.name: dict(c.parameters) for c in found.candidates},
         "bound": [[b.resembles, b.to] for b in found.bound],
