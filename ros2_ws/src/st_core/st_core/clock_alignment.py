@@ -42,28 +42,24 @@ def manual_alignment(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal]
     """
     offset = offset_ns * 1e-9
     check = align(signals, search=(offset - 5.0, offset + 5.0)) if signals else refused_alignment()
+    given = Alignment(at_ns, offset_ns, 0.0, float("nan"), float("nan"), "by hand", Verdict.DOUBTFUL,
+                      ("the offset was given by hand and could not be checked",))
     if check.verdict is Verdict.REFUSED:
-        return Alignment(at_ns, offset_ns, 0.0, float("nan"), float("nan"), "by hand", Verdict.DOUBTFUL,
-                         ("the offset was given by hand and could not be checked",))
-    away = check.offset_ns * 1e-9 - offset
-    reason = f"the offset was given by hand; the shared signals put it {away * 1e3:+.0f} ms away, mid-log"
-    close = abs(away) < max(2 * check.offset_deviation, 0.01)
-    return Alignment(at_ns, offset_ns, 0.0, float("nan"), float("nan"), "by hand",
-                     Verdict.GOOD if close else Verdict.DOUBTFUL, (reason,), check.signals, check.peak,
-                     check.second_peak, check.overlap)
+        return given
+    difference = check.offset_ns * 1e-9 - offset
+    reason = f"the offset was given by hand; the shared signals put it {difference * 1e3:+.0f} ms away, mid-log"
+    close = abs(difference) < max(2 * check.offset_deviation, 0.01)
+    return replace(given, verdict=Verdict.GOOD if close else Verdict.DOUBTFUL, reasons=(reason,), signals=check.signals,
+                   peak=check.peak, second_peak=check.second_peak, overlap=check.overlap)
 
 
-def align(signals: Sequence[SharedSignal], minimum_overlap: float | None = None,
-          search: tuple[float, float] | None = None) -> Alignment:
+def align(signals: Sequence[SharedSignal], search: tuple[float, float] | None = None) -> Alignment:
     """Alignment by the signals of both recordings.
 
     Coarse: masked normalised cross-correlation at all lags, averaged over the signals. Fine: robust joint fit of offset
     and drift (`clock_fit.fit`). The verdict rests on the height of the peak, a similar second peak, enough variation,
-    agreement between the signals, and steps of a clock.
-
-    Args:
-        minimum_overlap: [s]; default 40 % of the shorter recording, and where nothing fits then, 20 s.
-        search: bounds of reference minus other time [s]; default everywhere.
+    agreement between the signals, and steps of a clock. The recordings must overlap by 40 % of the shorter one, or by
+    20 s where nothing fits then. search: bounds of reference minus other time [s]; None for all.
 
     Never raises for the content of a recording: a refused alignment has its reasons. Valid for drifts of a few hundred
     ppm and recordings of up to two days. Checked by: the synthetic pair in tests/golden/test_alignment.py, and
@@ -76,8 +72,6 @@ def align(signals: Sequence[SharedSignal], minimum_overlap: float | None = None,
     fine = pairs[CUTOFFS[-1]]
     if not fine:
         return refused_alignment(*reasons, "the shared signals are known for a few seconds only")
-    if minimum_overlap is not None:
-        return _align_with_overlap(fine, pairs, usable, reasons, minimum_overlap, search)
     shorter = min(max(side.known.sum() for side in sides) * STEP
                   for sides in ([p.reference for p in fine], [p.other for p in fine]))
     result = _align_with_overlap(fine, pairs, usable, reasons, max(0.4 * shorter, 10.0), search)

@@ -14,11 +14,11 @@ from st_core.palette import MEASURED_COLOUR, RC
 
 OTHER_COLOUR = "#d55e00"
 CLOSE_UP = 10.0  # s
-MOST_POINTS = 4000  # of a line
+MAX_POINTS = 4000  # of a line
 
 
 def alignment_figure(signals: Sequence[SharedSignal], alignment: Alignment, title: str, file: Path) -> None:
-    """A speed over the whole drive and the liveliest 10 s of a yaw rate, aligned; correlation, and residual lags."""
+    """Write the figure: a speed over the drive, the most active 10 s of a yaw rate, correlation, residual lags."""
     plain = [s for s in signals if not s.angle] or list(signals)
     speed = next((s for s in plain if "velocity" in s.name or "speed" in s.name), plain[0])
     with plt.rc_context(RC):
@@ -38,23 +38,23 @@ def _draw_signal(ax: plt.Axes, signal: SharedSignal, alignment: Alignment, whole
     mapped = alignment.to_reference_ns(signal.other_time_ns - round(signal.latency * 1e9))
     reference, other = (signal.reference_time_ns - zero) * 1e-9, (mapped - zero) * 1e-9
     values = signal.other
-    if "curvature" in signal.name:  # only of the same shape: in the units of the reference
+    if "curvature" in signal.name:  # proportional only, so it is scaled to the reference
         known = np.isfinite(signal.reference)
         values = np.polyval(np.polyfit(np.interp(reference[known], other, values), signal.reference[known], 1), values)
-    start = -np.inf if whole else _liveliest(reference, signal.reference, other)
+    start = -np.inf if whole else _most_active(reference, signal.reference, other)
     for time, line, colour, width, alpha, label in (
             (reference, signal.reference, MEASURED_COLOUR, 3.0, 0.55, "INS recording"),
             (other, values, OTHER_COLOUR, 1.0, 1.0, "CAN log")):
         rows = np.flatnonzero((time >= start) & (time <= (np.inf if whole else start + CLOSE_UP)))
-        rows = rows[::max(len(rows) // MOST_POINTS, 1)]
+        rows = rows[::max(len(rows) // MAX_POINTS, 1)]
         ax.plot(time[rows], line[rows], color=colour, lw=width, alpha=alpha, label=label)
     units = {"velocity": "m/s", "speed": "m/s", "rate": "rad/s", "curvature": "1/m, steering scaled"}
     unit = next((unit for word, unit in units.items() if word in signal.name), "rad")
-    ax.set(title="Aligned" if whole else f"The liveliest {CLOSE_UP:.0f} s", xlabel="s after the first INS measurement",
-           ylabel=f"{signal.name.split(' (')[0]}, {unit}")
+    ax.set(title="Aligned" if whole else f"The most active {CLOSE_UP:.0f} s",
+           xlabel="s after the first INS measurement", ylabel=f"{signal.name.split(' (')[0]}, {unit}")
 
 
-def _liveliest(time: np.ndarray, values: np.ndarray, other: np.ndarray) -> float:
+def _most_active(time: np.ndarray, values: np.ndarray, other: np.ndarray) -> float:
     """Start of the stretch, inside the time common to both, in which the signal varies most."""
     low, high = max(time[0], other[0]), min(time[-1], other[-1]) - CLOSE_UP
     starts = np.arange(low, max(high, low + 1e-3), CLOSE_UP / 4)

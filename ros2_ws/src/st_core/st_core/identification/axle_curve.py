@@ -119,5 +119,5 @@ def force_error(model: str | Model, vehicle: VehicleParameters, samples: AxleSam
     The bins divide the driven |slip| evenly, so that straights do not outweigh bends; bins with fewer than 1 % of an
     even share are left out. The measured slip and force are centred (`AxleSamples.centred`).
     """
-    slip, force, _ = samples.binned(bins)
+    slip, force = samples.binned(bins)
     return float(np.sqrt(np.mean((axle_force(model, vehicle, samples.axle, slip) - force) ** 2)) / force.max())

@@ -62,7 +62,6 @@ class LiftedCar:
     cg_to_front_axle: float
     mass_uncertainty: float = 0.0
     wheelbase_uncertainty: float = 0.0
-    radius_uncertainty: float = RADIUS_UNCERTAINTY
 
 
 def pitch_from_lift(lift: np.ndarray, front_radius: np.ndarray, rear_radius: np.ndarray,
@@ -98,7 +97,7 @@ def cg_height(data: Lift, car: LiftedCar) -> Identification:
     share = car.cg_to_front_axle / car.wheelbase
     spread = math.hypot(
         car.wheelbase / car.mass * line.uncertainty, arm * car.mass_uncertainty / car.mass,
-        arm * car.wheelbase_uncertainty / car.wheelbase, car.radius_uncertainty * math.hypot(1.0 - share, share))
+        arm * car.wheelbase_uncertainty / car.wheelbase, RADIUS_UNCERTAINTY * math.hypot(1.0 - share, share))
     single, usable = _single_heights(data, car, level, radius, line)
     average = float(single[usable].mean())
     # Only the slope's uncertainty was estimated, from few rows.

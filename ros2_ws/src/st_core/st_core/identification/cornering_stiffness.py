@@ -60,36 +60,26 @@ class AxleSamples:
     time: np.ndarray
     used: np.ndarray
 
-    def binned(self, count: int = 12) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(slip, force, standard error of the force), one value per bin of |slip|, (b,) each, force opposing the slip.
+    def binned(self, count: int = 12) -> tuple[np.ndarray, np.ndarray]:
+        """(slip, mean force) per bin of |slip|, (b,) each, force opposing the slip.
 
         Both signs are combined after subtracting the slip at which the force vanishes, which offsets of steering and
         INS cause. Bins with less than 1 % of an even share of the samples are left out.
         """
-        slope, centre = self._line()
-        slip = self.slip - centre
+        slip = self.slip - self.zero_force_slip()
         size, force = np.abs(slip), -self.force * np.sign(slip)
         number = np.digitize(size, np.linspace(0.0, float(np.quantile(size, DRIVEN_QUANTILE)), count + 1)) - 1
-        group = blocks(self.run_of, self.time)
-        rows = []
-        for k in range(count):
-            member = number == k
-            n = int(member.sum())
-            if n < 0.01 * len(size) / count or n < 5:
-                continue
-            # Within a bin the force still rises with the slip: only the distance from the local line is scatter.
-            mean, middle = float(force[member].mean()), float(size[member].mean())
-            off = np.where(member, force - mean - slope * (size - middle), 0.0)
-            rows.append((middle, mean, float(np.sqrt(np.square(group.sums(off)).sum()) / n)))
-        slips, forces, errors = np.array(rows).reshape(-1, 3).T
-        return slips, forces, errors
+        members = [number == k for k in range(count)]
+        members = [member for member in members if member.sum() >= max(0.01 * len(size) / count, 5)]
+        return (np.array([size[member].mean() for member in members]),
+                np.array([force[member].mean() for member in members]))
 
-    def _line(self) -> tuple[float, float]:
-        """Slope of -force over slip [N/rad] and the slip at zero force [rad], by the samples in the regression's range;
-        the slip is not shifted where the slope is not positive."""
+    def zero_force_slip(self) -> float:
+        """Slip at zero force [rad], by a line through the samples in the regression's range; 0 where the force does not
+        oppose the slip."""
         use = self.used if self.used.sum() >= 10 else np.ones(len(self.slip), bool)
         slope, intercept = np.polyfit(self.slip[use], -self.force[use], 1)
-        return (float(slope), float(-intercept / slope)) if slope > 0.0 else (0.0, 0.0)
+        return float(-intercept / slope) if slope > 0.0 else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +183,7 @@ def _slope(samples: AxleSamples) -> Slope:
 
 def _model_error(samples: AxleSamples, slope: Slope) -> float:
     """See the module; NaN for too few samples or one size of slip."""
-    size = np.abs(samples.slip - samples._line()[1])
+    size = np.abs(samples.slip - samples.zero_force_slip())
     low = replace(samples, used=samples.used & (size <= 0.5 * np.quantile(size[samples.used], DRIVEN_QUANTILE)))
     mean, mean_low = (float((size[one.used] ** 3).sum() / (size[one.used] ** 2).sum()) if one.used.any() else np.inf
                       for one in (samples, low))

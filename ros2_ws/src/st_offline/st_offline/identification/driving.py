@@ -25,7 +25,7 @@ from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
 from .experiment import Experiment, Setup, number
 
 MOST_POINTS = 4000
-"""Dots of a cloud; more only make it darker."""
+"""Dots of a scatter plot; more only make it darker."""
 PAPER, BETTER = MODEL_COLOUR["linear"], MODEL_COLOUR["augmented"]
 DEG = np.rad2deg(1.0)
 UNITS = {"rad": (DEG, "deg"), "N/rad": (1e-3, "kN/rad")}
@@ -49,7 +49,7 @@ def draw_offset(found: Identification, place: Place) -> Drawn:
         first, second = (e.value * DEG for e in found.estimates[:2])
         return finish(figure, place, "steering-offset",
                       f"Steering offset {first:.2f} deg by the yaw rate, {second:.2f} deg by the mean reading",
-                      "Bands: 95 % intervals. Right: what the yaw-rate criterion leaves.")
+                      "Bands: 95 % intervals. Right: residuals of the yaw rate.")
 
 
 def draw_mounting(found: Identification, place: Place) -> Drawn:
@@ -59,8 +59,8 @@ def draw_mounting(found: Identification, place: Place) -> Drawn:
         figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
         thin = _thin(len(data["curvature"]))
         for index, name in enumerate(data["names"]):
-            here = thin[data["run"][thin] == index]
-            left.plot(data["curvature"][here], data["slope"][here], ".", ms=2.5, label=name)
+            rows = thin[data["run"][thin] == index]
+            left.plot(data["curvature"][rows], data["slope"][rows], ".", ms=2.5, label=name)
         ends = np.array([data["curvature"].min(), data["curvature"].max()])
         left.plot(ends, data["theta"][0] + data["theta"][1] * ends, color=TEXT, lw=1, label="fit")
         left.set(xlabel="yaw rate / forward velocity, 1/m (left +)", ylabel="lateral / forward velocity, slip removed")
@@ -68,7 +68,7 @@ def draw_mounting(found: Identification, place: Place) -> Drawn:
             left.legend(markerscale=3, fontsize=7)
         right.plot(data["speed"][thin], data["residual"][thin] * 1e3, ".", color=MEASURED_COLOUR, ms=2.5)
         right.axhline(0.0, color=TEXT, lw=0.8)
-        right.set(xlabel="forward velocity, m/s", ylabel="left over, mm/s")
+        right.set(xlabel="forward velocity, m/s", ylabel="residual, mm/s")
         lever, angle = found["cg_to_ins_x"], found["ins_misalignment"]
         return finish(figure, place, "ins", f"INS {_value(lever)} ahead of the CG, heading turned by {_value(angle)}",
                       "Slope of the line: INS ahead of the rear axle. Where it crosses zero curvature: misalignment.")
@@ -176,12 +176,12 @@ def _thin(count: int) -> np.ndarray:
 
 
 def _in_line(run: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Times of all runs one after the other."""
+    """Times of all runs, concatenated [s]."""
     result, end = np.zeros(len(time)), 0.0
     for index in np.unique(run):
-        here = run == index
-        result[here] = end + time[here] - time[here].min()
-        end = float(result[here].max()) + 2.0
+        rows = run == index
+        result[rows] = end + time[rows] - time[rows].min()
+        end = float(result[rows].max()) + 2.0
     return result
 
 
@@ -197,14 +197,14 @@ def _value(estimate: Estimate) -> str:
     return text if unit == "1" else f"{text} {unit}"
 
 
-DISAGREEMENT = 0.15
+MAX_DISAGREEMENT = 0.15  # relative
 ADVICE = "Steering ratio or lever arm may be wrong: run `st identify steering` and `st identify ins` first."
 RECORDINGS = "recordings of drives, several are better: folders, .ncom with CAN logs, bags, CSV"
 
 
 def experiment(name: str, what: str, needs: str, compute: Callable[..., Identification], draw,
                predicts: bool = False) -> Experiment:
-    """compute(logs, vehicle) -> Identification; predicts: it takes a model, base=..., too."""
+    """Experiment from drives. compute: function of (logs, vehicle); predicts: whether it also takes a model, base."""
     def identify(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
         if not predicts and setup.model is not MODELS["nonlinear"]:
             raise IdentificationError(f"{name} predicts nothing, so it has no use for a --model")
@@ -234,28 +234,28 @@ def experiment(name: str, what: str, needs: str, compute: Callable[..., Identifi
 
 
 def stiffness(logs: Sequence[DriveLog], vehicle, base: Model) -> Identification:
-    """By prediction; the paper's regression of the same drives is in the figure and the warnings."""
+    """Stiffnesses by prediction, with the paper's regression of the same drives in the figure and the warnings."""
     found = predict_stiffness(logs, vehicle, base)
     try:
         paper = identify_stiffness(logs, vehicle)
     except IdentificationError as error:
         return replace(found, warnings=(*found.warnings, f"The paper's regression could not be made: {error}"))
     estimates, comparisons = [], []
-    for one in found.estimates:
-        other = paper[one.parameter]
+    for estimate in found.estimates:
+        name, other = estimate.parameter, paper[estimate.parameter]
         if other.status == "unidentifiable":
-            estimates.append(one)
-            comparisons.append(f"The paper's regression gives no {one.parameter}: {other.verdict}")
+            estimates.append(estimate)
+            comparisons.append(f"The paper's regression gives no {name}: {other.verdict}")
             continue
-        words = describe_contradiction(one, other.value, other.standard_uncertainty, "the paper's regression")
-        if words and abs(one.value - other.value) > DISAGREEMENT * other.value:
-            # A regression averages over the tyre's curve, so a few per cent are expected; more is a fault elsewhere.
-            words += f" {ADVICE}"
-            estimates.append(replace(one, status="doubtful", verdict=f"{one.verdict} Doubtful: {ADVICE}"))
+        text = describe_contradiction(estimate, other.value, other.standard_uncertainty, "the paper's regression")
+        # A regression averages over the tyre's curve, so a few per cent are expected; more is a fault elsewhere.
+        if text and abs(estimate.value - other.value) > MAX_DISAGREEMENT * other.value:
+            text += f" {ADVICE}"
+            estimates.append(replace(estimate, status="doubtful", verdict=f"{estimate.verdict} Doubtful: {ADVICE}"))
         else:
-            estimates.append(one)
-        comparisons.append(words or f"The paper's regression gives {one.parameter} {other.value:.0f} +/- "
-                    f"{other.standard_uncertainty:.0f} N/rad, which agrees.")
+            estimates.append(estimate)
+        comparisons.append(text or f"The paper's regression gives {name} {other.value:.0f} +/- "
+                           f"{other.standard_uncertainty:.0f} N/rad, which agrees.")
     return replace(found, estimates=tuple(estimates), warnings=(*found.warnings, *comparisons),
                    figure={**found.figure, "paper": paper})
 

@@ -1,4 +1,4 @@
-"""An experiment of `st identify`: its table of data (units in the header names, SI inside), its values as cells."""
+"""An experiment of `st identify`: its table of data (units in the header, SI inside) and its results as table cells."""
 
 import csv
 import math
@@ -71,7 +71,7 @@ def row(estimate: Estimate, vehicle: VehicleParameters) -> Sequence[str]:
 
 
 def number(value: float, spread: float) -> str:
-    """The value to the second digit of its uncertainty; five digits without one."""
+    """The value to the second significant digit of its uncertainty; to five digits without one."""
     if not math.isfinite(value):
         return "unknown"
     if not math.isfinite(spread) or spread <= 0.0:

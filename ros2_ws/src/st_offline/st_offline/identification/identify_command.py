@@ -86,7 +86,7 @@ def identified(job: Job) -> tuple[Identification, ...]:
 
 def show(found: Sequence[Identification], vehicle: VehicleParameters, stale: Sequence[str], console: Console) -> None:
     """Table and verdicts in the terminal."""
-    print_findings(checked(found), console)
+    print_findings(findings_by_drive(found), console)
     for one in found:
         console.print(rows_table([
             {"parameter": escape(f"{name}{'' if unit == '1' else f', {unit}'}"), "value": value,
@@ -103,15 +103,15 @@ def show(found: Sequence[Identification], vehicle: VehicleParameters, stale: Seq
         line(f"  [yellow]{escape(sentence)}[/yellow]", console)
 
 
-def checked(found: Sequence[Identification]) -> dict[str, tuple[Finding, ...]]:
-    """What the checks found, by drive."""
+def findings_by_drive(found: Sequence[Identification]) -> dict[str, tuple[Finding, ...]]:
+    """Findings of the checks by drive."""
     return {name: findings for one in found for name, findings in one.findings.items()}
 
 
 def about(job: Job, now: datetime) -> dict[str, Any]:
-    """What the values depend on."""
+    """Provenance of the values: vehicle, files, versions."""
     data = list(job.files)
-    if job.experiment.drives:  # of folders only the recordings
+    if job.experiment.drives:  # a folder stands for the recordings in it
         data = [file for source in find_runs(job.files) for file in (*source.files, *source.can)]
     return {
         "created": now.isoformat(timespec="seconds"), "experiment": job.experiment.name,
@@ -158,7 +158,7 @@ def vehicle_text(file: Path, car: VehicleParameters, found: Sequence[Identificat
 
 
 def details(found: Identification) -> dict[str, Any]:
-    """One experiment in details.json: what accompanies the values."""
+    """One experiment in details.json."""
     matrix = found.correlation
     return {
         "what": found.what, "used": list(found.used),
@@ -192,5 +192,6 @@ def page(found: Sequence[Identification], figures: Sequence[Drawn | None], vehic
 
     return template("identification/page.html.jinja").render(
         title=f"{vehicle.name}: {', '.join(values)}", found=list(zip(found, figures, strict=True)), about=facts,
-        recordings={name: {"findings": findings_as_json(findings)} for name, findings in checked(found).items()},
+        recordings={name: {"findings": findings_as_json(findings)}
+                    for name, findings in findings_by_drive(found).items()},
         heads=HEADS, rows=lambda one: rows(one, vehicle), excitation=excitation, correlation=correlation)

@@ -1,4 +1,4 @@
-"""`st identify` in the workshop: scales, turntables, axle lift, flat-plank tables of tyres."""
+"""Experiments of `st identify` in the workshop: scales, turntables, axle lift, flat-plank tables of tyres."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -60,8 +60,8 @@ def draw_scales(found: Identification, place: Place) -> Drawn:
             axes.ticklabel_format(useOffset=False)
         panels[0].set_yticks(rows, data["names"])
         panels[0].set_ylim(len(rows) - 0.5, -0.5)
-        panels[0].grid(axis="y", visible=False)
-        panels[1].grid(axis="y", visible=False)
+        for axes in panels:
+            axes.grid(axis="y", visible=False)
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower left", ncols=4)
         return finish(figure, place, "scales", f"{found['mass'].verdict} {found['cg_to_front_axle'].verdict}",
@@ -88,7 +88,7 @@ def identify_ratio(files: Sequence[Path], setup: Setup) -> tuple[Identification,
 
 
 def draw_ratio(found: Identification, place: Place) -> Drawn:
-    """Wheel angles over the hand-wheel angle with the line, and what it leaves over."""
+    """Wheel angles over the hand-wheel angle with the fitted line, and its residuals."""
     data, estimate = found.figure, found.estimates[0]
     hand, sweeps = np.degrees(data["hand"]), np.asarray(data["sweeps"])
     with style():
@@ -114,10 +114,10 @@ def draw_ratio(found: Identification, place: Place) -> Drawn:
         right.set(xlabel="hand-wheel angle, deg (left +)", ylabel="mean wheel angle minus line, deg")
         handles = [pair for axes in (left, right) for pair in zip(*axes.get_legend_handles_labels(), strict=True)]
         figure.legend(*zip(*handles, strict=True), loc="outside lower left", ncols=4, fontsize=8)
-        title = f"Steering ratio {estimate.value:.2f}, 95 % interval {estimate.interval95[0]:.2f} to " \
-                f"{estimate.interval95[1]:.2f}"
+        low, high = estimate.interval95
+        title = f"Steering ratio {estimate.value:.2f}, 95 % interval {low:.2f} to {high:.2f}"
         return finish(figure, place, "steering-ratio", title,
-                      "Left: both front wheels, their mean, and the line. Right: what the line leaves over.")
+                      "Left: both front wheels, their mean, and the line. Right: residuals of the line.")
 
 
 STEERING_RATIO = Experiment("steering-ratio", "steering ratio from turntables",
@@ -138,12 +138,11 @@ def identify_height(files: Sequence[Path], setup: Setup) -> tuple[Identification
         table = read_columns(file, LOADS, {**RADII, **OTHERS}, ("series",))
         series = table.texts.get("series") or ("1",) * len(table)
         names += [f"{file.name}:{name}" for name in series]
-        masses |= set(table.numbers.get("car_mass", np.array([])).tolist()) - {np.nan}
+        masses |= {mass for mass in table.numbers.get("car_mass", np.zeros(0)).tolist() if np.isfinite(mass)}
         empty = np.full(len(table), np.nan)
         columns = table.numbers
         parts.append((_pitch(table, vehicle.wheelbase), columns["rear_left"] + columns["rear_right"],
                       *(columns.get(name, empty) for name in RADII)))
-    masses = {mass for mass in masses if np.isfinite(mass)}
     if len(masses) > 1:
         raise RunError(files[0], f"car_mass_kg has several values: {sorted(masses)}", "lift one car")
     pitch, load, front, rear = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -186,11 +185,11 @@ def draw_height(found: Identification, place: Place) -> Drawn:
         right.axhline(data["average"], color=MEASURED_COLOUR, ls="--", label="average over pitch angles")
         right.set(xlim=(0.0, None), xlabel="pitch, deg", ylabel="CG height, m")
         right.legend(fontsize=8)
-        title = f"CG {estimate.value:.3f} m above the ground, 95 % interval {estimate.interval95[0]:.3f} to " \
-                f"{estimate.interval95[1]:.3f} m"
-        return finish(figure, place, "cg-height", title, "Left: rear load and the line with slope m (h - r) / l "
-                                                         "over "
-                      "tan(pitch). Right: the height from each lifted row alone.")
+        low, high = estimate.interval95
+        title = f"CG {estimate.value:.3f} m above the ground, 95 % interval {low:.3f} to {high:.3f} m"
+        return finish(figure, place, "cg-height", title,
+                      "Left: rear load and the line with slope m (h - r) / l over tan(pitch). Right: the height from "
+                      "each lifted row alone.")
 
 
 CG_HEIGHT = Experiment("cg-height", "CG height from the axle-lift test (ISO 10392)",
@@ -259,7 +258,7 @@ def draw_tyre(found: Identification, place: Place) -> Drawn:
         right.set(ylim=(0.0, None), xlabel="load, N", ylabel="cornering stiffness, kN/rad")
         share = 100.0 * np.sqrt(np.mean(data["residuals"] ** 2)) / np.abs(data["force"]).max()
         axle = data["tyre"].removeprefix("tyre_")
-        title = f"Magic Formula of the {axle} tyre: {share:.2f} % of the largest force left over"
+        title = f"Magic Formula of the {axle} tyre: {share:.2f} % of the largest force unexplained"
         return finish(figure, place, data["tyre"].replace("_", "-"), title,
                       "Points: measured. Lines: Magic Formula. Bars: 95 % interval of the stiffness at zero slip.")
 
