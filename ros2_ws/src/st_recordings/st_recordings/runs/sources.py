@@ -73,15 +73,17 @@ def _in_folder(folder: Path) -> list[RunSource]:
             taken.update({*run.files, *run.can})
         else:
             files.append(path)
-    loose = []
-    for path in files:
-        reader = reader_of(path)
-        if path in taken and not path.is_dir():
-            continue
-        if reader is None or reader.needs_can or reader.has_drive(path) or reader.is_ins_only(path) or (
-                reader.is_incomplete(path)) or (reader.kind == "csv" and any(map(is_can_log, _logs_of(path, files)))):
-            loose.append(path)
-    return runs + _from_files(loose, given=False)
+    loose = [path for path in files if path not in taken or path.is_dir()]
+    return runs + _from_files([path for path in loose if _may_be_in_a_run(path, files)], given=False)
+
+
+def _may_be_in_a_run(path: Path, files: Sequence[Path]) -> bool:
+    """Whether a file found in a folder may be a recording or CAN log; tables and bags without a drive are not."""
+    reader = reader_of(path)
+    if reader is None or reader.needs_can:
+        return True
+    return (reader.has_drive(path) or reader.is_ins_only(path) or reader.is_incomplete(path)
+            or (reader.kind == "csv" and any(map(is_can_log, _logs_of(path, files)))))
 
 
 def _from_files(files: Sequence[Path], given: bool) -> list[RunSource]:
