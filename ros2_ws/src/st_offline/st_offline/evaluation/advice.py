@@ -32,8 +32,8 @@ from ..evaluation.tables import write_csv
 from ..evaluation.work import Task, load_models
 from ..terminal import line, list_files, rows_table
 
-ROUNDS, LEAST = 5, 0.02  # turns, and seconds of processor time of each
-BATCHED = 960  # starts of a batch: 20 groups of the compiled lanes
+ROUNDS, ROUND_TIME = 5, 0.02  # measurements of each call; s, processor time of one at least
+BATCH_STARTS = 960  # 20 groups of the compiled lanes
 
 Call = Callable[[], object]
 CallKey = tuple[str, float, str]
@@ -41,8 +41,8 @@ CallKey = tuple[str, float, str]
 
 @dataclass(frozen=True)
 class Cost:
-    """Processor time of one prediction over the horizon [s]. floats: as live without numba. compiled: as live with it,
-    one at a time; None where the model cannot be compiled. batch: a start of many in one drive.
+    """Processor time of one prediction over the horizon [s]. floats: live, without numba. compiled: live, with numba;
+    None where the model cannot be compiled. batch: of one start, when a whole drive is predicted as a batch.
     """
 
     floats: float
@@ -57,7 +57,7 @@ def costs(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSigna
     for step, one in settings.items():
         starts, _ = usable_starts(signals, vehicle, regular_starts(signals.log, one.interval),
                                   one.prediction.minimum_speed)
-        starts = starts[:BATCHED]
+        starts = starts[:BATCH_STARTS]
         batch = LogBatch(signals, starts, one.prediction.horizon, step, inputs="held")
         middle = starts[len(starts) // 2:][:1]
         state = VehicleState(*signals.states_at(middle, vehicle)[0])
@@ -70,38 +70,40 @@ def costs(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSigna
             if model.name in compiled:
                 calls[model.name, step, "compiled"] = partial(compiled[model.name], state, held), 1
             calls[model.name, step, "batch"] = partial(batch.predict, model, vehicle), len(starts)
-    seconds = in_turns(calls)
+    seconds = median_times(calls)
     return {(model.name, step): Cost(seconds[model.name, step, "floats"], seconds.get((model.name, step, "compiled")),
                                      seconds[model.name, step, "batch"]) for model in models for step in settings}
 
 
-def in_turns(calls: Mapping[CallKey, tuple[Call, int]]) -> dict[CallKey, float]:
-    """Median processor time [s] of one of the predictions that a call makes, all calls in every round."""
-    taken: dict[CallKey, list[float]] = {key: [] for key in calls}
+def median_times(calls: Mapping[CallKey, tuple[Call, int]]) -> dict[CallKey, float]:
+    """Median processor time [s] per prediction of each call; in every round all calls are measured."""
+    measured_times: dict[CallKey, list[float]] = {key: [] for key in calls}
     for call, _ in calls.values():
         call()
     for _ in range(ROUNDS):
         for key, (call, predictions) in calls.items():
             count, begin = 0, time.process_time()
-            while not count or time.process_time() - begin < LEAST:
+            while not count or time.process_time() - begin < ROUND_TIME:
                 call()
                 count += 1
-            taken[key].append((time.process_time() - begin) / (count * predictions))
-    return {key: float(np.median(values)) for key, values in taken.items()}
+            measured_times[key].append((time.process_time() - begin) / (count * predictions))
+    return {key: float(np.median(values)) for key, values in measured_times.items()}
 
 
-ACROSS = 1  # of along, across, yaw
+ACROSS = 1  # index of the axes along, across, yaw
 LEVELS = (0.9, 0.5)
-SHARE = 0.9  # of the starts within the tolerance
-ENOUGH = 100  # starts in a speed bin: ten seconds of driving
+WITHIN_SHARE = 0.9  # of the starts that must be within the tolerance
+MIN_STARTS = 100  # in a speed bin: ten seconds of driving
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Of one model and step, in the model question. second: whole seconds ahead. rms: of the error across there [m].
-    width: mean half-width across of the calibrated band of `level` there [m]; None with too few runs for one.
-    within: by lower edge of speed [m/s], (seconds,), the error across that SHARE of the starts stay below up to that
-    second [m], every run weighing the same."""
+    """Accuracy of one model and step with measured inputs, by whole `second` ahead.
+
+    rms: of the lateral error [m]. level, width: level of the calibrated band and its mean lateral half-width [m]; None
+    with too few runs. within: by lower edge of speed [m/s], the lateral error [m] that WITHIN_SHARE of the starts do
+    not exceed up to each second, every run with the same weight.
+    """
 
     second: tuple[int, ...]
     rms: tuple[float, ...]
@@ -111,7 +113,7 @@ class Accuracy:
 
 
 def model_accuracy(runs: Sequence[RunSamples], model: str, settings: EvaluationSettings) -> Accuracy:
-    """Of errors of this model; at least one run. Raises StCoreError where no band can be fitted to them."""
+    """The accuracy from errors of this model in at least one run. Raises StCoreError where no band can be fitted."""
     question = model, "hindsight"
     time = times(settings.prediction.horizon, settings.prediction.step)
     seconds = range(1, math.floor(time[-1] + 1e-9) + 1)
@@ -121,7 +123,7 @@ def model_accuracy(runs: Sequence[RunSamples], model: str, settings: EvaluationS
     level = next((one for one in LEVELS if len(runs) >= FEWEST_RUNS and one <= highest_level(len(runs)) + 1e-9), None)
     width = None
     if level is not None:
-        # Mean over all starts, also those under conditions that fewer runs had than a band is given for.
+        # Over all starts, also those outside the calibration domain.
         band = calibrate(runs, question, time, (level,))
         width = tuple(np.mean([band.half_widths(run.conditions, level)[:, at, ACROSS].mean(axis=0) for run in runs],
                               axis=0).tolist())
@@ -130,9 +132,9 @@ def model_accuracy(runs: Sequence[RunSamples], model: str, settings: EvaluationS
     for low, high in zip(SPEED, (*SPEED[1:], math.inf), strict=True):
         speed = [run.conditions[:, CONDITIONS.index("speed")] for run in runs]
         parts = [one[(v >= low) & (v < high)] for one, v in zip(highest, speed, strict=True)]
-        if sum(map(len, parts)) >= ENOUGH:
+        if sum(map(len, parts)) >= MIN_STARTS:
             spread = [np.quantile(part, np.linspace(0.0, 1.0, 201), axis=0) for part in parts if len(part)]
-            within[low] = tuple(np.quantile(np.concatenate(spread), SHARE, axis=0).tolist())
+            within[low] = tuple(np.quantile(np.concatenate(spread), WITHIN_SHARE, axis=0).tolist())
     return Accuracy(tuple(seconds), tuple(rms.tolist()), level, width, within)
 
 
@@ -148,7 +150,7 @@ def processor_time(cost: Cost) -> float:
 def cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
              tolerance: float) -> dict[float, tuple[Key | None, ...]]:
     """By lower edge of speed [m/s]: for each second ahead the cheapest with an error across within the tolerance
-    [m] in SHARE of the starts; None where no model does.
+    [m] in WITHIN_SHARE of the starts; None where no model does.
     """
     order = sorted(accuracies, key=lambda key: processor_time(costs[key]))
     speeds = sorted({low for one in accuracies.values() for low in one.within})
@@ -283,4 +285,4 @@ def caption(accuracies: Mapping[Key, Accuracy]) -> str:
 
 
 def choice_title(tolerance: float) -> str:
-    return f"Cheapest with {SHARE:.0%} of starts within {tolerance:g} m across up to then, inputs as driven"
+    return f"Cheapest with {WITHIN_SHARE:.0%} of starts within {tolerance:g} m across up to then, inputs as driven"
