@@ -23,6 +23,7 @@ from .frames import (
     clock_step_notes,
     concatenated,
     merged,
+    no_frames,
     without_clock_steps,
     without_duplicates,
 )
@@ -98,14 +99,15 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> Frames:
     except Exception as error:  # the readers pass on any exception of their parsing, and a missing file
         what = f"cannot be read as a {kind.name} log ({short(error)})"
         raise RunError(file, what, "copy or export it again") from None
-    if not parts:
-        format_notes += _impossible_time_notes(impossible)
+    frames = concatenated(parts) if parts else no_frames()
+    if parts:
+        is_outlier = np.abs(frames.time_ns - median_filter(frames.time_ns, 3, mode="mirror")) > MAX_TIME_JUMP_NS
+        frames, impossible = frames.select(~is_outlier), impossible + int(is_outlier.sum())
+    if impossible:
+        format_notes.append(f"frames with an impossible time: {impossible}; they were skipped")
+    if not len(frames):
         what = f"no whole frame is in it ({'; '.join(format_notes)})" if format_notes else "no frames are in the log"
         raise RunError(file, what, "copy or export it again")
-    frames = concatenated(parts)
-    is_outlier = np.abs(frames.time_ns - median_filter(frames.time_ns, 3, mode="mirror")) > MAX_TIME_JUMP_NS
-    frames, impossible = frames.select(~is_outlier), impossible + int(is_outlier.sum())
-    format_notes += _impossible_time_notes(impossible)
     steps = np.diff(frames.time_ns[1:])  # a coarse clock repeats its times; times since the frame before also fall
     if kind.name == "candump" and frames.time_ns[0] == 0 and len(steps) and (
             (steps < 0).mean() > MIN_FALLING_SHARE or not steps.any()):
@@ -114,10 +116,6 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> Frames:
     frames, clock_steps = without_clock_steps(frames)
     notes += [*format_notes, *clock_step_notes(clock_steps)]
     return merged([frames])
-
-
-def _impossible_time_notes(count: int) -> list[str]:
-    return [f"frames with an impossible time: {count}; they were skipped"] if count else []
 
 
 def _columns(messages: Sequence[can.Message]) -> Frames:
