@@ -80,8 +80,8 @@ def axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven
     model = get_model(model)
     if original is None:
         original = model.base if isinstance(model, AugmentedModel) else model
-    force, file = (axle_force(one, vehicle, axle, slip) for one in (model, original))
-    rows = [axle_force(one, vehicle, axle, slip) for one in draws]
+    force, file = (axle_force(candidate, vehicle, axle, slip) for candidate in (model, original))
+    rows = [axle_force(candidate, vehicle, axle, slip) for candidate in draws]
     low, high = np.quantile(rows, (0.5 - 0.5 * level, 0.5 + 0.5 * level), axis=0) if rows else (force, force)
     counts = np.histogram(size, slip)[0]
     return AxleCurve(axle, slip, force, np.minimum(low, force), np.maximum(high, force), file,
@@ -100,12 +100,12 @@ def draw_models(model: AugmentedModel, covariance: np.ndarray, vehicle: VehicleP
     values = np.random.default_rng(seed).multivariate_normal(model.vector, covariance, count, method="eigh")
     found = []
     for row in np.clip(values, low, high):
-        one = model.with_vector(row.tolist())
+        candidate = model.with_vector(row.tolist())
         try:
-            one.parameters(vehicle)
+            candidate.parameters(vehicle)
         except ConfigurationError:
             continue
-        found.append(one)
+        found.append(candidate)
     if len(found) < MIN_DRAWS:
         raise StCoreError(f"{len(found)} of {count} drawn parameter sets are a car; {MIN_DRAWS} are needed")
     return found

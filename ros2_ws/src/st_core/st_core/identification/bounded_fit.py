@@ -63,7 +63,7 @@ def fit_curve(residuals: Residuals, starts: Sequence[Sequence[float]], lower: Se
     """Least squares from the best of several starts, every parameter within its bounds."""
     low, high = np.asarray(lower, float), np.asarray(upper, float)
     rough = [_solve(residuals, start, low, high, 1e-3, 40) for start in starts] if len(starts) > 1 else []
-    begin = min(rough, key=lambda one: one.cost).x if rough else starts[0]
+    begin = min(rough, key=lambda result: result.cost).x if rough else starts[0]
     found = _solve(residuals, begin, low, high, 1e-10, 200)
     n, k = found.jac.shape
     freedom = n - k

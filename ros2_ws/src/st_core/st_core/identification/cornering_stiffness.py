@@ -166,7 +166,7 @@ def _regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> tupl
                         [run.lateral_acceleration[m] for run, m in zip(runs, masks, strict=True)], times, 1.0, 3))
     thin = "; ".join(c.describe() for c in covered if not c.sufficient)
     samples = [_axle_samples(runs, masks, vehicle, index) for index in range(2)]
-    slopes = [_slope(one) if one.used.sum() >= 10 else None for one in samples]
+    slopes = [_slope(axle) if axle.used.sum() >= 10 else None for axle in samples]
     front, rear = (_make_regression(*pair, covered, [f"too little excitation: {thin}"] if thin else [])
                    for pair in zip(samples, slopes, strict=True))
     return (front, rear), _correlation(*slopes), tuple(r for rows in rejected for r in rows)
@@ -185,8 +185,8 @@ def _model_error(samples: AxleSamples, slope: Slope) -> float:
     """See the module; NaN for too few samples or one size of slip."""
     size = np.abs(samples.slip - samples.zero_force_slip())
     low = replace(samples, used=samples.used & (size <= 0.5 * np.quantile(size[samples.used], DRIVEN_QUANTILE)))
-    mean, mean_low = (float((size[one.used] ** 3).sum() / (size[one.used] ** 2).sum()) if one.used.any() else np.inf
-                      for one in (samples, low))
+    mean, mean_low = (float(np.average(used, weights=used**2)) if used.any() else np.inf
+                      for used in (size[samples.used], size[low.used]))
     if low.used.sum() < MIN_AXLE_SAMPLES or mean_low > MAX_RANGE_RATIO * mean:
         return float("nan")
     value, spread, *_ = _slope(low)
@@ -198,9 +198,9 @@ def _correlation(front: Slope | None, rear: Slope | None) -> np.ndarray:
     """Of the two stiffnesses, by the influence of common blocks; the identity where one is missing."""
     if front is None or rear is None:
         return np.eye(2)
-    _, one, other = np.intersect1d(front[2], rear[2], return_indices=True)
-    pulls = np.stack([front[3][one], rear[3][other]])
-    return np.corrcoef(pulls) if len(one) > 2 and (pulls.std(axis=1) > 0.0).all() else np.eye(2)
+    _, front_rows, rear_rows = np.intersect1d(front[2], rear[2], return_indices=True)
+    pulls = np.stack([front[3][front_rows], rear[3][rear_rows]])
+    return np.corrcoef(pulls) if len(front_rows) > 2 and (pulls.std(axis=1) > 0.0).all() else np.eye(2)
 
 
 def _make_regression(samples: AxleSamples, slope: Slope | None, covered: tuple[Coverage, ...],

@@ -86,12 +86,12 @@ def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
     result = make_identification("stiffness", vehicle, fit, method, (*STIFFNESSES, *also), covered, systematic)
     kind = "Secant" if get_model(base).name.startswith("linear") else "Slope at zero slip of the file's tyre curve"
     estimates = []
-    for one, slip in zip(result.estimates, driven_slip(logs, vehicle, settings), strict=False):
-        share = 100.0 * systematic.get(one.parameter, 0.0) / max(abs(one.value), 1e-300)
+    for estimate, slip in zip(result.estimates, driven_slip(logs, vehicle, settings), strict=False):
+        share = 100.0 * systematic.get(estimate.parameter, 0.0) / max(abs(estimate.value), 1e-300)
         model_error = (f"the value changes with the slip range, model error +/- {share:.1f} % included" if systematic
                        else "its change with the slip range is not known: drive small and large lateral accelerations")
-        estimates.append(replace(one, verdict=f"{one.verdict} {kind} over slip angles up to {np.rad2deg(slip):.1f} "
-                                              f"deg; {model_error}."))
+        verdict = f"{estimate.verdict} {kind} over slip angles up to {np.rad2deg(slip):.1f} deg; {model_error}."
+        estimates.append(replace(estimate, verdict=verdict))
     return replace(result, estimates=(*estimates, *result.estimates[len(STIFFNESSES):]),
                    warnings=(*noticed, *result.warnings))
 
@@ -112,7 +112,7 @@ def slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehicleParameters,
         return {}
     places = {name: fit.names.index(name) for name in STIFFNESSES}
     return {name: extrapolation_uncertainty(*(
-        (float(one.values[k]), float(one.spread.covariance[k, k]), one.acceleration) for one in (fit, low)))
+        (float(result.values[k]), float(result.spread.covariance[k, k]), result.acceleration) for result in (fit, low)))
         for name, k in places.items()}
 
 

@@ -48,10 +48,10 @@ def mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncertainty: f
     """
     readings = _check_readings(weighings)
     load = max(weighings.loads, key=weighings.loads.count)
-    keep = np.array([one == load for one in weighings.loads])
+    keep = np.array([other == load for other in weighings.loads])
     named = list(zip(weighings.names, weighings.loads, strict=True))
-    used = tuple(name for name, one in named if one == load)
-    rejected = tuple((name, f"another loading: {one or 'none noted'}") for name, one in named if one != load)
+    used = tuple(name for name, other in named if other == load)
+    rejected = tuple((name, f"another loading: {other or 'none noted'}") for name, other in named if other != load)
     chosen = readings[keep]
     all_masses = readings.sum(axis=1)
     all_distances = wheelbase * readings[:, 2:].sum(axis=1) / all_masses

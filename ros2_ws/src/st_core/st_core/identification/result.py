@@ -176,7 +176,8 @@ def apply_to_vehicle(vehicle: VehicleParameters, found: Iterable[Identification]
 
 def describe_stale_scales(vehicle: VehicleParameters, found: Iterable[Identification]) -> tuple[str, ...]:
     """A sentence for each tyre with a lambda_ky set in the file although a value it depends on has changed."""
-    changed = {estimate.parameter for one in found for estimate in one.estimates if estimate.status != "unidentifiable"}
+    changed = {estimate.parameter for identification in found for estimate in identification.estimates
+               if estimate.status != "unidentifiable"}
     sentences = []
     for tyre in ("tyre_front", "tyre_rear"):
         fixed = vehicle.sources.get(f"{tyre}.lambda_ky") != DERIVED and f"{tyre}.lambda_ky" not in changed

@@ -67,8 +67,8 @@ def run_command(job: Job, console: Console, report_vehicle: Callable[[str], None
         print_run(run, console)
     for name, problem in failed.items():
         report_problem(name, problem, console)
-    for number, one in enumerate(compare_runs([run.checked for run in good])):
-        line(f"{'' if number else '[bold]all runs together[/bold]' + chr(10)}  {escape(one.text)}", console)
+    for number, quantity in enumerate(compare_runs([run.checked for run in good])):
+        line(f"{'' if number else '[bold]all runs together[/bold]' + chr(10)}  {escape(quantity.text)}", console)
     if report_vehicle and not job.given:
         for file in sorted({run.vehicle_from for run in good}):
             report_vehicle(file)

@@ -26,7 +26,8 @@ DERIVED_COLOUR = MODEL_COLOUR["kinematic"]
 
 def draw_panel(identity: Identity, checked: Checked, place: Place) -> Drawn:
     """Figure of one identity, with the stretches of its findings shaded."""
-    findings = sorted((one for one in checked.findings if one.name in identity.findings), key=check_report.gravity)
+    findings = sorted((finding for finding in checked.findings if finding.name in identity.findings),
+                      key=check_report.gravity)
     with style():
         figure, (upper, lower) = plt.subplots(2, 1, figsize=(WIDTH, HEIGHT), sharex=True, height_ratios=(3, 2))
         time = np.asarray(identity.time, float)
@@ -49,7 +50,7 @@ def draw_panel(identity: Identity, checked: Checked, place: Place) -> Drawn:
         figure.align_ylabels()
         figure.legend(loc="outside lower left", ncols=2)
         key = f"identity-{identity.name}"
-        shaded = ", shaded where a finding has its stretches" if any(one.where for one in findings) else ""
+        shaded = ", shaded where a finding has its stretches" if any(finding.where for finding in findings) else ""
         caption = f"Grey: {identity.measured_label}; blue: {identity.derived_label}; below, grey minus blue{shaded}."
         size = f"{residual_rms(identity):.2g} {check_report.unit_symbol(identity.unit)}".strip()
         found = findings[0].text if findings else f"no finding; they differ by {size} (root mean square)"
@@ -71,11 +72,12 @@ def page_title(good: Sequence[CheckedRun]) -> str:
 
 def page_summary(good: Sequence[CheckedRun]) -> list[str]:
     """Meaning of the findings, what to do, and the clocks: at most three sentences."""
-    findings = [one for run in good for one in run.checked.findings]
+    findings = [finding for run in good for finding in run.checked.findings]
     gravest = min(findings, key=check_report.gravity, default=None)
     if gravest is None or gravest.severity is Severity.NOTE:
         return ["Nothing has to be corrected: every command can use these runs."]
-    sizes = [one.effect for one in findings if one.severity is not Severity.NOTE and one.effect is not None]
+    sizes = [finding.effect for finding in findings
+             if finding.severity is not Severity.NOTE and finding.effect is not None]
     size = f", by up to {max(sizes):.2g} m after 5 s" if sizes and gravest.severity is Severity.WARNING else ""
     refused = ": every command refuses such a run without --force" if gravest.severity is Severity.ERROR else ""
     meaning = check_report.MEANING[gravest.severity]
@@ -102,10 +104,10 @@ def _figures(runs: Sequence[CheckedRun]) -> list[Drawn]:
     ranked: list[tuple[int, float, int, CheckedRun, Identity]] = []
     for run in runs:
         for identity in run.checked.identities:
-            concerned = [one for one in run.checked.findings if one.name in identity.findings]
+            concerned = [finding for finding in run.checked.findings if finding.name in identity.findings]
             gravest = min(map(check_report.gravity, concerned), default=len(check_report.GRAVITY))
-            ranked.append((gravest, -max((one.effect or 0.0 for one in concerned), default=0.0), len(ranked), run,
-                           identity))
+            largest = max((finding.effect or 0.0 for finding in concerned), default=0.0)
+            ranked.append((gravest, -largest, len(ranked), run, identity))
     return [replace(drawn, title=f"{run.name}: {drawn.title}" if len(runs) > 1 else drawn.title)
             for *_, run, identity in sorted(ranked)[:MAX_FIGURES]
             for drawn in [draw_panel(identity, run.checked, Place(None, (), f"{slug(run.name)}-"))]]

@@ -38,7 +38,7 @@ def gravity(finding: Finding) -> int:
 
 def count_by_severity(findings: Sequence[Finding]) -> str:
     """"2 errors, 1 warning"; empty for none."""
-    numbers = ((severity.value, sum(one.severity is severity for one in findings)) for severity in GRAVITY)
+    numbers = ((severity.value, sum(finding.severity is severity for finding in findings)) for severity in GRAVITY)
     return ", ".join(f"{count} {name}{'' if count == 1 else 's'}" for name, count in numbers if count)
 
 
@@ -49,7 +49,7 @@ def verdict(checked: Checked) -> str:
         compared = f"in {count} comparison{'' if count == 1 else 's'}" if count else "but there was nothing to compare"
         return f"nothing found, {compared}"
     worst = min(checked.findings, key=gravity).severity
-    if worst is Severity.WARNING and all(one.of_acceleration for one in checked.of(worst)):
+    if worst is Severity.WARNING and all(finding.of_acceleration for finding in checked.of(worst)):
         return f"{count_by_severity(checked.findings)}: identify and discover would be misled"
     return f"{count_by_severity(checked.findings)}: {MEANING[worst]}"
 
@@ -59,7 +59,7 @@ def headline(checked: Checked) -> str:
     if not checked.findings:
         return verdict(checked)
     worst = min(checked.findings, key=gravity).severity
-    texts = [one.text for one in checked.findings if one.severity is worst]
+    texts = [finding.text for finding in checked.findings if finding.severity is worst]
     more = f"; and {len(texts) - MAX_LISTED} more" if len(texts) > MAX_LISTED else ""
     return f"{count_by_severity(checked.findings)}: {'; '.join(texts[:MAX_LISTED])}{more}"
 
@@ -123,7 +123,7 @@ def advise_steering_sign(findings: Iterable[Finding], source: str = "RUN", can: 
 
     can: whether the steering is in a CAN log rather than in a table; None where that is unknown.
     """
-    if not any(one.name == "steering_sign" for one in findings):
+    if not any(finding.name == "steering_sign" for finding in findings):
         return ""
     log = "add --steering-sign -1 (1 if car.yaml has -1), or change steering_sign in car.yaml"
     table = ("add --steering-field COLUMN --steering-sign -1, or write a run.yaml with "
@@ -134,15 +134,17 @@ def advise_steering_sign(findings: Iterable[Finding], source: str = "RUN", can: 
 
 def describe_clocks(alignments: Mapping[str, Mapping[str, Any]]) -> str:
     """Sentence on the steering clocks of several runs; of more than two, the range of those found from the data."""
-    found = [one for one in alignments.values() if one["method"] not in ("none", "by hand")]
+    found = [alignment for alignment in alignments.values() if alignment["method"] not in ("none", "by hand")]
     if len(found) <= 2:
-        return "; ".join(f"{name}: {text}" for name, one in alignments.items() if (text := describe_clock(one)))
-    ahead = sorted(-one["offset_s"] for one in found)
-    deviation = max(one["offset_deviation_s"] or 0.0 for one in found)
-    doubtful = sum(one["verdict"] != "good" for one in found)
+        return "; ".join(f"{name}: {text}" for name, alignment in alignments.items()
+                         if (text := describe_clock(alignment)))
+    ahead = sorted(-alignment["offset_s"] for alignment in found)
+    deviation = max(alignment["offset_deviation_s"] or 0.0 for alignment in found)
+    doubtful = sum(alignment["verdict"] != "good" for alignment in found)
     of_all = (f"steering clocks of {len(found)} runs: {ahead[0]:+.3f} to {ahead[-1]:+.3f} s relative to INS, found "
               f"from the data, at worst ± {1e3 * deviation:.1f} ms, {doubtful or 'none'} of them doubtful")
-    by_hand = [f"{name}: {describe_clock(one)}" for name, one in alignments.items() if one["method"] == "by hand"]
+    by_hand = [f"{name}: {describe_clock(alignment)}" for name, alignment in alignments.items()
+               if alignment["method"] == "by hand"]
     return "; ".join([of_all, *by_hand])
 
 
@@ -177,7 +179,7 @@ class CheckedRun:
 
 def findings_as_json(findings: Sequence[Finding]) -> list[dict[str, Any]]:
     """Findings as values for JSON."""
-    return [json_ready(one.as_dict()) for one in findings]
+    return [json_ready(finding.as_dict()) for finding in findings]
 
 
 def findings_from_json(about: Mapping[str, Any]) -> list[Finding]:
@@ -206,19 +208,20 @@ def document(good: Sequence[CheckedRun], failed: Mapping[str, str]) -> dict[str,
         "runs": {run.name: {
             "verdict": verdict(run.checked), "vehicle": run.vehicle_from, "duration": run.duration,
             **json_ready(run.checked.as_dict()),
-            "identities": [json_ready({"name": one.name, "title": one.title, "unit": one.unit, "samples": len(one.time),
-                                   "residual_rms": residual_rms(one), "findings": list(one.findings)})
-                           for one in run.checked.identities],
+            "identities": [json_ready({
+                "name": identity.name, "title": identity.title, "unit": identity.unit, "samples": len(identity.time),
+                "residual_rms": residual_rms(identity), "findings": list(identity.findings)})
+                for identity in run.checked.identities],
             "warnings": list(run.warnings), "files": dict(run.files), "alignment": json_ready(dict(run.alignment)),
         } for run in good},
-        "together": [json_ready(one.as_dict()) for one in compare_runs([run.checked for run in good])],
+        "together": [json_ready(quantity.as_dict()) for quantity in compare_runs([run.checked for run in good])],
         "failed": dict(failed),
     }
 
 
-def residual_rms(one: Identity) -> float:
+def residual_rms(identity: Identity) -> float:
     """Root mean square of measured minus derived, in the unit of the identity; NaN where nothing is known of both."""
-    apart = np.asarray(one.measured) - np.asarray(one.derived)
+    apart = np.asarray(identity.measured) - np.asarray(identity.derived)
     apart = apart[np.isfinite(apart)]
     return float(np.sqrt(np.square(apart).mean())) if len(apart) else float("nan")
 
@@ -228,7 +231,7 @@ SEVERITY_STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NO
 
 def print_run(run: CheckedRun, console: Console) -> None:
     """Print the verdict, the clock, and each finding with its correction."""
-    worst = min((one.severity for one in run.checked.findings), key=GRAVITY.index, default=Severity.NOTE)
+    worst = min((finding.severity for finding in run.checked.findings), key=GRAVITY.index, default=Severity.NOTE)
     colour = "green" if worst is Severity.NOTE else SEVERITY_STYLE[worst]
     if hint := advise_steering_sign(run.checked.findings, run.where, run.alignment["method"] != "none"):
         line(f"[bold red]{escape(run.name)}: {escape(hint)}[/]", console)
@@ -250,14 +253,15 @@ def group_by_name(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, 
     """Findings grouped by name, the gravest and largest first: (that of the largest effect, names of all its runs)."""
     found: dict[str, list[tuple[Finding, str]]] = {}
     for name, findings in runs.items():
-        for one in findings:
-            found.setdefault(one.name, []).append((one, name))
+        for finding in findings:
+            found.setdefault(finding.name, []).append((finding, name))
 
-    def order(one: Finding) -> tuple[int, float]:
-        unknown = math.inf if one.severity is Severity.ERROR else 0.0
-        return gravity(one), -(unknown if one.effect is None else one.effect)
+    def order(finding: Finding) -> tuple[int, float]:
+        unknown = math.inf if finding.severity is Severity.ERROR else 0.0
+        return gravity(finding), -(unknown if finding.effect is None else finding.effect)
 
-    groups = [(min((one for one, _ in group), key=order), [name for _, name in group]) for group in found.values()]
+    groups = [(min((finding for finding, _ in group), key=order), [name for _, name in group])
+              for group in found.values()]
     return sorted(groups, key=lambda group: order(group[0]))
 
 

@@ -36,16 +36,16 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
     """
     corrections: dict[str, Any] = {}
     lines = [HEADER]
-    for one in findings:
-        lines.append(f"# {one.severity.value}: {one.name}: {printable(one.text)}\n")
-        if one.advice is None:
+    for finding in findings:
+        lines.append(f"# {finding.severity.value}: {finding.name}: {printable(finding.text)}\n")
+        if finding.advice is None:
             continue
-        applicable = one.advice.kind == "run.yaml" and one.severity is not Severity.NOTE
-        readable = applicable and (source.kind == "csv" or not CSV_KEYS & one.advice.entry.keys())
-        if not (readable and merge(corrections, one.advice.entry)):
+        applicable = finding.advice.kind == "run.yaml" and finding.severity is not Severity.NOTE
+        readable = applicable and (source.kind == "csv" or not CSV_KEYS & finding.advice.entry.keys())
+        if not (readable and merge(corrections, finding.advice.entry)):
             reason = ("" if not applicable else "not taken, a graver finding has another value: " if readable else
                       "not taken, a csv only has columns and units: ")
-            lines.append(f"#   {reason}{printable(check_report.describe_correction(one.advice))}\n")
+            lines.append(f"#   {reason}{printable(check_report.describe_correction(finding.advice))}\n")
     if read.steering_sign != 1 or read.steering_latency:
         lines.append(f"# it was read with --steering-sign {read.steering_sign} --steering-latency "
                      f"{read.steering_latency:g}\n")
@@ -104,9 +104,11 @@ def _merge_into(known: dict[str, Any], entry: Mapping[str, Any]) -> None:
     for key, value in entry.items():
         if isinstance(value, Mapping):
             _merge_into(known.setdefault(key, {}), value)
-        else:
+        elif isinstance(value, list):
             before = known.get(key, [])
-            known[key] = [*before, *(one for one in value if one not in before)] if isinstance(value, list) else value
+            known[key] = [*before, *(item for item in value if item not in before)]
+        else:
+            known[key] = value
 
 
 def _settings(source: RunSource, file: Path, read: ReadSettings) -> dict[str, Any]:
@@ -120,7 +122,7 @@ def _settings(source: RunSource, file: Path, read: ReadSettings) -> dict[str, An
     if layout is not None:
         found |= {key: as_yaml_values(value) for key in ("columns", "units") if (value := getattr(layout, key))}
     if source.labels:
-        found["labels"] = [{"name": one.name, "start": one.start, "end": one.end} for one in source.labels]
+        found["labels"] = [{"name": label.name, "start": label.start, "end": label.end} for label in source.labels]
     return found
 
 
@@ -130,9 +132,9 @@ def as_yaml_values(value: Any) -> Any:
         return {field.name: as_yaml_values(getattr(value, field.name)) for field in fields(value)
                 if getattr(value, field.name) != field.default}
     if isinstance(value, Mapping):
-        return {str(key): as_yaml_values(one) for key, one in value.items()}
+        return {str(key): as_yaml_values(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [as_yaml_values(one) for one in value]
+        return [as_yaml_values(item) for item in value]
     return float(f"{value:.9g}") if isinstance(value, float) else value
 
 

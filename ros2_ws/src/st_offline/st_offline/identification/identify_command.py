@@ -37,7 +37,7 @@ from .experiment import HEADS, Experiment, Setup, rows
 from .workshop import CG_HEIGHT, LAMBDA, SCALES, STEERING_RATIO, TYRE
 
 EXPERIMENTS: dict[str, Experiment] = {
-    one.name: one for one in (SCALES, CG_HEIGHT, STEERING_RATIO, TYRE, *DRIVING, LAMBDA)}
+    experiment.name: experiment for experiment in (SCALES, CG_HEIGHT, STEERING_RATIO, TYRE, *DRIVING, LAMBDA)}
 """All experiments of `st identify`, in the order they are best done."""
 FORMATS = ("png", "pdf")
 STATUS_STYLE = {"identified": "green", "doubtful": "yellow", "unidentifiable": "red"}
@@ -59,8 +59,9 @@ def run(job: Job, console: Console) -> int:
     line for the user.
     """
     with console.status(f"identifying: {job.experiment.what}"):
-        found = tuple(replace(one, warnings=(*one.warnings, *filter(None, (
-            compare_with_file(job.setup.vehicle, estimate) for estimate in one.estimates)))) for one in identified(job))
+        found = tuple(replace(outcome, warnings=(*outcome.warnings, *filter(None, (
+            compare_with_file(job.setup.vehicle, estimate) for estimate in outcome.estimates))))
+            for outcome in run_experiment(job))
     now = datetime.now(UTC)
     car = apply_to_vehicle(job.setup.vehicle, found, f"{now:%Y-%m-%d}")
     found = (replace(found[0], warnings=(*found[0].warnings, *objections(car, job.setup.vehicle))), *found[1:])
@@ -71,10 +72,10 @@ def run(job: Job, console: Console) -> int:
     list_files({files["identification.json"]: "values, uncertainties, verdicts",
                 files["vehicle.yaml"]: "the car with them",
                 files["report.html"]: "figures, correlations, data used and left out"}, console)
-    return 0 if any(e.status != "unidentifiable" for one in found for e in one.estimates) else 1
+    return 0 if any(e.status != "unidentifiable" for outcome in found for e in outcome.estimates) else 1
 
 
-def identified(job: Job) -> tuple[Identification, ...]:
+def run_experiment(job: Job) -> tuple[Identification, ...]:
     """Outcome of the experiment; errors in the data name their file."""
     if job.experiment.files_needed and not job.files:
         raise IdentificationError(f"no files were given; it needs {job.experiment.files}")
@@ -87,16 +88,16 @@ def identified(job: Job) -> tuple[Identification, ...]:
 def show(found: Sequence[Identification], vehicle: VehicleParameters, stale: Sequence[str], console: Console) -> None:
     """Table and verdicts in the terminal."""
     print_findings(findings_by_drive(found), console)
-    for one in found:
+    for outcome in found:
         console.print(rows_table([
             {"parameter": escape(f"{name}{'' if unit == '1' else f', {unit}'}"), "value": value,
              "95 % interval": interval, "file": before, "status": f"[{STATUS_STYLE[status]}]{status}[/]"}
-            for name, value, _, interval, unit, before, status in rows(one, vehicle)],
-            title=one.what, title_justify="left", padding=(0, 2, 0, 0)))
-        for style, texts in (("default", [f"{e.parameter}: {e.verdict}" for e in one.estimates]),
-                             ("dim", [coverage.describe() for coverage in one.coverage]),
-                             ("dim", [f"left out: {name}: {why}" for name, why in one.rejected]),
-                             ("yellow", one.warnings)):
+            for name, value, _, interval, unit, before, status in rows(outcome, vehicle)],
+            title=outcome.what, title_justify="left", padding=(0, 2, 0, 0)))
+        for style, texts in (("default", [f"{e.parameter}: {e.verdict}" for e in outcome.estimates]),
+                             ("dim", [coverage.describe() for coverage in outcome.coverage]),
+                             ("dim", [f"left out: {name}: {why}" for name, why in outcome.rejected]),
+                             ("yellow", outcome.warnings)):
             for text in texts:
                 line(f"  [{style}]{escape(text)}[/]", console)
     for sentence in stale:
@@ -105,7 +106,7 @@ def show(found: Sequence[Identification], vehicle: VehicleParameters, stale: Seq
 
 def findings_by_drive(found: Sequence[Identification]) -> dict[str, tuple[Finding, ...]]:
     """Findings of the checks by drive."""
-    return {name: findings for one in found for name, findings in one.findings.items()}
+    return {name: findings for outcome in found for name, findings in outcome.findings.items()}
 
 
 def about(job: Job, now: datetime) -> dict[str, Any]:
@@ -123,10 +124,11 @@ def about(job: Job, now: datetime) -> dict[str, Any]:
 def write(job: Job, found: Sequence[Identification], car: VehicleParameters, facts: dict[str, Any]) -> dict[str, Path]:
     """All files of the folder, by name."""
     place = Place(new_folder(job.folder, ""), FORMATS)
-    figures = [draw(one, place) if (draw := EXPERIMENTS[one.what].draw) else None for one in found]
+    figures = [draw(outcome, place) if (draw := EXPERIMENTS[outcome.what].draw) else None for outcome in found]
     texts = {
-        "identification.json": json_text({key: entry for one in found for key, entry in one.document().items()}),
-        "details.json": json_text({**facts, "experiments": [details(one) for one in found]}),
+        "identification.json": json_text({name: entry for outcome in found
+                                          for name, entry in outcome.document().items()}),
+        "details.json": json_text({**facts, "experiments": [details(outcome) for outcome in found]}),
         "vehicle.yaml": vehicle_text(Path(job.vehicle_file), car, found),
         "report.html": page(found, figures, job.setup.vehicle, facts),
     }
@@ -141,7 +143,7 @@ def vehicle_text(file: Path, car: VehicleParameters, found: Sequence[Identificat
     Where it cannot be edited so that it reads as `car`, as when a derived scale would come out otherwise, the car is
     written as a whole.
     """
-    keys = [e.parameter for one in found for e in one.estimates
+    keys = [e.parameter for outcome in found for e in outcome.estimates
             if quantity(e.parameter) is not None and e.status != "unidentifiable"]
 
     def entry(key: str, unit: str, factor: float) -> str:
@@ -179,19 +181,19 @@ def page(found: Sequence[Identification], figures: Sequence[Drawn | None], vehic
     """report.html: one file that loads nothing."""
     values = [f"{name.replace('_', ' ')} "
               + (status if status == "unidentifiable" else f"{value} {unit}".removesuffix(" 1") + f" ({status})")
-              for one in found for name, value, _, _, unit, _, status in rows(one, vehicle)]
+              for outcome in found for name, value, _, _, unit, _, status in rows(outcome, vehicle)]
 
     def excitation(c: Coverage) -> tuple[list[str], list[list[str]]]:
         return [f"from, {c.unit}", *(f"{edge:.4g}" for edge in c.edges[:-1])], [["samples", *map(str, c.counts)]]
 
-    def correlation(one: Identification) -> tuple[list[str], list[list[str]]]:
-        names = [estimate.parameter for estimate in one.estimates]
-        assert one.correlation is not None  # else not shown
+    def correlation(outcome: Identification) -> tuple[list[str], list[list[str]]]:
+        names = [estimate.parameter for estimate in outcome.estimates]
+        assert outcome.correlation is not None  # else not shown
         return ["correlation", *names], [[name, *(f"{x:+.2f}" for x in row[:len(names)])]
-                                         for name, row in zip(names, one.correlation, strict=False)]
+                                         for name, row in zip(names, outcome.correlation, strict=False)]
 
     return template("identification/page.html.jinja").render(
         title=f"{vehicle.name}: {', '.join(values)}", found=list(zip(found, figures, strict=True)), about=facts,
         recordings={name: {"findings": findings_as_json(findings)}
                     for name, findings in findings_by_drive(found).items()},
-        heads=HEADS, rows=lambda one: rows(one, vehicle), excitation=excitation, correlation=correlation)
+        heads=HEADS, rows=lambda outcome: rows(outcome, vehicle), excitation=excitation, correlation=correlation)
