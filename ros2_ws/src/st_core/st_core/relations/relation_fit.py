@@ -89,7 +89,7 @@ class RelationFits:
         self.start = np.append(self.space.null[:-1], gain)
         self.loss = Loss(Errors(windows, self.space, threads), self.start)
         self.problem = Problem(self.loss, self.start, windows.block)
-        self.block, self.blocks, self.fold = windows.block, self.problem.blocks, self.problem.apart
+        self.block, self.blocks, self.fold = windows.block, self.problem.blocks, self.problem.held_out_groups
         own = {n for n in self.space.hypotheses if get_effect(n).kind == "vehicle parameters" and not get_effect(
             n).members}
         always = (GAIN,) if "acceleration_y" in windows.columns else ()

@@ -62,7 +62,7 @@ def effect_rows(found: Discovery) -> list[tuple[str, str, str, str, str]]:
     """A row for each named effect, columns as EFFECT_HEAD."""
     return [(by_any_name(found, e, plain(e.name)), "; ".join(values(e.name, e.parameters)),
              f"{'+' if e.position_5s >= 0.0 else '−'}{metres(abs(e.position_5s))}",
-             f"{channel(e.channel)} error by {100 * e.share:.0f} %" if e.channel else "-",
+             f"{channel(e.channel)} error by {100 * e.share:.0f} %" if e.channel and e.share >= 0.005 else "-",
              agreement(e)) for e in by_size(found.effects)]
 
 
