@@ -351,13 +351,13 @@ def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
     if found.outcome == "ambiguous" and found.next_manoeuvre is not None:
         lines.append("do the next drive and add it to the runs")
     if found.known_together:
-        lines.append("weigh the car and compare the tyres with those of the vehicle file")
+        use = "" if found.effects or found.model is None else "predict with model.yaml; "
+        lines.append(f"{use}weigh the car and compare its tyres with those of the vehicle file")
     if found.minor and found.effects:
         kept = ", ".join(by_any_name(found, e) for e in found.minor)
         lines.append(f"model.yaml also contains {kept}: part of the fit, not named and no property of the car")
     elif found.minor:
-        lines.append(f"predict with model.yaml; it contains {', '.join(plain(e.name) for e in found.minor)}: part of "
-                     "the fit, not named")
+        lines.append(f"model.yaml contains {', '.join(plain(e.name) for e in found.minor)}: part of the fit, not named")
     return lines or ["nothing"]
 
 
