@@ -89,7 +89,7 @@ class Publishers:
     def raw(self, received: Received, now: float) -> None:
         """st_msgs/Ncom: the packet as received, stamped with the time of receipt."""
         if received.received_ns is not None and self._out["ncom"].has_subscribers(now):
-            set_stamp(self._ncom.header, received.received_ns)
+            _set_time(self._ncom.header.stamp, received.received_ns)
             self._ncom.raw_packet.data[:] = memoryview(received.raw)
             self._out["ncom"].publish(self._ncom)
 
@@ -98,8 +98,8 @@ class Publishers:
         received_ns, utc_ns = received.received_ns, received.utc_ns
         if received_ns is not None and utc_ns is not None and self._out["time_reference"].has_subscribers(now):
             message = self._time_reference
-            set_stamp(message.header, received_ns)
-            message.time_ref.sec, message.time_ref.nanosec = divmod(utc_ns, 1_000_000_000)
+            _set_time(message.header.stamp, received_ns)
+            _set_time(message.time_ref, utc_ns)
             self._out["time_reference"].publish(message)
 
     def motion(self, stamp_ns: int, motion: Motion, position: Vector | None, accuracy: Accuracy, now: float) -> None:
@@ -111,7 +111,7 @@ class Publishers:
         if position is not None:
             if self._out["odometry"].has_subscribers(now):
                 message = self._odometry
-                set_stamp(message.header, stamp_ns)
+                _set_time(message.header.stamp, stamp_ns)
                 _set_pose(message.pose.pose, position, motion)
                 _set_twist(message.twist.twist, motion)
                 _set_diagonal(message.pose.covariance, 7, accuracy.position_variances or (UNKNOWN_VARIANCE,) * 3)
@@ -120,12 +120,12 @@ class Publishers:
                 self._out["odometry"].publish(message)
             if self._tf.has_subscribers(now):
                 x, y, z = motion.attitude.to_enu(self._ins_to_base)
-                set_stamp(self._transform.header, stamp_ns)
+                _set_time(self._transform.header.stamp, stamp_ns)
                 _set_vector(self._transform.transform.translation, (position[0] + x, position[1] + y, position[2] + z))
                 _set_quaternion(self._transform.transform.rotation, motion.attitude.quaternion())
                 self._tf.publish(self._transforms)
         if self._out["velocity"].has_subscribers(now):
-            set_stamp(self._velocity.header, stamp_ns)
+            _set_time(self._velocity.header.stamp, stamp_ns)
             _set_twist(self._velocity.twist.twist, motion)
             _set_block(self._velocity.twist.covariance, 0, _velocity_covariance(motion, accuracy))
             self._out["velocity"].publish(self._velocity)
@@ -137,7 +137,7 @@ class Publishers:
         # Height above the ellipsoid = altitude + undulation; the manual prints a minus, but recordings need the plus.
         undulation = 0.0 if self._settings.altitude_is_ellipsoidal else status.number("Undulation")
         message, variances = self._fix, accuracy.position_variances
-        set_stamp(message.header, stamp_ns)
+        _set_time(message.header.stamp, stamp_ns)
         message.latitude, message.longitude = degrees(motion.latitude), degrees(motion.longitude)
         message.altitude = motion.altitude + undulation
         message.status.status = fix_status(status.get("GpsPosMode"))
@@ -156,7 +156,7 @@ class Publishers:
         finite = isfinite(sum(packet.acceleration) + sum(packet.angular_rate))
         if not finite or not self._out["imu"].has_subscribers(now):
             return
-        set_stamp(self._imu.header, stamp_ns)
+        _set_time(self._imu.header.stamp, stamp_ns)
         _set_vector(self._imu.angular_velocity, flu_from_frd(packet.angular_rate))
         _set_vector(self._imu.linear_acceleration, flu_from_frd(packet.acceleration))
         if motion is None:
@@ -180,14 +180,14 @@ class Publishers:
         """Publish the map origin; geodetic: latitude, longitude [deg], altitude [m] as the unit sends it."""
         if self._origin is not None:
             message = NavSatFix(header=Header(frame_id=self._settings.map_frame))
-            set_stamp(message.header, stamp_ns)
+            _set_time(message.header.stamp, stamp_ns)
             message.latitude, message.longitude, message.altitude = geodetic
             self._origin.publish(message)
 
     def clock(self, utc_ns: int) -> None:
         if self._clock is not None:
             message = Clock()
-            message.clock.sec, message.clock.nanosec = divmod(utc_ns, 1_000_000_000)
+            _set_time(message.clock, utc_ns)
             self._clock.publish(message)
 
     def static_transforms(self, stamp_ns: int) -> None:
@@ -199,14 +199,14 @@ class Publishers:
         for parent, child, offset in ((s.map_frame, s.odom_frame, (0.0, 0.0, 0.0)),
                                       (s.base_frame, s.ins_frame, self._base_to_ins)):
             transform = TransformStamped(header=Header(frame_id=parent), child_frame_id=child)
-            set_stamp(transform.header, stamp_ns)
+            _set_time(transform.header.stamp, stamp_ns)
             _set_vector(transform.transform.translation, offset)
             transforms.append(transform)
         self._tf_static.publish(TFMessage(transforms=transforms))
 
 
-def set_stamp(header: Header, nanoseconds: int) -> None:
-    header.stamp.sec, header.stamp.nanosec = divmod(nanoseconds, 1_000_000_000)
+def _set_time(time: Any, nanoseconds: int) -> None:
+    time.sec, time.nanosec = divmod(nanoseconds, 1_000_000_000)
 
 
 def _set_quaternion(message: Any, quaternion: Quaternion) -> None:
@@ -239,24 +239,21 @@ def _set_twist(twist: Any, motion: Motion) -> None:
 
 
 def _velocity_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, ...]:
-    if not accuracy.velocity_known:
-        return _UNKNOWN_BLOCK
-    variances = (accuracy.velocity_east**2, accuracy.velocity_north**2, accuracy.velocity_up**2)
-    return motion.attitude.covariance_to_body(variances)
+    variances = accuracy.velocity_variances
+    return _UNKNOWN_BLOCK if variances is None else motion.attitude.covariance_to_body(variances)
 
 
 def _orientation_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, ...] | None:
     """Row-major 3 x 3 [rad^2], None while unknown."""
-    if not accuracy.attitude_known:
-        return None
-    return motion.attitude.orientation_covariance(accuracy.roll, accuracy.pitch, accuracy.heading)
+    variances = accuracy.attitude_variances
+    return None if variances is None else motion.attitude.orientation_covariance(variances)
 
 
 def make_trigger(stamp_ns: int, map_frame: str, channel: int, count: int, position: Vector | None,
                  motion: Motion | None) -> Trigger:
     """st_msgs/Trigger of an event input or output; position, motion: at that instant, None where unknown."""
     message = Trigger(header=Header(frame_id=map_frame), source=channel, count=count)
-    set_stamp(message.header, stamp_ns)
+    _set_time(message.header.stamp, stamp_ns)
     message.pose_valid = position is not None and motion is not None
     if position is not None and motion is not None:
         _set_pose(message.pose, position, motion)
@@ -267,36 +264,43 @@ def make_trigger(stamp_ns: int, map_frame: str, channel: int, count: int, positi
 def make_status(stamp_ns: int, ins_frame: str, navigation_status: int, status: StatusTracker, counters: Counters,
                 time_jumps: int) -> InsStatus:
     """st_msgs/InsStatus from the newest values of all status channels."""
-    number, get = status.number, status.get
-    message = InsStatus(header=Header(frame_id=ins_frame), navigation_status=navigation_status)
-    set_stamp(message.header, stamp_ns)
-    message.navigation_status_text = BY_STATUS[navigation_status].text
+    number, get, accuracy = status.number, status.get, Accuracy.from_status(status)
+    message = InsStatus(
+        header=Header(frame_id=ins_frame),
+        navigation_status=navigation_status,
+        navigation_status_text=BY_STATUS[navigation_status].text,
+        satellites=_integer(get("GpsNumObs")),
+        position_accuracy_north=accuracy.north,
+        position_accuracy_east=accuracy.east,
+        position_accuracy_down=accuracy.up,
+        velocity_accuracy_north=accuracy.velocity_north,
+        velocity_accuracy_east=accuracy.velocity_east,
+        velocity_accuracy_down=accuracy.velocity_up,
+        heading_accuracy=accuracy.heading,
+        pitch_accuracy=accuracy.pitch,
+        roll_accuracy=accuracy.roll,
+        geoid_undulation=number("Undulation"),
+        utc_offset=number("TimeUtcOffset"),
+        output_latency=number("OutputLatency"),
+        differential_age=number("GpsDiffAge"),
+        antenna_lever_arm=[number("GAPx"), number("GAPy"), number("GAPz")],
+        # Serial numbers above 65535 are sent in channel 40 instead.
+        serial_number=_integer(get("SerialNumber") if get("SerialNumber") is not None else get("SerialNumber24")),
+        firmware=str(get("DevId") or ""),
+        seen_channels=sorted(status.seen),
+        packets=counters.packets,
+        checksum_errors=counters.checksum_errors,
+        skipped_bytes=counters.skipped_bytes,
+        late_packets=counters.late,
+        time_jumps=time_jumps,
+    )
+    _set_time(message.header.stamp, stamp_ns)
     for name, field in (("position", "GpsPosMode"), ("velocity", "GpsVelMode"), ("orientation", "GpsAttMode")):
-        mode = get(field)
-        setattr(message, f"{name}_mode", -1 if mode is None else mode)
-        setattr(message, f"{name}_mode_text", mode_text(mode))
-    message.satellites = _integer(get("GpsNumObs"))
-    accuracy = Accuracy.from_status(status)
-    message.position_accuracy_north, message.position_accuracy_east = accuracy.north, accuracy.east
-    message.position_accuracy_down = accuracy.up
-    message.velocity_accuracy_north, message.velocity_accuracy_east = accuracy.velocity_north, accuracy.velocity_east
-    message.velocity_accuracy_down = accuracy.velocity_up
-    message.heading_accuracy, message.pitch_accuracy = accuracy.heading, accuracy.pitch
-    message.roll_accuracy = accuracy.roll
-    message.geoid_undulation = number("Undulation")
-    message.utc_offset = number("TimeUtcOffset")
-    message.output_latency = number("OutputLatency")
-    message.differential_age = number("GpsDiffAge")
-    message.antenna_lever_arm = [number("GAPx"), number("GAPy"), number("GAPz")]
-    # Serial numbers above 65535 are sent in channel 40 instead.
-    message.serial_number = _integer(get("SerialNumber") if get("SerialNumber") is not None else get("SerialNumber24"))
-    message.firmware = str(get("DevId") or "")
-    message.seen_channels = sorted(status.seen)
-    message.packets = counters.packets
-    message.checksum_errors, message.skipped_bytes = counters.checksum_errors, counters.skipped_bytes
-    message.late_packets, message.time_jumps = counters.late, time_jumps
+        setattr(message, f"{name}_mode", _integer(get(field)))
+        setattr(message, f"{name}_mode_text", mode_text(get(field)))
     return message
 
 
 def _integer(value: Value) -> int:
+    """A status value as an integer, -1 where it is unknown."""
     return -1 if value is None else int(value)

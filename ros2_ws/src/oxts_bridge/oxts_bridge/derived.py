@@ -1,4 +1,4 @@
-"""Columns that the vendor's tools derive from the packets: level-frame values, speed, slip, distance, ISO axes.
+"""Quantities that the vendor's tools derive from the packets: level-frame values, speed, slip, distance, ISO axes.
 
 Conventions (ncom.md section 10): level frame = forward, right, down; Iso = forward, left, up. Only packets with valid
 navigation (status 3, 4, 21, 22) have values; NaN where an input is missing.
@@ -37,7 +37,7 @@ class Settings:
 
 
 def derive(columns: Columns, settings: Settings) -> Mapping[str, np.ndarray]:
-    """Derived columns by name, in the order of the CSV; deg, deg/s, m, m/s, m/s^2 as in the vendor's tools."""
+    """Derived columns by name, in the order of the CSV; units deg, deg/s, m, m/s, m/s^2 as in the vendor's tools."""
     fix = (columns.kind != EMPTY) & ~columns.approximate
     velocity = np.where(fix, columns.velocity_ned, np.nan)
     heading, pitch, roll = (np.where(fix, angle, np.nan) for angle in (columns.heading, columns.pitch, columns.roll))
@@ -72,18 +72,18 @@ def float_seconds(columns: Columns) -> np.ndarray:
     return np.where(known, minutes * 60.0 + milliseconds * 0.001 + fine * 1e-9, np.nan)
 
 
-def _level_matrix(pitch: np.ndarray, roll: np.ndarray) -> list[list[np.ndarray]]:
-    """Ry(pitch) Rx(roll): vehicle axes to level axes."""
+def _level_matrix(pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
+    """Ry(pitch) Rx(roll), (3, 3, n): vehicle axes to level axes."""
     sp, cp, sr, cr = np.sin(pitch), np.cos(pitch), np.sin(roll), np.cos(roll)
-    return [[cp, sp * sr, sp * cr], [0 * sp, cr, -sr], [-sp, cp * sr, cp * cr]]
+    return np.array([[cp, sp * sr, sp * cr], [0 * sp, cr, -sr], [-sp, cp * sr, cp * cr]])
 
 
-def _apply(matrix: list[list[np.ndarray]], vector: np.ndarray) -> np.ndarray:
-    return np.array([row[0] * vector[0] + row[1] * vector[1] + row[2] * vector[2] for row in matrix])
+def _apply(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    return (matrix * vector).sum(axis=1)
 
 
-def _apply_transposed(matrix: list[list[np.ndarray]], vector: np.ndarray) -> np.ndarray:
-    return np.array([sum(matrix[i][j] * vector[i] for i in range(3)) for j in range(3)])
+def _apply_transposed(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    return (matrix * vector[:, None]).sum(axis=0)
 
 
 def _to_level_heading(ned: np.ndarray, heading: np.ndarray) -> np.ndarray:
@@ -92,9 +92,8 @@ def _to_level_heading(ned: np.ndarray, heading: np.ndarray) -> np.ndarray:
     return np.array([ned[0] * c + ned[1] * s, -ned[0] * s + ned[1] * c, ned[2]])
 
 
-def _speed_and_slip(
-    out: dict, velocity: np.ndarray, heading: np.ndarray, yaw_rate: np.ndarray, accuracy: np.ndarray
-) -> None:
+def _speed_and_slip(out: dict, velocity: np.ndarray, heading: np.ndarray, yaw_rate: np.ndarray,
+                    accuracy: np.ndarray) -> None:
     north, east, down = velocity
     speed = np.hypot(north, east)
     out["Speed2d"] = speed
@@ -161,10 +160,8 @@ def _angular_acceleration(out: dict, columns: Columns, seconds: np.ndarray) -> N
 
 def _filtered(out: dict, columns: Columns, seconds: np.ndarray, settings: Settings) -> None:
     regular = (columns.kind == REGULAR) & ~np.isnan(seconds)
-    groups = (
-        ("FiltA", columns.acceleration, settings.acceleration_filter),
-        ("FiltY", np.array([out["Yx"], out["Yy"], out["Yz"]]), settings.rate_filter),
-    )
+    groups = (("FiltA", columns.acceleration, settings.acceleration_filter),
+              ("FiltY", np.array([out["Yx"], out["Yy"], out["Yz"]]), settings.rate_filter))
     for prefix, signal, changes in groups:
         series = np.flatnonzero(regular & ~np.isnan(signal).any(axis=0))
         first = [(int(np.searchsorted(series, index)), *setting) for index, setting in changes]
@@ -173,9 +170,8 @@ def _filtered(out: dict, columns: Columns, seconds: np.ndarray, settings: Settin
             filtered[series] = low_pass(seconds[series], values[series], first)
 
 
-def low_pass(
-    seconds: np.ndarray, values: np.ndarray, settings: Sequence[tuple[int, float | None, float | None]]
-) -> np.ndarray:
+def low_pass(seconds: np.ndarray, values: np.ndarray,
+             settings: Sequence[tuple[int, float | None, float | None]]) -> np.ndarray:
     """Values after the second-order low-pass whose settings a unit sends in channels 63 and 74.
 
         b = (K^2, 2 K^2, K^2) / D,  a = (1, 2 (K^2 - 1) / D, (K^2 - 2 z K + 1) / D),
@@ -214,9 +210,8 @@ def low_pass(
     return output
 
 
-def _without_gravity(
-    columns: Columns, velocity: np.ndarray, heading: np.ndarray, level: list[list[np.ndarray]], acceleration: np.ndarray
-) -> np.ndarray:
+def _without_gravity(columns: Columns, velocity: np.ndarray, heading: np.ndarray, level: np.ndarray,
+                     acceleration: np.ndarray) -> np.ndarray:
     """Acceleration relative to the ground [m/s^2], vehicle axes (FRD): a = A + R_no^T (g - (2 w_ie + w_en) x v).
 
     A: specific force. w_ie: rotation of the earth, w_en: of the local frame as it moves over the earth.
@@ -230,13 +225,8 @@ def _without_gravity(
     turn_north = 2 * EARTH_RATE * c + east / (normal + height)
     turn_east = -north / (meridian + height)
     turn_down = -2 * EARTH_RATE * s - east * s / c / (normal + height)
-    correction = np.array(
-        [
-            -(turn_east * down - turn_down * east),
-            -(turn_down * north - turn_north * down),
-            gravity(latitude, height) - (turn_north * east - turn_east * north),
-        ]
-    )
+    correction = np.array([-(turn_east * down - turn_down * east), -(turn_down * north - turn_north * down),
+                           gravity(latitude, height) - (turn_north * east - turn_east * north)])
     return acceleration + _apply_transposed(level, _to_level_heading(correction, heading))
 
 

@@ -19,16 +19,13 @@ Change: TypeAlias = tuple[int, int, str, Value]
 
 TRIGGER_NAMES = {24: "in1down", 43: "in1up", 65: "out1", 79: "in2down", 80: "in2up", 81: "out2"}
 # The vendor's tools write 10 for all robot interface codes without a name.
-_LARGEST_CODE = {"UmacStatus": 10}
+_LARGEST_UMAC_STATUS = 10
 # In these fields the invalid mark means "no new value": the last one stays valid, as in the vendor's tools.
 _RETAINED = frozenset(
-    name
-    for fields in FIELDS.values()
-    for name, field in fields.items()
-    if name.startswith("Inn") or name == "Undulation" or field.validity is INVERTED_B6
-)
+    name for fields in FIELDS.values() for name, field in fields.items()
+    if name.startswith("Inn") or name == "Undulation" or field.validity is INVERTED_B6)
 _SURFACE_ANGLES = ("Surf2OutHeading", "Surf2OutPitch", "Surf2OutRoll")
-_ROWS_AT_ONCE = 1 << 12
+_ROWS_PER_WRITE = 1 << 12
 
 
 def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Path | None = None) -> int:
@@ -49,8 +46,8 @@ def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Pa
     names = list(table)
     with Path(csv_path).open("w", encoding="ascii", newline="") as file:
         file.write(",".join(names) + "\n")
-        for start in range(0, len(columns), _ROWS_AT_ONCE):
-            rows = slice(start, start + _ROWS_AT_ONCE)
+        for start in range(0, len(columns), _ROWS_PER_WRITE):
+            rows = slice(start, start + _ROWS_PER_WRITE)
             # Shortest digits that read back as the same number; NaN becomes empty.
             texts = (map(str, table[name][rows].tolist()) for name in names)
             cells = [["" if text == "nan" else text for text in column] for column in texts]
@@ -98,7 +95,7 @@ def _table(columns: Columns, settings: Settings) -> dict[str, np.ndarray]:
 
 
 def _read_status(columns: Columns) -> tuple[list[Change], Settings]:
-    """Every change of a status field, and the status values that derived columns depend on."""
+    """Changes of all status fields, and the status values that derived columns depend on."""
     tracker = StatusTracker()
     known: dict[str, Value] = {}
     changes: list[Change] = []
@@ -110,13 +107,11 @@ def _read_status(columns: Columns) -> tuple[list[Change], Settings]:
         seconds = None if columns.gps_ns[i] == UNKNOWN_TIME else columns.gps_ns[i] / 1e9
         position = tuple(positions[i]) if channel == 25 and not np.isnan(positions[i]).any() else None
         fields = tracker.update(channel, columns.batch_s(i), seconds, position)
-        for name, value in fields.items():
-            shown = min(value, _LARGEST_CODE[name]) if name in _LARGEST_CODE and value is not None else value
-            if name in PARTS or (shown is None and name in _RETAINED):
-                continue
-            if known.get(name) != shown:
-                known[name] = shown
-                changes.append((i, channel, name, shown))
+        for name, sent in fields.items():
+            value = min(sent, _LARGEST_UMAC_STATUS) if name == "UmacStatus" and sent is not None else sent
+            if name not in PARTS and (value is not None or name not in _RETAINED) and known.get(name) != value:
+                known[name] = value
+                changes.append((i, channel, name, value))
         # Status applies from the next packet on; to an event packet, its own status applies.
         since = i if columns.kind[i] == TRIGGER else i + 1
         if channel == 4 and fields:
@@ -142,7 +137,7 @@ def _surface_angles(columns: Columns, surfaces: list[tuple[int, tuple[Value, ...
     """
     changes: list[Change] = []
     ends = [index for index, _ in [*surfaces, (len(columns), ())]][1:]
-    before: tuple[float, ...] | None = None
+    before: list[float | None] = [None, None, None]
     for (start, angles), end in zip(surfaces, ends, strict=True):
         if None in angles:
             continue
@@ -154,11 +149,7 @@ def _surface_angles(columns: Columns, surfaces: list[tuple[int, tuple[Value, ...
         heading, pitch, roll = relative.as_euler("ZYX", degrees=True).T
         heading %= 360.0
         for i, *values in zip((usable + start).tolist(), heading.tolist(), pitch.tolist(), roll.tolist(), strict=True):
-            old = before or (None, None, None)
-            changes.extend(
-                (i, int(columns.channel[i]), name, value)
-                for name, value, was in zip(_SURFACE_ANGLES, values, old, strict=True)
-                if value != was
-            )
-            before = tuple(values)
+            changes.extend((i, int(columns.channel[i]), name, value)
+                           for name, value, old in zip(_SURFACE_ANGLES, values, before, strict=True) if value != old)
+            before = values
     return changes

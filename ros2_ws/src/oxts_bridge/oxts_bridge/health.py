@@ -7,7 +7,7 @@ from typing import Any
 from st_ros.diagnostics import ERROR, OK, WARN, Check
 
 from .motion import UNIT, Accuracy, Origin
-from .ncom import BLOCKED, BY_STATUS, EXPIRED, LOCKED, LOCKING, mode_text, quality
+from .ncom import BLOCKED, BY_STATUS, EXPIRED, LOCKED, LOCKING, mode_rank, mode_text
 from .sources import SourceStatus
 from .status import StatusTracker
 from .stream import NcomParser, StreamStatistics
@@ -25,8 +25,8 @@ class Health:
     """Diagnostic checks from the counts of parser, status and source.
 
     Set by the node: navigation_status; last_packet_at: time of receipt on the monotonic clock [s]; minute_from_host:
-    whether the GPS minute comes from the host's clock; failures: packets that could not be published; incomplete:
-    packets without odometry because position, velocity, angles or rates are invalid although the status has a fix.
+    whether the GPS minute is the host clock's; failures: packets that could not be published; incomplete: packets
+    without odometry because position, velocity, angles or rates are invalid although the status has a fix.
     """
 
     def __init__(self, parser: NcomParser, status: StatusTracker, origin: Origin, statistics: StreamStatistics,
@@ -44,12 +44,14 @@ class Health:
         self._previous_rivals = 0
 
     def checks(self) -> list[Check]:
+        """The checks for /diagnostics; some of them count since the previous call."""
         source = self._source()
         if source is None:
             return [Check("source", OK, "not active")]
-        return [self._source_check(source), self._stream(source), self._solution(), self._completeness(), self._time()]
+        return [self._check_source(source), self._check_stream(source), self._check_solution(),
+                self._check_completeness(), self._check_time()]
 
-    def _source_check(self, source: SourceStatus) -> Check:
+    def _check_source(self, source: SourceStatus) -> Check:
         values: dict[str, Any] = {"datagrams": source.datagrams}
         if source.sender:
             values["sender"] = source.sender
@@ -71,7 +73,7 @@ class Health:
             return Check("source", WARN, f"{source.name}: only ignored senders: {', '.join(source.others)}", values)
         return Check("source", OK, f"{source.name}" + (f" from {source.sender}" if source.sender else ""), values)
 
-    def _stream(self, source: SourceStatus) -> Check:
+    def _check_stream(self, source: SourceStatus) -> Check:
         (rate, longest), counters = self._statistics.take(), self._parser.counters
         age = time.monotonic() - self.last_packet_at
         faults = {
@@ -108,7 +110,7 @@ class Health:
             return Check("stream", WARN, ", ".join(trouble) + " since the last report", values)
         return Check("stream", OK, f"{rate:.0f} packets/s", values)
 
-    def _solution(self) -> Check:
+    def _check_solution(self) -> Check:
         if self.navigation_status is None:
             return Check("solution", WARN, "no navigation status yet")
         get, accuracy = self._status.get, Accuracy.from_status(self._status)
@@ -128,8 +130,8 @@ class Health:
         text = BY_STATUS[self.navigation_status].text
         if self.navigation_status == LOCKED:
             mode = get("GpsPosMode")
-            self._best_mode = max(self._best_mode, mode, key=quality)
-            if quality(mode) < quality(self._best_mode):
+            self._best_mode = max(self._best_mode, mode, key=mode_rank)
+            if mode_rank(mode) < mode_rank(self._best_mode):
                 was = mode_text(self._best_mode)
                 return Check("solution", WARN, f"{text}: position mode {mode_text(mode)}, was {was}", values)
             return Check("solution", OK, text, values)
@@ -138,7 +140,7 @@ class Health:
         reason = "catching up with real time" if self.navigation_status == LOCKING else "no fix"
         return Check("solution", WARN, f"{text}: {reason}", values)
 
-    def _completeness(self) -> Check:
+    def _check_completeness(self) -> Check:
         """Missing information and its consequence for the topics."""
         accuracy, status = Accuracy.from_status(self._status), self._status
         degraded, missing = [], []
@@ -148,7 +150,7 @@ class Health:
             degraded.append("absolute time (channel 0): minute taken from the host's clock")
         if status.get("Undulation") is None and not self._ellipsoidal:
             degraded.append("geoid undulation (channel 48): altitude of ins/nav_sat_fix is NaN")
-        if not (accuracy.position_variances and accuracy.velocity_known and accuracy.attitude_known):
+        if not (accuracy.position_variances and accuracy.velocity_variances and accuracy.attitude_variances):
             degraded.append("accuracies (channels 3, 4, 5): covariances unknown")
         if self._origin.frame is None:
             pending = "the unit's local frame" if self._origin.source == UNIT else "the first fix"
@@ -165,7 +167,7 @@ class Health:
             return Check("completeness", WARN, "missing: " + "; ".join(degraded), values)
         return Check("completeness", OK, "complete", values)
 
-    def _time(self) -> Check:
+    def _check_time(self) -> Check:
         offset = self._parser.utc_offset
         values: dict[str, Any] = {"time jumps": self._parser.time_jumps,
                                   "UTC offset [s]": "leap-second table" if offset is None else offset}

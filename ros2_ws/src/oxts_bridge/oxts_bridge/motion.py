@@ -1,5 +1,5 @@
 """Vehicle motion in ROS axes and units from one packet, the origin of the map frame, and odometry reconstructed from
-recorded packets. Free of ROS.
+recorded packets.
 
 NED and FRD (forward, right, down) as sent become ENU and FLU (forward, left, up); WGS84 latitude, longitude and height
 become coordinates of a local east-north-up frame:
@@ -7,8 +7,8 @@ become coordinates of a local east-north-up frame:
     R_enu_flu = T R_no F,  T = [[0,1,0],[1,0,0],[0,0,-1]],  F = diag(1,-1,-1),  R_no = Rz(heading) Ry(pitch) Rx(roll)
     as fixed-axis angles: roll = roll, pitch = -pitch, yaw = pi/2 - heading
 
-Plain floats: for single vectors numpy is ten times slower. Source: ncom.md sections 9 to 11 (REP-103). Checked by:
-test_geometry.py (worked examples; short distances against the ellipsoid radii), and the inverse in st_sim.
+Plain floats, because numpy is ten times slower for single vectors. Source: ncom.md sections 9 to 11 (REP-103).
+Checked by: test_geometry.py (worked examples; short distances against the ellipsoid radii), and the inverse in st_sim.
 """
 
 from collections.abc import Iterable, Iterator
@@ -84,16 +84,13 @@ class Attitude:
         zz = ve * rows[2] ** 2 + vn * rows[5] ** 2 + vu * rows[8] ** 2
         return xx, xy, xz, xy, yy, yz, xz, yz, zz
 
-    def orientation_covariance(self, roll: float, pitch: float, heading: float) -> tuple[float, ...]:
-        """Rz(yaw) diag(roll^2, pitch^2, heading^2) Rz(yaw)^T, row by row: errors about the fixed axes, small pitch
-        and roll.
-
-        roll, pitch, heading: one standard deviation [rad].
-        """
+    def orientation_covariance(self, variances: Vector) -> tuple[float, ...]:
+        """Rz(yaw) diag(roll^2, pitch^2, heading^2) Rz(yaw)^T, row by row: errors about the fixed axes at small pitch
+        and roll. variances: of roll, pitch, heading [rad^2]."""
         s, c = sin(self.yaw), cos(self.yaw)
-        r, p = roll * roll, pitch * pitch
-        cross = (r - p) * s * c
-        return c * c * r + s * s * p, cross, 0.0, cross, s * s * r + c * c * p, 0.0, 0.0, 0.0, heading * heading
+        roll, pitch, heading = variances
+        cross = (roll - pitch) * s * c
+        return c * c * roll + s * s * pitch, cross, 0.0, cross, s * s * roll + c * c * pitch, 0.0, 0.0, 0.0, heading
 
 
 def flu_from_frd(frd: Vector) -> Vector:
@@ -157,16 +154,21 @@ class Accuracy:
     @property
     def position_variances(self) -> Vector | None:
         """East, north, up [m^2]; None while unknown."""
-        east, north, up = self.east**2, self.north**2, self.up**2
-        return None if isnan(east + north + up) else (east, north, up)
+        return _squares(self.east, self.north, self.up)
 
     @property
-    def velocity_known(self) -> bool:
-        return not isnan(self.velocity_east + self.velocity_north + self.velocity_up)
+    def velocity_variances(self) -> Vector | None:
+        """East, north, up [m^2/s^2]; None while unknown."""
+        return _squares(self.velocity_east, self.velocity_north, self.velocity_up)
 
     @property
-    def attitude_known(self) -> bool:
-        return not isnan(self.roll + self.pitch + self.heading)
+    def attitude_variances(self) -> Vector | None:
+        """Roll, pitch, heading [rad^2]; None while unknown."""
+        return _squares(self.roll, self.pitch, self.heading)
+
+
+def _squares(a: float, b: float, c: float) -> Vector | None:
+    return None if isnan(a + b + c) else (a**2, b**2, c**2)
 
 
 @dataclass(slots=True)
@@ -192,7 +194,7 @@ class Motion:
 
 
 def motion_of(received: Received) -> Motion | None:
-    """Motion from one packet; None unless position, velocity, angles and rates are valid (status 2: no fix yet)."""
+    """Motion from one packet; None unless it has a fix and valid position, velocity, angles and rates."""
     if received.rule.navigation != "valid" or received.kind not in ("regular", "trigger"):
         return None
     packet = received.packet
@@ -210,7 +212,7 @@ def motion_of(received: Received) -> Motion | None:
 class Origin:
     """Origin of the map frame: the first fix, a given point, or the unit's own local frame; constant once chosen.
 
-    frame: None until chosen. degrees: latitude, longitude [deg], altitude [m], which reproduce the frame bit by bit.
+    frame: None until chosen. degrees: latitude, longitude [deg], altitude [m], which reproduce the frame exactly.
     With source "unit" the first fix is used if the unit sends no local frame within 10 s.
     """
 
@@ -220,7 +222,7 @@ class Origin:
         self.used = ""
         self.frame: LocalFrame | None = None
         self.degrees: tuple[float, float, float] | None = None
-        self._waiting_since_ns: int | None = None
+        self._waiting_since_ns: int | None = None  # for the unit's local frame
         if given is not None:
             self._set(GIVEN, *given)
 
@@ -235,7 +237,8 @@ class Origin:
             sent = status.local_frame
             if sent is not None:
                 return self._set(UNIT, *sent[:3])
-            self._waiting_since_ns = now_ns if self._waiting_since_ns is None else self._waiting_since_ns
+            if self._waiting_since_ns is None:
+                self._waiting_since_ns = now_ns
             if 0 <= now_ns - self._waiting_since_ns < LOCAL_FRAME_TIMEOUT_NS:
                 return None
         return self._set(FIRST_FIX, degrees(motion.latitude), degrees(motion.longitude), motion.altitude)

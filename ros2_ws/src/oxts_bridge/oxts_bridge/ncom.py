@@ -1,4 +1,4 @@
-"""The NCOM packet (structure A, 72 bytes, little-endian): physical values, navigation statuses, GNSS modes, and the
+"""NCOM packets of structure A (72 bytes, little-endian): physical values, navigation statuses, GNSS modes, and the
 search for packets in a byte stream.
 
     byte  0      sync 0xE7
@@ -25,7 +25,7 @@ PACKET_SIZE = 72
 STRUCTURE_B = 11
 _SYNC = bytes([SYNC])
 
-# First bytes of the fields, as in _LAYOUT below. Each checksum is of all bytes after the sync up to it.
+# First bytes of the fields, as in _LAYOUT below. Each checksum is the sum of all bytes between the sync and itself.
 MILLISECONDS_AT, ACCELERATION_AT, ANGULAR_RATE_AT, STATUS_AT, CHECKSUM_1_AT = 1, 3, 12, 21, 22
 LATITUDE_AT, LONGITUDE_AT, ALTITUDE_AT = 23, 31, 39
 VELOCITY_AT, ANGLES_AT, CHECKSUM_2_AT = 43, 52, 61
@@ -105,7 +105,7 @@ _STATUS = {
     **dict.fromkeys((7, 8, 9, 17, 18, 30, 31), SBAS_FIX),
     **dict.fromkeys((4, 5, 6, 14, 15, 16, 22, 23, 24, 27, 28, 29), GBAS_FIX),
 }
-_QUALITY = {mode: rank for rank, mode in enumerate((0, 1, 2, 3, 7, 4, 5, 6))}
+_RANKS = {mode: rank for rank, mode in enumerate((0, 1, 2, 3, 7, 4, 5, 6))}
 
 
 def mode_text(mode: int | None) -> str:
@@ -113,9 +113,9 @@ def mode_text(mode: int | None) -> str:
     return "" if mode is None else MODES.get(mode, f"unknown ({mode})")
 
 
-def quality(mode: int | None) -> int:
-    """Rank of a live GNSS mode, none 0 to RTK integer 7; -1 for other modes, which have no order."""
-    return -1 if mode is None else _QUALITY.get(mode, -1)
+def mode_rank(mode: int | None) -> int:
+    """Rank of a live GNSS mode, from none (0) to RTK integer (7); -1 for other modes, which have no order."""
+    return -1 if mode is None else _RANKS.get(mode, -1)
 
 
 def fix_status(mode: int | None) -> int:
@@ -238,7 +238,7 @@ def radii(latitude: float) -> tuple[float, float]:
 
 
 def inner_checksums_match(data: bytes) -> bool:
-    """Whether checksums 1 and 2 of a structure A packet are right (the parser counts, but accepts, wrong ones)."""
+    """Whether checksums 1 and 2 of a structure A packet are right; the parser counts wrong ones but accepts them."""
     first = sum(data[1:CHECKSUM_1_AT])
     second = first + sum(data[CHECKSUM_1_AT:CHECKSUM_2_AT])
     return first & 0xFF == data[CHECKSUM_1_AT] and second & 0xFF == data[CHECKSUM_2_AT]

@@ -1,4 +1,4 @@
-"""oxts_bridge: NCOM from UDP or a file to ROS topics, as a lifecycle node."""
+"""Lifecycle node oxts_bridge: NCOM from UDP or a file to ROS topics."""
 
 import math
 import sys
@@ -61,7 +61,7 @@ _SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.
 
 
 class OxtsBridge(LifecycleNode):
-    """Lifecycle node. Configured: publishers exist. Active: the thread of the source decodes and publishes directly."""
+    """Configured: the publishers exist. Active: the thread of the source decodes packets and publishes."""
 
     def __init__(self) -> None:
         super().__init__("oxts_bridge")
@@ -228,7 +228,7 @@ class OxtsBridge(LifecycleNode):
 
 
 def check(settings: SimpleNamespace, node_name: str) -> None:
-    """Check parameters that depend on each other. Raises ConfigurationError with the key and the required value."""
+    """Check what a single range cannot express. Raises ConfigurationError with the key and the required value."""
 
     def refuse(key: str, reason: str) -> None:
         raise ConfigurationError(f"{node_name}.{key}: {reason}")

@@ -50,22 +50,22 @@ class Continuity:
     def continues(self, data: bytes) -> bool:
         """Whether the first packet of a datagram is at most 1 s later than the newest one, at a position that driving
         explains. False if either position is unknown."""
+        before = self._newest
         try:
             packet = decode(data[:PACKET_SIZE])
         except NcomError:
             return False
-        before = self._newest
         if before is None:
             return False
-        later = (packet.milliseconds - before.milliseconds) % MINUTE_MS
+        elapsed_ms = (packet.milliseconds - before.milliseconds) % MINUTE_MS
         north = (packet.latitude - before.latitude) * EARTH_RADIUS
         east = (packet.longitude - before.longitude) * EARTH_RADIUS * cos(before.latitude)
         # Rows (x, y, yaw, v_x, v_y) in axes that point east and north.
         rows = tuple((x, y, 0.0, p.velocity_ned[1], p.velocity_ned[0])
                      for x, y, p in ((0.0, 0.0, before), (east, north, packet)))
-        if not 0 < later <= LONGEST_CONTINUATION_MS or not all(map(isfinite, (*rows[0], *rows[1]))):
+        if not 0 < elapsed_ms <= LONGEST_CONTINUATION_MS or not all(map(isfinite, (*rows[0], *rows[1]))):
             return False
-        return not unexplained_step(later * 1.0e-3, *rows)
+        return not unexplained_step(elapsed_ms * 1.0e-3, *rows)
 
 
 @dataclass
@@ -74,7 +74,7 @@ class SourceStatus:
 
     trouble: why no data can arrive, or empty.  done: a replay has reached its end.  sender: address in use.
     others: ignored datagrams per address, or per address and port if only the port differs from the sender in use.
-    rivals: number of ignored datagrams from other ports of the sender in use.  progress: fraction of the file replayed.
+    rivals: ignored datagrams from other ports of the sender in use.  progress: fraction of the file replayed.
     loops: completed replays.
     """
 
@@ -90,7 +90,7 @@ class SourceStatus:
 
 
 class UdpSource:
-    """Receives every datagram of a UDP port; a port that cannot be opened is retried every second.
+    """Receives the datagrams of a UDP port; a port that cannot be opened is retried every second.
 
     Without a filter, only the first address that sends NCOM is used, so that two units on one network do not mix.
     Likewise only the first port of that address; datagrams from another port are accepted if they continue the stream
@@ -183,6 +183,7 @@ class UdpSource:
 
 
 def _kernel_time(control: list[tuple[int, int, bytes]]) -> int:
+    """When the kernel received a datagram [ns since 1970]; without its stamp, now."""
     for level, kind, data in control:
         if level == socket.SOL_SOCKET and kind == _SO_TIMESTAMPNS and len(data) >= _TIMESPEC.size:
             seconds, nanoseconds = _TIMESPEC.unpack_from(data)
@@ -191,6 +192,7 @@ def _kernel_time(control: list[tuple[int, int, bytes]]) -> int:
 
 
 def is_address(text: str) -> bool:
+    """Whether a text is an IP address."""
     try:
         ipaddress.ip_address(text)
     except ValueError:
@@ -204,15 +206,8 @@ class ReplaySource:
     The constructor raises NcomError for a file without packets and OSError for one that cannot be read.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        on_data: OnData,
-        on_restart: Callable[[], None],
-        speed_factor: float = 1.0,
-        loop: bool = False,
-        start_offset: float = 0.0,
-    ):
+    def __init__(self, path: Path, on_data: OnData, on_restart: Callable[[], None], speed_factor: float = 1.0,
+                 loop: bool = False, start_offset: float = 0.0):
         """start_offset: [s] after the first time in the file; earlier packets only set the status. on_restart: called
         before each repetition."""
         self.status = SourceStatus(f"file {path}")
@@ -256,16 +251,15 @@ class ReplaySource:
 
 
 def _due_times(gps_ns: np.ndarray, start_offset: float) -> np.ndarray:
-    """Time to send each packet [ns after the start], negative before the start offset; packets without a time are
-    sent with the previous one."""
-    known = gps_ns != UNKNOWN_TIME
-    if not known.any():
+    """Time to send each packet [ns after the start], negative before the start offset.
+
+    A packet without a time is sent with the previous one, or with the first one that has a time.
+    """
+    timed = np.flatnonzero(gps_ns != UNKNOWN_TIME)
+    if not len(timed):
         return np.zeros(len(gps_ns), np.int64)
-    times = gps_ns[known]
-    steps = np.diff(times, prepend=times[:1])
+    steps = np.diff(gps_ns[timed], prepend=gps_ns[timed[0]])
     steps[(steps < 0) | (steps > LONGEST_PAUSE_NS)] = 0
-    due = np.full(len(gps_ns), -1, np.int64)
-    due[known] = np.cumsum(steps) - round(start_offset * 1e9)
-    # A packet without a time takes that of the previous one; before the first known time, that time.
-    source = np.maximum.accumulate(np.where(known, np.arange(len(due)), -1))
-    return np.where(source >= 0, due[np.maximum(source, 0)], due[np.argmax(known)])
+    due = np.cumsum(steps) - round(start_offset * 1e9)
+    newest = np.searchsorted(timed, np.arange(len(gps_ns)), side="right") - 1
+    return due[np.maximum(newest, 0)]

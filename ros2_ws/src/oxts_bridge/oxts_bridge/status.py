@@ -8,7 +8,7 @@ from .channels import FIELDS, TRIGGER_CHANNELS, Value, decode_channel, trigger_n
 from .ncom import radii
 from .stream import Received
 
-# Fields that are replaced by a value derived from several of them.
+# Fields that StatusTracker replaces by a value derived from several of them.
 PARTS = frozenset(
     {"GpsMinutes", "UpTimeCode", "WSpeedMilliseconds", "OldRefX", "OldRefY", "OldRefHeading"}
     | {name for channel in TRIGGER_CHANNELS for name in FIELDS[channel]}
@@ -16,7 +16,7 @@ PARTS = frozenset(
 LOCAL_FRAME = ("RefLat", "RefLon", "RefAlt", "RefHeading")
 # Weight of a new value in the filtered lag, as in the vendor's tools.
 _LAG_WEIGHT = 0.01
-# Channels with derived values that change without their bytes, and 12 and 57, which share a field.
+# Decoded even if their bytes repeat: channels with derived values that change, and 12 and 57, which share a field.
 _NEVER_SKIPPED = frozenset({12, 23, 45, 57})
 
 _CYCLIC = {
@@ -41,7 +41,7 @@ class StatusTracker:
     def update(self, channel: int, data: bytes, gps_seconds: float | None = None,
                position: tuple[float, float, float] | None = None,
                decoded: Mapping[str, Value] | None = None) -> dict[str, Value]:
-        """Fields that the 8 bytes of a channel set; empty if the bytes are those of the previous time.
+        """Fields that the 8 bytes of a channel set; empty if the channel sent the same bytes before.
 
         gps_seconds: time of the packet, for wheel speed. position: its latitude, longitude [rad], altitude [m], for
         channel 25. decoded: decode_channel() of the bytes, if the caller has it.
@@ -65,9 +65,9 @@ class StatusTracker:
                 fields["BnsLagFilt"] = lag if before is None else before * (1 - _LAG_WEIGHT) + lag * _LAG_WEIGHT
             fields["UpTime"] = None if code is None else up_time(code)
         elif channel == 25:
-            self._old_origin(fields, data, position)
+            self._set_old_origin(fields, data, position)
         elif channel == 45:
-            self._wheel_speed(fields, gps_seconds)
+            self._set_wheel_speed(fields, gps_seconds)
         elif channel == 48:
             horizontal, total = fields["HDOP"], fields["PDOP"]
             known = horizontal is not None and total is not None and total > horizontal
@@ -107,8 +107,8 @@ class StatusTracker:
     def _has_local_frame(self) -> bool:
         return all(self._local_frame.get(name) is not None for name in LOCAL_FRAME)
 
-    def _wheel_speed(self, fields: dict, gps_seconds: float | None) -> None:
-        """Time of the count [s], in the minute that puts it nearest to the packet, and pulse frequency [1/s]."""
+    def _set_wheel_speed(self, fields: dict, gps_seconds: float | None) -> None:
+        """Set the time of the pulse count [s], in the minute nearest to the packet, and the pulse frequency [1/s]."""
         milliseconds = fields.pop("WSpeedMilliseconds")
         fields["WSpeedTime"] = None
         if milliseconds is None or gps_seconds is None:
@@ -120,10 +120,10 @@ class StatusTracker:
         self._wheel = time, count
         fields["WSpeedTime"] = time
 
-    def _old_origin(self, fields: dict, data: bytes, position: tuple[float, float, float] | None) -> None:
+    def _set_old_origin(self, fields: dict, data: bytes, position: tuple[float, float, float] | None) -> None:
         x, y, heading = (fields.pop(name) for name in ("OldRefX", "OldRefY", "OldRefHeading"))
-        marked = None in (x, y, heading) or data == b"\x80\0\0\0\x80\0\0\0"
-        if self._has_local_frame() or marked or position is None or not all(map(isfinite, position)):
+        is_invalid = None in (x, y, heading) or data == b"\x80\0\0\0\x80\0\0\0"
+        if self._has_local_frame() or is_invalid or position is None or not all(map(isfinite, position)):
             return
         origin = origin_from_channel_25(x, y, heading, *position)
         fields.update(zip(LOCAL_FRAME, origin, strict=True))
@@ -163,7 +163,7 @@ class Event:
     """Edge of an event input or output.
 
     channel: input or output and edge.  gps_ns: instant [ns since 1980-01-06].  count: of the unit, wraps after 255.
-    complete: the packet contains the pose at that instant (false: a repetition in a regular packet).
+    complete: the packet contains the pose at that instant; false for a repetition in a regular packet.
     """
 
     channel: int
@@ -179,7 +179,7 @@ class EventLog:
     """
 
     def __init__(self) -> None:
-        self._last: dict[int, tuple[int, int]] = {}
+        self._last: dict[int, tuple[int, int]] = {}  # by channel: count and time of the newest event
 
     def event(self, received: Received) -> Event | None:
         """The event that this packet reports first, None without one."""
@@ -194,8 +194,5 @@ class EventLog:
         before = self._last.get(channel)
         self._last[channel] = (count, time)
         complete = received.kind == "trigger"
-        if before is None:
-            return Event(channel, time, count, complete) if complete else None
-        if count == before[0] or (not complete and time <= before[1]):
-            return None
-        return Event(channel, time, count, complete)
+        is_new = complete if before is None else count != before[0] and (complete or time > before[1])
+        return Event(channel, time, count, complete) if is_new else None

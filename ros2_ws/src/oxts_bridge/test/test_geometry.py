@@ -87,12 +87,11 @@ def test_velocity_covariance_is_rotated(angles, sigma):
 
 @given(heading=st.floats(-3.14, 3.14), sigma=st.tuples(*[st.floats(0.001, 1)] * 3))
 def test_orientation_covariance_is_turned_to_the_fixed_axes(heading, sigma):
-    roll, pitch, about_up = sigma
     attitude = Attitude(heading, 0.0, 0.0)
     s, c = math.sin(attitude.yaw), math.cos(attitude.yaw)
     rz = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     wanted = rz @ np.diag(np.square(sigma)) @ rz.T
-    assert np.reshape(attitude.orientation_covariance(roll, pitch, about_up), (3, 3)) == pytest.approx(
+    assert np.reshape(attitude.orientation_covariance(tuple(np.square(sigma))), (3, 3)) == pytest.approx(
         wanted, abs=1e-12
     )
 

@@ -59,6 +59,6 @@ def test_covariances_of_the_bridge(ins: NcomLog) -> None:
             expected_twist[:3, :3] = np.reshape(attitude.covariance_to_body((0.02**2, 0.01**2, 0.03**2)), (3, 3))
         if k >= 12:
             expected_pose[3:, 3:] = np.reshape(
-                attitude.orientation_covariance(*np.radians([0.05, 0.1, 0.2])), (3, 3))
+                attitude.orientation_covariance(tuple(np.radians([0.05, 0.1, 0.2])**2)), (3, 3))
         np.testing.assert_allclose(pose[k].reshape(6, 6), expected_pose, rtol=0.02, atol=1e-12)  # sent in 1e-5 rad
         np.testing.assert_allclose(twist[k].reshape(6, 6), expected_twist, rtol=1e-3, atol=1e-12)
