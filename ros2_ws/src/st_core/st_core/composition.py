@@ -258,7 +258,7 @@ def _unchanged_slips(slip_front, slip_rear, state, at):
     return slip_front, slip_rear
 
 
-def _add_slip_angles(previous, place: _Place):
+def _add_slip_angles(previous, place):
     hook, index, (begin, end), (first, last) = place.effect.slip_angles, place.index, place.given, place.extra
 
     def slips(slip_front, slip_rear, state, at):
@@ -267,7 +267,7 @@ def _add_slip_angles(previous, place: _Place):
     return slips
 
 
-def _add_axle_forces(previous, place: _Place):
+def _add_axle_forces(previous, place):
     hook, index, (begin, end) = place.effect.axle_forces, place.index, place.given
 
     def forces(slip_front, slip_rear, at):
@@ -280,7 +280,7 @@ def _no_acceleration(at):
     return zero, zero, zero
 
 
-def _add_acceleration(previous, place: _Place):
+def _add_acceleration(previous, place):
     hook, index, (begin, end) = place.effect.acceleration, place.index, place.given
 
     def acceleration(at):
@@ -290,7 +290,7 @@ def _add_acceleration(previous, place: _Place):
     return acceleration
 
 
-def _add_rates(previous, place: _Place):
+def _add_rates(previous, place):
     hook, index, (begin, end), (first, last) = place.effect.rates, place.index, place.given, place.extra
 
     def rates(state, slips, forces, at):
@@ -299,7 +299,7 @@ def _add_rates(previous, place: _Place):
     return rates
 
 
-def _add_start(previous, place: _Place):
+def _add_start(previous, place):
     hook, index, (begin, end) = place.effect.start, place.index, place.given
     if hook is None:
         hook = _zeros(len(place.effect.extra_states))
@@ -321,7 +321,7 @@ def _no_force(at):
     return zero, zero
 
 
-def _add_specific_force(previous, place: _Place):
+def _add_specific_force(previous, place):
     hook, index, (begin, end) = place.effect.specific_force, place.index, place.given
 
     def specific_force(at):
