@@ -1,7 +1,7 @@
 """Requirements on every effect, checked by `st effects check` for the library and for users' own effects.
 
-Each of `PROMISES` is a function of an effect and a car that returns the violation, in one line with figures, or "".
-All implementations are run: floats, the numpy batch, the compiled lanes, CasADi. Checked by: test_contract.py.
+Each function in `PROMISES` returns the violation by an effect and a car, in one line with figures, or "". It covers all
+backends: floats, the numpy batch, the compiled lanes and CasADi. Checked by: test_contract.py.
 """
 
 import importlib.util
@@ -24,17 +24,18 @@ from .vehicle import VehicleParameters
 STEP, STEPS = 0.05, 40
 SPEEDS = (4.0, 8.0, 15.0, 25.0)  # m/s
 STANDSTILL = (-1.0, 0.0, 1e-9, 0.5, 2.0)  # m/s
-SAME = 1e-9  # relative to max(1, |value|): different order of rounding
-CORRECTED = 0.05  # relative to the change by `observe`: `correct` depends on the reading, not on the true value
-GROWTH = 0.1  # 1/s: permitted growth rate of a mode beyond that of the base
+ROUNDING = 1e-9  # relative to max(1, |value|): permitted difference between backends
+# Permitted residual after `correct`, relative to the change by `observe`; not 0, as `correct` knows the reading only.
+CORRECTION_RESIDUAL = 0.05
+GROWTH_RATE = 0.1  # 1/s, permitted for a mode beyond that of the base
 MIRROR = np.array([1.0, -1.0, 1.0, -1.0, -1.0, -1.0])
 MIRRORED = ("y", "yaw", "velocity_y", "yaw_rate", "acceleration_y", "yaw_acceleration")
-READ = Measured(3.0, -2.0, 0.2, 12.0, 0.1, 0.25, 0.4, 2.9, 0.3)
+READING = Measured(3.0, -2.0, 0.2, 12.0, 0.1, 0.25, 0.4, 2.9, 0.3)
 
 
 @dataclass(frozen=True)
 class Promise:
-    """A requirement in words and its violation, "" if fulfilled."""
+    """A requirement in words, and its violation, "" if fulfilled."""
 
     what: str
     problem: str
@@ -42,103 +43,105 @@ class Promise:
 
 def check_effect(effect: type[Effect], vehicle: VehicleParameters) -> tuple[Promise, ...]:
     """Result of every requirement, in the order of PROMISES; an exception counts as a violation."""
-    found = []
-    for what, look in PROMISES.items():
+    promises = []
+    for what, find_violation in PROMISES.items():
         try:
             with np.errstate(all="ignore"):
-                problem = look(effect, vehicle)
+                problem = find_violation(effect, vehicle)
         except StCoreError as error:
             problem = str(error)
         except Exception as error:
             problem = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        found.append(Promise(what, problem))
-    return tuple(found)
+        promises.append(Promise(what, problem))
+    return tuple(promises)
 
 
-def _texts(effect: type[Effect], vehicle: VehicleParameters) -> str:
-    written = effect.__doc__ or sys.modules[effect.__module__].__doc__ or ""
-    return "" if written.strip() else "no docstring; write the equation there, with units and signs"
+def _check_texts(effect: type[Effect], vehicle: VehicleParameters) -> str:
+    text = effect.__doc__ or sys.modules[effect.__module__].__doc__ or ""
+    return "" if text.strip() else "no docstring; write the equation there, with units and signs"
 
 
-def _null(effect: type[Effect], vehicle: VehicleParameters) -> str:
+def _check_null(effect: type[Effect], vehicle: VehicleParameters) -> str:
     for base, active in _models(effect):
         model = neutral(active)
-        off = float(np.abs(_path(model, vehicle) - _path(base, vehicle)).max())
+        off = float(np.abs(_predict_floats(model, vehicle) - _predict_floats(base, vehicle)).max())
         if np.isnan(off) or off > 0.0:
             return f"at null the {base.name} model moves by {off:.3g}; the path must be the base's to the last bit"
-        if model.observe(READ) != READ or model.correct(READ) != READ or model.effective_vehicle(vehicle) != vehicle:
+        readings = model.observe(READING), model.correct(READING)
+        if readings != (READING, READING) or model.effective_vehicle(vehicle) != vehicle:
             return "at null a reading or the car is changed"
     return ""
 
 
-def _shows(effect: type[Effect], vehicle: VehicleParameters) -> str:
+def _check_change(effect: type[Effect], vehicle: VehicleParameters) -> str:
     for base, model in _models(effect):
         time, angle = np.arange(100) * 0.01, 0.1 * np.sin(np.arange(100) * 0.2)
         steered = [np.array(a) for a in model.steering(time, angle, np.arange(100) == 0)]
-        changed = (np.abs(_path(model, vehicle) - _path(base, vehicle)).max(), np.abs(steered[0] - time).max(),
-                   np.abs(steered[1] - angle).max(), np.abs(np.subtract(model.observe(READ), READ)).max())
+        changed = (np.abs(_predict_floats(model, vehicle) - _predict_floats(base, vehicle)).max(),
+                   np.abs(steered[0] - time).max(),
+                   np.abs(steered[1] - angle).max(), np.abs(np.subtract(model.observe(READING), READING)).max())
         if not max(changed) > 0.0 and model.effective_vehicle(vehicle) == vehicle and not effect.specific_force:
             return f"at its initial values nothing changes in the {base.name} model"
     return ""
 
 
-def _finite(effect: type[Effect], vehicle: VehicleParameters) -> str:
+def _check_finite(effect: type[Effect], vehicle: VehicleParameters) -> str:
     for base, start in _models(effect):
         for p in (p for p in effect.parameters if p.fit):
             for value in p.bounds:
                 model = start.with_values({effect.name: {p.name: value}})
                 for speed in STANDSTILL:
-                    if not np.isfinite(_path(model, vehicle, speed, acceleration=0.0)).all():
+                    if not np.isfinite(_predict_floats(model, vehicle, speed, acceleration=0.0)).all():
                         return f"{p.name} = {value:g}, {base.name}: not finite from {speed:g} m/s"
                 rates = _rates(model, vehicle)
-                if not np.isfinite(rates).all() or not np.isfinite(model.observe(READ)).all():
+                if not np.isfinite(rates).all() or not np.isfinite(model.observe(READING)).all():
                     return f"{p.name} = {value:g}, {base.name}: not finite at {SPEEDS[-1]:g} m/s"
     return ""
 
 
-def _backends(effect: type[Effect], vehicle: VehicleParameters) -> str:
+def _check_backends(effect: type[Effect], vehicle: VehicleParameters) -> str:
     for base, model in _models(effect):
-        floats = np.stack([_path(model, vehicle, speed) for speed in SPEEDS])
-        others = {name: _columns(model, vehicle, name) for name in ("numpy", *["lanes"] * has_numba())}
+        floats = np.stack([_predict_floats(model, vehicle, speed) for speed in SPEEDS])
+        others = {name: _predict_backend(model, vehicle, name) for name in ("numpy", *["lanes"] * has_numba())}
         if importlib.util.find_spec("casadi"):
-            others["CasADi"] = _symbolic(model, vehicle)
+            others["CasADi"] = _predict_casadi(model, vehicle)
         for name, path in others.items():
             reference = floats if path.shape == floats.shape else floats[:, -1]
             off = np.abs(path - reference) / np.maximum(1.0, np.abs(reference))
-            if not (off < SAME).all():
+            if not (off < ROUNDING).all():
                 return f"{name} and floats differ by {float(np.nanmax(off)):.2g} in the {base.name} model"
     return ""
 
 
-def _mirror(effect: type[Effect], vehicle: VehicleParameters) -> str:
+def _check_mirror(effect: type[Effect], vehicle: VehicleParameters) -> str:
     if effect.kind == "surroundings":
         return ""  # depends on the map and is not symmetric
     flipped = {p.name: -p.initial for p in effect.parameters if p.odd}
     for base, model in _models(effect):
         other = model.with_values({effect.name: flipped}) if flipped else model
-        off = float(np.abs(_path(other, vehicle, side=-1.0) - MIRROR * _path(model, vehicle)).max())
-        turned = other.observe(_mirrored(READ))
-        seen = float(np.abs(np.subtract(turned, _mirrored(model.observe(READ)))).max())
-        if not max(off, seen) < SAME:
+        off = float(np.abs(_predict_floats(other, vehicle, side=-1.0) - MIRROR * _predict_floats(model, vehicle)).max())
+        turned = other.observe(_mirrored(READING))
+        seen = float(np.abs(np.subtract(turned, _mirrored(model.observe(READING)))).max())
+        if not max(off, seen) < ROUNDING:
             return (f"a left turn is not the mirror image of a right one in the {base.name} model ({max(off, seen):.2g}"
                     "); if intended, set odd=True for the parameter that changes its sign")
     return ""
 
 
-def _steady(effect: type[Effect], vehicle: VehicleParameters) -> str:
+def _check_stability(effect: type[Effect], vehicle: VehicleParameters) -> str:
     for base, model in _models(effect):
-        problem = unsteady(base, model, vehicle, SPEEDS)
+        problem = describe_instability(base, model, vehicle, SPEEDS)
         if problem:
             return f"at its initial values, {base.name}: {problem}"
     return ""
 
 
-def unsteady(base: Model, model: Model, vehicle: VehicleParameters, speeds: Iterable[float]) -> str:
+def describe_instability(base: Model, model: Model, vehicle: VehicleParameters, speeds: Iterable[float]) -> str:
     """Description of an instability of straight driving that the base does not have, "" if there is none."""
     for speed in speeds:
         if base.name != "kinematic":
             before, after = (float(lateral_modes(m, vehicle, speed).real.max()) for m in (base, model))
-            if not after <= max(before, 0.0) + GROWTH:
+            if not after <= max(before, 0.0) + GROWTH_RATE:
                 return f"a lateral mode grows by {after:.2g} per second at {speed:.3g} m/s; without it {before:.2g}"
         factor = growth(model, vehicle, speed, STEP)
         if factor > max(1.0, growth(base, vehicle, speed, STEP)):
@@ -146,27 +149,29 @@ def unsteady(base: Model, model: Model, vehicle: VehicleParameters, speeds: Iter
     return ""
 
 
-def _corrects(effect: type[Effect], vehicle: VehicleParameters) -> str:
+def _check_correction(effect: type[Effect], vehicle: VehicleParameters) -> str:
     if effect.observe is None:
         return ""
     _, model = next(_models(effect))
-    shown = np.array(model.observe(READ), float)
+    shown = np.array(model.observe(READING), float)
     back = np.array(model.correct(Measured(*shown)), float)
-    error, change = np.abs(back - READ).max(), np.abs(shown - READ).max()
-    return "" if error <= CORRECTED * change else f"{error:.3g} of the {change:.3g} by observe() remain after correct()"
+    error, change = np.abs(back - READING).max(), np.abs(shown - READING).max()
+    if error <= CORRECTION_RESIDUAL * change:
+        return ""
+    return f"{error:.3g} of the {change:.3g} by observe() remain after correct()"
 
 
 PROMISES = {
-    "the equation is written in the file": _texts,
-    "at null it changes nothing, to the last bit": _null,
-    "at its initial values it changes something": _shows,
-    "finite at its bounds, and at standstill": _finite,
-    "the same on floats, in batches, compiled and in CasADi": _backends,
-    "left and right are mirror images, except for surroundings and parameters with odd=True": _mirror,
-    "it does not make the car unstable": _steady,
-    "correct() inverts observe()": _corrects,
+    "the equation is written in the file": _check_texts,
+    "at null it changes nothing, to the last bit": _check_null,
+    "at its initial values it changes something": _check_change,
+    "finite at its bounds, and at standstill": _check_finite,
+    "the same on floats, in batches, compiled and in CasADi": _check_backends,
+    "left and right are mirror images, except for surroundings and parameters with odd=True": _check_mirror,
+    "it does not make the car unstable": _check_stability,
+    "correct() inverts observe()": _check_correction,
 }
-"""Requirement -> function of effect and car that returns its violation."""
+"""By requirement: function of effect and car that returns the violation."""
 
 
 def _models(effect: type[Effect]) -> Iterator[tuple[Model, AugmentedModel]]:
@@ -176,7 +181,7 @@ def _models(effect: type[Effect]) -> Iterator[tuple[Model, AugmentedModel]]:
             yield base, augment(base, [effect.name])
 
 
-def _course(side: float, acceleration: float) -> tuple[np.ndarray, np.ndarray]:
+def _driver_inputs(side: float, acceleration: float) -> tuple[np.ndarray, np.ndarray]:
     time = np.linspace(0.0, STEP * STEPS, 2 * STEPS + 1)
     return side * 0.05 * np.sin(4.0 * time), acceleration * np.cos(2.0 * time)
 
@@ -189,35 +194,35 @@ def _start(speed: float, side: float = 1.0) -> tuple[float, ...]:
     return 3.0, -2.0 * side, speed, 0.1 * side, 0.3 * side, 0.1 * side
 
 
-def _path(model: Model, vehicle: VehicleParameters, speed: float = 12.0, side: float = 1.0,
+def _predict_floats(model: Model, vehicle: VehicleParameters, speed: float = 12.0, side: float = 1.0,
           acceleration: float = 0.8) -> np.ndarray:
     """States (STEPS + 1, 6) computed on floats."""
-    inputs = InputSequence(*_course(side, acceleration), signals=_signals(model, side))
+    inputs = InputSequence(*_driver_inputs(side, acceleration), signals=_signals(model, side))
     return predict(model, vehicle, VehicleState(*_start(speed, side)), inputs, STEP * STEPS, STEP).states
 
 
-def _columns(model: Model, vehicle: VehicleParameters, backend: str) -> np.ndarray:
+def _predict_backend(model: Model, vehicle: VehicleParameters, backend: str) -> np.ndarray:
     """States (speeds, STEPS + 1, 6) computed by a backend."""
-    made, p = get_backend(backend), model.parameters(vehicle)
-    speeds = np.pad(SPEEDS, (0, -len(SPEEDS) % made.LANES), mode="edge")
+    module, p = get_backend(backend), model.parameters(vehicle)
+    speeds = np.pad(SPEEDS, (0, -len(SPEEDS) % module.LANES), mode="edge")
     columns = len(speeds)
-    angle, acceleration = (np.repeat(row, columns) for row in _course(1.0, 0.8))
+    angle, acceleration = (np.repeat(row, columns) for row in _driver_inputs(1.0, 0.8))
     signals = [np.repeat(row, columns) for row in _signals(model).values()]
     w = np.array([np.broadcast_to(f, angle.shape) for f in model.inputs(angle, acceleration, p, *signals)])
     state = model.start_state(tuple(np.array([_start(v) for v in speeds]).T), tuple(w[:, :columns]), p)
     begin = np.array([np.broadcast_to(row, columns) for row in state])
     offsets, points = np.arange(2 * STEPS + 1) * columns, np.arange(STEPS + 1)
-    return made.advance(model, p, begin, w, offsets, STEP, points).transpose(2, 0, 1)[:len(SPEEDS)]
+    return module.advance(model, p, begin, w, offsets, STEP, points).transpose(2, 0, 1)[:len(SPEEDS)]
 
 
-def _symbolic(model: Model, vehicle: VehicleParameters) -> np.ndarray:
+def _predict_casadi(model: Model, vehicle: VehicleParameters) -> np.ndarray:
     """(speeds, 6) at the end, by integration of `dynamics`: an exported step has constant inputs."""
     from .backends.casadi_backend import build
     from .integrate import rk4_step
 
     built = build(model, vehicle)
     tail = [[row[0] for row in _signals(model).values()]] if model.signals else []
-    grid = list(zip(*_course(1.0, 0.8), strict=True))
+    grid = list(zip(*_driver_inputs(1.0, 0.8), strict=True))
 
     def rates(state: tuple, u: tuple, _: None) -> tuple:
         return tuple(np.asarray(built.dynamics(list(state), list(u), *tail)).ravel().tolist())

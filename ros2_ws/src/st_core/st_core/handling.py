@@ -1,4 +1,4 @@
-"""Closed forms of the linear single-track car, and the plausibility of a car's parameters by them."""
+"""Closed-form handling of the linear single-track model, and plausible ranges of vehicle parameters."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -36,8 +36,10 @@ def linear_system(speed: float, car: VehicleParameters) -> tuple[np.ndarray, np.
 
 @dataclass(frozen=True)
 class Plausible:
-    """Range of a quantity in which road cars lie. key: of the vehicle file it mainly rests on; value: from a car, in
-    `unit`; name: in words; source: of the range, which is wider than what is published there."""
+    """Range of a quantity among road cars, wider than the range published in `source`.
+
+    key: entry of the vehicle file that mainly determines the quantity. value: the quantity of a car, in `unit`.
+    """
 
     key: str
     name: str
@@ -48,7 +50,7 @@ class Plausible:
     source: str
 
     def objection(self, car: VehicleParameters) -> str:
-        """A sentence with value, range and source where the car is outside; else an empty text."""
+        """A sentence with value, range and source if the car is outside the range, else ""."""
         value = self.value(car)
         if self.low <= value <= self.high:
             return ""
@@ -58,7 +60,7 @@ class Plausible:
 
 
 def _stiffness_per_load(axle: str, car: VehicleParameters) -> float:
-    """Cornering stiffness of an axle over its static load [1/rad]."""
+    """Cornering stiffness of an axle divided by its static load [1/rad]."""
     return float(getattr(car, f"cornering_stiffness_{axle}") / (2.0 * getattr(car, f"static_tyre_load_{axle}")))
 
 
@@ -81,10 +83,11 @@ PLAUSIBLE = (
 
 
 def objections(car: VehicleParameters, file: VehicleParameters | None = None) -> tuple[str, ...]:
-    """A sentence for each quantity of the car that is outside the range of road cars, by PLAUSIBLE.
+    """A sentence for each quantity of the car that is outside its range in PLAUSIBLE.
 
-    file: with the original car, only what it did not have already: the objections to an answer. An unusual car may be
-    right, so a vehicle file is not refused for them; an identified or discovered value is doubtful.
+    file: the original car; quantities that are outside their range there too are left out. An unusual car may be
+    correct, so a vehicle file is never refused for an objection, but an identified or discovered value is doubtful.
     """
-    known = {one.name for one in PLAUSIBLE if file is not None and one.objection(file)}
-    return tuple(text for one in PLAUSIBLE if one.name not in known and (text := one.objection(car)))
+    known = {quantity.name for quantity in PLAUSIBLE if file is not None and quantity.objection(file)}
+    texts = (quantity.objection(car) for quantity in PLAUSIBLE if quantity.name not in known)
+    return tuple(text for text in texts if text)

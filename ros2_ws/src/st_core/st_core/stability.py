@@ -16,15 +16,15 @@ from .models import Model, get_model
 from .vehicle import VEHICLE_QUANTITIES, VehicleParameters
 
 MOST_SUBSTEPS = 64
-HIGHEST_SLIP_SPEED = VEHICLE_QUANTITIES["minimum_slip_speed"].maximum  # m/s, upper limit in a vehicle file
-FASTEST = 60.0  # m/s, start of the search for the lowest stable speed
+HIGHEST_SLIP_SPEED = VEHICLE_QUANTITIES["minimum_slip_speed"].maximum  # m/s
+SEARCH_START_SPEED = 60.0  # m/s, of the search for the lowest stable speed
 _LATERAL = (3, 5)  # indices of velocity_y and yaw_rate
 _INCREMENT = 1.0e-5  # of the difference quotients [m/s, rad/s]
 _warned: set[tuple[str, str, float]] = set()
 
 
 class StepTooLongWarning(UserWarning):
-    """The integration step leaves the stability region of Runge-Kutta at a speed that occurs."""
+    """The integration step is outside the stability region of Runge-Kutta at a speed that occurs."""
 
 
 def lateral_modes(model: str | Model, vehicle: VehicleParameters, speed: float) -> np.ndarray:
@@ -38,10 +38,10 @@ def lateral_modes(model: str | Model, vehicle: VehicleParameters, speed: float) 
     state = [float(s) for s in model.start_state((0.0, 0.0, float(speed), 0.0, 0.0, 0.0), w, p)]
     rows = [*_LATERAL, *range(6, len(state))]
 
-    def derivative(changed: int, by: float) -> np.ndarray:
-        moved = list(state)
-        moved[changed] += by
-        return np.array(model.rhs(tuple(moved), w, p), float)[rows]
+    def derivative(row: int, increment: float) -> np.ndarray:
+        changed = list(state)
+        changed[row] += increment
+        return np.array(model.rhs(tuple(changed), w, p), float)[rows]
 
     jacobian = [(derivative(row, _INCREMENT) - derivative(row, -_INCREMENT)) / (2.0 * _INCREMENT) for row in rows]
     return np.linalg.eigvals(np.array(jacobian).T)
@@ -62,7 +62,7 @@ def lowest_stable_speed(model: str | Model, vehicle: VehicleParameters, step: fl
 
     With minimum_slip_speed set low, RK4 at 50 ms needs 2.66 m/s for the Leaf and 3.98 m/s for the Genesis.
     """
-    speeds = np.geomspace(FASTEST, 0.05, 200)
+    speeds = np.geomspace(SEARCH_START_SPEED, 0.05, 200)
     unstable = [growth(model, vehicle, v, step) > 1.0 for v in speeds]
     if not any(unstable):
         return 0.0
@@ -122,8 +122,8 @@ def warn_if_too_long(model: str | Model, vehicle: VehicleParameters, speeds: Ite
         return
     _warned.add(key)
     needed = slip_speed_needed([model], vehicle, factors, step)
-    in_the_file = f"a minimum_slip_speed of {needed:g} m/s in the vehicle file, or " if needed else ""
+    slip_speed = f"a minimum_slip_speed of {needed:g} m/s in the vehicle file, or " if needed else ""
     warnings.warn(
         f"{model.name} model of {vehicle.name}: integration steps of {step * 1e3:g} ms are too long at {worst:.2f} m/s,"
-        f" the predicted lateral motion is wrong; use {in_the_file}"
+        f" the predicted lateral motion is wrong; use {slip_speed}"
         f"substeps={substeps_needed(model, vehicle, factors, step)}", StepTooLongWarning, stacklevel=3)

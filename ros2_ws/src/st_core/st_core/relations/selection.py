@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from ..contract import unsteady
+from ..contract import describe_instability
 from ..discovery.settings import Limits
 from ..effects import get_effect
 from ..effects._law import COUNT, HIGHEST
@@ -170,7 +170,7 @@ def rejected_curve(fits: RelationFits, fit: RelationFit, vehicle: VehicleParamet
     model = fits.space_of(fit.candidate).at(fit.vector)
     low, high = np.quantile(fits.windows.speeds[np.isfinite(fits.windows.speeds)], [0.05, 0.95])
     slow = max(float(low), vehicle.minimum_slip_speed)
-    problem = unsteady(get_model(model.base), model, vehicle, np.linspace(slow, max(float(high), slow), 4))
+    problem = describe_instability(get_model(model.base), model, vehicle, np.linspace(slow, max(float(high), slow), 4))
     return f"with {name} the simulated car is unstable and cannot predict: {problem}" if problem else ""
 
 
