@@ -13,12 +13,13 @@ from .vehicle import VehicleParameters
 INS_SIGNALS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate")
 OPTIONAL_INS_SIGNALS = ("acceleration_x", "acceleration_y", *FURTHER)
 STEERING = ("road_wheel_angle", "steering_wheel_angle")
-HALF_SLOPE = 0.025  # s to both sides: shorter is noise, longer takes more than 3 % of 2.5 Hz
+# s, to both sides of a sample: a shorter one is noisy, a longer one reduces 2.5 Hz by more than 3 %.
+SLOPE_HALF_WIDTH = 0.025
 
 
 if TYPE_CHECKING:
     _Further = object
-else:  # a field for each
+else:  # one optional field for each further channel
     _Further = make_dataclass("_Further", [(name, np.ndarray | None, field(default=None, kw_only=True))
                                            for name in FURTHER], frozen=True, eq=False)
 
@@ -33,12 +34,12 @@ class DriveLog(_Further):
     x, y: INS point in the map frame, east and north [m]. yaw: from east counter-clockwise, unwrapped [rad].
     velocity_x, velocity_y: body axes, forward and left, at the INS point [m/s]. yaw_rate: left turn + [rad/s].
     acceleration_x, acceleration_y: body axes, forward and left, as the source defines them [m/s^2]; others are in
-    `channels.CHANNELS`. None if not there, NaN where the source has no value of it at a sample.
+    `channels.CHANNELS`. None if not recorded, NaN at samples for which the source has no value.
 
     road_wheel_angle: mean of the front axle, left + [rad]. steering_wheel_angle: as measured, left +, offset not
     removed [rad]; None where the source has only the road wheel angle.
 
-    Raises StCoreError, naming the log and the signal, when an array breaks these rules.
+    Raises StCoreError, naming the log and the signal, if an array breaks these rules.
     """
 
     name: str
@@ -59,7 +60,7 @@ class DriveLog(_Further):
         for base, signals in (("ins_time_ns", (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS)), ("steering_time_ns", STEERING)):
             time = np.asarray(getattr(self, base))
             if time.ndim != 1 or time.dtype.kind != "i":
-                raise StCoreError(f"{self.name}: {base} must be a row of whole nanoseconds")
+                raise StCoreError(f"{self.name}: {base} must be one-dimensional, in whole nanoseconds")
             if len(time) > 1 and not (np.diff(time) > 0).all():
                 raise StCoreError(f"{self.name}: {base} does not rise strictly")
             self._keep(base, time, np.int64)
@@ -81,32 +82,33 @@ class DriveLog(_Further):
 
     @property
     def start_ns(self) -> int:
-        """First measurement [ns]; 0 for an empty log."""
+        """Time of the first measurement [ns]; 0 for an empty log."""
         return min((int(t[0]) for t in (self.ins_time_ns, self.steering_time_ns) if len(t)), default=0)
 
     @property
     def end_ns(self) -> int:
-        """Last measurement [ns]; 0 for an empty log."""
+        """Time of the last measurement [ns]; 0 for an empty log."""
         return max((int(t[-1]) for t in (self.ins_time_ns, self.steering_time_ns) if len(t)), default=0)
 
     @property
     def duration(self) -> float:
-        """From the first to the last INS measurement [s]; 0 with fewer than two."""
+        """Time from the first to the last INS measurement [s]; 0 with fewer than two."""
         return (int(self.ins_time_ns[-1]) - int(self.ins_time_ns[0])) * 1e-9 if len(self.ins_time_ns) else 0.0
 
     @cached_property
     def yaw_acceleration(self) -> np.ndarray:
-        """Slope of the yaw rate over 2 HALF_SLOPE about each INS sample, without delay [rad/s^2]; 0 of a single one."""
+        """Slope of the yaw rate about each INS sample, without delay [rad/s^2]; 0 with fewer than two samples."""
         seconds = (self.ins_time_ns - self.ins_time_ns[:1]) * 1e-9
-        low, high = np.maximum(seconds - HALF_SLOPE, 0.0), np.minimum(seconds + HALF_SLOPE, seconds[-1:])
         if len(seconds) < 2:
             return np.zeros(len(seconds))
+        low = np.maximum(seconds - SLOPE_HALF_WIDTH, 0.0)
+        high = np.minimum(seconds + SLOPE_HALF_WIDTH, seconds[-1])
         before, after = (np.interp(t, seconds, self.yaw_rate) for t in (low, high))
         return (after - before) / (high - low)
 
     @property
     def overlap(self) -> float:
-        """For how long both INS and steering were measured [s]; 0 when never."""
+        """Duration for which both INS and steering were measured [s]; 0 without a common time."""
         if not len(self.ins_time_ns) or not len(self.steering_time_ns):
             return 0.0
         start = max(int(self.ins_time_ns[0]), int(self.steering_time_ns[0]))
@@ -114,19 +116,19 @@ class DriveLog(_Further):
         return max(end - start, 0) * 1e-9
 
     def with_ins(self, rows: np.ndarray) -> "DriveLog":
-        """The INS samples of some rows (a mask or places), and the whole steering."""
+        """The log with only these INS samples (a mask or indices), and all of the steering."""
         names = ("ins_time_ns", *INS_SIGNALS, *OPTIONAL_INS_SIGNALS)
-        return replace(self, **{n: getattr(self, n)[rows] for n in names if getattr(self, n) is not None})
+        return replace(self, **{name: getattr(self, name)[rows] for name in names if getattr(self, name) is not None})
 
     def slice(self, start_ns: int, end_ns: int, name: str | None = None) -> "DriveLog":
         """The measurements with start_ns <= time <= end_ns, of both time bases."""
         span = (start_ns, end_ns + 1)
         ins, steering = (slice(*np.searchsorted(t, span).tolist()) for t in (self.ins_time_ns, self.steering_time_ns))
         parts = {}
-        for name_ in (one.name for one in fields(self)):
-            value = getattr(self, name_)
+        for key in (column.name for column in fields(self)):
+            value = getattr(self, key)
             if isinstance(value, np.ndarray):
-                parts[name_] = value[steering if name_ in ("steering_time_ns", *STEERING) else ins]
+                parts[key] = value[steering if key in ("steering_time_ns", *STEERING) else ins]
         return replace(self, name=name or self.name, **parts)
 
     def with_steering(self, vehicle: VehicleParameters) -> "DriveLog":
@@ -138,5 +140,4 @@ class DriveLog(_Further):
         """
         if self.steering_wheel_angle is None:
             raise StCoreError(f"{self.name}: no steering wheel angle to recompute the road wheel angle from")
-        angle = vehicle.road_wheel_angle(self.steering_wheel_angle)
-        return replace(self, road_wheel_angle=angle)
+        return replace(self, road_wheel_angle=vehicle.road_wheel_angle(self.steering_wheel_angle))

@@ -1,6 +1,6 @@
-"""Manoeuvres: the same for the virtual car, the drives `st discover` suggests and its benchmark.
+"""Manoeuvres for the virtual car, for the drives that `st discover` suggests and for its benchmark.
 
-A manoeuvre is given by its speed and by the lateral acceleration it aims at, so that any car can drive it:
+A manoeuvre is defined by its speed and its target lateral acceleration, so that any car can drive it:
 
     curvature(t) = lateral share(t) / speed^2              share between -1 and 1
     road wheel angle(t) = (L + K speed^2) curvature(t)     L: wheelbase, K: understeer
@@ -17,18 +17,18 @@ from typing import Protocol
 import numpy as np
 
 UNDERSTEER = 0.004
-"""rad s^2/m the hand allows for in a car it does not know."""
+"""rad s^2/m: assumed understeer K of a car that is not known."""
 
 
 class Shape(Protocol):
-    """Share of the lateral acceleration at a time [s] within one round, -1 to 1."""
+    """Share of the target lateral acceleration at a time [s] within one period, -1 to 1."""
 
     def __call__(self, time: np.ndarray) -> np.ndarray: ...
 
 
 @dataclass(frozen=True)
 class Lines:
-    """Straight lines one after the other: (duration [s], share at its start, share at its end)."""
+    """Consecutive straight lines, each (duration [s], share at its start, share at its end)."""
 
     parts: tuple[tuple[float, float, float], ...]
 
@@ -49,7 +49,7 @@ class Lines:
 
 @dataclass(frozen=True)
 class Sine:
-    """A sine with a frequency growing exponentially from `low` to `high` [Hz] within `duration` [s]; then straight."""
+    """A sine whose frequency rises exponentially from `low` to `high` [Hz] within `duration` [s], then straight."""
 
     low: float
     high: float
@@ -63,13 +63,13 @@ class Sine:
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """What hands and feet do.
+    """Steering and pedal inputs over time.
 
-    name: also the scenario of the virtual car. speed: at the start [m/s]. lateral: acceleration aimed at where the
-    share is 1 [m/s^2], speed as at the start. period [s]: of one round, then it begins again. rounds: of a drive.
-    pedals: (duration [s], forward acceleration [m/s^2]) one after the other, the speed of the start is never exceeded;
-    none: constant speed. follows: the driver looks at a road of this curvature, made of Lines; otherwise his hands do
-    not look. With pedals the road is a circle, and while braking the hands are still. meaning: in words.
+    name: also the scenario of the virtual car. speed: at the start [m/s]. lateral: target acceleration at a share of 1
+    and the speed of the start [m/s^2]. period: after which the manoeuvre repeats [s]. rounds: periods in one drive.
+    pedals: consecutive (duration [s], forward acceleration [m/s^2]), never beyond the speed of the start; empty for
+    constant speed. follows: the driver follows a road of this curvature, made of Lines, in a closed loop; otherwise the
+    steering is open loop. With pedals the road is a circle, and the steering is held while braking. meaning: in words.
     """
 
     name: str
@@ -84,15 +84,15 @@ class Manoeuvre:
 
     @property
     def duration(self) -> float:
-        """s of a drive."""
+        """Duration of a drive [s]."""
         return self.rounds * self.period
 
     def curvature(self, time: np.ndarray | float) -> np.ndarray:
-        """Of the way at the speed of the start [1/m]; time [s] >= 0."""
+        """Curvature of the path at the speed of the start [1/m]; time [s] >= 0."""
         return self.lateral / self.speed**2 * self.share(np.asarray(time) % self.period)
 
     def steering(self, time: np.ndarray | float, wheelbase: float, understeer: float = UNDERSTEER) -> np.ndarray:
-        """Road wheel angle [rad] of a car of that wheelbase [m] and understeer K [rad s^2/m]; time [s] >= 0."""
+        """Road wheel angle [rad] for a wheelbase [m] and an understeer K [rad s^2/m]; time [s] >= 0."""
         return (wheelbase + understeer * self.speed**2) * self.curvature(time)
 
     def speed_at(self, time: np.ndarray | float) -> np.ndarray:
@@ -111,11 +111,11 @@ class Manoeuvre:
     def _speeds(self) -> tuple[np.ndarray, np.ndarray]:
         times, speeds = [0.0], [self.speed]
         for seconds, acceleration in self.pedals or ((self.period, 0.0),):
-            regained = (self.speed - speeds[-1]) / acceleration if acceleration > 0.0 else seconds
-            for length in (min(seconds, regained), seconds - regained):
-                if length > 1e-9:
-                    speeds.append(min(speeds[-1] + acceleration * length, self.speed))
-                    times.append(times[-1] + length)
+            until_top_speed = (self.speed - speeds[-1]) / acceleration if acceleration > 0.0 else seconds
+            for duration in (min(seconds, until_top_speed), seconds - until_top_speed):
+                if duration > 1e-9:
+                    speeds.append(min(speeds[-1] + acceleration * duration, self.speed))
+                    times.append(times[-1] + duration)
         return np.array(times), np.array(speeds)
 
 
@@ -126,21 +126,21 @@ def sweep(speed: float, lateral: float, duration: float = 26.0, pause: float = 4
 
 
 def step(speed: float, lateral: float, hold: float = 4.0, pause: float = 3.0) -> Manoeuvre:
-    """Straight, at once to one side, straight, at once to the other."""
+    """Step steer to one side, straight, step steer to the other; each held for `hold` [s], straight for `pause` [s]."""
     parts = ((pause, 0.0, 0.0), (hold, 1.0, 1.0), (pause, 0.0, 0.0), (hold, -1.0, -1.0))
     return Manoeuvre("step", speed, lateral, Lines(parts), 2 * (hold + pause), rounds=2,
                      meaning=f"steps of steering to both sides at {speed:g} m/s")
 
 
 def ramp_to_limit(speed: float, lateral: float, up: float = 25.0, out: float = 2.0, rest: float = 4.0) -> Manoeuvre:
-    """Slowly in within `up` [s], quickly out, rest [s]; then to the other side. lateral: beyond what tyres give."""
+    """Ramp steer within `up` [s], back within `out` [s], `rest` [s]; then the other side. lateral: beyond the grip."""
     return Manoeuvre("ramp_to_limit", speed, lateral, _both_sides((up, 0.0, 1.0), (out, 1.0, 0.0), (rest, 0.0, 0.0)),
                      2 * (up + out + rest), meaning=f"steering slowly increased to the limit at {speed:g} m/s")
 
 
 def brake_in_turn(speed: float, lateral: float, cruise: float = 8.0, braking: float = 4.0, down_to: float = 3.0,
                   power: float = 2.0, drive: float = 6.0) -> Manoeuvre:
-    """A circle; brakes [m/s^2] with the hands still down to a speed [m/s], then power [m/s^2] for `drive` [s]."""
+    """A circle; braking [m/s^2] at held steering down to a speed [m/s], then power [m/s^2] for `drive` [s]."""
     pedals = ((cruise, 0.0), ((speed - down_to) / braking, -braking), (drive, power))
     period = sum(seconds for seconds, _ in pedals)
     return Manoeuvre("brake_in_turn", speed, lateral, Lines(((period, 1.0, 1.0),)), period, 2, pedals, follows=True,
@@ -149,7 +149,7 @@ def brake_in_turn(speed: float, lateral: float, cruise: float = 8.0, braking: fl
 
 
 def lane_change(speed: float, lateral: float, width: float = 3.5) -> Manoeuvre:
-    """Double lane change: `width` [m] to the side, 25 m there, back; 40 m before and 35 m after it.
+    """Double lane change: `width` [m] to the side, 25 m in the other lane, and back; 40 m before and 35 m after it.
 
     The curvature runs 0, k, -k, 0 within the length s of one change: width = 2 k (s / 4)^2 for small angles.
     """
@@ -169,13 +169,13 @@ def slalom(speed: float, lateral: float, frequency: float = 0.5, waves: int = 12
 
 
 def weave(speed: float, lateral: float, waves: float = 6.0) -> Manoeuvre:
-    """Sine steering at 0.25 Hz, little of it: the hand about the middle."""
+    """Sine steering at 0.25 Hz and a small amplitude about the centre."""
     return Manoeuvre("weave", speed, lateral, Sine(0.25, 0.25, 4 * waves), 4 * waves,
                      meaning=f"gentle sine steering of 0.25 Hz about the middle at {speed:g} m/s")
 
 
 def circle(speed: float, lateral: float, hold: float = 10.0, ramp: float = 2.0) -> Manoeuvre:
-    """Within `ramp` [s] into a steady circle, out of it, the same to the other side."""
+    """Steady circle for `hold` [s], entered and left within `ramp` [s]; then the same to the other side."""
     return Manoeuvre("circle", speed, lateral,
                      _both_sides((ramp, 0.0, 1.0), (hold, 1.0, 1.0), (ramp, 1.0, 0.0), (1.0, 0.0, 0.0)),
                      2 * (hold + 2 * ramp + 1.0), meaning=f"steady circles to both sides, {speed:g} m/s and "
@@ -183,7 +183,7 @@ def circle(speed: float, lateral: float, hold: float = 10.0, ramp: float = 2.0) 
 
 
 def there_and_back(speed: float, lateral: float, straight: float = 10.0, ramp: float = 1.0) -> Manoeuvre:
-    """Straight [s], turned by 180 deg, straight back, turned to the start: what is fixed in the map changes sides."""
+    """Straight [s], a U-turn, straight back, a U-turn: what is fixed in the map, like wind, changes sides."""
     arc = math.pi * speed / abs(lateral) - ramp
     half = ((straight, 0.0, 0.0), (ramp, 0.0, 1.0), (arc, 1.0, 1.0), (ramp, 1.0, 0.0))
     shape = Lines(half + half)
@@ -192,8 +192,8 @@ def there_and_back(speed: float, lateral: float, straight: float = 10.0, ramp: f
 
 
 def figure_eight(speed: float = 4.0, radius: float = 11.5) -> Manoeuvre:
-    """S1 of the paper: loops of 240 deg to both sides, 6 m of blend, straights of the length that closes it [m]."""
-    blend, straight = 6.0, 34.3015
+    """S1 of the paper: 240 deg loops to both sides, transitions of 6 m, and straights that close the course."""
+    blend, straight = 6.0, 34.3015  # m
     arc = math.radians(240.0) * radius - blend
     half = ((straight / 2, 0.0, 0.0), (blend, 0.0, 1.0), (arc, 1.0, 1.0), (blend, 1.0, 0.0), (straight / 2, 0.0, 0.0))
     metres = half + tuple((length, -first, -last) for length, first, last in half)
@@ -218,4 +218,4 @@ CATALOGUE = (
     there_and_back(8.0, 3.0),
     figure_eight(),
 )
-"""What is suggested, and what the virtual car drives by these names."""
+"""Manoeuvres that are suggested, and that the virtual car drives by name."""

@@ -8,16 +8,16 @@
     provenance: {date: "2026-11-21", version: "0.1.0", data: {"run.ncom": "sha256 ..."}, note: "..."}
     hash: "..."
 
-The values hold for one car: the one of `vehicle.hash`. A value with `effective: true` improves the prediction and is
-not a property of the car. An interval covers the true value in 95 of 100 cases under the assumptions of its source;
-null where unknown. The hash is over base, values and vehicle; a file with another hash than that of its content was
-edited and is refused, one without a hash is not checked.
+The values are valid for one car, that of `vehicle.hash`. A value with `effective: true` improves the prediction but is
+no property of the car. An interval is a 95 % confidence interval under the assumptions of its source, null if unknown.
+The hash covers base, values and vehicle: a file whose hash does not match its content was edited and is refused; a file
+without a hash is not checked.
 """
 
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 from . import __version__
@@ -28,15 +28,15 @@ from .vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .yaml_text import check_keys, load, number, quoted
 
 Interval = tuple[float, float] | None
-MOST_DIFFERENCES = 3  # listed of two cars
+MAX_LISTED_DIFFERENCES = 3  # between two cars, in a message
 HEADER = "# Model file: base model, effects on top of it (SI units, 95 % intervals), and where they come from.\n"
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Value of one parameter of an effect [its unit], its 95 % interval where known, and where it comes from.
+    """Value of one parameter of an effect [its unit], with its 95 % interval if known, and its source.
 
-    effective: it improves the prediction without being a property of the car.
+    effective: the value improves the prediction but is no property of the car.
     """
 
     value: float
@@ -81,11 +81,11 @@ class ModelFile:
         return cls(model.base.name, effects, vehicle if embed else None, vehicle.name, vehicle.hash, provenance)
 
     def model(self) -> AugmentedModel:
-        """The model. Raises ConfigurationError for an effect unknown or not applicable, or a value out of bounds."""
+        """The model. Raises ConfigurationError for an unknown or inapplicable effect, or a value out of bounds."""
         return augment(self.base, {e: {p: v.value for p, v in parts.items()} for e, parts in self.effects.items()})
 
     def check_vehicle(self, vehicle: VehicleParameters, origin: str) -> None:
-        """Raises ConfigurationError when the values hold for another car than `vehicle`, read from `origin`."""
+        """Raises ConfigurationError if the values are for another car than `vehicle`, which was read from `origin`."""
         if self.vehicle_hash and vehicle.hash != self.vehicle_hash:
             expected, given = (f"{name!r} {digest[:12]}" for name, digest in (
                 (self.vehicle_name, self.vehicle_hash), (vehicle.name, vehicle.hash)))
@@ -220,28 +220,16 @@ def _mapping(where: str, value: Any) -> dict[str, Any]:
 
 
 def _text(where: str, value: Any) -> str:
-    # A date that is not quoted is one already for YAML.
+    # YAML reads a date without quotes as a date, which is accepted.
     if isinstance(value, bool | int | float | list | dict) or value is None:
         raise ConfigurationError(f"{where}: {value!r} is not a text; put it in quotes")
     return str(value)
 
 
-def _differences(one: VehicleParameters, other: VehicleParameters) -> str:
-    """Keys with different numbers, at most MOST_DIFFERENCES: "mass: 1590, 1700 kg"; "" without any."""
-    mine, its = _numbers(asdict(one)), _numbers(asdict(other))
-    units = {key: f" {known.si_unit}".removesuffix(" 1") for key, known in VEHICLE_QUANTITIES.items()}
-    listed = [f"{key}: {mine[key]:g}, {its[key]:g}{units.get(key, '')}"
-            for key in mine if mine[key] != its.get(key, mine[key])]
-    more = len(listed) - MOST_DIFFERENCES
-    return "; ".join(listed[:MOST_DIFFERENCES]) + (f"; {more} more" if more > 0 else "")
-
-
-def _numbers(values: Mapping[str, Any], before: str = "") -> dict[str, float]:
-    """Every number of a vehicle file, by its key."""
-    found = {}
-    for key, value in values.items():
-        if isinstance(value, float | int):
-            found[before + key] = value
-        elif isinstance(value, Mapping) and key not in ("sources", "provenance"):
-            found |= _numbers(value, f"{before}{key}.")
-    return found
+def _differences(first: VehicleParameters, second: VehicleParameters) -> str:
+    """Entries with different values, as "mass: 1590, 1700 kg"; "" without any."""
+    values = {key: (getattr(first, key), getattr(second, key)) for key in VEHICLE_QUANTITIES}
+    listed = [f"{key}: {a:g}, {b:g} {VEHICLE_QUANTITIES[key].si_unit}".removesuffix(" 1")
+              for key, (a, b) in values.items() if a != b]
+    more = len(listed) - MAX_LISTED_DIFFERENCES
+    return "; ".join(listed[:MAX_LISTED_DIFFERENCES]) + (f"; {more} more" if more > 0 else "")
