@@ -1,6 +1,6 @@
 """Classical Runge-Kutta integration with a fixed step, for states as tuples of floats or of arrays of equal shape.
 
-A derivative is a function `derivative(state, w, p) -> tuple` with inputs w of one instant and constants p.
+`derivative(state, w, p)` returns the time derivative of the state for the inputs w at one instant and constants p.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,7 +10,7 @@ Derivative = Callable[[tuple, Any, Any], tuple]
 
 
 def rk4(derivative: Derivative, state: tuple, grid: Sequence[Any], p: Any, step: float) -> list[tuple]:
-    """States at 0, step, 2 step, ...: (len(grid) - 1) / 2 steps, the start included.
+    """States at 0, step, 2 step, ..., the start included: (len(grid) - 1) / 2 steps.
 
     grid: w at 0, step/2, step, ... [2 * steps + 1 entries]. step: > 0, in the unit of the derivative's time.
     Global error O(step^4). Checked by: test_integrate.py.
@@ -25,7 +25,7 @@ def rk4(derivative: Derivative, state: tuple, grid: Sequence[Any], p: Any, step:
 
 def rk4_step(derivative: Derivative, state: tuple, w_start: Any, w_middle: Any, w_end: Any, p: Any,
              step: Any) -> tuple:
-    """One step; w at its start, middle and end. Any number of states."""
+    """The state after one step; w at its start, middle and end. Any number of states."""
     half, sixth = 0.5 * step, step / 6.0
     a = derivative(state, w_start, p)
     b = derivative(tuple([s + half * d for s, d in zip(state, a, strict=True)]), w_middle, p)
@@ -36,7 +36,7 @@ def rk4_step(derivative: Derivative, state: tuple, w_start: Any, w_middle: Any, 
 
 def _step_of_six(derivative: Derivative, state: tuple, w_start: Any, w_middle: Any, w_end: Any, p: Any,
                  step: float) -> tuple:
-    # rk4_step written out: twice as fast on floats, on which the live predictor spends its time without numba.
+    # rk4_step for six states written out: twice as fast on floats, which the live predictor uses without numba.
     half, sixth = 0.5 * step, step / 6.0
     s0, s1, s2, s3, s4, s5 = state
     a0, a1, a2, a3, a4, a5 = derivative(state, w_start, p)

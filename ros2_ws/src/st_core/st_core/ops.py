@@ -1,8 +1,8 @@
-"""The elementary functions of the equations, for every kind of number.
+"""Elementary functions for the equations, for every kind of number.
 
 Python floats use `math`, numpy arrays and scalars numpy. Other types (symbolic, compiled) are registered by the module
-that defines them, with `register`. No function raises on floats: outside its domain the result is NaN, as in numpy. NaN
-in gives NaN out.
+that defines them, with `register`. On floats no function raises: outside the domain the result is NaN, as in numpy, and
+NaN stays NaN.
 """
 
 import math

@@ -14,7 +14,7 @@ KEYS = ("uncertainty", *TEXTS)
 
 @dataclass(frozen=True)
 class Provenance:
-    """uncertainty: one standard deviation, SI; None where not known. method, data: a few words. date: YYYY-MM-DD."""
+    """uncertainty: standard deviation, SI, None if unknown. method, data: free text. date: YYYY-MM-DD."""
 
     uncertainty: float | None = None
     method: str = ""
@@ -22,16 +22,16 @@ class Provenance:
     date: str = ""
 
     def words(self) -> str:
-        """The keys as they stand in a vehicle file, each with a comma before it."""
+        """The entries for a vehicle file, each preceded by a comma."""
         parts = [] if self.uncertainty is None else [f"uncertainty: {number(self.uncertainty)}"]
         parts += [f"{key}: {quoted(getattr(self, key))}" for key in TEXTS if getattr(self, key)]
         return "".join(f", {part}" for part in parts)
 
 
 def read_provenance(key: str, entry: Mapping[str, Any], factor: float) -> Provenance | None:
-    """The provenance in an entry of a vehicle file, None without one. factor: of the entry's unit to SI.
+    """The provenance in an entry of a vehicle file, None without one. factor: from the unit of the entry to SI.
 
-    Raises ConfigurationError naming the key for an uncertainty that is none, or a text that is none.
+    Raises ConfigurationError naming the key for an invalid uncertainty, or a text that is none.
     """
     if not any(name in entry for name in KEYS):
         return None
@@ -44,7 +44,7 @@ def read_provenance(key: str, entry: Mapping[str, Any], factor: float) -> Proven
         uncertainty = float(uncertainty) * factor
     texts = {}
     for name in TEXTS:
-        # An unquoted day is a date in YAML and still the text it was written as.
+        # YAML reads a day without quotes as a date; its text is the same.
         texts[name] = str(entry[name]) if name == "date" and name in entry else entry.get(name, "")
         if not isinstance(texts[name], str):
             raise ConfigurationError(f"{key}.{name}: {texts[name]!r} is not a text")

@@ -1,19 +1,19 @@
 """Statistics of regressions: covariance over blocks of driving, intervals, pooling of runs, robust scale, ridge.
 
-Neighbouring samples share slow errors of INS and road, so single samples would give uncertainties far too small. With
-psi_c the influence of block c on the estimate, k blocks,
+Neighbouring samples share slow errors of INS and road, so treating them as independent would underestimate the
+uncertainty by far. With the influence psi_c of block c on the estimate, and k blocks,
 
     covariance = k / (k - 1) sum_c psi_c psi_c^T * sqrt(f f^T)
-    least squares:  psi_c = (k - 1) / k (A - A_c)^-1 g_c,   A_c = J_c^T J_c, g_c = J_c^T e_c: what leaving it out moves
+    least squares:  psi_c = (k - 1) / k (A - A_c)^-1 g_c,   A_c = J_c^T J_c, g_c = J_c^T e_c: shift by leaving c out
 
-which a bootstrap over the blocks tends to; `bootstrap` draws one for strongly nonlinear estimators. Blocks of one run
-share still slower errors: with the correlation rho of psi from block to block, pooled over the runs, the variance
-grows by
+which is the limit of a bootstrap over the blocks; `bootstrap` draws one for strongly nonlinear estimators. Blocks of
+one run share even slower errors: with the correlation rho of psi between adjacent blocks, pooled over the runs, the
+variance grows by
 
     f = sum_ij rho^|i - j| / k,    i, j: blocks of the same run, k: all blocks
 
-and the blocks count as k / f for Student's t. The rho of k values about their own mean is too small by (1 + 3 rho) / k
-(Marriott and Pope, 1954), which is added. Source: Cameron and Miller, A practitioner's guide to cluster-robust
+and Student's t is that of k / f blocks. The rho of k values about their own mean is biased by -(1 + 3 rho) / k
+(Marriott and Pope, 1954), which is corrected. Source: Cameron and Miller, A practitioner's guide to cluster-robust
 inference, 2015 (the jackknife CR3). Checked by: test_blocks.py.
 """
 
@@ -25,13 +25,13 @@ from typing import NamedTuple
 import numpy as np
 
 FEWEST_RUNS = 8
-"""With fewer runs, blocks of them are used instead."""
+"""Number of runs from which whole runs are the blocks."""
 BLOCK_LENGTH = 10.0
-"""s."""
-NUDGE = 1e-4
-"""Change of a block's weight by which its influence on an estimator is differentiated."""
+"""s, of a block with fewer runs."""
+WEIGHT_INCREMENT = 1e-4
+"""Of the difference quotient of an estimator by the weight of a block."""
 ROBUST = 1.4826
-"""Standard deviation of a normal distribution over the median of its magnitude."""
+"""Ratio of standard deviation and median magnitude of a normal distribution."""
 
 
 def symmetric_interval(value: float, standard_uncertainty: float, freedom: float = math.inf) -> tuple[float, float]:
@@ -50,15 +50,15 @@ def welch_freedom(scatter: float, total: float, freedom: float) -> float:
 
 def correlation_of(covariance: np.ndarray) -> np.ndarray:
     """Correlation matrix (n, n) of a covariance (n, n); a parameter without variance is correlated with none."""
-    spread = np.sqrt(np.diag(covariance))
-    scale = np.where(spread > 0.0, spread, 1.0)
+    deviations = np.sqrt(np.diag(covariance))
+    scale = np.where(deviations > 0.0, deviations, 1.0)
     matrix = covariance / np.outer(scale, scale)
     np.fill_diagonal(matrix, 1.0)
     return matrix
 
 
 def ridge(h: np.ndarray, share: float = 1e-6) -> np.ndarray:
-    """(n, n): h plus a share of its mean diagonal on the diagonal; solvable where a parameter has no effect."""
+    """h (n, n) plus a share of its mean diagonal on the diagonal; solvable where a parameter has no effect."""
     return h + (share * np.trace(h) / max(len(h), 1) + 1e-9) * np.eye(len(h))
 
 
@@ -68,19 +68,22 @@ def robust_deviation(values: np.ndarray) -> float:
 
 
 def white_noise(values: np.ndarray) -> float:
-    """Standard deviation of white noise in samples (n,), n >= 4 [their unit]; third differences remove the motion of a
-    car: sigma = 1.4826 median |d^3 u| / sqrt(20). Samples may be NaN."""
+    """Standard deviation of the white noise in samples (n,), n >= 4 [their unit]; samples may be NaN.
+
+    Third differences remove the motion of the car: sigma = 1.4826 median |d^3 u| / sqrt(20).
+    """
     return ROBUST * float(np.nanmedian(np.abs(np.diff(values, 3)))) / math.sqrt(20.0)
 
 
 def extrapolation_uncertainty(whole: tuple[float, float, float], low: tuple[float, float, float]) -> float:
-    """Standard uncertainty of a secant C as slope at zero when the curve is not a line, by a second one over a lower
-    range [unit of C]. whole, low: (C, its variance, mean range a), a_low < a.
+    """Standard uncertainty [unit of C] of a secant slope C as the slope at zero, if the curve may not be a line.
+
+    whole, low: (C, its variance, mean range a) of the secant and of one over a lower range, a_low < a.
 
         C(a) = C_0 - s a,    u = sqrt(max((C_low - C)^2 - (u_low^2 - u^2), 0)) a / (a - a_low) / sqrt(3)
 
-    u_low^2 - u^2: variance of the difference by chance (Hausman, Specification tests in econometrics, 1978);
-    rectangular distribution (GUM 4.3.7). Checked by: test_stiffness_model_error.py.
+    u_low^2 - u^2: variance of the difference if the curve is a line (Hausman, Specification tests in econometrics,
+    1978). The sqrt(3) is that of a rectangular distribution (GUM 4.3.7). Checked by: test_stiffness_model_error.py.
     """
     chance = max(low[1] - whole[1], 0.0)
     size = math.sqrt(max((low[0] - whole[0]) ** 2 - chance, 0.0))
@@ -89,8 +92,10 @@ def extrapolation_uncertainty(whole: tuple[float, float, float], low: tuple[floa
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """covariance (p, p) of estimates; freedom: (p,) degrees of freedom for Student's t; basis: (p,) samples it is
-    based on, in words."""
+    """Uncertainty of estimates: covariance (p, p) and degrees of freedom (p,) for Student's t.
+
+    basis: (p,) description of the samples it is based on.
+    """
 
     covariance: np.ndarray
     freedom: np.ndarray
@@ -101,14 +106,18 @@ class Spread:
         return np.sqrt(np.diag(self.covariance))
 
     def interval(self, index: int, value: float, deviation: float | None = None) -> tuple[float, float]:
-        """95 % interval about a value; deviation: another standard uncertainty than the covariance's."""
+        """95 % interval about a value. deviation: standard uncertainty to use in place of the covariance."""
         own = float(self.deviations[index]) if deviation is None else float(deviation)
         return symmetric_interval(float(value), own, float(self.freedom[index]))
 
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """of: (n,) the block of each sample; run, block: (k,) of each block, in that order; name: what they are."""
+    """Partition of samples into blocks.
+
+    of: (n,) block index of each sample. run, block: (k,) run, and number within the run, of each block, ascending.
+    name: description, like "8 runs".
+    """
 
     of: np.ndarray
     run: np.ndarray
@@ -126,20 +135,21 @@ class Blocks:
         return result
 
     def spread(self, influence: np.ndarray) -> Spread:
-        """Of estimates with the influence (k, p) of each block; see the module."""
-        own = influence - influence.mean(axis=0)
-        return self._widened(own.T @ own, own)
+        """Uncertainty of estimates from the influence (k, p) of each block; see the module."""
+        centred = influence - influence.mean(axis=0)
+        return self._widened(centred.T @ centred, centred)
 
     def bootstrap(self, estimator: Callable[[np.ndarray], np.ndarray], draws: int, seed: int) -> Spread:
-        """Of an estimator from weights of the blocks (m, k) to estimates (m, p), by draws with replacement."""
+        """Uncertainty by draws of blocks with replacement. estimator: from weights (m, k) to estimates (m, p)."""
         count = len(self)
         weights = np.random.default_rng(seed).multinomial(count, np.full(count, 1.0 / count), size=draws).astype(float)
-        influence = (estimator(1.0 + NUDGE * np.eye(count)) - estimator(np.ones((1, count)))) / NUDGE
+        change = estimator(1.0 + WEIGHT_INCREMENT * np.eye(count)) - estimator(np.ones((1, count)))
+        influence = change / WEIGHT_INCREMENT
         return self._widened(np.atleast_2d(np.cov(estimator(weights), rowvar=False)),
                              influence - influence.mean(axis=0))
 
-    def _widened(self, covariance: np.ndarray, own: np.ndarray) -> Spread:
-        count, factor = len(self), self._inflation(own)
+    def _widened(self, covariance: np.ndarray, centred: np.ndarray) -> Spread:
+        count, factor = len(self), self._inflation(centred)
         covariance = covariance * count / max(count - 1, 1) * np.sqrt(np.outer(factor, factor))
         effective = count / factor
         basis = tuple(self.name + (f" ({number:.0f} independent ones)" if number < 0.8 * count else "")
@@ -148,26 +158,26 @@ class Blocks:
 
     def regression(self, regressors: np.ndarray, response: np.ndarray) -> tuple[np.ndarray, Spread, np.ndarray]:
         """Least squares of response (n,) on regressors (n, p): coefficients (p,), their spread, influence (k, p)."""
-        found = np.linalg.lstsq(regressors, response, rcond=None)[0]
-        residuals = response - regressors @ found
+        coefficients = np.linalg.lstsq(regressors, response, rcond=None)[0]
+        residuals = response - regressors @ coefficients
         influence = self.leave_out(self.sums(regressors[:, :, None] * regressors[:, None, :]),
                                    self.sums(regressors * residuals[:, None]))
-        return found, self.spread(influence), influence
+        return coefficients, self.spread(influence), influence
 
     def leave_out(self, squares: np.ndarray, gradient: np.ndarray) -> np.ndarray:
         """Influence psi (k, p) of each block on a least squares estimate, from its A_c (k, p, p) and g_c (k, p)."""
         whole = squares.sum(axis=0)
-        # A millionth of the whole keeps it solvable without the one block that shows a parameter.
+        # A millionth of the whole keeps the system solvable if only one block excites a parameter.
         others = (1.0 + 1e-6) * whole - squares
         return np.linalg.solve(others, gradient[:, :, None])[:, :, 0] * (len(self) - 1) / len(self)
 
-    def _inflation(self, own: np.ndarray) -> np.ndarray:
-        """f of each estimate (p,)."""
+    def _inflation(self, centred: np.ndarray) -> np.ndarray:
+        """f (p,) of the module for each estimate."""
         neighbours = np.flatnonzero((np.diff(self.run) == 0) & (np.diff(self.block) == 1))
-        power = np.square(own).mean(axis=0)
+        power = np.square(centred).mean(axis=0)
         if not len(neighbours):
             return np.ones(len(power))
-        product = (own[neighbours] * own[neighbours + 1]).mean(axis=0)
+        product = (centred[neighbours] * centred[neighbours + 1]).mean(axis=0)
         rho = np.divide(product, power, out=np.zeros_like(power), where=power > 0.0)
         rho = np.clip(rho + (1.0 + 3.0 * rho) / len(self), 0.0, 0.9)
         distance = np.abs(self.block[:, None] - self.block)[self.run[:, None] == self.run]
@@ -175,9 +185,9 @@ class Blocks:
 
 
 def blocks(run_of: Sequence[int] | np.ndarray, time: Sequence[float] | np.ndarray) -> Blocks:
-    """Whole runs from FEWEST_RUNS on, else blocks of BLOCK_LENGTH, never across runs.
+    """Whole runs as blocks from FEWEST_RUNS on, else parts of runs of BLOCK_LENGTH.
 
-    run_of: (n,) number of the run of each sample; time: (n,) after the begin of its run [s].
+    run_of: (n,) number of the run of each sample. time: (n,) since the start of that run [s].
     """
     run_of = np.asarray(run_of)
     runs, number = np.unique(run_of, return_inverse=True)
@@ -191,7 +201,7 @@ def blocks(run_of: Sequence[int] | np.ndarray, time: Sequence[float] | np.ndarra
 
 
 class Pooled(NamedTuple):
-    """Pooled mean and its standard deviation. between: variance between estimates. excess: Cochran's Q [1]."""
+    """Pooled mean and its standard deviation. between: variance between the values. excess: Cochran's Q [1]."""
 
     mean: float
     deviation: float

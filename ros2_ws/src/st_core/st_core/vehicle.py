@@ -1,4 +1,4 @@
-"""Vehicle parameters: read, check, save. Every value in the YAML carries its unit and its source."""
+"""Vehicle parameters: reading, checking and writing of vehicle files, in which each value has a unit and a source."""
 
 import hashlib
 import json
@@ -18,9 +18,9 @@ from .yaml_text import check_keys, load, number, quoted
 
 @dataclass(frozen=True)
 class Quantity:
-    """One key of the file: allowed units with their factor to SI, and limits in SI (inclusive).
+    """One key of a vehicle file: permitted units with their factor to SI, and limits in SI (inclusive).
 
-    required: the file must state it. usual: SI, what is taken where the file may leave it out and does.
+    required: the file must state it. usual: default of an optional quantity, SI.
     """
 
     units: Mapping[str, float]
@@ -54,7 +54,7 @@ FOR_EFFECTS = {
     "side_area": _optional("m^2", 0.1, 60.0, usual=2.5),
     "side_force_arm": _optional("m", -5.0, 5.0, usual=0.25),
 }
-"""What only some effects need to know of the car: without it a passenger car with front-wheel drive is taken."""
+"""Optional quantities, for some effects only. The defaults are those of a front-wheel drive passenger car."""
 VEHICLE_QUANTITIES = {
     "mass": _quantity("kg", 50.0, 60000.0),
     "yaw_inertia": _quantity("kg m^2", 10.0, 1.0e6),
@@ -92,15 +92,14 @@ TYRES = ("tyre_front", "tyre_rear")
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Standard deviation of a quantity of the vehicle file that states none. relative: a share of its value, else SI.
-    """
+    """Standard deviation of a quantity without a stated one. relative: `size` is a fraction of the value, else SI."""
 
     size: float
     relative: bool
     source: str
 
     def of(self, value: float) -> float:
-        """For a value in SI [SI]."""
+        """Standard deviation for a value in SI [SI]."""
         return self.size * abs(value) if self.relative else self.size
 
 
@@ -119,8 +118,8 @@ DEFAULT_UNCERTAINTIES: Mapping[str, Uncertainty] = {
     "cornering_stiffness_rear": Uncertainty(0.3, True, "tyres of one size differ by a factor of 2"),
     **{f"{tyre}.{key}": uncertainty for tyre in TYRES for key, uncertainty in _OF_TYRE.items()},
 }
-"""Standard deviations where an entry of a vehicle file has no `uncertainty`. A key that is not listed, as the steering
-ratio and the position of the INS, is often guessed: it binds only with an `uncertainty` of its own."""
+"""Standard deviations of entries of a vehicle file without `uncertainty`. Keys that are not listed, like the steering
+ratio and the position of the INS, are often guessed: they constrain a fit only with an `uncertainty` of their own."""
 DERIVED = "derived: C / (2 abs(K)) at the static load of one tyre"
 
 
@@ -196,8 +195,10 @@ class VehicleParameters:
         return 0.5 * self.mass * GRAVITY * self.cg_to_front_axle / self.wheelbase
 
     def uncertainty(self, key: str) -> float | None:
-        """Standard deviation of a value [SI], by its key in the file ("mass", "tyre_front.lambda_muy"): that of the
-        file, else of DEFAULT_UNCERTAINTIES; None where it is not known."""
+        """Standard deviation [SI] of a value, by its key in the file ("mass", "tyre_front.lambda_muy").
+
+        It is taken from the file, else from DEFAULT_UNCERTAINTIES; None if unknown.
+        """
         stated = self.provenance.get(key)
         if stated is not None and stated.uncertainty:
             return stated.uncertainty
@@ -205,11 +206,11 @@ class VehicleParameters:
         return None if default is None else default.of(value_of(self, key)) or None
 
     def road_wheel_angle(self, steering_wheel_angle: Number) -> Number:
-        """From the measured steering wheel angle [rad], left +; see the function of this name."""
+        """Road wheel angle [rad] at a measured steering wheel angle [rad], left +; see the function of this name."""
         return road_wheel_angle(steering_wheel_angle, self.steering_wheel_offset, self.steering_ratio)
 
     def steering_wheel_angle(self, road_wheel_angle: Number) -> Number:
-        """What the steering wheel sensor reads [rad] at a road wheel angle [rad]: the inverse of `road_wheel_angle`."""
+        """Reading of the steering wheel sensor [rad] at a road wheel angle [rad]: the inverse of `road_wheel_angle`."""
         return road_wheel_angle * self.steering_ratio + self.steering_wheel_offset
 
     @classmethod
@@ -258,8 +259,10 @@ class VehicleParameters:
         return replace(self, **changes, sources={**self.sources, **{f"{name}.lambda_ky": DERIVED for name in tyres}})
 
     def with_values(self, values: Mapping[str, float]) -> "VehicleParameters":
-        """The car with other values (SI), by their keys in the file ("mass", "tyre_rear.p_cy1"); a lambda_ky that was
-        derived is derived again. Raises ConfigurationError for an invalid car."""
+        """The car with other values (SI), by their keys in the file ("mass", "tyre_rear.p_cy1").
+
+        A derived lambda_ky is derived again. Raises ConfigurationError for an invalid car.
+        """
         own: dict[str, Any] = {key: value for key, value in values.items() if "." not in key}
         for tyre in TYRES:
             changes = {key.partition(".")[2]: value for key, value in values.items() if key.startswith(f"{tyre}.")}
@@ -273,9 +276,9 @@ class VehicleParameters:
 
         A derived lambda_ky is left out, so that it follows when someone changes the stiffness in the file.
         """
-        again = self.with_derived_scales()
+        rederived = self.with_derived_scales()
         derived = [tyre for tyre in TYRES if self.sources.get(f"{tyre}.lambda_ky") == DERIVED
-                   and getattr(self, tyre) == getattr(again, tyre)]
+                   and getattr(self, tyre) == getattr(rederived, tyre)]
         lines = [f"name: {quoted(self.name)}"]
         lines += [self._line(key, getattr(self, key), quantity, "") for key, quantity in VEHICLE_QUANTITIES.items()]
         for tyre in TYRES:
@@ -291,8 +294,7 @@ class VehicleParameters:
 
     @cached_property
     def hash(self) -> str:
-        """sha256 (hex) of all values in SI; name and sources do not enter, nor what is as usual where the file may
-        leave it out."""
+        """sha256 (hex) of all values in SI, without name, sources, and optional quantities at their default."""
         values = {key: getattr(self, key) for key, quantity in VEHICLE_QUANTITIES.items()
                   if getattr(self, key) != quantity.usual}
         values |= {f"{tyre}.{key}": getattr(getattr(self, tyre), key) for tyre in TYRES for key in TYRE_QUANTITIES}
@@ -301,7 +303,7 @@ class VehicleParameters:
 
 
 def quantity(key: str) -> Quantity | None:
-    """Units and limits of a key of the vehicle file ("mass", "tyre_rear.p_ky1"); None for any other name."""
+    """Units and limits of a key of the vehicle file ("mass", "tyre_rear.p_ky1"); None for an unknown key."""
     tyre, _, name = key.rpartition(".")
     return (TYRE_QUANTITIES if tyre in TYRES else {} if tyre else VEHICLE_QUANTITIES).get(name)
 
@@ -337,7 +339,7 @@ def _read_one(key: str, entry: Any, quantity: Quantity, notes: _Notes) -> float:
     for part in ("value", "unit", "source"):
         if part not in entry:
             raise ConfigurationError(f"{key}: {part} is missing; {example}")
-    # An unquoted 1 is a number in YAML and still the unit "1".
+    # YAML reads the unit 1 without quotes as a number.
     unit = str(entry["unit"])
     if unit not in quantity.units:
         raise ConfigurationError(f"{key}: unit {unit!r} is not {units}; convert the value and write unit: {units}")
@@ -356,7 +358,7 @@ def _read_one(key: str, entry: Any, quantity: Quantity, notes: _Notes) -> float:
 
 
 def _check_all(prefix: str, values: Any, quantities: Mapping[str, Quantity]) -> None:
-    # A fit makes a car at each step: no call, no key put together where all is well.
+    # A fit creates a car at each step, so calls and texts are avoided for valid values.
     for key, quantity in quantities.items():
         value = getattr(values, key)
         if not quantity.minimum <= value <= quantity.maximum:

@@ -1,7 +1,7 @@
-"""YAML of configuration: mappings with text keys, lists and plain values, each given once; keys checked; and written.
+"""Reading and writing of configuration in a safe subset of YAML: mappings with text keys, lists and plain values.
 
-Other features of YAML are refused, because files come from other people: references (a few hundred bytes of them mean
-billions of values), tags, keys given twice (YAML silently keeps the last), several documents, endless nesting.
+Files come from other people, so other features of YAML are refused: references (a few hundred bytes can expand to
+billions of values), tags, duplicate keys (YAML silently keeps the last), several documents, deep nesting.
 """
 
 import difflib
@@ -15,7 +15,7 @@ from .errors import ConfigurationError
 
 MOST_CHARACTERS = 1 << 20
 MOST_LEVELS = 40
-LARGEST_INTEGER = 2**63  # beyond it a number is a slip of the finger, and does not fit a float's range for long
+LARGEST_INTEGER = 2**63  # a larger one is a typing error, and could overflow a float
 
 
 class _Loader(yaml.SafeLoader):
@@ -56,7 +56,7 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
     def construct_scalar_checked(self, node: yaml.ScalarNode) -> Any:
-        """Numbers, dates and the like: PyYAML answers to a malformed one with whatever its conversion raises."""
+        """A number or date; PyYAML passes on whatever the conversion of a malformed one raises."""
         try:
             value = yaml.SafeLoader.yaml_constructors[node.tag](self, node)
         except (ValueError, OverflowError) as error:
@@ -73,7 +73,7 @@ for _kind in ("int", "float", "timestamp"):
 def load(text: str) -> Any:
     """The document; None for an empty one.
 
-    Raises ConfigurationError, one line with the line of the file, for what is not YAML or not plain.
+    Raises ConfigurationError, in one line that names the line of the file, for invalid YAML or a refused feature.
     """
     if len(text) > MOST_CHARACTERS:
         raise ConfigurationError(f"{len(text)} characters are too many for a configuration (limit {MOST_CHARACTERS})")
@@ -97,21 +97,21 @@ def check_keys(prefix: str, section: Mapping[Any, Any], known: list[str], requir
     """Raises ConfigurationError naming, after `prefix`, an unknown key and the nearest known one, or a missing key."""
     for key in section:
         if key not in known:
-            near = nearest(str(key), known)
-            raise ConfigurationError(f"{prefix}{key}: unknown key{near}; known are {', '.join(known)}")
+            raise ConfigurationError(
+                f"{prefix}{key}: unknown key{nearest(str(key), known)}; known are {', '.join(known)}")
     for key in required:
         if key not in section:
             raise ConfigurationError(f"{prefix}{key}: missing; add it")
 
 
 def nearest(key: str, known: Iterable[str]) -> str:
-    """", did you mean ...?", or nothing when no known key is near."""
-    near = difflib.get_close_matches(key, known, n=1)
-    return f", did you mean {near[0]}?" if near else ""
+    """", did you mean ...?" with the most similar known key, "" if none is similar."""
+    matches = difflib.get_close_matches(key, known, n=1)
+    return f", did you mean {matches[0]}?" if matches else ""
 
 
 def number(value: float) -> str:
-    """All digits, in a form YAML reads as a number (1.0e-06, not 1e-06)."""
+    """A number with all its digits, in a form that YAML reads as a number (1.0e-06, not 1e-06)."""
     text = repr(float(value))
     return text if "e" not in text or "." in text else text.replace("e", ".0e")
 
