@@ -246,6 +246,21 @@ def mask_standstill(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np.n
     return np.where(near, values, np.nan)
 
 
+def _robust_line(time: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
+    """(offset [s] and drift, residuals [s], their scale [s], covariance of both) of a line by reweighted least squares.
+    """
+    design = np.stack([np.ones_like(time), time], axis=1)
+    weight = np.ones_like(time)
+    for _ in range(20):
+        solution = np.linalg.lstsq(design * weight[:, None], offset * weight, rcond=None)[0]
+        residual = offset - design @ solution
+        scale = max(ROBUST * float(np.median(np.abs(residual))), 1e-5)
+        weight = (1 + (residual / (2 * scale)) ** 2) ** -0.25
+    weighted = design * weight[:, None]
+    prior = np.diag([0.0, (scale / (DRIFT_PRIOR_PPM * 1e-6)) ** 2])
+    return solution, residual, scale, scale**2 * np.linalg.inv(weighted.T @ weighted + prior)
+
+
 def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray, resolution: float = 0.001,
                         latency: float = 0.0, latency_uncertainty: float = 0.0) -> Alignment:
     """Alignment by frames in which the INS sends its own time.
@@ -267,16 +282,7 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
     offset = (reference_time_ns - r0) * 1e-9 - time
     time, offset = _medians_per_second(time, offset)
     middle = float(time[0] + time[-1]) / 2
-    design = np.stack([np.ones_like(time), time - middle], axis=1)
-    weight = np.ones_like(time)
-    for _ in range(20):
-        solution = np.linalg.lstsq(design * weight[:, None], offset * weight, rcond=None)[0]
-        residual = offset - design @ solution
-        scale = max(ROBUST * float(np.median(np.abs(residual))), 1e-5)
-        weight = (1 + (residual / (2 * scale)) ** 2) ** -0.25
-    weighted = design * weight[:, None]
-    prior = np.diag([0.0, (scale / (DRIFT_PRIOR_PPM * 1e-6)) ** 2])
-    covariance = scale**2 * np.linalg.inv(weighted.T @ weighted + prior)
+    solution, residual, scale, covariance = _robust_line(time - middle, offset)
     # Truncation to the resolution does not average out when frames and steps beat slowly.
     rounding = resolution / np.sqrt(12)
     result = Alignment(
