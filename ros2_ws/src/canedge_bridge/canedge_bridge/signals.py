@@ -126,7 +126,7 @@ class MessageSpec:
         return self.dbc.frame_id, self.dbc.is_extended_frame
 
     @property
-    def gives(self) -> frozenset[str]:
+    def decoded_names(self) -> frozenset[str]:
         """Canonical names in a decoded frame."""
         names = frozenset(s.name for s in self.signals)
         return names | {"ins_unix_time"} if any(n.startswith("gps_") for n in names) else names

@@ -1,6 +1,6 @@
-"""The channels of a discovery: what predictions are compared with. All that is known of one is in CHANNELS.
+"""The channels of a discovery: the measured quantities with which predictions are compared.
 
-Recordings, corrections, columns of CSV files, search, figures and words look it up there.
+Everything about a channel is in CHANNELS, for recordings, corrections, CSV columns, search, figures and reports.
 """
 
 from collections.abc import Callable, Mapping
@@ -12,23 +12,23 @@ import numpy as np
 from .regression import robust_deviation, white_noise
 from .types import body_to_map, map_to_body, wrap_angle
 
-STANDSTILL_SPEED = 0.5  # m/s; a car that is never faster is at standstill throughout
+STANDSTILL_SPEED = 0.5  # m/s; a car that is never faster does not move
 
 
 @dataclass(frozen=True)
 class Channel:
     """One measured quantity.
 
-    words: its name for a reader. unit: SI. smallest [unit]: resolution of an INS, errors below it are all the same.
-    recorded: what a signal is that only some recordings have, for the user; DriveLog, CSV files and run.yaml then have
-    it under this name. signals: of DriveLog, what it is measured by; columns it is scored in; its name without either.
-    predicted(shown, true): what the sensor would show, of `effects.Measured` with and without the errors of the INS;
-    None: the field of its name of `shown`. errors(measured, shown): instead of measured minus predicted, by column.
-    smoothed: measured and predicted as a mean over 0.1 s. adds_up: its errors grow over the horizon.
-    zero_is_none: a recording without it has 0 throughout.
-    noise(log, step, x, y, yaw, v_x, v_y, r): errors at the end of windows due to noise alone, a standard deviation for
-    each column, by identities of the sensors: no car, no model; of arrays (windows, instants `step` [s] apart). None:
-    white noise, by third differences, to which the motion of a car contributes nothing.
+    words: name in reports. unit: SI. smallest [unit]: resolution of an INS; smaller errors are not distinguished.
+    recorded: description, for a signal that only some recordings have; DriveLog, CSV files and run.yaml then have it
+    under `name`. signals: fields of DriveLog that measure it. columns: in which it is scored. Both default to `name`.
+    predicted(shown, true): reading of the sensor, from `effects.Measured` with and without the errors of the INS;
+    None for the field `name` of `shown`. errors(measured, shown): by column; None for measured minus predicted.
+    smoothed: measured and predicted are averaged over 0.1 s. adds_up: its errors grow over the horizon.
+    zero_is_none: a recording that does not have it is 0 throughout.
+    noise(log, step, x, y, yaw, v_x, v_y, r): standard deviation of the errors at the end of windows due to noise alone,
+    for each column, from redundant sensors without a car or model; arrays (windows, instants `step` [s] apart). None
+    for white noise by third differences, to which the motion of a car does not contribute.
     """
 
     name: str
@@ -50,13 +50,13 @@ class Channel:
             object.__setattr__(self, which, getattr(self, which) or (self.name,))
 
     def is_in(self, log: Any) -> bool:
-        """Whether a DriveLog has it. At standstill throughout, 0 is the lateral velocity."""
+        """Whether a DriveLog has the channel. In a log at standstill throughout, 0 is a valid lateral velocity."""
         values = [getattr(log, name) for name in self.signals]
         zero_is_none = self.zero_is_none and bool((np.abs(log.velocity_x) > STANDSTILL_SPEED).any())
         return all(v is not None and np.isfinite(v).any() and not (zero_is_none and not v.any()) for v in values)
 
     def shown(self, shown: Any, true: Any) -> Any:
-        """What the sensor would show [unit]."""
+        """Predicted reading of the sensor [unit]."""
         return self.predicted(shown, true) if self.predicted else getattr(shown, self.name)
 
     def off(self, measured: Mapping[str, np.ndarray], shown: Any, true: Any) -> tuple[np.ndarray, ...]:
@@ -74,8 +74,7 @@ def _off_position(measured: Mapping[str, np.ndarray], shown: Any) -> tuple[np.nd
 
 
 def _position_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, u: Any, v: Any, rate: Any) -> tuple[float, ...]:
-    """Dead reckoning with measured heading and velocities against the measured way, and what white noise of heading and
-    speed at the start makes of it."""
+    """Measured displacement against dead reckoning, plus the effect of white noise in the start heading and speed."""
     east, north = (_integral(values, step) for values in body_to_map(u, v, yaw))
     ahead, left = map_to_body(x[:, -1] - x[:, 0] - east, y[:, -1] - y[:, 0] - north, yaw[:, -1])
     horizon = step * (x.shape[1] - 1)
@@ -84,7 +83,7 @@ def _position_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, u: Any, v: 
 
 
 def _heading_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, u: Any, v: Any, rate: Any) -> tuple[float, ...]:
-    """The integral of the measured yaw rate against the measured turn."""
+    """Measured change of heading against the integral of the measured yaw rate."""
     return (_spread(wrap_angle(yaw[:, -1] - yaw[:, 0] - _integral(rate, step))),)
 
 
@@ -106,7 +105,7 @@ CHANNELS: Mapping[str, Channel] = {channel.name: channel for channel in (
     Channel("position", "position", "m", 1e-3, "", ("x", "y"), ("position_lateral", "position_longitudinal"),
             errors=_off_position, adds_up=True, noise=_position_noise),
 )}
-"""In order of information about the car, the most informative first."""
+"""By name, the channel most informative about the car first."""
 
 FURTHER = tuple(name for name, channel in CHANNELS.items() if channel.recorded)
 OF_COLUMN = {column: channel for channel in CHANNELS.values() for column in channel.columns}

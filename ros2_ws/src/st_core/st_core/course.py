@@ -1,9 +1,9 @@
-"""A remembered course: speed and curvature along the way, from recordings of earlier drives at the same place.
+"""Known course: speed and curvature along the path, from recordings of earlier drives at the same place.
 
-A course is a set of passes, each the way of one recording without its pauses, sampled every SPACING metres. Laps, both
-directions and branches are passes, or parts of one, that lie side by side; `Course.near` finds all that lead on from a
-place in a direction. Mean and spread over them are taken where they are used (`course_tracker`), because a mean over
-slow and fast laps would fit neither. Checked by: test_course.py.
+A course is a set of passes. Each is the path of one recording without its pauses, sampled every SPACING metres. Laps,
+both directions and branches are passes, or parts of one, side by side; `Course.near` finds all that continue from a
+place in a direction. Their mean and spread are computed in `course_tracker` only, because a mean over slow and fast
+laps would fit neither. Checked by: test_course.py.
 """
 
 import hashlib
@@ -24,19 +24,19 @@ from .types import wrap_angle
 from .yaml_text import check_keys, load
 
 SPACING = 1.0
-"""m along the way; the sharpest turns of a car (radius 5 m) then have 8 points for a right angle."""
+"""m along the path; the sharpest right-angle turn of a car (radius 5 m) then has 8 points."""
 SMOOTHING = 3.0
-"""m of the moving average of curvature and direction: one wheelbase, below which a car does not follow the steering."""
+"""m, moving average of curvature and direction: one wheelbase, below which a car does not follow the steering."""
 REACH = 4.0
-"""m from the car to a pass that counts: one lane and its neighbour."""
+"""m, largest distance of a pass from the car: one lane and its neighbour."""
 MAX_HEADING_DIFFERENCE = 0.5
-"""rad between the directions of car and pass: more is another direction or a crossing."""
+"""rad, between the directions of car and pass; more is the opposite direction or a crossing."""
 PAUSE_SPEED = 0.5
-"""m/s. Slower parts are left out: curvature is not defined in standstill."""
+"""m/s; slower parts are left out, as curvature is undefined at standstill."""
 MIN_LENGTH = 20.0
-"""m of a part of a pass; shorter ones end within a horizon."""
+"""m, of a pass; a shorter one ends within a horizon."""
 MAX_ORIGIN_DISTANCE = 5000.0
-"""m between two origins of the map at one place: beyond it the axes differ by more than 1 mrad at latitude 50."""
+"""m, between map origins; beyond it the axes differ by more than 1 mrad at latitude 50."""
 SCHEMA = 1
 POINTS = "\npoints: |\n"
 COLUMNS = ("x", "y", "direction", "curvature", "speed")
@@ -44,9 +44,10 @@ COLUMNS = ("x", "y", "direction", "curvature", "speed")
 
 @dataclass(frozen=True, eq=False)
 class Pass:
-    """The way of one recording. recording: its name; digests: sha256 of its files. points: (n, 5), every SPACING m,
-    columns as COLUMNS: INS point in the map frame [m], direction of its motion from east [rad], curvature yaw_rate/v_x
-    [1/m], left +, v_x [m/s].
+    """Path of a recording. recording: its name; digests: sha256 of its files.
+
+    points: (n, 5), every SPACING m, columns as COLUMNS: INS point in the map frame [m], direction of its motion from
+    east [rad], curvature yaw_rate/v_x [1/m], left +, v_x [m/s].
     """
 
     recording: str
@@ -55,7 +56,7 @@ class Pass:
 
 
 class Visit(NamedTuple):
-    """A place of a pass near the car. number: of the pass; row: of its point. distance: from the car [m]."""
+    """Point of a pass near the car. number: of the pass. row: of the point in it. distance: from the car [m]."""
 
     number: int
     row: int
@@ -72,12 +73,12 @@ class Course:
     @cached_property
     def _owners(self) -> tuple[np.ndarray, np.ndarray]:
         """Number of the pass and row in it of every point, (points,) each."""
-        sizes = [len(one.points) for one in self.passes]
+        sizes = [len(pass_.points) for pass_ in self.passes]
         return np.repeat(np.arange(len(sizes)), sizes), np.concatenate([np.arange(n) for n in sizes])
 
     @cached_property
     def _tree(self) -> cKDTree:
-        return cKDTree(np.concatenate([one.points[:, :2] for one in self.passes]))
+        return cKDTree(np.concatenate([pass_.points[:, :2] for pass_ in self.passes]))
 
     def near(self, x: float, y: float, direction: float) -> list[Visit]:
         """The passes within REACH in the direction of the car, one visit for each lap, the nearest first."""
@@ -98,12 +99,12 @@ class Course:
         return sorted(visits, key=lambda visit: visit.distance)
 
     def without(self, digests: Sequence[str]) -> "Course":
-        """The course without the passes of recordings with these sha256: a run is never predicted from itself."""
+        """The course without passes of the recordings with these sha256, so that no run is predicted from itself."""
         known = set(digests)
-        return Course(tuple(one for one in self.passes if not known & set(one.digests)), self.origin)
+        return Course(tuple(pass_ for pass_ in self.passes if not known & set(pass_.digests)), self.origin)
 
     def moved(self, east: float, north: float) -> "Course":
-        """The course in a map frame from which its own origin is so many metres east and north; axes stay parallel.
+        """The course in a parallel map frame in which its origin is at (east, north) [m].
 
         Raises StCoreError, one line, beyond MAX_ORIGIN_DISTANCE.
         """
@@ -111,25 +112,25 @@ class Course:
             raise StCoreError(f"it is of another place: the map origins are {distance / 1000.0:.1f} km apart "
                               f"(limit {MAX_ORIGIN_DISTANCE / 1000.0:g} km)")
         offset = np.array([east, north, 0.0, 0.0, 0.0])
-        return replace(self, passes=tuple(replace(one, points=one.points + offset) for one in self.passes))
+        return replace(self, passes=tuple(replace(pass_, points=pass_.points + offset) for pass_ in self.passes))
 
     def to_yaml(self) -> str:
         """A file that `from_yaml` reads back, to the centimetre: a header, then the points of all passes as rows."""
-        passes = [{"recording": one.recording, "digests": list(one.digests), "rows": len(one.points)}
-                  for one in self.passes]
+        passes = [{"recording": pass_.recording, "digests": list(pass_.digests), "rows": len(pass_.points)}
+                  for pass_ in self.passes]
         header = {"schema": SCHEMA, "spacing": SPACING, "columns": list(COLUMNS),
                   "origin": None if self.origin is None else list(self.origin)}
         rows = [f"  {x:.2f} {y:.2f} {direction:.4f} {curvature:.6f} {speed:.3f}"
-                for one in self.passes for x, y, direction, curvature, speed in one.points.tolist()]
+                for pass_ in self.passes for x, y, direction, curvature, speed in pass_.points.tolist()]
         lines = ["# Course: speed and curvature along the way of earlier drives. Made by `st course build`. SI units.",
                  *(f"{key}: {json.dumps(value)}" for key, value in header.items()), "passes:",
-                 *(f"- {json.dumps(one)}" for one in passes)]
+                 *(f"- {json.dumps(entry)}" for entry in passes)]
         body = "\n".join([*lines, POINTS.strip("\n"), *rows])
         return body.replace("passes:\n", f"hash: {_digest(body)}\npasses:\n", 1) + "\n"
 
     @classmethod
     def from_yaml(cls, text: str, origin: str = "course") -> "Course":
-        """The course in a file. origin: its name in errors. Raises ConfigurationError, one line."""
+        """The course from the text of a file. origin: name in errors. Raises ConfigurationError, one line."""
         try:
             return cls._read(text)
         except ConfigurationError as error:
@@ -154,11 +155,11 @@ class Course:
         if not entries:
             raise ConfigurationError("passes: empty; build the course from at least one recording")
         points = np.array(rows.split(), float).reshape(-1, len(COLUMNS))
-        ends = np.cumsum([int(one["rows"]) for one in entries])
+        ends = np.cumsum([int(entry["rows"]) for entry in entries])
         if ends[-1] != len(points) or not np.isfinite(points).all():
             raise ConfigurationError(f"points: {len(points)} rows or not finite; the passes have {ends[-1]}")
-        passes = tuple(Pass(str(one["recording"]), tuple(one["digests"]), part)
-                       for one, part in zip(entries, np.split(points, ends[:-1]), strict=True))
+        passes = tuple(Pass(str(entry["recording"]), tuple(entry["digests"]), part)
+                       for entry, part in zip(entries, np.split(points, ends[:-1]), strict=True))
         place = document["origin"]
         return cls(passes, None if place is None else (float(place[0]), float(place[1])))
 
@@ -168,7 +169,7 @@ def _digest(text: str) -> str:
 
 
 def passes_of(log: DriveLog, digests: Sequence[str], maximum_gap: float = 0.1) -> list[Pass]:
-    """The passes of one drive: split where it pauses, has a gap in time or a jump of the position.
+    """The passes of one drive, which is split at pauses, gaps in time and jumps of position.
 
     maximum_gap [s]. Raises StCoreError, one line, for a drive without MIN_LENGTH metres of driving.
     """
@@ -188,7 +189,7 @@ def passes_of(log: DriveLog, digests: Sequence[str], maximum_gap: float = 0.1) -
 
 
 def _resampled(log: DriveLog, rows: slice) -> np.ndarray | None:
-    """(n, 5) every SPACING m along the way of some rows; None for less than MIN_LENGTH."""
+    """Points (n, 5) every SPACING m along the path of some rows; None for less than MIN_LENGTH."""
     x, y, speed = log.x[rows], log.y[rows], log.velocity_x[rows]
     seconds = (log.ins_time_ns[rows] - log.ins_time_ns[rows][:1]) * 1e-9
     way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(seconds))])

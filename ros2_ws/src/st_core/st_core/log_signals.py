@@ -1,7 +1,6 @@
-"""A recorded drive as signals in time: known at any instant between two samples that are close enough together.
+"""Interpolation of a recorded drive at any instant between two samples that are close enough together.
 
-The vectorised counterpart of `alignment.MeasurementHistory`: at the same instants, from the same samples, it gives the
-same numbers. Checked by: test_batch.py.
+The vectorised counterpart of `alignment.MeasurementHistory`, with identical results. Checked by: test_batch.py.
 """
 
 from copy import copy
@@ -17,16 +16,16 @@ Acceleration = Literal["causal", "zero_phase"]
 
 
 def same(log: DriveLog, other: DriveLog, *names: str) -> bool:
-    """Whether two drives hold the very same arrays under these names; another drive has views of its own of them."""
+    """Whether two drives share the memory of these arrays; the array objects themselves are views of each log."""
     pairs = [(getattr(log, name), getattr(other, name)) for name in names]
     return all(a.size == b.size and a.ctypes.data == b.ctypes.data for a, b in pairs)
 
 
 class LogSignals:
-    """Measurements of a DriveLog at given instants; NaN where not known.
+    """Measurements of a DriveLog at given instants; NaN where unknown.
 
-    maximum_gap [s]: nothing is known between samples further apart. filter_cutoff [Hz] and acceleration: how the
-    forward acceleration is made of the forward speed, see `timeseries.filtered_derivative`.
+    maximum_gap [s]: values between samples further apart are unknown. filter_cutoff [Hz], acceleration: of the forward
+    acceleration as derivative of the forward speed, see `timeseries.filtered_derivative`.
     """
 
     def __init__(self, log: DriveLog, maximum_gap: float, filter_cutoff: float, acceleration: Acceleration = "causal"):
@@ -38,7 +37,7 @@ class LogSignals:
             log.ins_time_ns, log.velocity_x, filter_cutoff, maximum_gap, acceleration)
 
     def of(self, log: DriveLog) -> "LogSignals":
-        """Another drive, with the same settings."""
+        """The signals of another drive with the same settings; they share the derivative if the speed is the same."""
         if not same(log, self.log, "ins_time_ns", "velocity_x"):
             return LogSignals(log, self.maximum_gap, *self._filter)
         other = copy(self)
@@ -47,7 +46,7 @@ class LogSignals:
 
     @property
     def end_ns(self) -> int:
-        """The last instant at which both INS and steering may be known [ns]; 0 without one of them."""
+        """The last instant at which INS and steering can both be known [ns]; 0 if one of them is empty."""
         times = self.log.ins_time_ns, self.log.steering_time_ns
         return min(int(t[-1]) if len(t) else 0 for t in times)
 
