@@ -1,4 +1,4 @@
-"""Consistency of the newest measurements, judged by `st_core.checks`, for /diagnostics."""
+"""Runs the checks of `st_core.checks` on the newest measurements, for /diagnostics."""
 
 import math
 import time
@@ -12,22 +12,22 @@ from st_core.log import INS_SIGNALS, DriveLog
 from st_core.timeseries import NANOSECOND, TimeSeries
 from st_core.vehicle import VehicleParameters
 
-MINUTE = 60.0  # s, age of the oldest measurement used
-RECENT = 30.0  # s that are judged while the car moves all the time: a fault is reported and cleared within that time
-ENOUGH, MOVING = 20.0, 1.0  # s of driving above so many m/s, required for a verdict
-LONGEST_STEP = 0.25  # s between samples; gaps do not count as driving
-SAMPLE_NS = 20_000_000  # one sample of so much time is used
-PERIOD = 10.0  # s of measurement from one check to the next
-SHARE = 0.018  # of a core: where a check costs more than PERIOD allows, it comes less often
-# On one bend heading and measuring point look alike: only a whole drive separates them. Gaps are reported where they
-# arise, implausible samples by the bridges: half a minute in which a unit changes would seem full of them.
+HISTORY_SPAN = 60.0  # s, age of the oldest measurement used
+WINDOW = 30.0  # s checked while the car moves all the time: faults are reported and cleared within that time
+MIN_DRIVING, MIN_SPEED = 20.0, 1.0  # s of driving above a speed in m/s, required for a verdict
+MAX_STEP = 0.25  # s between samples; longer gaps do not count as driving
+SAMPLE_NS = 20_000_000  # measurements are thinned out to this period
+PERIOD = 10.0  # s of measurement between checks
+CPU_SHARE = 0.018  # of a core; checks that would take more run less often than every PERIOD
+# A heading error and a wrong measuring point look alike on a single bend; only a whole drive separates them. Gaps and
+# implausible samples are reported by the bridges; if a unit changes, half a minute would appear to be full of them.
 NOT_LIVE = frozenset(("heading_misaligned", "measuring_point", "time_gaps", "sample_spikes", "sentinel_values",
                       "out_of_range", "channel_wraps", "channel_jumps"))
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """severity: "", "note", "warning" or "error", that of the gravest finding. values: finding -> value ± half."""
+    """Result of one check. severity: of the worst finding, "" without any. values: of each finding, ± half interval."""
 
     severity: str
     message: str
@@ -35,15 +35,15 @@ class Verdict:
 
 
 class Consistency:
-    """Judges a history periodically: the newest 30 s, or as much of the last minute as contains 20 s of driving, and
-    nothing before a jump of the position, which is reported where it is detected.
+    """Checks the newest 30 s of a history periodically, or as much of the last minute as contains 20 s of driving.
 
-    A fault is reported when two successive checks find it, since one check of half a minute may be wrong, and cleared
-    by the first check without it.
-    `verdict` is the newest; seconds: processor time that all checks took together. share: of a core they may take.
+    Measurements before a position jump are not used. One check of half a minute may be wrong, so a fault is reported
+    when two successive checks find it, and cleared by the first check without it.
+
+    share: of a core, the limit for the checks. verdict: the newest one. seconds: processor time of all checks.
     """
 
-    def __init__(self, vehicle: VehicleParameters, share: float = SHARE):
+    def __init__(self, vehicle: VehicleParameters, share: float = CPU_SHARE):
         self._vehicle, self._share = vehicle, share
         self.verdict = _waiting(0.0)
         self.seconds = 0.0
@@ -52,21 +52,21 @@ class Consistency:
         self._at = self._not_before = -math.inf
 
     def poll(self, history: MeasurementHistory, now: float) -> bool:
-        """Judge if it is time to; returns whether it was. now: of a steady clock [s].
+        """Run the checks if they are due; returns whether they were. now: of a steady clock [s].
 
-        Never raises for what was measured: a check that fails is a warning of its own.
+        Never raises because of the measurements: a check that fails becomes a warning.
         """
         newest = history.ins.newest
         if newest is None or now < self._not_before:
             return False
         if self._judged_ns is not None and 0 <= newest - self._judged_ns < PERIOD / NANOSECOND:
-            if now - self._at > MINUTE:
+            if now - self._at > HISTORY_SPAN:
                 self.verdict = _waiting(0.0)
             return False
         self._judged_ns, self._at = newest, now
         try:
             self._judge(recent(history), now)
-        except Exception as error:  # whatever it is, predictions are scored on
+        except Exception as error:  # must never stop the scoring of predictions
             self.verdict = Verdict("warning", f"could not be judged: {type(error).__name__}: {error}")
         return True
 
@@ -85,16 +85,15 @@ class Consistency:
 
 
 def recent(history: MeasurementHistory) -> DriveLog | float:
-    """What is to be judged, thinned out; where that is too little, the seconds of driving in the last minute, or since
-    the position jumped."""
+    """The measurements to check, thinned out; or, if they are too few, the seconds of driving available."""
     newest = history.ins.newest or 0
-    oldest = max(newest - round(MINUTE / NANOSECOND), *history.ins.breaks, 0)
+    oldest = max(newest - round(HISTORY_SPAN / NANOSECOND), *history.ins.breaks, 0)
     times, rows = _since(history.ins, oldest)
-    step = np.minimum(np.diff(times, append=newest) * NANOSECOND, LONGEST_STEP)
-    driven = np.cumsum((step * (np.abs(rows[:, INS_SIGNALS.index("velocity_x")]) > MOVING))[::-1])[::-1]
-    if not len(driven) or driven[0] < ENOUGH:
+    step = np.minimum(np.diff(times, append=newest) * NANOSECOND, MAX_STEP)
+    driven = np.cumsum((step * (np.abs(rows[:, INS_SIGNALS.index("velocity_x")]) > MIN_SPEED))[::-1])[::-1]
+    if not len(driven) or driven[0] < MIN_DRIVING:
         return float(driven[0]) if len(driven) else 0.0
-    start = min(newest - round(RECENT / NANOSECOND), int(times[np.flatnonzero(driven >= ENOUGH)[-1]]))
+    start = min(newest - round(WINDOW / NANOSECOND), int(times[np.flatnonzero(driven >= MIN_DRIVING)[-1]]))
     start = max(start, oldest)
     times, rows = _since(history.ins, start)
     columns = dict(zip(INS_SIGNALS, rows.T, strict=False))
@@ -104,7 +103,7 @@ def recent(history: MeasurementHistory) -> DriveLog | float:
 
 
 def _since(series: TimeSeries, start_ns: int) -> tuple[np.ndarray, np.ndarray]:
-    """(times, rows) from an instant on, the first of each SAMPLE_NS."""
+    """(times, rows) since an instant, the first in each SAMPLE_NS."""
     first = int(np.searchsorted(series.times, start_ns))
     times = series.times[first:]
     kept = np.flatnonzero(np.diff(times // SAMPLE_NS, prepend=-1))
@@ -113,17 +112,18 @@ def _since(series: TimeSeries, start_ns: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _waiting(driven: float) -> Verdict:
     return Verdict("", f"not judged: {driven:.0f} s of driving in the last minute or since the position jumped, "
-                   f"{ENOUGH:g} s above {MOVING:g} m/s required")
+                   f"{MIN_DRIVING:g} s above {MIN_SPEED:g} m/s required")
 
 
 def _verdict(findings: Sequence[Finding], before: Set[str], seconds: float) -> Verdict:
-    """findings: the gravest first. before: names of what was wrong at the check before."""
-    values = {one.name: _value(one) for one in findings}
-    wrong = [one for one in findings if one.severity != "note"]
-    if confirmed := [one for one in wrong if one.name in before]:
+    """Verdict of one check. findings: worst first. before: names of the faults in the previous check."""
+    values = {finding.name: _value(finding) for finding in findings}
+    faults = [finding for finding in findings if finding.severity != "note"]
+    if confirmed := [fault for fault in faults if fault.name in before]:
         severity = confirmed[0].severity
-        return Verdict(severity.value, "; ".join(one.text for one in confirmed if one.severity is severity), values)
-    new = f", to be confirmed: {', '.join(one.name for one in wrong)}" if wrong else ""
+        text = "; ".join(fault.text for fault in confirmed if fault.severity is severity)
+        return Verdict(severity.value, text, values)
+    new = f", to be confirmed: {', '.join(fault.name for fault in faults)}" if faults else ""
     return Verdict("note" if findings else "", f"signals agree in the newest {seconds:.0f} s{new}", values)
 
 

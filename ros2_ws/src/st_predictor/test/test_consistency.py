@@ -9,7 +9,7 @@ import pytest
 from st_core.alignment import MeasurementHistory
 from st_core.types import InsSample
 from st_core.vehicle import VehicleParameters
-from st_predictor.consistency import ENOUGH, PERIOD, RECENT, SHARE, Consistency, Verdict
+from st_predictor.consistency import CPU_SHARE, MIN_DRIVING, PERIOD, WINDOW, Consistency, Verdict
 from support import ROOT
 from winding_road import RATE, Truth, winding_road
 
@@ -19,7 +19,7 @@ START_NS = 1_756_900_800_000_000_000
 YAW_RATE, STEERING = 6, 7
 LATE = 0.3  # s
 BEGIN, END, LAST = 35.0, 85.0, 140.0  # s in which a fault is in, and of the drive
-SLOWEST = RECENT + PERIOD + 0.2
+SLOWEST = WINDOW + PERIOD + 0.2
 TWICE = SLOWEST + PERIOD
 
 Change = Callable[[np.ndarray], np.ndarray]
@@ -74,9 +74,9 @@ def flipped(rows: np.ndarray) -> np.ndarray:
 def test_a_right_minute_is_well(road: np.ndarray) -> None:
     said = Live().drive(road).said
     judged = [verdict for _, verdict in said if "agree" in verdict.message]
-    assert len(judged) > (LAST - ENOUGH) / (2.0 * PERIOD)
+    assert len(judged) > (LAST - MIN_DRIVING) / (2.0 * PERIOD)
     assert {verdict.severity for _, verdict in said} <= {"", "note"}
-    assert {"agree" in verdict.message for t, verdict in said if t > ENOUGH + 1.0} == {True}
+    assert {"agree" in verdict.message for t, verdict in said if t > MIN_DRIVING + 1.0} == {True}
 
 
 @pytest.mark.parametrize(("column", "change", "name", "severity", "words"), [
@@ -110,7 +110,7 @@ def test_a_jump_of_the_position_is_not_judged_again(road: np.ndarray, size: floa
     assert "agree" in live.said[-1][1].message
     rows[rows[:, 0] >= BEGIN, YAW_RATE] *= 57.3
     told = [t for t, verdict in Live().drive(rows).said if verdict.severity == "error"]
-    assert told and BEGIN + ENOUGH < told[0] <= BEGIN + ENOUGH + 2.0 * PERIOD + 0.2
+    assert told and BEGIN + MIN_DRIVING < told[0] <= BEGIN + MIN_DRIVING + 2.0 * PERIOD + 0.2
 
 
 def test_a_car_that_stands_is_not_judged(road: np.ndarray) -> None:
@@ -160,7 +160,7 @@ def test_a_check_that_fails_is_a_warning(road: np.ndarray) -> None:
     assert verdict.message.startswith("could not be judged: AttributeError: ")
 
 
-@pytest.mark.parametrize("share", [SHARE, 0.5 * SHARE, 0.002])
+@pytest.mark.parametrize("share", [CPU_SHARE, 0.5 * CPU_SHARE, 0.002])
 def test_it_takes_no_more_than_its_share_of_a_core(road: np.ndarray, share: float) -> None:
     live = Live(share=share).drive(road)
     times = [t for t, _ in live.said]

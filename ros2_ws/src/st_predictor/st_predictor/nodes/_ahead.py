@@ -1,4 +1,4 @@
-"""Inputs over the horizon other than held ones: the newest plan of a motion planner, and a remembered course."""
+"""Future inputs that replace held ones: the newest plan of a motion planner, or those recorded on a course."""
 
 import time
 
@@ -21,13 +21,13 @@ from st_ros.polling import PolledSubscription
 from .. import convert
 
 QUEUE_DEPTH = 10  # only the newest plan is used
-# Without a plan for this long the planner has ended and its absence is not a warning any more [s].
-FORGET_AFTER = 10.0
+# After this long without a plan the planner counts as ended, and its last plan is no longer a warning [s].
+PLAN_TIMEOUT = 10.0
 NOT_USED = "not used: no prediction at the moment"
 
 
 class PlanInput:
-    """Subscribes to plan/inputs. A plan that cannot be used is refused with its reason; forecasts then hold inputs."""
+    """Subscribes to plan/inputs. An unusable plan is refused with a reason; only forecasts with held inputs remain."""
 
     def __init__(self, node: Node, frame: str, vehicle: VehicleParameters):
         self._subscription = PolledSubscription(node, InputPlan, "plan/inputs", QoSProfile(depth=QUEUE_DEPTH))
@@ -38,21 +38,21 @@ class PlanInput:
         self._counts = {"received": 0, "used": 0, "refused": 0}
 
     def drain(self) -> None:
-        """Take the waiting messages."""
+        """Process all queued messages; the newest plan counts."""
         for message, _, _ in self._subscription.take(QUEUE_DEPTH):
             self._counts["received"] += 1
             self._plan = convert.planned_inputs(message, self._frame, self._vehicle)
             self._received_at = time.monotonic()
 
     def at(self, core: Predictor, start: Start) -> tuple[InputSequence, int] | None:
-        """(inputs over the horizon, stamp of the plan [ns]) for a start; None without a plan that can be used."""
+        """(inputs over the horizon, stamp of the plan [ns]) for a start; None without a usable plan."""
         if self._plan is None:
             return None
         inputs = self._plan if isinstance(self._plan, str) else core.planned(self._plan, start)
         if isinstance(inputs, str):
             self.problem = inputs
             self._counts["refused"] += 1
-            if time.monotonic() - self._received_at > FORGET_AFTER:
+            if time.monotonic() - self._received_at > PLAN_TIMEOUT:
                 self._plan, self.problem = None, ""
             return None
         assert isinstance(self._plan, PlannedInputs)
@@ -61,7 +61,7 @@ class PlanInput:
         return inputs, self._plan.issued_ns
 
     def check(self, predicts: bool) -> Check:
-        """For the diagnostics. predicts: whether the newest tick made predictions."""
+        """Diagnostic check. predicts: whether the newest tick made predictions."""
         if not predicts:
             return Check("plan", diagnostics.OK, NOT_USED, self._counts)
         if self._plan is None:
@@ -72,10 +72,10 @@ class PlanInput:
 
 
 class CourseInput:
-    """Follows the car along the course of the parameter `course_file`; nothing without one.
+    """Predicts inputs from the course of the parameter `course_file`; without a course it returns None.
 
-    Where both origins of the map are known, the course is moved into the frame of this run (ins/origin); a course of
-    another place is not used. `CourseTracker` returns to held inputs gradually.
+    If the map origins of course and run (ins/origin) are known, the course is moved into the frame of this run; a
+    course of another place is not used. `CourseTracker` returns to held inputs gradually.
     """
 
     def __init__(self, node: Node, course: Course | None, vehicle: VehicleParameters, horizon: float, step: float):
@@ -85,7 +85,7 @@ class CourseInput:
         self._counts = {"used": 0, "held": 0}
         if course is None:
             return
-        self._tracker = CourseTracker(_prepared(course), vehicle, horizon, step)
+        self._tracker = CourseTracker(_with_search_tree(course), vehicle, horizon, step)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         node.create_subscription(NavSatFix, "ins/origin", self._move, latched)
 
@@ -95,13 +95,13 @@ class CourseInput:
             return
         try:
             offset = origin_offset((message.latitude, message.longitude), *self._course.origin)
-            self._tracker.course, self._elsewhere = _prepared(self._course.moved(*offset)), ""
+            self._tracker.course, self._elsewhere = _with_search_tree(self._course.moved(*offset)), ""
         except StCoreError as error:
             self._elsewhere = str(error)
         self._tracker.restart()
 
     def at(self, core: Predictor, start: Start) -> InputSequence | None:
-        """Inputs over the horizon for a start; None where the course is not used."""
+        """Inputs over the horizon for a start; None if the course is not used."""
         if self._tracker is None or self._elsewhere:
             return None
         sample = core.history.ins_at(start.time_ns)
@@ -113,11 +113,11 @@ class CourseInput:
 
     @property
     def used(self) -> bool:
-        """Whether the newest start has inputs of the course."""
+        """Whether the newest start used inputs of the course."""
         return self._forecast.inputs is not None
 
     def check(self, predicts: bool) -> Check:
-        """For the diagnostics. predicts: whether the newest tick made predictions."""
+        """Diagnostic check. predicts: whether the newest tick made predictions."""
         forecast = self._forecast
         if self._tracker is None:
             return Check("course", diagnostics.OK, "off (course_file is empty)")
@@ -132,7 +132,7 @@ class CourseInput:
         return Check("course", diagnostics.OK, f"used, {text}; the others are held inputs", self._counts | shares)
 
 
-def _prepared(course: Course) -> Course:
-    """The course with its search tree, so that no tick has to wait for it."""
+def _with_search_tree(course: Course) -> Course:
+    """The course after a first lookup, which builds its search tree, so that no tick has to wait for it."""
     course.near(*course.passes[0].points[0, :3].tolist())
     return course

@@ -1,4 +1,4 @@
-"""Opening of the output bag and its diagnostics, shared by evaluator and recorder."""
+"""The output bag of evaluator and recorder, and its diagnostics."""
 
 import itertools
 from collections.abc import Mapping
@@ -9,6 +9,9 @@ from st_recordings.mcap import BagWriter
 from st_ros import diagnostics
 from st_ros.diagnostics import Check
 from st_ros.parameters import ConfigurationError
+
+# Unsynced data older than this raise a warning [s]; half a second is normal.
+MAX_SYNC_DELAY = 1.0
 
 
 def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) -> BagWriter:
@@ -32,10 +35,6 @@ def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) 
         raise ConfigurationError(f"{values.where}output_directory: {name}{error.strerror or error}") from None
 
 
-# Unsynced data older than this raise a warning [s]; half a second is normal.
-MAX_SYNC_DELAY = 1.0
-
-
 def recording_check(bag: BagWriter, stopped: str = "", resumed: bool = False) -> Check:
     """Diagnostic check of the recording: message counts, losses and disk errors.
 
@@ -50,23 +49,15 @@ def recording_check(bag: BagWriter, stopped: str = "", resumed: bool = False) ->
         return Check("recording", diagnostics.ERROR, bag.error, values)
     if resumed:
         return Check("recording", diagnostics.WARN, f"{stopped}; recording resumed in {bag.directory}", values)
-    level, text = disk_check(bag)
-    if text:
-        return Check("recording", level, text, values)
-    return Check("recording", diagnostics.OK, f"{bag.message_count} messages", values)
-
-
-def disk_check(bag: BagWriter) -> tuple[int, str]:
-    """(level, text) of a write error or a slow disk; the text is empty otherwise."""
-    syncer = bag.syncer
-    if syncer and syncer.error:
+    level, text = diagnostics.OK, f"{bag.message_count} messages"
+    if bag.syncer and bag.syncer.error:
         # Recording continues: most data may still reach the disk, and a new bag would be on the same one.
-        return diagnostics.ERROR, (f"writing to the disk failed: {syncer.error} ({bag.path}); recorded data "
-                                   "may be missing: use another disk")
-    if syncer and (behind := syncer.behind) > MAX_SYNC_DELAY:
-        return diagnostics.WARN, (f"the disk is slow: a power failure would lose the last {behind:.1f} s "
-                                  f"({bag.path.parent})")
-    return diagnostics.OK, ""
+        level, text = diagnostics.ERROR, (f"writing to the disk failed: {bag.syncer.error} ({bag.path}); recorded data "
+                                          "may be missing: use another disk")
+    elif bag.syncer and (delay := bag.syncer.behind) > MAX_SYNC_DELAY:
+        level, text = diagnostics.WARN, (f"the disk is slow: a power failure would lose the last {delay:.1f} s "
+                                         f"({bag.path.parent})")
+    return Check("recording", level, text, values)
 
 
 def is_whole(bag: BagWriter) -> bool:

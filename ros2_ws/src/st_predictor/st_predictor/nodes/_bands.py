@@ -1,4 +1,4 @@
-"""Bands between the file, the predictor's messages and the evaluator's counts (st_core.bands)."""
+"""Prediction bands (st_core.bands) in the messages of the predictor and the coverage counts of the evaluator."""
 
 import math
 from array import array
@@ -26,33 +26,33 @@ AXES = ("along", "across", "yaw")
 
 
 class PredictionBands:
-    """What the predictor states around its paths: bands of a file, corrected by the scores of this run or not.
+    """Bands around the predicted paths: those of a file, adapted to the errors of this run, or both.
 
-    models: hash of the model file by model, "" for one of the paper's. further, runners: as of `Evaluator`. Raises
-    ConfigurationError for a file of another car, model or configuration.
+    file_hashes: hash of the model file by model, "" for a model of the paper. models, runners: as for `Evaluator`.
+    Raises ConfigurationError for bands of another car, model or configuration.
     """
 
-    def __init__(self, values: SimpleNamespace, vehicle: VehicleParameters, models: Mapping[str, str],
-                 settings: PredictionSettings, further: Sequence[Model], runners: Mapping[str, Runner]):
+    def __init__(self, values: SimpleNamespace, vehicle: VehicleParameters, file_hashes: Mapping[str, str],
+                 settings: PredictionSettings, models: Sequence[Model], runners: Mapping[str, Runner]):
         self._missing, self._text = "", ""
         self._fixed: LiveBands | None = None
         self._adaptive: AdaptiveBands | None = None
         file = params.load_bands(values)
         if file is not None:
             place = f"bands_file: {values.bands_file}: "
-            params.checked(values, lambda: file.check(vehicle, models, EvaluationSettings(settings)), place)
+            params.checked(values, lambda: file.check(vehicle, file_hashes, EvaluationSettings(settings)), place)
             self._text = f"learnt from {file.runs} runs"
         if values.adaptive_bands:
             time = settings.step * np.arange(1, settings.steps + 1)
-            self._adaptive = AdaptiveBands(time, list(models), (*MODES, *OTHER_MODES), file)
+            self._adaptive = AdaptiveBands(time, list(file_hashes), (*MODES, *OTHER_MODES), file)
             self._messages = BandMessages(self._adaptive.stated)
-            self._scorer = Evaluator(vehicle, settings, 0.0, further, runners)
+            self._scorer = Evaluator(vehicle, settings, 0.0, models, runners)
         elif file is not None:
-            self._fixed = LiveBands(file, models)
+            self._fixed = LiveBands(file, file_hashes)
             self._messages = BandMessages(self._fixed.stated)
 
     def add_ins(self, sample: InsSample) -> None:
-        """Measurements by which earlier predictions are scored."""
+        """Add a measurement; measurements score the earlier predictions."""
         if self._adaptive:
             self._scorer.add_ins(sample)
 
@@ -60,11 +60,13 @@ class PredictionBands:
         if self._adaptive:
             self._scorer.add_steering(time_ns, road_wheel_angle)
 
-    def at(self, history: MeasurementHistory, time_ns: int, modes: Sequence[Mode]) -> Mapping[str, list[Band]]:
-        """By model, for predictions with these modes that start at an instant [ns]; empty without a band. Valid until
-        the next call."""
+    def messages_at(self, history: MeasurementHistory, time_ns: int, modes: Sequence[Mode]) -> Mapping[str, list[Band]]:
+        """Bands by model for predictions of these modes that start at `time_ns`; empty without bands.
+
+        Valid until the next call.
+        """
         if self._adaptive:
-            condition = conditions_now(history, time_ns) if self._text else ()  # only a calibrated scale needs it
+            condition = conditions_now(history, time_ns) if self._text else ()  # needed by bands of a file only
             found, self._missing = self._adaptive.issue(time_ns, condition, modes)
             return {model: [band for band in bands if (model, band.mode) in found]
                     for model, bands in (self._messages.fill() if found else {}).items()}
@@ -74,20 +76,22 @@ class PredictionBands:
         self._missing = "" if self._fixed(condition) else self._fixed.why_not(condition)
         return {} if self._missing else self._messages.fill()
 
-    def score(self) -> None:
-        """Score the predictions that have ended; also where none is made, or those that end in standstill are lost."""
+    def observe_scores(self) -> None:
+        """Adapt to the predictions whose horizon has passed; call it at every tick, also at standstill."""
         if self._adaptive:
             for score in self._scorer.poll():
                 self._adaptive.observe(score)
 
-    def keep(self, start: Start, issued: Mapping[str, Mapping[Mode, Trajectory]]) -> None:
-        """Keep predictions issued now, by model and mode, until they have ended."""
-        for model, by_mode in issued.items() if self._adaptive else ():
+    def add_predictions(self, start: Start, issued: Mapping[str, Mapping[Mode, Trajectory]]) -> None:
+        """Keep the predictions just issued, by model and mode, until their horizon has passed."""
+        if not self._adaptive:
+            return
+        for model, by_mode in issued.items():
             for mode, trajectory in by_mode.items():
                 self._scorer.add_prediction(model, start.time_ns, trajectory, mode)
 
     def check(self) -> Check:
-        """For the diagnostics."""
+        """Diagnostic check of the bands."""
         if self._missing:
             return Check("bands", diagnostics.WARN, f"no band: {self._missing}")
         if self._fixed:
@@ -104,52 +108,53 @@ class PredictionBands:
 
 
 class BandMessages:
-    """Half-widths as reused messages: constructing them takes ten times as long.
+    """Band messages that are reused, since constructing them takes ten times as long as filling them.
 
-    stated: by model; its arrays are read at every `fill`.
+    stated: half-widths by model; its arrays are read at every `fill`.
     """
 
     def __init__(self, stated: Mapping[str, Stated]):
         self._messages: dict[str, list[Band]] = {}
         self._copies: list[tuple[memoryview, memoryview]] = []
         for model, of_model in stated.items():
-            self._messages[model] = [self._made(*key, widths) for key, widths in of_model.items()]
+            self._messages[model] = [self._make_message(*key, widths) for key, widths in of_model.items()]
 
-    def _made(self, mode: str, level: float, widths: np.ndarray) -> Band:
+    def _make_message(self, mode: str, level: float, widths: np.ndarray) -> Band:
         zeros = array("f", bytes(4 * len(widths)))
         message = Band(mode=mode, level=level, **dict.fromkeys(AXES, zeros))
-        # A message makes arrays of its own; with views of both sides, copying is all that is left to do.
+        # The message has copied the arrays; views of source and target make every refill a plain copy.
         self._copies += [(memoryview(getattr(message, axis)), memoryview(column))
                          for axis, column in zip(AXES, widths.T, strict=True)]
         return message
 
     def fill(self) -> Mapping[str, list[Band]]:
-        """By model; valid until the next call."""
+        """Messages by model, with the current half-widths; valid until the next call."""
         for target, column in self._copies:
             target[:] = column
         return self._messages
 
 
 def read_bands(message: Prediction) -> Stated:
-    """What a prediction states; what does not fit its points is left out."""
+    """Half-widths of a prediction's bands by mode and level, without bands of another length than its path."""
     points = len(message.x)
-    columns = {(one.mode, one.level): [getattr(one, axis) for axis in AXES] for one in message.bands}
-    return {key: np.array(three, float).T for key, three in columns.items() if {len(c) for c in three} == {points}}
+    columns = {(band.mode, band.level): [getattr(band, axis) for axis in AXES] for band in message.bands}
+    return {key: np.array(widths, float).T for key, widths in columns.items()
+            if all(len(column) == points for column in widths)}
 
 
 def coverage_check(coverages: Coverages) -> Check:
-    """For the evaluator's diagnostics."""
-    values = {f"{model} {mode} {100 * level:g} %": f"{one.share(level):.3f} of {one.n}"
-              for (model, mode), one in coverages.by_question.items() for level in sorted(one.kept)}
+    """Diagnostic check of the evaluator: observed coverage of the bands."""
+    values = {f"{model} {mode} {100 * level:g} %": f"{coverage.share(level):.3f} of {coverage.n}"
+              for (model, mode), coverage in coverages.by_question.items() for level in sorted(coverage.kept)}
     if warning := coverages.warning():
         return Check("bands", diagnostics.WARN, warning, values)
     return Check("bands", diagnostics.OK, "cover as they state" if values else "no prediction with a band yet", values)
 
 
 def add_coverage(message: ErrorStatistics, coverages: Coverages) -> ErrorStatistics:
-    """The message with how often its model and mode's bands held."""
-    one = coverages.by_question.get((message.model, message.mode))
-    message.n_bands = one.n if one else 0
-    message.coverage_50, message.coverage_90 = (one.share(level) if one else math.nan for level in (0.5, 0.9))
+    """The message with the observed coverage of the bands of its model and mode."""
+    coverage = coverages.by_question.get((message.model, message.mode))
+    message.n_bands = coverage.n if coverage else 0
+    message.coverage_50, message.coverage_90 = (coverage.share(level) if coverage else math.nan for level in (0.5, 0.9))
     return message
 

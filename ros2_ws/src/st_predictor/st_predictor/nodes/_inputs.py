@@ -1,4 +1,4 @@
-"""Odometry and steering as predictor and evaluator receive them, taken when the node has time for them."""
+"""Odometry and steering inputs of predictor and evaluator, read from their queues when the node has time."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -16,22 +16,22 @@ from st_ros.polling import UNRESOLVED_NODE, PolledSubscription, to_nanoseconds, 
 
 from .. import convert
 
-# The accepted publisher has ended or hangs after this long without a message; a publisher of the same node name is then
+# After this long without a message the accepted publisher counts as ended; another one of the same node name is then
 # its restart [s].
 SILENCE_TIMEOUT = 1.0
-# Messages the accepted publisher may have lost: four seconds at 250 Hz.
+# Largest gap in the accepted publisher's message numbers: four seconds at 250 Hz.
 MAX_LOST = 1000
-# Waiting messages per topic: 16 s at 250 Hz, so that a node without processor time loses nothing.
+# Queued messages per topic: 16 s at 250 Hz, so that a node starved of processor time loses nothing.
 QUEUE_DEPTH = 4000
 
 
 class PublisherLock:
-    """Accepts messages of the first publisher of an input only; `warning` names several publishers, else empty.
+    """Accepts messages of the first publisher of an input only.
 
-    A message does not name its publisher, but each publisher numbers its messages, so that its messages form a chain of
-    consecutive numbers. Where two chains meet, none is used: no prediction is better than one from two mixed cars.
+    A message does not name its publisher, but publishers number their messages consecutively, so that each publisher's
+    messages form a chain. Where two chains meet, neither is used: no prediction is better than one from two mixed cars.
 
-    names: full node names of all publishers at the last `update`. rejected: messages not used since the start.
+    names: full node names of all publishers at the last `update`. rejected: number of messages rejected so far.
     """
 
     def __init__(self) -> None:
@@ -44,12 +44,12 @@ class PublisherLock:
         self._rejected_at: float | None = None  # [s]
 
     def update(self, names: Sequence[str]) -> None:
-        """names: node of each publisher in the graph."""
+        """Set the publishers. names: node name of each publisher in the graph."""
         self.names, self._several = tuple(sorted(names)), len(names) > 1
         self._mixed = self._mixed and self._several
 
     def accept(self, number: int | None, now: float) -> bool:
-        """Whether to use a message. number: its publisher's count, None: unknown. now: time of arrival [s]."""
+        """Whether to use a message. number: assigned by its publisher, None if unknown. now: time of arrival [s]."""
         if not self._several or self._continues_chain(number, now):
             self._number, self._accepted_at = number, now
             return True
@@ -77,9 +77,9 @@ class PublisherLock:
         return self._number is not None and 0 < number - self._number <= MAX_LOST
 
     def warning(self, now: float) -> str:
-        """now: on the clock of `accept` [s]."""
+        """Describes competing publishers; empty if there are none. now: on the clock of `accept` [s]."""
         others = len(set(self.names)) > 1
-        # A killed publisher of the same name stays in the graph for a while and sends nothing.
+        # A killed publisher stays in the graph for a while under the same name, but sends nothing.
         recent = self._rejected_at is not None and now - self._rejected_at < 10.0 * SILENCE_TIMEOUT
         if not self._several or not (others or recent):
             return ""
@@ -90,14 +90,16 @@ class PublisherLock:
 
 
 class Inputs:
-    """Passes every usable sample to `add_ins` and `add_steering` and keeps the reason why others were refused."""
+    """Passes every usable sample to `add_ins` and `add_steering` and keeps the reason why others were refused.
+
+    on_change: called when `checks` has changed and should be published at once.
+    """
 
     def __init__(
         self, node: Node, map_frame: str,
         add_ins: Callable[[InsSample], bool], add_steering: Callable[[int, float], bool],
         on_change: Callable[[], None],
     ):
-        """on_change: called where `checks` has changed and should be published at once."""
         qos = QoSProfile(depth=QUEUE_DEPTH)
         self._node, self._map_frame = node, map_frame
         self._add_ins, self._add_steering, self._on_change = add_ins, add_steering, on_change
@@ -110,10 +112,7 @@ class Inputs:
         self._arrived_ns = {"INS": 0, "steering": 0}  # newest message of each, by the host's UTC
 
     def wait(self, since_ns: int, longest: float) -> None:
-        """Take messages until one of each signal has arrived since an instant (host UTC [ns]).
-
-        longest: limit of the wait [s].
-        """
+        """Process messages until each signal has one since `since_ns` (host UTC), for at most `longest` seconds."""
         end = time.monotonic() + longest
         self.drain()
         while min(self._arrived_ns.values()) < since_ns and (left := end - time.monotonic()) > 0.0:
@@ -121,25 +120,25 @@ class Inputs:
             self.drain()
 
     def drain(self) -> None:
-        """Take the waiting messages."""
-        for message in self._taken("INS", self._odometry):
+        """Process all queued messages."""
+        for message in self._take_accepted("INS", self._odometry):
             sample = convert.ins_sample(message, self._map_frame)
             if isinstance(sample, str):
                 self._refuse("INS", sample)
             else:
-                self._note("INS", self._add_ins(sample))
-        for message in self._taken("steering", self._steering):
+                self._count("INS", self._add_ins(sample))
+        for message in self._take_accepted("steering", self._steering):
             if not message.valid:
                 self._refuse("steering", "marked invalid by the bridge (counter or checksum)")
             else:
                 time_ns = to_nanoseconds(message.header.stamp)
-                self._note("steering", self._add_steering(time_ns, message.road_wheel_angle))
+                self._count("steering", self._add_steering(time_ns, message.road_wheel_angle))
 
-    def _taken(self, signal: str, subscription: PolledSubscription) -> Iterator[Any]:
-        """The waiting messages of the accepted publisher."""
+    def _take_accepted(self, signal: str, subscription: PolledSubscription) -> Iterator[Any]:
+        """Queued messages of the accepted publisher."""
         lock = self._locks[signal]
-        before, count = lock.warning(_now()), subscription.publisher_count()
-        # A publisher is counted before its first message arrives; messages of one that has ended may arrive after it.
+        before, count = lock.warning(_utc()), subscription.publisher_count()
+        # New publishers are added before reading, ended ones removed after it: their last messages may still be queued.
         if count > len(lock.names):
             lock.update(_names(subscription, count))
         for message, arrived_ns, number in subscription.take_numbered(QUEUE_DEPTH):
@@ -148,18 +147,18 @@ class Inputs:
                 yield message
         if count > 1 or count < len(lock.names):
             lock.update(_names(subscription, count))
-        if before != lock.warning(_now()):
+        if before != lock.warning(_utc()):
             self._on_change()
 
-    def why(self, reason: str) -> str:
-        """A reason for no prediction, with the reason why arriving messages are refused."""
+    def explain(self, reason: str) -> str:
+        """The reason for no prediction, extended by why arriving messages are refused."""
         for signal, refusal in self.last_refusal.items():
             if refusal and reason.startswith(signal):
                 return f"{reason}; messages arrive but are refused: {refusal}"
         return reason
 
     def checks(self) -> list[Check]:
-        warnings = {topic: self._locks[signal].warning(_now())
+        warnings = {topic: self._locks[signal].warning(_utc())
                     for signal, topic in (("INS", self._odometry.topic), ("steering", self._steering.topic))}
         rejected = {f"{signal} messages of others": lock.rejected for signal, lock in self._locks.items()}
         text = "; ".join(f"{topic} is {warning}" for topic, warning in warnings.items() if warning)
@@ -177,7 +176,7 @@ class Inputs:
             return Check(f"input {signal}", diagnostics.STALE, f"nothing received on {topic} yet", values)
         return Check(f"input {signal}", diagnostics.OK, "usable", values)
 
-    def _note(self, signal: str, accepted: bool) -> None:
+    def _count(self, signal: str, accepted: bool) -> None:
         if accepted:
             self.received[signal] += 1
             self.last_refusal[signal] = ""
@@ -196,6 +195,6 @@ def _names(subscription: PolledSubscription, count: int) -> list[str]:
     return names + [UNRESOLVED_NODE] * (count - len(names))
 
 
-def _now() -> float:
-    """UTC, as messages are stamped on arrival [s]."""
+def _utc() -> float:
+    """Host UTC [s], the clock of the arrival stamps."""
     return time.time_ns() * NANOSECOND

@@ -1,5 +1,7 @@
-"""Node evaluator: scores every prediction once its horizon has passed, publishes and records the errors; checks the
-consistency of the measurements."""
+"""Node evaluator: scores every prediction once its horizon has passed, and checks the measurements for consistency.
+
+Errors and their statistics are published and recorded.
+"""
 
 import time
 from pathlib import Path
@@ -28,17 +30,16 @@ from ._bands import add_coverage, coverage_check, read_bands
 from ._inputs import Inputs
 
 NICE = 5  # behind bridges and predictor: a third of an equal share
-WORK_PERIOD = 0.05
-SUMMARY_PERIOD = 1.0
+WORK_PERIOD, SUMMARY_PERIOD = 0.05, 1.0  # s
 MODES = ("forecast", "hindsight")
 LEVELS = {"warning": diagnostics.WARN, "error": diagnostics.ERROR}
-# Measurements kept [s]: the longest horizon of a predictor and the wait for late signals.
-SPAN = 65.0
-# At the end of a run the scores of the last horizon of every model and mode are published at once.
+# Measurements kept [s]: the longest horizon of a predictor plus the wait for late signals.
+HISTORY_SPAN = 65.0
+# At the end of a run, the scores of the last horizon are published at once for every model and mode.
 ERROR_DEPTH = 1000
-QUEUE_DEPTH = 500  # waiting predictions per topic: 50 s at 10 Hz, 5 s of a fast replay
-# Two computers may round differently; another vehicle file differs by centimetres within a second [SI].
-SAME_TRAJECTORY = 1.0e-6
+QUEUE_DEPTH = 500  # queued predictions per topic: 50 s at 10 Hz, 5 s of a fast replay
+# Tolerance for rounding on another computer; another vehicle file shifts a path by centimetres within a second [SI].
+TRAJECTORY_TOLERANCE = 1.0e-6
 
 
 class EvaluatorNode(Node):
@@ -50,7 +51,7 @@ class EvaluatorNode(Node):
         own = [self._file.model()] if self._file else []
         self._models = params.checked(values, lambda: [get_model(m).name for m in (*values.models, *own)])
         settings = params.prediction_settings(values)
-        self._core = Evaluator(self._vehicle, settings, SPAN, own)
+        self._core = Evaluator(self._vehicle, settings, HISTORY_SPAN, own)
         self._consistency = Consistency(self._vehicle)
         self._map_frame = values.map_frame
         self._diagnostics = Diagnostics(self, self._vehicle.name, self._checks)
@@ -58,7 +59,7 @@ class EvaluatorNode(Node):
                               self._diagnostics.publish)
         self._statistics = {(model, mode): ErrorStatistics() for model in self._models for mode in MODES}
         self._coverages = Coverages()
-        self._hashes: dict[tuple[str, str, int], str] = {}  # of the predictions waiting, by model, mode and start
+        self._hashes: dict[tuple[str, str, int], str] = {}  # of pending predictions, by model, mode and start
         self._other_configuration: dict[tuple[str, str], bool] = {}  # by hash and model
         self._refused = ""
         self._bag, self._bag_topics = self._open_bag(values, settings)
@@ -72,7 +73,7 @@ class EvaluatorNode(Node):
         self._error_publisher = self.create_publisher(PredictionError, "evaluator/errors", error_qos)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._summary_publisher = self.create_publisher(ErrorSummary, "evaluator/summary", latched)
-        # Steady clock: messages are processed and written also while a replay's clock is stopped.
+        # Steady clock: messages must be processed and written even while a replay's clock is paused.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(WORK_PERIOD, self._work, clock=steady)
         self.create_timer(SUMMARY_PERIOD, self._publish_summary, clock=steady)
@@ -122,7 +123,7 @@ class EvaluatorNode(Node):
         self._core.add_prediction(model, start_ns, trajectory, mode)
 
     def _check_configuration(self, model: str, message: Prediction, trajectory: Trajectory) -> None:
-        """Compare one prediction of each configuration: hindsight must use the vehicle of the forecast."""
+        """Recompute one prediction of each configuration: hindsight must use the vehicle of the forecast."""
         key, view = (message.configuration_hash, model), self._core.view(model)
         if key in self._other_configuration:
             return
@@ -130,9 +131,9 @@ class EvaluatorNode(Node):
         inputs = ControlInput(message.road_wheel_angle, message.velocity_x_dot)
         horizon = trajectory.step * (len(trajectory.states) - 1)
         predicted = predict(view.model, self._vehicle, start, inputs, horizon, trajectory.step)
-        # A model with a memory of the steering predicts from more than the held inputs.
+        # A model with a memory of the steering depends on more than the held inputs and cannot be compared.
         self._other_configuration[key] = not view.has_memory and not np.allclose(
-            predicted.states, trajectory.states, rtol=0.0, atol=SAME_TRAJECTORY, equal_nan=True)
+            predicted.states, trajectory.states, rtol=0.0, atol=TRAJECTORY_TOLERANCE, equal_nan=True)
 
     def _publish_scores(self, scores: list[Score]) -> None:
         for score in scores:
@@ -170,16 +171,17 @@ class EvaluatorNode(Node):
         elif others:
             level = diagnostics.WARN
             text = f"predictions of {', '.join(others)} were made with another vehicle or model than this node uses"
-        off = Check("recording", diagnostics.OK, "off (output_directory is empty)")
-        recording = recording_check(self._bag) if self._bag else off
-        found = self._consistency.verdict
-        consistency = Check("consistency", LEVELS.get(found.severity, diagnostics.OK), found.message, found.values)
+        recording = (recording_check(self._bag) if self._bag else
+                     Check("recording", diagnostics.OK, "off (output_directory is empty)"))
+        verdict = self._consistency.verdict
+        severity = LEVELS.get(verdict.severity, diagnostics.OK)
+        consistency = Check("consistency", severity, verdict.message, verdict.values)
         return [Check("scoring", level, text, values), recording, consistency, coverage_check(self._coverages),
                 *self._inputs.checks()]
 
     @property
     def exit_status(self) -> int:
-        """1 when the recording is not whole."""
+        """1 if the recording is incomplete, else 0."""
         return int(self._bag is not None and not is_whole(self._bag))
 
     def close(self) -> None:

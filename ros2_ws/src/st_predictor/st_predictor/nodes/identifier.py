@@ -1,4 +1,4 @@
-"""Node identifier: steering offset, ratio and stiffness scale estimated while driving; published, never applied."""
+"""Node identifier: estimates steering offset, steering ratio and stiffness scale while driving; never applies them."""
 
 import math
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -23,7 +23,7 @@ QUEUE_DEPTH = 1000
 STATUS = {"unestimated": TrackedParameter.UNESTIMATED, "estimated": TrackedParameter.ESTIMATED,
           "invalid": TrackedParameter.INVALID}
 LEVELS = {"unestimated": diagnostics.OK, "estimated": diagnostics.OK, "invalid": diagnostics.WARN}
-FAR_OFF = 3.0  # standard deviations from the vehicle file's value, beyond which an estimate is a warning
+MAX_DEVIATION = 3.0  # of an estimate from the vehicle file without a warning, in standard deviations
 
 
 class IdentifierNode(Node):
@@ -61,7 +61,7 @@ class IdentifierNode(Node):
         self._fit_in_background()
 
     def _fit_in_background(self) -> None:
-        """One fit at a time, in its thread; the samples go on being received."""
+        """Run one fit at a time in its own thread, so that samples are still received."""
         if self._fit is not None and self._fit.done():
             self._core.take(self._fit.result())
             self._fit = None
@@ -70,12 +70,12 @@ class IdentifierNode(Node):
             self._fit = self._pool.submit(fit_recent, *self._core.snapshot())
 
     def _log_changes(self) -> None:
-        for one in self._core.tracked():
-            if one.status != self._status.get(one.parameter, "unestimated"):
-                value = f"{one.value:.4g} +/- {one.deviation:.2g} {one.unit}"
-                text = value if one.status == "estimated" else one.reason
-                self.get_logger().info(f"{one.parameter} {one.status}: {text}")
-            self._status[one.parameter] = one.status
+        for estimate in self._core.tracked():
+            if estimate.status != self._status.get(estimate.parameter, "unestimated"):
+                value = f"{estimate.value:.4g} +/- {estimate.deviation:.2g} {estimate.unit}"
+                text = value if estimate.status == "estimated" else estimate.reason
+                self.get_logger().info(f"{estimate.parameter} {estimate.status}: {text}")
+            self._status[estimate.parameter] = estimate.status
 
     def _publish(self) -> None:
         self._reload_vehicle_file()
@@ -84,9 +84,9 @@ class IdentifierNode(Node):
                                     seconds_used=seconds.used, seconds_rejected=float(sum(seconds.rejected.values())))
         message.header.stamp = self.get_clock().now().to_msg()
         message.parameters = [TrackedParameter(
-            parameter=one.parameter, unit=one.unit, value=one.value, standard_deviation=one.deviation,
-            vehicle_file_value=self._file_value(one), status=STATUS[one.status], reason=one.reason)
-            for one in self._core.tracked()]
+            parameter=estimate.parameter, unit=estimate.unit, value=estimate.value,
+            standard_deviation=estimate.deviation, vehicle_file_value=self._file_value(estimate),
+            status=STATUS[estimate.status], reason=estimate.reason) for estimate in self._core.tracked()]
         self._publisher.publish(message)
 
     def _reload_vehicle_file(self) -> None:
@@ -104,31 +104,37 @@ class IdentifierNode(Node):
         self._vehicle, self._text, self._problem = vehicle, text, ""
         if changed:
             self._core.reset(vehicle)
-            self._fit = None  # a fit that still runs is of the old file
+            self._fit = None  # a fit still running uses the old file
             self._status = {}
             self._resets += 1
             self.get_logger().info(f"{self._file} has changed: all estimates are reset")
 
-    def _file_value(self, one: Tracked) -> float:
-        return float(getattr(self._vehicle, one.parameter, 1.0))
+    def _file_value(self, estimate: Tracked) -> float:
+        return float(getattr(self._vehicle, estimate.parameter, 1.0))
 
     def _checks(self) -> list[Check]:
         seconds = self._core.seconds
         used = {"used [s]": round(seconds.used, 1), **{f"left out, {why} [s]": round(time, 1)
                                                       for why, time in seconds.rejected.items()}, **self._received}
         checks = [Check("driving", diagnostics.OK, f"{seconds.used:.0f} s of driving used", used)]
-        for one in self._core.tracked():
-            known, level = self._file_value(one), LEVELS[one.status]
-            text = f"{one.value:.4g} +/- {one.deviation:.2g} {one.unit}, vehicle file {known:.4g}"
-            words = {"unestimated": f"not estimated yet: {one.reason}", "estimated": text,
-                     "invalid": f"invalid: {one.reason}"}[one.status]
-            if one.status == "estimated" and abs(one.value - known) > FAR_OFF * one.deviation:
-                level, words = diagnostics.WARN, f"{text}: the file does not fit the driving"
-            checks.append(Check(one.parameter, level, words, {
-                "value": one.value, "standard deviation": one.deviation, "vehicle file": known, "status": one.status}))
-        file = Check("vehicle file", diagnostics.WARN, f"{self._problem}; the previous values are kept", {})
-        return [*checks, file if self._problem else Check("vehicle file", diagnostics.OK, "as at the start", {
-            "resets": self._resets})]
+        for estimate in self._core.tracked():
+            value, deviation, file_value = estimate.value, estimate.deviation, self._file_value(estimate)
+            level = LEVELS[estimate.status]
+            if estimate.status == "estimated":
+                text = f"{value:.4g} +/- {deviation:.2g} {estimate.unit}, vehicle file {file_value:.4g}"
+                if abs(value - file_value) > MAX_DEVIATION * deviation:
+                    level, text = diagnostics.WARN, f"{text}: the file does not fit the driving"
+            else:
+                state = "invalid" if estimate.status == "invalid" else "not estimated yet"
+                text = f"{state}: {estimate.reason}"
+            checks.append(Check(estimate.parameter, level, text, {
+                "value": value, "standard deviation": deviation, "vehicle file": file_value,
+                "status": estimate.status}))
+        if self._problem:
+            file = Check("vehicle file", diagnostics.WARN, f"{self._problem}; the previous values are kept", {})
+        else:
+            file = Check("vehicle file", diagnostics.OK, "as at the start", {"resets": self._resets})
+        return [*checks, file]
 
     def close(self) -> None:
         self._drain()

@@ -1,4 +1,4 @@
-"""Node predictor: at each tick, from the newest instant at which INS and steering are known, one path per model."""
+"""Node predictor: at each tick, predicts one path per model from the newest instant with INS and steering data."""
 
 import math
 import time
@@ -26,25 +26,25 @@ from ._ahead import CourseInput, PlanInput
 from ._bands import PredictionBands
 from ._inputs import Inputs
 
-# A longer step of the clock is a jump of the clock (a replay that was moved on), not an overrun.
-LONGEST_OVERRUN_NS = 10_000_000_000
-# Inputs are taken this often between ticks, so that a tick finds only a few milliseconds of them waiting [s].
+# A longer step is a jump of the clock (someone skipped ahead in a replay), not an overrun.
+MAX_OVERRUN_NS = 10_000_000_000
+# Queues are emptied this often between ticks, so that a tick has only a few milliseconds of input to process [s].
 DRAIN_PERIOD = 0.02
 STATUS_PERIOD = 1.0
-# Messages that wait for a slow reader. After a reader was stopped, Fast DDS resends all of them: live with 50, half a
-# megabyte per topic, a recorder stopped for 3 s received no prediction for a minute and a half, with 10 for 3 s.
-# A fast replay makes 100 predictions a second: a recorder delayed by 0.5 s lost 50 of 590 with 10, none with 1000.
+# Messages queued for a slow subscriber. Fast DDS resends the whole queue to a subscriber that was stopped: a recorder
+# stopped for 3 s then received nothing for 90 s at depth 50 (half a megabyte per topic), for 3 s at depth 10.
+# A fast replay makes 100 predictions a second: a recorder delayed by 0.5 s lost 50 of 590 at depth 10, none at 1000.
 LIVE_DEPTH, REPLAY_DEPTH = 10, 1000
 # Longest wait for samples as a share of the period, so that the next tick is not late.
-WAITING_SHARE = 0.5
-# A jump of the position stays a warning for this long [s].
+MAX_WAIT_SHARE = 0.5
+# A position jump is reported as a warning for this long [s].
 JUMP_WARNING_DURATION = 10.0
-# A tick that takes more than this share of its period is a warning: the machine is too slow or too busy.
-BUSY_SHARE = 0.5
+# A tick that takes a larger share of its period is a warning: the computer is too slow or too busy.
+BUSY_TICK_SHARE = 0.5
 
 
 class TickCounter:
-    """Counts ticks from the first one with known inputs; rclpy's timer keeps a grid and drops what it missed."""
+    """Counts ticks from the first one with inputs; rclpy's timer keeps its time grid and drops the ticks it missed."""
 
     def __init__(self) -> None:
         self.predicted = self.stale = self.overrun = self.slow = 0
@@ -52,15 +52,15 @@ class TickCounter:
         self._next_due_ns: int | None = None
         self._reported_overruns = 0
 
-    def missed(self, next_due_ns: int, period_ns: int) -> int:
-        """Ticks dropped since the last call. next_due_ns: when the timer is due next, on the node's clock."""
+    def count_missed(self, next_due_ns: int, period_ns: int) -> int:
+        """Number of ticks dropped since the last call. next_due_ns: next due time of the timer, on the node's clock."""
         before, self._next_due_ns = self._next_due_ns, next_due_ns
-        if before is None or not 0 < next_due_ns - before < LONGEST_OVERRUN_NS:
+        if before is None or not 0 < next_due_ns - before < MAX_OVERRUN_NS:
             return 0
         return max(0, round((next_due_ns - before) / period_ns) - 1)
 
     def count(self, missed: int, skipped: str | None) -> None:
-        """One tick, after `missed` others. skipped: None (predicted), "stale" or "slow"."""
+        """Count one tick that follows `missed` dropped ones. skipped: None (it predicted), "stale" or "slow"."""
         if not self._started and skipped == "stale":
             return
         if self._started:
@@ -74,12 +74,12 @@ class TickCounter:
             self.stale += 1
 
     def new_overruns(self) -> int:
-        """Overruns since the last call."""
+        """Number of overruns since the last call."""
         new, self._reported_overruns = self.overrun - self._reported_overruns, self.overrun
         return new
 
     def as_dict(self) -> dict[str, int]:
-        """The counts under the names of st_msgs/PredictorStatus."""
+        """The counts by field name of st_msgs/PredictorStatus."""
         return {
             "due": self.predicted + self.stale + self.overrun + self.slow,
             "predicted": self.predicted,
@@ -108,14 +108,14 @@ class PredictorNode(Node):
         self._skip: Skip | None = Skip("stale", "INS: nothing received yet")
         self._last_start_ns: int | None = None
         self._not_finite: set[str] = set()
-        self._jumps = 0  # of the position, reported so far
+        self._jumps = 0  # position jumps reported so far
         self._slowest_tick = 0.0
         self._state_age = math.nan  # as last published [s]
         self._state_ages: list[float] = []  # of the predictions since the last status [s]
         self._period = 1.0 / values.rate
-        # In simulated time the clock moves only when the executor runs, and nothing can arrive after an instant.
+        # Simulated time advances only while the executor runs, so waiting for later samples would be pointless.
         self._simulated = self.get_parameter("use_sim_time").value
-        self._wait = 0.0 if self._simulated else min(values.sample_wait, WAITING_SHARE * self._period)
+        self._wait = 0.0 if self._simulated else min(values.sample_wait, MAX_WAIT_SHARE * self._period)
         self.create_timer(DRAIN_PERIOD, self._inputs.drain, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._timer = self.create_timer(self._period, self._tick)
         self.create_timer(STATUS_PERIOD, self._publish_status)
@@ -125,19 +125,19 @@ class PredictorNode(Node):
             f"configuration {', '.join(h[:12] for h in dict.fromkeys(self._hash.values()))}; models {backend}")
 
     def _make_core(self, values: SimpleNamespace) -> str:
-        """Create the core with its models, their hashes and bands; returns a text on how the models are run."""
+        """Create the core with its models, hashes and bands; returns how the models are executed, for the log."""
         settings = params.prediction_settings(values)
         file = params.load_model(values, self._vehicle)
         models = [*values.models, *([file.model()] if file else [])]
-        found = params.checked(values, lambda: [get_model(model) for model in models])
-        runners, backend = compile_models(found if values.compiled else (), self._vehicle, settings)
-        self._core = params.checked(values, lambda: Predictor(self._vehicle, found, settings, runners))
+        loaded = params.checked(values, lambda: [get_model(model) for model in models])
+        runners, backend = compile_models(loaded if values.compiled else (), self._vehicle, settings)
+        self._core = params.checked(values, lambda: Predictor(self._vehicle, loaded, settings, runners))
         self._hash = dict.fromkeys(self._core.models, configuration_hash(self._vehicle, settings))
+        file_hashes = dict.fromkeys(self._core.models, "")
         if file:
-            self._hash[found[-1].name] = configuration_hash(self._vehicle, settings, file.hash)
-        own = {found[-1].name: file.hash} if file else {}
-        hashes = {m: own.get(m, "") for m in self._core.models}
-        self._bands = PredictionBands(values, self._vehicle, hashes, settings, found, runners)
+            file_hashes[loaded[-1].name] = file.hash
+            self._hash[loaded[-1].name] = configuration_hash(self._vehicle, settings, file.hash)
+        self._bands = PredictionBands(values, self._vehicle, file_hashes, settings, loaded, runners)
         return backend or "on Python floats"
 
     def _make_publishers(self) -> None:
@@ -163,31 +163,31 @@ class PredictorNode(Node):
     def _tick(self) -> None:
         period_ns = round(self._period / NANOSECOND)
         next_due_ns = self.get_clock().now().nanoseconds + self._timer.time_until_next_call()
-        missed = self._counter.missed(next_due_ns, period_ns)
-        # A state just before the next sample is one period of its signal older than one just after.
+        missed = self._counter.count_missed(next_due_ns, period_ns)
+        # A state just before the arrival of a sample is one sample period older than one just after it.
         self._inputs.wait(next_due_ns - period_ns, self._wait)
         began = time.perf_counter()
-        start = self._start(self.get_clock().now().nanoseconds)
+        start = self._find_start(self.get_clock().now().nanoseconds)
         before, self._skip = self._skip, start if isinstance(start, Skip) else None
         self._counter.count(missed, self._skip.kind if self._skip else None)
         if isinstance(start, Start):
             self._predict(start)
-        self._bands.score()
+        self._bands.observe_scores()
         if self._skip and self._simulated:
-            self._publish_status()  # a player of recordings waits for the end of every tick
+            self._publish_status()  # the player of `st replay` waits for every tick to end
         if (before and before.kind) != (self._skip and self._skip.kind) or self._jumps != self._core.history.jumps:
             self._jumps = self._core.history.jumps
             self._diagnostics.publish()
         self._slowest_tick = max(self._slowest_tick, time.perf_counter() - began)
 
-    def _start(self, now_ns: int) -> Start | Skip:
+    def _find_start(self, now_ns: int) -> Start | Skip:
         start = self._core.start(now_ns)
         if isinstance(start, Skip):
             return start
         before, self._last_start_ns = self._last_start_ns, start.time_ns
         if start.time_ns != before:
             return start
-        # A repeated prediction is useless to a planner and would count twice in the statistics.
+        # Repeating a prediction is useless to a planner and would count twice in the statistics.
         signal, age = max(self._core.ages(now_ns).items(), key=lambda item: item[1])
         return Skip("stale", f"{signal}: nothing new since the last tick, newest sample is {age:.2f} s old")
 
@@ -195,14 +195,14 @@ class PredictorNode(Node):
         self._plan.drain()
         before = bool(self._plan.problem), self._course.used
         issued: dict[str, dict[Mode, Trajectory]] = {model: {} for model in self._outputs}
-        ahead: dict[Mode, InputSequence] = {}
+        modes: list[Mode] = ["forecast", "hindsight"]
         if planned := self._plan.at(self._core, start):
-            ahead["plan"] = planned[0]
-        if (remembered := self._course.at(self._core, start)) is not None:
-            ahead["course"] = remembered
-        for mode, inputs in ahead.items():
-            self._publish_other(start, mode, inputs, planned[1] if planned and mode == "plan" else 0, issued)
-        paths, bands = [], self._bands.at(self._core.history, start.time_ns, ("forecast", "hindsight", *ahead))
+            self._publish_planned(start, "plan", *planned, issued)
+            modes.append("plan")
+        if (inputs := self._course.at(self._core, start)) is not None:
+            self._publish_planned(start, "course", inputs, 0, issued)
+            modes.append("course")
+        paths, bands = [], self._bands.messages_at(self._core.history, start.time_ns, modes)
         for model, (path_publisher, prediction_publisher) in self._outputs.items():
             began = time.perf_counter()
             trajectory = self._core.run(start, model)
@@ -218,21 +218,21 @@ class PredictorNode(Node):
             self._state_ages.append((now.nanoseconds - start.time_ns) * NANOSECOND)
             issued[model]["forecast"] = trajectory
             paths.append((model, path_publisher, trajectory, car))
-        # A planner reads predictions, a viewer paths: filling one takes longer than all models together.
+        # Paths come last: only viewers read them, and filling one takes longer than running all models.
         for model, path_publisher, trajectory, car in paths:
             if np.isfinite(trajectory.states).all():
                 path_publisher.publish(self._path.fill(start.time_ns, trajectory, car))
                 self._not_finite.discard(model)
             else:
-                # Viewers cannot draw it; the evaluator counts it as incomplete.
+                # Viewers cannot draw it; the evaluator scores it as incomplete.
                 self._not_finite.add(model)
-        self._bands.keep(start, issued)
+        self._bands.add_predictions(start, issued)
         if before != (bool(self._plan.problem), self._course.used):
             self._diagnostics.publish()
 
-    def _publish_other(self, start: Start, mode: Mode, inputs: InputSequence, plan_ns: int,
-                       issued: dict[str, dict[Mode, Trajectory]]) -> None:
-        """Predictions of all models with the inputs of a plan or course, added to `issued`."""
+    def _publish_planned(self, start: Start, mode: Mode, inputs: InputSequence, plan_ns: int,
+                         issued: dict[str, dict[Mode, Trajectory]]) -> None:
+        """Publish predictions of all models with the inputs of a plan or course, and add them to `issued`."""
         for model in self._outputs:
             began = time.perf_counter()
             own = self._core.model_inputs(model, inputs)
@@ -255,7 +255,7 @@ class PredictorNode(Node):
         self._status_publisher.publish(message)
 
     def _reason(self) -> str:
-        return self._inputs.why(self._skip.reason) if self._skip else ""
+        return self._inputs.explain(self._skip.reason) if self._skip else ""
 
     def _checks(self) -> list[Check]:
         counts = self._counter.as_dict()
@@ -270,7 +270,7 @@ class PredictorNode(Node):
         shown = {f"age {signal} [s]": age for signal, age in ages.items() if math.isfinite(age)}
         slowest, self._slowest_tick = self._slowest_tick, 0.0
         overrun = self._counter.new_overruns()
-        late = overrun > 0 or slowest > BUSY_SHARE * self._period
+        late = overrun > 0 or slowest > BUSY_TICK_SHARE * self._period
         timing = f"slowest tick {slowest * 1e3:.1f} ms" + (f", {overrun} ticks skipped by overrun" if overrun else "")
         return [
             Check("prediction", level, text, {**counts, **shown}),

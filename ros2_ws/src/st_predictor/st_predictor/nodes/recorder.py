@@ -27,24 +27,24 @@ from .. import convert, params
 from ._bag import is_whole, open_bag, recording_check
 
 NICE = 5  # behind bridges and predictor: a third of an equal share
-# The queues are emptied this often; each message carries the time it arrived.
+# The queues are emptied this often [s]; each message carries the time it arrived.
 WORK_PERIOD = 0.05
-LOOK_PERIOD = 0.25
+TOPIC_SCAN_PERIOD = 0.25  # s
 # After a full disk: interval between checks for free space [s], and the space needed for a new bag [bytes].
 RESUME_PERIOD, RESUME_SPACE = 5.0, 200_000_000
 # A resumed recording stays a warning for this long [s].
 RESUME_WARNING_DURATION = 10.0
 DIAGNOSTICS = "/diagnostics"
-# Every node publishes /diagnostics once a second; a node from which nothing arrives for this long is reported [s].
+# Every node publishes /diagnostics once a second; a node silent for this long is reported [s].
 SILENCE_TIMEOUT = 10.0
-# Waiting messages per topic: four seconds at 250 Hz, should the disk be slow.
+# Queued messages per topic: four seconds at 250 Hz, for a slow disk.
 QUEUE_DEPTH = 1000
 
 
 class PublisherWatchdog:
-    """Nodes that publish a topic which `node` records, but from which nothing arrives.
+    """Finds nodes that publish a recorded topic but from which nothing arrives.
 
-    DDS matches publishers and subscriptions; only messages show whether data arrive.
+    DDS may match a publisher with a subscription that never receives its data; only messages prove the connection.
     """
 
     def __init__(self, node: Node):
@@ -60,19 +60,19 @@ class PublisherWatchdog:
             message = deserialize_message(data, DiagnosticArray)
             self._node_times.update((status.name.partition(": ")[0], now) for status in message.status)
 
-    def silent(self, topics: Iterable[str]) -> dict[str, float]:
-        """Seconds since the last message of each node that publishes on `topics` and was silent for SILENCE_TIMEOUT."""
+    def silent_nodes(self, topics: Iterable[str]) -> dict[str, float]:
+        """Seconds of silence by node, for nodes that publish on `topics` and are silent beyond SILENCE_TIMEOUT."""
         now = time.monotonic()
-        own: dict[str, list[str]] = {}
+        node_topics: dict[str, list[str]] = {}
         for topic in topics:
             names = {topic if info.node_name.startswith(UNRESOLVED_PREFIX) else info.node_name
                      for info in self._node.get_publishers_info_by_topic(topic)
                      if info.qos_profile.durability == DurabilityPolicy.VOLATILE}  # latched topics are published once
             if len(names) == 1:  # on a topic of several publishers, a message does not name its publisher
-                own.setdefault(names.pop(), []).append(topic)
-        self._since = {name: self._since.get(name, now) for name in own}
+                node_topics.setdefault(names.pop(), []).append(topic)
+        self._since = {name: self._since.get(name, now) for name in node_topics}
         last = {name: max(self._since[name], self._node_times.get(name, 0.0),
-                          *(self._topic_times.get(topic, 0.0) for topic in its)) for name, its in own.items()}
+                          *(self._topic_times.get(topic, 0.0) for topic in own)) for name, own in node_topics.items()}
         return {name: now - at for name, at in sorted(last.items()) if now - at > SILENCE_TIMEOUT}
 
 
@@ -82,7 +82,7 @@ class RecorderNode(Node):
         values = parameters.declare(self, params.RECORDER)
         if not values.output_directory:
             raise ConfigurationError(f"{values.where}output_directory: not given; name a new directory for the bag")
-        self._patterns = [self._absolute(topic) for topic in values.topics]
+        self._patterns = [self._resolve(topic) for topic in values.topics]
         self._values, self._records = values, metadata_records(values)
         self._bag = open_bag(values, self._records)
         self._stopped = ""  # why an earlier bag of this run ended
@@ -94,23 +94,21 @@ class RecorderNode(Node):
         self._simulated_time = self.get_parameter("use_sim_time").value
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(WORK_PERIOD, self._work, clock=steady)
-        self.create_timer(LOOK_PERIOD, self._subscribe_new, clock=steady)
+        self.create_timer(TOPIC_SCAN_PERIOD, self._subscribe_new, clock=steady)
         self._diagnostics = Diagnostics(self, str(self._bag.directory), self._checks)
         self._subscribe_new()
         self.get_logger().info(f"recording into {self._bag.directory}")
 
-    def _absolute(self, pattern: str) -> str:
+    def _resolve(self, pattern: str) -> str:
         return pattern if pattern.startswith("/") else f"{self.get_namespace().rstrip('/')}/{pattern}"
 
     def _subscribe_new(self) -> None:
         """Subscribe to new topics that match the patterns."""
         for topic, types in self.get_topic_names_and_types():
-            if topic in self._recorded or topic in self._refused:
-                continue
-            if any(fnmatchcase(topic, pattern) for pattern in self._patterns):
-                publishers = self.get_publishers_info_by_topic(topic)
-                if publishers:
-                    self._subscribe(topic, types, publishers)
+            is_new = topic not in self._recorded and topic not in self._refused
+            matches = any(fnmatchcase(topic, pattern) for pattern in self._patterns)
+            if is_new and matches and (publishers := self.get_publishers_info_by_topic(topic)):
+                self._subscribe(topic, types, publishers)
 
     def _subscribe(self, topic: str, types: list[str], publishers: list[TopicEndpointInfo]) -> None:
         if len(types) != 1:
@@ -142,8 +140,7 @@ class RecorderNode(Node):
             self._resume()
 
     def _resume(self) -> None:
-        """Resume in a new bag: after a full disk as soon as there is space, at once if the directory was renamed or
-        deleted."""
+        """Resume in a new bag: at once if the directory was renamed or deleted, else as soon as the disk has space."""
         now = time.monotonic()
         if self._resume_at == float("inf"):
             self._resume_at = now if self._bag.moved else now + RESUME_PERIOD
@@ -151,7 +148,7 @@ class RecorderNode(Node):
             return
         self._resume_at = now + RESUME_PERIOD
         with contextlib.suppress(OSError, ConfigurationError):
-            if shutil.disk_usage(_existing(self._bag.directory)).free < RESUME_SPACE:
+            if shutil.disk_usage(_nearest_existing(self._bag.directory)).free < RESUME_SPACE:
                 return
             self._resume_at = float("inf")
             bag = open_bag(self._values, self._records)
@@ -174,8 +171,8 @@ class RecorderNode(Node):
     def _publishers_check(self) -> Check:
         if DIAGNOSTICS not in self._recorded:
             return Check("senders", diagnostics.OK, f"not judged: {DIAGNOSTICS} is not recorded")
-        self._work()  # waiting messages count as received, should this node itself have been delayed
-        silent = self._watchdog.silent(self._recorded)
+        self._work()  # queued messages count as received, in case this node itself was delayed
+        silent = self._watchdog.silent_nodes(self._recorded)
         if silent:
             silences = ", ".join(f"{name} for {seconds:.0f} s" for name, seconds in silent.items())
             return Check("senders", diagnostics.WARN, f"nothing recorded from {silences}, no /diagnostics either")
@@ -183,7 +180,7 @@ class RecorderNode(Node):
 
     @property
     def exit_status(self) -> int:
-        """1 when the recording is not whole."""
+        """1 if the recording has a gap or was not written completely, else 0."""
         return int(bool(self._stopped) or not is_whole(self._bag))
 
     def close(self) -> None:
@@ -193,13 +190,13 @@ class RecorderNode(Node):
             self.get_logger().error(self._bag.error)
 
 
-def _existing(folder: Path) -> Path:
+def _nearest_existing(folder: Path) -> Path:
     """The folder, or its nearest existing parent."""
     return next(place for place in (folder, *folder.parents) if place.exists())
 
 
 def metadata_records(values: SimpleNamespace) -> dict[str, dict[str, str]]:
-    """Metadata records of the bag: texts and hashes of the configuration files, then the entries of `metadata_json`.
+    """Metadata records of the bag: texts and common hash of the configuration files, and entries of `metadata_json`.
 
     Raises ConfigurationError naming the file or the parameter.
     """
@@ -228,7 +225,7 @@ def metadata_records(values: SimpleNamespace) -> dict[str, dict[str, str]]:
 
 
 def configuration_keys(files: Sequence[str]) -> dict[str, str]:
-    """Key of each file's text: its name, with as many parent folders as make it unique."""
+    """Unique key of each file: its name, preceded by as many parent folders as necessary."""
     paths = {name: Path(name).absolute() for name in files if name}
     keys = {}
     for name, path in paths.items():
@@ -241,7 +238,7 @@ def configuration_keys(files: Sequence[str]) -> dict[str, str]:
 
 
 def matching_qos(publishers: list[TopicEndpointInfo]) -> QoSProfile:
-    """The strictest QoS that matches all publishers: reliable and transient local only where every one of them is."""
+    """The strictest QoS that matches all publishers: reliable or transient local only if all of them are."""
     profiles = [p.qos_profile for p in publishers]
     reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
     latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
