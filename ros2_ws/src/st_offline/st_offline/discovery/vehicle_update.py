@@ -26,13 +26,13 @@ from st_recordings.car_skeleton import STABILITY_SPEEDS
 
 from .drives import Request
 
-HORIZON, STEP, EVERY = 5.0, 0.05, 5.0  # s: predictions the two descriptions are compared by, and between their starts
-SLOWEST = 1.5  # m/s
-SAME = 1e-3  # m, rad; at every start, at the end of the horizon
-NEARLY_SAME = 0.02  # m, mean: two models of which one has corrections that have no meaning
+HORIZON, STEP, INTERVAL = 5.0, 0.05, 5.0  # s, of the predictions that are compared, and between their starts
+MIN_SPEED = 1.5  # m/s, at a start
+SAME_POSE = 1e-3  # m, rad; difference of two predictions at the end of the horizon that counts as none
+SIMILAR_POSITION = 0.02  # m, mean difference up to which effective corrections are kept beside another vehicle file
 SIGNIFICANT = 0.05  # p-value of a paired t-test over the starts of a drive, which do not overlap
-DIGITS = 6
-SAME_VALUE = 1e-5  # relative: DIGITS are written
+DIGITS = 6  # of a written value
+SAME_VALUE = 1e-5  # relative difference that rounding to DIGITS makes at most
 SLIP_SPEED = "minimum_slip_speed"
 KEYS = (*VEHICLE_QUANTITIES, *(f"{tyre}.{key}" for tyre in TYRES for key in TYRE_QUANTITIES))
 Values = Mapping[str, Mapping[str, float]]
@@ -98,7 +98,7 @@ def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
             errors = _errors(without(found.named, more), car, drives)
         except StCoreError:  # no car, or one beyond the limits of a vehicle file
             continue
-        if all(a.shape == b.shape and np.allclose(a, b, rtol=0.0, atol=SAME, equal_nan=True)
+        if all(a.shape == b.shape and np.allclose(a, b, rtol=0.0, atol=SAME_POSE, equal_nan=True)
                for a, b in zip(errors, expected, strict=True)):
             folded = more
         else:
@@ -166,7 +166,7 @@ def _remaining(found: Discovery, car: VehicleParameters, folded: Sequence[type[E
     model = found.model.with_values(values)
     off = np.concatenate([a - b for a, b in zip(_errors(model, car, drives), _errors(found.model, vehicle, drives),
                                                 strict=True)])
-    return model if np.nanmean(np.hypot(off[:, 0], off[:, 1])) < NEARLY_SAME else without(found.named, folded)
+    return model if np.nanmean(np.hypot(off[:, 0], off[:, 1])) < SIMILAR_POSITION else without(found.named, folded)
 
 
 def _changes(vehicle: VehicleParameters, other: VehicleParameters) -> dict[str, tuple[float, float]]:
@@ -208,7 +208,7 @@ def _errors(model: AugmentedModel, vehicle: VehicleParameters, drives: Sequence[
         if drive.steering_wheel_angle is not None:
             log = replace(drive, road_wheel_angle=vehicle.road_wheel_angle(drive.steering_wheel_angle))
         signals = LogSignals(log, 0.1, 5.0)
-        starts, _ = usable_starts(signals, vehicle, regular_starts(log, EVERY), SLOWEST)
+        starts, _ = usable_starts(signals, vehicle, regular_starts(log, INTERVAL), MIN_SPEED)
         batch = LogBatch(signals, starts, HORIZON, STEP, points=(HORIZON,), substeps="auto")
         found.append(batch.errors(batch.predict(model, vehicle))[:, -1, :])
     return found
