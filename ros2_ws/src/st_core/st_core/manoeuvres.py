@@ -10,20 +10,17 @@ Checked by: test_manoeuvres.py, tests/bench/test_discovery_manoeuvres.py.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
 UNDERSTEER = 0.004
 """rad s^2/m: assumed understeer K of a car that is not known."""
 
-
-class Shape(Protocol):
-    """Share of the target lateral acceleration at a time [s] within one period, -1 to 1."""
-
-    def __call__(self, time: np.ndarray) -> np.ndarray: ...
+Shape = Callable[[np.ndarray], np.ndarray]
+"""Share of the target lateral acceleration, -1 to 1, at times [s] within one period."""
 
 
 @dataclass(frozen=True)

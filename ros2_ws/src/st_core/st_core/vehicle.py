@@ -37,22 +37,18 @@ class Quantity:
         return f"{self.minimum:g} to {self.maximum:g} {self.si_unit}".removesuffix(" 1")
 
 
-def _quantity(unit: str, minimum: float, maximum: float, required: bool = True) -> Quantity:
-    return Quantity({unit: 1.0}, minimum, maximum, required)
-
-
-def _optional(unit: str, minimum: float, maximum: float, usual: float) -> Quantity:
-    return Quantity({unit: 1.0}, minimum, maximum, required=False, usual=usual)
+def _quantity(unit: str, minimum: float, maximum: float, required: bool = True, usual: float = math.nan) -> Quantity:
+    return Quantity({unit: 1.0}, minimum, maximum, required and math.isnan(usual), usual)
 
 
 # Limits are wide on purpose: they catch a wrong unit or a slipped digit, from a go-kart to a loaded truck.
 FOR_EFFECTS = {
-    "track_width": _optional("m", 0.3, 4.0, usual=1.54),
-    "drive_front": _optional("1", 0.0, 1.0, usual=1.0),
-    "brake_front": _optional("1", 0.0, 1.0, usual=0.65),
-    "load_transfer_front": _optional("1", 0.0, 1.0, usual=0.55),
-    "side_area": _optional("m^2", 0.1, 60.0, usual=2.5),
-    "side_force_arm": _optional("m", -5.0, 5.0, usual=0.25),
+    "track_width": _quantity("m", 0.3, 4.0, usual=1.54),
+    "drive_front": _quantity("1", 0.0, 1.0, usual=1.0),
+    "brake_front": _quantity("1", 0.0, 1.0, usual=0.65),
+    "load_transfer_front": _quantity("1", 0.0, 1.0, usual=0.55),
+    "side_area": _quantity("m^2", 0.1, 60.0, usual=2.5),
+    "side_force_arm": _quantity("m", -5.0, 5.0, usual=0.25),
 }
 """Optional quantities, for some effects only. The defaults are those of a front-wheel drive passenger car."""
 VEHICLE_QUANTITIES = {
@@ -172,12 +168,12 @@ class VehicleParameters:
     provenance: Mapping[str, Provenance] = field(default_factory=dict, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        _check_all("", self, VEHICLE_QUANTITIES)
+        _check_limits("", self, VEHICLE_QUANTITIES)
         if not self.cg_to_front_axle < self.wheelbase:
             raise ConfigurationError(f"cg_to_front_axle: {self.cg_to_front_axle:g} m is not below wheelbase "
                                      f"{self.wheelbase:g} m; the CG lies between the axles, correct one of the two")
         for tyre in TYRES:
-            _check_all(f"{tyre}.", getattr(self, tyre), TYRE_QUANTITIES)
+            _check_limits(f"{tyre}.", getattr(self, tyre), TYRE_QUANTITIES)
 
     @property
     def cg_to_rear_axle(self) -> float:
@@ -348,23 +344,15 @@ def _read_one(key: str, entry: Any, quantity: Quantity, notes: _Notes) -> float:
         raise ConfigurationError(f"{key}: {value!r} is not a number (1.0e+3, not 1e3); limit {quantity.limit()}")
     if not isinstance(entry["source"], str) or not entry["source"].strip():
         raise ConfigurationError(f"{key}: source {entry['source']!r} is not a text; state where the value comes from")
-    si = float(value) * quantity.units[unit]
-    _check_bounds(key, si, quantity)
     notes.sources[key] = entry["source"]
     provenance = read_provenance(key, entry, quantity.units[unit])
     if provenance is not None:
         notes.provenance[key] = provenance
-    return si
+    return float(value) * quantity.units[unit]
 
 
-def _check_all(prefix: str, values: Any, quantities: Mapping[str, Quantity]) -> None:
-    # A fit creates a car at each step, so calls and texts are avoided for valid values.
+def _check_limits(prefix: str, values: Any, quantities: Mapping[str, Quantity]) -> None:
     for key, quantity in quantities.items():
         value = getattr(values, key)
-        if not quantity.minimum <= value <= quantity.maximum:
-            _check_bounds(prefix + key, value, quantity)
-
-
-def _check_bounds(key: str, value: float, quantity: Quantity) -> None:
-    if not quantity.minimum <= value <= quantity.maximum:  # NaN is outside too
-        raise ConfigurationError(f"{key}: {value:g} is outside {quantity.limit()}; check value and unit")
+        if not quantity.minimum <= value <= quantity.maximum:  # NaN is outside too
+            raise ConfigurationError(f"{prefix}{key}: {value:g} is outside {quantity.limit()}; check value and unit")
