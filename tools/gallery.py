@@ -162,7 +162,7 @@ def _frame(results: Results, predictions: dict[str, Predictions], car: VehiclePa
             errors.plot(end[known], scores.lateral[known], color=MODEL_COLOUR[model])
     errors.axhline(0.0, color="k", lw=0.6)
     errors.set(xlim=(first, last), ylim=(-0.7, 0.7), xlabel="time, s", ylabel="m (+ = predicted left)")
-    errors.set_title("mean lateral error of the 5 s just over\n(hindsight: measured inputs)")
+    errors.set_title("mean lateral error over the last 5 s\n(hindsight: measured inputs)")
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     image = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")

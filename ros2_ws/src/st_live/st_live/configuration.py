@@ -1,5 +1,7 @@
-"""Parameters of the nodes of a run: config/nodes.yaml, car, bus, a further model, bands and course, checked first; and
-the virtual Leaf on a free UDP port and CAN group of the loopback interface."""
+"""Checks and assembles the node parameters of a run: config/nodes.yaml, car, bus, model file, bands and course.
+
+Also starts the virtual Leaf on a free UDP port and CAN group of the loopback interface.
+"""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -31,7 +33,7 @@ LEAF_TIMEOUT = 20.0  # s until the virtual Leaf sends
 
 
 def vehicle_file(given: Path | None) -> Path:
-    """Absolute path of the vehicle file of a run, by default the Leaf's. Raises RunError and StCoreError, one line."""
+    """Absolute path of the checked vehicle file, by default the Leaf's. Raises RunError and StCoreError."""
     path = (given or config("vehicle/leaf.yaml")).absolute()
     read_vehicle(path)
     return path
@@ -92,7 +94,7 @@ def replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfigurati
     replayed = {"vehicle_file": str(vehicle), "use_sim_time": True}
     before = {node: recorded.nodes.get(node, {}) for node in ("predictor", "evaluator")}
     merged = merge(config("nodes.yaml"), {
-        # The files of the recorded run may have moved or changed; `add_files` sets them for this run.
+        # The files named in the recording may have moved or changed; `add_files` sets those of this run.
         "predictor": {**before["predictor"], **replayed, "bands_file": "", "course_file": ""},
         "evaluator": {**before["evaluator"], **replayed, "output_directory": str(folder / "errors")},
         "recorder": {"use_sim_time": True, "output_directory": str(folder / "bag"),
@@ -104,8 +106,8 @@ def replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfigurati
 def model_parameters(model: Path | None, effects: Path | None, vehicle: Path) -> Parameters:
     """Parameters of predictor and evaluator for a model file in addition to the three models; empty without one.
 
-    effects: folder of own effects of the model file. Raises SuiteError, StCoreError and RunError, one line, for a file
-    that is not a model, or has values of another car than the vehicle file.
+    effects: folder of own effects of the model file. Raises SuiteError, StCoreError and RunError for a file that
+    is not a model, or is of another car than the vehicle file.
     """
     if model is None and effects is None:
         return {}
@@ -118,8 +120,8 @@ def model_parameters(model: Path | None, effects: Path | None, vehicle: Path) ->
 def load_model(model: Path | None, effects: Path | None, car: VehicleParameters, origin: str) -> Model:
     """The model of a model file, by default the nonlinear one. effects: folder of own effects of the model file.
 
-    origin: of the car, for messages. Raises SuiteError and StCoreError, one line, for a file that is not a model or is
-    of another car, and for effects without a model file.
+    origin: of the car, for messages. Raises SuiteError and StCoreError for a file that is not a model or is of another
+    car, and for effects without a model file.
     """
     if model is None:
         if effects is not None:
@@ -127,7 +129,7 @@ def load_model(model: Path | None, effects: Path | None, car: VehicleParameters,
         return MODELS["nonlinear"]
     if effects is not None:
         load_folder(str(effects.absolute()))
-    file = _parsed("--model", model, ModelFile.from_yaml)
+    file = _read_option("--model", model, ModelFile.from_yaml)
     try:
         file.check_vehicle(car, origin)
     except StCoreError as error:
@@ -137,28 +139,28 @@ def load_model(model: Path | None, effects: Path | None, car: VehicleParameters,
 
 def add_files(parameters: Parameters, bands: Path | None, course: Path | None,
               adaptive: bool | None = None) -> dict[str, dict[str, Any]]:
-    """The parameters with a bands file and a course for the predictor; without one its own stays.
+    """The parameters with bands file and course of the predictor replaced by those given.
 
-    adaptive: whether bands follow the errors of the run; None: as it is. Raises SuiteError, one line, for a file that
-    cannot be read, and for bands of another car, model or configuration.
+    adaptive: whether bands follow the errors of the run; None: unchanged. Raises SuiteError for a file that cannot be
+    read, and for bands of another car, model or configuration.
     """
-    copy = {node: {**values} for node, values in parameters.items()}
-    predictor, recorder = copy["predictor"], copy["recorder"]
+    changed = {node: {**values} for node, values in parameters.items()}
+    predictor, recorder = changed["predictor"], changed["recorder"]
     if adaptive is not None:
         predictor["adaptive_bands"] = adaptive
     if bands:
         _check_bands(bands, predictor)
     if course:
-        _parsed("--course", course, Course.from_yaml)
+        _read_option("--course", course, Course.from_yaml)
     for name, file in (("bands_file", bands), ("course_file", course)):
         if file:
             predictor[name] = str(file.absolute())
             recorder["configuration_files"] = [*recorder["configuration_files"], str(file.absolute())]
-    return copy
+    return changed
 
 
-def _parsed(option: str, file: Path, parse: Callable[[str, str], T]) -> T:
-    """The content of a file given as an option. Raises SuiteError, one line."""
+def _read_option(option: str, file: Path, parse: Callable[[str, str], T]) -> T:
+    """The parsed content of a file given as an option. Raises SuiteError naming option and file."""
     try:
         return parse(file.read_text(encoding="utf-8"), str(file))
     except (OSError, UnicodeDecodeError) as error:
@@ -168,11 +170,11 @@ def _parsed(option: str, file: Path, parse: Callable[[str, str], T]) -> T:
 
 
 def _check_bands(bands: Path, predictor: Mapping[str, Any]) -> None:
-    file = _parsed("--bands", bands, Bands.from_yaml)
+    file = _read_option("--bands", bands, Bands.from_yaml)
     car = read_vehicle(Path(predictor["vehicle_file"]))
     hashes = dict.fromkeys(predictor["models"], "")  # of the model file; "" for a built-in model
     if name := predictor.get("model_file"):
-        model = _parsed("--model", Path(name), ModelFile.from_yaml)
+        model = _read_option("--model", Path(name), ModelFile.from_yaml)
         hashes[model.model().name] = model.hash
     settings = {name: predictor[name] for name in PredictionSettings.__dataclass_fields__ if name in predictor}
     try:
@@ -213,7 +215,7 @@ class VirtualCar:
             raise SuiteError(str(error)) from None
 
     def bridge_parameters(self) -> dict[str, dict[str, Any]]:
-        # config/nodes.yaml may describe the sensor of a real car; this one is that of the signal table.
+        # config/nodes.yaml may describe the sensor of a real car; the virtual one follows the signal table.
         bus = {"interface": "udp_multicast", "channel": self.channel, "steering_sign": 1, "steering_latency": 0.0}
         return bridge_parameters(self.vehicle, {"udp_port": self.port, "bind_address": "127.0.0.1"}, bus)
 

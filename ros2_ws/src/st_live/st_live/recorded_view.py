@@ -1,4 +1,4 @@
-"""Draws a recorded run into a Rerun recording (.rrd), one picture per 0.1 s of the recording."""
+"""Draws a recorded run into a Rerun recording (.rrd), with one picture per 0.1 s."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -24,11 +24,11 @@ from .configuration import recordings_of
 
 TIMELINE = "measured"
 PLOT_SPAN = 40.0  # s
-# Metres around the car, heading up: 5 s ahead at town speed, and some of the track behind.
-AHEAD, BEHIND, ASIDE = 44.0, 16.0, 34.0
+# Metres shown around the car, heading up: 5 s ahead at town speed, and some of the track behind.
+AHEAD, BEHIND, SIDEWAYS = 44.0, 16.0, 34.0
 AROUND, GRID = 50.0, 20.0  # metres shown around the car on the map, and between the lines of its grid
 PLOTS = {
-    "lateral": "lateral error of the 5 s just over, m (+ predicted left)",
+    "lateral": "lateral error over the last 5 s, m (+ predicted left)",
     "longitudinal": "longitudinal error, m (+ predicted ahead)",
     "steering": "road wheel angle, deg (left +)",
     "speed": "speed, m/s",
@@ -40,14 +40,14 @@ LIGHT_GREY = (228, 228, 228)
 GHOST_STRENGTH = 0.4  # 1: full colour, 0: paper
 GHOST_STRIDE, TRACK_STRIDE, RIBBON_STRIDE = 5, 2, 2  # every n-th point is drawn
 RIBBON_STRENGTH = {0.9: 0.13, 0.5: 0.28}
-# Half the width of a line in points of the screen, the same at every zoom.
+# Half the line width in screen points, the same at every zoom.
 THIN, THICK, TRACK = (rr.Radius.ui_points(points) for points in (0.6, 1.8, 4.0))
-# Each model narrower and above the one before: all are visible where models agree.
+# Each model is drawn narrower and above the previous one, so that all are visible where they agree.
 MODEL_WIDTHS = tuple(rr.Radius.ui_points(points) for points in (3.2, 2.0, 1.0, 0.6))
-Place = Callable[[np.ndarray, np.ndarray], np.ndarray]  # map x, y to the screen
+Projection = Callable[[np.ndarray, np.ndarray], np.ndarray]  # map x, y to the screen
 Pose = tuple[float, float, float]
 PERIOD_NS = 100_000_000
-FLUSH = 5.0  # s; few large chunks load quickly
+FLUSH = 5.0  # s between writes; few large chunks load quickly
 TEXT_PERIOD_NS = 1_000_000_000
 MODELS = ("kinematic", "linear", "nonlinear", "augmented")
 LEVELS = ("ok", "warning", "**error**", "stale")
@@ -70,7 +70,7 @@ def blueprint() -> rrb.Blueprint:
 
     ahead = rrb.Spatial2DView(
         origin="ahead", name="Heading up (10 m rings)", background=WHITE,
-        visual_bounds=rrb.VisualBounds2D(x_range=[-ASIDE, ASIDE], y_range=[-AHEAD, BEHIND]))
+        visual_bounds=rrb.VisualBounds2D(x_range=[-SIDEWAYS, SIDEWAYS], y_range=[-AHEAD, BEHIND]))
     around = rrb.Spatial2DView(
         origin="map", name=f"Map (north up, {GRID:.0f} m grid)", background=WHITE,
         visual_bounds=rrb.VisualBounds2D(x_range=[-AROUND, AROUND], y_range=[-AROUND, AROUND]))
@@ -103,7 +103,7 @@ def heading_up(x, y, pose: Pose) -> np.ndarray:
 
 
 def grid(pose: Pose, spacing: float, reach: float) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Lines (x, y) [m] of the map's own grid within `reach` of the car."""
+    """Grid lines (x, y) of the map within `reach` of the car [m]."""
     lines = []
     for axis in (0, 1):
         first = np.ceil((pose[axis] - reach) / spacing) * spacing
@@ -123,9 +123,9 @@ def recording(name: str, flush: float, *sinks: Any) -> rr.RecordingStream:
 
 
 class Scene:
-    """Draws into a recording: a map with north up, and a picture with the heading up. car: for the outline.
+    """Draws into a recording: a map with north up, and a picture with the heading up.
 
-    Both are in screen axes (x right, y down, as Rerun's 2D views have them).
+    Both are in the screen axes of Rerun's 2D views (x right, y down). car: for the outline.
     """
 
     def __init__(self, recording: rr.RecordingStream, car: VehicleParameters):
@@ -136,7 +136,7 @@ class Scene:
         rings = [np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1) for r in RINGS]
         recording.log("ahead/rings", rr.LineStrips2D(rings, colors=[LIGHT_GREY], radii=THIN, draw_order=-1.0),
                       static=True)
-        # Ahead to the right, where a path is rarely drawn.
+        # Ahead to the right, where paths are rarely drawn.
         recording.log("ahead/ring_names", rr.Points2D(
             [(0.7 * r, -0.7 * r) for r in RINGS[1::2]], radii=THIN, colors=[(120, 120, 120)],
             labels=[f"{r} m" for r in RINGS[1::2]], show_labels=True), static=True)
@@ -149,7 +149,7 @@ class Scene:
 
     def motion(self, time_ns: int, velocity_x: float, yaw_rate: float, road_wheel_angle: float | None) -> None:
         """Points of the plots; road_wheel_angle in rad, None while unknown."""
-        self._at(time_ns)
+        self._set_time(time_ns)
         self._rr.log("plots/speed/measured", rr.Scalars([velocity_x]))
         self._rr.log("plots/lateral_acceleration/measured", rr.Scalars([velocity_x * yaw_rate]))
         if road_wheel_angle is not None:
@@ -161,12 +161,12 @@ class Scene:
             self._scored.add(model)
             for quantity in ("lateral", "longitudinal"):
                 self._series(f"plots/{quantity}/{model}", model, colour_of(model))
-        self._at(end_ns)
+        self._set_time(end_ns)
         self._rr.log(f"plots/lateral/{model}", rr.Scalars([lateral]))
         self._rr.log(f"plots/longitudinal/{model}", rr.Scalars([longitudinal]))
 
     def text(self, time_ns: int, markdown: str) -> None:
-        self._at(time_ns)
+        self._set_time(time_ns)
         self._rr.log("text", rr.TextDocument(markdown, media_type="text/markdown"))
 
     def paths(self, time_ns: int, pose: Pose, history: History) -> None:
@@ -174,61 +174,65 @@ class Scene:
 
         pose: x, y [m], yaw [rad].
         """
-        self._at(time_ns)
+        self._set_time(time_ns)
         lines = [north_up(x, y, pose) for x, y in grid(pose, GRID, 2.0 * AROUND)]
-        self._lines("map/grid", lines, [LIGHT_GREY], THIN, order=-1.0)
-        self._picture("map", lambda x, y: north_up(x, y, pose), pose, history, time_ns)
-        self._picture("ahead", lambda x, y: heading_up(x, y, pose), pose, history, time_ns)
+        self._log_lines("map/grid", lines, [LIGHT_GREY], THIN, order=-1.0)
+        self._draw_view("map", lambda x, y: north_up(x, y, pose), pose, history, time_ns)
+        self._draw_view("ahead", lambda x, y: heading_up(x, y, pose), pose, history, time_ns)
 
-    def _picture(self, root: str, place: Place, pose: Pose, history: History, now_ns: int) -> None:
+    def _draw_view(self, root: str, project: Projection, pose: Pose, history: History, now_ns: int) -> None:
         track = np.array([(x, y) for _, x, y in history.track])[::-TRACK_STRIDE]
-        self._lines(f"{root}/track", [place(track[:, 0], track[:, 1])], [rgb(MEASURED_COLOUR, 0.6)], TRACK, order=0.0)
-        self._lines(f"{root}/car", [place(*car_outline(pose, self._car))], [(20, 20, 20)], THICK, order=5.0)
+        colour = rgb(MEASURED_COLOUR, 0.6)
+        self._log_lines(f"{root}/track", [project(track[:, 0], track[:, 1])], [colour], TRACK, order=0.0)
+        self._log_lines(f"{root}/car", [project(*car_outline(pose, self._car))], [(20, 20, 20)], THICK, order=5.0)
         ghosts, ghost_colours, misses, miss_colours = [], [], [], []
         for number, model in enumerate(history.models):
-            self._name(model)
+            self._log_name(model)
             path = history.newest(model, now_ns)
-            self._lines(f"{root}/paths/{model}", [place(path.x, path.y)] if path else [], [rgb(colour_of(model))],
+            self._log_lines(f"{root}/paths/{model}", [project(path.x, path.y)] if path else [], [rgb(colour_of(model))],
                         MODEL_WIDTHS[min(number, len(MODEL_WIDTHS) - 1)], order=3.0 + 0.1 * number)
-            self._ribbons(f"{root}/bands/{model}", place, path.ribbons if path else (), model, number)
+            self._ribbons(f"{root}/bands/{model}", project, path.ribbons if path else (), model, number)
             for age, ghost in history.ghosts(model, now_ns):
-                ghosts.append(place(ghost.x[::GHOST_STRIDE], ghost.y[::GHOST_STRIDE]))
+                ghosts.append(project(ghost.x[::GHOST_STRIDE], ghost.y[::GHOST_STRIDE]))
                 ghost_colours.append(rgb(colour_of(model), GHOST_STRENGTH * (1.2 - 0.15 * age)))
-            # From the car to its position as predicted a horizon ago.
+            # A line from the car to the position predicted for now, a horizon ago.
             if point := history.expected(model, now_ns):
-                misses.append(place(np.array([pose[0], point[0]]), np.array([pose[1], point[1]])))
+                misses.append(project(np.array([pose[0], point[0]]), np.array([pose[1], point[1]])))
                 miss_colours.append(rgb(colour_of(model)))
-        self._lines(f"{root}/ghosts", ghosts, ghost_colours, THIN, order=1.0)
-        self._lines(f"{root}/misses", misses, miss_colours, THICK, order=4.5)
+        self._log_lines(f"{root}/ghosts", ghosts, ghost_colours, THIN, order=1.0)
+        self._log_lines(f"{root}/misses", misses, miss_colours, THICK, order=4.5)
 
-    def _ribbons(self, entity: str, place: Place, ribbons: Sequence[Ribbon], model: str, number: int) -> None:
-        """Areas of the bands as lines from edge to edge, each as wide as the distance to the next, because Rerun
-        fills no areas in 2D. The edges of the widest band are drawn above all areas, so that every model is visible."""
-        edges = [place(*side.T) for one in ribbons[:1] for side in (one.left, one.right)]
-        self._lines(f"{entity}/edges", edges, [rgb(colour_of(model), 0.6)], THIN, order=0.8)
+    def _ribbons(self, entity: str, project: Projection, ribbons: Sequence[Ribbon], model: str, number: int) -> None:
+        """Fill the bands with lines from edge to edge, since Rerun cannot fill areas in 2D.
+
+        Each line is as wide as the distance to the next. The edges of the widest band are drawn above all areas, so
+        that every model is visible.
+        """
+        edges = [project(*side.T) for band in ribbons[:1] for side in (band.left, band.right)]
+        self._log_lines(f"{entity}/edges", edges, [rgb(colour_of(model), 0.6)], THIN, order=0.8)
         for level, strength in RIBBON_STRENGTH.items():
             strips, radii = np.empty((0, 2, 2)), np.empty(0)
-            for one in (r for r in ribbons if r.level == level):
-                left, right = (place(*side[::RIBBON_STRIDE].T) for side in (one.left, one.right))
+            for band in (r for r in ribbons if r.level == level):
+                left, right = (project(*side[::RIBBON_STRIDE].T) for side in (band.left, band.right))
                 middle = 0.5 * (left + right)
                 strips = np.stack([left, right], axis=1)
                 radii = 0.6 * np.hypot(*np.gradient(middle, axis=0).T)
             order = 0.2 + 0.1 * number - 0.05 * level
-            self._lines(f"{entity}/{level:.0%}", strips, [rgb(colour_of(model), strength)], radii, order=order)
+            self._log_lines(f"{entity}/{level:.0%}", strips, [rgb(colour_of(model), strength)], radii, order=order)
 
-    def _name(self, model: str) -> None:
-        """Colour and name in the lower left corner, because names at the paths of equal models would overlap."""
+    def _log_name(self, model: str) -> None:
+        """Show colour and name in the lower left corner: names at the paths would overlap where models agree."""
         if model not in self._named:
-            corner = (-ASIDE + 6.0, BEHIND - 7.0 - 5.0 * len(self._named))
+            corner = (-SIDEWAYS + 6.0, BEHIND - 7.0 - 5.0 * len(self._named))
             self._named.append(model)
             self._rr.log(f"ahead/names/{model}", rr.Points2D(
                 [corner], colors=[rgb(colour_of(model))], radii=rr.Radius.ui_points(5.0), labels=[model],
                 show_labels=True), static=True)
 
-    def _lines(self, entity: str, strips: Any, colours: list, width: Any, order: float) -> None:
+    def _log_lines(self, entity: str, strips: Any, colours: list, width: Any, order: float) -> None:
         self._rr.log(entity, rr.LineStrips2D(strips, colors=colours, radii=width, draw_order=order))
 
-    def _at(self, time_ns: int) -> None:
+    def _set_time(self, time_ns: int) -> None:
         self._rr.set_time(TIMELINE, timestamp=np.datetime64(time_ns, "ns"))
 
 

@@ -1,4 +1,4 @@
-"""One run of the live suite, on the virtual Leaf or the real car; nodes that end or hang are restarted."""
+"""One run of the live suite, on the virtual Leaf or the real car; supervised nodes that end or hang are restarted."""
 
 import os
 import select
@@ -23,11 +23,11 @@ from .suite import REALTIME_PERMISSION, Parameters, Suite, SuiteError, chosen_do
 SILENCE_TIMEOUT = 8.0
 # Longest time from a start to the first /diagnostics [s].
 FIRST_STATUS_TIMEOUT = 30.0
-BACK_OFF_FIRST, BACK_OFF_LAST = 0.5, 10.0
-# After this time without failure the back-off is short again [s].
-RESET_BACK_OFF = 60.0
-# If this process itself was delayed for longer, the silence of others is not judged [s].
-OWN_DELAY = 2.0
+BACK_OFF_FIRST, BACK_OFF_LAST = 0.5, 10.0  # s between a failure and the restart
+# The back-off is reset after this time without failure [s].
+BACK_OFF_RESET_TIME = 60.0
+# If this process was delayed by more, it cannot judge the silence of the nodes [s].
+MAX_OWN_DELAY = 2.0
 WARN, ERROR = 1, 2
 NODES = (  # package, executable, in the order of their start: subscribers first, so that no message is missed
     ("st_predictor", "recorder"),
@@ -59,7 +59,10 @@ class _Supervised:
 
 
 class Supervisor:
-    """Call `update` several times a second. nodes: (package, executable), all running already."""
+    """Restarts nodes that end or hang. Call `update` several times a second.
+
+    nodes: (package, executable), all running already.
+    """
 
     def __init__(self, suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]]):
         self._suite, self._monitor = suite, monitor
@@ -69,12 +72,12 @@ class Supervisor:
 
     @property
     def restarts(self) -> dict[str, int]:
-        """Number of restarts by node, of those restarted."""
+        """Number of restarts of each node that was restarted."""
         return {node.name: node.restarts for node in self._nodes if node.restarts}
 
     def update(self) -> None:
         now = time.monotonic()
-        delayed, self._updated = now - self._updated > OWN_DELAY, now
+        delayed, self._updated = now - self._updated > MAX_OWN_DELAY, now
         for node in self._nodes:
             if delayed:
                 node.started = now
@@ -100,7 +103,7 @@ class Supervisor:
             self._schedule_restart(node, now, f"was silent for {silent:.0f} s and was killed")
 
     def _schedule_restart(self, node: _Supervised, now: float, cause: str) -> None:
-        if now - node.started > RESET_BACK_OFF:
+        if now - node.started > BACK_OFF_RESET_TIME:
             node.back_off = BACK_OFF_FIRST
         node.cause, node.restart_at = cause, now + node.back_off
         node.back_off = min(2 * node.back_off, BACK_OFF_LAST)
@@ -147,7 +150,7 @@ def run(
     predictor, see suite.py. Raises SuiteError if a node does not start, or runs already.
     """
     console = console or Console()
-    # A demo must not exchange messages with another suite on this machine; the car uses the user's domain.
+    # A demo must not exchange messages with another suite on this computer; on the car the user's domain is used.
     chosen = chosen_domain_id()
     if chosen is None and not source:
         chosen = 0
@@ -174,15 +177,15 @@ def run(
                 duration = min(duration or available, available)
             supervisor = Supervisor(suite, monitor, NODES) if supervised else None
             problem = _watch(suite, monitor, supervisor, console, title, duration, stop)
-            unwell = health(monitor.state).plain
+            health_text = health(monitor.state).plain
             statuses = {}
             for name in STOP_ORDER:
                 statuses.update(suite.stop(name))
-        return Outcome(statuses, stop.requested, problem, unwell, supervisor.restarts if supervisor else {})
+        return Outcome(statuses, stop.requested, problem, health_text, supervisor.restarts if supervisor else {})
 
 
 def _check_no_other_suite(monitor: Monitor, domain: int, allowed: int) -> None:
-    """Raises SuiteError for another suite in the domain: both would use the INS and steering of the other."""
+    """Raises SuiteError for another suite in the domain: each would receive the measurements of the other."""
     counts = Counter(monitor.node_names())
     others = [name for _, name in NODES if counts[name] > allowed]
     if others:
@@ -208,9 +211,9 @@ def _watch(
     suite: Suite, monitor: Monitor, supervisor: Supervisor | None, console: Console, title: str,
     duration: float | None, stop: "_StopRequest",
 ) -> str:
-    """Until the end of the duration or Ctrl-C.
+    """Show the run until its duration is over or Ctrl-C.
 
-    Without a supervisor a process that ends also ends the run; returns its problem, else an empty text.
+    Without a supervisor a process that ends also ends the run; the text returned names it and is empty otherwise.
     """
     started = time.monotonic()
     last_line = started
@@ -237,7 +240,7 @@ def _watch(
 
 
 class _StopRequest:
-    """Ctrl-C or SIGTERM as a flag, so that the nodes are stopped in order."""
+    """Turns Ctrl-C and SIGTERM into a flag, so that the nodes can be stopped in order."""
 
     def __init__(self) -> None:
         self.requested = False

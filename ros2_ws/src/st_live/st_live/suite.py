@@ -1,11 +1,11 @@
-"""The suite as processes: start the nodes with one parameter file, watch them, stop them in order.
+"""Runs the suite as processes: starts the nodes with one parameter file, watches them and stops them in order.
 
 Nodes are started by their console scripts, which exist with and without `ros2 run`. Each child leaves the process group
 of the terminal, so that Ctrl-C reaches only this process, which then ends the children in order. If this process is
 killed, the kernel interrupts the children (parent-death signal, set by util-linux' setpriv).
 
-Priorities on a busy computer: bridges and predictor first, then recorder and evaluator, then the views. The first may
-get real-time scheduling (`st live --realtime`); the others lower their own (st_ros.scheduling.lower).
+Priorities on a busy computer: bridges and predictor, then recorder and evaluator, then the views. Bridges and predictor
+may get real-time scheduling (`st live --realtime`); the others lower their priority (st_ros.scheduling.lower).
 """
 
 import os
@@ -50,7 +50,7 @@ class Child:
         return "\n".join(self.log.read_text(errors="replace").strip().splitlines()[-count:])
 
     def wait_for(self, text: str, timeout: float) -> str:
-        """The first line of its log with a text; empty if the process ends before, or after `timeout` [s]."""
+        """The first line of the log that contains `text`; empty after `timeout` [s], or if the process ends before."""
         end = time.monotonic() + timeout
         while time.monotonic() < end and self.process.poll() is None:
             for line in self.log.read_text(errors="replace").splitlines(keepends=True):
@@ -96,19 +96,18 @@ class Processes:
         self.children.append(child)
         return child
 
-    def dead(self) -> list[Child]:
-        return [child for child in self.children if child.process.poll() is not None]
-
     def check(self) -> None:
         """Raises SuiteError naming the first child that has ended."""
-        for child in self.dead():
-            status, output = child.process.returncode, child.last_lines() or "no output"
-            raise SuiteError(f"{child.name} ended with status {status}: {output}\n(log: {child.log})")
+        for child in self.children:
+            status = child.process.poll()
+            if status is not None:
+                output = child.last_lines() or "no output"
+                raise SuiteError(f"{child.name} ended with status {status}: {output}\n(log: {child.log})")
 
     def reap(self, name: str) -> Child | None:
         """Remove and return the child of that name if it has ended, so that it can be restarted; else None."""
-        for child in self.dead():
-            if child.name == name:
+        for child in self.children:
+            if child.name == name and child.process.poll() is not None:
                 self.children.remove(child)
                 return child
         return None
@@ -159,7 +158,7 @@ def _set_realtime(pid: int, name: str) -> bool:
         except PermissionError:
             return False
         except ProcessLookupError:
-            pass  # it has ended already, which `check` reports
+            pass  # it has already ended; `check` reports that
     return True
 
 
@@ -172,7 +171,7 @@ def _end(process: subprocess.Popen, timeout: float) -> int:
             process.kill()
             process.wait()
         if process.returncode == -signal.SIGINT:
-            return 0  # interrupted before its handler was installed
+            return 0  # interrupted before it installed its handler
     return process.returncode
 
 
@@ -181,8 +180,7 @@ def find_executable(package: str, executable: str) -> str:
         candidate = Path(prefix) / "lib" / package / executable
         if candidate.exists():
             return str(candidate)
-    found = shutil.which(executable)
-    if found:
+    if found := shutil.which(executable):
         return found
     raise SuiteError(
         f"{executable} of package {package} not found: start with ./st, or source the workspace's install/setup.bash"
@@ -224,9 +222,9 @@ def chosen_domain_id() -> int | None:
 
 @contextmanager
 def claimed_domain() -> Iterator[int]:
-    """A ROS domain that no process on this machine uses, reserved against other callers until the end of the block.
+    """A ROS domain that no process on this computer uses, reserved until the end of the block.
 
-    Its first discovery port (DDS: 7400 + 250 * domain + 10) is bound meanwhile; participants use the next.
+    Binding its first discovery port (DDS: 7400 + 250 * domain + 10) reserves it; participants use the next port.
     """
     for domain in range(LAST_DOMAIN, 0, -1):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as held:

@@ -1,4 +1,4 @@
-"""Comparison of the predictions and scores of the nodes with the library, start by start, on one recording."""
+"""Compares predictions and scores recorded from the nodes with those of the library, start by start."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -38,37 +38,30 @@ from .configuration import TRUNCATED, recordings_of
 from .suite import SuiteError
 
 OTHER_MODES: tuple[Mode, ...] = ("plan", "course")
-# The filter of the forward acceleration starts with the first sample each node receives, which differs between nodes.
-# After this many time constants 2e-9 of that difference remains.
+# Each node starts its filter of the forward acceleration with the first sample it receives, which may differ.
+# After this many time constants 2e-9 of the difference remains.
 SETTLING_TIME_CONSTANTS = 20.0
-# A pause this long without prediction may be a restart of the predictor [s]; a busy computer skips fewer ticks.
+# A pause this long without prediction may be a restart of the predictor [s]; a busy computer pauses for less.
 RESTART_PAUSE = 1.0
 
 
 @dataclass
 class Comparison:
-    """Largest differences of one model: position of any point [m], yaw [rad], error of any point [m].
-
-    n_starts: predictions compared. n_scores: complete scores compared, by mode. n_cut: scores that the end of the nodes
-    left incomplete; n_disagree: other scores complete on one side only, jumps of the position excepted. start: position
-    at the start alone, which separates a different state from a different prediction [m]. n_settling: predictions, with
-    their scores, that are not compared, see `settled`. at_ns: start of the largest difference. n_planned, planned:
-    predictions with inputs of a plan or course, and their position [m].
-    """
+    """Numbers and largest differences of the predictions and scores of one model."""
 
     model: str
-    n_starts: int = 0
-    start: float = 0.0
-    position: float = 0.0
-    yaw: float = 0.0
-    at_ns: int = 0
-    n_scores: dict[str, int] = field(default_factory=lambda: dict.fromkeys(MODES, 0))
-    error: dict[str, float] = field(default_factory=lambda: dict.fromkeys(MODES, 0.0))
-    n_cut: int = 0
-    n_disagree: int = 0
-    n_settling: int = 0
-    n_planned: int = 0
-    planned: float = 0.0
+    n_starts: int = 0  # predictions compared
+    start: float = 0.0  # position at the start alone [m]; a difference there is one of the state, not of the prediction
+    position: float = 0.0  # of any point [m]
+    yaw: float = 0.0  # of any point [rad]
+    at_ns: int = 0  # start of the prediction with the largest difference
+    n_scores: dict[str, int] = field(default_factory=lambda: dict.fromkeys(MODES, 0))  # complete ones compared
+    error: dict[str, float] = field(default_factory=lambda: dict.fromkeys(MODES, 0.0))  # of any point, by mode [m]
+    n_cut: int = 0  # scores left incomplete because the nodes ended
+    n_disagree: int = 0  # other scores complete on one side only, except those at position jumps
+    n_settling: int = 0  # predictions not compared, see `settled`
+    n_planned: int = 0  # predictions with inputs of a plan or course
+    planned: float = 0.0  # position of any point of these [m]
 
     @property
     def largest(self) -> float:
@@ -78,7 +71,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Verification:
-    """same_configuration: whether vehicle and settings used here have the hash of the predictions."""
+    """Comparison of all models. same_configuration: whether vehicle and settings have the hash of the predictions."""
 
     comparisons: list[Comparison]
     vehicle: str
@@ -110,7 +103,7 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     scores = read_scores(score_bags, progress)
     others = {mode: read_planned(bag, mode, progress) for mode in OTHER_MODES}
     signals = LogSignals(drive.log, settings.maximum_gap, settings.filter_cutoff)
-    truncated = [TRUNCATED.format(one, "compared") for one in dict.fromkeys((bag, *score_bags)) if was_cut(one)]
+    truncated = [TRUNCATED.format(file, "compared") for file in dict.fromkeys((bag, *score_bags)) if was_cut(file)]
     comparisons, warnings = [], [*drive.warnings, *truncated]
     for name, live in predictions.items():
         try:
@@ -118,9 +111,9 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
         except ConfigurationError:
             warnings.append(f"predictions of {name} are not compared: the library has no model of this name")
             continue
-        of_model = {mode: scores[name, mode] for mode in (*MODES, *OTHER_MODES) if (name, mode) in scores}
-        planned = {mode: found[name] for mode, found in others.items() if name in found}
-        comparisons.append(_compare(model, car, signals, live, planned, of_model, settings.filter_cutoff, progress))
+        model_scores = {mode: scores[name, mode] for mode in (*MODES, *OTHER_MODES) if (name, mode) in scores}
+        planned = {mode: by_model[name] for mode, by_model in others.items() if name in by_model}
+        comparisons.append(_compare(model, car, signals, live, planned, model_scores, settings.filter_cutoff, progress))
     expected = configuration_hash(car, settings)
     same = all(live.hashes == {expected} for live in predictions.values())
     return Verification(comparisons, f"{car.name}, from {source}", same, tuple(warnings))
@@ -135,14 +128,15 @@ def _settings(recorded: RecordedConfiguration) -> PredictionSettings:
 def settled(starts_ns: np.ndarray, ins_time_ns: np.ndarray, cutoff: float) -> np.ndarray:
     """Whether the forward acceleration at each start is independent of the first INS sample received.
 
-    starts_ns: of predictions, increasing. The time counts from the first start after the first recorded INS sample, and
-    from the first start after every pause, which may be a restart of the predictor: of RESTART_PAUSE, or of three
-    intervals where the predictor is slower. cutoff: of the filter [Hz].
+    The filter settles from the first start after the first recorded INS sample, and again after every pause that may be
+    a restart of the predictor: at least RESTART_PAUSE and three prediction intervals.
+
+    starts_ns: of predictions, increasing. cutoff: of the filter [Hz].
     """
     known = starts_ns >= ins_time_ns[0] if len(ins_time_ns) else np.zeros(len(starts_ns), bool)
-    between = np.diff(starts_ns)
-    pause = max(round(1e9 * RESTART_PAUSE), 3 * np.median(between)) if len(between) else 0
-    begins = np.concatenate([np.ones(min(len(starts_ns), 1), bool), between > pause])
+    intervals = np.diff(starts_ns)
+    pause = max(round(1e9 * RESTART_PAUSE), 3 * np.median(intervals)) if len(intervals) else 0
+    begins = np.concatenate([np.ones(min(len(starts_ns), 1), bool), intervals > pause])
     begins |= np.diff(known, prepend=False)
     since_ns = starts_ns - np.maximum.accumulate(np.where(begins, starts_ns, starts_ns[:1]))
     return known & (since_ns > SETTLING_TIME_CONSTANTS / (2.0 * np.pi * cutoff) * 1e9)
@@ -154,12 +148,12 @@ def _compare(model: Model, car: VehicleParameters, signals: LogSignals, live: Pr
     horizon = live.step * (live.states.shape[1] - 1)
     settings = EvaluationSettings(PredictionSettings(horizon=horizon, step=live.step, minimum_speed=0.0))
     result = Comparison(model.name)
-    kept = settled(live.starts_ns, signals.log.ins_time_ns, cutoff)
-    result.n_settling = int((~kept).sum())
-    starts_ns, live_states = live.starts_ns[kept], live.states[kept]
-    ahead: dict[Mode, Ahead] = {mode: found.inputs_at for mode, found in planned.items()}
-    # The inputs of a prediction that the recorder missed are not known.
-    scores = {mode: one.at(planned[mode].starts_ns) if mode in planned else one for mode, one in scores.items()
+    is_settled = settled(live.starts_ns, signals.log.ins_time_ns, cutoff)
+    result.n_settling = int((~is_settled).sum())
+    starts_ns, live_states = live.starts_ns[is_settled], live.states[is_settled]
+    ahead: dict[Mode, Ahead] = {mode: predictions.inputs_at for mode, predictions in planned.items()}
+    # Without the recorded prediction of a plan or course its inputs are unknown, so its score cannot be compared.
+    scores = {mode: scored.at(planned[mode].starts_ns) if mode in planned else scored for mode, scored in scores.items()
               if mode in MODES or mode in planned}
     for rows, block in evaluate_blocks([model], car, signals, starts_ns, settings, ahead):
         computed, recorded = block.trajectories[model.name, "forecast"], live_states[rows]
@@ -173,8 +167,8 @@ def _compare(model: Model, car: VehicleParameters, signals: LogSignals, live: Pr
             result.position = max(result.position, float(distance.max()))
             result.start = max(result.start, float(distance[:, 0].max()))
             result.yaw = max(result.yaw, float(np.abs(difference[..., 4]).max()))
-        for mode, found in planned.items():
-            _compare_planned(result, found, starts_ns[rows], block.trajectories[model.name, mode])
+        for mode, predictions in planned.items():
+            _compare_planned(result, predictions, starts_ns[rows], block.trajectories[model.name, mode])
         for mode, scored in scores.items():
             _compare_scores(result, mode, scored, starts_ns[rows], block.errors[model.name, mode])
         if progress:
@@ -199,7 +193,7 @@ def _compare_scores(result: Comparison, mode: str, scored: Scores, starts_ns: np
     both = complete & scored.complete[recorded]
     cut = complete & scored.cut[recorded]
     result.n_cut += int(cut.sum())
-    # Offline `st check` finds jumps of the position and excludes them; live no score spans one.
+    # Live, no score spans a position jump; offline, `st check` finds the jumps and excludes them.
     excused = cut | scored.jumped[recorded]
     result.n_disagree += int(((complete != scored.complete[recorded]) & ~excused).sum())
     result.n_scores[mode] = result.n_scores.get(mode, 0) + int(both.sum())
@@ -217,8 +211,8 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replayed: 
     """
     from .replaying import replay_bag  # needs ROS, which comparing does not
 
-    found = None if replayed else _verified(bag, vehicle, console, read)
-    if found is None:
+    result = None if replayed else _verify_with_progress(bag, vehicle, console, read)
+    if result is None:
         why = "--replay" if replayed else "it has no predictions"
         folder = new_folder(output, f"verify-{bag.stem}")
         console.print(f"{bag.name} is played through the nodes ({why}); recordings in {folder}", highlight=False)
@@ -226,63 +220,63 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replayed: 
         if not outcome.ok:
             failure = f"a node ended with an error: {outcome.statuses}; see {folder / 'logs'}"
             raise SuiteError(outcome.problem or failure)
-        found = _verified(folder, vehicle, console)
-    if found is None or not found.n_starts:
-        settling = sum(c.n_settling for c in found.comparisons) if found else 0
+        result = _verify_with_progress(folder, vehicle, console)
+    if result is None or not result.n_starts:
+        settling = sum(c.n_settling for c in result.comparisons) if result else 0
         why = (f"all {settling} predictions start too early after the first sample received" if settling
                else "no prediction was made from this recording")
         console.print(f"nothing to compare: {why}")
         return 2
-    console.print(_table(found))
-    for warning in found.warnings:
+    console.print(_table(result))
+    for warning in result.warnings:
         console.print(f"[yellow]{warning}[/yellow]", highlight=False, soft_wrap=True)
-    if not found.same_configuration:
+    if not result.same_configuration:
         console.print("[yellow]the predictions have the hash of another vehicle or of other settings[/yellow]")
-    return _conclusion(found, tolerance, console)
+    return _print_conclusion(result, tolerance, console)
 
 
-def _verified(path: Path, vehicle: Path | None, console: Console,
-              read: ReadSettings | None = None) -> Verification | None:
+def _verify_with_progress(path: Path, vehicle: Path | None, console: Console,
+                          read: ReadSettings | None = None) -> Verification | None:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with ProgressBar(*columns, console=console, transient=True) as progress:
         bar = progress.add_task("reading and comparing")
         return verify(path, vehicle, lambda done, total: progress.update(bar, completed=done, total=total), read)
 
 
-def _table(found: Verification) -> Table:
-    """At most 80 columns wide for an hour of driving."""
-    table = Table(title=f"Live against library ({found.vehicle}): largest differences", title_justify="left",
+def _table(result: Verification) -> Table:
+    """Table of the comparisons, at most 80 columns wide for an hour of driving."""
+    table = Table(title=f"Live against library ({result.vehicle}): largest differences", title_justify="left",
                   title_style="bold", box=None, collapse_padding=True, pad_edge=False)
     table.add_column("model")
     for heading in ("starts", "start\nstate\nmm", "path\nmm", "hindsight\nscores\nnumber, mm",
                     "forecast\nscores\nnumber, mm", "only on\none side"):
         table.add_column(heading, justify="right", no_wrap=True)
-    for c in found.comparisons:
+    for c in result.comparisons:
         scores = [f"{c.n_scores[mode]}, {c.error[mode] * 1000:.2g}" for mode in MODES]
         table.add_row(Text(c.model, style=MODEL_COLOUR.get(c.model, "")), str(c.n_starts), f"{c.start * 1000:.2g}",
                       f"{c.position * 1000:.2g}", *scores, str(c.n_disagree))
     return table
 
 
-def _conclusion(found: Verification, tolerance: float, console: Console) -> int:
-    scores = sum(sum(c.n_scores.values()) for c in found.comparisons)
-    disagree, cut = (sum(getattr(c, name) for c in found.comparisons) for name in ("n_disagree", "n_cut"))
-    passed = found.largest <= tolerance and not disagree
-    if n_planned := sum(c.n_planned for c in found.comparisons):
-        largest = max(c.planned for c in found.comparisons)
-        n_scores = sum(c.n_scores.get(mode, 0) for c in found.comparisons for mode in OTHER_MODES)
+def _print_conclusion(result: Verification, tolerance: float, console: Console) -> int:
+    scores = sum(sum(c.n_scores.values()) for c in result.comparisons)
+    disagree, cut = (sum(getattr(c, name) for c in result.comparisons) for name in ("n_disagree", "n_cut"))
+    passed = result.largest <= tolerance and not disagree
+    if n_planned := sum(c.n_planned for c in result.comparisons):
+        largest = max(c.planned for c in result.comparisons)
+        n_scores = sum(c.n_scores.get(mode, 0) for c in result.comparisons for mode in OTHER_MODES)
         console.print(f"{n_planned} predictions and {n_scores} scores with inputs of a plan or course are among them, "
                       f"largest difference of a path {largest * 1000:.3g} mm", highlight=False, soft_wrap=True)
     verdict = "[green]live equals offline[/green]" if passed else "[red]live differs from offline[/red]"
-    worst = max(found.comparisons, key=lambda c: c.position)
+    worst = max(result.comparisons, key=lambda c: c.position)
     where = ""
     if worst.at_ns and not passed:
         time = f"{datetime.fromtimestamp(worst.at_ns * 1e-9, UTC):%H:%M:%S.%f}"[:-3]
         where = f"; the path of {worst.model} most at {time} UTC"
-    console.print(f"{verdict}: {found.n_starts} predictions and {scores} scores compared, largest difference "
-                  f"{found.largest * 1000:.3g} mm (limit {tolerance * 1000:g} mm), {disagree} scores complete on one "
+    console.print(f"{verdict}: {result.n_starts} predictions and {scores} scores compared, largest difference "
+                  f"{result.largest * 1000:.3g} mm (limit {tolerance * 1000:g} mm), {disagree} scores complete on one "
                   f"side only, {cut} more cut off by the end of the nodes{where}", highlight=False, soft_wrap=True)
-    settling = sum(c.n_settling for c in found.comparisons)
+    settling = sum(c.n_settling for c in result.comparisons)
     console.print(f"[dim]{settling} predictions not compared: the filter of the forward acceleration still depends "
                   f"on the first sample each node received[/dim]", highlight=False, soft_wrap=True)
     return 0 if passed else 1
