@@ -1,4 +1,4 @@
-"""Readings to CAN frames of the Leaf and of the INS; counters, checksums and signs by the shared codec."""
+"""Encodes sensor readings as CAN frames of the Leaf and the INS; the shared codec adds counters and checksums."""
 
 import math
 from dataclasses import dataclass
@@ -12,15 +12,15 @@ from .sensors import InsReading, WheelSpeeds
 
 STEERING_MESSAGE = "Leaf_Steering"
 VEHICLE_BUS, INS_BUS = 1, 2
-"""CANedge channels: the car on the first, the INS on the second. On a live bus both share one channel."""
+"""CANedge channels of the car and of the INS. On a live bus both share one channel."""
 
 FRAME_TIME = 0.00025
 """s, duration of a frame at 500 kbit/s; frames of one instant are sent at this interval."""
 
 CAR_CAN_RATE = 1750
-"""Frames per second on a Leaf-family Car-CAN (52 identifiers counted in a recording)."""
+"""Frames per second on the Car-CAN of a Leaf (52 identifiers, counted in a recording)."""
 
-# Other identifiers of that recording with periods in ms; `full` sends them with random contents.
+# Other identifiers of that recording and their periods [ms]; `--can-rate full` sends them with random contents.
 _BACKGROUND = {
     **dict.fromkeys((0x174, 0x176, 0x180, 0x182, 0x1CA, 0x1CB, 0x1D5, 0x1D6, 0x215, 0x216, 0x245, 0x260), 10),
     **dict.fromkeys((0x280, 0x292, 0x2DE, 0x300), 20),
@@ -46,31 +46,25 @@ class CanWire:
         self._counters: dict[str, int] = {}
 
     def steering(self, angle: float, rate: float) -> list[Frame]:
-        """Frame of the sensor's angle, left + [rad], and hand-wheel rate [rad/s].
+        """Frame with the measured hand-wheel angle, left + [rad], and its rate [rad/s].
 
-        The rate is sent unsigned, as on the car; its true scale is unknown, 4 deg/s is assumed.
+        The rate is sent unsigned, as on the car; its scale on the car is unknown, 4 deg/s is assumed.
         """
         raw = min(round(abs(math.degrees(rate)) / 4), 255)
-        return [self._own(STEERING_MESSAGE, {"steering_wheel_angle": angle, "SteeringWheelRateRaw": raw})]
+        return [self._encode_car(STEERING_MESSAGE, {"steering_wheel_angle": angle, "SteeringWheelRateRaw": raw})]
 
     def wheel_speeds(self, speeds: WheelSpeeds) -> list[Frame]:
         front_left, front_right, rear_left, rear_right = speeds.wheels
         return [
-            self._own(
-                "Leaf_WheelSpeedFront",
-                {
-                    "wheel_speed_front_left": front_left,
-                    "wheel_speed_front_right": front_right,
-                    "vehicle_speed": speeds.vehicle,
-                },
-            ),
-            self._own(
-                "Leaf_WheelSpeedRear", {"wheel_speed_rear_left": rear_left, "wheel_speed_rear_right": rear_right}
-            ),
+            self._encode_car("Leaf_WheelSpeedFront", {"wheel_speed_front_left": front_left,
+                                                      "wheel_speed_front_right": front_right,
+                                                      "vehicle_speed": speeds.vehicle}),
+            self._encode_car("Leaf_WheelSpeedRear", {"wheel_speed_rear_left": rear_left,
+                                                     "wheel_speed_rear_right": rear_right}),
         ]
 
     def gear(self, code: int) -> list[Frame]:
-        return [self._own("Leaf_Gear", {"GearCode": code})]
+        return [self._encode_car("Leaf_Gear", {"GearCode": code})]
 
     def ins(self, reading: InsReading) -> list[Frame]:
         """0x600, 0x601, 0x604, 0x607, 0x608, 0x630, 0x633, 0x634, sent by an RT3000 once per epoch."""
@@ -81,33 +75,32 @@ class CanWire:
         pitch, roll = degrees(reading.pitch), degrees(reading.roll)
         roll_rate, pitch_rate, yaw_rate = reading.rates
         return [
-            self._ins("RT_DateTime", {"ins_unix_time": unix_time}),
-            self._ins("RT_LatitudeLongitude", {"PosLat": degrees(latitude), "PosLon": degrees(longitude)}),
-            self._ins("RT_VelocityLevel", forward),
-            self._ins("RT_HeadingPitchRoll", {"ins_yaw": reading.yaw, "AnglePitch": pitch, "AngleRoll": roll}),
-            self._ins(
-                "RT_RateVehicle",
-                {"AngRateX": degrees(roll_rate), "AngRateY": -degrees(pitch_rate), "ins_yaw_rate": yaw_rate},
-            ),
-            self._ins("RT_MilliTime", {"ins_unix_time": unix_time}),
+            self._encode_ins("RT_DateTime", {"ins_unix_time": unix_time}),
+            self._encode_ins("RT_LatitudeLongitude", {"PosLat": degrees(latitude), "PosLon": degrees(longitude)}),
+            self._encode_ins("RT_VelocityLevel", forward),
+            self._encode_ins("RT_HeadingPitchRoll", {"ins_yaw": reading.yaw, "AnglePitch": pitch, "AngleRoll": roll}),
+            self._encode_ins("RT_RateVehicle", {"AngRateX": degrees(roll_rate), "AngRateY": -degrees(pitch_rate),
+                                                "ins_yaw_rate": yaw_rate}),
+            self._encode_ins("RT_MilliTime", {"ins_unix_time": unix_time}),
             # ISO 8855 axes: y to the left, so a pitch is positive nose down.
-            self._ins("RT_IsoOrientation", {"ins_yaw": reading.yaw, "IsoPitchAngle": -pitch, "IsoRollAngle": roll}),
-            self._ins("RT_IsoVsVelocity", {**forward, "IsoVsVerticalVelocity": reading.velocity_z}),
+            self._encode_ins("RT_IsoOrientation", {"ins_yaw": reading.yaw, "IsoPitchAngle": -pitch,
+                                                   "IsoRollAngle": roll}),
+            self._encode_ins("RT_IsoVsVelocity", {**forward, "IsoVsVerticalVelocity": reading.velocity_z}),
         ]
 
-    def _own(self, message: str, values: dict[str, float]) -> Frame:
+    def _encode_car(self, message: str, values: dict[str, float]) -> Frame:
         counter = self._counters.get(message, 0)
         self._counters[message] = counter + 1
         return Frame(self._codec.encode(message, values, counter), VEHICLE_BUS)
 
-    def _ins(self, message: str, values: dict[str, float]) -> Frame:
+    def _encode_ins(self, message: str, values: dict[str, float]) -> Frame:
         return Frame(self._codec.encode(message, values), INS_BUS)
 
 
 class Background:
-    """Other traffic of the Car-CAN, as load for filters and queues.
+    """Other traffic of the Car-CAN, which loads filters and queues.
 
-    Together with the decoded frames (about 217 per second) CAR_CAN_RATE; INS frames are additional.
+    With the decoded frames (about 217 per second) it adds up to CAR_CAN_RATE; INS frames are additional.
     """
 
     def __init__(self, seed: int):
@@ -118,9 +111,9 @@ class Background:
             self._frames.append((period, index % period, Frame(message, VEHICLE_BUS)))
         own = 100 + 2 * 50 + 1000 / 60
         listed = sum(1000 / period for period, _, _ in self._frames)
-        # The recording has more identifiers than the list; the fastest ones represent the rest.
-        self._extra = max(0, round((CAR_CAN_RATE - own - listed) / 100))
-        self._frames += [(10, i % 10, self._frames[i % 12][2]) for i in range(self._extra)]
+        # The recording has more identifiers than the list; the fastest ones stand in for the others.
+        extra = max(0, round((CAR_CAN_RATE - own - listed) / 100))
+        self._frames += [(10, i % 10, self._frames[i % 12][2]) for i in range(extra)]
 
     def frames(self, millisecond: int) -> list[Frame]:
         return [frame for period, phase, frame in self._frames if millisecond % period == phase]

@@ -1,6 +1,6 @@
-"""Vehicle data of the virtual car from config/vehicle/*.yaml.
+"""Reads the vehicle data of the virtual car from config/vehicle/*.yaml.
 
-This reader is independent of st_core.vehicle on purpose, so that an error in either shows as a difference.
+The reader is deliberately independent of st_core.vehicle, so that an error in either one shows as a difference.
 """
 
 import math
@@ -38,7 +38,10 @@ class Tyre:
 
 @dataclass(frozen=True)
 class Car:
-    """SI; x forward, y left. cg_to_ins: INS seen from the CG. Stiffness per axle, positive."""
+    """Vehicle data in SI units; x forward, y left. cg_to_ins: position of the INS relative to the CG.
+
+    Cornering stiffnesses are per axle and positive.
+    """
 
     name: str
     mass: float
@@ -60,12 +63,12 @@ class Car:
         return self.wheelbase - self.cg_to_front_axle
 
 
-_CAR_KEYS = tuple(one.name for one in fields(Car) if one.name not in ("name", "tyre_front", "tyre_rear"))
-_TYRE_KEYS = tuple(one.name for one in fields(Tyre) if one.name != "lambda_ky")
+_CAR_KEYS = tuple(f.name for f in fields(Car) if f.name not in ("name", "tyre_front", "tyre_rear"))
+_TYRE_KEYS = tuple(f.name for f in fields(Tyre) if f.name != "lambda_ky")
 
 
 def read_car(file: str | Path) -> Car:
-    """The car of a vehicle file. Raises SimulationError, one line naming file and key."""
+    """The car of a vehicle file. Raises SimulationError naming file and key."""
     path = Path(file)
     document = read_document(path)
     if not isinstance(document, Mapping):
@@ -85,7 +88,7 @@ def read_car(file: str | Path) -> Car:
 
 
 def _tyre(document: Mapping[str, Any], key: str, path: Path, axle_stiffness: float, static_load: float) -> Tyre:
-    """Tyre of an axle; without lambda_ky in the file, it is set to give the axle's stiffness at static load."""
+    """Tyre of an axle. If the file has no lambda_ky, it follows from the axle stiffness at static load."""
     section = document.get(key)
     if not isinstance(section, Mapping):
         raise SimulationError(f"{path}: {key} is missing")
@@ -93,11 +96,9 @@ def _tyre(document: Mapping[str, Any], key: str, path: Path, axle_stiffness: flo
     if "lambda_ky" in section:
         return Tyre(lambda_ky=_number(section, "lambda_ky", path, f"{key}."), **values)
     try:
-        unscaled = (
-            values["p_ky1"]
-            * values["nominal_load"]
-            * math.sin(values["p_ky4"] * math.atan(static_load / (values["p_ky2"] * values["nominal_load"])))
-        )
+        nominal_load = values["nominal_load"]
+        load_factor = math.sin(values["p_ky4"] * math.atan(static_load / (values["p_ky2"] * nominal_load)))
+        unscaled = values["p_ky1"] * nominal_load * load_factor
         lambda_ky = axle_stiffness / (2 * abs(unscaled))
     except ArithmeticError:
         raise SimulationError(f"{path}: {key}: p_ky1, p_ky2, p_ky4 and nominal_load give no stiffness") from None

@@ -1,9 +1,9 @@
-"""A recorded drive as source of sensor data instead of the simulation.
+"""A recorded drive as the source of sensor data, in place of the simulation.
 
 Columns at the CG: t, x, y, yaw, vx, vy, yaw_rate, ax, ay, delta (SI; x east, y north, yaw from east, body axes forward
 and left, delta the road-wheel angle, left +), interpolated linearly (yaw unwrapped). Nothing is smoothed or integrated:
-position, velocity and rates are replayed as recorded, also where inconsistent. The yaw acceleration, needed only for an
-INS away from the CG, is the slope of the yaw rate.
+position, velocity and rates are replayed as recorded, even if they are inconsistent. The yaw acceleration, needed only
+for an INS away from the CG, is the slope of the yaw rate.
 """
 
 import csv
@@ -21,7 +21,7 @@ COLUMNS = ("t", "x", "y", "yaw", "vx", "vy", "yaw_rate", "ax", "ay", "delta")
 
 
 class RecordedDrive:
-    """Source of a Stream. Time 0 is the first row; the last row remains after the end."""
+    """A recorded drive for a Stream. Time 0 is its first row; after its end the last row is repeated."""
 
     def __init__(self, file: str | Path, car: Car):
         """Raises SimulationError naming file and line or column."""
@@ -44,22 +44,10 @@ class RecordedDrive:
         _, x, y, yaw, vx, vy, yaw_rate, ax, ay, delta = (p + share * (q - p) for p, q in zip(a, b, strict=True))
         ratio = self._car.steering_ratio
         return Truth(
-            time=self._time,
-            x=x,
-            y=y,
-            z=0.0,
-            yaw=yaw,
-            velocity_x=vx,
-            velocity_y=vy,
-            yaw_rate=yaw_rate,
-            acceleration_x=ax,
-            acceleration_y=ay,
-            yaw_acceleration=(b[6] - a[6]) / step,
-            steering_wheel_angle=delta * ratio,
-            road_wheel_angle=delta,
-            steering_wheel_rate=(b[9] - a[9]) / step * ratio,
-            wheel_speed=(vx, vx, vx, vx),
-            gear=DRIVE,
+            time=self._time, x=x, y=y, z=0.0, yaw=yaw, velocity_x=vx, velocity_y=vy, yaw_rate=yaw_rate,
+            acceleration_x=ax, acceleration_y=ay, yaw_acceleration=(b[6] - a[6]) / step,
+            steering_wheel_angle=delta * ratio, road_wheel_angle=delta,
+            steering_wheel_rate=(b[9] - a[9]) / step * ratio, wheel_speed=(vx, vx, vx, vx), gear=DRIVE,
         )
 
 

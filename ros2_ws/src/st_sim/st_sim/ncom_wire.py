@@ -1,5 +1,6 @@
-"""INS readings to NCOM packets: WGS84 position, NED and FRD axes, and the status channels of an RT3000 with RTK and
-dual antenna, long after lock.
+"""Encodes INS readings as NCOM packets with the status channels of an RT3000 with RTK and dual antenna.
+
+Positions are WGS84, axes NED and FRD; the unit locked long ago.
 """
 
 import math
@@ -76,7 +77,7 @@ def from_ecef(x: float, y: float, z: float) -> tuple[float, float, float]:
 
 
 class NcomWire:
-    """NCOM packets of one unit. start_ns: UTC of the start [ns since 1970], in whole milliseconds as in NCOM."""
+    """Packets of one unit. start_ns: UTC of the start [ns since 1970], in whole milliseconds as NCOM requires."""
 
     def __init__(self, origin: Origin, start_ns: int, rate: int):
         self._origin = origin
@@ -84,7 +85,7 @@ class NcomWire:
         self._status = StatusChannels(origin, rate)
 
     def packet(self, reading: InsReading, status: int = LOCKED) -> bytes:
-        """The 72 bytes of one epoch; values that are invalid at this navigation status are marked so."""
+        """The 72 bytes of one epoch; values that this navigation status does not provide are marked invalid."""
         total_ms = round((self._start_gps_ns + round(reading.stamp * 1e9)) / 1_000_000)
         minutes, milliseconds = divmod(total_ms, 60_000)
         channel, batch_s = self._status.next(minutes if status >= INITIALISING else None, reading)
@@ -96,11 +97,7 @@ class NcomWire:
             # Body axes FLU -> FRD.
             acceleration=(force_x, -force_y, -force_z) if status >= RAW else _INVALID,
             angular_rate=(roll_rate, -pitch_rate, -yaw_rate) if status >= RAW else _INVALID,
-            latitude=0.0,
-            longitude=0.0,
-            altitude=0.0,
-            channel=channel,
-            batch_s=batch_s,
+            latitude=0.0, longitude=0.0, altitude=0.0, channel=channel, batch_s=batch_s,
         )
         if status >= INITIALISING:
             packet.latitude, packet.longitude, height = self._origin.to_geodetic(reading.x, reading.y, reading.z)

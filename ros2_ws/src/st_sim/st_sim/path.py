@@ -6,18 +6,18 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 GRID = 0.1
-"""m. Linear interpolation in between: error 0.1 mm at R = 11.5 m."""
+"""m, between stored poses; linear interpolation has an error of 0.1 mm at R = 11.5 m."""
 
 
 class Pose(NamedTuple):
-    """Map axes; yaw is the direction of the road, counter-clockwise from east."""
+    """Position [m] and direction of the road [rad, counter-clockwise from east] in map axes."""
 
     x: float
     y: float
     yaw: float
 
     def compose(self, other: "Pose") -> "Pose":
-        """`other`, given relative to this pose, in map axes."""
+        """The pose in map axes of `other`, which is relative to this pose."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         return Pose(self.x + c * other.x - s * other.y, self.y + s * other.x + c * other.y, self.yaw + other.yaw)
 
@@ -27,7 +27,7 @@ class Pose(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """Part of a road with linear curvature [1/m, left +] over its length [m], and target speed [m/s]."""
+    """Part of a road whose curvature [1/m, left +] is linear over its length [m], with its target speed [m/s]."""
 
     length: float
     curvature_start: float
@@ -64,7 +64,10 @@ def lane_shift(offset: float, length: float, speed: float) -> list[Piece]:
 
 
 class Path:
-    """The pieces in periodic sequence, each round continuing the previous one; any distance, also negative [m]."""
+    """A road that repeats its pieces periodically, each round continuing the previous one.
+
+    Distances [m] may have any value, including negative ones.
+    """
 
     def __init__(self, pieces: Sequence[Piece]):
         """Raises ValueError if the total length is 0."""
@@ -81,14 +84,9 @@ class Path:
         yaws = [self._heading(i * self._step / 2) for i in range(2 * count + 1)]
         for i in range(count):
             a, b, c = yaws[2 * i : 2 * i + 3]
-            last = self._poses[-1]
-            self._poses.append(
-                Pose(
-                    last.x + self._step / 6 * (math.cos(a) + 4 * math.cos(b) + math.cos(c)),
-                    last.y + self._step / 6 * (math.sin(a) + 4 * math.sin(b) + math.sin(c)),
-                    c,
-                )
-            )
+            dx = self._step / 6 * (math.cos(a) + 4 * math.cos(b) + math.cos(c))
+            dy = self._step / 6 * (math.sin(a) + 4 * math.sin(b) + math.sin(c))
+            self._poses.append(Pose(self._poses[-1].x + dx, self._poses[-1].y + dy, c))
         self._anchor = Pose(0.0, 0.0, 0.0)
         self._rounds: dict[int, Pose] = {}
 
@@ -100,12 +98,12 @@ class Path:
         self._rounds.clear()
 
     def pose(self, distance: float) -> Pose:
-        lap, rest = divmod(distance, self.length)
-        index = min(int(rest / self._step), len(self._poses) - 2)
-        share = rest / self._step - index
+        lap, along = divmod(distance, self.length)
+        index = min(int(along / self._step), len(self._poses) - 2)
+        share = along / self._step - index
         a, b = self._poses[index], self._poses[index + 1]
         local = Pose(a.x + share * (b.x - a.x), a.y + share * (b.y - a.y), a.yaw + share * (b.yaw - a.yaw))
-        return self._start_of(int(lap)).compose(local)
+        return self._lap_start(int(lap)).compose(local)
 
     def curvature(self, distance: float) -> float:
         piece, along = self._find(distance % self.length)
@@ -131,26 +129,26 @@ class Path:
                 break
         return yaw
 
-    def _start_of(self, lap: int) -> Pose:
+    def _lap_start(self, lap: int) -> Pose:
         if lap not in self._rounds:
             if len(self._rounds) > 8:
                 self._rounds.clear()
-            one = self._poses[-1] if lap > 0 else self._poses[-1].inverse()
+            one_lap = self._poses[-1] if lap > 0 else self._poses[-1].inverse()
             pose = self._anchor
             for _ in range(abs(lap)):
-                pose = pose.compose(one)
+                pose = pose.compose(one_lap)
             self._rounds[lap] = pose
         return self._rounds[lap]
 
 
 class SpeedProfile:
-    """Highest speed over distance within the speed of every piece, acceleration and braking [m/s^2, > 0]."""
+    """Highest speed over distance that respects target speeds, acceleration and braking [m/s^2, > 0]."""
 
     def __init__(self, path: Path, acceleration: float, braking: float, step: float = 0.25):
         count = max(4, math.ceil(path.length / step))
         self._step, self._length = path.length / count, path.length
         squares = [path.speed(i * self._step) ** 2 for i in range(count)]
-        # Two rounds, because braking may begin before the start of a round.
+        # Two rounds, because braking may begin in the previous round.
         for i in range(2 * count):
             squares[(i + 1) % count] = min(squares[(i + 1) % count], squares[i % count] + 2 * acceleration * self._step)
         for i in range(2 * count, 0, -1):
@@ -161,6 +159,6 @@ class SpeedProfile:
         """Speed [m/s] and acceleration [m/s^2] at a distance."""
         position = (distance % self._length) / self._step
         index = int(position) % len(self._squares)
-        here, there = self._squares[index], self._squares[(index + 1) % len(self._squares)]
-        square = here + (there - here) * (position - int(position))
-        return math.sqrt(square), (there - here) / (2 * self._step)
+        before, after = self._squares[index], self._squares[(index + 1) % len(self._squares)]
+        square = before + (after - before) * (position - int(position))
+        return math.sqrt(square), (after - before) / (2 * self._step)

@@ -1,4 +1,4 @@
-"""Sensors of the virtual car: noise, bias, lever arm, loss. Rounding is done by the encoders of NCOM and CAN."""
+"""Sensors of the virtual car with noise, bias, lever arm and loss; the encoders of NCOM and CAN do the rounding."""
 
 import math
 from collections.abc import Callable
@@ -14,17 +14,17 @@ from .settings import Settings
 OUTAGE_LENGTH = 1.0
 """s."""
 ROUGH_SPEED = 5.0
-"""m/s. Full vibration noise from here on; at rest a tenth of it."""
+"""m/s, speed from which vibration noise is full; at rest it is a tenth."""
 SLOWEST_WHEEL, SLOWEST_VEHICLE = 1.1 / 3.6, 2.8 / 3.6
-"""m/s. Below, wheel speeds and vehicle speed are sent as 0 (recorded drives of this car family)."""
+"""m/s, below which wheel speeds and vehicle speed are sent as 0 (as in recordings of this car family)."""
 
 
 @dataclass(slots=True)
 class InsReading:
-    """One epoch at the INS. Map axes (ENU) and body axes (FLU); SI.
+    """One epoch of the INS in map axes (ENU) and body axes (FLU); SI.
 
-    stamp: reported time since the start [s]. roll: right side down +, pitch: nose up +. specific_force
-    includes gravity: +9.81 on z at rest.
+    stamp: reported time since the start [s]. roll: right side down +, pitch: nose up +. specific_force: +9.81 on z at
+    rest.
     """
 
     stamp: float
@@ -79,7 +79,7 @@ class _Noise:
 
 
 class Ins:
-    """The INS with its errors; interval between epochs [s]."""
+    """The INS and its errors. interval: between epochs [s]."""
 
     def __init__(self, car: Car, settings: Settings, interval: float, seed: int):
         self._settings = settings
@@ -95,19 +95,10 @@ class Ins:
         ax, ay = truth.acceleration_at(*self._lever)
         s = self._settings
         reading = InsReading(
-            stamp=truth.time + s["ins_time_error"],
-            x=x,
-            y=y,
-            z=truth.z,
-            velocity_x=vx,
-            velocity_y=vy,
-            velocity_z=truth.velocity_z,
-            yaw=truth.yaw,
-            roll=truth.roll,
-            pitch=truth.pitch,
-            rates=_body_rates(truth),
-            specific_force=_specific_force(ax, ay, truth.roll, truth.pitch),
-        )
+            stamp=truth.time + s["ins_time_error"], x=x, y=y, z=truth.z,
+            velocity_x=vx, velocity_y=vy, velocity_z=truth.velocity_z,
+            yaw=truth.yaw, roll=truth.roll, pitch=truth.pitch,
+            rates=_body_rates(truth), specific_force=_specific_force(ax, ay, truth.roll, truth.pitch))
         self._add_errors(reading)
         if self._noise:
             self._add_noise(reading, 0.1 + 0.9 * min(abs(truth.velocity_x) / ROUGH_SPEED, 1.0))
@@ -116,7 +107,7 @@ class Ins:
     def _add_errors(self, r: InsReading) -> None:
         s = self._settings
         if s["ins_misalignment"]:
-            # Only the reported forward direction rotates; position and velocity over ground do not change.
+            # Only the reported forward direction rotates; position and velocity over ground are not affected.
             angle = s["ins_misalignment"]
             c, sine = math.cos(angle), math.sin(angle)
             r.velocity_x, r.velocity_y = c * r.velocity_x + sine * r.velocity_y, c * r.velocity_y - sine * r.velocity_x
@@ -153,7 +144,7 @@ def _body_rates(truth: Truth) -> tuple[float, float, float]:
 
 
 def _specific_force(ax: float, ay: float, roll: float, pitch: float) -> tuple[float, float, float]:
-    """Specific force in the axes of the tilted body (FLU) of a level acceleration (a_x, a_y, 0) and gravity."""
+    """Specific force in the axes of the tilted body (FLU), from a level acceleration (a_x, a_y, 0) and gravity."""
     forward, right, down = ax, -ay, -GRAVITY
     cp, sp, cr, sr = math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll)
     x, d = cp * forward - sp * down, sp * forward + cp * down
@@ -198,7 +189,7 @@ class Loss:
         self._generator = np.random.default_rng(seed)
 
     def loses(self, time: float) -> bool:
-        """Whether a datagram or frame at a time [s since the start] is lost; call once for each."""
+        """Whether the datagram or frame sent at `time` [s since the start] is lost; call once for each."""
         if self._every and time >= self._every and time % self._every < OUTAGE_LENGTH:
             return True
         return bool(self._share) and self._generator.random() < self._share

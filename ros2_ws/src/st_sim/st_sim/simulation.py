@@ -1,4 +1,4 @@
-"""The virtual car with its driver on a scenario, or with an external controller."""
+"""The virtual car, driven along a scenario by its driver model or by an external controller."""
 
 from math import sin
 
@@ -9,11 +9,11 @@ from .scenarios import Plan
 from .settings import Settings
 
 RUN_IN = 4.0
-"""s simulated before the start, so that the drive begins in steady motion."""
+"""s simulated before time 0, so that the drive begins in steady motion."""
 
 
 class SimulatedCar:
-    """Car and driver on a scenario: advance() to a time, then read truth(). At time 0 the car is already moving."""
+    """Car and driver on a scenario. Call advance(), then read truth(); at time 0 the car is already moving."""
 
     def __init__(self, car: Car, settings: Settings, plan: Plan, seed: int = 0):
         self.car = car
@@ -49,36 +49,20 @@ class SimulatedCar:
     def truth(self) -> Truth:
         plant, s = self.plant, self.plant.state
         forces = plant.observe(self.driver.drive_force)
-        here = plant.here
-        parked = plant.parked
         return Truth(
-            time=self.time,
-            x=s[X],
-            y=s[Y],
-            z=s[Z],
-            yaw=s[YAW],
-            velocity_x=s[VX],
-            velocity_y=s[VY],
-            yaw_rate=s[YAW_RATE],
-            acceleration_x=forces.acceleration_x,
-            acceleration_y=forces.acceleration_y,
-            yaw_acceleration=forces.yaw_acceleration,
-            velocity_z=forces.velocity_z,
-            steering_wheel_angle=self.driver.steering_wheel_angle,
-            steering_wheel_rate=self._hand_rate,
-            road_wheel_angle=forces.road_wheel_angle,
-            roll=plant.body_roll + here.bank_angle,
-            pitch=plant.body_pitch + here.grade_angle,
-            roll_rate=0.0 if parked else plant.settings["roll_gradient"] * s[LEAN_RATE],
-            wheel_speed=forces.wheel_speed,
-            gear=DRIVE,
-            forces=forces,
-            surroundings=here._asdict(),
+            time=self.time, x=s[X], y=s[Y], z=s[Z], yaw=s[YAW], velocity_x=s[VX], velocity_y=s[VY],
+            yaw_rate=s[YAW_RATE], acceleration_x=forces.acceleration_x, acceleration_y=forces.acceleration_y,
+            yaw_acceleration=forces.yaw_acceleration, velocity_z=forces.velocity_z,
+            steering_wheel_angle=self.driver.steering_wheel_angle, steering_wheel_rate=self._hand_rate,
+            road_wheel_angle=forces.road_wheel_angle, roll=plant.body_roll + plant.here.bank_angle,
+            pitch=plant.body_pitch + plant.here.grade_angle,
+            roll_rate=0.0 if plant.parked else plant.settings["roll_gradient"] * s[LEAN_RATE],
+            wheel_speed=forces.wheel_speed, gear=DRIVE, forces=forces, surroundings=plant.here._asdict(),
         )
 
 
 class ControlledCar:
-    """The plant with a controller instead of the driver: road-wheel angle and acceleration in, true state out."""
+    """The virtual car under an external controller, which commands road-wheel angle and acceleration."""
 
     def __init__(self, car: Car, settings: Settings, seed: int = 0):
         self.car = car
@@ -87,7 +71,7 @@ class ControlledCar:
         self._count = 0
 
     def place(self, x: float, y: float, yaw: float, speed: float, curvature: float = 0.0) -> None:
-        """Start with position [m], yaw [rad], speed [m/s] and curvature [1/m, left +], without slip; time 0 is here."""
+        """Reset time and set position [m], yaw [rad], speed [m/s] and curvature [1/m, left +], without slip."""
         self.plant.place(x, y, yaw, speed, curvature)
         self.steering_wheel_angle = self.plant.steering_wheel_for
         self._count = 0
@@ -118,8 +102,8 @@ class ControlledCar:
             self._count += 1
 
     def _drive_force(self, velocity_x_dot: float) -> float:
-        # Cornering resistance: the side force of the front tyres times the steer angle.
+        # Cornering resistance per mass: side force of the front axle times the sine of the steering angle.
         s = self.plant.state
-        bend = abs(s[VX] * s[YAW_RATE] * sin(s[RACK])) * self.car.cg_to_rear_axle / self.car.wheelbase
-        target = velocity_x_dot + bend - s[VY] * s[YAW_RATE]
+        resistance = abs(s[VX] * s[YAW_RATE] * sin(s[RACK])) * self.car.cg_to_rear_axle / self.car.wheelbase
+        target = velocity_x_dot + resistance - s[VY] * s[YAW_RATE]
         return self.car.mass * min(max(target, -HARDEST_BRAKING), HARDEST_DRIVE)
