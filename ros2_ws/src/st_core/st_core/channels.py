@@ -55,20 +55,20 @@ class Channel:
         zero_is_none = self.zero_is_none and bool((np.abs(log.velocity_x) > STANDSTILL_SPEED).any())
         return all(v is not None and np.isfinite(v).any() and not (zero_is_none and not v.any()) for v in values)
 
-    def shown(self, shown: Any, true: Any) -> Any:
+    def reading(self, shown: Any, true: Any) -> Any:
         """Predicted reading of the sensor [unit]."""
         return self.predicted(shown, true) if self.predicted else getattr(shown, self.name)
 
-    def off(self, measured: Mapping[str, np.ndarray], shown: Any, true: Any) -> tuple[np.ndarray, ...]:
+    def residuals(self, measured: Mapping[str, np.ndarray], shown: Any, true: Any) -> tuple[np.ndarray, ...]:
         """Measured minus predicted [unit], one for each column."""
-        return self.errors(measured, shown) if self.errors else (measured[self.name] - self.shown(shown, true),)
+        return self.errors(measured, shown) if self.errors else (measured[self.name] - self.reading(shown, true),)
 
-    def left(self, log: Any, *way: Any) -> tuple[float, ...]:
+    def noise_errors(self, log: Any, *motion: Any) -> tuple[float, ...]:
         """Errors due to noise alone [unit], one for each column."""
-        return self.noise(log, *way) if self.noise else (white_noise(getattr(log, self.name)),)
+        return self.noise(log, *motion) if self.noise else (white_noise(getattr(log, self.name)),)
 
 
-def _off_position(measured: Mapping[str, np.ndarray], shown: Any) -> tuple[np.ndarray, ...]:
+def _position_residuals(measured: Mapping[str, np.ndarray], shown: Any) -> tuple[np.ndarray, ...]:
     longitudinal, lateral = map_to_body(measured["x"] - shown.x, measured["y"] - shown.y, measured["yaw"])
     return lateral, longitudinal
 
@@ -103,7 +103,7 @@ CHANNELS: Mapping[str, Channel] = {channel.name: channel for channel in (
     Channel("yaw", "heading", "rad", 1e-4, errors=lambda m, shown: (wrap_angle(m["yaw"] - shown.yaw),),
             adds_up=True, noise=_heading_noise),
     Channel("position", "position", "m", 1e-3, "", ("x", "y"), ("position_lateral", "position_longitudinal"),
-            errors=_off_position, adds_up=True, noise=_position_noise),
+            errors=_position_residuals, adds_up=True, noise=_position_noise),
 )}
 """By name, the channel most informative about the car first."""
 

@@ -228,7 +228,7 @@ class Windows:
     def errors(self, model: AugmentedModel, gain: float = 0.0) -> Errors:
         """Errors of a model. gain: relative excess of the accelerometer over the motion, as from body roll [1]."""
         shown, true = self._seen(model, gain)
-        parts = [part for channel in self.channels for part in channel.off(self._measured, shown, true)]
+        parts = [part for channel in self.channels for part in channel.residuals(self._measured, shown, true)]
         return Errors(np.stack(parts, axis=-1), shown.acceleration_y, self.columns, self.time)
 
     def _seen(self, model: AugmentedModel, gain: float) -> tuple[Measured, Measured]:
@@ -323,4 +323,4 @@ def noise_floor(windows: Windows) -> dict[str, float]:
     grid = windows.starts_ns[:, None] + np.round(np.linspace(0.0, windows.time[-1], 101) * 1e9).astype(np.int64)
     way = float(windows.time[-1]) / 100.0, *windows.measured_at(grid, *INS_SIGNALS)
     return {column: value for channel in windows.channels
-            for column, value in zip(channel.columns, channel.left(windows.joined, *way), strict=True)}
+            for column, value in zip(channel.columns, channel.noise_errors(windows.joined, *way), strict=True)}
