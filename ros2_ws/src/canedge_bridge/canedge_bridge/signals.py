@@ -12,6 +12,7 @@ from cantools.database.can import Message as DbcMessage
 from cantools.database.can import Signal as DbcSignal
 
 from .checks import RULES, Field, Mode, Rule
+from .extraction import EXTENDED
 from .ins_time import DATE_TIME_PARTS, MILLI_TIME_PARTS
 from .table_reader import Entry, TableError, read_document, words
 
@@ -33,6 +34,7 @@ MIN_STEERING_SPAN = math.radians(180)
 
 _MESSAGE = re.compile(r"^BO_ +(?P<id>\d+) +(?P<name>\w+) *:.*\n(?:[ \t]+SG_.*\n|[ \t]*\n(?=[ \t]+SG_))*", re.MULTILINE)
 _SIGNAL_ATTRIBUTE = re.compile(r"^(?:SIG_VALTYPE_|SG_MUL_VAL_) +(?P<id>\d+) .*;", re.MULTILINE)
+MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFFFFFF
 # DBC unit -> (SI unit, factor), and its other spellings in DBC files, case ignored.
 UNITS = {
     "": ("", 1.0), "deg": ("rad", math.pi / 180), "rad": ("rad", 1.0), "deg/s": ("rad/s", math.pi / 180),
@@ -210,13 +212,25 @@ def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
 
 def _reduced(text: str, names: frozenset[str]) -> str:
     """Text of a DBC with only the named messages and their float and multiplexing attributes; empty if it has none."""
-    blocks, ids = [], set()
-    for block in _MESSAGE.finditer(text):
-        if block["name"] in names:
-            blocks.append(block[0])
-            ids.add(block["id"])
-    attributes = [line[0] for line in _SIGNAL_ATTRIBUTE.finditer(text) if line["id"] in ids]
-    return 'VERSION ""\n\nBS_:\n\nBU_: X\n\n' + "\n".join([*blocks, "", *attributes, ""]) if blocks else ""
+    blocks = [block for block in _MESSAGE.finditer(text) if block["name"] in names]
+    ids = {block["id"] for block in blocks}
+    lines = [block[0] for block in blocks]
+    lines += ["", *(line[0] for line in _SIGNAL_ATTRIBUTE.finditer(text) if line["id"] in ids), ""]
+    return 'VERSION ""\n\nBS_:\n\nBU_: X\n\n' + _corrected("\n".join(lines)) if blocks else ""
+
+
+def _corrected(text: str) -> str:
+    """Messages with the flag of a 29-bit identifier, and with names and numbers of signals as cantools reads them.
+
+    Public DBC files write 0x12f8bfa7 without the flag, signals like 0_COUNTER and factors like .25.
+    """
+    def flagged(match: re.Match[str]) -> str:
+        number = int(match[2])
+        return f"{match[1]}{number | EXTENDED if MAX_STANDARD_ID < number <= MAX_EXTENDED_ID else number}"
+
+    text = re.sub(r"^((?:BO_|SIG_VALTYPE_|SG_MUL_VAL_) +)(\d+)", flagged, text, flags=re.MULTILINE)
+    text = re.sub(r"^([ \t]+SG_ +|(?:SIG_VALTYPE_|SG_MUL_VAL_) +\d+ +)(?=\d)", r"\1_", text, flags=re.MULTILINE)
+    return re.sub(r"(?<=[(\[,|])(-?)(?=\.\d)", r"\g<1>0", text)
 
 
 def _message(row: Entry, dbc: DbcMessage, dbc_path: Path) -> MessageSpec:

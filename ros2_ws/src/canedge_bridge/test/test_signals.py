@@ -4,7 +4,7 @@ import math
 
 import pytest
 import yaml
-from canedge_bridge.signals import load_table
+from canedge_bridge.signals import load_dbc, load_table
 from canedge_bridge.table_reader import TableError
 
 
@@ -163,3 +163,16 @@ def test_a_file_that_is_no_table(text, dbc_file, tmp_path):
 def test_the_table_says_for_every_signal_what_unit_it_has(signals_file):
     messages = yaml.safe_load(signals_file.read_text())["messages"]
     assert all({"name", "unit", "sign"} <= set(s) for m in messages.values() for s in m["signals"].values())
+
+
+def test_public_dbc_files_without_the_flag_of_29_bits_and_with_signals_that_begin_with_a_digit(tmp_path):
+    """As in commaai/opendbc: vw_mqbevo.dbc, psa_aee2010_r3.dbc, _stellantis_common.dbc."""
+    file = tmp_path / "car.dbc"
+    file.write_text('VERSION ""\nBU_: X\n\nBO_ 316522407 Wheel: 8 X\n SG_ 0_COUNTER : 0|4@1+ (1,0) [0|15] "" X\n'
+                    ' SG_ Angle : 8|32@1- (.25,-.5) [-.5|1] "deg" X\n\nSIG_VALTYPE_ 316522407 Angle : 1;\n')
+    with pytest.raises(TableError, match="not a valid DBC"):
+        load_dbc(file)
+    (message,) = load_dbc(file, ["Wheel"]).messages
+    assert (message.frame_id, message.is_extended_frame) == (316522407, True)
+    counter, angle = message.signals
+    assert (counter.name, angle.scale, angle.offset, angle.conversion.is_float) == ("_0_COUNTER", 0.25, -0.5, True)

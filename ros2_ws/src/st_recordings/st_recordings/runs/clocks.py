@@ -93,7 +93,8 @@ def substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1) -> 
     if speed is not None:
         values = _without_standstill(ins, np.abs(velocity_x))
         return ([_pair(f"speed ({speed.message})", "speed", ins.time_ns, values, speed, speed, WHEEL_SPEED)],
-                f"{NO_INS_FRAMES}: aligned by the wheel speed, of unknown delay")
+                f"{NO_INS_FRAMES}: aligned by the wheel speed, whose delay is not known; assumed are "
+                "{:g} ± {:g} ms".format(*(1e3 * value for value in WHEEL_SPEED)))
     steering = can.first_of("steering_wheel_angle")
     if steering is None:
         return [], ""

@@ -122,7 +122,8 @@ def usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list[str]]:
     longest = _longest_stretch(time_ns) if len(back) and lost > max(MAX_LOST_SHARE * n, 1) else rows[:0]
     if len(longest) and n - len(longest) <= lost + MAX_LOST_SHARE * n:
         rows = longest
-        notes.append(f"the clock was set back {len(back)} times, first by {back[0]:.3f} s: "
+        often = f"{len(back)} times, first" if len(back) > 1 else "once,"
+        notes.append(f"the clock was set back {often} by {back[0]:.3f} s: "
                      f"{share(n - len(rows), n, what)} are not used; split the recording to use them")
     elif lost:
         notes.append(f"{share(lost, n, what)} are not newer than all before; they were left out")
