@@ -18,7 +18,8 @@ def rows_table(rows: Sequence[Mapping[str, str]], **options) -> Table:
     """Columns by the titles of the rows. options: of rich's Table."""
     table = Table(box=None, **options)
     for title in rows[0] if rows else ():
-        table.add_column(title, overflow="fold")
+        # Names of models are short identifiers: broken in two they cannot be copied.
+        table.add_column(title, overflow="fold", no_wrap=title == "model")
     for row in rows:
         table.add_row(*row.values())
     return table

@@ -16,7 +16,7 @@ from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
 from st_core.vehicle import VehicleParameters
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
-from ..terminal import rows_table
+from ..terminal import line, rows_table
 from .scoring import Sums, finished, finished_adaptive, pooled_sums
 
 QUESTIONS = {"hindsight": "model (inputs as they were)", "forecast": "forecast (inputs held)"}
@@ -78,20 +78,35 @@ def adaptive_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
             for model, modes in (content or {}).items() for mode, one in modes.items()]
 
 
+# One table with all columns of band_rows is wider than a terminal of 80 columns.
+TERMINAL_TABLES = {
+    "Bands: how often the whole path lies inside": ("starts", "no band", "50 % covers", "90 % covers"),
+    "Bands: conditions with the lowest coverage of the 90 % band": ("worst cell",),
+    "Bands: scores and size, along | across": (
+        "interval score 90 %, along | across, m", "CRPS, along | across, m", "half-width 90 %, along | across, m"),
+}
+
+
 def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Console) -> None:
-    """The tables of all runs together. sums: of each run. tested, adaptive: whether bands and adaptive ones are."""
-    pooled, title = pooled_sums(sums), "how often the whole path lies inside"
+    """Prints the tables of all runs pooled, readable in a terminal of 80 columns.
+
+    sums: one entry for each run. tested, adaptive: whether bands and adaptive bands were scored.
+    """
+    pooled = pooled_sums(sums)
     if tested:
         content = finished(pooled)
-        known = content["known_recordings"]
-        caption = f"{len(known)} of the files were used for calibration: not a test of the bands" if known else None
-        console.print(rows_table(band_rows(content), title=f"Bands: {title}", caption=caption,
-                                 width=min(console.width, 200)), highlight=False)
+        rows = band_rows(content)
+        for title, columns in TERMINAL_TABLES.items():
+            shown = [{column: row[column] for column in ("model", "question", *columns)} for row in rows]
+            console.print(rows_table(shown, title=title, width=min(console.width, 120)), highlight=False)
+        if known := content["known_recordings"]:
+            line(f"[yellow]{len(known)} of the files were used for calibration: not a test of the bands[/yellow]",
+                 console)
     elif not adaptive:
         console.print(HOW_TO_GET, highlight=False, soft_wrap=True)
     if adaptive:
-        console.print(rows_table(adaptive_rows(finished_adaptive(pooled)), title=f"Adaptive bands: {title}",
-                                 width=min(console.width, 140)))
+        console.print(rows_table(adaptive_rows(finished_adaptive(pooled)), width=min(console.width, 140),
+                                 title="Adaptive bands: how often the whole path lies inside"))
     if rows := share_rows(finished_shares(pooled)):
         console.print(rows_table(rows, title="What the error is made of, inputs as they were: shares of its mean "
                                  "square, along | across", width=min(console.width, 140)))
