@@ -36,8 +36,8 @@ def bench(
         sys.path.insert(0, str(project_root()))
         raise typer.Exit(importlib.import_module(f"bench.{name}").main(context.args))
     if name not in files:
-        there = ", ".join(sorted({**files, **packages}))
-        typer.echo(f"st bench: no benchmark {name!r}; there are {there}", err=True)
+        names = ", ".join(sorted({**files, **packages}))
+        typer.echo(f"st bench: no benchmark {name!r}; there are {names}", err=True)
         raise typer.Exit(2)
     if context.args:
         typer.echo(f"st bench {name}: takes no {context.args[0]}", err=True)
@@ -45,12 +45,8 @@ def bench(
     result = _load(files[name]).run()
     _show(console, name, result)
     if json_file:
-        machine = {
-            "python": platform.python_version(),
-            "machine": platform.machine(),
-            "cpu": _cpu(),
-            "version": source_version(),
-        }
+        machine = {"python": platform.python_version(), "machine": platform.machine(), "cpu": _cpu(),
+                   "version": source_version()}
         json_file.write_text(json.dumps({"bench": name, "machine": machine, "result": result}, indent=2) + "\n")
 
 
@@ -76,13 +72,13 @@ def _show(console: Console, name: str, result: dict) -> None:
     for key, rows in result.items():
         if key not in plain:
             columns = list(next(iter(rows.values())))
-            of_rows = Table(key, box=None)
+            row_table = Table(key, box=None)
             for column in columns:
-                of_rows.add_column(column, justify="right")
+                row_table.add_column(column, justify="right")
             for row, values in rows.items():
-                of_rows.add_row(row, *(_text(values[column]) for column in columns))
+                row_table.add_row(row, *(_text(values[column]) for column in columns))
             console.print()
-            console.print(of_rows)
+            console.print(row_table)
 
 
 def _is_table(value: object) -> bool:

@@ -59,13 +59,13 @@ def layers(names: list[str], arrows: set[Edge]) -> list[list[str]]:
 
 
 def implied(arrows: set[Edge]) -> set[Edge]:
-    """Arrows between packages that a longer way of other arrows joins too."""
-    ways = arrows  # of two arrows or more, in the end
-    joined: set[Edge] = set()
-    while ways:
-        ways = {(a, d) for a, b in ways for c, d in arrows if b == c} - joined
-        joined |= ways
-    return arrows & joined
+    """Arrows whose two packages are also connected by a longer path of arrows."""
+    paths = arrows  # end points, extended by one arrow at a time
+    connected: set[Edge] = set()
+    while paths:
+        paths = {(a, d) for a, b in paths for c, d in arrows if b == c} - connected
+        connected |= paths
+    return arrows & connected
 
 
 def draw(sources: Path, file: Path) -> None:
@@ -98,7 +98,7 @@ def drawn(metadata: Mapping[str, str]) -> set[Edge]:
 
 
 def _places(rows: list[list[str]], arrows: set[Edge]) -> dict[str, tuple[float, float]]:
-    """Middles of the boxes, a row for each layer. Rows are shifted one after another until arrows miss the boxes."""
+    """Centres of the boxes, one row per layer. Rows are shifted in turn until the arrows miss the boxes."""
     chosen = [_row(row, level, 0.0) for level, row in enumerate(rows)]
     for _ in range(SWEEPS):
         for level, row in enumerate(rows):
@@ -118,13 +118,13 @@ def _merged(rows: list[dict[str, tuple[float, float]]]) -> dict[str, tuple[float
 
 
 def _clutter(places: dict[str, tuple[float, float]], arrows: set[Edge]) -> float:
-    """How badly it reads: arrows through or near boxes count most, then length."""
+    """Penalty of a layout: arrows through or near boxes count most, then their length."""
     total = 0.0
     for start, end in sorted(arrows):
         (x0, y0), (x1, y1) = places[start], places[end]
         total += abs(x1 - x0) * 0.02
         for name, (x, y) in places.items():
             if name not in (start, end) and y1 < y < y0:
-                off = abs(x0 + (x1 - x0) * (y - y0) / (y1 - y0) - x)
-                total += max(0.0, 1.0 - off / BOX_HALF_WIDTH)
+                distance = abs(x0 + (x1 - x0) * (y - y0) / (y1 - y0) - x)
+                total += max(0.0, 1.0 - distance / BOX_HALF_WIDTH)
     return total

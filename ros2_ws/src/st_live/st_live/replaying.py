@@ -1,4 +1,4 @@
-"""A recording played through the real nodes: predictor, evaluator and recorder on the recording's own clock."""
+"""Plays a recording through the real nodes: predictor, evaluator and recorder run on its clock."""
 
 import json
 import sys
@@ -64,7 +64,7 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
 
 
 def not_played(bag: Path, unknown: Sequence[str]) -> list[str]:
-    """What a replay leaves out, in sentences: topics of unknown type, and the end of a truncated recording."""
+    """Sentences on what a replay leaves out: topics of unknown type, and the end of a truncated recording."""
     topics = [f"of unknown type and not played: {', '.join(unknown)}"] if unknown else []
     return topics + ([TRUNCATED.format(bag, "played")] if was_cut(bag) else [])
 
@@ -107,7 +107,7 @@ def _play(bag: Path, topics: Mapping[str, str], folder: Path, parameters: Mappin
 
 
 def _watch(suite: Suite, player: Child, name: str, rate: float, console: Console) -> None:
-    """Until the player has finished. Raises SuiteError for a process that ends before."""
+    """Show progress until the player has finished. Raises SuiteError if another process ends before."""
     speed = f"{rate:g} x" if rate > 0 else "as fast as the nodes follow"
     columns = (TextColumn("{task.description}"), BarColumn(),
                TextColumn("{task.completed:.0f} s of {task.total} s"), TimeElapsedColumn())

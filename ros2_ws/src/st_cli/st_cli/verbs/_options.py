@@ -1,4 +1,4 @@
-"""Shared by the verbs: options, the car and the read settings they stand for, and one-line errors."""
+"""Options shared by the verbs, the car and read settings they define, and one-line errors."""
 
 import inspect
 from collections.abc import Callable, Iterator
@@ -96,7 +96,7 @@ SteeringLatency = Annotated[float | None, typer.Option(
 
 @contextmanager
 def refusals(verb: str, *more: type[Exception]) -> Iterator[None]:
-    """Errors of a verb's inputs become one line and exit status 2. more: errors that only this verb has."""
+    """Report errors of a verb's inputs in one line, with exit status 2. more: errors specific to this verb."""
     # Imported when it runs, see demo.py.
     from st_core.errors import StCoreError
     from st_recordings.paths import OutputError
@@ -112,7 +112,7 @@ def refusals(verb: str, *more: type[Exception]) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """The options of a verb on how recordings are read, as they were given. One field per option."""
+    """Options on how recordings are read, as given by the user. One field per option."""
 
     car: CarName = None
     vehicle: VehicleFile = None
@@ -129,7 +129,7 @@ class ReadOptions:
     odometry_topic: OdometryTopic = None
 
     def resolve(self, **others: Any) -> "tuple[Path | None, ReadSettings]":
-        """(vehicle file, None where none was named; how recordings are read). others: of ReadSettings.
+        """(vehicle file or None if none was named; how recordings are read). others: of ReadSettings.
 
         Raises RunError for a car that cannot be read.
         """
@@ -139,7 +139,7 @@ class ReadOptions:
 
     @property
     def steering(self) -> "SteeringField | None":
-        """Where the steering angle is in a bag of another make or a table; None where no option names it."""
+        """Where to find the steering angle in an external bag or a table; None if no option names it."""
         from st_recordings.runs.run_types import SteeringField
 
         if self.steering_topic is None and self.steering_field is None:
@@ -154,9 +154,9 @@ BAG_INPUTS = ("car", "vehicle", "steering_sign", "steering_topic", "steering_fie
 
 
 def reads_recordings(*names: str, **changed: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorator of a verb: the options of ReadOptions take the place of its parameter `read_options`.
+    """Decorator of a verb that replaces its parameter `read_options` by the options of ReadOptions.
 
-    names: of these fields only, default all. changed: field -> another annotation.
+    names: fields to use, default all. changed: annotations that differ, by field.
     """
     chosen = [f for f in fields(ReadOptions) if not names or f.name in names]
 
@@ -181,7 +181,7 @@ def reads_recordings(*names: str, **changed: Any) -> Callable[[Callable[..., Any
 def resolve_car(car: str | None, vehicle: Path | None, dbc: Path | None = None, signals: Path | None = None,
                 steering_sign: int | None = None, steering_latency: float | None = None,
                 **others: Any) -> "tuple[Path | None, ReadSettings]":
-    """(vehicle file, None where none was named; how raw logs are read). others: of ReadSettings.
+    """(vehicle file or None if none was named; how raw logs are read). others: of ReadSettings.
 
     Raises RunError for a car that cannot be read.
     """
@@ -195,7 +195,7 @@ def resolve_car(car: str | None, vehicle: Path | None, dbc: Path | None = None, 
 
 @dataclass(frozen=True)
 class LiveCar:
-    """Parts of a car. vehicle, dbc, signals: None where none was named. steering: sign and latency that were given."""
+    """Parts of a car. vehicle, dbc, signals: None if not named. steering: sign and latency, if given."""
 
     vehicle: Path | None
     dbc: Path | None
@@ -205,8 +205,9 @@ class LiveCar:
 
 def resolve_live_car(car: str | None, vehicle: Path | None, dbc: Path | None, signals: Path | None,
                      steering_sign: int | None, steering_latency: float | None, complete: bool = True) -> LiveCar:
-    """The parts of a car, each replaced by its own option. complete: raises RunError without DBC or signal table; it is
-    also raised for a car that cannot be read.
+    """The parts of a car, each of which its own option replaces.
+
+    Raises RunError for a car that cannot be read and, if `complete`, for one without DBC or signal table.
     """
     from st_recordings.car import load_car
     from st_recordings.runs.errors import RunError
@@ -228,7 +229,7 @@ LEAF = config("car/leaf/vehicle.yaml")
 
 
 def load_vehicle_or_default(vehicle: Path | None) -> "tuple[VehicleParameters, Path]":
-    """(the car, its file): the Leaf's where none was named. Raises RunError and StCoreError."""
+    """(vehicle parameters, their file); the Leaf's if none was named. Raises RunError and StCoreError."""
     from st_recordings.car import read_vehicle
 
     file = vehicle or LEAF
@@ -236,7 +237,7 @@ def load_vehicle_or_default(vehicle: Path | None) -> "tuple[VehicleParameters, P
 
 
 def report_default_car(verb: str, file: Path | str) -> None:
-    """One line where no car was named and the Leaf is used."""
+    """Print one line if `file` is the Leaf's, because no car was named."""
     from st_recordings.car import car_names
 
     if Path(file).resolve().parent == LEAF.resolve().parent:
@@ -245,7 +246,7 @@ def report_default_car(verb: str, file: Path | str) -> None:
 
 
 def report_default_car_of_bag(verb: str, bag: Path, vehicle: Path | None) -> None:
-    """The same line for a recording that carries no vehicle file. Raises RunError for one that cannot be read."""
+    """Print the same line for a recording without a vehicle file. Raises RunError if it cannot be read."""
     from st_live.configuration import recordings_of
     from st_recordings.recorded import recorded_configuration
     from st_recordings.runs.bag import records_of

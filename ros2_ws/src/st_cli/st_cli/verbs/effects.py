@@ -39,17 +39,17 @@ def effects(
         if own is not None:
             load_folder(str(own.absolute()))
         if what == "list":
-            _listed(Console())
+            _print_library(Console())
             return
         named = resolve_car(car, vehicle)[0]
         parameters, file = load_vehicle_or_default(named)
-        kept = _checked(files or (), parameters, Console())
+        all_kept = _check_contracts(files or (), parameters, Console())
         if named is None:
             report_default_car("effects", file)
-    raise typer.Exit(0 if kept else 1)
+    raise typer.Exit(0 if all_kept else 1)
 
 
-def _listed(console: "Console") -> None:
+def _print_library(console: "Console") -> None:
     from rich.table import Column, Table
     from st_core.effects import EFFECTS, twins_of
 
@@ -63,7 +63,7 @@ def _listed(console: "Console") -> None:
     console.print(table)
 
 
-def _checked(files: Sequence[Path], car: "VehicleParameters", console: "Console") -> bool:
+def _check_contracts(files: Sequence[Path], car: "VehicleParameters", console: "Console") -> bool:
     from st_core.contract import check_effect
     from st_core.effects import EFFECTS, load_file
     from st_core.errors import ConfigurationError
@@ -72,14 +72,14 @@ def _checked(files: Sequence[Path], car: "VehicleParameters", console: "Console"
         if not file.is_file() or file.suffix != ".py":
             raise ConfigurationError(f"{file}: no effect file (.py)")
     chosen = [e for f in files for e in load_file(str(f.resolve().parent), f.stem)] if files else EFFECTS.values()
-    kept = True
+    all_kept = True
     for effect in chosen:
-        found = check_effect(effect, car)
-        broken = [one for one in found if one.problem]
-        kept &= not broken
-        verdict = f"{len(broken)} of {len(found)} promises broken" if broken else "all promises kept"
+        promises = check_effect(effect, car)
+        broken = [promise for promise in promises if promise.problem]
+        all_kept &= not broken
+        verdict = f"{len(broken)} of {len(promises)} promises broken" if broken else "all promises kept"
         lines = [f"{effect.name}: {verdict}"]
-        lines += [f"  no   {one.what}: {one.problem}" for one in broken]
-        lines += [f"  yes  {one.what}" for one in found if files and not one.problem]
+        lines += [f"  no   {promise.what}: {promise.problem}" for promise in broken]
+        lines += [f"  yes  {promise.what}" for promise in promises if files and not promise.problem]
         console.print("\n".join(lines), markup=False, highlight=False)
-    return kept
+    return all_kept

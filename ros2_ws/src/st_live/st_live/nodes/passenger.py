@@ -1,7 +1,7 @@
-"""Node passenger: serves the passenger's page of a running suite. A process of its own that no other waits for.
+"""Node passenger: serves the passenger's page of a running suite.
 
-It subscribes best effort with short queues: a publisher neither waits for it nor resends, so that it can be slow,
-stopped or killed without delaying a prediction.
+It runs in its own process and subscribes best effort with short queues. No publisher waits for it or resends, so it may
+be slow, stopped or killed without delaying a prediction.
 """
 
 import argparse
@@ -38,7 +38,7 @@ TRACK_SPAN, TRACK_STEP = 20.0, 0.2  # s of measured track shown, and between its
 PATH_STRIDE = 2  # every second point of a prediction is sent
 STALE = 1.0  # s; an older prediction or steering angle is not shown
 DIAGNOSTICS_TIMEOUT = 3.0  # s until a node is silent; those of the suite publish their diagnostics once a second
-MISSED_REPORTS = 3  # intervals of a node that reports less often, until it is silent
+MISSED_REPORTS = 3  # reporting intervals until a node that reports less often is silent
 BAND_LEVEL = 0.9
 LEVELS = ("ok", "warning", "error", "error")  # of diagnostic_msgs; stale counts as an error
 INPUTS = {"forecast": "held", "course": "remembered", "plan": "planned"}  # by mode, the preferred last
@@ -54,15 +54,15 @@ PERIOD = 0.1  # s between frames
 TYPES = {"status": PredictorStatus, "ins_status": InsStatus, "odometry": Odometry, "steering": Steering,
          "prediction": Prediction, "plan": PlannedPrediction, "course": PlannedPrediction, "error": PredictionError,
          "diagnostics": DiagnosticArray}
-# Messages kept of a topic: a few of the frequent ones; scores of one instant arrive together.
+# Queue depth by kind of message, else NEWEST; all scores of one instant arrive together.
 DEPTH = {"error": 200, "diagnostics": 50}
 NEWEST = 3
 
 
 class PassengerFrames:
-    """Takes messages of a running suite and makes frames for the page. Times in s of one monotonic clock.
+    """Turns messages of a running suite into frames for the page. Times are in s of one monotonic clock.
 
-    All positions are of the centre of gravity in the axes of the car at the moment: x forward, y left.
+    All positions are those of the centre of gravity in the current axes of the car: x forward, y left.
     """
 
     def __init__(self, car: VehicleParameters, map_frame: str):
@@ -211,7 +211,7 @@ class PassengerNode(Node):
                 self._frames.take(topic, message, time.monotonic() - waited)
                 started = True
         if started and len(self._subscriptions_by_topic) == 1:
-            # Not before: a player of recordings counts the subscribers of its topics before it begins.
+            # Not earlier, because the player of `st replay` counts the subscribers of its topics before it begins.
             self._subscriptions_by_topic |= {topic: self._subscribe(topic) for topic in TOPICS
                                              if topic not in self._subscriptions_by_topic}
         if self._server.clients:

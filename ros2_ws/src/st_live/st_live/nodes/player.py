@@ -1,4 +1,4 @@
-"""Plays odometry, steering and plans of a recording, with /clock: a process of its own, started by `st replay`.
+"""Plays odometry, steering and plans of a recording with /clock, in a process started by `st replay`.
 
 Messages are published byte for byte in the order of their log times (an external steering topic is converted to
 st_msgs/Steering); /clock advances in steps behind them. At a rate of 0 it plays as fast as predictor and evaluator
@@ -43,16 +43,16 @@ SUBSCRIBERS = 3  # predictor, evaluator, recorder
 PLAN, ORIGIN = "/plan/inputs", "/ins/origin"
 FEWER_SUBSCRIBERS = {PLAN: 2, ORIGIN: 1}  # predictor, recorder; recorder alone without a course
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-# At rate 0: longest wait of the clock for predictor and evaluator [s]; shorter after a wait without an answer
+# At rate 0: longest wait of the clock for predictor and evaluator [s]; shorter after a wait without progress
 # (standstill, no inputs).
 TIMEOUT, SHORT_TIMEOUT = 2.0, 0.005
-SCORE_DELAY = 1.0  # s; the clock may be a horizon and this ahead of the newest start scored
+SCORE_DELAY = 1.0  # s; the clock may lead the newest scored start by the horizon plus this
 
 
 class Follower:
-    """Progress of another node: the newest of an instant in each of its messages.
+    """Follows the progress of another node by the time stamps in its messages.
 
-    sources: topic -> (type of its messages, function for the instant in one [ns]). ahead: of the clock [s].
+    sources: topic -> (message type, function that reads a time stamp [ns]). ahead: permitted lead of the clock [s].
     """
 
     def __init__(self, node: Node, sources: Mapping[str, tuple[type, Callable[[bytes], int]]], ahead: float):
@@ -60,11 +60,11 @@ class Follower:
         self._sources = [(PolledSubscription(node, message_type, topic, QoSProfile(depth=DEPTH), raw=True), instant)
                          for topic, (message_type, instant) in sources.items()]
         self._newest_ns = 0
-        self._answers = True
+        self._progresses = True
 
     def wait(self, clock_ns: int) -> None:
-        """Until the clock is at most `ahead` after the newest instant, or the timeout."""
-        end = time.monotonic() + (TIMEOUT if self._answers else SHORT_TIMEOUT)
+        """Wait until the node has come within `ahead` of the clock, or for the timeout."""
+        end = time.monotonic() + (TIMEOUT if self._progresses else SHORT_TIMEOUT)
         before = self._newest_ns
         while True:
             for subscription, instant in self._sources:
@@ -72,9 +72,10 @@ class Follower:
                     self._newest_ns = max(self._newest_ns, instant(data))
             reached = self._newest_ns >= clock_ns - self._ahead_ns
             if reached or time.monotonic() > end:
-                self._answers = reached or self._newest_ns > before  # a slow node is waited for again
+                self._progresses = reached or self._newest_ns > before  # a slow node gets the long timeout again
                 return
-            wait_for_any(self._node, [one for one, _ in self._sources], max(end - time.monotonic(), 0.0))
+            subscriptions = [subscription for subscription, _ in self._sources]
+            wait_for_any(self._node, subscriptions, max(end - time.monotonic(), 0.0))
 
 
 def stamp_of(data: bytes) -> int:
@@ -107,7 +108,7 @@ class Player:
         self._node = Node("player")
         self._clock = self._node.create_publisher(Clock, "/clock", QoSProfile(depth=DEPTH))
         self._followers = [] if self._rate > 0 else [
-            # One tick ahead: exactly one is due then. It ends with a prediction, or with a status where there is none.
+            # One tick ahead, so that exactly one is due. It ends with a prediction, or with a status if there is none.
             Follower(self._node, {f"predictor/{options.models[-1]}/prediction": (Prediction, issued_at_of),
                                   "predictor/status": (PredictorStatus, stamp_of)}, 1.0 / options.tick_rate),
             Follower(self._node, {"evaluator/errors": (PredictionError, stamp_of)}, options.horizon + SCORE_DELAY),
@@ -132,7 +133,7 @@ class Player:
                     break
                 if self._field and connection.topic == self._steering:
                     message = reader.deserialize(data, connection.msgtype)
-                    publishers[connection.topic].publish(self._translated(message, self._field, log_ns))
+                    publishers[connection.topic].publish(self._convert_steering(message, self._field, log_ns))
                 else:
                     publishers[connection.topic].publish(bytes(data))
             self._advance(clock_ns + CLOCK_STEP_NS, first, began)
@@ -158,7 +159,7 @@ class Player:
                 publishers[connection.topic] = self._node.create_publisher(message_type, name, qos)
         return publishers
 
-    def _translated(self, message: Any, field: SteeringField, log_ns: int) -> Steering:
+    def _convert_steering(self, message: Any, field: SteeringField, log_ns: int) -> Steering:
         value = self._scale * steering_value(self._bag, message, field)
         wheel = value if field.quantity == "wheel" else math.nan
         translated = Steering(steering_wheel_angle=wheel, road_wheel_angle=(value - self._offset) / self._ratio,
