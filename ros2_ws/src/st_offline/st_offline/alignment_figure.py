@@ -8,6 +8,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from scipy.ndimage import minimum_filter1d
 from st_core.clock_alignment import correlation_curve, residual_lags
 from st_core.clock_types import Alignment, SharedSignal
 from st_core.palette import MEASURED_COLOUR, RC
@@ -70,7 +71,9 @@ def _draw_correlation(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: 
         ax.text(0.5, 0.5, "no signal to correlate", transform=ax.transAxes, ha="center")
         return
     zero = alignment.offset_ns * 1e-9
-    ax.plot(lags - zero, np.where(r == 0, np.nan, r), color=MEASURED_COLOUR, lw=0.9)
+    # r is 0 at lags with too little in common; the lag next to one is interpolated towards that 0.
+    has_overlap = minimum_filter1d(r != 0, 3, mode="nearest")
+    ax.plot(lags - zero, np.where(has_overlap, r, np.nan), color=MEASURED_COLOUR, lw=0.9)
     for peak, style, name in ((alignment.peak, "o", "best"), (alignment.second_peak, "s", "second")):
         if peak is not None and peak[1] > 0:
             ax.plot(peak[0] - zero, peak[1], style, ms=5, color=OTHER_COLOUR, label=f"{name}: {peak[1]:.2f}")
@@ -84,9 +87,12 @@ def _draw_lags(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: Alignme
     lags = residual_lags(signals, alignment)
     if not lags:
         ax.text(0.5, 0.5, "no stretch of 30 s with enough motion", transform=ax.transAxes, ha="center")
+        ax.set(xticks=[], yticks=[])
         return
     ax.axhline(0, color="k", lw=0.6)
     time = [w.time for w in lags]
+    if len(lags) == 1:
+        ax.set_xlim(time[0] - 15.0, time[0] + 15.0)
     ax.errorbar(time, [w.lag * 1e3 for w in lags], yerr=[w.deviation * 1e3 for w in lags], fmt="o", ms=3, lw=0.8,
                 color=OTHER_COLOUR)
     reach = max(1.0, 1.2 * max(abs(w.lag) + w.deviation for w in lags) * 1e3)
