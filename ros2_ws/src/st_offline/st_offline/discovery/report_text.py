@@ -84,8 +84,8 @@ def title(found: Discovery) -> str:
     """The answer in a line."""
     if found.outcome == "not_testable":
         return "These drives have too little excitation to show what may be missing"
-    named = "; ".join((*(by_any_name(found, e) for e in by_size(found.effects)),
-                       *map(ratio_to_file, found.known_together)))
+    effects, together = [by_any_name(found, e) for e in by_size(found.effects)], map(ratio_to_file, found.known_together)
+    named = "; ".join((*effects, *together) if _explains_most(found) else (*together, *effects))
     if found.outcome == "unknown":
         known = f"; in addition {named}" if named else ""
         return f"{_errors(found)}: something is missing that no known effect explains{known}"
@@ -97,6 +97,12 @@ def title(found: Discovery) -> str:
                             for b in found.bound)
         return f"{_errors(found)}: {varying}; nothing is named{more}"
     return f"{_errors(found)}: nothing is missing with certainty"
+
+
+def _explains_most(found: Discovery) -> bool:
+    """Whether one named effect makes up half of the reduction of the position error."""
+    gap = found.gap.get("position_5s")
+    return gap is None or any(e.position_5s > 0.5 * (gap.base - gap.augmented) for e in found.effects)
 
 
 def _errors(found: Discovery) -> str:
