@@ -84,7 +84,8 @@ def title(found: Discovery) -> str:
     """The answer in a line."""
     if found.outcome == "not_testable":
         return "These drives have too little excitation to show what may be missing"
-    effects, together = [by_any_name(found, e) for e in by_size(found.effects)], map(ratio_to_file, found.known_together)
+    effects = [by_any_name(found, e) for e in by_size(found.effects)]
+    together = map(ratio_to_file, found.known_together)
     named = "; ".join((*effects, *together) if _explains_most(found) else (*together, *effects))
     if found.outcome == "unknown":
         known = f"; in addition {named}" if named else ""
