@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from canedge_bridge import extraction
 from st_core.vehicle import VehicleParameters
-from st_recordings.runs import ReadSettings, RunSource, find_runs, frames, raw, read
+from st_recordings.runs import ReadSettings, RunSource, errors, find_runs, frames, raw, read
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.raw import read_pair
 from support import ROOT
@@ -190,3 +190,12 @@ def test_a_run_yaml_that_is_wrong(tmp_path: Path, content: str, message: str) ->
     (run,) = find_runs(touch(tmp_path, "run.yaml", content=content))
     with pytest.raises(RunError, match=rf"run\.yaml: {message}"):
         read(run)
+
+
+def test_warnings_that_differ_in_file_and_numbers_only_are_logged_once_with_their_files(caplog):
+    with errors.grouped_warnings():
+        errors.log_warnings([f"grouped/{k}.csv: {k} of 3000 rows are not used" for k in range(40)])
+        errors.log_warnings(["grouped/1.csv: another reason"])
+    lines = [record.getMessage() for record in caplog.records]
+    assert len(lines) == errors.MAX_ALIKE + 2 and lines[0] == "warning: grouped/0.csv: 0 of 3000 rows are not used"
+    assert "37 more like" in lines[-1] and "grouped/3.csv" in lines[-1] and "and 27 more" in lines[-1]

@@ -163,8 +163,11 @@ def reads_recordings(*names: str, **changed: Any) -> Callable[[Callable[..., Any
     def decorate(verb: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(verb)
         def called(**given: Any) -> Any:
+            from st_recordings.runs.errors import grouped_warnings
+
             options = {f.name: given.pop(f.name) for f in chosen}
-            return verb(**given, read_options=ReadOptions(**options))
+            with grouped_warnings():
+                return verb(**given, read_options=ReadOptions(**options))
 
         options = [inspect.Parameter(f.name, inspect.Parameter.KEYWORD_ONLY, default=f.default,
                                      annotation=changed.get(f.name, f.type)) for f in chosen]

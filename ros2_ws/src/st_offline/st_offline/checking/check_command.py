@@ -17,7 +17,7 @@ from st_recordings.runs.raw import about_alignment
 
 from ..terminal import line, list_files, progress_bars, report_problem
 from .check_page import write_page
-from .check_report import CheckedRun, document, print_run
+from .check_report import CheckedRun, document, print_runs
 from .gate import RUN_ERRORS, check_log, describe_problem
 from .run_corrections import check_file_name, run_yaml
 
@@ -63,8 +63,7 @@ def run_command(job: Job, console: Console, report_vehicle: Callable[[str], None
     if not good:
         raise ConfigurationError("no run can be read: " + "; ".join(failed.values()))
     new_folder(folder, "")
-    for run in good:
-        print_run(run, console)
+    print_runs(good, console)
     for name, problem in failed.items():
         report_problem(name, problem, console)
     for number, quantity in enumerate(compare_runs([run.checked for run in good])):

@@ -20,6 +20,7 @@ from ..terminal import line
 
 MAX_STRETCHES = 4
 MAX_LISTED = 3  # findings in a headline
+MAX_RUNS = 8  # runs with their findings one by one; of more, each finding once
 GRAVITY = (Severity.ERROR, Severity.WARNING, Severity.NOTE)
 MEANING = {
     Severity.ERROR: "an evaluation would be meaningless", Severity.WARNING: "an evaluation would be biased",
@@ -249,6 +250,23 @@ def print_run(run: CheckedRun, console: Console) -> None:
                  f"{escape(describe_correction(finding.advice))}", console)
 
 
+def print_runs(runs: Sequence[CheckedRun], console: Console) -> None:
+    """Print the runs one by one; of many, each finding with the names of its runs, and the runs without findings."""
+    if len(runs) <= MAX_RUNS:
+        for run in runs:
+            print_run(run, console)
+        return
+    if text := describe_clocks({run.name: run.alignment for run in runs}):
+        line(f"  {escape(text)}", console)
+    print_findings({run.name: run.checked.findings for run in runs}, console)
+    clean = [run.name for run in runs if not run.checked.findings]
+    names = f": {', '.join(clean)}" if clean else ""
+    line(f"[green]nothing found[/] in {len(clean)} of {len(runs)} runs{escape(names)}", console)
+    hints = {advise_steering_sign(run.checked.findings, can=run.alignment["method"] != "none") for run in runs}
+    for hint in sorted(filter(None, hints)):
+        line(f"[bold red]{escape(hint)}[/]", console)
+
+
 def group_by_name(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, list[str]]]:
     """Findings grouped by name, the gravest and largest first: (that of the largest effect, names of all its runs)."""
     found: dict[str, list[tuple[Finding, str]]] = {}
@@ -273,7 +291,7 @@ def print_findings(runs: Mapping[str, Sequence[Finding]], console: Console) -> N
             notes += len(names)
             continue
         parts = [finding.text, describe_effect(finding), describe_correction(finding.advice)] if len(names) == 1 else [
-            f"{finding.text} (largest of {len(names)})", describe_effect(finding), "corrections: st check"]
+            f"{finding.text} (largest of {len(names)})", describe_effect(finding), "corrections: st check RUN"]
         severity = finding.severity
         line(f"{escape(', '.join(dict.fromkeys(names)))}: [{SEVERITY_STYLE[severity]}]{severity.value}: "
              f"{escape(' | '.join(filter(None, parts)))}[/]", console)

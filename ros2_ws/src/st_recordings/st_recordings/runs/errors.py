@@ -1,7 +1,10 @@
 """Errors and warnings about recordings: one sentence for the user that names the file and what to do."""
 
 import logging
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 
 COMPRESSED_MARKS = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip, or a spreadsheet", b"BZh": "bzip2", b"\xfd7zXZ": "xz",
@@ -9,6 +12,10 @@ COMPRESSED_MARKS = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip, or a spreadsheet",
 """First bytes of a compressed file -> its kind."""
 _LOGGER = logging.getLogger("st_recordings")
 _logged: set[str] = set()
+MAX_ALIKE = 3
+"""Warnings logged in full of those that differ in their file and numbers only, while they are grouped."""
+# Warnings by their text without file and numbers, while they are grouped.
+_groups: ContextVar[dict[str, list[str]] | None] = ContextVar("_groups", default=None)
 
 
 class RunError(ValueError):
@@ -38,9 +45,33 @@ def short(error: Exception) -> str:
 def log_warnings(warnings: Iterable[str]) -> None:
     """Logs each warning once per process: on the terminal of every command, whatever else it prints."""
     for warning in warnings:
-        if warning not in _logged:
-            _logged.add(warning)
-            _LOGGER.warning("warning: %s", printable(warning))
+        if warning in _logged:
+            continue
+        _logged.add(warning)
+        if (groups := _groups.get()) is not None:
+            alike = groups.setdefault(re.sub(r"[\d.]+", "", warning.partition(": ")[2]), [])
+            alike.append(warning)
+            if len(alike) > MAX_ALIKE:
+                continue
+        _LOGGER.warning("warning: %s", printable(warning))
+
+
+@contextmanager
+def grouped_warnings() -> Iterator[None]:
+    """Within it, only the first of the warnings that differ in file and numbers are logged; at its end, the files of
+    the others.
+    """
+    groups: dict[str, list[str]] = {}
+    token = _groups.set(groups)
+    try:
+        yield
+    finally:
+        _groups.reset(token)
+        for alike in groups.values():
+            if others := [warning.partition(": ")[0] for warning in alike[MAX_ALIKE:]]:
+                files = ", ".join(others[:10]) + (f" and {len(others) - 10} more" if len(others) > 10 else "")
+                _LOGGER.warning("warning: %s", printable(
+                    f"{len(others)} more like {alike[0][:100]}...: {files} (each in full in the report)"))
 
 
 def check_readable(path: Path) -> None:
