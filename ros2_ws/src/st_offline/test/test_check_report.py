@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from rich.console import Console
 from st_core.checks import Advice, Channel, Checked, Finding, Identity, Severity
 from st_core.clock_types import Alignment, Verdict
 from st_core.vehicle import VehicleParameters
@@ -21,6 +22,7 @@ from st_offline.checking.check_report import (
     findings_from_json,
     print_findings,
     print_run,
+    print_runs,
 )
 from st_offline.checking.gate import Refused
 from st_offline.checking.run_corrections import run_yaml, with_corrections
@@ -73,7 +75,6 @@ class Lines:
     def __new__(cls):
         from io import StringIO
 
-        from rich.console import Console
         return Console(file=StringIO(), width=60, color_system=None)
 
 
@@ -279,3 +280,11 @@ def test_a_quantity_has_the_unit_of_its_finding():
     assert check_report.format_quantity("yaw_rate_bias", (0.004, 0.003, 0.005)) == "0.0040 ± 0.0010 rad/s"
     assert check_report.format_quantity("acceleration_y_bias", (-0.6, -0.8, -0.4)) == "-0.60 ± 0.20 m/s²"
     assert check_report.format_quantity("x_scale", (0.97, 0.96, 0.98)) == "0.970 ± 0.010"
+
+
+def test_many_runs_print_each_finding_once_and_the_clean_runs_in_one_line():
+    console = Console(width=200, record=True)
+    print_runs([*(run(f"bad{k}", (DEGREES,)) for k in range(5)), *(run(f"good{k}") for k in range(5))], console)
+    text = console.export_text()
+    assert text.count(DEGREES.text) == 1 and "bad0, bad1" in text and "report.html" in text
+    assert "nothing found in 5 of 10 runs: good0, good1" in text

@@ -258,7 +258,7 @@ def print_runs(runs: Sequence[CheckedRun], console: Console) -> None:
         return
     if text := describe_clocks({run.name: run.alignment for run in runs}):
         line(f"  {escape(text)}", console)
-    print_findings({run.name: run.checked.findings for run in runs}, console)
+    print_findings({run.name: run.checked.findings for run in runs}, console, "report.html")
     clean = [run.name for run in runs if not run.checked.findings]
     names = f": {', '.join(clean)}" if clean else ""
     line(f"[green]nothing found[/] in {len(clean)} of {len(runs)} runs{escape(names)}", console)
@@ -283,18 +283,18 @@ def group_by_name(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, 
     return sorted(groups, key=lambda group: order(group[0]))
 
 
-def print_findings(runs: Mapping[str, Sequence[Finding]], console: Console) -> None:
-    """Print each error and warning of the runs once, and the number of notes; for verbs other than `st check`."""
+def print_findings(runs: Mapping[str, Sequence[Finding]], console: Console, details: str = "st check") -> None:
+    """Print each error and warning of the runs once, and the number of notes. details: where all of them are."""
     notes = 0
     for finding, names in group_by_name(runs):
         if finding.severity is Severity.NOTE:
             notes += len(names)
             continue
         parts = [finding.text, describe_effect(finding), describe_correction(finding.advice)] if len(names) == 1 else [
-            f"{finding.text} (largest of {len(names)})", describe_effect(finding), "corrections: st check RUN"]
+            f"{finding.text} (largest of {len(names)})", describe_effect(finding), f"corrections: {details}"]
         severity = finding.severity
         line(f"{escape(', '.join(dict.fromkeys(names)))}: [{SEVERITY_STYLE[severity]}]{severity.value}: "
              f"{escape(' | '.join(filter(None, parts)))}[/]", console)
     if notes:
-        line(f"[dim]{notes} note{'' if notes == 1 else 's'} of the checks, harmless here: st check lists them[/dim]",
+        line(f"[dim]{notes} note{'' if notes == 1 else 's'} of the checks, harmless here: {details} lists them[/dim]",
              console)
