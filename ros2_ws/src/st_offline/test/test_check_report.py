@@ -284,7 +284,7 @@ def test_a_quantity_has_the_unit_of_its_finding():
 
 def test_many_runs_print_each_finding_once_and_the_clean_runs_in_one_line():
     console = Console(width=200, record=True)
-    print_runs([*(run(f"bad{k}", (DEGREES,)) for k in range(5)), *(run(f"good{k}") for k in range(5))], console)
+    print_runs([*(run(f"bad{k}", (DEGREES,)) for k in range(5)), *(run(f"good{k}", ()) for k in range(5))], console)
     text = console.export_text()
     assert text.count(DEGREES.text) == 1 and "bad0, bad1" in text and "report.html" in text
     assert "nothing found in 5 of 10 runs: good0, good1" in text
