@@ -73,3 +73,20 @@ def test_a_clock_set_back_is_a_warning_with_the_rows_it_costs(leaf, back, share)
               if one.name == "time_order"]
     assert one.severity is Severity.WARNING and one.value == pytest.approx(share, abs=0.002)
     assert f"{round(one.value * (len(stamps) - 1))} of 3000 rows" in one.text
+
+
+@pytest.mark.parametrize("slip", [-0.03, -0.1])
+def test_on_a_steady_circle_the_sign_of_velocity_y_is_one_of_two_explanations(leaf, slip):
+    """Its constant value is a displaced measuring point or an offset of yaw as well."""
+    rng, radius, speed = np.random.default_rng(0), 50.0, 10.0
+    time = (STAMPS - STAMPS[0]) * 1e-9
+    course = speed / radius * time + slip
+    ones = np.ones(len(time))
+    values = {"x": radius * np.sin(course), "y": -radius * np.cos(course), "yaw": course - slip,
+              "v_x": speed * np.cos(slip) * ones, "v_y": -speed * np.sin(slip) * ones, "rate": speed / radius * ones}
+    scatter = {"x": 0.005, "y": 0.005, "yaw": 0.0005, "v_x": 0.01, "v_y": 0.01, "rate": 0.001}
+    x, y, yaw, v_x, v_y, rate = (value + rng.normal(0.0, scatter[name], len(time)) for name, value in values.items())
+    log = DriveLog("circle", STAMPS, x, y, yaw, v_x, v_y, rate, STAMPS, 2.7 / radius * ones, None)
+    found = [one for one in check(log).findings if one.name in ("position_reference", "yaw_offset")]
+    assert found and {one.advice.kind for one in found} == {"look"}
+    assert all("or velocity_y counts the other way" in one.text for one in found)

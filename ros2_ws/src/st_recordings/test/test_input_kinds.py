@@ -164,6 +164,12 @@ TABLES: list[tuple[str, Callable[[DriveLog], str], str, str]] = [
     ("month_first.csv", lambda log: stamped(log, lambda s: f"04/25/2026 {clock(43200 + s)}"), "utf-8", ""),
     ("which_first.csv", lambda log: stamped(log, lambda s: f"05/04/2026 {clock(43200 + s)}"), "utf-8",
      "day and month of its dates may be exchanged"),
+    ("colon.csv", lambda log: stamped(log, lambda s: clock(43200 + s)[:12].replace(".", ":")), "utf-8", ""),
+    ("clock.csv", lambda log: stamped(log, lambda s: clock(43190 + s).replace(":", "")), "utf-8",
+     "times of column t are taken as HHMMSS"),
+    ("apart.csv", lambda log: csv([["2026-05-04", clock(43200 + k * 0.01)[:11], *row[1:]] for k, row in
+                                   enumerate(rows(log))],
+                                  ",".join(("Date", "Time", *NAMES[1:]))), "utf-8", ""),
     ("minutes.csv", lambda log: stamped(log, lambda s: clock((3590 + s) % 3600)[3:]), "utf-8", ""),
     ("twice.csv", lambda log: csv([[*row, "9"] for row in rows(log)], ",".join((*NAMES, "vx"))), "utf-8",
      "column vx is there 2 times; the first is used"),
@@ -184,6 +190,7 @@ def test_tables(tmp_path: Path, drive, name: str, text, encoding: str, warning: 
     (lambda log: "PK\x03\x04" + csv(rows(log)), r"this is a compressed file \(zip, or a spreadsheet\); unpack it"),
     (lambda log: stamped(log, lambda s: "5.0"), r"1 of \d+ rows .* have a time later than all before"),
     (lambda log: csv(rows(log)[::-1]), r"1 of \d+ rows .* have a time later than all before"),
+    (lambda log: stamped(log, lambda s: "04 May 2026 " + clock(s)), r"the first is '04 May 2026 .*export seconds"),
     (doubtful_thousands, r"1,234 may be a number with a decimal mark or with a thousands separator"),
     (lambda log: csv(rows(log), ",".join(NAMES) + "\ns,m,m,Grad,m/s,m/s,deg/s,deg"), "unit row: 'Grad' of column yaw"),
 ])
@@ -192,6 +199,13 @@ def test_tables_that_cannot_be_read_for_sure(tmp_path: Path, drive, text, error:
     file.write_text(text(drive[1]))
     with pytest.raises(RunError, match=error):
         read(find_runs([file])[0], CAR)
+
+
+def test_whole_seconds_for_many_rows_are_named(tmp_path: Path, drive) -> None:
+    file = tmp_path / "whole.csv"
+    file.write_text(stamped(drive[1], lambda s: clock(43200 + s)[:8]))
+    run = read(find_runs([file])[0], CAR)
+    assert any("holds whole seconds, each for many rows; export fractions" in warning for warning in run.warnings)
 
 
 def test_a_clock_set_back_half_way_costs_half_and_is_reported_with_its_share(tmp_path: Path, drive) -> None:

@@ -36,7 +36,10 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
     if start_ns is None:
         start_ns = int(log.ins_time_ns[0]) if len(log.ins_time_ns) else 0
     log, implausible = without_implausible(log, start_ns)
-    implausible = [*auxiliary.implausible, *implausible]
+    known = {(finding.name, finding.channels) for finding in auxiliary.implausible}
+    # A channel that keeps its implausible samples is found again.
+    implausible = [*auxiliary.implausible,
+                   *(finding for finding in implausible if (finding.name, finding.channels) not in known)]
     motion = Motion.of(log, start_ns, auxiliary)
     channels = sampling.describe_channels(motion, auxiliary)
     long_enough = len(log.ins_time_ns) >= MIN_INS_SAMPLES
@@ -53,6 +56,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
         return Checked(_ordered([*findings, *sampling.find_stuck_channels(motion, channels)]), channels, ())
     motion = motion.with_(**dict.fromkeys(broken & {"acceleration_x", "acceleration_y"}, None))
     stuck = sampling.find_stuck_channels(motion, channels)
+    recorded = motion
     motion, gross = _correct_units_without_lag(sampling.without_frozen_samples(motion, stuck))
     gross = [time_unit, *gross] if time_unit else gross
     rounded = sampling.find_coarse_channels(motion, stuck)
@@ -68,7 +72,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
         findings += steps
     speed = motion.velocity_x
     rate, (motion, fine, estimates, panels) = _check_sensors_at_true_rate(motion, time_unit, _removed_factors(gross))
-    findings += rate + _merge_gross_and_fine(gross, fine, estimates)
+    findings += rate + position.with_sign_alternative(_merge_gross_and_fine(gross, fine, estimates), recorded, motion)
     if vehicle is not None:
         hand_wheel = log.steering_wheel_angle is not None
         frozen = {channel for finding in stuck if finding.name == "channel_frozen" for channel in finding.channels}

@@ -289,7 +289,7 @@ def _finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
     unit = channel.plausible.unit
     # Codes for a missing measurement are round numbers in the unit of the file, which may be degrees.
     degrees = f" ({np.rad2deg(value):.6g} {unit.replace('rad', 'deg')})" if unit.startswith("rad") else ""
-    shown = f"{value:.6g} {unit}{degrees}"
+    shown = f"{value:.6g} {unit}{degrees}" + (" plus full turns" if channel.name == "yaw" else "")
     when = f"at {where[0][0]:.2f} s" if len(samples) == 1 else f"between {times[0]:.2f} and {times[-1]:.2f} s"
     count = f"{len(samples)} of {len(channel.values)} samples"
     text = {

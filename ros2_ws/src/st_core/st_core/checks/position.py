@@ -28,6 +28,7 @@ ROUNDS = 3
 MAX_RESIDUAL_LAG, MAX_RESIDUAL_LEAD = 0.5, 0.25  # of the lag of positions, once yaw is corrected; a leading yaw is rare
 MIN_LOSS_RATIO = 1.1  # from which the scale of one axis is preferred to that of the velocity
 MIN_SIGN_GAIN = 0.01  # m; least reduction of the misfit over a second by another sign: RTK noise is 1 cm
+MAX_SIGN_MISFIT_RATIO = 1.2  # of the misfits with the other sign of velocity_y and with the causes found, if both fit
 MIN_LATERAL_VELOCITY = 0.02  # m/s, root mean square
 SPHERICAL_EARTH_SCALE = 0.005  # a map projected with one radius of the earth is wrong by up to half a per cent per axis
 MIN_VELOCITY_BIAS = 0.05  # m/s; velocities of an INS are known to 0.03
@@ -158,6 +159,23 @@ def check_lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
     text = "velocity_y counts the other way (left is positive)"
     return mirrored, [Finding("velocity_y_scale", Severity.ERROR, ("velocity_y",), text, -1.0,
                               advice=Advice.correct("velocity_y", scale=-1.0))]
+
+
+def with_sign_alternative(findings: list[Finding], recorded: Motion, corrected: Motion) -> list[Finding]:
+    """The findings; those that the other sign of velocity_y explains as well say so and propose no correction.
+
+    On a steady circle velocity_y is constant, so a wrong sign is also an offset of yaw or a displaced measuring point.
+    """
+    names = {"yaw_offset", "position_reference", "velocity_y_bias"}
+    if not any(finding.name in names for finding in findings):
+        return findings
+    mirrored = scaled_misfit(recorded.with_(velocity_y=-recorded.velocity_y))
+    if not mirrored < min(MAX_SIGN_MISFIT_RATIO * scaled_misfit(corrected), 0.5 * scaled_misfit(recorded)):
+        return findings
+    look = Advice("look", "drive bends of different speed and radius, which separate the two")
+    return [replace(finding, advice=look, channels=(*finding.channels, "velocity_y"),
+                    text=f"{finding.text}, or velocity_y counts the other way (left is positive): both fit this drive")
+            if finding.name in names else finding for finding in findings]
 
 
 def _refine_causes(problem: Regression, found: dict[str, Estimate], least: dict[str, float],

@@ -20,9 +20,10 @@ _GROUPED = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+
 _GROUPED_CELL = re.compile(r"(?:^|[;\t])\s*[+-]?[1-9]\d{0,2}(?:,\d{3})+\s*(?=[;\t\r\n]|$)", re.MULTILINE)
 _NUMERIC = re.compile(r'[\s"]*[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?[\s"]*')
 # 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.2026 10:11:12,5, 10:11:12.5; 05/04/2026 may be in April or May.
+# 10:11:12:500 of some loggers.
 # 11:12.5 PM of a clock with twelve hours; 11:12.5 is what a spreadsheet writes of a time: minutes and seconds.
 _STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4})|\d\d?/\d\d?/\d{4})[T ] *)?"
-                    r"(?:(\d{1,2}):)?(\d\d?):(\d\d(?:[.,]\d+)?) *(?:([AaPp])\.?[Mm]\.?)? *"
+                    r"(?:(\d{1,2}):)?(\d\d?):(\d\d(?:[.,:]\d+)?) *(?:([AaPp])\.?[Mm]\.?)? *"
                     r"(?:Z|UTC|([+-])(\d\d):?(\d\d))?")
 _SLASHED = re.compile(r"(?<!\d)(\d\d?)/(\d\d?)/(\d{4})(?!\d)")
 DAY, HOUR = 86400.0, 3600.0  # s
@@ -151,6 +152,9 @@ def _usable_times(file: Path, seconds: np.ndarray, place: Place, first_time: str
     used = np.zeros(len(time_ns), dtype=bool)
     used[usable] = True
     warnings += [f"{file}: {note}" for note in notes]
+    if 2 * used.sum() < len(used) and not (time_ns % 10**9).any():
+        warnings.append(f"{file}: column {place.name} holds whole seconds, each for many rows; export fractions of a "
+                        "second")
     if not place.stated and used.sum() > 2 and (step := float(np.median(np.diff(time_ns[used])) * 1e-9)) > 1.0:
         warnings.append(f"{file}: its times are {step:g} s apart; if they are not seconds, declare their unit in a "
                         "run.yaml, as units: {t: ms}")
@@ -249,7 +253,7 @@ def _parse_stamp(text: str) -> tuple[float, float] | None:
     year, month, day, day_2, month_2, year_2, hour, minute, second, half, sign, hours, minutes = match.groups()
     if not hour and (year or year_2 or not re.search("[.,]", second)):
         return None  # 10:11 is hours and minutes, 11:12.5 minutes and seconds
-    seconds = int(hour or 0) * 3600 + int(minute) * 60 + float(second.replace(",", "."))
+    seconds = int(hour or 0) * 3600 + int(minute) * 60 + float(re.sub("[,:]", ".", second))
     if half:
         seconds = seconds % (DAY / 2) + (DAY / 2 if half in "Pp" else 0.0)
     if sign:
@@ -269,6 +273,12 @@ def _seconds(file: Path, times: np.ndarray, place: Place, warnings: list[str]) -
     median, steps = np.median(np.abs(finite)) if len(finite) else 0.0, np.abs(np.diff(finite))
     steps = steps[steps > 0.0]  # a coarse clock repeats its times
     meanings: list[tuple[float, float, str]] = []
+    if not place.stated and _is_clock(finite):
+        warnings.append(f"{file}: times of column {place.name} are taken as HHMMSS, a time of day")
+        seconds = times // 10000 * HOUR + times // 100 % 100 * 60 + times % 100
+        known = np.isfinite(seconds)
+        seconds[known] += DAY * np.cumsum(np.diff(seconds[known], prepend=seconds[known][0]) < -DAY / 2)
+        return seconds
     if median > LATEST_TIME:
         meanings = [(0.0, UNITS["time"][unit][0], f"{unit} since 1970") for unit in ("ms", "us", "ns")]
     elif len(steps) and np.median(steps) < 2e-5:  # faster than any logger
@@ -278,6 +288,16 @@ def _seconds(file: Path, times: np.ndarray, place: Place, warnings: list[str]) -
             warnings.append(f"{file}: times of column {place.name} are taken as {meaning}")
             return (times - origin) * factor
     return times * place.factor
+
+
+def _is_clock(times: np.ndarray) -> bool:
+    """Whether numbers are HHMMSS.ss: minutes and seconds below 60, and 41 s from each full minute to the one before."""
+    if len(times) < 3 or times.min() < 0.0 or times.max() >= 240000.0 or (times % 100 >= 60.0).any() or (
+            times // 100 % 100 >= 60).any():
+        return False
+    steps = np.diff(times)
+    usual = float(np.median(np.abs(steps)))
+    return bool(usual < 5.0 and (np.abs(steps % 4000 - 40.0 - usual) < usual + 0.01).any())
 
 
 def _with_decimal_points(file: Path, body: str, delimiter: str) -> str:
