@@ -255,6 +255,38 @@ def test_vbo(tmp_path: Path, drive, start: float, seconds_of_day: bool) -> None:
     assert_warned(run.warnings, f"{known}|its times are not HHMMSS" if seconds_of_day else known)
 
 
+@pytest.mark.parametrize(("change", "warning", "lost"), [
+    (lambda k, row: [*row[:2], "+0.0", "+0.0", *row[4:]] if k < 50 else row,
+     r"50 of \d+ rows .* latitude and longitude 0", 50),
+    (lambda k, row: [row[0], "000000.00", *row[2:]] if k < 50 else row, r"the first of \d+ rows is 432\d\d", 50),
+    (lambda k, row: [row[0], "127777.00", *row[2:]] if k == 50 else row, r"time \(column time\): 1 of \d+ rows", 1),
+], ids=["no fix", "time 0", "damaged time"])
+def test_single_wrong_rows_of_a_vbo_cost_themselves_only(tmp_path: Path, drive, change, warning: str,
+                                                         lost: int) -> None:
+    head, _, data = vbo(drive[1]).partition("[data]\n")
+    file = tmp_path / "drive.vbo"
+    file.write_text(head + "[data]\n" + "\n".join(" ".join(change(k, row.split(" "))) for k, row in
+                                                 enumerate(data.splitlines())) + "\n")
+    run = read(find_runs([file])[0], CAR, WHEEL)
+    assert len(run.log.x) >= len(drive[1].x) - 1 - lost - 2 and any(re.search(warning, w) for w in run.warnings)
+    assert np.hypot(np.diff(run.log.x), np.diff(run.log.y)).sum() > 0.95 * 12.0 * run.log.duration
+
+
+def test_milliseconds_of_the_day_in_a_vbo_are_questioned_and_a_compressed_log_is_named(tmp_path: Path, drive) -> None:
+    head, _, data = vbo(drive[1], last_wrong=False).partition("[data]\n")
+    file = tmp_path / "drive.vbo"
+    file.write_text(head + "[data]\n" + "\n".join(" ".join([row.split(" ")[0], str(43200000 + 10 * k),
+                                                          *row.split(" ")[2:]]) for k, row in
+                                                 enumerate(data.splitlines())) + "\n")
+    assert any("units: {t: ms}" in warning for warning in read(find_runs([file])[0], CAR, WHEEL).warnings)
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / "run.ncom").write_bytes((drive[0] / "run.ncom").read_bytes())
+    (folder / "run.log").write_bytes(b"\x1f\x8b\x08" + bytes(100))
+    with pytest.raises(RunError, match=r"run.log: this is a compressed file \(gzip\); unpack it first"):
+        read(find_runs([folder])[0], CAR)
+
+
 # CAN logs: what is made of the lines of run.log.
 def frames_of(folder: Path) -> list[str]:
     return (folder / "run.log").read_text().splitlines()
@@ -299,12 +331,20 @@ def spoilt(lines: list[str], every: int) -> str:
     return "\n".join(line[:20] if k % every == every - 1 else line for k, line in enumerate(lines)) + "\n"
 
 
+def replaced(lines: list[str], line: str) -> str:
+    return "\n".join([*lines[:5000], line, *lines[5001:]])
+
+
 LOGS: list[tuple[str, Callable[[list[str]], str], str, str]] = [
     ("run.log", lambda lines: spoilt(lines, 3000), "utf-8", r"lines \(0\.03\d? %\) cannot be read, .* line 3000"),
     ("run.log", "\n".join, "utf-16", ""),
     ("run.log", lambda lines: changed(lines, lambda h, d: f"{h}#{d}000000"), "utf-8", "bytes are padding"),
     ("run.log", lambda lines: changed(lines, lambda h, d: f"{h}##1{d.ljust(24, '0')}"), "utf-8", "have 12 bytes"),
     ("run.log", lambda lines: changed(lines, lambda h, d: f"{h}##1{d.ljust(128, 'A')}"), "utf-8", "have 64 bytes"),
+    ("run.log", lambda lines: replaced(lines, lines[5000].split("#")[0] + "#" + "AA" * 70), "utf-8",
+     "frames with more than 64 bytes: 1; they were skipped"),
+    ("run.log", lambda lines: replaced(lines, "(1e300) " + lines[5000].split(" ", 1)[1]), "utf-8",
+     "frames with an impossible time: 1; they were skipped"),
     ("run.asc", lambda lines: asc(lines, comment="// Prüfstand"), "cp1252", ""),
     ("run.asc", lambda lines: asc(lines, "Wed Sep 3 18:00:00.005 pm 2025"), "utf-8", ""),
     ("run.asc", lambda lines: asc(lines, "Mi Mär 3 18:00:00.005 2025"), "cp1252", ""),

@@ -77,7 +77,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
         hand_wheel = log.steering_wheel_angle is not None
         frozen = {channel for finding in stuck if finding.name == "channel_frozen" for channel in finding.channels}
         for more, values, panel in _compare_with_vehicle(motion, vehicle, hand_wheel, broken, coarse | frozen):
-            findings += more
+            findings += [_without_sideslip(finding) for finding in more] if "velocity_y" in frozen else more
             estimates |= values
             panels += [panel] if panel else []
     findings += vehicle_relations.check_standstill(motion.with_(velocity_x=speed))
@@ -85,6 +85,16 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
         findings = try_corrections(findings, log, vehicle)
     return Checked(_ordered(findings), channels, tuple(panels),
                    {name: (estimate.value, *estimate.interval) for name, estimate in estimates.items()})
+
+
+def _without_sideslip(finding: Finding) -> Finding:
+    """A lag of the steering in a drive without velocity_y: its yaw may be the course over ground, which leads the yaw
+    of the car, so the lag may be none of the sensor and is not corrected."""
+    if finding.name != "steering_lag":
+        return finding
+    advice = Advice("look", "record the heading of the car and velocity_y; without them the sensor's lag is unknown")
+    text = f"{finding.text}; velocity_y is not measured, so this may be the sideslip"
+    return replace(finding, text=text, advice=advice)
 
 
 def _ordered(findings: list[Finding]) -> tuple[Finding, ...]:

@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from .errors import share, short
+from .errors import COMPRESSED_MARKS, share, short
 from .mf4 import MAKERS_CONTAINERS
 
 MF4_EXTENSIONS = (".mf4", ".mdf")
@@ -256,4 +256,5 @@ def is_can_log(file: Path) -> bool:
             head = stream.read(4096)
     except OSError:
         return True
-    return not head or head[:4] in (b"MDF ", b"UnFi") or any(kind.mark(head) for kind in FORMATS)
+    return (not head or head[:4] in (b"MDF ", b"UnFi") or head.startswith(tuple(COMPRESSED_MARKS))
+            or any(kind.mark(head) for kind in FORMATS))

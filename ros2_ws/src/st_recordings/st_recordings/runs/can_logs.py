@@ -31,6 +31,7 @@ from .ins_log import LATEST_TIME
 from .mf4 import read_mf4, refuse_makers_container, session_of
 
 BLOCK_SIZE = 65536  # messages converted to columns at a time
+MAX_DATA_LENGTH = 64  # bytes of a frame of CAN FD
 MAX_TIME_JUMP_NS = 86400 * 10**9  # a frame further from both of its neighbours has a damaged time
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times count from the start of the log
 MIN_FALLING_SHARE = 0.2
@@ -88,12 +89,14 @@ def _read_log(file: Path) -> CanLog:
 
 
 def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> Frames:
-    parts, format_notes, impossible = list[Frames](), list[str](), 0
+    parts, format_notes, impossible, too_long = list[Frames](), list[str](), 0, 0
     try:
         messages = kind.messages(file, format_notes)
         while block := list(itertools.islice(messages, BLOCK_SIZE)):
             timed = [message for message in block if 0.0 <= message.timestamp <= LATEST_TIME]
             impossible += len(block) - len(timed)
+            whole = [message for message in timed if len(message.data) <= MAX_DATA_LENGTH]
+            too_long, timed = too_long + len(timed) - len(whole), whole
             if timed:
                 parts.append(_columns(timed))
     except Exception as error:  # the readers pass on any exception of their parsing, and a missing file
@@ -105,6 +108,8 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> Frames:
         frames, impossible = frames.select(~is_outlier), impossible + int(is_outlier.sum())
     if impossible:
         format_notes.append(f"frames with an impossible time: {impossible}; they were skipped")
+    if too_long:
+        format_notes.append(f"frames with more than {MAX_DATA_LENGTH} bytes: {too_long}; they were skipped")
     if not len(frames):
         what = f"no whole frame is in it ({'; '.join(format_notes)})" if format_notes else "no frames are in the log"
         raise RunError(file, what, "copy or export it again")

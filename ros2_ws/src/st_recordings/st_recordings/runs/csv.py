@@ -179,6 +179,11 @@ def _with_derived(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray]
         columns["velocity_x"], columns["velocity_y"] = c * east + s * north, c * north - s * east
     if not {"x", "y"} <= columns.keys() and columns.keys() >= {"latitude", "longitude"}:
         latitude, longitude = columns["latitude"], columns["longitude"]
+        has_fix = (latitude != 0.0) | (longitude != 0.0)  # loggers write zeros before the first fix
+        if not has_fix.all():
+            without = share(int((~has_fix).sum()), len(has_fix), "rows")
+            notes.append(f"{table.file}: {without} have latitude and longitude 0: no fix")
+        latitude, longitude = (np.where(has_fix, values, np.nan) for values in (latitude, longitude))
         found = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude) & table.used)
         origin = (float(latitude[found[0]]), float(longitude[found[0]]), 0.0) if len(found) else None
         columns["x"], columns["y"], _ = enu(origin or (0.0, 0.0, 0.0), latitude, longitude, np.zeros(len(latitude)))

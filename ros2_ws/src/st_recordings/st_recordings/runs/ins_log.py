@@ -111,8 +111,9 @@ def usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list[str]]:
     """(rows of strictly rising time, warnings with the share that is not used).
 
     Single rows that are not newer than all before are left out. Where that costs more than MAX_LOST_SHARE, the clock
-    was set back while recording: only the longest stretch without a step back is used. A last row with a stamp far
-    from the others is left out. time_ns: (n,) int64 in the order of the recording. what: noun for the rows, plural.
+    was set back while recording: only the longest stretch without a step back is used. A first or last row with
+    a stamp far from the others is left out. time_ns: (n,) int64 in the order of the recording. what: noun for the
+    rows, plural.
     """
     n = len(time_ns)
     rows = np.flatnonzero(is_newer(time_ns))
@@ -131,6 +132,9 @@ def usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list[str]]:
     if len(rows) > 10 and steps[-1] > MAX_LAST_STEP * np.median(steps):
         notes.append(f"the last of {n} {what} is {steps[-1] * 1e-9:.3f} s after the one before; it was left out")
         rows = rows[:-1]
+    if len(rows) > 10 and steps[0] > MAX_LAST_STEP * np.median(steps):
+        notes.append(f"the first of {n} {what} is {steps[0] * 1e-9:.3f} s before the one after; it was left out")
+        rows = rows[1:]
     return rows, notes
 
 

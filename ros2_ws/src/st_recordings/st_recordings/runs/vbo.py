@@ -23,6 +23,7 @@ _STANDARD_CHANNELS = {"lat": ("latitude", "min"), "latitude": ("latitude", "min"
                       "heading": ("compass_heading", "deg"), "time": ("t", "s")}
 # Units of the maker's loggers for other channels, where [channel units] gives none.
 _DEFAULT_UNITS = {"angular rate": "deg/s", "acceleration": "g", "angle": "deg", "speed": "km/h", "length": "m"}
+MAX_DAMAGED_TIMES = 0.01  # share of single times that are none, up to which the others are HHMMSS
 TRUE_HEADING_NAMES = ("trueheading", "truehead", "headingtrue", "heading2", "dualantennaheading")
 MIN_HEADING_AGREEMENT = 0.5
 """Correlation of a yaw rate channel with the derivative of the heading below which it is not used."""
@@ -57,6 +58,7 @@ def read_vbo(file: Path, layout: Layout) -> Table:
         body = with_seconds(body, " ", place.column, lambda cell: _seconds(cell, midnight))
     else:
         warnings.append(f"{file}: its times are not HHMMSS; they are taken as seconds")
+        place = replace(place, stated=False)
     table = table_of(file, names, body, " ", layout, warnings, {**places, "t": place})
     return _with_motion(table, names, warnings)
 
@@ -106,10 +108,11 @@ def _midnight(text: str) -> float:
 
 
 def _is_clock(body: str, column: int) -> bool:
-    """Whether minutes and seconds of all times are below 60, as those of HHMMSS; the last row may be cut."""
+    """Whether the times are HHMMSS, with minutes and seconds below 60; single damaged ones do not count."""
     cells = [line.split(" ")[column] for line in body.split("\n") if line.count(" ") >= column][:-1]
-    numbers = [float(cell) for cell in cells if re.fullmatch(r"\d+(\.\d+)?", cell)]
-    return all(clock % 100 < 60 and clock // 100 % 100 < 60 for clock in numbers)
+    clock = np.array([float(cell) for cell in cells if re.fullmatch(r"\d+(\.\d+)?", cell)])
+    other = (clock % 100 >= 60) | (clock // 100 % 100 >= 60)
+    return bool(other.sum() <= MAX_DAMAGED_TIMES * len(clock) and not (other[:-2] & other[1:-1] & other[2:]).any())
 
 
 def _seconds(text: str, midnight: float) -> tuple[float, float] | None:
@@ -119,7 +122,8 @@ def _seconds(text: str, midnight: float) -> tuple[float, float] | None:
     except ValueError:
         return None
     seconds = clock // 10000 * 3600 + clock // 100 % 100 * 60 + clock % 100
-    return (midnight + seconds, DAY) if 0 <= seconds < DAY + 1 else None
+    is_time = 0 <= seconds < DAY + 1 and clock % 100 < 60 and clock // 100 % 100 < 60
+    return (midnight + seconds, DAY) if is_time else None
 
 
 def _with_motion(table: Table, names: list[str], warnings: list[str]) -> Table:
