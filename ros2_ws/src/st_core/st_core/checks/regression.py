@@ -290,7 +290,9 @@ def _residual_shares(pair: Pair, offsets: Sequence[float]) -> tuple[list[float],
     series = [_common_samples(pair, offset) for offset in offsets]
     common = np.flatnonzero(np.bincount(np.concatenate([rows for rows, _ in series])) == len(series))
     values = pair.other.values[common]
-    r = [float(np.corrcoef(derived[np.isin(rows, common)], values)[0, 1]) for rows, derived in series]
+    with np.errstate(invalid="ignore", divide="ignore"):  # a constant series, as of a car that stands, explains nothing
+        r = [float(np.nan_to_num(np.corrcoef(derived[np.isin(rows, common)], values)[0, 1]))
+             for rows, derived in series]
     return [max(1.0 - correlation**2, MIN_RESIDUAL_SHARE) for correlation in r], len(common)
 
 
