@@ -5,12 +5,15 @@ from dataclasses import asdict, dataclass, field, is_dataclass
 from typing import Any, Literal
 
 import numpy as np
+from scipy import stats
 
 from ..augmented import AugmentedModel
 from ..effects import EFFECT_KINDS
+from .settings import Limits
 
 Outcome = Literal["none", "named", "ambiguous", "several", "bound", "unknown", "not_testable"]
-Z95, Z99 = 1.96, 2.576  # two-sided quantiles of the standard normal distribution
+# A 95 % interval is widened by this to that of the limit `false_alarm`, for a normal distribution.
+WIDENING = float(stats.norm.isf(0.5 * Limits().false_alarm) / stats.norm.isf(0.025))
 OUTCOMES: tuple[Outcome, ...] = ("none", "named", "ambiguous", "several", "bound", "unknown", "not_testable")
 EFFECTIVE = "effective corrections"
 PARTS = (*EFFECT_KINDS, EFFECTIVE, "place or time", "unexplained")
@@ -114,9 +117,9 @@ class Combination:
 
     @property
     def differs(self) -> bool:
-        """Whether the value of the vehicle file lies outside the 99 % interval, taken as that of 95 % scaled."""
+        """Whether the value of the vehicle file differs significantly, p < `Limits.false_alarm`."""
         edge = self.interval[0] if self.file < self.value else self.interval[1]
-        return abs(self.file - self.value) > Z99 / Z95 * abs(edge - self.value)
+        return abs(self.file - self.value) > WIDENING * abs(edge - self.value)
 
 
 @dataclass(frozen=True)

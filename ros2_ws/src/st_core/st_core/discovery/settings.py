@@ -14,8 +14,9 @@ from ..errors import ConfigurationError
 class Limits:
     """Raises ConfigurationError naming the limit that is not a positive number.
 
-    false_alarm [1]: probability, over the whole library, of a statement about drives without any gap; and, for a
-    proposed relation, that the predicted path does not improve with it.
+    false_alarm [1]: probability, over the whole library, of a statement about drives without any gap; for a proposed
+    relation, that the predicted path does not improve with it; and, at its default, of a combination (`known_together`)
+    that differs from the vehicle file.
     doubt [1]: p-value above which a comparison is undecided: two names, a value between runs, an interval.
     relevant [1]: relative reduction of the errors from which an effect is relevant: of the errors without it, over all
     channels, to be kept; of the baseline errors, in one channel, to be named ...

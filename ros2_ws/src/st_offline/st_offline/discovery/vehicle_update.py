@@ -29,7 +29,7 @@ from .drives import Request
 HORIZON, STEP, INTERVAL = 5.0, 0.05, 5.0  # s, of the predictions that are compared, and between their starts
 MIN_SPEED = 1.5  # m/s, at a start
 SAME_POSE = 1e-3  # m, rad; difference of two predictions at the end of the horizon that counts as none
-SIMILAR_POSITION = 0.02  # m, mean difference up to which effective corrections are kept beside another vehicle file
+SIMILAR_POSITION = 0.02  # m, mean difference up to which effective corrections are kept with another vehicle file
 SIGNIFICANT = 0.05  # p-value of a paired t-test over the starts of a drive, which do not overlap
 DIGITS = 6  # of a written value
 SAME_VALUE = 1e-5  # relative difference that rounding to DIGITS makes at most
