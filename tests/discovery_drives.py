@@ -9,7 +9,6 @@ from functools import cached_property
 
 import numpy as np
 from st_core.augmented import augment
-from st_core.channels import CHANNELS, FURTHER
 from st_core.discovery import DiscoverySettings
 from st_core.discovery.fit import Problem
 from st_core.discovery.following import drive
@@ -22,7 +21,6 @@ from st_core.vehicle import VehicleParameters
 NOISE = {"x": 0.01, "y": 0.01, "yaw": 1e-4, "velocity_x": 0.003, "velocity_y": 0.003, "yaw_rate": 0.002,
          "acceleration_y": 0.05}
 """Standard deviations of white noise, SI."""
-OF_FURTHER = {name: 10.0 * CHANNELS[name].smallest for name in FURTHER}
 COLUMNS = ("velocity_y", "yaw_rate", "acceleration_y", "yaw", "position_lateral", "position_longitudinal")
 """Of the problems made of numbers, whatever else can be measured, so that their draws stay the same."""
 DRIVEN = ("lane_change", "slalom", "circle")
@@ -32,11 +30,9 @@ def recorded(vehicle: VehicleParameters, effects: Mapping, seed: int, names: Seq
              base: str = "nonlinear", noise: float = 1.0) -> list[DriveLog]:
     """One log for each manoeuvre of the catalogue named. effects: {name: {parameter: value}}."""
     rng, model, logs = np.random.default_rng(seed), augment(base, effects), []
-    further, = rng.spawn(1)
     for k, name in enumerate(names):
         log = drive(next(m for m in CATALOGUE if m.name == name), model, vehicle)
-        noisy = {key: getattr(log, key) + noise * size * drawn.standard_normal(len(log.x))
-                 for sizes, drawn in ((NOISE, rng), (OF_FURTHER, further)) for key, size in sizes.items()}
+        noisy = {key: getattr(log, key) + noise * size * rng.standard_normal(len(log.x)) for key, size in NOISE.items()}
         logs.append(replace(log, name=f"{name} {k + 1}", **noisy))
     return logs
 

@@ -17,7 +17,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_processes import executable, free_domain
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, NavSatFix, TimeReference
-from st_live import transport
+from st_live import suite
 from st_msgs.msg import InsStatus, Ncom, Trigger
 from tf2_msgs.msg import TFMessage
 
@@ -40,7 +40,7 @@ TOPICS = {
 
 def launch(parameters: dict, log_folder: Path, domain: int) -> subprocess.Popen:
     words = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
-    environment = os.environ | transport.loopback(os.environ) | {
+    environment = os.environ | suite.loopback(os.environ) | {
         "ROS_DOMAIN_ID": str(domain),
         "ROS_LOG_DIR": str(log_folder),
     }

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NoReturn
 
 import typer
-from st_live import transport
+from st_live import suite
 from st_recordings.paths import project_root
 
 
@@ -30,7 +30,7 @@ def test(
     if context.args:
         parts = [[*pytest, *(["-m", "not slow"] if fast else []), *context.args]]
     with tempfile.TemporaryDirectory(prefix="st-test-") as logs:
-        environment = {**os.environ, **transport.loopback(os.environ), "ROS_LOG_DIR": logs}
+        environment = {**os.environ, **suite.loopback(os.environ), "ROS_LOG_DIR": logs}
         statuses = [subprocess.run(part, cwd=root, env=environment, check=False).returncode for part in parts]
         raise typer.Exit(max(statuses))
 

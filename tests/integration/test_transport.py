@@ -5,7 +5,7 @@ import signal
 import psutil
 import pytest
 from ros_processes import Processes, wait_for
-from st_live import transport
+from st_live import suite
 from support import ROOT
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
@@ -28,11 +28,11 @@ def segments(pid: int) -> list[str]:
 def test_which_variables():
     fast = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT", "FASTRTPS_DEFAULT_PROFILES_FILE": PROFILE}
     local = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    assert transport.loopback({}) == fast
-    assert transport.loopback(fast) == fast  # in a shell that has them already
-    assert transport.loopback({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}) == fast
-    assert transport.loopback({"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}) == local
-    assert transport.loopback({"FASTRTPS_DEFAULT_PROFILES_FILE": "/somebody/elses.xml"}) == local
+    assert suite.loopback({}) == fast
+    assert suite.loopback(fast) == fast  # in a shell that has them already
+    assert suite.loopback({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}) == fast
+    assert suite.loopback({"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}) == local
+    assert suite.loopback({"FASTRTPS_DEFAULT_PROFILES_FILE": "/somebody/elses.xml"}) == local
 
 
 @pytest.mark.ros

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import typer
-from st_live import transport
+from st_live import suite
 
 from .verbs import (
     calibrate,
@@ -49,8 +49,8 @@ DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
 
 def main() -> None:
-    if os.environ.get(transport.RANGE, "LOCALHOST") == "LOCALHOST":  # another range was chosen by the user
-        os.environ.update(transport.loopback(os.environ))
+    if os.environ.get(suite.RANGE, "LOCALHOST") == "LOCALHOST":  # another range was chosen by the user
+        os.environ.update(suite.loopback(os.environ))
     _ensure_log_directory()
     try:
         app(prog_name="st")

@@ -20,8 +20,7 @@ class Channel:
     """One measured quantity.
 
     words: name in reports. unit: SI. smallest [unit]: resolution of an INS; smaller errors are not distinguished.
-    recorded: description, for a signal that only some recordings have; DriveLog, CSV files and run.yaml then have it
-    under `name`. signals: fields of DriveLog that measure it. columns: in which it is scored. Both default to `name`.
+    signals: fields of DriveLog that measure it. columns: in which it is scored. Both default to `name`.
     predicted(shown, true): reading of the sensor, from `effects.Measured` with and without the errors of the INS;
     None for the field `name` of `shown`. errors(measured, shown): by column; None for measured minus predicted.
     smoothed: measured and predicted are averaged over 0.1 s. adds_up: its errors grow over the horizon.
@@ -35,7 +34,6 @@ class Channel:
     words: str
     unit: str
     smallest: float
-    recorded: str = ""
     signals: tuple[str, ...] = ()
     columns: tuple[str, ...] = ()
     predicted: Callable[[Any, Any], Any] | None = None
@@ -102,12 +100,11 @@ CHANNELS: Mapping[str, Channel] = {channel.name: channel for channel in (
     Channel("acceleration_y", "lateral acceleration", "m/s^2", 5e-3, smoothed=True),
     Channel("yaw", "heading", "rad", 1e-4, errors=lambda m, shown: (wrap_angle(m["yaw"] - shown.yaw),),
             adds_up=True, noise=_heading_noise),
-    Channel("position", "position", "m", 1e-3, "", ("x", "y"), ("position_lateral", "position_longitudinal"),
+    Channel("position", "position", "m", 1e-3, ("x", "y"), ("position_lateral", "position_longitudinal"),
             errors=_position_residuals, adds_up=True, noise=_position_noise),
 )}
 """By name, the channel most informative about the car first."""
 
-FURTHER = tuple(name for name, channel in CHANNELS.items() if channel.recorded)
 OF_COLUMN = {column: channel for channel in CHANNELS.values() for column in channel.columns}
 POSITION_5S = "position_5s"
 UNITS = {POSITION_5S: "m"} | {name: channel.unit for name, channel in CHANNELS.items()}

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from . import channels
 from .errors import StCoreError
 from .log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
 from .timeseries import NANOSECOND, interpolate
@@ -37,7 +36,6 @@ CHANNELS: Mapping[str, tuple[str, ...]] = {
 UNITS: Mapping[str, str] = {
     **dict.fromkeys(("x", "y", "position"), "m"), **dict.fromkeys(("velocity_x", "velocity_y", "velocity"), "m/s"),
     "yaw_rate": "rad/s", **dict.fromkeys(("acceleration_x", "acceleration_y"), "m/s^2"),
-    **{name: channels.UNITS[name] for name in channels.FURTHER},
     **dict.fromkeys(("yaw", "heading", *STEERING), "rad"),
 }
 

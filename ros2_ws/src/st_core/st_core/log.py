@@ -1,31 +1,22 @@
 """One recorded drive, ready for evaluation and identification: INS and steering on one clock, SI, no gaps filled."""
 
-from dataclasses import dataclass, field, fields, make_dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .channels import FURTHER
 from .errors import StCoreError
 from .vehicle import VehicleParameters
 
 INS_SIGNALS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate")
-OPTIONAL_INS_SIGNALS = ("acceleration_x", "acceleration_y", *FURTHER)
+OPTIONAL_INS_SIGNALS = ("acceleration_x", "acceleration_y")
 STEERING = ("road_wheel_angle", "steering_wheel_angle")
 # s, to both sides of a sample: a shorter one is noisy, a longer one reduces 2.5 Hz by more than 3 %.
 SLOPE_HALF_WIDTH = 0.025
 
 
-if TYPE_CHECKING:
-    _Further = object
-else:  # one optional field for each further channel
-    _Further = make_dataclass("_Further", [(name, np.ndarray | None, field(default=None, kw_only=True))
-                                           for name in FURTHER], frozen=True, eq=False)
-
-
 @dataclass(frozen=True, eq=False)
-class DriveLog(_Further):
+class DriveLog:
     """Measurements of one drive, each on its own time base. Arrays are read-only.
 
     ins_time_ns, steering_time_ns: int64 UTC nanoseconds since the Unix epoch, both on the INS clock, strictly rising.
@@ -33,8 +24,8 @@ class DriveLog(_Further):
 
     x, y: INS point in the map frame, east and north [m]. yaw: from east counter-clockwise, unwrapped [rad].
     velocity_x, velocity_y: body axes, forward and left, at the INS point [m/s]. yaw_rate: left turn + [rad/s].
-    acceleration_x, acceleration_y: body axes, forward and left, as the source defines them [m/s^2]; others are in
-    `channels.CHANNELS`. None if not recorded, NaN at samples for which the source has no value.
+    acceleration_x, acceleration_y: body axes, forward and left, as the source defines them [m/s^2]. None
+    if not recorded, NaN at samples for which the source has no value.
 
     road_wheel_angle: mean of the front axle, left + [rad]. steering_wheel_angle: as measured, left +, offset not
     removed [rad]; None where the source has only the road wheel angle.

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from st_core.channels import FURTHER
 from st_core.corrections import CHANNELS, Correction, apply_corrections, check_corrections, describe_corrections
 from st_core.errors import StCoreError
 from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
@@ -21,8 +20,7 @@ def motion(t: np.ndarray) -> dict[str, np.ndarray]:
     yaw = 0.6 * np.sin(0.4 * t)
     return {"x": 7.0 * t, "y": 3.0 * np.sin(0.5 * t), "yaw": yaw, "velocity_x": 8.0 + np.sin(0.3 * t),
             "velocity_y": 0.4 * np.cos(0.7 * t), "yaw_rate": 0.24 * np.cos(0.4 * t),
-            "acceleration_x": 0.3 * np.cos(0.3 * t), "acceleration_y": 2.0 * np.cos(0.4 * t),
-            **{name: 0.3 * np.cos(0.5 * t) for name in FURTHER}}
+            "acceleration_x": 0.3 * np.cos(0.3 * t), "acceleration_y": 2.0 * np.cos(0.4 * t)}
 
 
 def drive(seconds: float = 20.0, late: dict[str, float] | None = None) -> DriveLog:

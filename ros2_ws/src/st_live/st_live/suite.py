@@ -23,6 +23,7 @@ from typing import Any, Self
 import yaml
 from st_core import yaml_text
 from st_core.errors import ConfigurationError
+from st_recordings.paths import config
 
 STOP_TIMEOUT = 20.0  # s until a child that ignores SIGINT is killed
 LAST_DOMAIN = 101  # the ports of higher domains are in the system's ephemeral range
@@ -30,6 +31,7 @@ LARGEST_DOMAIN = 232  # higher domains have no valid port
 # Priorities of SCHED_RR: above other programs, far below the kernel's own threads (50 and more).
 REALTIME_PRIORITIES = {"oxts_bridge": 22, "canedge_bridge": 22, "predictor": 21}
 VIEW_NICE = 5  # a third of an equal share; the page needs a few percent of a core
+RANGE, PROFILES, RMW = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE", "RMW_IMPLEMENTATION"
 REALTIME_PERMISSION = ('echo "$USER - rtprio 30" | sudo tee /etc/security/limits.d/single-track.conf, '
                        "then log in again")
 
@@ -218,6 +220,19 @@ def chosen_domain_id() -> int | None:
     if not text.isdecimal() or int(text) > LARGEST_DOMAIN:
         raise SuiteError(f"ROS_DOMAIN_ID: {text!r} is not a whole number from 0 to {LARGEST_DOMAIN}")
     return int(text)
+
+
+def loopback(environment: Mapping[str, str]) -> dict[str, str]:
+    """Variables to add to `environment` so that all nodes started with them stay on the loopback interface.
+
+    For Fast DDS that is a profile (config/dds/loopback.xml). The range LOCALHOST, which has the same effect for any
+    middleware, would enable shared memory, over which a node restarted after `kill -9` may receive nothing
+    (docs/manual/reliability.md, Transport). It is used for other middleware, and with a profile of the user.
+    """
+    own = str(config("dds/loopback.xml"))
+    if environment.get(PROFILES, own) != own or not environment.get(RMW, "rmw_fastrtps_cpp").startswith("rmw_fastrtps"):
+        return {RANGE: "LOCALHOST"}
+    return {RANGE: "SYSTEM_DEFAULT", PROFILES: own}
 
 
 @contextmanager

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from st_core.channels import FURTHER
 from st_core.log import INS_SIGNALS, DriveLog
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import RunError, columns, find_runs, read
@@ -28,8 +27,7 @@ def values() -> dict[str, np.ndarray]:
             "acceleration_x": 0.1 + t, "acceleration_y": 2 * np.cos(t), "steering_wheel_angle": wheel,
             "road_wheel_angle": (wheel - LEAF.steering_wheel_offset) / LEAF.steering_ratio,
             "wheel_speed_front_left": 6.5 + t, "wheel_speed_front_right": 7.1 + t, "wheel_speed_rear_left": 6.8 + t,
-            "wheel_speed_rear_right": 7.2 + t, "vehicle_speed": 7.05 + t,
-            **{name: 0.4 + t for name in FURTHER}}
+            "wheel_speed_rear_right": 7.2 + t, "vehicle_speed": 7.05 + t}
 
 
 def write(file: Path, names: Mapping[str, str], units: Mapping[str, str] | None = None, delimiter: str = ",") -> Path:

@@ -263,10 +263,9 @@ class _Work:
     def _channels(self, settings: DiscoverySettings) -> DiscoverySettings:
         logs = [*self.runs, *self.reference]
         left_out = [c for c in settings.channels if not all(CHANNELS[c].is_in(log) for log in logs)]
-        missing = [c for c in left_out if not CHANNELS[c].recorded or any(CHANNELS[c].is_in(log) for log in logs)]
-        if missing:
-            self.warnings.append(f"{', '.join(missing)}: not measured in every run, left out; effects that need "
-                                 f"{'it' if len(missing) == 1 else 'them'} are not looked at")
+        if left_out:
+            self.warnings.append(f"{', '.join(left_out)}: not measured in every run, left out; effects that need "
+                                 f"{'it' if len(left_out) == 1 else 'them'} are not looked at")
         return replace(settings, channels=tuple(c for c in settings.channels if c not in left_out))
 
     def _known_by_sensors(self, identities: Sensors) -> dict[str, tuple[float, float, float]]:

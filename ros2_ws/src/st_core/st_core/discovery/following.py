@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from ..augmented import AugmentedModel, augment
-from ..channels import CHANNELS, FURTHER
 from ..errors import StCoreError
 from ..handling import understeer_coefficient
 from ..log import OPTIONAL_INS_SIGNALS, DriveLog
@@ -56,10 +55,8 @@ def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameter
     true = true._replace(acceleration_x=0.0 * a_y, acceleration_y=a_y + specific_force)
     seen = model.observe(true)
     time_ns = times_ns[kept] - times_ns[2 * lead]
-    further = {name: CHANNELS[name].reading(seen, true) for name in FURTHER}
     return DriveLog(manoeuvre.name, time_ns, seen.x, seen.y, seen.yaw, seen.velocity_x, seen.velocity_y, seen.yaw_rate,
-                    time_ns, angle[kept].copy(), acceleration_x=seen.acceleration_x, acceleration_y=seen.acceleration_y,
-                    **further)
+                    time_ns, angle[kept].copy(), acceleration_x=seen.acceleration_x, acceleration_y=seen.acceleration_y)
 
 
 @dataclass(frozen=True, eq=False)

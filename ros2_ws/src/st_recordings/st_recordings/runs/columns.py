@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from st_core.channels import CHANNELS
-
 from .errors import RunError
 
 # Kind of quantity -> unit -> (factor to SI, other spellings). The first unit is the default.
@@ -128,8 +126,6 @@ COLUMNS: Mapping[str, Channel] = {
         "wheel_speed_rear_right wheel_speed_rr ws_rr v_rr rear_right_wheel_speed")),
     "vehicle_speed": Channel("speed", "the car's own speed signal, or of all wheels; for checks", _words(
         "vehicle_speed car_speed can_speed speed_can abs_speed odometer_speed wheel_speed wheel_speeds")),
-    **{name: Channel(next(kind for kind, units in UNITS.items() if about.unit in units), about.recorded, (name,))
-       for name, about in CHANNELS.items() if about.recorded},
 }
 """The one table of columns; docs/csv_columns.md is made from it (test_csv_columns.py)."""
 
