@@ -50,7 +50,7 @@ def discovery(runs: Sequence[DriveLog], steps: Sequence[tuple[str, Mapping[str, 
     for (name, values, after), before in zip(steps, levels, strict=False):
         kind = get_effect(name).kind
         change = Change(before, after, (0.8 * (before - after), 1.2 * (before - after)), "m")
-        told.append(Step(name, "added", kind, fitted(name, values), change,
+        told.append(Step(name, kind, fitted(name, values), change,
                          {"acceleration_y": Change(0.6, 0.3 if after == before else 0.59, (0.0, 0.3), "m/s^2")},
                          {n: (before * (1 + 0.1 * k), after * (1 + 0.1 * k)) for k, n in enumerate(names)}))
         agreement = {"run": tuple(Value(n, 1.0 + 0.05 * (-1) ** k, 0.1) for k, n in enumerate(names)),

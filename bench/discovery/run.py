@@ -82,7 +82,7 @@ def answer(found: Discovery) -> Record:
         "on_top": {c.name: dict(c.parameters) for c in found.candidates},
         "bound": [[b.resembles, b.to] for b in found.bound],
         "unexplained": bool(found.signature),
-        "steps": [[s.action, s.effect, round(s.position_5s.base, 4), round(s.position_5s.augmented, 4)]
+        "steps": [[s.effect, round(s.position_5s.base, 4), round(s.position_5s.augmented, 4)]
                   for s in found.steps],
         "budget": {b.part: [round(v, 4) for v in (b.share_last, b.share_first)] for b in found.budget},
         "gap": None if gap is None else [round(gap.base, 4), round(gap.augmented, 4)],

@@ -41,11 +41,12 @@ DIVERSE = ("light_ev_ratio", "suv_worn_rear", "van_lever", "escort_ratio", "salo
            "hatchback_load", "light_ev_load", "estate_healthy")
 FACTORS = (0.5, 2.0)
 LIMITS = ("file", "size", "peak", "unexplained_share", "left")
-IN_SEARCH = {"TRUSTED": fit, "MAX_SCALED": fit, "DIVERGED": fit, "MIN_CURVATURE": evidence, "PART_PRIOR": evidence,
-             "MIN_INFORMATION_SHARE": evidence, "NU": loss, "DIFFERENCE_STEP": loss, "MAX_SCALED_ERROR": loss,
+IN_SEARCH = {"MAX_QUADRATIC_RISE": fit, "MAX_SCALED": fit, "DIVERGED": fit, "MIN_CURVATURE": evidence,
+             "PART_PRIOR": evidence, "MIN_INFORMATION_SHARE": evidence, "NU": loss, "DIFFERENCE_STEP": loss,
+             "MAX_SCALED_ERROR": loss,
              **dict.fromkeys(("MIN_RUNS", "SAME_SITE_SHARE", "PLACE_SIZE"), sys.modules[levels.__module__])}
-CONSTANTS = {"UNNAMED": evidence, "ACTS": axles, "STEEPEST": axles, "SLOPE_AT": axles, "DRAWS": axles,
-             "GAIN_SPEED": axles, **IN_SEARCH}
+CONSTANTS = {"UNSELECTED_DEVIATION": evidence, "MIN_FORCE_CHANGE": axles, "MAX_SLIP": axles, "SMALL_SLIP": axles,
+             "DRAWS": axles, "GAIN_SPEED": axles, **IN_SEARCH}
 NUMBERS = (*LIMITS, "model_error", *CONSTANTS)
 SEARCHED = ("file", "size", *IN_SEARCH)
 """Numbers that act during the search; all others after it."""

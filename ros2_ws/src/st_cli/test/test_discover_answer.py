@@ -11,17 +11,15 @@ from answers import discovery, fitted
 from drives import weave, write_drive
 from st_cli.verbs.discover import spread
 from st_core.augmented import augment
-from st_core.checks import Advice, Finding, Severity
+from st_core.checks import Finding, Severity
 from st_core.discovery import DiscoverySettings
 from st_core.discovery.result import (
     BoundEffect,
     Candidate,
-    Change,
     Combination,
     FittedParameter,
     ForceCurve,
     NotTestable,
-    Step,
     Value,
 )
 from st_core.discovery.where import survey
@@ -104,17 +102,6 @@ def test_a_file_that_holds_one_of_two_names_says_so(logs):
     assert any("alone it reduces the position error after 5 s by 6%" in t for t in told)
 
 
-def test_recordings_are_to_be_corrected_only_if_a_correction_exists(logs):
-    late = Finding("yaw_rate_lag", Severity.WARNING, ("yaw_rate",), "yaw_rate lags yaw by 0.30 s", 0.3, "s", effect=0.4,
-                   advice=Advice.correct("yaw_rate", earlier=0.3))
-    blind = Finding("channel_frozen", Severity.WARNING, ("velocity_y",), "velocity_y is 0 throughout",
-                    advice=Advice("look", "record velocity_y"))
-    found = discovery(logs, STEPS[:1], 1.72)
-    correct, look = (dict(report_text.summary(found, None, {"a": [one]}))["recordings"] for one in (late, blind))
-    assert correct.endswith("correct them as st check proposes, and run st discover again")
-    assert look == "velocity_y is 0 throughout (a). Advice: record velocity_y"
-
-
 def test_changes_of_the_vehicle_file_have_their_unit():
     assert report_text.keys({"steering_wheel_offset": (0.0, 0.0208), "steering_ratio": (16.3, 15.05)}) == \
         "steering_wheel_offset 0 → 0.0208 rad, steering_ratio 16.3 → 15.05"
@@ -158,14 +145,6 @@ def test_first_lines_name_runs_and_references_with_seconds(logs):
     assert lines[1][1] == ["1 run, 20 s: healthy 20 s"]
     answers_by_question = dict(report_text.details(discovery(logs, STEPS, 1.72), None))
     assert "starts from the vehicle file" in answers_by_question["reference"][0]
-
-
-def test_steps_of_the_search_have_names():
-    def step(effect, before, after, action="added", instead=""):
-        return Step(effect, action, "physics", {}, Change(before, after, (0.0, 1.0), "m"), {}, {}, instead)
-    steps = [step("mass", 2.0, 1.5), step("friction", 1.5, 1.0), step("yaw_inertia", 1.0, 0.8, "exchanged", "mass"),
-             step("friction", 0.8, 0.9, "removed")]
-    assert [report_text.step_name(s) for s in steps[2:]] == ["yaw inertia instead of mass", "− friction"]
 
 
 def test_angles_are_in_degrees_with_the_digits_their_interval_bears(logs):

@@ -12,13 +12,13 @@ from st_core.discovery.decision import (
     FILE,
     FORCES,
     IRRELEVANT,
+    LEVEL_NAMES,
     MINOR,
     NEGLIGIBLE,
     NULL,
     SENSORS,
     STATED,
     VARIES,
-    WORDS,
     Answer,
     Checks,
     Rival,
@@ -177,7 +177,7 @@ def test_interval_is_as_sure_as_the_sensors_where_they_deny_the_null(interval, k
 
 
 def test_every_level_has_words():
-    for level, words in WORDS.items():
+    for level, words in LEVEL_NAMES.items():
         assert words in judge(replace(GOOD, agreement={level: DIFFERENT}), LIMITS).text
 
 

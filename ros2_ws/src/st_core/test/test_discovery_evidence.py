@@ -180,10 +180,10 @@ def test_evidence_of_a_fit_against_that_without():
     base, scores = screened(problem)
     fit = fitted(problem, "mass")
     e = evidence(problem, base, fit, "mass", scores, {}, {})
-    by_run = problem.held_out_apart(base) - problem.held_out_apart(fit)
+    by_run = problem.held_out_loss(base, problem.held_out_groups) - problem.held_out_loss(fit, problem.held_out_groups)
     assert e.gain == pytest.approx(min((base.held_out - fit.held_out).sum(), by_run.sum()) / problem.number)
-    fall = (problem.position(problem.held_out_rows(base, problem.held_out_groups))
-            - problem.position(problem.held_out_rows(fit, problem.held_out_groups)))
+    fall = (problem.position(problem.held_out_rows(base))
+            - problem.position(problem.held_out_rows(fit)))
     assert e.position == e.position_somewhere == pytest.approx(fall.mean()) and e.position > 0.0
     halves = (np.arange(160) % 2, ["even", "odd"])
     bent = evidence(problem, base, fit, "mass", scores, {"condition": halves}, {})

@@ -162,17 +162,17 @@ def test_quadratic_by_group_is_the_sum_of_its_windows():
     for part, whole in zip(("cost", "gradient", "hessian"), (q.cost, q.gradient, q.hessian), strict=True):
         summed = getattr(q.summed(groups), part)
         np.testing.assert_allclose(summed, [whole[groups == k].sum(axis=0) for k in range(3)])
-    which = problem.space.indices("mass", "yaw_inertia")
-    np.testing.assert_array_equal(q.only(which).hessian, q.hessian[:, which[:, None], which])
+    indices = problem.space.indices("mass", "yaw_inertia")
+    np.testing.assert_array_equal(q.only(indices).hessian, q.hessian[:, indices[:, None], indices])
 
 
 def test_slopes_say_how_errors_fall_also_at_a_bound():
     problem = linear_problem(FEW, {}, 6)
-    which = problem.space.indices(*FEW)
+    indices = problem.space.indices(*FEW)
     for edge in (problem.space.low, problem.space.high):
         vector = problem.start.copy()
-        vector[which] = edge[which]
-        np.testing.assert_allclose(problem.loss.slopes(vector, which), problem.errors.signatures[which], atol=1e-9)
+        vector[indices] = edge[indices]
+        np.testing.assert_allclose(problem.loss.slopes(vector, indices), problem.errors.signatures[indices], atol=1e-9)
 
 
 def test_slopes_of_the_simulation_have_the_sign_of_the_effect(leaf):
@@ -216,7 +216,7 @@ def test_fit_recovers_what_was_put_in():
     fit = fitted(problem, FEW)
     off = (fit.vector - problem.errors.truth) / problem.space.scale
     assert np.abs(off).max() < 0.01
-    assert set(problem.space.effect_of[fit.which]) == {*FEW, GAIN}
+    assert set(problem.space.effect_of[fit.indices]) == {*FEW, GAIN}
 
 
 def test_fit_is_the_minimum_scipy_finds():
@@ -225,9 +225,9 @@ def test_fit_is_the_minimum_scipy_finds():
 
     def total(d):
         vector = problem.start.copy()
-        vector[fit.which] += d * problem.space.scale[fit.which]
+        vector[fit.indices] += d * problem.space.scale[fit.indices]
         return problem.loss.total(vector)
-    best = optimize.minimize(total, np.zeros(len(fit.which)), method="BFGS", options={"gtol": 1e-4})
+    best = optimize.minimize(total, np.zeros(len(fit.indices)), method="BFGS", options={"gtol": 1e-4})
     assert problem.loss.total(fit.vector) <= best.fun + 2e-4 * problem.number
 
 
@@ -293,9 +293,9 @@ def test_with_a_prior_leaving_it_costs_and_a_fold_moves_only_what_is_free():
     without, fit = fitted(problem, ()), fitted(problem, ("mass",))
     away = (without.vector - problem.start) / problem.space.scale
     assert without.held_out.sum() == pytest.approx(problem.loss.total(without.vector) + away @ prior @ away, rel=1e-6)
-    assert not any(step.any() for step in without.folds.values())
+    assert not any(step.any() for step in problem.leave_out_of(without, problem.fold)[0].values())
     own = problem.space.indices("mass")
-    for step in fit.folds.values():
+    for step in problem.leave_out_of(fit, problem.fold)[0].values():
         assert step[own].any() and not np.delete(step, own).any()
 
 
@@ -321,10 +321,10 @@ def test_held_out_rows_are_those_of_the_fold_values():
     problem = linear_problem(FEW, {"mass": 1.0}, 15)
     fit = fitted(problem, FEW, iterations=100)
     rows = problem.held_out_rows(fit)
-    for fold, step in fit.folds.items():
-        mine = problem.fold[problem.block] == fold
+    for group, step in problem.leave_out_of(fit, problem.held_out_groups)[0].items():
+        mine = problem.held_out_groups[problem.block] == group
         vector = fit.vector.copy()
-        vector[fit.which] += step * problem.space.scale[fit.which]
+        vector[fit.indices] += step * problem.space.scale[fit.indices]
         np.testing.assert_allclose(rows[mine], problem.errors.at(vector)[mine], atol=1e-8)
 
 

@@ -80,7 +80,7 @@ def test_interval_of_what_driving_does_not_show_is_that_of_the_file():
     free.errors.signatures *= 1e-6
     problem = _held(free, 0.5)
     fit = problem.fit(("mass",), problem.everything(problem.start))
-    place = int(np.searchsorted(fit.which, problem.space.indices("mass")[0]))
+    place = int(np.searchsorted(fit.indices, problem.space.indices("mass")[0]))
     assert np.sqrt(covariance(problem, fit)[place, place]) == pytest.approx(0.5, rel=0.01)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from discovery_drives import linear_problem, recorded
 from st_core.discovery import DiscoverySettings
-from st_core.discovery.reference import _between_runs, learn, textbook
+from st_core.discovery.reference import _gain_between_runs, learn, textbook
 from st_core.discovery.space import Space
 
 FEW = ("steering_offset", "mass", "yaw_rate_bias")
@@ -13,7 +13,7 @@ FEW = ("steering_offset", "mass", "yaw_rate_bias")
 def between(problem) -> float:
     q = problem.loss.quadratic(problem.errors.at(problem.start), problem.errors.signatures)
     size = len(problem.space)
-    return _between_runs(q, problem.space, problem.errors.windows, np.ones(size), np.eye(size) / 9.0)
+    return _gain_between_runs(q, problem.space, problem.errors.windows, np.ones(size), np.eye(size) / 9.0)
 
 
 def test_a_run_that_differs_from_the_others_raises_what_healthy_drives_may_gain():
@@ -47,4 +47,4 @@ def test_what_is_learnt_holds_the_car(leaf):
     for name, values in effects.items():
         (truth,), own = values.values(), int(space.indices(name)[0])
         assert abs(healthy.vector[own] - truth) < 4.0 * spread[own] < 0.2 * truth
-    assert (healthy.left > 0.0).all() and healthy.gain < 0.05
+    assert (healthy.residual > 0.0).all() and healthy.gain < 0.05

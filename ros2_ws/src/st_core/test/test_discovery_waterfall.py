@@ -35,7 +35,7 @@ def explained():
 
 def test_errors_at_the_end_are_those_of_the_last_point(explained):
     problem, final, ends, *_ = explained
-    rows = problem.held_out_rows(final, problem.held_out_groups).reshape(320, 4, len(COLUMNS))[:, -1]
+    rows = problem.held_out_rows(final).reshape(320, 4, len(COLUMNS))[:, -1]
     of = ends.of(final)
     np.testing.assert_allclose(of["yaw_rate"], np.square(rows[:, 1]))
     np.testing.assert_allclose(of["position_5s"], np.hypot(rows[:, 4], rows[:, 5]))

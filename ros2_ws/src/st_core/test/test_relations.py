@@ -305,7 +305,8 @@ def curved(laws, candidate, heights):
     without = laws.without()
     vector = without.vector.copy()
     vector[laws.relation] = heights
-    return replace(without, candidate=candidate, vector=vector, which=np.concatenate([without.which, laws.relation]))
+    indices = np.concatenate([without.indices, laws.relation])
+    return replace(without, candidate=candidate, vector=vector, indices=indices)
 
 
 @pytest.mark.slow

@@ -51,12 +51,15 @@ def discover(
     ),
     base: str = typer.Option("nonlinear", help="kinematic, linear, nonlinear, or a model file (.yaml)."),
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/discover-<time>."),
-    channels: str = typer.Option(",".join(CHANNELS), help="Measurements to use, separated by commas."),
-    effects: Path | None = typer.Option(None, help="Folder of your own effects that take part.", exists=True,
-                                        file_okay=False),
+    channels: str = typer.Option(
+        ",".join(CHANNELS), help="Measurements to use, separated by commas."
+    ),
+    effects: Path | None = typer.Option(
+        None, help="Folder of your own effects that take part.", exists=True, file_okay=False
+    ),
     certify: bool = typer.Option(
-        False, "--certify", help="Repeat the search with known effects added, and without any, to see what would be "
-        "found and how often there are false alarms. Takes minutes."
+        False, "--certify", help="Measure power and false alarms: one step of the search on simulated drives, with "
+        "known effects and without any; otherwise the power is predicted. Takes minutes."
     ),
     propose: bool | None = typer.Option(
         None, "--propose/--no-propose", help="Search for a relation beyond the library, and write it as an effect file "

@@ -1,4 +1,4 @@
-"""What an answer means for the axles: force curves over the driven slip, combinations that act, measured forces."""
+"""Axle forces under an answer: force curves over the driven slip, combinations of parameters, measured forces."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -19,16 +19,16 @@ from .fit import Fit, Problem
 from .result import Combination, ForceCurve
 from .windows import steady_velocity_y
 
-DRAWS = 100  # of the values: ends of a 90 % band and of a 95 % interval
-STEEPEST = 0.35  # rad of slip: beyond every peak of a road tyre
-ACTS = 0.01  # of the force: an effect that changes it by less does not act on an axle
-SLOPE_AT = 0.005  # rad of slip at which the stiffness of an axle is taken
-GAIN_SPEED = 20.0  # m/s of the steady-state yaw gain
+DRAWS = 100  # of the values, for quantiles of 90 % and 95 %
+MAX_SLIP = 0.35  # rad, beyond the peak force of every road tyre
+MIN_FORCE_CHANGE = 0.01  # relative; an effect with a smaller one does not act on the axle
+SMALL_SLIP = 0.005  # rad, where the cornering stiffness of an axle is evaluated
+GAIN_SPEED = 20.0  # m/s, of the steady-state yaw gain
 
 
 class Axles:
-    """Both axles under an answer. unexplained: errors that are left over those of noise, which widens bands and
-    intervals as those of the values. Raises StCoreError for a base model without tyres, or drives without slip."""
+    """Both axles under an answer. unexplained: residual over the noise, which widens bands and intervals. Raises
+    StCoreError for a base model without tyres, or drives without slip."""
 
     def __init__(self, problem: Problem, fit: Fit, everything: Joint | None, runs: Sequence[DriveLog],
                  vehicle: VehicleParameters, unexplained: float):
@@ -40,27 +40,24 @@ class Axles:
         self.regressions = self._regressions()
         self.draws: list[AugmentedModel] = []
         if everything is not None:
-            inside = everything.which < len(problem.space) - 1  # the last number is the gain of the accelerometer
-            which = everything.which[inside]
-            covariance = np.zeros((len(self.model.vector),) * 2)
-            covariance[np.ix_(which, which)] = everything.covariance[np.ix_(inside, inside)] * np.outer(
-                problem.space.scale[which], problem.space.scale[which]) * max(unexplained, 1.0) ** 2
-            model_error = np.array([p.model_error for _, p in self.model.free])[which]
-            covariance[which, which] += np.square(model_error)
+            inside = everything.indices < len(problem.space) - 1  # the last number is the gain of the accelerometer
+            indices = everything.indices[inside]
+            covariance, scale = np.zeros((len(self.model.vector),) * 2), problem.space.scale[indices]
+            covariance[np.ix_(indices, indices)] = everything.covariance[np.ix_(inside, inside)] * np.outer(
+                scale, scale) * max(unexplained, 1.0) ** 2
+            model_error = np.array([p.model_error for _, p in self.model.free])[indices]
+            covariance[indices, indices] += np.square(model_error)
             self.draws = draw_models(self.model, covariance, vehicle, DRAWS)
 
     def _regressions(self) -> tuple[AxleRegression, AxleRegression]:
-        """Slip and force of both axles with steering and sensors corrected by the answer, body as in the file and with
-        what comes on top of it."""
-        model, logs, on_top = self.model, [], self.problem.space.on_top
-        around = model.only(e for e in model.effects
-                            if e.kind == "sensors" or e.slot == "steering" or e.name in on_top)
-        car = around.effective_vehicle(self.vehicle)
-        p = around.parameters(self.vehicle)
+        """Slip and force of both axles, with the answer's effects of steering, sensors and load only."""
+        logs, on_top = [], self.problem.space.on_top
+        model = self.model.only(e for e in self.model.effects
+                                if e.kind == "sensors" or e.slot == "steering" or e.name in on_top)
+        car, p = model.effective_vehicle(self.vehicle), model.parameters(self.vehicle)
         for run in self.runs:
-            log = correct_log(around, run)
-            nothing = np.zeros(len(log.road_wheel_angle))
-            angle = around.inputs(log.road_wheel_angle, nothing, p)[0]
+            log = correct_log(model, run)
+            angle = model.inputs(log.road_wheel_angle, np.zeros(len(log.road_wheel_angle)), p)[0]
             log = replace(log, road_wheel_angle=np.asarray(angle), steering_wheel_angle=None)
             logs.append(log if self.sideslip else replace(log, velocity_y=steady_velocity_y(log, car)))
         return axle_regressions(logs, car)
@@ -73,7 +70,7 @@ class Axles:
             c.slip, c.force, c.low, c.high, c.file, c.density))) for c in found)
 
     def combinations(self, base: AugmentedModel) -> tuple[Combination, ...]:
-        """What of stiffness, mass, inertia and lengths acts together, with 95 % intervals."""
+        """`COMBINATIONS` of vehicle parameters, with 95 % intervals."""
         value, file = _combined(self.model, self.vehicle), _combined(base, self.vehicle)
         drawn = np.array([_combined(one, self.vehicle) for one in self.draws]) if self.draws else value[None]
         low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
@@ -83,29 +80,32 @@ class Axles:
                      for i, (name, unit) in enumerate(COMBINATIONS.items()))
 
     def driven_shares(self) -> dict[str, float]:
-        """Force at the largest driven slip over the largest of the curve, by axle [1]."""
+        """Force at the largest driven slip over the peak force, by axle [1]."""
         found = {}
         for one in self.regressions:
-            slip = np.linspace(0.0, STEEPEST, 61)
+            slip = np.linspace(0.0, MAX_SLIP, 61)
             force = axle_force(self.model, self.vehicle, one.axle, slip)
             driven = float(np.quantile(np.abs(one.samples.slip), 0.995))
             found[one.axle] = float(np.interp(driven, slip, np.maximum.accumulate(force)) / max(force.max(), 1.0))
         return found
 
     def acting(self, axle: str, names: Sequence[str]) -> tuple[str, ...]:
-        """Those of the effects that change the force of an axle at the slip driven."""
+        """Those of the effects that change the force of an axle at the driven slip."""
         slip = next(np.quantile(np.abs(one.samples.slip), (0.5, 0.95)) for one in self.regressions if one.axle == axle)
         force = axle_force(self.model, self.vehicle, axle, slip)
         acting = []
         for name in names:
             without = self.problem.space.at(self.problem.vector_without(self.fit, name))
-            if np.abs(axle_force(without, self.vehicle, axle, slip) / force - 1.0).max() > ACTS:
+            if np.abs(axle_force(without, self.vehicle, axle, slip) / force - 1.0).max() > MIN_FORCE_CHANGE:
                 acting.append(name)
         return tuple(acting)
 
-    def worse(self, base: AugmentedModel, left_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[str, ...]:
-        """Axles with measured forces that the answer describes less well than the file does, each run with the values
-        found without it; none where sideslip was not measured or the driving is too thin."""
+    def contradicting(self, base: AugmentedModel,
+                      left_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[str, ...]:
+        """Axles whose measured forces the answer describes less well than the vehicle file does.
+
+        left_out: values by run, fitted without that run. Empty where sideslip was not measured or excitation is low.
+        """
         space, found = self.problem.space, []
         base = base.with_values({name: space.values(name, self.fit.vector) for name in space.on_top})
         for one in self.regressions if self.sideslip else ():
@@ -113,11 +113,11 @@ class Axles:
                 continue
             sums = np.zeros(2)
             for k, run in enumerate(self.runs):
-                mine = np.asarray(one.samples.run_of) == k
-                if mine.sum() < 100:
+                of_run = np.asarray(one.samples.run_of) == k
+                if of_run.sum() < 100:
                     continue
-                parts = {name: getattr(one.samples, name)[mine] for name in ("slip", "force", "run_of", "time", "used")}
-                samples = replace(one.samples, **parts)
+                samples = replace(one.samples, **{name: getattr(one.samples, name)[of_run]
+                                                  for name in ("slip", "force", "run_of", "time", "used")})
                 without = self.model.with_values(left_out.get(run.name, {}))
                 sums += [force_error(m, self.vehicle, samples) ** 2 for m in (without, base)]
             if sums[0] > sums[1]:
@@ -126,13 +126,12 @@ class Axles:
 
 
 def _combined(model: AugmentedModel, vehicle: VehicleParameters) -> np.ndarray:
-    """(5,) COMBINATIONS of a model."""
-    front, rear = (float(axle_force(model, vehicle, axle, np.array([SLOPE_AT]))[0]) / SLOPE_AT for axle in AXLES)
+    """(5,) `COMBINATIONS` of a model."""
     car = model.effective_vehicle(vehicle)
-    limits = VEHICLE_QUANTITIES["cornering_stiffness_front"]  # a draw may be no car any more
-    front, rear = (min(max(stiffness, limits.minimum), limits.maximum) for stiffness in (front, rear))
-    soft = replace(car, cornering_stiffness_front=front, cornering_stiffness_rear=rear)
-    understeer = understeer_coefficient(soft)
+    limits = VEHICLE_QUANTITIES["cornering_stiffness_front"]  # which a random draw may exceed
+    front, rear = (min(max(float(axle_force(model, vehicle, axle, np.array([SMALL_SLIP]))[0]) / SMALL_SLIP,
+                           limits.minimum), limits.maximum) for axle in AXLES)
+    understeer = understeer_coefficient(replace(car, cornering_stiffness_front=front, cornering_stiffness_rear=rear))
     gain = GAIN_SPEED / (car.wheelbase * (1.0 + understeer * GAIN_SPEED**2))
     w = model.inputs(1.0 / vehicle.steering_ratio, 0.0, model.parameters(vehicle))
     return np.array([front / car.mass, rear / car.mass, car.yaw_inertia / car.mass, understeer, gain * float(w[0])])

@@ -1,7 +1,8 @@
-"""What these drives can show: known effects put into them, and nothing put into them.
+"""Power and false alarms of the tests on these drives: predicted from the curvature of the loss, or measured.
 
-Drives are imitated on the errors themselves: those the answer leaves, with the signs of whole blocks drawn by chance,
-plus what the effect would change. The same tests then decide whether it is found.
+Measured: simulated drives have the residuals of the answer, with random signs of whole blocks, plus the change of the
+errors by a known effect. One forward step of the search, the best effect by the quadratic, decides whether it is found;
+the search is not repeated.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,20 +11,28 @@ import numpy as np
 from scipy import stats
 
 from ..effects import twins_of
-from .evidence import FLIPS, Scores, chance, residual_over_noise, score
+from .evidence import (
+    FLIPS,
+    Scores,
+    chance,
+    design_effect,
+    largest_statistics,
+    residual_over_noise,
+    score,
+    variance_ratios,
+)
 from .fit import Fit, Problem
 from .loss import Quadratic
 from .result import Certificate, Power
 from .settings import Limits
 
 SIZES = (0.25, 0.5, 1.0)  # of the usual size of an effect
-DRAWS = 20  # of each size: a power is known to a tenth
+DRAWS = 20  # of each size; standard deviation of a power 0.11 at most
 
 
 def predicted(problem: Problem, fit: Fit, scores: Scores, limits: Limits) -> Certificate:
-    """By the curvature about the answer: twice the gain over the design effect is noncentral chi-square."""
-    q = problem.loss.quadratic(problem.errors.at(fit.vector), problem.everything(fit.vector).values)
-    q = q.summed(problem.block, problem.blocks)
+    """Power by the curvature about the answer: twice the gain over the design effect is noncentral chi-square."""
+    q = problem.quadratic_of_all(fit.vector).summed(problem.block, problem.blocks)
     powers = []
     for effect in problem.space.hypotheses:
         names = tuple(n for n in fit.names if not problem.space.overlaps(effect, (n,)))
@@ -39,6 +48,7 @@ def predicted(problem: Problem, fit: Fit, scores: Scores, limits: Limits) -> Cer
 
 def _power(problem: Problem, fit: Fit, index: int, share: float, information: float, scores: Scores,
            limits: Limits) -> float:
+    """Probability that a parameter is found at a share of its usual size."""
     library = len(problem.space.hypotheses)
     needed = float(stats.chi2.isf(limits.false_alarm / library, 1))
     slopes = problem.everything(fit.vector).values[index]
@@ -50,14 +60,15 @@ def _power(problem: Problem, fit: Fit, index: int, share: float, information: fl
 
 
 def _required(problem: Problem, rows: np.ndarray, moved: float, limits: Limits) -> float:
-    """Gain for each scored error a name is given for. rows: errors of the answer. moved [m]: fall of the mean position
-    error."""
+    """Gain per scored error from which an effect is named. rows: errors of the answer. moved [m]: reduction of the mean
+    position error."""
     required = limits.negligible if moved > limits.relevant_position else limits.relevant
     return max(required, limits.unexplained_share) if residual_over_noise(problem, rows) > limits.left else required
 
 
 def driven(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callable[[], None]) -> Certificate:
-    """The test of a forward step on imitated drives, DRAWS of each size of each effect and FLIPS / 4 without any."""
+    """Power and false alarms of a forward step on simulated drives: DRAWS of each size of each effect, FLIPS / 4
+    without any."""
     rng = np.random.default_rng(seed)
     rows = np.nan_to_num(problem.errors.at(fit.vector))
     slopes = problem.everything(fit.vector).values
@@ -85,32 +96,31 @@ def driven(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callable
 
 def _found(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, slopes: np.ndarray, required: float,
            limits: Limits, rng: np.random.Generator) -> list[str]:
-    """Names that would be stated, alone or as a set, on one imitated drive; none if nothing would. required: gain
-    for each scored error a name is given for."""
+    """Effects that would be named on one simulated drive, the best one and those that are not separable from it; none
+    without a significant one. change: (n, m) of the errors by the effect. required: gain per scored error."""
     signs = rng.choice([-1.0, 1.0], problem.blocks)
-    imitated = signs[problem.block][:, None] * rows + change
-    q = problem.loss.quadratic(imitated, slopes).summed(problem.block, problem.blocks)
+    simulated = signs[problem.block][:, None] * rows + change
+    q = problem.loss.quadratic(simulated, slopes).summed(problem.block, problem.blocks)
     base = _held_out(problem, q, fit.names, fit.vector)
-    gains, own = {}, {}
+    gains, own, ratios = {}, {}, []
     for effect in problem.space.hypotheses:
         names = fit.names
         if problem.space.overlaps(effect, names):
             names = tuple(n for n in names if not problem.space.overlaps(effect, (n,)))
-        own[effect] = score(q, problem, names, effect)[0]
+        own[effect], information = score(q, problem, names, effect)
+        ratios += variance_ratios(own[effect], information, q)
         gains[effect] = (_held_out(problem, q, names, fit.vector) if names != fit.names else base
                          ) - _held_out(problem, q, (*names, effect), fit.vector)
     best = max(gains, key=lambda e: gains[e].sum())
-    signs = rng.choice([-1.0, 1.0], (FLIPS // 4, problem.blocks))
-    largest = np.max([np.einsum("fi,ij,fj->f", signs @ s, np.linalg.pinv(s.T @ s), signs @ s)
-                      for s in own.values()], axis=0)
-    share = float(gains[best].sum()) / problem.number
-    sure = chance(own[best], gains[best], Scores(own, largest, 1.0, {}), len(own)) <= limits.false_alarm
-    if not sure or share < required:
+    scores = Scores(own, largest_statistics(own, rng, FLIPS // 4, problem.blocks), design_effect(ratios), {})
+    p_value = chance(own[best], gains[best], scores, len(own))
+    if p_value > limits.false_alarm or gains[best].sum() / problem.number < required:
         return []
     return [e for e in gains if gains[e].sum() > (1.0 - limits.doubt) * gains[best].sum()
             or (e in twins_of(best) and gains[e].sum() > limits.rival * gains[best].sum())]
 
 
 def _held_out(problem: Problem, q: Quadratic, names: Sequence[str], vector: np.ndarray) -> np.ndarray:
-    which = problem.which(names)
-    return problem.leave_out(q.only(which), names, vector, which, problem.fold)[1]
+    """(b,) held-out loss of a set of effects by the quadratic."""
+    indices = problem.free_indices(names)
+    return problem.leave_out(q.only(indices), names, vector, indices, problem.fold)[1]

@@ -1,4 +1,4 @@
-"""Decisions from evidence: pure functions of statistics and limits. All decisions of a discovery are made here."""
+"""All decisions of a discovery, as pure functions of evidence and limits."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,10 +15,10 @@ STATED, NEGLIGIBLE, CHANCE, NULL, IRRELEVANT, SENSORS, FILE, BOUND, VARIES, MINO
 
 @dataclass(frozen=True)
 class Checks:
-    """Checks of an effect that need intervals and axle curves. null_outside: an interval excludes the null. crossing:
-    parameter whose interval crosses a bound, "" for none. driven [1]: share of the peak force that was driven, for an
-    effect on the peak. worse_axle: axle whose measured forces are described less well with the effects acting on it,
-    this one included, than with the vehicle file; "" for none."""
+    """Checks of an effect that need intervals and axle curves. null_outside: whether an interval excludes the null.
+    crossing: parameter whose interval crosses a bound, "" for none. driven [1]: share of the peak force that was
+    driven, for an effect on the peak. worse_axle: axle that the effect acts on and whose measured forces the answer
+    describes less well than the vehicle file does; "" for none."""
 
     null_outside: bool = True
     crossing: str = ""
@@ -28,9 +28,9 @@ class Checks:
 
 @dataclass(frozen=True)
 class Rival:
-    """Another effect in the place of one of the answer, `instead`. share [1]: of the gain of `instead`. worse [1]:
-    p-value of the hypothesis that it is no worse. less [1]: gain that it lacks. evidence, values: in that place.
-    shared: it takes over a part of what `instead` does."""
+    """Another effect in the place of one of the answer, `instead`. share [1]: its gain over that of `instead`. worse
+    [1]: p-value of the hypothesis that it is no worse. less [1]: difference of the gains per scored error. evidence,
+    values: in that place. shared: it explains a part of `instead`, and both are in the model."""
 
     name: str
     instead: str
@@ -44,9 +44,9 @@ class Rival:
 
 @dataclass(frozen=True)
 class Answer:
-    """What the outcome depends on. left [1]: residual over the noise. seen [1]: share of the library that these drives
-    would show at its usual size. bound: number of effects that vary over the drives. together: names of combinations
-    that differ from the vehicle file without a named effect."""
+    """Input of `decide`. left [1]: residual over the noise. seen [1]: share of the library that these drives would show
+    at its usual size. bound: number of effects that vary over the drives. together: names of combinations that differ
+    from the vehicle file without a named effect."""
 
     stated: Sequence[Evidence]
     rivals: Mapping[str, Sequence[Rival]]
@@ -75,10 +75,10 @@ def judge(e: Evidence, limits: Limits) -> Reason:
         return Reason(FILE, e.name, {"value": known.value, "file": known.file, "deviation": known.deviation,
                                      "deviations": known.deviations, "limit": limits.file},
                       f"fits best with {known.key} {_of(known, known.value)}; the vehicle file gives "
-                      f"{known.file:.3g} ± {_of(known, known.deviation)}; something else acts like it")
+                      f"{known.file:.3g} ± {_of(known, known.deviation)}; another cause acts like it")
     if e.bound < limits.bound:
         return Reason(BOUND, e.name, {"distance": e.bound, "bound": limits.bound},
-                      "its value is on a bound: nothing physical was found")
+                      "its value is on a bound, beyond the physical range")
     return _varying(e, limits) or Reason(
         STATED, e.name, {"gain": e.gain, "chance": e.chance, "position": e.position},
         f"it reduces the size of the errors by {e.share:.1%} and {100 * e.position:.1f} cm after 5 s, by chance "
@@ -86,30 +86,31 @@ def judge(e: Evidence, limits: Limits) -> Reason:
 
 
 def predicts(e: Evidence, limits: Limits) -> Reason:
-    """The verdict on one effect as an effective correction: it has to improve the prediction everywhere."""
+    """The verdict on one effect as an effective correction, which must improve predictions in all parts."""
     return _by_chance(e, limits) or _varying(e, limits) or Reason(
         STATED, e.name, {"gain": e.gain, "chance": e.chance}, f"it reduces the size of the errors by {e.share:.1%}")
 
 
 def _varying(e: Evidence, limits: Limits) -> Reason | None:
-    """The reason why an effect is not the same everywhere; None where it may be."""
+    """The reason to reject an effect that varies over the driving; None if it may be the same everywhere."""
     level = varies_over(e, limits)
     if not level:
         return None
     a = e.agreement[level]
     return Reason(VARIES, e.name, {"differ": a.differ, "absent": a.absent, "doubt": limits.doubt,
                                    "false_alarm": limits.false_alarm},
-                  f"it is not the same over {WORDS[level]} (p = {a.differ:.1g} if it were), and another of them "
+                  f"it is not the same over {LEVEL_NAMES[level]} (p = {a.differ:.1g} if it were), and another of them "
                   f"would show none of it, or the opposite, with probability {a.absent:.2g}")
 
 
 def _of(known: AgainstFile, number: float) -> str:
+    """A value of the quantity, with its unit."""
     unit = "" if known.unit == "1" else f" {known.unit}"
     return f"{number:.3g}{unit}"
 
 
 def _by_chance(e: Evidence, limits: Limits) -> Reason | None:
-    """The reason why the drives do not show an effect, or not enough of it; None where they do."""
+    """The reason to reject an effect that is not significant or too small; None otherwise."""
     if e.gain < limits.negligible:
         return Reason(NEGLIGIBLE, e.name, {"gain": e.gain, "negligible": limits.negligible},
                       f"it reduces the size of the errors by {e.share:.1%}, below the limit of "
@@ -126,7 +127,7 @@ def _by_chance(e: Evidence, limits: Limits) -> Reason | None:
                       f"values as far from their null come by chance with probability {e.null:.2g}")
     if e.gain < limits.relevant and position_of(e) < limits.relevant_position:
         return Reason(IRRELEVANT, e.name, {"gain": e.gain, "position": position_of(e), "relevant": limits.relevant,
-                                         "relevant_position": limits.relevant_position},
+                                           "relevant_position": limits.relevant_position},
                       f"it is significant, but reduces the size of the errors by {e.share:.1%} and "
                       f"{100 * position_of(e):.1f} cm after 5 s; {limits.relevant:.1%} or "
                       f"{100 * limits.relevant_position:.0f} cm are required")
@@ -145,14 +146,15 @@ def position_of(e: Evidence) -> float:
 
 
 def is_relevant(e: Evidence, limits: Limits) -> bool:
-    """Whether an effect is large enough to be named: in the channel that it affects most, in the position, or as an
-    error of a sensor that the others confirm."""
+    """Whether an effect is large enough to be named: in the channel that it affects most, in the position, or, if the
+    sensors confirm it among themselves, in its value."""
     return (most_affected(e, limits)[1] >= limits.relevant or position_of(e) >= limits.relevant_position
             or (confirmed(e, limits) and e.size >= limits.size))
 
 
 def most_affected(e: Evidence, limits: Limits) -> tuple[str, float]:
-    """(channel above the noise that an effect reduces most, share of its baseline error [1]); ("", 0) without any."""
+    """(channel above the noise that an effect reduces most, reduction over its baseline error [1]); ("", 0) for
+    none."""
     share, column = max(((share, column) for column, (share, over) in e.shares.items() if over > limits.left),
                         default=(0.0, ""))
     return OF_COLUMN[column].name if column else "", share
@@ -165,25 +167,25 @@ def _relevance(e: Evidence, limits: Limits) -> dict[str, float]:
 
 def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) -> Reason:
     """Whether an accepted effect is named, or only kept so that it does not bias other values."""
-    sure, checks = confirmed(e, limits), checks or Checks()
+    by_sensors, checks = confirmed(e, limits), checks or Checks()
     if checks.worse_axle:
         return Reason(FORCES, e.name, {"gain": e.gain}, f"the measured forces of the {checks.worse_axle} axle are "
-                      "described less well with it than by the vehicle file: it helps to predict, not named")
+                      "described less well with it than by the vehicle file: it improves predictions, not named")
     if checks.crossing:
         return Reason(MINOR, e.name, {"gain": e.gain}, f"the interval of its {checks.crossing.replace('_', ' ')} "
                       "crosses a bound of what is physical: kept, not named")
     if checks.driven < limits.peak:
         return Reason(MINOR, e.name, {"driven": checks.driven, "peak": limits.peak},
                       f"{checks.driven:.0%} of the peak force was driven: the curve is stated up to there, no peak")
-    if e.position < -limits.relevant_position and not sure:
+    if e.position < -limits.relevant_position and not by_sensors:
         return Reason(MINOR, e.name, {"position": e.position, "relevant_position": limits.relevant_position},
                       f"without it the held-out position error is {-100 * e.position:.1f} cm smaller: kept, not named")
-    if e.left > limits.left and e.gain < limits.unexplained_share and not sure:
+    if e.left > limits.left and e.gain < limits.unexplained_share and not by_sensors:
         return Reason(MINOR, e.name, {"gain": e.gain, "left": e.left, "unexplained_share": limits.unexplained_share,
                                       "limit": limits.left},
                       f"it is significant, but reduces the errors by {e.share:.1%}, and {e.left:.1f} times the "
-                      "noise remains with it: it may imitate what no effect describes; kept, not named")
-    if not checks.null_outside and not sure:
+                      "noise remains with it: it may imitate an unmodelled effect; kept, not named")
+    if not checks.null_outside and not by_sensors:
         return Reason(MINOR, e.name, {"gain": e.gain}, "it reduces the errors, but in other sets of effects that are "
                       "nearly as good its value is near its null: kept, not named")
     if is_relevant(e, limits):
@@ -199,18 +201,18 @@ def _effect_size(e: Evidence, limits: Limits) -> str:
     return f"it reduces {of}the position error after 5 s by {100 * position_of(e):.1f} cm{where}"
 
 
-WORDS = {"run": "the runs", "site": "the sites", "time": "the time in the runs", "place": "the places",
+LEVEL_NAMES = {"run": "the runs", "site": "the sites", "time": "the time in the runs", "place": "the places",
          "condition": "the kinds of driving"}
 
 
 def varies_over(e: Evidence, limits: Limits) -> str:
-    """The level over which an effect varies so much that another part may show none of it; "" for none."""
+    """The level over which an effect varies significantly, and another part may show none of it; "" for none."""
     found = [level for level, a in e.agreement.items() if a.differ < limits.false_alarm and a.absent > limits.doubt]
     return max(found, key=lambda level: e.agreement[level].absent, default="")
 
 
 def varies_relevantly(e: Evidence, limits: Limits) -> bool:
-    """Whether an effect with a different value in each part of the driving is reported."""
+    """Whether an effect with a value of its own in each part of the driving is reported."""
     return e.chance < limits.false_alarm and e.gain > max(limits.relevant, e.healthy) and is_relevant(e, limits)
 
 
@@ -232,7 +234,7 @@ def alternative(rival: Rival, limits: Limits) -> Reason:
 
 
 def decide(a: Answer, limits: Limits) -> tuple[Outcome, Reason]:
-    """The outcome, and the rule that decided it."""
+    """The outcome and its reason."""
     def because(outcome: Outcome, text: str, **figures: float) -> tuple[Outcome, Reason]:
         return outcome, Reason(outcome, "answer", figures, text)
 

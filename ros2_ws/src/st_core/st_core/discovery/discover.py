@@ -17,10 +17,10 @@ from . import certificate, waterfall
 from .axles import Axles
 from .decision import (
     FORCES,
+    LEVEL_NAMES,
     MINOR,
     STATED,
     VARIES,
-    WORDS,
     Answer,
     Checks,
     alternative,
@@ -185,7 +185,7 @@ class _Work:
         """The verdict on each effect of the search, with force curves and combinations of the axles."""
         problem = self.problem
         all_free = joint(problem, found.fit) if problem.prior is None else None
-        position = problem.position(problem.held_out_rows(found.fit, problem.held_out_groups))
+        position = problem.position(problem.held_out_rows(found.fit))
         unexplained = (float(np.nanmean(position)) / max(floor["position_5s"], 1e-9)
                        if np.isfinite(position).any() else 1.0)
         everything = [replace(self._effect(name, found, parts, all_free, unexplained),
@@ -228,9 +228,9 @@ class _Work:
         search = Search(free, self.limits, parts, self.sensors, self.settings.seed, self._tick("correcting"), predicts)
         fit = search.corrections(found.fit)
         problem.loss.scale = scale
-        fit = free.about(fit.names, fit.vector, fit.which, fit.slopes)
-        gain = float((free.held_out_apart(found.fit) - free.held_out_apart(fit)).sum()) / problem.number
-        named, best = (float(np.nanmean(p.position(p.held_out_rows(f, p.held_out_groups))))
+        fit = free.about(fit.names, fit.vector, fit.indices, fit.slopes)
+        gain = free.held_out_gain(found.fit, fit)
+        named, best = (float(np.nanmean(p.position(p.held_out_rows(f))))
                        for p, f in ((problem, found.fit), (free, fit)))
         return (problem, found.fit) if gain < self.limits.relevant or best > named else (free, fit)
 
@@ -245,7 +245,7 @@ class _Work:
             start, prior, between = healthy.vector, healthy.prior, healthy.gain
             # Residuals of the healthy car are no change of it.
             by_column = {c: max(by_column[c], float(v))
-                         for c, v in zip(self.windows.columns, healthy.left, strict=True)}
+                         for c, v in zip(self.windows.columns, healthy.residual, strict=True)}
             by_column["position_5s"] = healthy.position
         loss = Loss(Errors(self.windows, space, self.threads), start)
         return Problem(loss, start, self.windows.block, prior,
@@ -333,7 +333,7 @@ class _Work:
         driven = 1.0
         if axles is not None and not self.reference:
             driven = max(axles.driven_shares().values())
-            for axle in axles.worse(self.space.at(self.space.null), left_out):
+            for axle in axles.contradicting(self.space.at(self.space.null), left_out):
                 worse |= dict.fromkeys(axles.acting(axle, [e.name for e in everything]), axle)
         return {e.name: naming_verdict(found.evidence[e.name], self.limits, Checks(
             bool(self.reference) or null_excluded(e), "" if self.reference else parameter_across_bound(e),
@@ -365,7 +365,7 @@ class _Work:
                     break
         for bound, _ in collected:
             self.warnings.append(f"something that resembles {bound.resembles.replace('_', ' ')} is significant, but "
-                                 f"differs over {WORDS[bound.to]}: it is reported, not named")
+                                 f"differs over {LEVEL_NAMES[bound.to]}: it is reported, not named")
         return collected
 
     def _as_bound_effect(self, v: Varying, position: float) -> BoundEffect:

@@ -13,21 +13,19 @@ from .levels import Level
 from .loss import Quadratic
 from .space import Space
 
-FLIPS = 400  # random sign patterns of the blocks: they resolve a p-value of 0.01
+FLIPS = 400  # random signs of all blocks; they resolve a p-value of 0.01
 TWO_SIDED = float(stats.norm.ppf(0.975))
-MIN_CURVATURE = 0.3  # lowest curvature of the robust loss, over that of the reweighted squares (outliers reduce it)
-PART_PRIOR = 0.05  # of the curvature of all driving: prior for the other parameters in a part of the driving
-UNNAMED = 0.5  # usual sizes: prior standard deviation of effects outside the set, for intervals of those inside
-MIN_INFORMATION_SHARE = 0.02  # of the information of all driving; a part with less is ignored
+MIN_CURVATURE = 0.3  # of the robust loss, over that of the reweighted squares; outliers reduce it
+PART_PRIOR = 0.05  # curvature of the prior of the other parameters in a part of the driving, over that of all driving
+UNSELECTED_DEVIATION = 0.5  # usual sizes, prior standard deviation of effects outside the set, for intervals
+MIN_INFORMATION_SHARE = 0.02  # of all driving; a part with less information is ignored
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """One effect in each part of the driving (runs, sites, ...).
-
-    shares: by part, its value over the stated one, and the standard deviation. differ [1]: p-value of the differences
-    if all parts had one value. absent [1]: probability that another part shows none of it, or the opposite.
-    """
+    """Agreement of the parts of the driving (runs, sites, ...) on an effect. shares: by part, (its value over the
+    fitted one, standard deviation). differ [1]: p-value of equal values in all parts. absent [1]: probability that
+    another part shows none of it, or the opposite."""
 
     shares: Mapping[str, tuple[float, float]]
     differ: float
@@ -36,7 +34,7 @@ class Agreement:
 
 @dataclass(frozen=True)
 class AgainstFile:
-    """A quantity of the vehicle file that an effect changes. value: with the effect; file, deviation: value and
+    """A quantity of the vehicle file as changed by an effect. value: with the effect; file, deviation: value and
     standard deviation of the file [unit]. deviations [1]: distance of the two in standard deviations."""
 
     key: str
@@ -49,7 +47,7 @@ class AgainstFile:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the drives show of one effect.
+    """Statistics of one effect in a set.
 
     gain [1]: reduction of the held-out loss per scored error, about the relative reduction of their size; the smaller
     of two values, with blocks and with whole runs held out. healthy [1]: the largest such gain between drives of the
@@ -110,16 +108,16 @@ def score(q: Quadratic, problem: Problem, names: tuple[str, ...], effect: str,
     """((b, k) score, (k,) information) of an effect, with the effects `names` projected out. q: by block, of all
     parameters. pull: (p,) half gradient of the prior where the quadratic is about a fit."""
     new = problem.space.indices(effect)
-    which = np.setdiff1d(problem.which(names), new)
+    indices = np.setdiff1d(problem.free_indices(names), new)
     h = q.hessian.sum(axis=0) + problem.prior_curvature((*names, effect), np.arange(len(problem.space)))
     gradient = q.gradient if pull is None else q.gradient - pull / len(q.gradient)
-    if not len(which):
+    if not len(indices):
         return gradient[:, new], np.diag(h)[new]
-    a = h[np.ix_(which, which)]
+    a = h[np.ix_(indices, indices)]
     a = a + 1e-9 * (np.trace(a) / len(a) + 1e-12) * np.eye(len(a))
-    cross = np.linalg.solve(a, h[np.ix_(which, new)])
-    left = h[np.ix_(new, new)] - h[np.ix_(new, which)] @ cross
-    return gradient[:, new] - gradient[:, which] @ cross, np.maximum(np.diag(left), 0.0)
+    cross = np.linalg.solve(a, h[np.ix_(indices, new)])
+    left = h[np.ix_(new, new)] - h[np.ix_(new, indices)] @ cross
+    return gradient[:, new] - gradient[:, indices] @ cross, np.maximum(np.diag(left), 0.0)
 
 
 def statistic(own: np.ndarray) -> float:
@@ -130,28 +128,41 @@ def statistic(own: np.ndarray) -> float:
 
 def screen(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
     """Scores of every effect of the library that is not in the fit, by the slopes about it."""
-    rows = problem.errors.at(fit.vector)
-    q = problem.loss.quadratic(rows, problem.everything(fit.vector).values).summed(problem.block, problem.blocks)
+    q = problem.quadratic_of_all(fit.vector).summed(problem.block, problem.blocks)
     own, gains, ratios = {}, {}, []
-    base = problem.leave_out(q.only(fit.which), fit.names, fit.vector, fit.which, problem.fold)[1]
+    base = problem.leave_out(q.only(fit.indices), fit.names, fit.vector, fit.indices, problem.fold)[1]
     for effect in problem.space.hypotheses:
         if problem.space.overlaps(effect, fit.names):
             continue
         names = (*fit.names, effect)
         own[effect], information = score(q, problem, fit.names, effect, problem.prior_gradient(fit.vector))
-        seen = information > 1e-9 * max(float(np.trace(q.hessian.sum(axis=0))), 1e-30)
-        ratios += list(2.0 * np.square(own[effect]).sum(axis=0)[seen] / information[seen])
-        which = problem.which(names)
-        part = q.only(which)
-        held_out = problem.leave_out(part, names, fit.vector, which, problem.fold)[1]
-        step = problem.solve(part, names, fit.vector, which)
-        gains[effect] = base - held_out, problem.moved(fit.vector, which, step)
-    signs = rng.choice([-1.0, 1.0], (FLIPS, problem.blocks))
-    largest = np.zeros(FLIPS)
+        ratios += variance_ratios(own[effect], information, q)
+        indices = problem.free_indices(names)
+        part = q.only(indices)
+        held_out = problem.leave_out(part, names, fit.vector, indices, problem.fold)[1]
+        step = problem.solve(part, names, fit.vector, indices)
+        gains[effect] = base - held_out, problem.moved(fit.vector, indices, step)
+    return Scores(own, largest_statistics(own, rng, FLIPS, problem.blocks), design_effect(ratios), gains)
+
+
+def variance_ratios(own: np.ndarray, information: np.ndarray, q: Quadratic) -> list[float]:
+    """Variance of the scores (b, k) of an effect over that of independent windows, where it has information (k,)."""
+    known = information > 1e-9 * max(float(np.trace(q.hessian.sum(axis=0))), 1e-30)
+    return list(2.0 * np.square(own).sum(axis=0)[known] / information[known])
+
+
+def design_effect(ratios: list[float]) -> float:
+    """Median of the `variance_ratios` of the library, at least 1."""
+    return max(float(np.median(ratios)) if ratios else 1.0, 1.0)
+
+
+def largest_statistics(own: Mapping[str, np.ndarray], rng: np.random.Generator, draws: int, blocks: int) -> np.ndarray:
+    """(draws,) largest score statistic of all effects under random signs of the blocks. own: (b, k) scores."""
+    signs, largest = rng.choice([-1.0, 1.0], (draws, blocks)), np.zeros(draws)
     for s in own.values():
         drawn = signs @ s
         largest = np.maximum(largest, np.einsum("fi,ij,fj->f", drawn, np.linalg.pinv(s.T @ s), drawn))
-    return Scores(own, largest, max(float(np.median(ratios)) if ratios else 1.0, 1.0), gains)
+    return largest
 
 
 def chance(own: np.ndarray, gain: np.ndarray, scores: Scores, library: int) -> float:
@@ -159,8 +170,8 @@ def chance(own: np.ndarray, gain: np.ndarray, scores: Scores, library: int) -> f
 
     Sign flips: the score exceeds the largest of the library under random signs of the blocks, and the gain is positive
     over the blocks. Likelihood ratio: twice the gain over the design effect, with Bonferroni's factor for the library;
-    needed for what acts in a few blocks only. The design effect is estimated from the blocks, hence Fisher's F instead
-    of chi-square.
+    needed for effects that act in a few blocks only. The design effect is estimated from the blocks, hence Fisher's F
+    instead of chi-square.
     """
     blocks, values = own.shape
     if blocks < 2:
@@ -177,26 +188,24 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
     """Evidence for an effect of `fit`, compared with the fit `without` it. scores: of the library, about `without`.
     sensors: parameters as the sensors measure them among themselves, (value, low, high)."""
     gain = without.held_out - fit.held_out
-    by_run = float((problem.held_out_apart(without) - problem.held_out_apart(fit)).sum())
     own = scores.own.get(effect)
     if own is None:
         own = score_of(problem, without, effect, fit.slopes)
-    rows = problem.held_out_rows(without, problem.held_out_groups), problem.held_out_rows(fit, problem.held_out_groups)
-    before, after = (problem.position(r) for r in rows)
+    rows, after = problem.held_out_rows(without), problem.held_out_rows(fit)
+    fall = problem.position(rows) - problem.position(after)
     if problem.prior is not None:  # the healthy car is known: no other parameter compensates for the effect
-        rows = problem.errors.at(problem.vector_without(fit, effect)), rows[1]
-    overall, somewhere = error_reductions(before - after, levels.get("condition"))
-    return Evidence(effect, min(float(gain.sum()), by_run) / problem.number,
+        rows = problem.errors.at(problem.vector_without(fit, effect))
+    overall, somewhere = error_reductions(fall, levels.get("condition"))
+    return Evidence(effect, min(float(gain.sum()) / problem.number, problem.held_out_gain(without, fit)),
                     chance(own, gain, scores, len(problem.space.hypotheses)), null_p_value(problem, fit, effect),
-                    shares(problem, *rows), overall, somewhere,
-                    residual_over_noise(problem, rows[1]),
+                    shares(problem, rows, after), overall, somewhere, residual_over_noise(problem, after),
                     distance_to_bound(problem, fit, effect), problem.healthy, effect_size(problem, fit, effect),
                     *sensor_p_values(problem, fit, effect, sensors), against_file(problem, fit, effect),
                     {name: agreement(problem, fit, effect, *level) for name, level in levels.items()})
 
 
 def residual_over_noise(problem: Problem, rows: np.ndarray) -> float:
-    """Largest ratio of error to noise over the columns. 1 with a reference: what no effect describes is in the healthy
+    """Largest ratio of error to noise over the columns. 1 with a reference: an unexplained residual is in the healthy
     car as well, and no change of the car can imitate it."""
     if problem.prior is not None:
         return 1.0
@@ -214,12 +223,12 @@ def shares(problem: Problem, without: np.ndarray, rows: np.ndarray) -> dict[str,
 
 def score_of(problem: Problem, fit: Fit, effect: str, slopes: Slopes) -> np.ndarray:
     """(b, k) efficient scores of an effect that is not in the fit. slopes: of both, about a nearby point."""
-    which = np.union1d(fit.which, problem.space.indices(effect))
-    q = problem.loss.quadratic(problem.errors.at(fit.vector), slopes.of(which)).summed(problem.block, problem.blocks)
+    indices = np.union1d(fit.indices, problem.space.indices(effect))
+    q = problem.loss.quadratic(problem.errors.at(fit.vector), slopes.of(indices)).summed(problem.block, problem.blocks)
     whole = Quadratic(q.cost, np.zeros((problem.blocks, len(problem.space))),
                       np.zeros((problem.blocks, len(problem.space), len(problem.space))))
-    whole.gradient[:, which] = q.gradient
-    whole.hessian[:, which[:, None], which] = q.hessian
+    whole.gradient[:, indices] = q.gradient
+    whole.hessian[:, indices[:, None], indices] = q.hessian
     return score(whole, problem, fit.names, effect, problem.prior_gradient(fit.vector))[0]
 
 
@@ -273,71 +282,73 @@ def sensor_p_values(problem: Problem, fit: Fit, effect: str, sensors: Mapping) -
     """p-values of the fitted value and of the null under what the sensors measure among themselves; None where they
     measure nothing."""
     own = dict(zip(problem.space.indices(effect), deviation(problem, fit, effect), strict=True))
-    agree = [_as_far(fit.vector[i] - value, np.hypot(spread, own[i]))
-             for i, value, spread in _measured(problem.space, effect, sensors)]
-    # With a reference the null is the value of the healthy car, which the sensors do not know.
-    deny = null_by_sensors(problem.space, effect, sensors) if problem.prior is None else None
-    return min(agree, default=None), deny
+    values = [_two_sided(fit.vector[i] - value, np.hypot(spread, own[i]))
+              for i, value, spread in _sensor_estimates(problem.space, effect, sensors)]
+    # With a reference the null is the value of the healthy car, which the sensors do not measure.
+    null = null_by_sensors(problem.space, effect, sensors) if problem.prior is None else None
+    return min(values, default=None), null
 
 
 def null_by_sensors(space: Space, effect: str, sensors: Mapping) -> float | None:
     """p-value of the null under what the sensors measure among themselves; None where they measure nothing."""
-    return min((_as_far(space.free[i].null - value, spread) for i, value, spread in _measured(space, effect, sensors)),
-               default=None)
+    return min((_two_sided(space.free[i].null - value, spread)
+                for i, value, spread in _sensor_estimates(space, effect, sensors)), default=None)
 
 
-def _measured(space: Space, effect: str, sensors: Mapping) -> list[tuple[int, float, float]]:
-    """(index, value, standard deviation) of the parameters the sensors measure among themselves."""
+def _sensor_estimates(space: Space, effect: str, sensors: Mapping) -> list[tuple[int, float, float]]:
+    """(index, value, standard deviation) of the parameters that the sensors measure among themselves."""
     named = [(i, sensors.get(f"{effect}.{space.free[i].parameter}")) for i in space.indices(effect)]
     return [(i, known[0], (known[2] - known[1]) / (2.0 * TWO_SIDED)) for i, known in named if known]
 
 
-def _as_far(distance: float, spread: float) -> float:
+def _two_sided(distance: float, spread: float) -> float:
+    """Two-sided p-value of a distance with this standard deviation, normal distribution."""
     return 2.0 * float(stats.norm.sf(abs(distance) / max(spread, 1e-12)))
 
 
 def inverse(h: np.ndarray) -> np.ndarray:
+    """Pseudoinverse, with a ridge of 1e-9 of the mean curvature."""
     return np.linalg.pinv(h + 1e-9 * (np.trace(h) / max(len(h), 1) + 1e-12) * np.eye(len(h)))
 
 
 def deviation(problem: Problem, fit: Fit, effect: str) -> np.ndarray:
     """(k,) standard deviations of the values of an effect [unit], from `covariance`."""
     variance = covariance(problem, fit)
-    own = np.searchsorted(fit.which, problem.space.indices(effect))
-    return np.sqrt(np.maximum(np.diag(variance)[own], 0.0)) * problem.space.scale[fit.which[own]]
+    own = np.searchsorted(fit.indices, problem.space.indices(effect))
+    return np.sqrt(np.maximum(np.diag(variance)[own], 0.0)) * problem.space.scale[fit.indices[own]]
 
 
 def covariance(problem: Problem, fit: Fit) -> np.ndarray:
-    """(a, a) sandwich covariance of the fitted parameters in usual sizes: scatter of the scores of independent blocks,
-    bread the second derivative of the loss."""
+    """(a, a) sandwich covariance of the fitted parameters in usual sizes: H^-1 S H^-1, S: scatter of the scores of
+    independent blocks, H: half the second derivative of the loss."""
     q = fit.quadratic.summed(problem.block, problem.blocks)
-    bent = problem.loss.curvature(problem.errors.at(fit.vector), fit.slopes.of(fit.which))
-    h = inverse(_no_flatter(bent, q.hessian.sum(axis=0)) + problem.prior_curvature(fit.names, fit.which))
+    curvature = problem.loss.curvature(problem.errors.at(fit.vector), fit.slopes.of(fit.indices))
+    h = inverse(_raised(curvature, q.hessian.sum(axis=0)) + problem.prior_curvature(fit.names, fit.indices))
     off = q.gradient - q.gradient.mean(axis=0)  # at the optimum the sum equals the gradient of the prior
     scatter = off.T @ off * problem.blocks / max(problem.blocks - 1, 1)
     if problem.prior is None:  # the prior's gradient scatters as the vehicle file's values do
-        scatter = scatter + np.diag(0.5 * problem.design * problem.file_curvature[fit.which])
+        scatter = scatter + np.diag(0.5 * problem.design * problem.file_curvature[fit.indices])
     return h @ scatter @ h
 
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A fit with all other effects of the library free as well. which: (a,) free parameters; covariance: (a, a) in
+    """A fit with all other effects of the library free as well. indices: (a,) free parameters; covariance: (a, a) in
     usual sizes; shift: (a,) of their optimum from the fit."""
 
-    which: np.ndarray
+    indices: np.ndarray
     covariance: np.ndarray
     shift: np.ndarray
 
     def of(self, indices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(standard deviations, shifts) of some of the parameters, in usual sizes."""
-        place = np.searchsorted(self.which, indices)
+        place = np.searchsorted(self.indices, indices)
         return np.sqrt(np.maximum(np.diag(self.covariance)[place], 0.0)), self.shift[place]
 
 
 def joint(problem: Problem, fit: Fit) -> Joint:
-    """Covariance when the quantities of the vehicle file are as uncertain as it declares, and every effect outside the
-    set may be present with a standard deviation of UNNAMED.
+    """Covariance with the uncertainties of the vehicle file and with every effect outside the set present, its prior
+    standard deviation UNSELECTED_DEVIATION.
 
         covariance = (D / 2) (H + K)^-1,   K: curvature of the priors,   D: the design effect
 
@@ -347,34 +358,34 @@ def joint(problem: Problem, fit: Fit) -> Joint:
     """
     space, names = problem.space, fit.names
     others = [n for n in space.hypotheses if not space.overlaps(n, names) and not get_effect(n).members]
-    which = np.union1d(fit.which, space.indices(*others))
-    q = problem.loss.quadratic(problem.errors.at(fit.vector), problem.everything(fit.vector).of(which))
-    known = problem.file_curvature[which]
-    free = ((known == 0.0) | (space.deviation[which] < np.inf)) & ~np.isin(which, fit.which)
-    known[free] = 0.5 * problem.design / UNNAMED**2
+    indices = np.union1d(fit.indices, space.indices(*others))
+    q = problem.loss.quadratic(problem.errors.at(fit.vector), problem.everything(fit.vector).of(indices))
+    known = problem.file_curvature[indices]
+    free = ((known == 0.0) | (space.deviation[indices] < np.inf)) & ~np.isin(indices, fit.indices)
+    known[free] = 0.5 * problem.design / UNSELECTED_DEVIATION**2
     h = q.hessian.sum(axis=0) + np.diag(known)
     h = h + (1e-9 * np.trace(h) / len(h)) * np.eye(len(h))
-    away = ((fit.vector - problem.start) / space.scale)[which]
-    shift = bounded(h, q.gradient.sum(axis=0) - known * away, *problem.distance_to_bounds(fit.vector, which))
-    return Joint(which, 0.5 * problem.design * np.linalg.inv(h), shift)
+    gradient = q.gradient.sum(axis=0) - known * problem.distance(fit.vector)[indices]
+    shift = bounded(h, gradient, *problem.distance_to_bounds(fit.vector, indices))
+    return Joint(indices, 0.5 * problem.design * np.linalg.inv(h), shift)
 
 
-def _no_flatter(bent: np.ndarray, whole: np.ndarray) -> np.ndarray:
-    """The curvature `bent`, raised in any direction to MIN_CURVATURE of `whole`, that of the reweighted squares."""
-    if not len(bent):
-        return bent
+def _raised(curvature: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    """The curvature, raised in any direction to MIN_CURVATURE of `whole`, that of the reweighted squares."""
+    if not len(curvature):
+        return curvature
     root = np.linalg.cholesky(whole + 1e-9 * (np.trace(whole) / len(whole) + 1e-12) * np.eye(len(whole)))
-    values, vectors = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, bent).T))
-    turn = root @ vectors
-    return (turn * np.maximum(values, MIN_CURVATURE)) @ turn.T
+    values, vectors = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, curvature).T))
+    axes = root @ vectors
+    return (axes * np.maximum(values, MIN_CURVATURE)) @ axes.T
 
 
 def null_p_value(problem: Problem, fit: Fit, effect: str) -> float:
-    """p-value of the start for the values of an effect, by their sandwich covariance (Hotelling's T^2)."""
+    """p-value of the start for the values of an effect, by their sandwich covariance (Hotelling's T^2 test)."""
     own = problem.space.indices(effect)
-    place = np.searchsorted(fit.which, own)
+    place = np.searchsorted(fit.indices, own)
     variance = covariance(problem, fit)[np.ix_(place, place)]
-    d = ((fit.vector - problem.start) / problem.space.scale)[own]
+    d = problem.distance(fit.vector)[own]
     freedom = problem.blocks - len(own)
     if freedom < 1:
         return 1.0
@@ -385,27 +396,27 @@ def null_p_value(problem: Problem, fit: Fit, effect: str) -> float:
 def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, called: list[str]) -> Agreement:
     """The value of an effect in each part of the driving, compared by a random-effects model.
 
-    Along the stated values d, the share of a part is a = 1 + the step that its own gradient makes; the other fitted
+    Along the fitted values d, the share of a part is a = 1 + the step of its own gradient; the other fitted
     parameters are free, with a weak prior (PART_PRIOR). Variances contain the design effect of dependent windows.
     """
-    own = np.searchsorted(fit.which, problem.space.indices(effect))
-    rest = np.setdiff1d(np.arange(len(fit.which)), own)
-    d = ((fit.vector - problem.space.null) / problem.space.scale)[fit.which[own]]
-    turn = np.zeros((len(fit.which), 1 + len(rest)))
-    turn[own, 0] = d
-    turn[rest, 1 + np.arange(len(rest))] = 1.0
+    own = np.searchsorted(fit.indices, problem.space.indices(effect))
+    rest = np.setdiff1d(np.arange(len(fit.indices)), own)
+    d = ((fit.vector - problem.space.null) / problem.space.scale)[fit.indices[own]]
+    basis = np.zeros((len(fit.indices), 1 + len(rest)))
+    basis[own, 0] = d
+    basis[rest, 1 + np.arange(len(rest))] = 1.0
     q = fit.quadratic.summed(part)
-    g, h = q.gradient @ turn, turn.T @ q.hessian @ turn
+    g, h = q.gradient @ basis, basis.T @ q.hessian @ basis
     whole = h.sum(axis=0)
     everything = inverse(whole)
-    blocks = fit.quadratic.summed(problem.block, problem.blocks).gradient @ turn
+    blocks = fit.quadratic.summed(problem.block, problem.blocks).gradient @ basis
     design = max(float((everything @ (blocks.T @ blocks) @ everything)[0, 0] / max(everything[0, 0], 1e-30)), 0.5)
-    hold = PART_PRIOR * whole / len(h)
-    hold[0, :] = hold[:, 0] = 0.0
+    prior = PART_PRIOR * whole / len(h)
+    prior[0, :] = prior[:, 0] = 0.0
     shares, variances, names = [], [], []
     total = 1.0 / max(everything[0, 0], 1e-30)
     for k in range(len(h)):
-        own_inverse = inverse(h[k] + hold)
+        own_inverse = inverse(h[k] + prior)
         information = 1.0 / max(own_inverse[0, 0], 1e-30)
         if h[k, 0, 0] <= 0.0 or information < MIN_INFORMATION_SHARE * total:
             continue
@@ -416,6 +427,7 @@ def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, called:
 
 
 def pooled(shares: np.ndarray, variances: np.ndarray, names: list[str]) -> Agreement:
+    """`Agreement` of independent shares by a random-effects model."""
     collected = {n: (float(s), float(np.sqrt(v))) for n, s, v in zip(names, shares, variances, strict=True)}
     if len(shares) < 2:
         return Agreement(collected, 1.0, 0.0)

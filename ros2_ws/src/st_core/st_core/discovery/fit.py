@@ -1,6 +1,6 @@
-"""Joint fits of sets of effects through the simulator, and their loss on held-out driving."""
+"""Joint fits of sets of effects by simulation, and their loss on held-out driving."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,12 +12,12 @@ from .space import GAIN, Quantities, prior_deviations
 
 ITERATIONS, STEP_SHARES = 5, (1.0, 0.5, 0.2)  # of a fit; of a step, until the loss falls
 SLOPES_VALID_WITHIN, SLOPES_CACHE_SIZE = 0.25, 4  # slopes are reused within this distance [usual sizes]; points kept
-MIN_LOSS_FALL = 2e-4  # reduction of the loss per scored error: a fit ends after a smaller one
+MIN_LOSS_FALL = 2e-4  # per scored error; a fit ends after a smaller reduction of the loss
 FOLDS = 8  # groups of blocks, each held out once
 MAX_SCALED = 5.0  # scales of the baseline errors: larger errors are clipped, so that a few windows do not dominate
 DIVERGED = 100.0  # m: position error of a prediction that diverges
-TRUSTED = 0.05  # loss per scored error: where the quadratic predicts more for held-out folds, they are simulated
-RIDGE = 1e-6  # of the mean curvature: keeps steps finite along what the drives do not show
+MAX_QUADRATIC_RISE = 0.05  # per scored error; beyond that rise of the loss, held-out folds are simulated
+RIDGE = 1e-6  # of the mean curvature; keeps steps finite in directions without information
 
 
 def bounded(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -49,49 +49,48 @@ def bounded(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> 
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """Reduction of the errors per usual size, (a, n, m), of the parameters `which`, about `vector`."""
+    """values: (a, n, m) reduction of the errors per usual size of the parameters `indices`, about `vector`."""
 
     vector: np.ndarray
-    which: np.ndarray
+    indices: np.ndarray
     values: np.ndarray
 
-    def of(self, which: np.ndarray) -> np.ndarray:
-        return self.values[np.searchsorted(self.which, which)]
+    def of(self, indices: np.ndarray) -> np.ndarray:
+        return self.values[np.searchsorted(self.indices, indices)]
 
     def moved(self, vector: np.ndarray, scale: np.ndarray, taken: np.ndarray) -> "Slopes":
-        """The slopes about another vector, by Broyden's update (1965): for the step there they give the reduction
-        `taken` (n, m) of the errors that was just measured."""
-        step = ((vector - self.vector) / scale)[self.which]
+        """The slopes about another vector by Broyden's update (1965). taken: (n, m) simulated reduction of the errors
+        for the step there."""
+        step = ((vector - self.vector) / scale)[self.indices]
         square = float(step @ step)
         if square == 0.0:
             return self
         missed = taken - np.tensordot(step, self.values, 1)
-        missed[~np.isfinite(missed)] = 0.0  # a window that has just diverged, or recovered, gives no slopes
-        return Slopes(vector, self.which, self.values + (step / square)[:, None, None] * missed)
+        missed[~np.isfinite(missed)] = 0.0  # of a window that diverges at one of the two vectors
+        return Slopes(vector, self.indices, self.values + (step / square)[:, None, None] * missed)
 
-    def renewed(self, which: np.ndarray, values: np.ndarray) -> "Slopes":
-        """With those of some parameters replaced."""
+    def renewed(self, indices: np.ndarray, values: np.ndarray) -> "Slopes":
+        """The slopes with those of some parameters replaced."""
         new = self.values.copy()
-        new[np.searchsorted(self.which, which)] = values
-        return Slopes(self.vector, self.which, new)
+        new[np.searchsorted(self.indices, indices)] = values
+        return Slopes(self.vector, self.indices, new)
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A set of effects with fitted values. which: free parameters. slopes: of those at least. quadratic: by window, of
-    `which`. folds: by fold, step to the values fitted without it; held_out: (b,) loss of each block at those values."""
+    """A set of effects with fitted values. indices: (a,) free parameters. slopes: of those at least. quadratic: of
+    those, by window. held_out: (b,) loss of each block at the values fitted without its fold."""
 
     names: tuple[str, ...]
     vector: np.ndarray
-    which: np.ndarray
+    indices: np.ndarray
     slopes: Slopes
     quadratic: Quadratic
-    folds: dict[int, np.ndarray]
     held_out: np.ndarray
 
 
-def freed(prior: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """A prior curvature (p, p) with some parameters marginalised (Schur complement); zero for these."""
+def marginalised(prior: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """A prior curvature (p, p) with the parameters `free` marginalised (Schur complement); zero for these."""
     rest = np.setdiff1d(np.arange(len(prior)), free)
     held = np.zeros_like(prior)
     cross = prior[np.ix_(rest, free)]
@@ -103,10 +102,10 @@ def freed(prior: np.ndarray, free: np.ndarray) -> np.ndarray:
 class Problem:
     """A loss with its priors, and the fits of sets of effects to it.
 
-    start: (p,) where every search begins. prior: (p, p) curvature about `start` of the parameters outside the set, from
+    start: (p,) first vector of a search. prior: (p, p) curvature about `start` of the parameters outside the set, from
     reference drives; None: these stay at the start, except the gain of the accelerometer. block: (n,) number of the
-    block of each window. noise: (c,) error of each column from noise alone [SI]. healthy: gain per scored error between
-    drives of the healthy car.
+    block of each window. noise: (c,) error of each column from noise alone [SI]. healthy: largest gain per scored error
+    between drives of the healthy car.
 
     quantities: (p,) quantity of the vehicle file that each parameter changes. Its standard deviation s enters the loss
     as a Gaussian prior, 0.5 design (x / s)^2. design [1]: number of scored errors that count as one independent error,
@@ -124,8 +123,8 @@ class Problem:
         self._whole: list[Slopes] = []
 
     def set_quantities(self, quantities: Quantities) -> None:
-        """Set the quantity of the vehicle file that each parameter changes. With a reference, its drives contain what
-        comes on top of the file."""
+        """Set the quantity of the vehicle file that each parameter changes. With a reference, its drives contain the
+        load of the car."""
         self.quantities = quantities
         on_top = self.space.deviation if self.prior is None else np.inf
         self._deviation = np.minimum(prior_deviations(quantities, self.space.scale), on_top)
@@ -151,13 +150,17 @@ class Problem:
     def held_out_groups(self) -> np.ndarray:
         """(b,) group of each block for the held-out errors of reports: its run where there are four or more, else its
         fold."""
-        run = self.errors.windows.run
-        of_block = np.zeros(self.blocks, int)
-        of_block[self.block] = run
-        return of_block if len(np.unique(run)) > 3 else self.fold
+        return self.run_of_block if len(np.unique(self.run_of_block)) > 3 else self.fold
+
+    @cached_property
+    def run_of_block(self) -> np.ndarray:
+        """(b,) run of each block."""
+        run = np.zeros(self.blocks, int)
+        run[self.block] = self.errors.windows.run
+        return run
 
     def without_file(self) -> "Problem":
-        """The same problem without the priors of the vehicle file: what predicts best, plausible or not."""
+        """The problem without the priors of the vehicle file: its fits predict best, whether plausible or not."""
         other = copy(self)
         other.set_quantities((None,) * len(self.space))
         return other
@@ -167,19 +170,19 @@ class Problem:
         """Number of scored errors."""
         return self.loss.number
 
-    def which(self, names: Iterable[str]) -> np.ndarray:
-        """Parameters that are free in a fit of the effects `names`."""
+    def free_indices(self, names: Iterable[str]) -> np.ndarray:
+        """(a,) indices of the parameters that are free in a fit of the effects `names`."""
         if self.prior is not None:
             return np.arange(len(self.space))
         always = (GAIN,) if "acceleration_y" in self.errors.windows.columns else ()
         return self.space.indices(*names, *always)
 
-    def prior_curvature(self, names: Iterable[str], which: np.ndarray) -> np.ndarray:
-        """(a, a) curvature of the prior about the start: that of the vehicle file for each; with a reference
-        that of its drives for those that are not of the effects `names`."""
+    def prior_curvature(self, names: Iterable[str], indices: np.ndarray) -> np.ndarray:
+        """(a, a) curvature of the prior about the start: that of the vehicle file; with a reference that of its drives,
+        for the parameters outside the effects `names`."""
         if self.prior is None:
-            return np.diag(self.file_curvature[which])
-        return freed(self.prior, self.space.indices(*names))
+            return np.diag(self.file_curvature[indices])
+        return marginalised(self.prior, self.space.indices(*names))
 
     @property
     def file_curvature(self) -> np.ndarray:
@@ -199,7 +202,7 @@ class Problem:
         Scores of an incomplete model vary between parts of the driving, so that D grows with what is missing.
         Source: Kish, Survey Sampling (1965), ch. 8.
         """
-        q = self.loss.quadratic(self.errors.at(vector), self.everything(vector).values)
+        q = self.quadratic_of_all(vector)
         information = np.diag(q.hessian.sum(axis=0))
         seen = information > 1e-9 * information.sum()
         found = [1.0]
@@ -209,54 +212,57 @@ class Problem:
                 found.append(float(np.median(2.0 * len(gradient) * gradient.var(axis=0, ddof=1) / information[seen])))
         self.design = max(found)
 
-    def distance_to_bounds(self, vector: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        s = self.space
-        return ((np.minimum(s.low - vector, 0.0) / s.scale)[which], (np.maximum(s.high - vector, 0.0) / s.scale)[which])
+    def distance(self, vector: np.ndarray) -> np.ndarray:
+        """(p,) distance from the start [usual sizes]."""
+        return (vector - self.start) / self.space.scale
 
-    def solve(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, which: np.ndarray) -> np.ndarray:
+    def distance_to_bounds(self, vector: np.ndarray, indices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(a,) largest negative and positive steps of some parameters [usual sizes]."""
+        low, high = np.minimum(self.space.low - vector, 0.0), np.maximum(self.space.high - vector, 0.0)
+        return (low / self.space.scale)[indices], (high / self.space.scale)[indices]
+
+    def solve(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, indices: np.ndarray) -> np.ndarray:
         """(a,) step from `vector` to the minimum of a quadratic by window, within the bounds."""
-        return self.stepper(names, vector, which)(q.hessian.sum(axis=0), q.gradient.sum(axis=0))
+        return self.stepper(names, vector, indices)(q.hessian.sum(axis=0), q.gradient.sum(axis=0))
 
     def stepper(self, names: Iterable[str], vector: np.ndarray,
-                which: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+                indices: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
         """A function of a Hessian (a, a) and a gradient (a,) that gives the best step (a,) from the vector."""
-        held, room = self.prior_curvature(names, which), self.distance_to_bounds(vector, which)
-        pulled = held @ ((vector - self.start) / self.space.scale)[which]
+        held, room = self.prior_curvature(names, indices), self.distance_to_bounds(vector, indices)
+        pulled = held @ self.distance(vector)[indices]
 
         def best_step(h: np.ndarray, g: np.ndarray) -> np.ndarray:
-            if not len(which):
+            if not len(indices):
                 return np.zeros(0)
             h = h + held
             h = h + (RIDGE * np.trace(h) / len(h) + 1e-9) * np.eye(len(h))
             return bounded(h, g - pulled, *room)
         return best_step
 
-    def cost(self, names: Iterable[str], vector: np.ndarray, which: np.ndarray) -> float:
-        away = ((vector - self.start) / self.space.scale)[which]
-        return self.loss.total(vector) + float(away @ self.prior_curvature(names, which) @ away)
+    def cost(self, names: Iterable[str], vector: np.ndarray, indices: np.ndarray) -> float:
+        """The loss with the prior's part."""
+        away = self.distance(vector)[indices]
+        return self.loss.total(vector) + float(away @ self.prior_curvature(names, indices) @ away)
 
     def everything(self, vector: np.ndarray) -> Slopes:
         """Slopes of all parameters: those of a nearby point, updated for the step, or new ones."""
         for known in reversed(self._whole):
             if np.abs((vector - known.vector) / self.space.scale).max() < SLOPES_VALID_WITHIN:
                 return self._follow(known, vector, np.zeros(0, int))
-        which = np.arange(len(self.space))
-        new = Slopes(vector, which, np.nan_to_num(self.loss.slopes(vector, which), posinf=0.0, neginf=0.0))
+        indices = np.arange(len(self.space))
+        new = Slopes(vector, indices, self.loss.slopes(vector, indices))
         self._whole = [*self._whole[-SLOPES_CACHE_SIZE + 1:], new]
         return new
 
-    def moved(self, vector: np.ndarray, which: np.ndarray, step: np.ndarray) -> np.ndarray:
-        there = vector.copy()
-        there[which] += step * self.space.scale[which]
-        return self.space.inside(there)
+    def quadratic_of_all(self, vector: np.ndarray) -> Quadratic:
+        """Quadratic of the loss about a vector, by window, in all parameters."""
+        return self.loss.quadratic(self.errors.at(vector), self.everything(vector).values)
 
-    def begin(self, names: Iterable[str], vector: np.ndarray) -> np.ndarray:
-        """The vector with all parameters at the start that are not free in a fit of the effects `names`."""
-        names = tuple(names)
-        keep = np.union1d(self.space.indices(*names), self.which(names))
-        there = self.start.copy()
-        there[keep] = vector[keep]
-        return there
+    def moved(self, vector: np.ndarray, indices: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """The vector after a step [usual sizes] of some parameters, limited to the bounds."""
+        moved = vector.copy()
+        moved[indices] += step * self.space.scale[indices]
+        return self.space.inside(moved)
 
     def vector_without(self, fit: Fit, *names: str) -> np.ndarray:
         """The vector of a fit with the effects `names` at the start."""
@@ -271,16 +277,17 @@ class Problem:
         recomputed at each step.
         """
         names = tuple(names)
-        which, new = self.which(names), self.space.indices(*fresh)
-        vector = self.begin(names, slopes.vector if vector is None else vector)
+        indices, new = self.free_indices(names), self.space.indices(*fresh)
+        first, vector = slopes.vector if vector is None else vector, self.start.copy()
+        vector[indices] = first[indices]
         slopes = self._follow(slopes, vector, new)
-        cost = self.cost(names, vector, which)
-        for _ in range(iterations if len(which) else 0):
-            q = self.loss.quadratic(self.errors.at(vector), slopes.of(which))
-            step = self.solve(q, names, vector, which)
+        cost = self.cost(names, vector, indices)
+        for _ in range(iterations if len(indices) else 0):
+            q = self.loss.quadratic(self.errors.at(vector), slopes.of(indices))
+            step = self.solve(q, names, vector, indices)
             for share in STEP_SHARES:
-                trial = self.moved(vector, which, share * step)
-                lower = self.cost(names, trial, which)
+                trial = self.moved(vector, indices, share * step)
+                lower = self.cost(names, trial, indices)
                 if lower < cost:
                     break
             else:
@@ -289,69 +296,68 @@ class Problem:
             slopes = self._follow(slopes, vector, new)
             if gained < MIN_LOSS_FALL * self.number:
                 break
-        return self.about(names, vector, which, slopes)
+        return self.about(names, vector, indices, slopes)
 
     def renewed(self, fit: Fit, iterations: int = 2) -> Fit:
         """The fit, continued with recomputed slopes."""
         own = np.union1d(self.space.indices(*fit.names), self.space.indices(GAIN))
-        fresh = Slopes(fit.vector, fit.slopes.which, fit.slopes.values)
+        fresh = Slopes(fit.vector, fit.slopes.indices, fit.slopes.values)
         if len(own):
-            known = np.intersect1d(own, fit.slopes.which)
-            fresh = fresh.renewed(known, np.nan_to_num(self.loss.slopes(fit.vector, known), posinf=0.0, neginf=0.0))
+            known = np.intersect1d(own, fit.slopes.indices)
+            fresh = fresh.renewed(known, self.loss.slopes(fit.vector, known))
         return self.fit(fit.names, fresh, iterations=iterations)
 
     def _follow(self, slopes: Slopes, vector: np.ndarray, new: np.ndarray) -> Slopes:
+        """The slopes about another vector, those of the parameters `new` recomputed."""
         if not np.array_equal(vector, slopes.vector):
             taken = self.errors.at(slopes.vector) - self.errors.at(vector)
             slopes = slopes.moved(vector, self.space.scale, taken)
-        if len(new):
-            values = np.nan_to_num(self.loss.slopes(vector, new), posinf=0.0, neginf=0.0)
-            slopes = slopes.renewed(new, values)
-        return slopes
+        return slopes.renewed(new, self.loss.slopes(vector, new)) if len(new) else slopes
 
-    def about(self, names: tuple[str, ...], vector: np.ndarray, which: np.ndarray, slopes: Slopes) -> Fit:
-        q = self.loss.quadratic(self.errors.at(vector), slopes.of(which))
-        folds, held_out = self.leave_out(q.summed(self.block, self.blocks), names, vector, which, self.fold, True)
-        fit = Fit(names, vector, which, slopes, q, folds, held_out)
-        return replace(fit, held_out=self._simulated(fit, self.fold, folds, held_out))
+    def about(self, names: tuple[str, ...], vector: np.ndarray, indices: np.ndarray, slopes: Slopes) -> Fit:
+        """A vector as a fit, with its quadratic and held-out loss."""
+        q = self.loss.quadratic(self.errors.at(vector), slopes.of(indices))
+        fit = Fit(names, vector, indices, slopes, q, np.zeros(self.blocks))
+        return replace(fit, held_out=self.held_out_loss(fit, self.fold))
 
-    def leave_out(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, which: np.ndarray,
+    def leave_out(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, indices: np.ndarray,
                   fold: np.ndarray, settled: bool = False) -> tuple[dict[int, np.ndarray], np.ndarray]:
         """({fold: step to the values fitted without it}, (b,) loss of each block at those values, with its part of the
-        prior's cost), by the quadratic. q: by block. settled: the vector is the optimum although the quadratic predicts
-        a further step; only the difference that a fold makes counts. With a prior from reference drives a fold moves
-        only the parameters of the set.
+        prior's cost), by the quadratic.
+
+        q: by block. fold: (b,). settled: the vector is the optimum although the quadratic predicts a further step; only
+        the difference that a fold makes counts. With a prior from reference drives a fold moves only the parameters of
+        the set.
         """
         names = tuple(names)
         h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
-        best_step = self.stepper(names, vector, which)
-        promised = best_step(h, g)
-        held, away = self.prior_curvature(names, which), ((vector - self.start) / self.space.scale)[which]
-        low, high = (edge - promised for edge in self.distance_to_bounds(vector, which))
-        own = np.flatnonzero(np.isin(which, self.space.indices(*names)))
-        gradient = q.gradient - q.hessian @ promised
+        best_step = self.stepper(names, vector, indices)
+        optimum = best_step(h, g)
+        held, away = self.prior_curvature(names, indices), self.distance(vector)[indices]
+        low, high = (edge - optimum for edge in self.distance_to_bounds(vector, indices))
+        own = np.flatnonzero(np.isin(indices, self.space.indices(*names)))
+        gradient = q.gradient - q.hessian @ optimum
+        base = optimum
         if settled:
-            q, from_ = Quadratic(q.cost, gradient, q.hessian), np.zeros(len(which))
-        else:
-            from_ = promised
+            q, base = Quadratic(q.cost, gradient, q.hessian), np.zeros(len(indices))
         steps, held_out = {}, np.zeros(len(q.cost))
         for k in np.unique(fold):
-            mine = fold == k
-            rest = h - q.hessian[mine].sum(axis=0)
+            out = fold == k
+            rest = h - q.hessian[out].sum(axis=0)
             if self.prior is None:
-                d = best_step(rest, g - (gradient + q.hessian @ promised)[mine].sum(axis=0)) - promised
+                d = best_step(rest, g - (gradient + q.hessian @ optimum)[out].sum(axis=0)) - optimum
             else:
-                d = np.zeros(len(which))
+                d = np.zeros(len(indices))
                 flat = RIDGE * np.trace(h) / len(h) * np.eye(len(own))
-                d[own] = bounded(rest[np.ix_(own, own)] + flat, gradient[~mine].sum(axis=0)[own],
+                d[own] = bounded(rest[np.ix_(own, own)] + flat, gradient[~out].sum(axis=0)[own],
                                  np.minimum(low, 0.0)[own], np.maximum(high, 0.0)[own])
-            steps[int(k)] = d = from_ + d
-            rise = np.einsum("i,bij,j->b", d, q.hessian[mine], d) - 2.0 * q.gradient[mine] @ d
-            held_out[mine] = q.cost[mine] + self._robust(rise, mine) + (away + d) @ held @ (away + d) / len(q.cost)
+            steps[int(k)] = d = base + d
+            rise = np.einsum("i,bij,j->b", d, q.hessian[out], d) - 2.0 * q.gradient[out] @ d
+            held_out[out] = q.cost[out] + self._robust(rise, out) + (away + d) @ held @ (away + d) / len(q.cost)
         return steps, held_out
 
     def _robust(self, rise: np.ndarray, blocks: np.ndarray) -> np.ndarray:
-        """The increase of the robust loss for an increase of the quadratic: logarithmic beyond 1 per scored error."""
+        """Increase of the robust loss for an increase of its quadratic: logarithmic beyond 1 per scored error."""
         number = np.maximum(self._numbers[blocks], 1)
         return np.where(rise > number, number * (1.0 + np.log(np.maximum(rise / number, 1.0))), rise)
 
@@ -360,61 +366,53 @@ class Problem:
         """(b,) number of scored errors of each block."""
         return np.bincount(self.block, self.loss.known.sum(axis=1), self.blocks)
 
-    def _simulated(self, fit: Fit, fold: np.ndarray, steps: Mapping[int, np.ndarray],
-                   held_out: np.ndarray) -> np.ndarray:
-        """(b,) held-out loss: that of the quadratic, `held_out`, or simulated where this is much above the fitted loss.
-        fold: (b,)."""
-        if held_out.sum() - fit.quadratic.cost.sum() < TRUSTED * self.number:
+    def leave_out_of(self, fit: Fit, groups: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray]:
+        """`leave_out` about a fit. groups: (b,)."""
+        q = fit.quadratic.summed(self.block, self.blocks)
+        return self.leave_out(q, fit.names, fit.vector, fit.indices, groups, settled=True)
+
+    def held_out_loss(self, fit: Fit, groups: np.ndarray) -> np.ndarray:
+        """(b,) loss of each block at values fitted without its group; simulated where the quadratic predicts much more
+        than the fitted loss. groups: (b,)."""
+        steps, held_out = self.leave_out_of(fit, groups)
+        if held_out.sum() - fit.quadratic.cost.sum() < MAX_QUADRATIC_RISE * self.number:
             return held_out
-        held = self.prior_curvature(fit.names, fit.which)
-        away = ((fit.vector - self.start) / self.space.scale)[fit.which]
+        held, away = self.prior_curvature(fit.names, fit.indices), self.distance(fit.vector)[fit.indices]
         result = np.zeros(self.blocks)
         for k, d in steps.items():
-            there = self.loss.by_window(self.moved(fit.vector, fit.which, d))
-            mine = fold == k
-            result[mine] = np.bincount(self.block, there, self.blocks)[mine] + (away + d) @ held @ (
-                away + d) / self.blocks
+            out, loss = groups == k, self.loss.by_window(self.moved(fit.vector, fit.indices, d))
+            prior = (away + d) @ held @ (away + d) / self.blocks
+            result[out] = np.bincount(self.block, loss, self.blocks)[out] + prior
         return np.minimum(held_out, result)
 
-    def held_out_apart(self, fit: Fit) -> np.ndarray:
-        """(b,) loss of each block at values fitted to the other runs."""
-        q = fit.quadratic.summed(self.block, self.blocks)
-        steps, held_out = self.leave_out(q, fit.names, fit.vector, fit.which, self.held_out_groups, True)
-        return self._simulated(fit, self.held_out_groups, steps, held_out)
+    def held_out_gain(self, without: Fit, fit: Fit) -> float:
+        """Reduction of the loss per scored error by a fit over one without some of its effects, both at values fitted
+        without each group (`held_out_groups`)."""
+        before, after = (self.held_out_loss(each, self.held_out_groups) for each in (without, fit))
+        return float((before - after).sum()) / self.number
 
-    def held_out_rows(self, fit: Fit, fold: np.ndarray | None = None) -> np.ndarray:
-        """(n, m) errors of each window at values fitted to other driving. fold: (b,) groups, default those of the
-        search."""
+    def held_out_rows(self, fit: Fit) -> np.ndarray:
+        """(n, m) errors of each window at values fitted without its group (`held_out_groups`)."""
+        steps, _ = self.leave_out_of(fit, self.held_out_groups)
+        group, slopes = self.held_out_groups[self.block], fit.slopes.of(fit.indices)
         rows = self.errors.at(fit.vector)
-        steps = fit.folds
-        if fold is None:
-            fold = self.fold
-        else:
-            q = fit.quadratic.summed(self.block, self.blocks)
-            steps = self.leave_out(q, fit.names, fit.vector, fit.which, fold, True)[0]
         result = rows.copy()
-        slopes = fit.slopes.of(fit.which)
         for k, d in steps.items():
-            mine = fold[self.block] == k
-            result[mine] -= np.einsum("p,pnm->nm", d, slopes[:, mine])
+            out = group == k
+            result[out] -= np.einsum("p,pnm->nm", d, slopes[:, out])
         before, after = (self.loss.scaled(each) for each in (rows, result))
-        if rho(after).sum() - rho(before).sum() > TRUSTED * self.number:  # beyond the validity of the slopes
+        if rho(after).sum() - rho(before).sum() > MAX_QUADRATIC_RISE * self.number:  # beyond the validity of the slopes
             for k, d in steps.items():
-                mine = fold[self.block] == k
-                result[mine] = self.errors.at(self.moved(fit.vector, fit.which, d))[mine]
+                out = group == k
+                result[out] = self.errors.at(self.moved(fit.vector, fit.indices, d))[out]
         return result
-
-    @cached_property
-    def end_of(self) -> tuple[int, int]:
-        """Columns of a row: lateral and longitudinal position at the end of the horizon."""
-        columns = self.errors.windows.columns
-        last = len(columns) * (len(self.errors.windows.time) - 1)
-        return last + columns.index("position_lateral"), last + columns.index("position_longitudinal")
 
     def position(self, rows: np.ndarray) -> np.ndarray:
         """(n,) position error at the end of the horizon [m], at most DIVERGED; NaN where it was not measured."""
-        if "position_lateral" not in self.errors.windows.columns:
+        columns = self.errors.windows.columns
+        if "position_lateral" not in columns:
             return np.full(len(rows), np.nan)
-        ends = list(self.end_of)
+        last = len(columns) * (len(self.errors.windows.time) - 1)
+        ends = [last + columns.index(f"position_{axis}") for axis in ("lateral", "longitudinal")]
         error = np.minimum(np.nan_to_num(np.hypot(*rows[:, ends].T), nan=DIVERGED), DIVERGED)
         return np.where(self.loss.known[:, ends].all(axis=1), error, np.nan)

@@ -1,4 +1,5 @@
-"""Divisions of the driving by run, site, time, place and condition; a real effect appears in every part."""
+"""Divisions of the driving by run, site, time, place and condition, to test whether an effect is the same in all parts.
+"""
 
 import numpy as np
 
@@ -10,42 +11,38 @@ MIN_RUNS = 5  # fewer runs are divided into stretches
 TIMES = ("the first third of the runs", "the second third", "the last third")
 KINDS = ("slow and gentle", "fast and gentle", "slow and hard", "fast and hard")
 
-Level = tuple[np.ndarray, list[str]]  # number of the part of each window, names of the parts
+Level = tuple[np.ndarray, list[str]]  # (n,) part of each window, names of the parts
 
 
 def levels(windows: Windows) -> dict[str, Level]:
     """By level, (n,) part of each window and names of the parts; only levels with at least two parts."""
-    site = sites(windows)
-    driven = windows.driven
-    parts = {
-        "run": runs(windows),
-        "site": (site, [f"site {k + 1}" for k in range(int(site.max()) + 1)]),
-        "time": (_thirds(windows), list(TIMES)),
-        "place": places(driven["x"], driven["y"]),
-        "condition": conditions(driven["speed"], driven["lateral_acceleration"]),
-    }
+    site, driven = sites(windows), windows.driven
+    parts = {"run": runs(windows), "site": (site, [f"site {k + 1}" for k in range(int(site.max()) + 1)]),
+             "time": (_thirds(windows), list(TIMES)), "place": places(driven["x"], driven["y"]),
+             "condition": conditions(driven["speed"], driven["lateral_acceleration"])}
     if site.max() + 1 == len(windows.names):
         del parts["site"]  # the same as the runs
     return {name: (number, called) for name, (number, called) in parts.items() if len(np.unique(number)) > 1}
 
 
 def runs(windows: Windows) -> Level:
+    """The runs; of fewer than MIN_RUNS, stretches of equal duration."""
     numbers = np.unique(windows.run)
     if len(numbers) >= MIN_RUNS:
         return windows.run, list(windows.names)
     pieces = int(np.ceil(6 / len(numbers)))
     part = np.zeros(len(windows), int)
     for run in numbers:
-        mine = windows.run == run
-        seconds = windows.seconds[mine]
+        of_run = windows.run == run
+        seconds = windows.seconds[of_run]
         edges = np.linspace(seconds.min(), seconds.max() + 1e-6, pieces + 1)
-        part[mine] = run * pieces + np.searchsorted(edges, seconds, side="right") - 1
+        part[of_run] = run * pieces + np.searchsorted(edges, seconds, side="right") - 1
     return part, [f"{name}, part {k + 1}" for name in windows.names for k in range(pieces)]
 
 
 def sites(windows: Windows) -> np.ndarray:
-    """(n,) site of each window: runs that share places, also through another run, are at one site. Distance alone does
-    not count, as each site may have a map of its own."""
+    """(n,) site of each window: runs that share places, also through another run, are at one site. Distance is no
+    criterion, as sites may have maps of different origin."""
     number = places(windows.driven["x"], windows.driven["y"])[0]
     visited = [set(number[windows.run == run]) for run in range(len(windows.names))]
     site = list(range(len(visited)))
@@ -57,6 +54,7 @@ def sites(windows: Windows) -> np.ndarray:
 
 
 def places(x: np.ndarray, y: np.ndarray) -> Level:
+    """Squares of the map."""
     cells = np.stack([np.floor(x / PLACE_SIZE), np.floor(y / PLACE_SIZE)], axis=1)
     unique, number = np.unique(cells, axis=0, return_inverse=True)
     return number.ravel(), [f"east {east:.0f} m, north {north:.0f} m" for east, north in PLACE_SIZE * (unique + 0.5)]
@@ -72,6 +70,7 @@ def conditions(speed: np.ndarray, lateral: np.ndarray) -> Level:
 
 
 def _thirds(windows: Windows) -> np.ndarray:
+    """(n,) third of its run of each window."""
     longest = np.zeros(len(windows.names))
     np.maximum.at(longest, windows.run, windows.seconds)
     share = windows.seconds / np.maximum(longest[windows.run], 1e-9)

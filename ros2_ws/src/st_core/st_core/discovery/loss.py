@@ -1,10 +1,13 @@
-"""How badly a set of values predicts: the loss, and its quadratic, window by window.
+"""Robust loss of the prediction errors, and its quadratic approximation by window.
 
-An error r of a channel at a point of the horizon, over the scale s of that channel and point, counts as under Student's
-distribution: rho(z) = (nu + 1) / 2 log(1 + z^2 / nu), z = r / s. The scale is that of the errors themselves and is
-renewed as the model improves, so that no channel is bought by another and small errors matter once large ones are
-explained.
-About a point, cost(d) ~ cost - 2 g'd + d'H d, d in usual sizes of the parameters: iteratively reweighted squares.
+    rho(z) = (nu + 1) / 2 log(1 + z^2 / nu),   z = r / s
+
+the negative log-likelihood of Student's distribution, r: error of a channel at a point of the horizon, s: its scale.
+The scale is estimated from the errors and recomputed as the model improves, so that all channels have similar weight
+and small errors matter once large ones are explained. Approximation (iteratively reweighted least squares):
+
+    cost(d) ~ cost - 2 g'd + d'H d,   d: step in usual sizes of the parameters
+
 Source: Lange, Little, Taylor, Robust statistical modeling using the t distribution, JASA 84 (1989).
 """
 
@@ -18,10 +21,10 @@ from ..channels import OF_COLUMN
 from .space import Space
 from .windows import Windows
 
-NU = 4.0  # degrees of freedom: errors beyond two scales count less and less
+NU = 4.0  # degrees of freedom; errors beyond two scales have decreasing influence
 DIFFERENCE_STEP = 0.1  # of the usual size: step of the difference quotients
-MAX_SCALED_ERROR = 100.0  # scales; a prediction that diverges is that far off, and no further
-ERROR_CACHE_SIZE = 64  # rows of errors remembered
+MAX_SCALED_ERROR = 100.0  # scales; limit of the errors, and value of a diverged prediction
+ERROR_CACHE_SIZE = 64  # parameter vectors
 
 
 def rho(z: np.ndarray) -> np.ndarray:
@@ -47,29 +50,27 @@ class Quadratic:
         member = (group == np.arange(count)[:, None]).astype(float)
         return Quadratic(*(np.tensordot(member, values, 1) for values in (self.cost, self.gradient, self.hessian)))
 
-    def only(self, which: np.ndarray) -> "Quadratic":
+    def only(self, indices: np.ndarray) -> "Quadratic":
         """Of some of the parameters."""
-        return Quadratic(self.cost, self.gradient[:, which], self.hessian[:, which][:, :, which])
+        return Quadratic(self.cost, self.gradient[:, indices], self.hessian[:, indices][:, :, indices])
 
 
 class Errors:
-    """Errors of all windows at any vector, remembered. added: (n, m) put on top of them, to imitate other drives."""
+    """Prediction errors of all windows at a parameter vector, cached. threads: for several vectors."""
 
     def __init__(self, windows: Windows, space: Space, threads: int = 1):
         self.windows, self.space, self.threads = windows, space, threads
-        self.calls = 0
-        self._kept: dict[bytes, np.ndarray] = {}
+        self._cache: dict[bytes, np.ndarray] = {}
 
     def at(self, vector: np.ndarray) -> np.ndarray:
         """(n, m): measured minus predicted, all points and columns of a window in a row; NaN where not known."""
         key = vector.tobytes()
-        if key not in self._kept:
-            self.calls += 1
+        if key not in self._cache:
             values = self.windows.errors(self.space.at(vector).lean(), float(vector[-1])).values
-            while len(self._kept) >= ERROR_CACHE_SIZE:
-                self._kept.pop(next(iter(self._kept)), None)
-            self._kept[key] = values.reshape(len(values), -1)
-        return self._kept[key]
+            while len(self._cache) >= ERROR_CACHE_SIZE:
+                self._cache.pop(next(iter(self._cache)), None)
+            self._cache[key] = values.reshape(len(values), -1)
+        return self._cache[key]
 
     def many(self, vectors: Sequence[np.ndarray]) -> list[np.ndarray]:
         if self.threads < 2 or len(vectors) < 2:
@@ -79,18 +80,17 @@ class Errors:
 
 
 class Loss:
-    """The loss of errors at one scale. known: (n, m) what was measured. scale: (m,) SI."""
+    """Loss of the errors at a scale. known: (n, m) whether measured. scale: (m,) SI. number: of scored errors."""
 
     def __init__(self, errors: Errors, at: np.ndarray):
         self.errors, self.space = errors, errors.space
-        measured = errors.windows.known
-        self.known = measured & np.isfinite(errors.at(at)).any(axis=1)[:, None]
+        self.known = errors.windows.known & np.isfinite(errors.at(at)).any(axis=1)[:, None]
         self.number = int(self.known.sum())
         self.smallest = np.tile([OF_COLUMN[c].smallest for c in errors.windows.columns], len(errors.windows.time))
         self.scale = self.scale_of(at)
 
     def scale_of(self, vector: np.ndarray) -> np.ndarray:
-        """(m,) what two thirds of the errors are below."""
+        """(m,) 68 % quantile of the magnitude of the errors, one standard deviation of normal ones."""
         rows = np.where(self.known, np.abs(self.errors.at(vector)), np.nan)
         rows[self.known & ~np.isfinite(rows)] = np.inf
         with np.errstate(all="ignore"):
@@ -101,7 +101,7 @@ class Loss:
         self.scale = self.scale_of(vector)
 
     def scaled(self, rows: np.ndarray) -> np.ndarray:
-        """(n, m) z of rows of errors; 0 where nothing was measured."""
+        """(n, m) z of errors (n, m); 0 where not measured."""
         z = np.nan_to_num(rows / self.scale, nan=MAX_SCALED_ERROR, posinf=MAX_SCALED_ERROR, neginf=-MAX_SCALED_ERROR)
         return np.where(self.known, np.clip(z, -MAX_SCALED_ERROR, MAX_SCALED_ERROR), 0.0)
 
@@ -111,31 +111,32 @@ class Loss:
     def total(self, vector: np.ndarray) -> float:
         return float(self.by_window(vector).sum())
 
-    def slopes(self, vector: np.ndarray, which: np.ndarray) -> np.ndarray:
-        """(p, n, m) fall of the errors [SI] per usual size of each of the parameters `which`, by differences."""
-        step = DIFFERENCE_STEP * self.space.scale[which] * self.space.sign[which]
-        there = vector[which] + step
-        step = np.where((there < self.space.low[which]) | (there > self.space.high[which]), -step, step)
-        moved = np.tile(vector, (len(which), 1))
-        moved[np.arange(len(which)), which] += step
+    def slopes(self, vector: np.ndarray, indices: np.ndarray) -> np.ndarray:
+        """(a, n, m) reduction of the errors [SI] per usual size of the parameters `indices`, by difference quotients;
+        0 where a prediction diverges."""
+        step = DIFFERENCE_STEP * self.space.scale[indices] * self.space.sign[indices]
+        there = vector[indices] + step
+        step = np.where((there < self.space.low[indices]) | (there > self.space.high[indices]), -step, step)
+        moved = np.tile(vector, (len(indices), 1))
+        moved[np.arange(len(indices)), indices] += step
         here = self.errors.at(vector)
-        size = step / self.space.scale[which]
-        return np.stack([(here - there) / d for there, d in zip(self.errors.many(list(moved)), size, strict=True)]
-                        ) if len(which) else np.zeros((0, *here.shape))
+        size = step / self.space.scale[indices]
+        slopes = [(here - there) / d for there, d in zip(self.errors.many(list(moved)), size, strict=True)]
+        return np.nan_to_num(np.reshape(slopes, (len(indices), *here.shape)), posinf=0.0, neginf=0.0)
 
     def quadratic(self, rows: np.ndarray, slopes: np.ndarray) -> Quadratic:
-        """About the point with these errors (n, m) and slopes (p, n, m)."""
+        """About the vector with these errors (n, m) and slopes (p, n, m)."""
         z = self.scaled(rows)
         far = MAX_SCALED_ERROR / DIFFERENCE_STEP
         j = np.where(self.known, np.clip(np.nan_to_num(slopes / self.scale, nan=0.0, posinf=0.0, neginf=0.0),
                                          -far, far), 0.0)
-        j = np.where(np.abs(z) < MAX_SCALED_ERROR, j, 0.0)  # a diverged window does not respond to small changes
+        j = np.where(np.abs(z) < MAX_SCALED_ERROR, j, 0.0)  # a diverged window has no slopes
         w = weight(z)
         jw = np.moveaxis(j * w, 1, 0)  # (n, p, m)
         return Quadratic(rho(z).sum(axis=1), (jw @ z[:, :, None])[:, :, 0], jw @ np.transpose(j, (1, 2, 0)))
 
     def curvature(self, rows: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-        """(p, p) half the second derivative of the loss, errors taken as linear: errors far out count against it."""
+        """(p, p) half the second derivative of the loss for errors linear in the parameters; outliers reduce it."""
         z = self.scaled(rows)
         j = np.where(self.known & (np.abs(z) < MAX_SCALED_ERROR), np.nan_to_num(slopes / self.scale), 0.0)
         bend = 0.5 * (NU + 1.0) * (NU - np.square(z)) / np.square(NU + np.square(z))

@@ -1,4 +1,4 @@
-"""A healthy car from reference drives: where the search starts, and how firmly everything else is held there."""
+"""The healthy car from reference drives: first vector of the search, and prior of the parameters outside the set."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,43 +11,42 @@ from ..effects import get_effect
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
 from .evidence import TWO_SIDED, inverse
-from .fit import Problem, freed
+from .fit import Problem, marginalised
 from .loss import Errors, Loss, Quadratic
 from .settings import DiscoverySettings
 from .space import Quantities, Space, known_quantities, prior_deviations
 from .windows import Windows
 
-JOINT_DEVIATION = 3.0  # usual sizes: how far from the vehicle file a healthy car may be before its drives are used
-MAX_FITS, FINAL_STEP = 8, 0.02  # fits, and the step in usual sizes that ends the fit
-FIXED_CURVATURE = 1e6  # curvature of what stays
+JOINT_DEVIATION = 3.0  # usual sizes, prior standard deviation of every parameter of the healthy car
+MAX_FITS, FINAL_STEP = 8, 0.02  # most fits; they end with a smaller step [usual sizes]
+FIXED_CURVATURE = 1e6  # prior curvature that fixes a parameter
 
 
 @dataclass(frozen=True, eq=False)
 class Healthy:
     """vector: (p,) values of the whole library fitted to the reference. prior: (p, p) curvature of the loss about them.
-    left: (c,) error of each column at the end of the horizon [SI], two thirds are below. position [m]: mean error
-    there, of the run where that is most. gain: for each scored error, the largest that any effect shows of one of its
-    runs against the others."""
+    residual: (c,) scale (`Loss.scale_of`) of the errors of each column at the end of the horizon [SI]. position [m]:
+    mean position error there, of the run where it is largest. gain: largest gain per scored error of an effect in one
+    run, compared with the other runs."""
 
     vector: np.ndarray
     prior: np.ndarray
-    left: np.ndarray
+    residual: np.ndarray
     position: float
     gain: float
 
 
 def learn(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
-          threads: int, tick: Callable[[], None]) -> "Healthy":
-    """A healthy car from its drives.
+          threads: int, tick: Callable[[], None]) -> Healthy:
+    """The healthy car from its drives.
 
-    The curvature is what reference drives predict of a new drive of the same car: their own, over what windows that
-    depend on each other and drives that differ make of the variance of each value, once for them and once for the new
-    drive.
+    The prior is the predictive distribution for a new drive of the same car: the covariance of the reference drives,
+    times their design effect, twice: once for the reference, once for the new drive.
     """
     windows = Windows(runs, vehicle, settings)
     held = np.eye(len(space)) / JOINT_DEVIATION**2
     composite = space.indices(*(n for n in space.hypotheses if get_effect(n).members))
-    held[composite, composite] = FIXED_CURVATURE  # its members describe the same
+    held[composite, composite] = FIXED_CURVATURE  # the members act the same
     quantities = known_quantities(space, vehicle)
     fits = []
     for start in (space.null, textbook(space)):
@@ -55,46 +54,47 @@ def learn(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, se
         fits.append((*_fitted(loss, windows, held, quantities, start, tick), loss))
     vector, held, loss = min(fits, key=lambda fit: float(np.log(fit[2].scale).sum()))
     problem = Problem(loss, space.null, windows.block, held)
-    q = loss.quadratic(problem.errors.at(vector), problem.everything(vector).values)
+    q = problem.quadratic_of_all(vector)
     h = q.hessian.sum(axis=0) + held
-    spread = np.sqrt(2.0 * _design(q, np.diag(h), windows))
-    far = problem.position(problem.errors.at(vector))
-    of_runs = [float(np.nanmean(far[windows.run == k])) for k in np.unique(windows.run) if np.isfinite(
-        far[windows.run == k]).any()]
-    return Healthy(vector, _prior(h, spread, held), loss.scale_of(vector)[-len(windows.columns):],
-                   max(of_runs, default=0.0),
-                   _between_runs(q, space, windows, spread, held))
+    spread = np.sqrt(2.0 * _design_effects(q, np.diag(h), windows))
+    position = problem.position(problem.errors.at(vector))
+    by_run = [position[windows.run == k] for k in np.unique(windows.run)]
+    largest = max((float(np.nanmean(error)) for error in by_run if np.isfinite(error).any()), default=0.0)
+    return Healthy(vector, _prior(h, spread, held), loss.scale_of(vector)[-len(windows.columns):], largest,
+                   _gain_between_runs(q, space, windows, spread, held))
 
 
 def _prior(h: np.ndarray, spread: np.ndarray, held: np.ndarray) -> np.ndarray:
+    """(p, p) curvature of the drives, their standard deviations multiplied by `spread` (p,), plus that of `held`."""
     return inverse(spread[:, None] * inverse(h) * spread) + held
 
 
-def _between_runs(q: Quadratic, space: Space, windows: Windows, spread: np.ndarray, held: np.ndarray) -> float:
-    """Largest gain for each scored error any effect shows of a run against the other runs, by the quadratic."""
+def _gain_between_runs(q: Quadratic, space: Space, windows: Windows, spread: np.ndarray, held: np.ndarray) -> float:
+    """Largest gain per scored error of an effect in one run, with the prior of the other runs, by the quadratic."""
     run, most = q.summed(windows.run), 0.0
     if len(windows.names) < 3:
         return most
     h, g = run.hessian.sum(axis=0) + held, run.gradient.sum(axis=0)
     for k in range(len(windows.names)):
         other = h - run.hessian[k]
-        there = inverse(other) @ (g - run.gradient[k])
+        centre = inverse(other) @ (g - run.gradient[k])
         prior = _prior(other, spread, held)
-        least = partial(_least, run.hessian[k], run.gradient[k], there)
+        minimum = partial(_minimum, run.hessian[k], run.gradient[k], centre)
         number = max(int(windows.known[windows.run == k].sum()), 1)
-        most = max(most, *((least(prior) - least(freed(prior, space.indices(n)))) / number for n in space.hypotheses))
+        most = max(most, *((minimum(prior) - minimum(marginalised(prior, space.indices(n)))) / number
+                           for n in space.hypotheses))
     return most
 
 
-def _least(h: np.ndarray, g: np.ndarray, there: np.ndarray, prior: np.ndarray) -> float:
-    """Of x'Hx - 2 g'x and the penalty of a prior about `there`."""
-    x = np.linalg.solve(h + prior + 1e-9 * np.eye(len(h)), g + prior @ there)
-    return float(x @ h @ x - 2.0 * g @ x + (x - there) @ prior @ (x - there))
+def _minimum(h: np.ndarray, g: np.ndarray, centre: np.ndarray, prior: np.ndarray) -> float:
+    """Minimum over x of x'Hx - 2 g'x + (x - centre)' prior (x - centre)."""
+    x = np.linalg.solve(h + prior + 1e-9 * np.eye(len(h)), g + prior @ centre)
+    return float(x @ h @ x - 2.0 * g @ x + (x - centre) @ prior @ (x - centre))
 
 
-def _design(q: Quadratic, curvature: np.ndarray, windows: Windows) -> np.ndarray:
-    """(p,) what the variance of each value is over that of independent windows, 1 at least: the larger of what blocks
-    and what runs show; of a few it is not well known, so that Student's quantile counts."""
+def _design_effects(q: Quadratic, curvature: np.ndarray, windows: Windows) -> np.ndarray:
+    """(p,) design effect of each value, at least 1: its variance over that of independent windows, between blocks or
+    between runs, whichever is larger; with Student's quantile, as there may be few of them."""
     design = np.ones(len(curvature))
     for part in (windows.block, windows.run):
         gradient = q.summed(part).gradient
@@ -106,7 +106,7 @@ def _design(q: Quadratic, curvature: np.ndarray, windows: Windows) -> np.ndarray
 
 
 def textbook(space: Space) -> np.ndarray:
-    """(p,) values by theory for any car; the base stays of the requested kind."""
+    """(p,) values known from theory for any car; effects that change the kind of the base stay at null."""
     vector = space.null.copy()
     for i, free in enumerate(space.free):
         if free.theory is not None and not get_effect(free.effect).lifts:
@@ -116,11 +116,11 @@ def textbook(space: Space) -> np.ndarray:
 
 def _fitted(loss: Loss, windows: Windows, held: np.ndarray, quantities: Quantities, vector: np.ndarray,
             tick: Callable[[], None]) -> tuple[np.ndarray, np.ndarray]:
-    """((p,) everything at once from a vector, the scale of the loss renewed, until nothing moves; (p, p) curvature that
-    held it: `held` and the prior of the vehicle file)."""
+    """((p,) all parameters fitted from a vector, the scale of the loss renewed, until convergence; (p, p) curvature of
+    the prior: `held` plus that of the vehicle file)."""
     space = loss.space
     file = Problem(loss, space.null, windows.block, quantities=quantities)
-    deviations = prior_deviations(quantities, space.scale)  # a load of the healthy car is known from its drives alone
+    deviations = prior_deviations(quantities, space.scale)  # without that of a load, which the drives contain
     for _ in range(MAX_FITS):
         tick()
         file.renew_design(vector)

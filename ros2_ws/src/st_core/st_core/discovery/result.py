@@ -1,4 +1,4 @@
-"""Result of a discovery. Plain data; `Discovery.document` is the body of discovery.json."""
+"""Result of a discovery, as plain data; `Discovery.document` is the body of discovery.json."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, is_dataclass
@@ -17,15 +17,15 @@ WIDENING = float(stats.norm.isf(0.5 * Limits().false_alarm) / stats.norm.isf(0.0
 OUTCOMES: tuple[Outcome, ...] = ("none", "named", "ambiguous", "several", "bound", "unknown", "not_testable")
 EFFECTIVE = "effective corrections"
 PARTS = (*EFFECT_KINDS, EFFECTIVE, "place or time", "unexplained")
-"""Of the gap budget."""
+"""Parts of the gap (`BudgetLine`)."""
 Interval = tuple[float, float]
 MODELS = ("base", "model", "named")
-"""Fields of an answer that are models, and no part of discovery.json."""
+"""Fields of `Discovery` that are models and not part of discovery.json."""
 
 
 @dataclass(frozen=True)
 class FittedParameter:
-    """value, null and 95 % interval [unit]; dependent windows and the spread between runs are in the interval."""
+    """Value, 95 % interval and null [unit]; the interval allows for dependent windows and the spread between runs."""
 
     value: float
     unit: str
@@ -35,8 +35,7 @@ class FittedParameter:
 
 @dataclass(frozen=True)
 class Change:
-    """An error before and after, on driving the values were not fitted to. base, augmented [unit]; 95 % interval of
-    base - augmented."""
+    """A held-out error before and after, base and augmented [unit], and the 95 % interval of their difference."""
 
     base: float
     augmented: float
@@ -46,24 +45,22 @@ class Change:
 
 @dataclass(frozen=True)
 class Step:
-    """One step of the waterfall. action: added, removed or exchanged (then `instead` is what went). parameters: of the
-    effect after the step. position_5s: mean error after 5 s [m]; channels: root mean square at the end of the horizon;
-    runs: mean position error after 5 s [m] of each run, before and after. All on held-out folds."""
+    """One step of the waterfall: an effect added. parameters: of it after the step. position_5s: mean error after 5 s
+    [m]; channels: root mean square error at the end of the horizon; runs: mean position error after 5 s [m] of each
+    run, before and after. All on held-out folds."""
 
     effect: str
-    action: Literal["added", "removed", "exchanged"]
     kind: str
     parameters: Mapping[str, FittedParameter]
     position_5s: Change
     channels: Mapping[str, Change]
     runs: Mapping[str, tuple[float, float]]
-    instead: str = ""
 
 
 @dataclass(frozen=True)
 class Value:
-    """An effect as one run, site, time, place or condition shows it: share of the value stated (1: just that, 0: none
-    of it) and its standard deviation."""
+    """An effect in one run, site, time, place or condition: its value there over the stated value, and the standard
+    deviation of that."""
 
     where: str
     share: float
@@ -72,13 +69,11 @@ class Value:
 
 @dataclass(frozen=True)
 class FoundEffect:
-    """One effect of the answer. kind: one of PARTS[:4]. alternatives: names the data cannot separate,
-    best first.
-
-    joint: other effects of the answer that it cancels, so that these values are known only together.
-    position_5s [m]: by how much the mean error after 5 s grows without it (added last). agreement: by level (run,
-    site, time, place, condition) what each part of the driving shows of it. channel, share [1]: the channel it reduces
-    most, and by how much of the baseline error there; "" where no error is above the noise."""
+    """One effect of the answer. kind: of EFFECT_KINDS. alternatives: names that the data do not separate from it, best
+    first. position_5s [m]: increase of the mean error after 5 s without it. agreement: by level (run, site, time,
+    place, condition), its value in each part. joint: other effects of the answer that it cancels; their values are
+    known only together. channel, share [1]: the channel with the largest reduction, relative to its baseline error; ""
+    where no error is above the noise."""
 
     name: str
     kind: str
@@ -93,8 +88,8 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class Assumed:
-    """A quantity of the vehicle file that binds: its value and standard deviation [unit]. stated: whether the file has
-    that deviation; otherwise it is the default of the quantity."""
+    """A quantity of the vehicle file used as a prior: value and standard deviation [unit]. stated: whether the file has
+    the deviation; otherwise it is the default of the quantity."""
 
     key: str
     unit: str
@@ -105,8 +100,8 @@ class Assumed:
 
 @dataclass(frozen=True)
 class Combination:
-    """Quantities that act together [unit]: value, 95 % interval, and by the vehicle file. effects: names of what acts
-    on it alike; single ones of them are known only as far as the vehicle file fixes the others."""
+    """A combination of vehicle parameters that determines predictions [unit]: value, 95 % interval, and value of the
+    vehicle file. effects: names that change it; a single one is known only as far as the file fixes the others."""
 
     name: str
     unit: str
@@ -125,7 +120,7 @@ class Combination:
 @dataclass(frozen=True)
 class ForceCurve:
     """Lateral force of an axle over the driven slip, opposing it: slip [rad], force, 90 % band low to high, and the
-    file's [N]; density: share of the driving between two values of slip."""
+    vehicle file's [N]; density: share of the driving between two values of slip."""
 
     axle: str
     slip: tuple[float, ...]
@@ -138,9 +133,9 @@ class ForceCurve:
 
 @dataclass(frozen=True)
 class BoundEffect:
-    """Something sure that is not the same everywhere. resembles: the effect of the library that describes it best.
-
-    to: run, site, time, place or condition. values: what each part shows. position_5s [m]: what it takes away."""
+    """A significant effect that varies over the driving. resembles: the effect of the library that describes it best.
+    to: the level it varies over: run, site, time, place or condition. values: in each part. position_5s [m]: reduction
+    of the mean error after 5 s."""
 
     resembles: str
     to: str
@@ -151,7 +146,7 @@ class BoundEffect:
 
 @dataclass(frozen=True)
 class Reason:
-    """One rule of `decision` as it was applied. subject: an effect, or "answer". figures: what it looked at."""
+    """A rule of `decision` as applied. subject: an effect, or "answer". figures: the numbers it compared."""
 
     rule: str
     subject: str
@@ -161,8 +156,8 @@ class Reason:
 
 @dataclass(frozen=True)
 class Candidate:
-    """One effect of the library on top of the answer (or as part of it). gain: share of the size of the errors it
-    takes away. verdict: stated, alternative, bound, or the rule that refused it. why: in a sentence, with figures."""
+    """One effect of the library, in addition to the answer or as part of it. gain: relative reduction of the size of
+    the errors. verdict: stated, alternative, or the rule that rejected it. why: a sentence with figures."""
 
     name: str
     kind: str
@@ -174,8 +169,9 @@ class Candidate:
 
 @dataclass(frozen=True)
 class BudgetLine:
-    """One part of the gap (PARTS). last, first [m]: of the held-out mean position error after 5 s, when this part is
-    added last, and first. share_last, share_first: of that error of the base; loss_last, loss_first: of the loss."""
+    """One part of the gap, of PARTS. last, first [m]: reduction of the held-out mean position error after 5 s when this
+    part is added last, or first. share_last, share_first [1]: over that error of the base; loss_last, loss_first [1]:
+    the same of the loss."""
 
     part: str
     last: float
@@ -188,7 +184,8 @@ class BudgetLine:
 
 @dataclass(frozen=True)
 class Power:
-    """An effect put into the user's own drives. size [unit] of it; found times out of `of`, as itself or in a set."""
+    """Detection of an effect of a given size [unit] in these drives. found [1]: probability, of `of` simulated drives;
+    of 0: predicted."""
 
     effect: str
     parameter: str
@@ -200,9 +197,9 @@ class Power:
 
 @dataclass(frozen=True)
 class Certificate:
-    """What these drives can show. powers: three sizes of each effect. alarms of `of`: statements on the same inputs
-    re-simulated with noise and without any effect. driven: whether the whole search ran on each case (--certify), or
-    the power was predicted from the curvature of the loss (short form; then `of` is 0)."""
+    """Power of these drives. powers: three sizes of each effect. alarms: effects named in `of` simulated drives without
+    any. driven: whether measured by a step of the search on simulated drives (--certify), or predicted from the
+    curvature of the loss; `of` is then 0."""
 
     powers: tuple[Power, ...]
     alarms: int
@@ -212,8 +209,8 @@ class Certificate:
 
 @dataclass(frozen=True)
 class WhereStatement:
-    """Where the model misses more than the floor. channel: one of CHANNELS. condition: in words. excess: error
-    over the floor's, root mean square [1]; interval: 95 %."""
+    """A condition, time or place with an error above the floor. channel: one of CHANNELS. excess [1]: root mean square
+    error over that of the floor; interval: 95 %."""
 
     channel: str
     condition: str
@@ -224,7 +221,7 @@ class WhereStatement:
 @dataclass(frozen=True)
 class Gap:
     """Error of a channel on held-out driving, before and after. base, augmented [unit]: root mean square at the end of
-    the horizon; of position_5s the mean. interval: 95 % of base - augmented. floor: what noise alone leaves [unit].
+    the horizon; of position_5s the mean. interval: 95 % of base - augmented. floor: error by noise alone [unit].
     worst_run, worst: the run with the largest error after. worse_runs: on which it grew by more than the floor."""
 
     base: float
@@ -239,7 +236,7 @@ class Gap:
 
 @dataclass(frozen=True)
 class NotTestable:
-    """An effect these data cannot show. reason: one sentence. manoeuvre: of the catalogue, that would show it; ""."""
+    """An effect that these drives cannot show. manoeuvre: of the catalogue, that would show it; "" for none."""
 
     name: str
     reason: str
@@ -248,9 +245,9 @@ class NotTestable:
 
 @dataclass(frozen=True)
 class NextManoeuvre:
-    """The drive that would separate most. name: in the catalogue and of the virtual car's scenario. separates: the pair
-    least well separated by it. strength: of that pair, in standard deviations, once it has been driven `times` times
-    and added to the runs. options: strength of every manoeuvre tried."""
+    """The manoeuvre that separates the names of an answer best. name: in the catalogue, and of the scenario of the
+    virtual car. separates: the pair with the smallest separation. strength: of that pair [standard deviations], with
+    the manoeuvre driven `times` times and added to the runs. options: strength of every manoeuvre."""
 
     name: str
     separates: tuple[str, str]
@@ -264,8 +261,8 @@ class NextManoeuvre:
 
 @dataclass(frozen=True)
 class Separability:
-    """Two effects in these data. cosine: between their signatures, 1 = the same. strength: of what one leaves of the
-    other, in standard deviations."""
+    """Separability of two effects in these drives. cosine: of their changes of the errors, 1 = the same. strength: of
+    the part of the first that the second does not explain [standard deviations]."""
 
     first: str
     second: str
@@ -275,8 +272,8 @@ class Separability:
 
 @dataclass(frozen=True)
 class Run:
-    """A drive of the discovery. role: suspect or reference. site: number of the place; runs near each other share it.
-    windows: predictions looked at."""
+    """A drive of the discovery. site: number of its site; runs with common places are at one. windows: number of scored
+    predictions."""
 
     name: str
     role: Literal["suspect", "reference"]
@@ -289,19 +286,19 @@ class Run:
 class Discovery:
     """The answer of `discover`.
 
-    outcome: none = what is left is near the noise, or nothing of it is significant; named = one effect; ambiguous =
-    one, by several names, or a combination (`known_together`); several = more than one effect; bound = significant, but
-    tied to run, place, time or condition; unknown = a significant gap that no effect of the library explains;
-    not_testable = the drives show too little. start: what the
-    search began from, "vehicle file" or "reference". minor: sure, but too small to be named; part of the model, so that
-    they do not bend the values of what is. effective: corrections that help to predict, not properties of the car
-    whatever their names; part of the model, never of a vehicle file. base: the model of the start; model: what
-    predicts best, with all effects, None without any; named: with what is named or minor alone, at the values stated.
-    steps: from base to what is named. gap: by channel, and position_5s; gap_named:
-    without the effective corrections. budget: PARTS. reasons: every rule that decided. left_out: values of what is
-    named or minor, by run, as fitted without that run. acceleration_gain: what the accelerometer shows more than the
-    motion, as the body rolls [1]. noise: by channel, at the end of the horizon [SI]. signature: of what is unexplained,
-    in words.
+    outcome: none = the residual is near the noise, or not significant; named = one effect; ambiguous = one effect by
+    several names, or a combination (`known_together`); several = more than one effect; bound = significant, but varying
+    with run, place, time or condition; unknown = a significant gap that no effect of the library explains;
+    not_testable = too little excitation. start: of the search. minor: significant effects too small to be named, part
+    of the model so that they do not bias the values of the others. effective: corrections that improve predictions,
+    not properties of the car whatever their names; part of the model, never of a vehicle file.
+
+    base: the model at the start; model: the best prediction, with all effects, None without any; named: with named and
+    minor effects only, at the stated values. steps: from the base to the named effects. gap: by channel, and
+    position_5s; gap_named: without the effective corrections. reasons: every rule that decided. left_out: values of
+    named and minor effects by run, fitted without that run. acceleration_gain [1]: relative excess of the accelerometer
+    over the motion, by body roll. noise: by channel, at the end of the horizon [SI]. signature: description of the
+    residual.
     """
 
     outcome: Outcome
@@ -335,7 +332,7 @@ class Discovery:
     noise: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not self.effective:  # then both models are one
+        if not self.effective:  # both models are the same
             object.__setattr__(self, "named", self.named or self.model)
             object.__setattr__(self, "gap_named", self.gap_named or self.gap)
 

@@ -1,5 +1,4 @@
-"""Search for the set of effects that explains the drives best: forward, backward and exchange steps, one test for
-all."""
+"""Search for the best set of effects by forward, backward and exchange steps, with the same test for all steps."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -16,11 +15,11 @@ from .loss import Quadratic
 from .result import Reason
 from .settings import Limits
 
-CONTENDERS = 4  # effects refitted through the simulator in one step
-CONTENDER_SHARE = 0.5  # of the best gain: contenders below that are not refitted
+CONTENDERS = 4  # effects refitted by simulation in one step
+CONTENDER_SHARE = 0.5  # of the best gain; effects with less are not refitted
 JOINT_DEVIATION = 3.0  # usual sizes: prior standard deviation where many effects are fitted at once
 FIXED_CURVATURE = 1e9  # prior curvature that fixes a parameter
-JOINT_FITS, JOINT_STEP = 4, 0.1  # most fits of many effects at once; smaller steps [usual sizes] end them
+JOINT_FITS, JOINT_STEP = 4, 0.1  # most fits of many effects at once; they end with a smaller step [usual sizes]
 EXCHANGE_ROUNDS = 3
 
 Near = tuple[tuple[str, ...], np.ndarray]  # names of a set, vector of its fit
@@ -28,10 +27,10 @@ Near = tuple[tuple[str, ...], np.ndarray]  # names of a set, vector of its fit
 
 @dataclass
 class Found:
-    """State of the search. fit: the current set. order: its names in order of selection. evidence: by name; without: by
-    name, the fit without it. refused: by name, what was tried in addition, with evidence and verdict. rivals: by name,
-    effects tried in its place. known: scores of the rest of the library. near: sets that are hardly worse
-    (`_near_sets`).
+    """State of the search. fit: of the current set. order: its names in order of selection. evidence, without: by name,
+    the latter the fit without it. refused: by name, effects tried in addition, (evidence, verdict, fit). rivals: by
+    name, effects tried in its place. known: scores of the other effects of the library. near: sets that are hardly
+    worse (`_near_sets`).
     """
 
     fit: Fit
@@ -50,7 +49,7 @@ class Found:
 
 
 class Search:
-    """levels: divisions of the driving. sensors: what the sensors measure among themselves, (value, low, high) by
+    """levels: divisions of the driving. sensors: (value, low, high) as the sensors measure it among themselves, by
     "effect.parameter". tick: called at every refit. judge: verdict on an effect."""
 
     def __init__(self, problem: Problem, limits: Limits, levels: Mapping[str, Level], sensors: Mapping,
@@ -64,11 +63,11 @@ class Search:
         self._fits_tried: list[tuple[np.ndarray, Near, float]] = []
 
     def run(self) -> Found:
-        """The best answer from three starts: the empty set; that answer with all physics; the whole library."""
+        """The best answer from three starts: the empty set; its answer with all physics; the whole library."""
         p = self.problem
         p.renew_design(p.start)
         first = self._step_from(p.fit((), p.everything(p.start)))
-        assert first is not None  # there has been no other start
+        assert first is not None  # no set was visited before
         answers: list[Found | None] = [first]
         library = [n for n in p.space.hypotheses if n not in p.space.on_top]
         physics = [n for n in library if get_effect(n).kind == "physics"]
@@ -82,7 +81,7 @@ class Search:
         return found
 
     def _add_partial_rivals(self, found: Found) -> None:
-        """Add a load as a rival that explains part of an effect: only the ratio of stiffness to mass acts.
+        """Add a load as a rival that explains a part of softer tyres: drives show only the ratio of stiffness to mass.
 
         The load is set to the upper end of its 95 % interval, if that is a relevant size. Effects whose values are then
         nearer to the vehicle file get it as an alternative, and the set with it counts as hardly worse.
@@ -91,10 +90,10 @@ class Search:
         for other in (n for n in p.space.on_top if n not in names):
             if p.space.overlaps(other, names) or not names:
                 continue
-            fit = self._refit_with(found.fit, other, found.scores.gains[other][1] if other in found.scores.gains
-                             else found.fit.vector)
-            there, index = self._upper_end(fit, other), p.space.indices(other)
-            if np.abs((there - p.start) / p.space.scale)[index].max() < self.limits.size:
+            _, vector = found.scores.gains.get(other, (None, found.fit.vector))
+            fit = self._refit_with(found.fit, other, vector)
+            there = self._upper_end(fit, other)
+            if np.abs(p.distance(there))[p.space.indices(other)].max() < self.limits.size:
                 continue
             own = p.space.indices(*(n for n in names if n in twins_of(other)))
             nearer = own[np.abs(there - p.start)[own] < np.abs(found.fit.vector - p.start)[own]]
@@ -107,22 +106,22 @@ class Search:
 
     def _upper_end(self, fit: Fit, name: str) -> np.ndarray:
         """The vector with an effect of one parameter at the upper end of its 95 % interval, the others adjusted."""
-        spread, k = covariance(self.problem, fit), int(np.searchsorted(fit.which, self.problem.space.indices(name)[0]))
-        step = TWO_SIDED * spread[:, k] / np.sqrt(max(spread[k, k], 1e-12))
-        return self.problem.moved(fit.vector, fit.which, step)
+        k = int(np.searchsorted(fit.indices, self.problem.space.indices(name)[0]))
+        variance = covariance(self.problem, fit)
+        step = TWO_SIDED * variance[:, k] / np.sqrt(max(variance[k, k], 1e-12))
+        return self.problem.moved(fit.vector, fit.indices, step)
 
     def corrections(self, answer: Fit) -> Fit:
-        """The best fit that contains all effects of an answer of another problem; the answer itself where nothing more
-        helps."""
+        """The best fit with all effects of an answer of another problem and further ones."""
         self._required = frozenset(answer.names)
         p = self.problem
         found = self._step_from(p.fit(answer.names, p.everything(answer.vector), answer.vector))
-        assert found is not None  # there has been no other start
+        assert found is not None  # no set was visited before
         return self._drop_rejected(found).fit
 
     def _near_sets(self, found: Found) -> list[Near]:
         """Sets that were tried and are worse by less than `limits.unexplained_share` of the residual; none where the
-        residual is noise."""
+        residual is near the noise."""
         p, limits = self.problem, self.limits
         if max((e.left for e in found.evidence.values()), default=0.0) <= limits.left:
             return []
@@ -130,8 +129,8 @@ class Search:
         return [near for scale, near, loss in self._fits_tried if scale is p.loss.scale and loss < most]
 
     def _step_from(self, fit: Fit, revisit: bool = False) -> Found | None:
-        """Forward and backward steps until no effect is accepted; None if they lead to a set of another start, unless
-        `revisit`."""
+        """Forward and backward steps until no effect is accepted. None if they lead to a set that another start
+        visited, unless `revisit`."""
         found = Found(fit, list(fit.names))
         here: set[frozenset[str]] = set()
         while True:
@@ -196,13 +195,13 @@ class Search:
         gains = found.scores.gains
         largest = max((gain.sum() for gain, _ in gains.values()), default=0.0)
         least = max(limits.negligible * p.number, CONTENDER_SHARE * largest)
-        # A load is tried only in the place of what it acts like, by exchange.
+        # A load is tried only in exchange for an effect that acts alike.
         ranked = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum())
                   if gains[e][0].sum() > CONTENDER_SHARE * least and e not in p.space.on_top]
         # Significant effects come first: with much noise, others gain more by chance.
         library = len(p.space.hypotheses)
-        significant = [e for e in ranked if chance(found.scores.own[e], gains[e][0], found.scores, library)
-                  <= limits.false_alarm]
+        significant = [e for e in ranked
+                       if chance(found.scores.own[e], gains[e][0], found.scores, library) <= limits.false_alarm]
         contenders = (significant or ranked)[:CONTENDERS]
         contenders += [m for e in contenders for m in get_effect(e).members if m in gains and m not in contenders]
         fits = {effect: self._refit_with(found.fit, effect, gains[effect][1]) for effect in contenders}
@@ -224,10 +223,10 @@ class Search:
         return self._add_confirmed(found, without, [n for n in gains if n not in fits])
 
     def _add_confirmed(self, found: Found, without: Fit, names: list[str]) -> Fit | None:
-        """The fit with an effect that the sensors confirm among themselves, however little it reduces the errors."""
+        """The fit with an effect that the sensors confirm among themselves, however small; None without one."""
         for effect in names:
-            shown = null_by_sensors(self.problem.space, effect, self.sensors)
-            if self.problem.prior is not None or shown is None or shown > self.limits.false_alarm:
+            null = null_by_sensors(self.problem.space, effect, self.sensors)
+            if self.problem.prior is not None or null is None or null > self.limits.false_alarm:
                 continue
             fit = self._refit_with(without, effect, found.scores.gains[effect][1])
             if self._judge(self._evidence(without, fit, effect, found.scores), self.limits).rule == STATED:
@@ -275,7 +274,7 @@ class Search:
         return evidence(self.problem, without, fit, effect, scores, self.levels, self.sensors)
 
     def _backward(self, fit: Fit, scores: Scores) -> Fit:
-        """The fit without the effects that the others make superfluous."""
+        """The fit without the effects that are redundant with the others."""
         p = self.problem
         while len(fit.names) > max(len(self._required), 1):
             promised = {n: self.promised(fit, n) for n in fit.names if n not in self._required}
@@ -291,18 +290,17 @@ class Search:
     def promised(self, fit: Fit, *names: str) -> float:
         """Increase of the loss without some effects of a fit, by its quadratic."""
         p = self.problem
-        q = fit.quadratic
         rest = tuple(n for n in fit.names if n not in names)
-        removed = np.isin(fit.which, np.setdiff1d(p.space.indices(*names), p.space.indices(*rest)))
-        step = np.where(removed, ((p.start - fit.vector) / p.space.scale)[fit.which], 0.0)
-        return _constrained_step(p, q, fit.vector, fit.which, step, ~removed)[0]
+        removed = np.isin(fit.indices, np.setdiff1d(p.space.indices(*names), p.space.indices(*rest)))
+        step = np.where(removed, -p.distance(fit.vector)[fit.indices], 0.0)
+        return _constrained_step(p, fit.quadratic, fit.vector, fit.indices, step, ~removed)[0]
 
     def _prune(self, vector: np.ndarray, names: list[str]) -> Fit | None:
-        """A joint fit of many effects with a weak prior, reduced by those whose removal costs least; None if the
-        remaining set was tried before."""
+        """Backward elimination from a joint fit of many effects with a weak prior; None if the remaining set was
+        visited before."""
         p = self.problem
         scale, design = p.loss.scale.copy(), p.design
-        free = np.isin(np.arange(len(p.space)), p.which(names))
+        free = np.isin(np.arange(len(p.space)), p.free_indices(names))
         curvature = np.where(free, np.maximum(JOINT_DEVIATION**-2, p.file_curvature), FIXED_CURVATURE)
         joint = Problem(p.loss, p.start, p.block, np.diag(curvature))
         p.loss.rescale(vector)
@@ -314,17 +312,18 @@ class Search:
             if np.abs((vector - before) / p.space.scale).max() < JOINT_STEP:
                 break
         everything = p.everything(vector)
-        q = p.loss.quadratic(p.errors.at(vector), everything.values)
-        back = (p.start - vector) / p.space.scale
+        q = p.quadratic_of_all(vector)
 
         def cost(kept: list[str]) -> float:
-            free = np.isin(everything.which, p.which(kept))
-            return _constrained_step(p, q, vector, everything.which, np.where(free, 0.0, back), free)[0]
+            free = np.isin(everything.indices, p.free_indices(kept))
+            back = np.where(free, 0.0, -p.distance(vector))
+            return _constrained_step(p, q, vector, everything.indices, back, free)[0]
+
         while names:
             now = cost(names)
-            missed = {n: cost([m for m in names if m != n]) - now for n in names}
-            weakest = min(missed, key=missed.__getitem__)
-            if missed[weakest] > self.limits.relevant * p.number and len(names) <= self.limits.most:
+            rise = {n: cost([m for m in names if m != n]) - now for n in names}
+            weakest = min(rise, key=rise.__getitem__)
+            if rise[weakest] > self.limits.relevant * p.number and len(names) <= self.limits.most:
                 break
             names.remove(weakest)
         if not names or frozenset(names) in self._visited:
@@ -346,22 +345,24 @@ class Search:
         return self._drop_rejected(found)
 
     def _drop_rejected(self, found: Found) -> Found:
-        """Drop the effects that fail the test, and fill in the evidence of the others."""
+        """Drop the effects that fail the test, weakest first, and fill in the evidence of the others."""
         while weakest := self._weakest_failing(found):
             fit = self._rescale(found.without[weakest])
             refused = {weakest: (found.evidence[weakest], self._judge(found.evidence[weakest], self.limits), found.fit)}
             found = Found(fit, [n for n in found.order if n != weakest], refused={**found.refused, **refused})
         return found
 
-    def _weakest_failing(self, found: Found, sure: float = np.inf) -> str:
-        """Fill in `evidence` and `without`, and return the weakest effect that fails the test, "" if none does. sure:
-        an effect whose removal costs three times this share of the errors passes without a refit."""
+    def _weakest_failing(self, found: Found, enough: float = np.inf) -> str:
+        """Fill in `evidence` and `without`, and return the weakest effect that fails the test, "" if none does.
+
+        enough: an effect whose removal raises the loss by three times this per scored error passes without a refit.
+        """
         p = self.problem
         found.known = found.known or self._scores(found.fit)
         found.evidence, found.without = {}, {}
         for name in (n for n in found.fit.names if n not in self._required):
             promised = self.promised(found.fit, name) / p.number
-            if promised > 3.0 * sure:
+            if promised > 3.0 * enough:
                 without = found.without[name] = found.fit
                 e = self._evidence(found.fit, found.fit, name, found.scores)
                 found.evidence[name] = replace(e, gain=promised, chance=0.0)
@@ -372,11 +373,10 @@ class Search:
         return min(failing, key=lambda n: found.evidence[n].gain, default="")
 
     def _exchange(self, found: Found) -> Fit | None:
-        """Fill in `rivals`, and return the best fit with one effect exchanged if it is significantly better, else
-        None."""
+        """Fill in `rivals`, and return the best fit with one effect exchanged; None if none is significantly better."""
         p, better = self.problem, None
         around = p.everything(found.fit.vector)
-        q = p.loss.quadratic(p.errors.at(found.fit.vector), around.values)
+        q = p.quadratic_of_all(found.fit.vector)
         found.rivals = {}
         for name, without in found.without.items():
             gain = self._gain(without, found.fit)
@@ -392,9 +392,8 @@ class Search:
                               float(difference.sum()) / p.number, self._evidence(without, fit, other, found.scores),
                               p.space.values(other, fit.vector))
                 found.rivals[name].append(rival)
-                better_for_certain = rival.worse > 1.0 - self.limits.doubt
-                if better_for_certain and frozenset(fit.names) not in self._visited and self._judge(
-                        rival.evidence, self.limits).rule == STATED and (
+                significant = rival.worse > 1.0 - self.limits.doubt and frozenset(fit.names) not in self._visited
+                if significant and self._judge(rival.evidence, self.limits).rule == STATED and (
                         better is None or fit.held_out.sum() < better.held_out.sum()):
                     better = fit
         return better
@@ -403,19 +402,19 @@ class Search:
         """(increase of the loss, vector) with another effect in the place of one, by the quadratic about the fit."""
         p = self.problem
         everything = np.arange(len(p.space))
-        free = np.isin(everything, p.which((*rest, other)))
-        back = np.where(free, 0.0, (p.start - fit.vector) / p.space.scale)
+        free = np.isin(everything, p.free_indices((*rest, other)))
+        back = np.where(free, 0.0, -p.distance(fit.vector))
         cost, d = _constrained_step(p, q, fit.vector, everything, back, free)
         return cost, p.moved(fit.vector, everything, d)
 
 
-def _constrained_step(problem: Problem, q: Quadratic, vector: np.ndarray, which: np.ndarray, fixed: np.ndarray,
-             free: np.ndarray) -> tuple[float, np.ndarray]:
-    """(increase of the loss, best step) with some components of the step `fixed` and the others `free`. q: about the
-    vector, of the parameters `which`."""
+def _constrained_step(problem: Problem, q: Quadratic, vector: np.ndarray, indices: np.ndarray, fixed: np.ndarray,
+                      free: np.ndarray) -> tuple[float, np.ndarray]:
+    """(increase of the loss, best step) with the components `free` of the step free and the others as in `fixed`. q:
+    about the vector, of the parameters `indices`."""
     d = np.array(fixed)
-    h = q.hessian.sum(axis=0) + np.diag(problem.file_curvature[which])
-    g = q.gradient.sum(axis=0) - problem.prior_gradient(vector)[which]
+    h = q.hessian.sum(axis=0) + np.diag(problem.file_curvature[indices])
+    g = q.gradient.sum(axis=0) - problem.prior_gradient(vector)[indices]
     if free.any():
         a = h[np.ix_(free, free)]
         a = a + 1e-6 * (np.trace(a) / len(a) + 1e-9) * np.eye(len(a))

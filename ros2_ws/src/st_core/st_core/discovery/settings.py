@@ -1,9 +1,8 @@
-"""Options of a discovery, and the limits of its decision: all numbers that decide what is named.
+"""Options of a discovery, and the limits of its decisions.
 
-What the benchmark's scores become at half and twice each limit: docs/measurements/discovery_scores.md.
+Scores of the benchmark with half and twice each limit: docs/measurements/discovery_scores.md.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 
 from ..channels import CHANNELS
@@ -14,26 +13,25 @@ from ..errors import ConfigurationError
 class Limits:
     """Raises ConfigurationError naming the limit that is not a positive number.
 
-    false_alarm [1]: probability, over the whole library, of a statement about drives without any gap; for a proposed
-    relation, that the predicted path does not improve with it; and, at its default, of a combination (`known_together`)
-    that differs from the vehicle file.
+    false_alarm [1]: significance level, over the whole library, of an effect; of the improvement of the path by a
+    proposed relation; and, at its default, of a combination (`known_together`) that differs from the vehicle file.
     doubt [1]: p-value above which a comparison is undecided: two names, a value between runs, an interval.
-    relevant [1]: relative reduction of the errors from which an effect is relevant: of the errors without it, over all
-    channels, to be kept; of the baseline errors, in one channel, to be named ...
+    relevant [1]: relative reduction of the errors from which an effect is relevant: over all channels, of the errors
+    without it, to be kept; in one channel, of the baseline errors, to be named ...
     relevant_position [m]: ... or this reduction of the mean position error after 5 s, overall or in one driving
     condition.
-    size [1]: ... or, for an effect that the sensors show among themselves, this share of its usual size; also the share
-    that a load not excluded by the drives must reach to be an alternative to softer tyres.
+    size [1]: ... or, for an effect that the sensors measure among themselves, this share of its usual size; also the
+    share that a load not excluded by the drives must reach to be an alternative to softer tyres.
     negligible [1]: relative reduction of the errors below which an effect is ignored, however significant.
     rival [1]: share of an effect's gain that another must reach in its place to be an alternative.
     file [1]: standard deviations from the value of the vehicle file beyond which a value is refused.
     peak [1]: share of the peak force of an axle that must have been driven for a peak to be named.
     bound [1]: distance to a bound, over the usual size of an effect, below which a value counts as on it.
-    unexplained_share [1]: where the residual exceeds `left` times the noise, the share of it by which an effect must
-    reduce it to be named, by which a name must beat another to stand alone, and by which a set must be worse than the
-    answer for its values to be left out of the intervals; smaller differences may imitate what no effect describes.
-    left [1]: residual over the noise beyond which it needs an explanation, or is reported as unexplained.
-    shown [1]: share of simulated cases in which a size must be found to be called visible in these drives.
+    left [1]: residual over the noise beyond which it is reported as unexplained.
+    unexplained_share [1]: share of a residual beyond `left` by which an effect must reduce it to be named, by which a
+    name must explain more than another to be the only one, and by which a set must be worse than the answer for its
+    values to be left out of the intervals; smaller differences may be due to unmodelled effects.
+    shown [1]: power above which a size counts as visible in these drives.
     most [1]: largest number of effects in one answer.
     """
 
@@ -66,8 +64,8 @@ class DiscoverySettings:
     start of a prediction. seed: of all random numbers. horizon [s]: of the predictions. windows: approximate number of
     predictions; their starts are at least `interval` [s] apart, as closer ones add little over five seconds. block [s]:
     driving further apart counts as independent. effects: names to choose from; None: all that apply. limits: of the
-    decision. certify: run the whole search on drives with known effects. where: report where the model fails. noise:
-    standard deviation by channel; None: estimated from the data.
+    decisions. certify: measure the power by one step of the search on simulated drives, instead of predicting it.
+    where: report the conditions, times and places of the largest errors.
     """
 
     channels: tuple[str, ...] = tuple(CHANNELS)
@@ -80,10 +78,9 @@ class DiscoverySettings:
     limits: Limits = field(default_factory=Limits)
     certify: bool = False
     where: bool = True
-    noise: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
-        for channel in (*self.channels, *(self.noise or {})):
+        for channel in self.channels:
             if channel not in CHANNELS:
                 raise ConfigurationError(f"channels: {channel!r} is none of {', '.join(CHANNELS)}")
         if not self.channels:

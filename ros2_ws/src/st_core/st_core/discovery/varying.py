@@ -1,10 +1,10 @@
-"""What is there in some parts of the driving only: effects with another value in each run, site or stretch of time.
+"""Effects that vary over the driving: another value in each run, site or stretch of time.
 
-An effect that comes in the middle of a drive has no one value that helps everywhere, so that the search cannot find it.
-Here each part of a level has its own, by the quadratic about the answer.
+An effect that begins in the middle of a drive has no single value that helps everywhere, so the search cannot find it.
+Here each part of a level has a value of its own, by the quadratic about the answer.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,13 +16,19 @@ from .fit import Fit, Problem
 from .levels import Level
 from .loss import Quadratic
 
+MIN_INFORMATION_SHARE = 0.02  # of all driving; a part with less information is ignored
+
+Part = tuple[int, np.ndarray, np.ndarray]  # number of a part, half gradient (k,) and curvature (k, k) of the loss there
+
 
 @dataclass(frozen=True)
 class Varying:
-    """An effect with a value of its own in each part of a level. gain [1]: fall of the loss for each scored error
-    beyond that of one value. chance [1]: that anything of the library gains so much where nothing is. values: of the
-    parameters [unit] by part, with standard deviations; the first parameter is what shows most. steps: (p,) in usual
-    sizes, by number of the part."""
+    """An effect with its own value in each part of a level.
+
+    gain [1]: reduction of the loss per scored error beyond that of one common value. chance [1]: p-value that any
+    effect of the library gains as much. parameter: the one with the most information; values: of it by part, (value,
+    standard deviation) [its unit]. steps: by part, (p,) step of all parameters [usual sizes].
+    """
 
     name: str
     level: str
@@ -35,71 +41,68 @@ class Varying:
 
 def varying(problem: Problem, fit: Fit, levels: Mapping[str, Level]) -> list[Varying]:
     """Largest gain first. Levels with half as many parts as blocks, or more, are left out."""
-    q = problem.loss.quadratic(problem.errors.at(fit.vector), problem.everything(fit.vector).values)
+    q = problem.quadratic_of_all(fit.vector)
     usable = {name: level for name, level in levels.items() if len(np.unique(level[0])) < problem.blocks / 2}
     library = [n for n in problem.space.hypotheses if not get_effect(n).members]
-    collected = [_one(problem, fit, q, effect, name, level, len(library) * len(usable))
-            for name, level in usable.items() for effect in library]
-    return sorted((s for s in collected if s), key=lambda s: -s.gain)
+    found = [_by_part(problem, fit, q, effect, name, level, len(library) * len(usable))
+             for name, level in usable.items() for effect in library]
+    return sorted((one for one in found if one), key=lambda one: -one.gain)
 
 
-def _design(problem: Problem, part: np.ndarray, seen: list, g: np.ndarray, hh: np.ndarray) -> float:
-    """What dependent windows make of the variance of these values, 1 at least: by what is left of the blocks' scores
-    once each part has its own values."""
-    left = g.copy()
-    for k, gk, hk in seen:
-        mine = part == k
-        left[mine] -= hh[mine] @ (inverse(hk) @ gk)
-    blocks = np.zeros((problem.blocks, g.shape[1]))
-    np.add.at(blocks, problem.block, left)
-    return max(2.0 * float(np.trace(inverse(hh.sum(axis=0)) @ blocks.T @ blocks)) / g.shape[1], 1.0)
-
-
-def _one(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, level: Level,
-         tests: int) -> Varying | None:
-    own = problem.space.indices(effect)
-    rest = np.setdiff1d(problem.which(fit.names) if problem.prior is None else problem.space.indices(*fit.names), own)
+def _by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, level: Level,
+             tests: int) -> Varying | None:
+    """One effect on one level; None without two parts that have information. tests: number of them (Bonferroni)."""
+    space, (number, called) = problem.space, level
+    own = space.indices(effect)
+    others = np.setdiff1d(problem.free_indices(fit.names) if problem.prior is None else space.indices(*fit.names), own)
     h = q.hessian.sum(axis=0)
-    turn = np.zeros((len(problem.space), len(own)))
-    turn[own, np.arange(len(own))] = 1.0
-    if len(rest):
-        turn[rest] = -inverse(h[np.ix_(rest, rest)]) @ h[np.ix_(rest, own)]
-    part, called = level
-    numbers = np.unique(part)
-    g, hh = q.gradient @ turn, turn.T @ q.hessian @ turn
-    sums = [(g[part == k].sum(axis=0), hh[part == k].sum(axis=0)) for k in numbers]
-    whole = sum(s[1] for s in sums)
-    least = 1e-9 * float(np.trace(h)) / len(h)
-    if np.diag(whole).min() <= least:
+    projection = np.zeros((len(space), len(own)))  # the other parameters follow the effect
+    projection[own, np.arange(len(own))] = 1.0
+    if len(others):
+        projection[others] = -inverse(h[np.ix_(others, others)]) @ h[np.ix_(others, own)]
+    gradient, curvature = q.gradient @ projection, projection.T @ q.hessian @ projection
+    every = [(k, gradient[number == k].sum(axis=0), curvature[number == k].sum(axis=0)) for k in np.unique(number)]
+    information = np.diag(sum(hk for *_, hk in every))
+    if information.min() <= 1e-9 * float(np.trace(h)) / len(h):
         return None
-    seen = [(k, gk, hk) for k, (gk, hk) in zip(numbers, sums, strict=True) if np.diag(hk).min() > 0.02 * np.diag(
-        whole).min()]
-    if len(seen) < 2:
+    parts = [part for part in every if np.diag(part[2]).min() > MIN_INFORMATION_SHARE * information.min()]
+    freedom, blocks = (len(parts) - 1) * len(own), problem.blocks - len(parts)
+    if len(parts) < 2 or blocks < 1:
         return None
-    apart = sum(float(gk @ inverse(hk) @ gk) for _, gk, hk in seen)
-    total = sum(gk for _, gk, _ in seen)
-    gain = apart - float(total @ inverse(sum(hk for *_, hk in seen)) @ total)
-    freedom, blocks = (len(seen) - 1) * len(own), problem.blocks - len(seen)
-    if blocks < 1:
-        return None
-    design = _design(problem, part, seen, g, hh) * problem.blocks / blocks
+    separate = sum(float(gk @ inverse(hk) @ gk) for _, gk, hk in parts)
+    total = sum(gk for _, gk, _ in parts)
+    gain = separate - float(total @ inverse(sum(hk for *_, hk in parts)) @ total)
+    design = _design_effect(problem, number, parts, gradient, curvature) * problem.blocks / blocks
     chance = min(tests * float(stats.f.sf(2.0 * gain / design / freedom, freedom, blocks)), 1.0)
-    best = int(np.argmax(np.diag(whole)))
-    at = float(fit.vector[own[best]])
-    scale = problem.space.scale[own[best]]
-    values = {called[k]: (at + scale * float((inverse(hk) @ gk)[best]),
-                          scale * float(np.sqrt(0.5 * design * inverse(hk)[best, best]))) for k, gk, hk in seen}
-    steps = {int(k): turn @ (inverse(hk) @ gk) for k, gk, hk in seen}
-    return Varying(effect, name, gain / problem.number, chance, problem.space.free[own[best]].parameter, values, steps)
+    best = int(np.argmax(information))
+    value, scale = float(fit.vector[own[best]]), space.scale[own[best]]
+    values = {called[k]: (value + scale * float((inverse(hk) @ gk)[best]),
+                          scale * float(np.sqrt(0.5 * design * inverse(hk)[best, best]))) for k, gk, hk in parts}
+    steps = {int(k): projection @ (inverse(hk) @ gk) for k, gk, hk in parts}
+    return Varying(effect, name, gain / problem.number, chance, space.free[own[best]].parameter, values, steps)
+
+
+def _design_effect(problem: Problem, number: np.ndarray, parts: Sequence[Part], gradient: np.ndarray,
+                   curvature: np.ndarray) -> float:
+    """Design effect of the values, at least 1, from the scores of the blocks that remain with a value for each part.
+    number: (n,) part of each window; gradient, curvature: (n, k), (n, k, k)."""
+    residual = gradient.copy()
+    for k, gk, hk in parts:
+        inside = number == k
+        residual[inside] -= curvature[inside] @ (inverse(hk) @ gk)
+    scores = np.zeros((problem.blocks, gradient.shape[1]))
+    np.add.at(scores, problem.block, residual)
+    scatter = float(np.trace(inverse(curvature.sum(axis=0)) @ scores.T @ scores))
+    return max(2.0 * scatter / gradient.shape[1], 1.0)
 
 
 def evidence_of(problem: Problem, fit: Fit, v: Varying, levels: Mapping[str, Level]) -> Evidence:
-    """What values of its own in each part take away, to the first order; on the driving they were fitted to."""
+    """Reduction of the errors by a value for each part, to first order, on the driving the values were fitted to."""
     rows = problem.errors.at(fit.vector)
     own, slopes = rows.copy(), problem.everything(fit.vector).values
     for k, step in v.steps.items():
-        mine = levels[v.level][0] == k
-        own[mine] -= np.tensordot(step, slopes[:, mine], 1)
+        inside = levels[v.level][0] == k
+        own[inside] -= np.tensordot(step, slopes[:, inside], 1)
     overall, somewhere = error_reductions(problem.position(rows) - problem.position(own), levels.get("condition"))
     return Evidence(v.name, v.gain, v.chance, shares=shares(problem, rows, own), position=overall,
                     position_somewhere=somewhere, healthy=problem.healthy)

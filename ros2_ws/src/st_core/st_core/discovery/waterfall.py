@@ -20,7 +20,7 @@ class Ends:
     """Errors at the end of the horizon on held-out driving."""
 
     def __init__(self, problem: Problem, seed: int):
-        self.problem, self.fold = problem, problem.held_out_groups
+        self.problem = problem
         self.names = problem.errors.windows.names
         self.run, self.block = problem.errors.windows.run, problem.block
         draws = np.random.default_rng(seed).integers(problem.blocks, size=(RESAMPLES, problem.blocks))
@@ -29,7 +29,7 @@ class Ends:
     def of(self, fit: Fit) -> dict[str, np.ndarray]:
         """(n,) by channel: square error at the end of the horizon; position_5s: the error itself [m]."""
         p = self.problem
-        rows = p.held_out_rows(fit, self.fold)
+        rows = p.held_out_rows(fit)
         last = rows.reshape(len(rows), len(p.errors.windows.time), -1)[:, -1]
         known = p.loss.known.reshape(len(rows), len(p.errors.windows.time), -1)[:, -1]
         last = np.where(known, np.clip(np.nan_to_num(last, nan=1e2), -1e2, 1e2), np.nan)
@@ -79,11 +79,11 @@ def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Lev
     space, result = problem.space, {}
     own = space.indices(effect)
     model_error = np.array([p.model_error for p in get_effect(effect).parameters if p.fit])
-    place = np.searchsorted(fit.which, own)
+    place = np.searchsorted(fit.indices, own)
     spread = np.sqrt(np.maximum(np.diag(covariance(problem, fit))[place], 0.0)) * space.scale[own]
     if problem.prior is not None:  # the healthy car is known with an uncertainty too
         spread = np.hypot(spread, np.sqrt(0.5 * np.diag(inverse(problem.prior))[own]) * space.scale[own])
-    quantile = float(stats.t.ppf(0.975, max(problem.blocks - len(fit.which), 2)))
+    quantile = float(stats.t.ppf(0.975, max(problem.blocks - len(fit.indices), 2)))
     reach = quantile * spread
     if everything is not None:
         wide, shift = everything.of(own)
@@ -140,7 +140,7 @@ def steps(problem: Problem, final: Fit, order: Sequence[str], ends: Ends,
         position = changes.pop("position_5s", None) or next(iter(changes.values()))
         key = "position_5s" if "position_5s" in after else next(iter(after))
         old, new = ends.by_run(before[key]), ends.by_run(after[key])
-        collected.append(Step(effect, "added", get_effect(effect).kind, parameters(problem, fit, effect, levels),
+        collected.append(Step(effect, get_effect(effect).kind, parameters(problem, fit, effect, levels),
                               position, changes, {n: (old[n], new[n]) for n in new}))
         before = after
     problem.loss.scale = scale
@@ -167,11 +167,8 @@ def left_out(problem: Problem, fit: Fit) -> dict[str, dict[str, dict[str, float]
     windows = problem.errors.windows
     if len(np.unique(windows.run)) < 2:
         return {}
-    of_block = np.zeros(problem.blocks, int)
-    of_block[problem.block] = windows.run
-    q = fit.quadratic.summed(problem.block, problem.blocks)
-    steps = problem.leave_out(q, fit.names, fit.vector, fit.which, of_block, True)[0]
-    return {windows.names[k]: {n: problem.space.values(n, problem.moved(fit.vector, fit.which, step))
+    steps, _ = problem.leave_out_of(fit, problem.run_of_block)
+    return {windows.names[k]: {n: problem.space.values(n, problem.moved(fit.vector, fit.indices, step))
                                for n in fit.names} for k, step in steps.items()}
 
 
@@ -194,7 +191,7 @@ def budget(problem: Problem, base: Fit, final: Fit, whole: Fit, bound: Fit | Non
         far = problem.renewed(problem.fit(names, problem.everything(base.vector), base.vector, names))
         return min((near, far, base), key=lambda fit: float(fit.held_out.sum()))
 
-    base = problem.about(base.names, base.vector, base.which, base.slopes)
+    base = problem.about(base.names, base.vector, base.indices, base.slopes)
     start, end = size(base), size(final)
     lines = []
     for part in EFFECT_KINDS:

@@ -204,10 +204,10 @@ def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Seq
 
 def _fit_with_scale(problem: Problem, effects: tuple[str, ...]) -> np.ndarray:
     """The vector at which scale and values have converged."""
-    vector, which, loss = problem.start.copy(), problem.which(effects), problem.loss
+    vector, indices, loss = problem.start.copy(), problem.free_indices(effects), problem.loss
     for _ in range(MAX_ROUNDS):
         before = loss.scale.copy()
-        slopes = Slopes(vector, which, loss.slopes(vector, which))
+        slopes = Slopes(vector, indices, loss.slopes(vector, indices))
         vector = problem.fit(effects, slopes, vector=vector, fresh=effects, iterations=12).vector
         loss.rescale(vector)
         if np.abs(loss.scale / before - 1.0).max() < SCALE_TOLERANCE:
@@ -217,9 +217,9 @@ def _fit_with_scale(problem: Problem, effects: tuple[str, ...]) -> np.ndarray:
 
 def _make_fit(problem: Problem, windows: _GatedWindows, vector: np.ndarray, effects: tuple[str, ...],
             names: Sequence[str], counts: Mapping[str, tuple[int, int]]) -> DrivingFit:
-    space, which = problem.space, problem.which(effects)
+    space, indices = problem.space, problem.free_indices(effects)
     rows = problem.errors.at(vector)
-    slopes = problem.loss.slopes(vector, which)
+    slopes = problem.loss.slopes(vector, indices)
     quadratic = problem.loss.quadratic(rows, slopes)
     used = np.flatnonzero(windows.used)
     group = blocks(windows.run[used], windows.seconds[used])
@@ -240,9 +240,9 @@ def _make_fit(problem: Problem, windows: _GatedWindows, vector: np.ndarray, effe
     values = quantities(vector)
     step = 1e-4
     change = np.stack([(quantities(vector + step * space.scale * unit) - values) / step
-                       for unit in np.eye(len(space))[which]], axis=1)
+                       for unit in np.eye(len(space))[indices]], axis=1)
     margin = BOUND_TOLERANCE * (space.high - space.low)
-    stopped = {space.free[i].effect for i in which
+    stopped = {space.free[i].effect for i in indices
                if not space.low[i] + margin[i] < vector[i] < space.high[i] - margin[i]}
     points, columns = len(windows.time), len(windows.columns)
     residuals = -rows.reshape(len(rows), points, columns)[used].reshape(-1, columns)

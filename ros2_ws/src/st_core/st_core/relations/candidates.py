@@ -126,8 +126,8 @@ def run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:
     runs, first = np.unique(windows.run, return_index=True)
     begins = windows.starts_ns[first] - np.round(windows.seconds[first] / NANOSECOND).astype(np.int64)
     order = np.argsort(begins)
-    which = np.clip(np.searchsorted(begins[order], time_ns, side="right") - 1, 0, len(runs) - 1)
-    return (time_ns - begins[order][which]) * NANOSECOND
+    indices = np.clip(np.searchsorted(begins[order], time_ns, side="right") - 1, 0, len(runs) - 1)
+    return (time_ns - begins[order][indices]) * NANOSECOND
 
 
 def driven(windows: Windows, vehicle: VehicleParameters) -> dict[str, np.ndarray]:

@@ -226,7 +226,7 @@ def _simulated(fits: RelationFits, fit: RelationFit, without: RelationFit, shape
 
     def refitted(numbers: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, float]:
         """The vector with a shape in place of the curve, everything else fitted to the known blocks; the offset."""
-        scale = fits.space.scale[fit.which]
+        scale = fits.space.scale[fit.indices]
         count = len(fit.coefficients)
         fixed = np.zeros(len(scale))
         fixed[-count:] = (into @ shape.function(at, numbers) - fit.coefficients) / scale[-count:]
@@ -237,7 +237,7 @@ def _simulated(fits: RelationFits, fit: RelationFit, without: RelationFit, shape
         h, g = fit.q.hessian[known].sum(axis=0), fit.q.gradient[known].sum(axis=0)
         step = np.linalg.solve(ridge(basis.T @ h @ basis), basis.T @ (g - h @ fixed))
         vector = fit.vector.copy()
-        vector[fit.which] += (fixed + basis @ step) * scale
+        vector[fit.indices] += (fixed + basis @ step) * scale
         return loss.space.inside(vector), float(step[-1]) if with_offset else 0.0
 
     _, offset = refitted(shape.numbers, np.ones(fits.blocks, bool))

@@ -86,7 +86,7 @@ def next_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, riva
     for manoeuvre, windows in simulated(fits.windows, fits.answer.base):
         loss = _loss(fits, windows, candidate, fit)
         rows = 0.0 * np.nan_to_num(loss.errors.at(fit.vector))
-        slopes = loss.slopes(fit.vector, fit.which)
+        slopes = loss.slopes(fit.vector, fit.indices)
         more = REPETITIONS * loss.quadratic(rows, slopes).hessian.sum(axis=0)
         narrower = np.sqrt(_variance(curvature + more + fit.penalty, splines) / np.maximum(variance, 1e-30))
         apart = {}
@@ -117,7 +117,7 @@ def _joint(loss: Loss, rows: np.ndarray, slopes: np.ndarray, theirs: np.ndarray,
 
 def _strength(h: np.ndarray, fit: RelationFit, other: RelationFit, design: float) -> float:
     """Separation of a relation from a rival, in standard deviations. h: of `_joint`."""
-    others = len(fit.which) - COUNT
+    others = len(fit.indices) - COUNT
     penalty = np.zeros((len(h) - 1, len(h) - 1))
     penalty[others:, others:] = other.penalty[-COUNT:, -COUNT:]
     left = float(h[-1, -1] - h[-1, :-1] @ np.linalg.solve(ridge(h[:-1, :-1] + penalty), h[:-1, -1]))

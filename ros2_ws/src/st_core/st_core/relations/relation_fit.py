@@ -43,7 +43,7 @@ class RelationFit:
     smooth: float
     vector: np.ndarray
     rows: np.ndarray
-    which: np.ndarray
+    indices: np.ndarray
     slopes: np.ndarray
     penalty: np.ndarray
     q: Quadratic
@@ -52,11 +52,11 @@ class RelationFit:
 
     @property
     def coefficients(self) -> np.ndarray:
-        return self.vector[self.which[-COUNT:]] if self.candidate else np.zeros(COUNT)
+        return self.vector[self.indices[-COUNT:]] if self.candidate else np.zeros(COUNT)
 
     def covariance(self) -> np.ndarray:
         """(COUNT, COUNT) of the coefficients: sandwich over the blocks."""
-        inverse = np.linalg.inv(self.q.hessian.sum(axis=0) + self.penalty + RIDGE * np.eye(len(self.which)))
+        inverse = np.linalg.inv(self.q.hessian.sum(axis=0) + self.penalty + RIDGE * np.eye(len(self.indices)))
         scores, blocks = self.q.gradient, len(self.q.cost)
         scatter = scores.T @ scores * blocks / max(blocks - 1, 1)
         return (inverse @ scatter @ inverse)[-COUNT:, -COUNT:]
@@ -120,8 +120,8 @@ class RelationFits:
             vector = fit.vector
         return fit
 
-    def slopes(self, vector: np.ndarray, which: np.ndarray, loss: Loss | None = None) -> np.ndarray:
-        return np.nan_to_num((loss or self.loss).slopes(vector, which), posinf=0.0, neginf=0.0)
+    def slopes(self, vector: np.ndarray, indices: np.ndarray, loss: Loss | None = None) -> np.ndarray:
+        return np.nan_to_num((loss or self.loss).slopes(vector, indices), posinf=0.0, neginf=0.0)
 
     def quadratic(self, loss: Loss, rows: np.ndarray, slopes: np.ndarray) -> Quadratic:
         return loss.quadratic(rows, slopes).summed(self.block, self.blocks)
@@ -157,10 +157,10 @@ class RelationFits:
 
     def fit(self, candidate: Candidate, without: RelationFit, smooth: float) -> RelationFit:
         """Gauss-Newton through the simulator, from zero coefficients; smooth: of SMOOTHING."""
-        which = np.concatenate([self.refitted, self.relation])
+        indices = np.concatenate([self.refitted, self.relation])
         loss = self.of(candidate)
         slopes = np.concatenate([without.slopes, np.zeros((COUNT, *without.slopes.shape[1:]))])
-        return self._fit(candidate, loss, which, smooth, slopes, without.vector)
+        return self._fit(candidate, loss, indices, smooth, slopes, without.vector)
 
     def profile(self, fit: RelationFit) -> Quadratic:
         """Quadratic by block about the fit in the coefficients alone: all other parameters, those of the vehicle file
@@ -177,13 +177,13 @@ class RelationFits:
     def without_effect(self, candidate: Candidate, fit: RelationFit, name: str) -> RelationFit:
         """The relation with an effect of the answer removed and everything else refitted."""
         own = self.space.indices(name)
-        vector, which = fit.vector.copy(), np.setdiff1d(fit.which[:-COUNT], own)
+        vector, indices = fit.vector.copy(), np.setdiff1d(fit.indices[:-COUNT], own)
         null = {p.name: p.null for p in get_effect(name).parameters}
         vector[own] = [null[self.space.free[i].parameter] for i in own]
-        loss, moving = self.of(candidate), np.concatenate([which, self.relation])
+        loss, moving = self.of(candidate), np.concatenate([indices, self.relation])
         return self._fit(candidate, loss, moving, fit.smooth, self.slopes(vector, moving, loss), vector)
 
-    def _fit(self, candidate: Candidate | None, loss: Loss, which: np.ndarray, smooth: float, slopes: np.ndarray,
+    def _fit(self, candidate: Candidate | None, loss: Loss, indices: np.ndarray, smooth: float, slopes: np.ndarray,
              vector: np.ndarray) -> RelationFit:
         vector, scale = vector.copy(), self.space.scale
         for number in range(ITERATIONS):
@@ -193,24 +193,24 @@ class RelationFits:
             h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
             if not number:
                 penalty = self.penalty(candidate, h, smooth)
-            away = ((vector - self.start) / scale)[which]
+            away = ((vector - self.start) / scale)[indices]
             step = np.linalg.solve(ridge(h) + penalty, g - penalty @ away)
             cost = loss.total(vector) + away @ penalty @ away
             gained = 0.0
             for share in SHARES:
                 there = vector.copy()
-                there[which] += share * step * scale[which]
+                there[indices] += share * step * scale[indices]
                 there = loss.space.inside(there)
-                now = ((there - self.start) / scale)[which]
+                now = ((there - self.start) / scale)[indices]
                 gained = cost - (loss.total(there) + now @ penalty @ now)
                 if gained > 0.0:
                     taken = loss.errors.at(vector) - loss.errors.at(there)
-                    slopes = Slopes(vector, which, slopes).moved(there, scale, taken).values
+                    slopes = Slopes(vector, indices, slopes).moved(there, scale, taken).values
                     vector = there
                     break
             if gained < CONVERGED * loss.number:
                 break
         rows = loss.errors.at(vector)
         q = self.quadratic(loss, rows, slopes)
-        steps, held_out = self.left_out_steps(q, penalty, ((vector - self.start) / scale)[which])
-        return RelationFit(candidate, smooth, vector, rows, which, slopes, penalty, q, held_out, steps)
+        steps, held_out = self.left_out_steps(q, penalty, ((vector - self.start) / scale)[indices])
+        return RelationFit(candidate, smooth, vector, rows, indices, slopes, penalty, q, held_out, steps)

@@ -71,7 +71,7 @@ def waterfall(scene: Scene) -> Drawn | None:
             change = f"{after - before:+.2f} m".replace("-", "−")
             small = abs(after - before) < report_text.MIN_CHANGE and report_text.other_channel(step)
             _label(axes, max(before, after, *ends), row, small or change)
-            rows.append(f"{report_text.step_name(step)}  {quantities.short_values(step.effect, step.parameters)}")
+            rows.append(f"+ {quantities.plain(step.effect)}  {quantities.short_values(step.effect, step.parameters)}")
         axes.plot([last, last], [len(steps) + 0.31, len(steps) + 0.69], color=TEXT, lw=0.6, alpha=0.5)
         axes.barh(len(steps) + 1, last, color=AFTER, height=0.62)
         _label(axes, last, len(steps) + 1, quantities.metres(last))

@@ -66,13 +66,6 @@ def effect_rows(found: Discovery) -> list[tuple[str, str, str, str, str]]:
              agreement(e)) for e in by_size(found.effects)]
 
 
-def step_name(step: Step) -> str:
-    """A step of the waterfall: "+ steering ratio", "- mass", "mass instead of friction"."""
-    if step.action == "exchanged":
-        return f"{plain(step.effect)} instead of {plain(step.instead)}"
-    return f"{'+' if step.action == 'added' else '−'} {plain(step.effect)}"
-
-
 def other_channel(step: Step) -> str:
     """The channel whose error a step reduces most; empty without any."""
     ratios = {key: one.augmented / one.base for key, one in step.channels.items() if one.base > 0}
@@ -128,9 +121,8 @@ def summary(found: Discovery, update: VehicleUpdate | None, findings: Mapping[st
     if serious:
         one, names = serious[0]
         more = f" and {len(serious) - 1} more" if len(serious) > 1 else ""
-        correction = ("These are errors of the recordings: correct them as st check proposes, and run st discover again"
-                      if one.advice is None or one.advice.kind != "look" else f"Advice: {one.advice.line}")
-        recordings = f"{one.text} ({', '.join(filter(None, (*names, describe_effect(one))))}){more}. {correction}"
+        recordings = (f"{one.text} ({', '.join((*names, describe_effect(one)))}){more}. These are errors of the "
+                      "recordings: correct them as st check proposes, and run st discover again")
     do = to_do(found, update)
     together = [f"{ratio_to_file(one)} of the vehicle file's: {', '.join(map(plain, one.effects[:-1]))} or "
                 f"{plain(one.effects[-1])}, which these drives do not separate" for one in found.known_together]
