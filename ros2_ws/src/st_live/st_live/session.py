@@ -19,15 +19,11 @@ from .node import Monitor, Status, health, progress_view, ticks
 from .page import LiveView
 from .suite import REALTIME_PERMISSION, Parameters, Suite, SuiteError, chosen_domain_id, claimed_domain
 
-# Every node publishes /diagnostics once a second; a running node that is silent for this long hangs [s].
-SILENCE_TIMEOUT = 8.0
-# Longest time from a start to the first /diagnostics [s].
-FIRST_STATUS_TIMEOUT = 30.0
+SILENCE_TIMEOUT = 8.0  # s without /diagnostics, which every node publishes once a second, until a running node hangs
+FIRST_STATUS_TIMEOUT = 30.0  # s from a start to the first /diagnostics
 BACK_OFF_FIRST, BACK_OFF_LAST = 0.5, 10.0  # s between a failure and the restart
-# The back-off is reset after this time without failure [s].
-BACK_OFF_RESET_TIME = 60.0
-# If this process was delayed by more, it cannot judge the silence of the nodes [s].
-MAX_OWN_DELAY = 2.0
+BACK_OFF_RESET_TIME = 60.0  # s without failure
+MAX_OWN_DELAY = 2.0  # s; a process that was delayed by more cannot judge the silence of the nodes
 WARN, ERROR = 1, 2
 NODES = (  # package, executable, in the order of their start: subscribers first, so that no message is missed
     ("st_predictor", "recorder"),

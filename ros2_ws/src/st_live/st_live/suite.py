@@ -101,10 +101,9 @@ class Processes:
     def check(self) -> None:
         """Raises SuiteError naming the first child that has ended."""
         for child in self.children:
-            status = child.process.poll()
-            if status is not None:
-                output = child.last_lines() or "no output"
-                raise SuiteError(f"{child.name} ended with status {status}: {output}\n(log: {child.log})")
+            if (status := child.process.poll()) is not None:
+                raise SuiteError(f"{child.name} ended with status {status}: {child.last_lines() or 'no output'}\n"
+                                 f"(log: {child.log})")
 
     def reap(self, name: str) -> Child | None:
         """Remove and return the child of that name if it has ended, so that it can be restarted; else None."""
@@ -147,8 +146,8 @@ class Suite(Processes):
         self.parameter_file.write_text(yaml.safe_dump(document, sort_keys=False))
 
     def start_node(self, package: str, executable: str) -> Child:
-        return self.start(
-            executable, [find_executable(package, executable), "--ros-args", "--params-file", str(self.parameter_file)]
+        return self.start(executable, [
+            find_executable(package, executable), "--ros-args", "--params-file", str(self.parameter_file)]
         )
 
 
@@ -184,9 +183,8 @@ def find_executable(package: str, executable: str) -> str:
             return str(candidate)
     if found := shutil.which(executable):
         return found
-    raise SuiteError(
-        f"{executable} of package {package} not found: start with ./st, or source the workspace's install/setup.bash"
-    )
+    raise SuiteError(f"{executable} of package {package} not found: start with ./st, or source the workspace's "
+                     "install/setup.bash")
 
 
 def merge(base: Path, overrides: Parameters) -> dict[str, dict[str, Any]]:
@@ -242,9 +240,9 @@ def claimed_domain() -> Iterator[int]:
     Binding its first discovery port (DDS: 7400 + 250 * domain + 10) reserves it; participants use the next port.
     """
     for domain in range(LAST_DOMAIN, 0, -1):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as held:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as claim:
             try:
-                held.bind(("", 7400 + 250 * domain + 10))
+                claim.bind(("", 7400 + 250 * domain + 10))
             except OSError:
                 continue
             yield domain

@@ -22,8 +22,7 @@ def view(
     import tempfile
 
     from rich.console import Console
-    from st_live.page import check_new_rerun_file
-    from st_live.rerun_server import RecordingView, check_rerun
+    from st_live.rerun_server import RecordingView, check_new_rerun_file, check_rerun
     from st_live.suite import SuiteError
 
     # SIGTERM ends it as Ctrl-C does, so that server and temporary folder are removed.
