@@ -15,6 +15,7 @@ from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from raw_drives import LEAF, write_drives
 from rosbags.typesys import get_types_from_msg
+from st_core.checks import check
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import ReadSettings, RunError, find_runs, read
@@ -374,6 +375,22 @@ def test_steering_frames_that_do_not_fit_the_dbc_are_named(tmp_path: Path, drive
     (tmp_path / "run.log").write_text(changed(frames_of(drive[0]), change))
     with pytest.raises(RunError, match=error):
         read(find_runs([tmp_path])[0], CAR)
+
+
+def test_steering_frames_without_a_usable_value_are_no_gap_of_the_logger(tmp_path: Path, drive) -> None:
+    (tmp_path / "run.ncom").write_bytes((drive[0] / "run.ncom").read_bytes())
+    lines = frames_of(drive[0])
+    steering = [k for k, line in enumerate(lines) if " 002#" in line]
+    bad, lost = steering[500:600], {*steering[1000:1100]}
+    for k in bad:  # low byte first: the largest angle that the signal can have
+        head, _, data = lines[k].partition("#")
+        lines[k] = f"{head}#FF7F{data[4:]}"
+    (tmp_path / "run.log").write_text("\n".join(line for k, line in enumerate(lines) if k not in lost))
+    run = read(find_runs([tmp_path])[0], CAR)
+    found = {one.name: one for one in check(run.log, CAR, run.auxiliary).findings}
+    assert re.search(r"100 of \d+ frames between .* were received and are not used: .*SteeringWheelAngle implausible "
+                     r"\(up to -?3276.7 deg\) in 100", found["values_missing"].text)
+    assert "1 gap of the steering" in found["time_gaps"].text and found["time_gaps"].value == pytest.approx(1.0, abs=0.1)
 
 
 def test_a_cut_blf_is_read_up_to_the_cut_with_a_warning(tmp_path: Path, drive) -> None:
