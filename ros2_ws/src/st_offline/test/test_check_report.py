@@ -239,11 +239,11 @@ def test_of_two_values_for_one_correction_the_graver_finding_has_its_way(tmp_pat
 def test_what_only_a_csv_has_is_proposed_for_a_csv_only(tmp_path):
     exchanged = Finding("position_axes", Severity.ERROR, ("x", "y"), "exchanged",
                         advice=cure(columns={"x": "y", "y": "x"}))
-    for kind, taken in (("csv", True), ("bag", False)):
+    for kind, taken in (("csv", True), ("vbo", True), ("bag", False)):
         run_of = replace(source(tmp_path), kind=kind)
         text = run_yaml(run_of, [exchanged], tmp_path / "run.yaml", ReadSettings())
         assert ("columns" in yaml.safe_load(text)) is taken
-        assert ("#   not taken, a csv only has columns and units: in its run.yaml: " in text) is not taken
+        assert ("#   not taken, only a csv or vbo has columns and units: in its run.yaml: " in text) is not taken
 
 
 def test_a_stretch_that_several_findings_leave_out_stands_there_once(tmp_path):

@@ -187,6 +187,26 @@ def test_tables(tmp_path: Path, drive, name: str, text, encoding: str, warning: 
     assert_warned(run.warnings, warning)
 
 
+@pytest.mark.parametrize("kind", ["csv", "vbo"])
+def test_a_table_in_parts_is_one_run(tmp_path: Path, drive, kind: str) -> None:
+    text = stamped(drive[1], lambda s: f"25/04/2026 {clock(43200 + s)}") if kind == "csv" else vbo(drive[1])
+    head, mark, body = text.partition("\n" if kind == "csv" else "[data]\n")
+    lines, third = body.splitlines(keepends=True), len(body.splitlines()) // 3
+    (tmp_path / f"whole.{kind}").write_text(text)
+    for part in range(3):
+        rest = lines[part * third : (part + 1) * third if part < 2 else None]
+        (tmp_path / f"part_{part}.{kind}").write_text(head + mark + "".join(rest))
+    (tmp_path / "parts.run.yaml").write_text(f"{kind}: part_*.{kind}\n")
+    whole, parts = (read(find_runs([tmp_path / name])[0], CAR, WHEEL if kind == "vbo" else None)
+                    for name in (f"whole.{kind}", "parts.run.yaml"))
+    np.testing.assert_array_equal(whole.log.ins_time_ns, parts.log.ins_time_ns)
+    np.testing.assert_allclose(whole.log.x, parts.log.x, atol=1e-9)
+    assert [run.name for run in find_runs([tmp_path])] == ["parts", "whole"]
+    (tmp_path / "parts.run.yaml").write_text(f"{kind}: [part_0.{kind}, whole.{kind}]\n")
+    with pytest.raises(RunError, match="it begins before the end of"):
+        read(find_runs([tmp_path / "parts.run.yaml"])[0], CAR, WHEEL if kind == "vbo" else None)
+
+
 @pytest.mark.parametrize(("text", "error"), [
     (lambda log: "PK\x03\x04" + csv(rows(log)), r"this is a compressed file \(zip, or a spreadsheet\); unpack it"),
     (lambda log: stamped(log, lambda s: "5.0"), r"1 of \d+ rows .* have a time later than all before"),
@@ -390,7 +410,8 @@ def test_steering_frames_without_a_usable_value_are_no_gap_of_the_logger(tmp_pat
     found = {one.name: one for one in check(run.log, CAR, run.auxiliary).findings}
     assert re.search(r"100 of \d+ frames between .* were received and are not used: .*SteeringWheelAngle implausible "
                      r"\(up to -?3276.7 deg\) in 100", found["values_missing"].text)
-    assert "1 gap of the steering" in found["time_gaps"].text and found["time_gaps"].value == pytest.approx(1.0, abs=0.1)
+    assert "1 gap of the steering" in found["time_gaps"].text
+    assert found["time_gaps"].value == pytest.approx(1.0, abs=0.1)
 
 
 def test_a_cut_blf_is_read_up_to_the_cut_with_a_warning(tmp_path: Path, drive) -> None:
