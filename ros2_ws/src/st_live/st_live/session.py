@@ -128,17 +128,9 @@ class Outcome:
         return not (self.problem or self.restarts or any(self.statuses.values()))
 
 
-def run(
-    folder: Path,
-    parameters: Parameters,
-    title: str,
-    duration: float | None,
-    source: Callable[[Suite], float] | None = None,
-    console: Console | None = None,
-    view: LiveView | None = None,
-    supervised: bool = False,
-    realtime: bool = False,
-) -> Outcome:
+def run(folder: Path, parameters: Parameters, title: str, duration: float | None,
+        source: Callable[[Suite], float] | None = None, console: Console | None = None, view: LiveView | None = None,
+        supervised: bool = False, realtime: bool = False) -> Outcome:
     """Start all nodes, then the source (the virtual Leaf), show the run, stop everything in order.
 
     duration in s; None: until Ctrl-C, or until the end of the source, which returns its duration [s]. supervised: a
@@ -203,10 +195,8 @@ def start_nodes(suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]]
     return not stopped()
 
 
-def _watch(
-    suite: Suite, monitor: Monitor, supervisor: Supervisor | None, console: Console, title: str,
-    duration: float | None, stop: "_StopRequest",
-) -> str:
+def _watch(suite: Suite, monitor: Monitor, supervisor: Supervisor | None, console: Console, title: str,
+           duration: float | None, stop: "_StopRequest") -> str:
     """Show the run until its duration is over or Ctrl-C.
 
     Without a supervisor a process that ends also ends the run; the text returned names it and is empty otherwise.

@@ -84,14 +84,8 @@ class Processes:
         if shutil.which("setpriv"):
             command = ["setpriv", "--pdeathsig", "INT", *command]
         with log.open("ab") as stream:
-            process = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=stream,
-                stderr=subprocess.STDOUT,
-                env=self.environment,
-                start_new_session=True,
-            )
+            process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT,
+                                       env=self.environment, start_new_session=True)
         if self._realtime and not _set_realtime(process.pid, name):
             self.denied.add(name)
         child = Child(name, process, log)
@@ -146,9 +140,8 @@ class Suite(Processes):
         self.parameter_file.write_text(yaml.safe_dump(document, sort_keys=False))
 
     def start_node(self, package: str, executable: str) -> Child:
-        return self.start(executable, [
-            find_executable(package, executable), "--ros-args", "--params-file", str(self.parameter_file)]
-        )
+        return self.start(
+            executable, [find_executable(package, executable), "--ros-args", "--params-file", str(self.parameter_file)])
 
 
 def _set_realtime(pid: int, name: str) -> bool:

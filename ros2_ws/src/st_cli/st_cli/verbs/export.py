@@ -19,8 +19,7 @@ def export(
     substeps: int = typer.Option(1, help="Integration steps within one step h.", min=1, max=64),
     bands: Path | None = typer.Option(
         None, help="Bands of `st calibrate`: also their half-widths as functions of state and inputs (CasADi).",
-        exists=True, dir_okay=False
-    ),
+        exists=True, dir_okay=False),
     free: list[str] = typer.Option([], help="Parameter left as an argument: road_bank.angle; repeatable."),
 ) -> None:
     """Write a model as functions: dynamics, Runge-Kutta step, Jacobians; with names, units and bounds.

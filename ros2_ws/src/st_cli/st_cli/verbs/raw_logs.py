@@ -13,11 +13,9 @@ VERDICT_STYLE = {"good": "green", "doubtful": "yellow", "refused": "red"}
 @shared.reads_recordings()
 def align(
     files: list[Path] = typer.Argument(
-        ..., help="INS recording (.ncom, .xcom, or CSV with t, vx, yaw_rate) and CAN logs, a folder, or a run.yaml."
-    ),
+        ..., help="INS recording (.ncom, .xcom, or CSV with t, vx, yaw_rate) and CAN logs, a folder, or a run.yaml."),
     search: tuple[float, float] | None = typer.Option(
-        None, help="Bounds of the offset in seconds, where the log is known to be nearly right already."
-    ),
+        None, help="Bounds of the offset in seconds, where the log is known to be nearly right already."),
     output: Path | None = typer.Option(None, help="Folder for alignment.json and alignment.png."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
@@ -115,8 +113,7 @@ def _seconds(nanoseconds: int) -> str:
 def import_(
     paths: list[Path] = typer.Argument(..., help="Runs: .ncom with CAN logs, folders of them, run.yaml."),
     output: Path | None = typer.Option(
-        None, help="Bag directory; with several runs, the folder of their bags. Default runs/import-<name>-<time>."
-    ),
+        None, help="Bag directory; with several runs, the folder of their bags. Default runs/import-<name>-<time>."),
     search: tuple[float, float] | None = typer.Option(None, help="Bounds of the offset in seconds."),
     force: bool = typer.Option(False, "--force", help="Write also runs in which `st check` finds an error."),
     strict: bool = typer.Option(False, "--strict", help="Refuse runs with a doubtful alignment."),
@@ -212,9 +209,8 @@ def ncom(
 
 def recover(
     path: Path = typer.Argument(..., help="A bag directory or an .mcap file that was not closed.", exists=True),
-    output: Path | None = typer.Option(
-        None, "--output", help="Path of the repaired recording; default: in place, the cut file is kept."
-    ),
+    output: Path | None = typer.Option(None, "--output",
+                                       help="Path of the repaired recording; default: in place, the cut file is kept."),
 ) -> None:
     """Repair a recording cut off by a crash or power loss; complete ones are left as they are."""
     from st_recordings import mcap

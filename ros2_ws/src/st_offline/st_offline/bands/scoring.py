@@ -108,12 +108,10 @@ def question_sums(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sum
     whole = [k for k in range(len(time)) if abs(time[k] - round(time[k])) < 1e-6]
     by_point, by_axis = ratio.max(axis=2), ratio.max(axis=1)
     highest, within = by_point.max(axis=1, initial=0.0), {}
-    sums: Sums = {
-        "starts": len(errors), "without_band": 0, "coverage": {}, "axes": {}, "seconds": {}, "interval_score": {},
-        "half_width": {}, "conditions": {}, "cells": {},
-        "reliability": {f"{level:g}": int((highest <= c).sum()) for level, c in band.factors.items()},
-        "crps": _by_axis(_crps(band, scale[:, whole], errors[:, whole])),
-    }
+    sums: Sums = {"starts": len(errors), "without_band": 0, "coverage": {}, "axes": {}, "seconds": {},
+                  "interval_score": {}, "half_width": {}, "conditions": {}, "cells": {},
+                  "reliability": {f"{level:g}": int((highest <= c).sum()) for level, c in band.factors.items()},
+                  "crps": _by_axis(_crps(band, scale[:, whole], errors[:, whole]))}
     for level in levels:
         key, c = f"{level:g}", band.factors[level]
         within[key] = highest <= c
