@@ -118,10 +118,7 @@ def _models(model: Model, intervals: Intervals) -> dict[str, tuple[Model, Model]
 
 def _with_steering_of(signals: LogSignals, car: VehicleParameters, settings: EvaluationSettings) -> LogSignals:
     """The drive with the road wheel angle by steering ratio and offset of that car."""
-    log = signals.log
-    if log.steering_wheel_angle is None:
-        return signals
-    return settings.signals(replace(log, road_wheel_angle=car.road_wheel_angle(log.steering_wheel_angle)))
+    return signals if signals.log.steering_wheel_angle is None else settings.signals(signals.log.with_steering(car))
 
 
 def _shifted(signals: LogSignals, name: str, by: float, settings: EvaluationSettings) -> LogSignals:
