@@ -7,12 +7,12 @@ BEGIN, END = "<!-- {}: written by `./st bench` -->\n", "<!-- end of {} -->\n"
 
 
 def part(page: Path, name: str) -> str:
-    """The present text of the part."""
+    """What stands there now."""
     return page.read_text(encoding="utf-8").split(BEGIN.format(name))[1].split(END.format(name))[0]
 
 
 def renew(page: Path, name: str, text: str) -> None:
-    """Replace the text of the part."""
+    """Another text in its place."""
     before, rest = page.read_text(encoding="utf-8").split(BEGIN.format(name))
     after = rest.split(END.format(name))[1]
     page.write_text(before + BEGIN.format(name) + text + END.format(name) + after, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The passenger's page attached to the running suite, with one client that reads it, running or stopped."""
+"""The passenger's page attached to the running suite, with one client that reads it; it runs, or it hangs."""
 
 import os
 import signal

@@ -8,7 +8,7 @@ from st_core.augmented import AugmentedModel, augment
 from st_core.checks import check, pool_estimates
 from st_core.discovery import Discovery, discover
 from st_core.log import DriveLog
-from st_core.relations import RelationSearch, find_relation, indicated
+from st_core.relations import RelationSearch, find_relation, needs_search
 from st_core.relations.relation_fit import RunWindows
 from st_core.vehicle import VehicleParameters
 
@@ -35,7 +35,7 @@ def run_case(case: LawCase, whole: bool = True) -> Record:
                       for log in drives.suspect])
     found = discover(drives.suspect, vehicle, "nonlinear", (), settings, identities=sensors)
     middle = time.process_time()
-    said = find_relation(found, drives.suspect, vehicle, settings) if indicated(found) else RelationSearch(
+    said = find_relation(found, drives.suspect, vehicle, settings) if needs_search(found) else RelationSearch(
         None, "not searched: the residual is near the noise", {})
     end = time.process_time()
     judge = RunWindows(drives.held_out, vehicle, settings)
@@ -83,6 +83,6 @@ def _told(found: Discovery, said: RelationSearch) -> Record:
                "others": dict(one.others), "chance": one.chance, "gain": one.gain,
                "shape": one.formulas[0].shape if one.formulas else "",
                "reads": one.formulas[0].text if one.formulas else "", "promised": list(one.position_5s)}
-    return {"outcome": found.outcome, "wanted": indicated(found), "why": said.why, "law": law,
+    return {"outcome": found.outcome, "wanted": needs_search(found), "why": said.why, "law": law,
             "alone": [e.name for e in found.effects if not e.alternatives], "needless": list(needless),
             "kept": [e.name for e in (*found.effects, *found.minor)]}

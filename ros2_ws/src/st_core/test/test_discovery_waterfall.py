@@ -184,7 +184,7 @@ def test_promised_power_is_what_imitated_drives_show():
     scores = screen(problem, base, np.random.default_rng(0))
     promised = certificate.predicted(problem, base, scores, Limits())
     ticks = []
-    shown = certificate.driven(problem, base, Limits(), 0, lambda: ticks.append(1))
+    shown = certificate.measured(problem, base, Limits(), 0, lambda: ticks.append(1))
     assert (promised.driven, promised.of, shown.driven, len(ticks)) == (False, 0, True, len(FEW))
     assert shown.alarms <= 0.05 * shown.of
     off = [p.found - s.found for p, s in zip(promised.powers, shown.powers, strict=True)]

@@ -8,7 +8,7 @@ import pytest
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
 from st_core.discovery.where import survey
-from st_core.discovery.where_parts import CELL_SIZE, Range, Samples, cells, changes, excesses, membership, words
+from st_core.discovery.where_parts import CELL_SIZE, Range, Samples, cells, changes, excesses, membership, range_text
 from st_core.log import DriveLog
 from st_core.prediction import predict
 from st_core.types import InputSequence, VehicleState
@@ -115,7 +115,7 @@ def test_place_that_is_bad_on_every_pass():
 @pytest.mark.parametrize(("low", "high", "said"), [
     (12.0, 15.0, "speed 12 to 15 m/s"), (25.0, math.inf, "speed above 25 m/s"), (0.0, 3.0, "speed below 3 m/s")])
 def test_words(low, high, said):
-    assert words("speed", "m/s", low, high) == said
+    assert range_text("speed", "m/s", low, high) == said
 
 
 def test_every_prediction_is_in_one_range_of_each_quantity():

@@ -20,11 +20,11 @@ from st_core.models import MODELS
 from st_core.relations import Candidate, find_relation
 from st_core.relations.candidates import (
     ADMISSIBLE,
+    ALL_PLACES,
     FACTORS,
     PAIRS,
     QUANTITIES,
-    USUAL,
-    WHERE,
+    USUAL_SIZES,
     candidates,
     run_time,
 )
@@ -47,9 +47,9 @@ def law(candidate: Candidate, wanted) -> dict:
 
 
 def test_every_place_can_be_asked_and_the_library_does_not_hold_the_law():
-    assert set(ADMISSIBLE) == set(WHERE) == set(USUAL)
+    assert set(ADMISSIBLE) == set(ALL_PLACES) == set(USUAL_SIZES)
     assert {q for quantities in ADMISSIBLE.values() for q, _ in quantities} == set(QUANTITIES)
-    assert {(p, by) for p, _, by in PAIRS} <= {(p, by) for p in WHERE for by in FACTORS}
+    assert {(p, by) for p, _, by in PAIRS} <= {(p, by) for p in ALL_PLACES for by in FACTORS}
     assert not {"law", "law_memory", "law_timed"} & set(EFFECTS)
     with pytest.raises(ConfigurationError, match="unknown effect 'lax'"):
         augment("nonlinear", ["lax"])
@@ -62,7 +62,7 @@ def test_curve_of_the_equations_is_that_of_the_splines(parity):
     theta = Law.Theta(**{p.name: p.null for p in Law.parameters} | c.constants
                       | {f"c{k}": h for k, h in enumerate(heights)}, car=())
     u = np.linspace(-0.8, 0.8, 33)
-    assert USUAL["yaw_moment"] * curve(u, theta) == pytest.approx(heights @ c.splines(u), abs=1e-12)
+    assert USUAL_SIZES["yaw_moment"] * curve(u, theta) == pytest.approx(heights @ c.splines(u), abs=1e-12)
     if parity:
         assert curve(-u, theta) == pytest.approx(parity * curve(u, theta), abs=1e-12)
     assert curve(0.8, theta) == pytest.approx(curve(0.5, theta), abs=1e-12)  # constant beyond what was driven
@@ -335,7 +335,7 @@ def test_what_was_not_driven_is_said(leaf):
     straight = [drive(leaf, speed, lambda t: 0.0 * t, seconds=70.0, name=f"{speed:g}") for speed in (10.0, 14.0)]
     settings = DiscoverySettings(where=False)
     said = find_relation(discover(straight, leaf, "nonlinear", (), settings), straight, leaf, settings)
-    assert said.relation is None and {"front_grip", "rear_grip", "both_grip"} <= set(said.unseen())
+    assert said.relation is None and {"front_grip", "rear_grip", "both_grip"} <= set(said.not_examined())
     assert not any("acceleration_y" in name or "steering" in name for name in said.visible)
 
 

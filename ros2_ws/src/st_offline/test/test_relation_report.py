@@ -15,7 +15,7 @@ from st_core.effects import EFFECTS, Measured, load_folder
 from st_core.manoeuvres import CATALOGUE
 from st_core.model_file import ModelFile
 from st_core.models import MODELS
-from st_core.relations import Candidate, Formula, Relation, RelationSearch, indicated
+from st_core.relations import Candidate, Formula, Relation, RelationSearch, needs_search
 from st_core.relations.candidates import ADMISSIBLE, NEITHER, PAIRS
 from st_core.relations.next_drive import NextDrives, Option
 from st_core.relations.selection import RunShares
@@ -154,9 +154,9 @@ def test_the_next_answer_brings_the_effects_it_needs(tmp_path, registry):
 def test_a_law_is_looked_for_where_much_is_left():
     found = discovery([LAP], (), 1.0)
     nothing, much = replace(found, outcome="none", signature=()), ("errors are 4.0 times the noise",)
-    assert not indicated(nothing)
-    assert indicated(replace(nothing, outcome="unknown"))
-    assert indicated(replace(nothing, outcome="named", signature=much))
+    assert not needs_search(nothing)
+    assert needs_search(replace(nothing, outcome="unknown"))
+    assert needs_search(replace(nothing, outcome="named", signature=much))
 
 
 def test_without_a_proposal_the_reason_is_told(tmp_path):

@@ -30,9 +30,11 @@ def codec():
 
 def outputs(seconds, effects=(), scenario="S6", plant="ideal", rate=100, seed=0, **options):
     settings = resolve(plant, effects)
-    stream = Stream(SimulatedCar(CAR, settings, load(scenario), seed), settings, Ins(CAR, settings, 1 / rate, seed),
-                    SteeringSensor(CAR, settings, seed), NcomWire(ORIGIN, START_NS, rate),
-                    CanWire(codec(), ORIGIN, START_NS), rate, seed, **options)
+    stream = Stream(
+        SimulatedCar(CAR, settings, load(scenario), seed), settings, Ins(CAR, settings, 1 / rate, seed),
+        SteeringSensor(CAR, settings, seed), NcomWire(ORIGIN, START_NS, rate), CanWire(codec(), ORIGIN, START_NS),
+        rate, seed, **options,
+    )  # fmt: skip
     return list(stream.outputs(seconds))
 
 

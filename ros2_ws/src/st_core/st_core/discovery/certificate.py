@@ -66,7 +66,7 @@ def _required(problem: Problem, rows: np.ndarray, moved: float, limits: Limits) 
     return max(required, limits.unexplained_share) if residual_over_noise(problem, rows) > limits.left else required
 
 
-def driven(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callable[[], None]) -> Certificate:
+def measured(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callable[[], None]) -> Certificate:
     """Power and false alarms of a forward step on simulated drives: DRAWS of each size of each effect, FLIPS / 4
     without any."""
     rng = np.random.default_rng(seed)

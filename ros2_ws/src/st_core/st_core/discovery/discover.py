@@ -1,4 +1,4 @@
-"""Discovery of missing effects: from recorded drives to named effects, their values and what remains open."""
+"""Discovery of missing effects: from recorded drives to named effects, their values and the residual."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -61,7 +61,7 @@ from .search import Found, Search
 from .settings import DiscoverySettings
 from .space import Space, known_quantities
 from .varying import Varying, evidence_of, varying
-from .where import where
+from .where import survey
 from .windows import MARGIN_NS, Windows, noise_floor
 
 Progress = Callable[[str, int, int], None]
@@ -108,8 +108,7 @@ def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str 
 
 
 class _Names(NamedTuple):
-    """The effects of an answer by verdict, the verdicts by name, values without each run, and what holds for the axles.
-    """
+    """The effects of an answer by verdict: stated, minor, or denied by the axle forces. left_out: see `Discovery`."""
 
     stated: tuple[FoundEffect, ...]
     minor: tuple[FoundEffect, ...]
@@ -121,6 +120,8 @@ class _Names(NamedTuple):
 
 
 class _Work:
+    """One discovery: its inputs, and the steps from the search to the answer."""
+
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model,
                  reference: Sequence[DriveLog], settings: DiscoverySettings, progress: Progress | None,
                  identities: Sensors, parallel: int):
@@ -144,7 +145,7 @@ class _Work:
         settings, space = self.settings, self.space
         self.problem, by_column = self._problem()
         problem = self.problem
-        self._warn_if_thin(problem)
+        self._warn_of_low_excitation()
         parts = levels(self.windows)
         search = Search(problem, self.limits, parts, self.sensors, settings.seed, self._tick("searching"))
         found = search.run()
@@ -182,7 +183,7 @@ class _Work:
             acceleration_gain=float(fit.vector[-1]), noise={c: g.augmented for c, g in gap.items()})
 
     def _names(self, search: Search, found: Found, parts: Mapping[str, Level], floor: Mapping[str, float]) -> _Names:
-        """The verdict on each effect of the search, with force curves and combinations of the axles."""
+        """The effects of the search by verdict, with force curves and combinations of the axles."""
         problem = self.problem
         all_free = joint(problem, found.fit) if problem.prior is None else None
         position = problem.position(problem.held_out_rows(found.fit))
@@ -206,12 +207,12 @@ class _Work:
     def _certificate(self, found: Found) -> Certificate:
         if not self.settings.certify:
             return certificate.predicted(self.problem, found.fit, found.scores, self.limits)
-        return certificate.driven(self.problem, found.fit, self.limits, self.settings.seed, self._tick("certifying"))
+        return certificate.measured(self.problem, found.fit, self.limits, self.settings.seed, self._tick("certifying"))
 
     def _outcome(self, found: Found, effects: Sequence[FoundEffect], untestable: Sequence[NotTestable], left: float,
                  bound: int, together: Sequence[Combination]) -> tuple[Outcome, Reason]:
-        """left: position error over that of the noise [1]. bound: number of effects that vary over the drives.
-        together: combinations that differ from the vehicle file without a name."""
+        """left [1]: position error over that of the noise. bound: number of effects that vary over the drives.
+        together: combinations that differ from the vehicle file without a named effect."""
         hypotheses = self.space.hypotheses
         seen = 1.0 - sum(n.name in hypotheses for n in untestable) / len(hypotheses)
         return decide(Answer([found.evidence[e.name] for e in effects], found.rivals,
@@ -219,8 +220,8 @@ class _Work:
                              [c.name for c in together]), self.limits)
 
     def _corrected(self, found: Found, parts: Mapping[str, Level]) -> tuple[Problem, Fit]:
-        """The problem and fit that predict best with the answer included, without the priors of the vehicle file; the
-        answer itself where the gain is too small, and with a reference, whose drives leave these parameters free."""
+        """The problem and fit that predict best with the answer included, without the priors of the vehicle file. The
+        answer itself where the gain is too small, or with a reference, where parameters are free already."""
         problem, scale = self.problem, self.problem.loss.scale
         if problem.prior is not None:
             return problem, found.fit
@@ -230,8 +231,7 @@ class _Work:
         problem.loss.scale = scale
         fit = free.about(fit.names, fit.vector, fit.indices, fit.slopes)
         gain = free.held_out_gain(found.fit, fit)
-        named, best = (float(np.nanmean(p.position(p.held_out_rows(f))))
-                       for p, f in ((problem, found.fit), (free, fit)))
+        named, best = (np.nanmean(p.position(p.held_out_rows(f))) for p, f in ((problem, found.fit), (free, fit)))
         return (problem, found.fit) if gain < self.limits.relevant or best > named else (free, fit)
 
     # Inputs
@@ -243,7 +243,7 @@ class _Work:
         if self.reference:
             healthy = learn(self.reference, self.vehicle, space, settings, self.threads, self._tick("reference"))
             start, prior, between = healthy.vector, healthy.prior, healthy.gain
-            # Residuals of the healthy car are no change of it.
+            # The residual of the healthy car is not a change since then.
             by_column = {c: max(by_column[c], float(v))
                          for c, v in zip(self.windows.columns, healthy.residual, strict=True)}
             by_column["position_5s"] = healthy.position
@@ -252,39 +252,41 @@ class _Work:
                        np.array([by_column[c] for c in self.windows.columns]), between,
                        known_quantities(space, self.vehicle) if prior is None else None), by_column
 
-    def _usable(self, runs: Sequence[DriveLog], what: str) -> list[DriveLog]:
+    def _usable(self, runs: Sequence[DriveLog], role: str) -> list[DriveLog]:
+        """The runs that are long enough, with a warning of the others."""
         needed = self.settings.horizon + 2.0 * MARGIN_NS * 1e-9 + 0.5
-        good = [run for run in runs if run.overlap >= needed]
         short = [run.name for run in runs if run.overlap < needed]
         if short:
-            self.warnings.append(f"{what} {', '.join(short)}: shorter than {needed:.1f} s, not used")
-        return good
+            self.warnings.append(f"{role} {', '.join(short)}: shorter than {needed:.1f} s, not used")
+        return [run for run in runs if run.overlap >= needed]
 
     def _channels(self, settings: DiscoverySettings) -> DiscoverySettings:
+        """The settings with the channels measured in all runs, with a warning of the others."""
         logs = [*self.runs, *self.reference]
         left_out = [c for c in settings.channels if not all(CHANNELS[c].is_in(log) for log in logs)]
         if left_out:
             self.warnings.append(f"{', '.join(left_out)}: not measured in every run, left out; effects that need "
-                                 f"{'it' if len(left_out) == 1 else 'them'} are not looked at")
+                                 f"{'it' if len(left_out) == 1 else 'them'} are not searched")
         return replace(settings, channels=tuple(c for c in settings.channels if c not in left_out))
 
-    def _known_by_sensors(self, identities: Sensors) -> dict[str, tuple[float, float, float]]:
+    def _known_by_sensors(self, identities: Sensors) -> Sensors:
+        """The identities by "effect.parameter"."""
         return {f"{effect}.{p.name}": identities[p.identity] for effect in self.space.hypotheses
                 for p in get_effect(effect).parameters if p.identity and p.identity in identities}
 
-    def _warn_if_thin(self, problem: Problem) -> None:
+    def _warn_of_low_excitation(self) -> None:
         if len(self.runs) < 3:
             self.warnings.append(f"{'two runs' if len(self.runs) == 2 else 'one run'}: whether runs agree "
                                  "is unknown; stretches of them are compared instead")
         if not sites(self.windows).any():
-            self.warnings.append("all of it is at one site: what belongs to the place, as its banks and its wind, "
-                                 "cannot be separated from what belongs to the car")
-        if problem.blocks < 10:
-            self.warnings.append(f"only {problem.blocks} blocks of {self.settings.block:g} s: tests are weak")
+            self.warnings.append("all driving is at one site: effects of the place, as banked roads and wind, cannot "
+                                 "be separated from properties of the car")
+        if self.problem.blocks < 10:
+            self.warnings.append(f"only {self.problem.blocks} blocks of {self.settings.block:g} s: tests are weak")
         rate = self.windows.joined.yaw_rate * self.windows.joined.velocity_x
         turning = np.abs(rate) > 0.5
         if turning.mean() < 0.05:
-            self.warnings.append("nearly all of it is straight driving: tyres, steering ratio and mass cannot be seen")
+            self.warnings.append("nearly all is straight driving: tyres, steering ratio and mass cannot be seen")
         elif min((rate > 0.5).sum(), (rate < -0.5).sum()) < 0.05 * turning.sum():
             self.warnings.append("bends to one side only: offsets of sensors and steering look like changes of the car")
 
@@ -298,18 +300,17 @@ class _Work:
         values = waterfall.parameters(self.problem, found.fit, name, parts, found.near, everything, unexplained)
         known = {} if self.reference else self.sensors
         parameters = {n: with_sensor_interval(p, known.get(f"{name}.{n}")) for n, p in values.items()}
-        return FoundEffect(
-            name, get_effect(name).kind, parameters,
-            tuple(r.name for r in others), evidence.position, _values(evidence), (),
-            *most_affected(evidence, self.limits))
+        return FoundEffect(name, get_effect(name).kind, parameters, tuple(r.name for r in others), evidence.position,
+                           _values(evidence), (), *most_affected(evidence, self.limits))
 
     def _cancelling(self, search: Search, found: Found, name: str) -> tuple[str, ...]:
-        """Effects of the answer that cancel this one: removing both costs much less than removing one."""
+        """Effects of the answer that cancel this one: removing both raises the loss much less than removing one."""
         fit, alone = found.fit, search.promised(found.fit, name)
         return tuple(n for n in fit.names if n != name and search.promised(fit, n, name)
                      < self.limits.rival * max(alone, search.promised(fit, n)))
 
     def _assumed(self) -> tuple[Assumed, ...]:
+        """The quantities of the vehicle file that are priors."""
         known = {q.key: Assumed(q.key, q.unit, q.value, q.deviation, q.stated)
                  for q in self.problem.quantities if q is not None}
         return tuple(known.values())
@@ -317,7 +318,7 @@ class _Work:
     def _axles(self, found: Found, all_free: Joint | None,
                unexplained: float) -> tuple[Axles | None, tuple[ForceCurve, ...], tuple[Combination, ...]]:
         """(axle forces under the answer, force curves, combinations); empty for a base without tyres, driving without
-        slip, or values so uncertain that they exceed those of cars."""
+        slip, or values so uncertain that they exceed the limits of a vehicle file."""
         base = self.space.at(self.problem.start)
         try:
             axles = Axles(self.problem, found.fit, all_free, self.runs, self.vehicle, unexplained)
@@ -327,8 +328,8 @@ class _Work:
 
     def _verdicts(self, found: Found, everything: Sequence[FoundEffect], axles: Axles | None,
                   left_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, Reason]:
-        """The verdict on each effect of the answer. With a reference, intervals do not decide, as they contain what its
-        drives leave open."""
+        """The verdict on each effect of the answer. With a reference, intervals do not decide, as they contain the
+        uncertainty of the healthy car."""
         worse: dict[str, str] = {}
         driven = 1.0
         if axles is not None and not self.reference:
@@ -340,13 +341,14 @@ class _Work:
             driven if get_effect(e.name).at_peak_force else 1.0, worse.get(e.name, ""))) for e in everything}
 
     def _effective(self, whole: Problem, fit: Fit, found: Found) -> tuple[FoundEffect, ...]:
+        """The effective corrections: effects of the fit that are not in the answer."""
         ends = waterfall.Ends(whole, self.settings.seed)
         return tuple(FoundEffect(n, get_effect(n).kind, waterfall.parameters(whole, fit, n, {}), (),
                                  ends.position_without(fit, n), {})
                      for n in fit.names if n not in found.fit.names)
 
     def _varying_effects(self, found: Found, parts: Mapping[str, Level]) -> list[tuple[BoundEffect, Fit | None]]:
-        """The effect that is significant but varies over the driving: one refused for that, else the most variable."""
+        """The significant effect that varies over the driving: one rejected for that, else the one that varies most."""
         collected: list[tuple[BoundEffect, Fit | None]] = []
         # An effect of the answer, or an alternative to one, is not reported as varying as well.
         taken = [*found.fit.names, *(r.name for others in found.rivals.values() for r in others
@@ -356,7 +358,7 @@ class _Work:
                     and is_relevant(evidence, self.limits) and not collected):
                 level = varies_over(evidence, self.limits)
                 collected.append((BoundEffect(name, level, waterfall.parameters(self.problem, fit, name, {}),
-                                         _values(evidence)[level], evidence.position), fit))
+                                              _values(evidence)[level], evidence.position), fit))
         if not collected:
             for v in varying(self.problem, found.fit, parts):
                 evidence = evidence_of(self.problem, found.fit, v, parts)
@@ -378,11 +380,11 @@ class _Work:
         return BoundEffect(v.name, v.level, {v.parameter: found}, shares, position)
 
     def _reasons(self, found: Found, named: Mapping[str, Reason]) -> list[Reason]:
-        collected = list(named.values())
-        collected += [alternative(r, self.limits) for others in found.rivals.values() for r in others]
-        return [*collected, *(verdict for _, verdict, _ in found.refused.values())]
+        return [*named.values(), *(alternative(r, self.limits) for others in found.rivals.values() for r in others),
+                *(verdict for _, verdict, _ in found.refused.values())]
 
     def _candidates(self, found: Found, named: Mapping[str, Reason]) -> tuple[Candidate, ...]:
+        """Gain and verdict of every effect of the library."""
         problem, space, rows = self.problem, self.space, []
         # An effect that was tried in several places is listed where it explains most.
         rivals = {r.name: r for r in sorted((r for others in found.rivals.values() for r in others),
@@ -408,18 +410,19 @@ class _Work:
                                      f"it reduces the size of the errors by {share_of(gain):.1%}; others reduce it by "
                                      "more, and were tried first")
             else:
-                verdict, gain = Reason("part of the answer", name, {}, "a part of what is stated, or made of it"), 0.0
+                verdict, gain = Reason("part of the answer", name, {}, "part of a stated effect, or its sum"), 0.0
             rows.append(Candidate(name, get_effect(name).kind, values, share_of(gain), verdict.rule, verdict.text))
         return tuple(sorted(rows, key=lambda c: -c.gain))
 
     def _catalogue(self, found: Found, effects: Sequence[FoundEffect]) -> Catalogue | None:
+        """The simulated manoeuvres, if they are needed."""
         if not self.settings.where and not any(e.alternatives for e in effects):
             return None
         self._tick("next drive")()
         return catalogue(self.problem, found.fit)
 
-    def _untestable(self, power: Certificate, names: _Names,
-                    driven: Catalogue | None) -> tuple[NotTestable, ...]:
+    def _untestable(self, power: Certificate, names: _Names, driven: Catalogue | None) -> tuple[NotTestable, ...]:
+        """Effects that these drives cannot show."""
         stated = {*(name for e in names.stated for name in (e.name, *e.alternatives)), *(e.name for e in names.minor)}
         collected = []
         for name in self.space.hypotheses:
@@ -429,11 +432,11 @@ class _Work:
             largest = max(powers, key=lambda p: p.size)
             drive = shows(self.problem, name, driven) if driven else ""
             size = f"{100 * largest.size:.3g} %" if largest.unit == "1" else f"{largest.size:.3g} {largest.unit}"
-            collected.append(NotTestable(name, f"{size} of it would be found with probability "
-                                          f"{largest.found:.2f}; it shows in {get_effect(name).excited_by}", drive))
+            collected.append(NotTestable(name, f"{size} of it would be found with probability {largest.found:.2f}; it "
+                                         f"shows in {get_effect(name).excited_by}", drive))
         for name in self.space.without_signal:
             signals = ", ".join(get_effect(name).signals)
-            collected.append(NotTestable(name, f"it needs the signal {signals}, which is not there"))
+            collected.append(NotTestable(name, f"it needs the signal {signals}, which is not recorded"))
         return (*collected, *(NotTestable(name, reason) for name, reason in ALREADY_GIVEN.items()))
 
     @staticmethod
@@ -456,17 +459,19 @@ class _Work:
 
     def _where(self, fit: Fit, floor: Mapping[str, float]) -> tuple[WhereStatement, ...]:
         self._tick("where")()
-        return where(self.runs, self.space.at(fit.vector), self.vehicle, self.settings, self.reference,
-                     {c: v for c, v in floor.items() if c != "position_5s"}, float(fit.vector[-1]))
+        noise = {channel: value for channel, value in floor.items() if channel != "position_5s"}
+        return survey(self.runs, self.space.at(fit.vector), self.vehicle, self.settings, self.reference, noise,
+                      float(fit.vector[-1])).statements
 
     def _run_table(self) -> tuple[Run, ...]:
         site = sites(self.windows)
-        collected = [Run(log.name, "suspect", log.overlap, int(site[self.windows.run == k][0])
-                    if (self.windows.run == k).any() else 0, int((self.windows.run == k).sum()))
-                for k, log in enumerate(self.runs)]
-        return (*collected, *(Run(log.name, "reference", log.overlap, 0, 0) for log in self.reference))
+        windows = [np.flatnonzero(self.windows.run == k) for k in range(len(self.runs))]
+        return (*(Run(log.name, "suspect", log.overlap, int(site[rows[0]]) if len(rows) else 0, len(rows))
+                  for log, rows in zip(self.runs, windows, strict=True)),
+                *(Run(log.name, "reference", log.overlap, 0, 0) for log in self.reference))
 
     def _tick(self, stage: str) -> Callable[[], None]:
+        """A function that reports progress in a stage."""
         def tick() -> None:
             self._count += 1
             if self._progress:
@@ -496,11 +501,11 @@ def null_excluded(effect: FoundEffect) -> bool:
 
 
 def with_sensor_interval(fitted: FittedParameter, known: tuple[float, float, float] | None) -> FittedParameter:
-    """The value with the width of the interval that the sensors measure among themselves, (value, low, high), where
-    they agree with the value and exclude the null although its own interval contains it."""
+    """The value with the width of the interval that the sensors measure among themselves, (value, low, high), if they
+    agree with the value and exclude the null although its own interval contains it."""
     _, low, high = known or (0.0, -np.inf, np.inf)
-    open_ = fitted.interval[0] <= fitted.null <= fitted.interval[1]
-    if not open_ or not low <= fitted.value <= high or low <= fitted.null <= high:
+    contains_null = fitted.interval[0] <= fitted.null <= fitted.interval[1]
+    if not contains_null or not low <= fitted.value <= high or low <= fitted.null <= high:
         return fitted
     half = 0.5 * (high - low)
     return replace(fitted, interval=(fitted.value - half, fitted.value + half))

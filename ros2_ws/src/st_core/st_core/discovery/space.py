@@ -1,7 +1,7 @@
-"""The parameter vector of a discovery, and how well the vehicle file fixes each parameter.
+"""The parameter vector of a discovery, and the priors of the vehicle file.
 
 The vector contains all parameters of all effects of the library, and the gain of the accelerometer by body roll. All
-its values share one set of compiled functions.
+vectors share one set of compiled functions.
 """
 
 import math
@@ -19,12 +19,13 @@ from .settings import DiscoverySettings
 
 DIFFERENCE_STEP = 0.02  # step of the difference quotients, over the usual size of an effect
 GAIN = "acceleration_gain"
-GAIN_USUAL, GAIN_BOUNDS = 0.05, (-0.3, 0.5)  # body roll of 5 mrad s^2/m, times g
+GAIN_USUAL, GAIN_BOUNDS = 0.05, (-0.3, 0.5)  # usual: body roll of 5 mrad s^2/m, times g
 
 
 @dataclass(frozen=True)
 class Free:
-    """One parameter of the vector. usual: its usual size, the unit in which steps and distances are measured; > 0."""
+    """One parameter of the vector. usual: its usual size > 0, the unit of steps and distances. sign: of initial -
+    null."""
 
     effect: str
     parameter: str
@@ -37,12 +38,12 @@ class Free:
 
 
 class Space:
-    """base: model that the effects are added to. more: further effects of the model, not searched. library: names of
-    the effects to choose from, default all that apply.
+    """Parameters of all effects that apply to a base model. more: further effects of the model, not searched. library:
+    names of the effects to choose from, default all that apply.
 
-    hypotheses: names of the effects that are searched. null: (p,) vector of the base; scale, low, high: (p,) usual
-    sizes and bounds. deviation: (p,) of what is added to the measured car, as a load [usual sizes], inf for all else;
-    on_top: names of these hypotheses.
+    hypotheses: names of the searched effects. null: (p,) vector of the base; scale, low, high: (p,) usual sizes and
+    bounds. deviation: (p,) prior standard deviation of additions to the measured car, as a load [usual sizes], inf of
+    all others; on_top: names of the effects with additions.
     """
 
     def __init__(self, base: str | Model, settings: DiscoverySettings, more: Sequence[str] = (),
@@ -51,17 +52,17 @@ class Space:
         kind = base.base if isinstance(base, AugmentedModel) else base
         known = tuple(n for n in applicable(kind.name) if library is None or n in library)
         self.without_signal = tuple(n for n in known if get_effect(n).signals)
-        takes_part = [n for n in known if n not in self.without_signal]
-        self.hypotheses = _chosen(takes_part, settings, known)
-        everything = neutral(augment(kind, [*takes_part, *more]))
+        usable = [n for n in known if n not in self.without_signal]
+        self.hypotheses = _chosen(usable, settings, known)
+        everything = neutral(augment(kind, [*usable, *more]))
         values = {n: dict(v) for n, v in base.values.items()} if isinstance(base, AugmentedModel) else {}
         self.model = everything.with_values(values)
         self.null = np.append(self.model.vector, 0.0)
         self.free = tuple(Free(e, p.name, p.unit, float(null), usual_size(e, p.unit), p.bounds,
                                1.0 if p.initial > p.null else -1.0, p.theory)
                           for (e, p), null in zip(self.model.free, self.null[:-1], strict=True))
-        self.deviation = np.array([p.deviation / f.usual for (_, p), f in zip(self.model.free, self.free, strict=True)]
-                                  + [np.inf])
+        deviations = (p.deviation / f.usual for (_, p), f in zip(self.model.free, self.free, strict=True))
+        self.deviation = np.array([*deviations, np.inf])
         self.on_top = tuple(n for n in self.hypotheses
                             if any(p.deviation < math.inf for p in get_effect(n).parameters))
         self.effect_of = np.array([f.effect for f in self.free] + [GAIN])
@@ -79,6 +80,7 @@ class Space:
         return self.model.with_vector(self.inside(vector)[:-1].tolist())
 
     def inside(self, vector: np.ndarray) -> np.ndarray:
+        """A vector limited to the bounds."""
         return np.clip(vector, self.low, self.high)
 
     def indices(self, *names: str) -> np.ndarray:
@@ -96,18 +98,20 @@ class Space:
 
 
 def usual_size(effect: str, unit: str) -> float:
-    """The largest |initial - null| of the effect's parameters of one unit: the components of wind share it."""
+    """The largest |initial - null| of the parameters of an effect with this unit; both components of wind have the same
+    usual size."""
     return max(abs(p.initial - p.null) for p in get_effect(effect).parameters if p.fit and p.unit == unit)
 
 
-def _chosen(takes_part: Sequence[str], settings: DiscoverySettings, known: Sequence[str]) -> tuple[str, ...]:
+def _chosen(usable: Sequence[str], settings: DiscoverySettings, known: Sequence[str]) -> tuple[str, ...]:
+    """Names of the effects to search. Raises ConfigurationError. known: names that apply to the base."""
     requested = settings.effects
     for name in requested or ():
         if name not in EFFECTS:
             get_effect(name)
         if name not in known:
             raise ConfigurationError(f"effects: {name} does not apply to this base; there are {', '.join(known)}")
-    chosen = tuple(n for n in takes_part if (requested is None or n in requested)
+    chosen = tuple(n for n in usable if (requested is None or n in requested)
                    and set(get_effect(n).needs) <= set(settings.channels))
     if not chosen:
         raise ConfigurationError("effects: none of those requested can be tried on this base with these channels")
@@ -118,9 +122,9 @@ def _chosen(takes_part: Sequence[str], settings: DiscoverySettings, known: Seque
 class Known:
     """A quantity of the vehicle file that a parameter of an effect changes.
 
-    key: in the file. unit: SI. value, deviation [SI]: of the file. slope: change of the quantity per unit of the
-    parameter. stated: whether the file states the deviation; otherwise it is the default of the quantity. absent: value
-    of the quantity in a model without the effect [SI]; not `value` where the base model lacks the quantity.
+    value, deviation [SI]: of the file. slope: change of the quantity per unit of the parameter. stated: whether the
+    file states the deviation; otherwise it is the default of the quantity. absent [SI]: value of the quantity in a
+    model without the effect, 0 where the equations of the base lack it.
     """
 
     key: str
@@ -144,7 +148,7 @@ Quantities = tuple[Known | None, ...]
 
 
 def known_quantities(space: Space, vehicle: VehicleParameters) -> Quantities:
-    """(p,) for each parameter, the quantity it changes that the file fixes best; None without one."""
+    """(p,) quantity of the vehicle file that each parameter changes, the most precise if several; None without one."""
     return (*(_known(space, vehicle, i) for i in range(len(space.free))), None)
 
 
@@ -155,11 +159,12 @@ def prior_deviations(known: Quantities, scale: np.ndarray) -> np.ndarray:
 
 
 def _known(space: Space, vehicle: VehicleParameters, i: int) -> Known | None:
+    """Of one parameter: as it declares, else by the finite difference of the effect's `fold`."""
     free = space.free[i]
     effect = get_effect(free.effect)
     parameter = next(p for p in effect.parameters if p.name == free.parameter)
     if parameter.quantity:
-        # A base model without the quantity in its equations lacks all of it.
+        # Equations without the quantity have it as 0.
         absent = value_of(vehicle, parameter.quantity) if space.model.base.name == "nonlinear" else 0.0
         return _of(vehicle, parameter.quantity, 1.0, absent)
     if effect.fold is None or parameter.deviation < math.inf:
@@ -170,18 +175,17 @@ def _known(space: Space, vehicle: VehicleParameters, i: int) -> Known | None:
         try:
             before, after = (effect.fold(vehicle, effect.Theta(**null | {free.parameter: value}, car=()))
                              for value in (free.null, free.null + change))
-        except ConfigurationError:  # the vehicle file is at a limit of what one may hold
+        except ConfigurationError:  # beyond the limits of a vehicle file
             continue
-        found = []
-        for key in dict.fromkeys((*DEFAULT_UNCERTAINTIES, *vehicle.provenance)):
-            slope = (value_of(after, key) - value_of(before, key)) / change
-            known = _of(vehicle, key, slope, value_of(vehicle, key)) if abs(slope) > 1e-9 else None
-            found += [known] if known else []
-        return max(found, key=lambda k: abs(k.slope) / k.deviation, default=None)
+        slopes = {key: (value_of(after, key) - value_of(before, key)) / change
+                  for key in dict.fromkeys((*DEFAULT_UNCERTAINTIES, *vehicle.provenance))}
+        found = [_of(vehicle, key, slope, value_of(vehicle, key)) for key, slope in slopes.items() if abs(slope) > 1e-9]
+        return max(filter(None, found), key=lambda k: abs(k.slope) / k.deviation, default=None)
     return None
 
 
 def _of(vehicle: VehicleParameters, key: str, slope: float, absent: float) -> Known | None:
+    """None for a quantity without a standard deviation."""
     deviation = vehicle.uncertainty(key)
     stated = vehicle.provenance.get(key)
     known = quantity(key)

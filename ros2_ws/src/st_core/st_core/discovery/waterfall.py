@@ -1,4 +1,4 @@
-"""Reduction of the held-out error by step, channel and part of the answer."""
+"""Reduction of the held-out error by step, channel and part of the answer, and intervals of the values."""
 
 from collections.abc import Mapping, Sequence
 
@@ -49,19 +49,20 @@ class Ends:
 
     def change(self, channel: str, before: np.ndarray, after: np.ndarray) -> Change:
         """Error before and after, with a 95 % interval of the reduction by bootstrap of whole blocks."""
-        turn = (lambda v: v) if channel == "position_5s" else np.sqrt
+        mean = (lambda v: v) if channel == "position_5s" else np.sqrt
         known = np.isfinite(before) & np.isfinite(after)
         if not known.any():
             return Change(float("nan"), float("nan"), (float("nan"), float("nan")), UNITS[channel])
         count = np.bincount(self.block[known], minlength=self.problem.blocks)
         sums = [np.bincount(self.block[known], v[known], self.problem.blocks) for v in (before, after)]
         number = np.maximum(self._weights @ count, 1)
-        fall = turn(self._weights @ sums[0] / number) - turn(self._weights @ sums[1] / number)
+        fall = mean(self._weights @ sums[0] / number) - mean(self._weights @ sums[1] / number)
         low, high = np.quantile(fall, (0.025, 0.975))
-        base, augmented = (float(turn(v[known].mean())) for v in (before, after))
+        base, augmented = (float(mean(v[known].mean())) for v in (before, after))
         return Change(base, augmented, (float(low), float(high)), UNITS[channel])
 
     def by_run(self, values: np.ndarray) -> dict[str, float]:
+        """Mean of (n,) values by run; runs without a finite one are left out."""
         return {name: float(np.nanmean(values[self.run == k])) for k, name in enumerate(self.names)
                 if np.isfinite(values[self.run == k]).any()}
 
@@ -74,14 +75,14 @@ def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Lev
     Half width: the largest of that from independent blocks, that of the differences between parts of any level, and
     that of a fit with `everything` else free, there with the model error and widened by `unexplained`, the residual
     over the noise (Birge, Phys. Rev. 40, 1932). The interval extends to the values in `near`, sets of effects that are
-    hardly worse. So it contains that the equations of the model are not those of the car.
+    hardly worse. It thus allows for differences between the equations of the model and the car.
     """
     space, result = problem.space, {}
     own = space.indices(effect)
     model_error = np.array([p.model_error for p in get_effect(effect).parameters if p.fit])
     place = np.searchsorted(fit.indices, own)
     spread = np.sqrt(np.maximum(np.diag(covariance(problem, fit))[place], 0.0)) * space.scale[own]
-    if problem.prior is not None:  # the healthy car is known with an uncertainty too
+    if problem.prior is not None:  # the values of the healthy car are uncertain as well
         spread = np.hypot(spread, np.sqrt(0.5 * np.diag(inverse(problem.prior))[own]) * space.scale[own])
     quantile = float(stats.t.ppf(0.975, max(problem.blocks - len(fit.indices), 2)))
     reach = quantile * spread
@@ -117,9 +118,8 @@ def _over_parts(collected: Mapping[str, tuple[float, float]]) -> float:
 
 def steps(problem: Problem, final: Fit, order: Sequence[str], ends: Ends,
           levels: Mapping[str, Level]) -> tuple[list[Step], Fit]:
-    """The steps from the base to the answer, one effect at a time, and the fit of the base. Keeps the scale of the
-    loss.
-    """
+    """The steps from the base to the answer, one effect at a time, and the fit of the base. Restores the scale of the
+    loss."""
     if not order:
         return [], final
     scale = problem.loss.scale.copy()  # the design effect stays that of the answer
@@ -174,9 +174,10 @@ def left_out(problem: Problem, fit: Fit) -> dict[str, dict[str, dict[str, float]
 
 def budget(problem: Problem, base: Fit, final: Fit, whole: Fit, bound: Fit | None, ends: Ends) -> list[BudgetLine]:
     """Contribution of each part when added last and when added first, to the mean position error after 5 s and to the
-    loss at the scale of the answer. whole: fit with effective corrections. bound: fit with what varies with place, time
-    or condition."""
+    loss at the scale of the answer. whole: fit with effective corrections. bound: fit with an effect that varies over
+    the driving."""
     def size(fit: Fit) -> tuple[float, float]:
+        """(mean position error [m], loss per scored error)."""
         end = ends.of(fit)
         values = end.get("position_5s", np.zeros(1))
         return float(np.nanmean(values)), float(fit.held_out.sum()) / problem.number
@@ -186,7 +187,7 @@ def budget(problem: Problem, base: Fit, final: Fit, whole: Fit, bound: Fit | Non
                           last[1] / max(start[1], 1e-9), first[1] / max(start[1], 1e-9))
 
     def fitted(names: tuple[str, ...]) -> Fit:
-        """The best of two fits, started at the answer and at the base, and the base itself."""
+        """The best of the base and two fits, started at the answer and at the base."""
         near = problem.renewed(problem.fit(names, final.slopes, iterations=3))
         far = problem.renewed(problem.fit(names, problem.everything(base.vector), base.vector, names))
         return min((near, far, base), key=lambda fit: float(fit.held_out.sum()))

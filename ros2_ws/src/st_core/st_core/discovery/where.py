@@ -1,4 +1,4 @@
-"""Where a model misses: its errors by condition, time and place against what is to be expected, put into sentences."""
+"""Conditions, times and places with larger prediction errors than expected, as statements."""
 
 import itertools
 import math
@@ -30,24 +30,22 @@ from .where_parts import (
     changes,
     excesses,
     membership,
-    words,
+    range_text,
 )
 from .windows import STEP, Errors, Windows
 
-SHORT_HORIZON = 1.0  # s; errors of velocity, rate and acceleration over this much show where they arise
+SHORT_HORIZON = 1.0  # s, of errors of velocity, rate and acceleration: near the place where they arise
 RESAMPLES = 1000  # of the bootstrap
 MAX_RANGES = 3  # statements about conditions per channel
 SIGNED = ("lateral acceleration", "steering angle", "steering rate")
-MIN_CONTRAST = 1.15  # a range is reported when it is so many times worse than the channel everywhere
+MIN_CONTRAST = 1.15  # error of a range over that of the channel everywhere, from which it is reported
 
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """Everything behind the statements, for figures. statements: the largest excess first within each channel.
-
-    samples, reference: errors of single predictions. bins: by condition. parts: of runs worse than their rest. places:
-    worse than conditions explain.
-    """
+    """Statements, the largest excess first within each channel, and their data: samples, reference: errors of single
+    predictions. bins: by condition. parts: of runs with larger errors than the rest of the run. places: with larger
+    errors than the conditions explain."""
 
     statements: tuple[WhereStatement, ...]
     samples: Samples
@@ -55,13 +53,6 @@ class Survey:
     bins: tuple[BinExcess, ...]
     parts: tuple[Part, ...]
     places: tuple[Cell, ...]
-
-
-def where(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters, settings: DiscoverySettings,
-          reference: Sequence[DriveLog] = (), noise: Mapping[str, float] | None = None,
-          gain: float = 0.0) -> tuple[WhereStatement, ...]:
-    """The statements of `survey`."""
-    return survey(runs, model, vehicle, settings, reference, noise, gain).statements
 
 
 def survey(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters, settings: DiscoverySettings,
@@ -92,10 +83,7 @@ def survey(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehiclePara
 
 def sample(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters, settings: DiscoverySettings,
            gain: float = 0.0) -> Samples:
-    """All windows of the runs, see `windows.Windows`.
-
-    Mean square over the first second; of a channel with errors that add up, square at the end of the horizon.
-    """
+    """Samples of all windows of the runs, see `windows.Windows`."""
     windows = Windows(runs, vehicle, settings)
     errors = windows.errors(model, gain)
     squares = _squares(errors)
@@ -110,6 +98,7 @@ def sample(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehiclePara
 
 
 def _squares(errors: Errors) -> dict[str, np.ndarray]:
+    """(n,) by channel: mean square error over the first second; where errors add up, at the end of the horizon."""
     short = errors.time <= max(SHORT_HORIZON, float(errors.time[0]))
     found: dict[str, np.ndarray] = {}
     for index, column in enumerate(errors.columns):
@@ -139,6 +128,7 @@ def _of_run(log: DriveLog, seconds: np.ndarray, horizon: float) -> dict[str, np.
 
 
 def _significant(found: list[Cell]) -> list[Cell]:
+    """Those significant by Benjamini and Hochberg over all, and at least MIN_STEP_RATIO in size."""
     if not found:
         return []
     adjusted = stats.false_discovery_control([c.p for c in found], method="bh")
@@ -146,15 +136,16 @@ def _significant(found: list[Cell]) -> list[Cell]:
 
 
 def _statements(channel: str, bins: Sequence[BinExcess], parts: Sequence[Part], places: Sequence[Cell],
-                samples: Samples, learnt: bool) -> list[WhereStatement]:
+                samples: Samples, with_reference: bool) -> list[WhereStatement]:
+    """Statements on one channel; empty without a significant bin."""
     mine = [b for b in bins if b.channel == channel]
     if not any(b.significant for b in mine):
         return []
     whole = next(b for b in mine if b.range.quantity == EVERYWHERE)
-    collected = [_range_statement(group, mine, whole, learnt) for group in _groups(mine)]
-    # Ranked by what is sure: a range with few observations can seem very bad by chance.
-    clear = sorted((s for s in collected if s.interval[0] > 1.0 and s.excess >= MIN_CONTRAST * whole.excess),
-                  key=lambda s: -s.interval[0])
+    found = [_range_statement(group, mine, whole, with_reference) for group in _groups(mine)]
+    # Ranked by the lower bound: a range with few observations can have a large error by chance.
+    clear = sorted((s for s in found if s.interval[0] > 1.0 and s.excess >= MIN_CONTRAST * whole.excess),
+                   key=lambda s: -s.interval[0])
     statements = [*clear[:MAX_RANGES]]
     if whole.significant:
         statements.append(WhereStatement(channel, EVERYWHERE, whole.excess, whole.interval))
@@ -164,7 +155,7 @@ def _statements(channel: str, bins: Sequence[BinExcess], parts: Sequence[Part], 
 
 
 def _groups(mine: Sequence[BinExcess]) -> list[list[BinExcess]]:
-    """Neighbouring significant ranges of one quantity that are alike, together."""
+    """Significant ranges of one quantity, neighbours with similar excess in one group."""
     groups: list[list[BinExcess]] = []
     for _, of_quantity in itertools.groupby((b for b in mine if b.range.quantity != EVERYWHERE),
                                             key=lambda b: b.range.quantity):
@@ -182,20 +173,21 @@ def _groups(mine: Sequence[BinExcess]) -> list[list[BinExcess]]:
 
 
 def _range_statement(group: Sequence[BinExcess], mine: Sequence[BinExcess], whole: BinExcess,
-                     learnt: bool) -> WhereStatement:
+                     with_reference: bool) -> WhereStatement:
+    """Statement on a group of ranges. mine: all bins of the channel; whole: the one of all driving."""
     quantity = group[0].range.quantity
     if quantity == "direction":
         return WhereStatement(whole.channel, f"{group[0].range.label} turns" if group[0].range.label != "straight"
                               else "straight driving", group[0].excess, group[0].interval)
     unit = group[0].range.label.rsplit(" ", 1)[1]
     low, high = group[0].range.low, group[-1].range.high
-    assert low is not None and high is not None  # of all but the directions
-    condition = words(quantity, unit, low, high)
+    assert low is not None and high is not None  # all quantities but the direction have edges
+    condition = range_text(quantity, unit, low, high)
     sides = {b.range.label: b for b in mine if b.range.quantity == "direction" and b.range.label != "straight"}
     if quantity in SIGNED and group[0].range.low and len(sides) == 2 and all(b.significant for b in sides.values()):
         condition += ", both directions"
-    if learnt and not all(b.covered for b in group):
-        condition += " (the reference was hardly there)"
+    if with_reference and not all(b.covered for b in group):
+        condition += " (hardly driven in the reference)"
     weights = np.array([b.blocks for b in group], float)
     excess = math.sqrt(float((weights * [b.excess ** 2 for b in group]).sum() / weights.sum()))
     low, high = (math.sqrt(float((weights * [b.interval[k] ** 2 for b in group]).sum() / weights.sum()))
@@ -204,27 +196,27 @@ def _range_statement(group: Sequence[BinExcess], mine: Sequence[BinExcess], whol
 
 
 def _part_statement(part: Part, whole: BinExcess, samples: Samples) -> WhereStatement:
-    """Time: the level of the part itself is the whole channel's times its step."""
+    """Statement on a stretch of a run; its excess is that of the channel times the step of the part."""
     last = float(samples.time[samples.run == part.run].max())
     name = samples.names[part.run]
     when = (f"from {part.start:.0f} s on" if part.end >= last - 1.0 else f"until {part.end:.0f} s" if part.start < 2.0
             else f"from {part.start:.0f} to {part.end:.0f} s")
-    text = f"run {name}, {when}: {part.step:.1f} times as much as on the rest of the run under like conditions"
+    text = f"run {name}, {when}: {part.step:.1f} times the error of the rest of the run under similar conditions"
     return WhereStatement(part.channel, text, whole.excess * part.step,
                           (whole.interval[0] * part.step, whole.interval[1] * part.step))
 
 
 def _place_statements(places: Sequence[Cell], whole: BinExcess) -> list[WhereStatement]:
-    """Places that touch each other are one."""
-    left, statements = list(places), []
-    while left:
-        cluster = [left.pop(0)]
+    """Statements on places, neighbouring cells together; the two with the largest excess."""
+    remaining, statements = list(places), []
+    while remaining:
+        cluster = [remaining.pop(0)]
         grown = True
         while grown:
-            near = [c for c in left if any(max(abs(c.x - o.x), abs(c.y - o.y)) < 1.6 * CELL_SIZE for o in cluster)]
+            near = [c for c in remaining if any(max(abs(c.x - o.x), abs(c.y - o.y)) < 1.6 * CELL_SIZE for o in cluster)]
             grown = bool(near)
             cluster += near
-            left = [c for c in left if c not in near]
+            remaining = [c for c in remaining if c not in near]
         x, y = (float(np.mean([getattr(c, axis) for c in cluster])) for axis in ("x", "y"))
         reach = max(math.hypot(c.x - x, c.y - y) for c in cluster) + 0.5 * CELL_SIZE
         step = float(np.mean([c.step for c in cluster]))

@@ -1,19 +1,19 @@
 """Parts of the driving with larger errors: ranges of the conditions, stretches of a run, places.
 
-A range, with an interval that respects correlation in time:
+Ranges of a condition:
 
-    excess = sqrt(mean square in the bin / mean square expected there)
+    excess = sqrt(mean square error in the bin / expected mean square error)
 
-The expected one is that of reference drives in the same bin, of all their bins together where they hardly visit it, or
-the sensor noise without reference. Interval and p come from resampling whole blocks of time: neighbouring predictions
-miss alike. Which bins count is decided over all bins at once (Benjamini and Hochberg, 1995).
+Expected is that of reference drives in the same bin, the largest of their bins where they hardly visit it, or the
+sensor noise without reference. Interval and p-value are from resampling whole blocks of time, since errors of
+neighbouring predictions are correlated. Significance is decided over all bins (Benjamini and Hochberg, 1995).
 
-A corner is always harder than a straight, so levels of time and place are compared with what the same conditions give
-elsewhere:
+Errors are larger in corners than on straights, so times and places are compared by the residuals of a regression on the
+conditions, over all predictions:
 
     log(mean square + noise) = a + b . (log speed, log lateral acceleration, log steering rate, |forward acceleration|)
 
-fitted over all predictions; what is left changes at a patch of ice, a gust or when something breaks.
+They change at a patch of ice, in a gust, or with a defect.
 """
 
 import itertools
@@ -29,25 +29,25 @@ from ..binning import LATERAL_ACCELERATION, SPEED, STEERING_RATE
 STEERING_ANGLE = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)  # rad at the road wheels, magnitude
 FORWARD_ACCELERATION = (-math.inf, -2.0, -0.7, 0.7, 2.0)  # m/s^2
 MIN_TURNING = 0.5  # m/s^2; below that a stretch is straight
-MIN_BLOCKS = 4  # for an interval to mean something
-FALSE_DISCOVERY_RATE = 0.05  # share among the bins called significant
-MIN_FLOOR_RATIO = 1.25  # times the floor; less is not relevant, however significant
+MIN_BLOCKS = 4  # of a bin with an interval
+FALSE_DISCOVERY_RATE = 0.05  # among the significant bins
+MIN_FLOOR_RATIO = 1.25  # error over the floor from which a bin is relevant
 
 CELL_SIZE = 20.0  # m, side of a cell of the map
 MIN_PART_DURATION = 8.0  # s, of a part between change points
 MAX_P_VALUE = 0.01  # of a change point
-MIN_STEP_RATIO = 1.5  # times, of root mean squares
+MIN_STEP_RATIO = 1.5  # of root mean squares
 MAX_CHANGES = 3  # of a run and channel
-PERMUTATIONS = 299  # enough to resolve a p of 0.01
+PERMUTATIONS = 299  # they resolve a p-value of 0.01
 
 EVERYWHERE = "everywhere"
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """One row for each prediction. run: index into names. time [s] after the run's first measurement. x, y [m] of its
-    start. block: equal where errors are one observation. conditions: (n,) by name. squares: (n,) mean squared error
-    over the horizon by channel [unit^2]."""
+    """One row for each prediction. run: index into names. time [s] after the first measurement of the run. x, y [m]: of
+    its start. block: number of a stretch of time that counts as one observation. conditions: (n,) by name. squares:
+    (n,) mean squared error by channel [unit^2]."""
 
     names: tuple[str, ...]
     run: np.ndarray
@@ -61,7 +61,7 @@ class Samples:
 
 @dataclass(frozen=True)
 class Range:
-    """Part of a quantity. label: as read by people. low, high: its edges, None for kinds that have none."""
+    """Range of a condition. label: for reports. low, high: None for the directions."""
 
     quantity: str
     label: str
@@ -71,8 +71,9 @@ class Range:
 
 @dataclass(frozen=True)
 class BinExcess:
-    """What one channel shows in one range. interval: 95 %. p: that it is not above the floor. covered: whether the
-    reference visited the range; True without one. blocks: observations. level: [unit], root mean square."""
+    """Error of one channel in one range. excess [1]: over the expected one; interval: 95 %. p: of an error not above
+    the expected. blocks: number of them. level [unit]: root mean square. covered: whether the reference visited the
+    range; True without one."""
 
     channel: str
     range: Range
@@ -87,7 +88,8 @@ class BinExcess:
 
 @dataclass(frozen=True)
 class Part:
-    """A stretch of a run, [s] after its first measurement. step: level over the rest of the run, root mean square."""
+    """A stretch of a run, [s] after its first measurement. step: error over that of the rest of the run under similar
+    conditions, root mean square."""
 
     channel: str
     run: int
@@ -99,7 +101,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Cell:
-    """A square of CELL_SIZE, centre in the map frame [m]. step: level over that elsewhere under like conditions."""
+    """A square of CELL_SIZE, centre in the map frame [m]. step: error over that elsewhere under similar conditions."""
 
     channel: str
     x: float
@@ -121,7 +123,7 @@ def membership(samples: Samples) -> tuple[tuple[Range, ...], np.ndarray]:
             ("steering rate", "rad/s", c["steering_rate"], STEERING_RATE),
             ("forward acceleration", "m/s²", c["forward_acceleration"], FORWARD_ACCELERATION)):
         for low, high in zip(edges, (*edges[1:], math.inf), strict=True):
-            ranges.append(Range(quantity, words(quantity, unit, low, high), low, high))
+            ranges.append(Range(quantity, range_text(quantity, unit, low, high), low, high))
             columns.append((values >= low) & (values < high))
     for label, rows in (("left", lateral >= MIN_TURNING), ("straight", np.abs(lateral) < MIN_TURNING),
                         ("right", lateral <= -MIN_TURNING)):
@@ -130,7 +132,7 @@ def membership(samples: Samples) -> tuple[tuple[Range, ...], np.ndarray]:
     return tuple(ranges), np.stack(columns, axis=1)
 
 
-def words(quantity: str, unit: str, low: float, high: float) -> str:
+def range_text(quantity: str, unit: str, low: float, high: float) -> str:
     """A range as text: "speed above 12 m/s"."""
     if math.isinf(high):
         return f"{quantity} above {low:g} {unit}"
@@ -141,7 +143,7 @@ def words(quantity: str, unit: str, low: float, high: float) -> str:
 
 @dataclass(frozen=True, eq=False)
 class _Means:
-    """Mean squares of bins with bootstrap deviation of their logarithm. blocks: observations in each."""
+    """Mean squares of bins, with the bootstrap standard deviation of their logarithm and the number of blocks."""
 
     mean: np.ndarray
     deviation: np.ndarray
@@ -162,18 +164,19 @@ def excesses(samples: Samples, members: np.ndarray, ranges: tuple[Range, ...], r
             there = _means(reference.squares[channel], reference.block, expected_members,
                            np.random.default_rng((seed, number, 1)), resamples)
             covered = there.blocks >= MIN_BLOCKS
-            # Where the reference was hardly ever: the largest of what it shows anywhere, so as not to cry wolf.
+            # Where the reference hardly drove: its largest error anywhere, to avoid false alarms.
             most = int(np.nanargmax(np.where(covered, there.mean, -1.0)))
             expected = np.where(covered, there.mean, there.mean[most])
             spread = np.where(covered, there.deviation, there.deviation[most])
         for k in np.flatnonzero(here.blocks >= MIN_BLOCKS):
             found.append(_excess(channel, ranges[k], float(here.mean[k]), float(expected[k]),
                                  math.hypot(here.deviation[k], spread[k]), int(here.blocks[k]), bool(covered[k])))
-    return judged(found)
+    return _with_significance(found)
 
 
 def _means(squares: np.ndarray, block: np.ndarray, members: np.ndarray, rng: np.random.Generator,
            resamples: int) -> _Means:
+    """Of each column of `members`, by resampling whole blocks."""
     known = np.isfinite(squares)
     _, index = np.unique(block[known], return_inverse=True)
     weights = members[known].astype(float)
@@ -193,14 +196,14 @@ def _means(squares: np.ndarray, block: np.ndarray, members: np.ndarray, rng: np.
         deviation = np.full(members.shape[1], np.nan)
         if enough.any():
             deviation[enough] = np.nanstd(drawn[:, enough], axis=0)
-        # A bootstrap over few blocks is too sure of itself by this much.
+        # Bessel's correction: a bootstrap over few blocks underestimates the deviation.
         deviation *= np.sqrt(blocks / np.maximum(blocks - 1, 1))
     return _Means(mean, deviation, np.where(np.isfinite(deviation), blocks, 0))
 
 
 def _excess(channel: str, part: Range, mean: float, expected: float, deviation: float, blocks: int,
             covered: bool) -> BinExcess:
-    """Log ratio of mean squares as Student t with as many observations as there are blocks."""
+    """Interval and p-value of a log ratio of mean squares by Student's t, with as many observations as blocks."""
     log_ratio = math.log(max(mean, 1e-300) / max(expected, 1e-300))
     deviation = max(deviation, 1e-6)
     reach = float(stats.t.ppf(0.975, blocks - 1)) * deviation
@@ -210,44 +213,41 @@ def _excess(channel: str, part: Range, mean: float, expected: float, deviation: 
                      math.sqrt(mean), covered)
 
 
-def judged(found: list[BinExcess]) -> tuple[BinExcess, ...]:
-    """`significant` by Benjamini and Hochberg over all of them; and at least MIN_FLOOR_RATIO times the floor."""
-    if not found:
-        return ()
-    p = np.array([f.p for f in found])
-    adjusted = stats.false_discovery_control(p, method="bh")
+def _with_significance(found: list[BinExcess]) -> tuple[BinExcess, ...]:
+    """`significant` filled in: by Benjamini and Hochberg over all, and at least MIN_FLOOR_RATIO times the floor."""
+    adjusted = stats.false_discovery_control([f.p for f in found], method="bh") if found else ()
     return tuple(replace(f, significant=bool(q <= FALSE_DISCOVERY_RATE and f.excess >= MIN_FLOOR_RATIO))
                  for f, q in zip(found, adjusted, strict=True))
 
 
-def remainders(samples: Samples, squares: np.ndarray, noise: float) -> np.ndarray:
-    """(n,) logarithm of a level over what its conditions predict; NaN where not known."""
+def log_residuals(samples: Samples, squares: np.ndarray, noise: float) -> np.ndarray:
+    """(n,) residuals of the regression of log squares on the conditions; NaN where not known."""
     c = samples.conditions
     rows = np.stack([np.ones(len(squares)), np.log(np.maximum(c["speed"], 0.5)),
                      np.log(np.abs(c["lateral_acceleration"]) + 0.2), np.log(c["steering_rate"] + 0.005),
                      np.abs(c["forward_acceleration"])], axis=1)
     values = np.log(squares + noise * noise)
     known = np.isfinite(values) & np.isfinite(rows).all(axis=1)
-    left = np.full(len(squares), np.nan)
+    residual = np.full(len(squares), np.nan)
     if known.sum() > 4 * rows.shape[1]:
         fitted, *_ = np.linalg.lstsq(rows[known], values[known], rcond=None)
-        left[known] = values[known] - rows[known] @ fitted
-    return left
+        residual[known] = values[known] - rows[known] @ fitted
+    return residual
 
 
 def changes(samples: Samples, channel: str, noise: float, block: float, seed: int, resamples: int) -> list[Part]:
-    """Stretches on which a run is worse than on its rest, found by binary segmentation.
+    """Stretches with larger errors than the rest of the run, found by binary segmentation.
 
-    A change counts when the largest cumulated sum of `remainders` is beyond that of the same blocks shuffled.
+    A change point is significant if the largest cumulated sum of `log_residuals` exceeds that of shuffled blocks.
     """
-    left = remainders(samples, samples.squares[channel], noise)
+    residual = log_residuals(samples, samples.squares[channel], noise)
     rng = np.random.default_rng((seed, 17))
     parts = []
     for run in np.unique(samples.run):
-        rows = np.flatnonzero((samples.run == run) & np.isfinite(left))
+        rows = np.flatnonzero((samples.run == run) & np.isfinite(residual))
         if not len(rows):
             continue
-        time, values = _seconds(samples.time[rows], left[rows])
+        time, values = _seconds(samples.time[rows], residual[rows])
         size = max(1, round(block))
         edges = sorted(_edges(values, 0, len(values), size, rng, resamples, MAX_CHANGES))
         cuts = [0, *(k for k, _ in edges), len(values)]
@@ -270,10 +270,11 @@ def _seconds(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _edges(values: np.ndarray, first: int, last: int, block: int, rng: np.random.Generator, resamples: int,
-           left: int) -> list[tuple[int, float]]:
+           most: int) -> list[tuple[int, float]]:
+    """(index, p-value) of at most `most` change points of values[first:last]."""
     part = values[first:last]
     shortest = round(MIN_PART_DURATION)
-    if left < 1 or len(part) < 2 * shortest:
+    if most < 1 or len(part) < 2 * shortest:
         return []
     sizes = _cusum(part[None])[0]
     at = int(np.argmax(sizes[shortest:-shortest])) + shortest if len(part) > 2 * shortest else shortest
@@ -287,8 +288,8 @@ def _edges(values: np.ndarray, first: int, last: int, block: int, rng: np.random
     if p > MAX_P_VALUE:
         return []
     middle = first + at
-    return [(middle, p), *_edges(values, first, middle, block, rng, resamples, left - 1),
-            *_edges(values, middle, last, block, rng, resamples, left - 1)][:left]
+    return [(middle, p), *_edges(values, first, middle, block, rng, resamples, most - 1),
+            *_edges(values, middle, last, block, rng, resamples, most - 1)][:most]
 
 
 def _cusum(rows: np.ndarray) -> np.ndarray:
@@ -299,16 +300,16 @@ def _cusum(rows: np.ndarray) -> np.ndarray:
 
 
 def cells(samples: Samples, channel: str, noise: float) -> list[Cell]:
-    """Places passed at least MIN_BLOCKS times (blocks), with p that conditions explain their errors."""
-    left = remainders(samples, samples.squares[channel], noise)
-    known = np.isfinite(left) & np.isfinite(samples.x) & np.isfinite(samples.y)
+    """Places passed in at least MIN_BLOCKS blocks, with the p-value of errors no larger than the conditions explain."""
+    residual = log_residuals(samples, samples.squares[channel], noise)
+    known = np.isfinite(residual) & np.isfinite(samples.x) & np.isfinite(samples.y)
     key = np.stack([np.floor(samples.x[known] / CELL_SIZE), np.floor(samples.y[known] / CELL_SIZE)], axis=1)
     unique, index = np.unique(key, axis=0, return_inverse=True)
     index = np.ravel(index)
     found = []
     for k, (column, row) in enumerate(unique):
         rows = np.flatnonzero(known)[index == k]
-        means = np.array([left[rows[samples.block[rows] == b]].mean() for b in np.unique(samples.block[rows])])
+        means = np.array([residual[rows[samples.block[rows] == b]].mean() for b in np.unique(samples.block[rows])])
         if len(means) < MIN_BLOCKS:
             continue
         deviation = max(float(means.std(ddof=1)) / math.sqrt(len(means)), 1e-6)

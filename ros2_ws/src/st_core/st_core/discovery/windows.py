@@ -1,8 +1,8 @@
-"""Multi-step errors: predictions from many instants of the recorded drives, compared with the sensors.
+"""Multi-step errors: predictions from many instants of the recorded drives, compared with the measurements.
 
 All runs are placed one after the other on one clock, so that one batch predicts all windows. A window starts from the
-measured state. Without measured sideslip it starts from that of steady cornering, and is scored after its influence has
-decayed.
+measured state. Without measured sideslip it starts from that of steady cornering, and is scored after the influence of
+this assumption has decayed.
 """
 
 from collections import OrderedDict
@@ -31,9 +31,9 @@ from .settings import DiscoverySettings
 
 STEP = 0.05  # s, of the integration
 SIDESLIP_SETTLING_TIME = 0.75  # s, decay of an assumed initial sideslip
-MARGIN_NS = 600_000_000  # ns at both ends of a run, so that delayed or advanced steering is known
+MARGIN_NS = 600_000_000  # ns at both ends of a run, for effects that delay or advance the steering
 MAX_GAP = 0.1  # s, longest gap that is interpolated, as PredictionSettings.maximum_gap
-MIN_SPEED = 1.5  # m/s; slower windows show no lateral motion
+MIN_SPEED = 1.5  # m/s; slower windows have no lateral motion
 PAUSE_NS = 5_000_000_000  # ns between runs on the common clock
 RECORDING_CACHE_SIZE = 4  # corrected recordings, and tables computed from them
 LOOKUP_CACHE_SIZE = 8  # sets of instants with their neighbouring samples
@@ -101,20 +101,20 @@ def _memory(array: np.ndarray) -> tuple:
     return array.ctypes.data, array.shape, array.strides
 
 
-def _remember(kept: OrderedDict, key: tuple, value: Any, most: int = RECORDING_CACHE_SIZE) -> Any:
-    kept[key] = value
-    while len(kept) > most:
-        kept.popitem(last=False)
+def _remember(cache: OrderedDict, key: tuple, value: Any, size: int = RECORDING_CACHE_SIZE) -> Any:
+    """Enter a value as the newest, drop the oldest, and return it."""
+    cache[key] = value
+    while len(cache) > size:
+        cache.popitem(last=False)
     return value
 
 
 @dataclass(frozen=True, eq=False)
 class Errors:
     """Errors of a model. values: (n, k, c), measured minus predicted, SI, columns as `columns`; NaN where not known.
-    predicted: (n, k) lateral acceleration that the sensor would show [m/s^2]. time: (k,) after the start [s]."""
+    time: (k,) after the start [s]."""
 
     values: np.ndarray
-    predicted: np.ndarray
     columns: tuple[str, ...]
     time: np.ndarray
 
@@ -141,14 +141,13 @@ def steady_velocity_y(log: DriveLog, vehicle: VehicleParameters) -> np.ndarray:
 
 
 def prepared(log: DriveLog, vehicle: VehicleParameters, settings: DiscoverySettings) -> DriveLog:
-    """The drive for the initial states: yaw rate smoothed, sideslip that of steady cornering where it is not used."""
-    rate = smoothed(log.ins_time_ns, log.yaw_rate, 50_000_000)
-    log = replace(log, yaw_rate=rate)
+    """The drive for the initial states: yaw rate smoothed; sideslip of steady cornering where it is not measured."""
+    log = replace(log, yaw_rate=smoothed(log.ins_time_ns, log.yaw_rate, 50_000_000))
     return log if "velocity_y" in settings.channels else replace(log, velocity_y=steady_velocity_y(log, vehicle))
 
 
 class Windows:
-    """The windows of some runs. starts_ns: (n,) on the common clock; run, block: (n,) numbers; seconds: (n,) after the
+    """The windows of some runs. starts_ns: (n,) on the common clock; run, block: (n,) numbers; seconds: (n,) from the
     start of the run."""
 
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings):
@@ -185,6 +184,7 @@ class Windows:
         return tuple(self._batch.signals.ins_at(times, *names))
 
     def _readings(self, times: np.ndarray) -> dict[str, np.ndarray]:
+        """Measured signals at times [ns], those of some channels smoothed over 2 STEP."""
         log, width = self.joined, round(2 * STEP / NANOSECOND)
         signals = Signals(log, MAX_GAP)
         names = {"x": False, "y": False, "yaw": False, "velocity_x": False} | {
@@ -192,22 +192,22 @@ class Windows:
         result = {}
         for name, smooth in names.items():
             values = getattr(log, name)
-            there = np.isfinite(values)
-            time_ns, values = log.ins_time_ns[there], values[there]
+            known = np.isfinite(values)
+            time_ns, values = log.ins_time_ns[known], values[known]
             result[name] = signals.sample(time_ns, smoothed(time_ns, values, width) if smooth else values, times)
         return result
 
     @cached_property
     def known(self) -> np.ndarray:
-        """(n, m) which errors have a measurement, and inputs up to it; points and columns of a window in one row."""
-        there = [np.isfinite([self._measured[name] for name in channel.signals]).all(axis=0)
+        """(n, m) whether an error has a measurement, and inputs up to it; points and columns of a window in one row."""
+        measured = [np.isfinite([self._measured[name] for name in channel.signals]).all(axis=0)
                  for channel in self.channels for _ in channel.columns]
-        return (np.stack(there, axis=-1) & self._with_inputs[..., None]).reshape(len(self), -1)
+        return (np.stack(measured, axis=-1) & self._with_inputs[..., None]).reshape(len(self), -1)
 
     @cached_property
     def _with_inputs(self) -> np.ndarray:
-        """(n, k) points before the first gap of steering or INS, beyond which no model can predict. MARGIN_NS around a
-        gap, as at the ends of a run."""
+        """(n, k) whether a point is before the first gap of steering or INS, beyond which there are no inputs.
+        MARGIN_NS around a gap, as at the ends of a run."""
         until = np.full(len(self), np.iinfo(np.int64).max)
         for time_ns in (self.joined.steering_time_ns, self.joined.ins_time_ns):
             gaps = np.flatnonzero(np.diff(time_ns) > MAX_GAP / NANOSECOND)
@@ -229,7 +229,7 @@ class Windows:
         """Errors of a model. gain: relative excess of the accelerometer over the motion, as from body roll [1]."""
         shown, true = self._seen(model, gain)
         parts = [part for channel in self.channels for part in channel.residuals(self._measured, shown, true)]
-        return Errors(np.stack(parts, axis=-1), shown.acceleration_y, self.columns, self.time)
+        return Errors(np.stack(parts, axis=-1), self.columns, self.time)
 
     def _seen(self, model: AugmentedModel, gain: float) -> tuple[Measured, Measured]:
         """INS readings at the scored points with and without sensor errors; acceleration and yaw rate as means over
@@ -264,7 +264,7 @@ class Windows:
 def added_acceleration(model: AugmentedModel, vehicle: VehicleParameters, states: tuple, angle: np.ndarray,
                        acceleration: np.ndarray) -> np.ndarray | float:
     """Lateral specific force minus lateral acceleration at the CG [m/s^2]. states: the six, arrays like the inputs."""
-    # Only effects that act on an accelerometer, and those that change their inputs.
+    # Of the effects that act on an accelerometer, and those that change their inputs.
     model = model.only(e for e in model.effects if e.lifts or (e in model.active and (e.specific_force or e.inputs)))
     added = compose(model.base, model.effects).specific_force
     if added is None:
@@ -319,8 +319,8 @@ def _blocks(run: np.ndarray, seconds: np.ndarray, length: float) -> np.ndarray:
 
 
 def noise_floor(windows: Windows) -> dict[str, float]:
-    """By column, at the end of the horizon, one standard deviation of noise [SI]; see `channels.Channel.noise`."""
+    """Standard deviation of the noise of each column at the end of the horizon [SI]; see `Channel.noise_errors`."""
     grid = windows.starts_ns[:, None] + np.round(np.linspace(0.0, windows.time[-1], 101) * 1e9).astype(np.int64)
-    way = float(windows.time[-1]) / 100.0, *windows.measured_at(grid, *INS_SIGNALS)
+    path = float(windows.time[-1]) / 100.0, *windows.measured_at(grid, *INS_SIGNALS)
     return {column: value for channel in windows.channels
-            for column, value in zip(channel.columns, channel.noise_errors(windows.joined, *way), strict=True)}
+            for column, value in zip(channel.columns, channel.noise_errors(windows.joined, *path), strict=True)}

@@ -2,6 +2,6 @@
 
 from .candidates import Candidate, candidates
 from .formulas import Formula
-from .relation_search import Relation, RelationSearch, find_relation, indicated
+from .relation_search import Relation, RelationSearch, find_relation, needs_search
 
-__all__ = ["Candidate", "Formula", "Relation", "RelationSearch", "candidates", "find_relation", "indicated"]
+__all__ = ["Candidate", "Formula", "Relation", "RelationSearch", "candidates", "find_relation", "needs_search"]

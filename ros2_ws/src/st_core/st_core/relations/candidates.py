@@ -1,4 +1,4 @@
-"""Candidate model terms: where an empirical relation may act and which quantity it may depend on."""
+"""Candidate model terms: the place where an empirical relation acts, and the quantity it depends on."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,26 +12,27 @@ from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 
 ODD, NEITHER = -1.0, 0.0
-EDGE = 0.01  # share of the driving beyond either end of the range: the curve is constant there
-SLOWEST = 2.0  # m/s; slip angles are not defined below
+TAIL_SHARE = 0.01  # of the driving, beyond either end of the range of a curve, where it is constant
+MIN_SPEED = 2.0  # m/s; below, slip angles are not defined
 QUANTITIES = {"slip_front": "rad", "slip_rear": "rad", "steering": "rad", "acceleration_y": "m/s^2",
               "acceleration_x": "m/s^2", "speed": "m/s", "yaw_rate": "rad/s", "steering_rate": "rad/s",
               "lagging_steering": "rad", "lean": "m/s^2", "north": "1", "east": "1", "position_x": "m",
               "position_y": "m", "run_time": "s"}
-"""Unit. lean: lateral acceleration as the body rolls with it. north, east: sine and cosine of the course."""
-LEAST = {"slip_front": 0.005, "slip_rear": 0.005, "steering": 0.01, "acceleration_y": 0.5, "acceleration_x": 0.3,
+"""Unit by quantity. lean: lateral acceleration with the lag of the body roll. north, east: sine, cosine of the
+course."""
+MIN_RANGES = {"slip_front": 0.005, "slip_rear": 0.005, "steering": 0.01, "acceleration_y": 0.5, "acceleration_x": 0.3,
          "speed": 1.0, "yaw_rate": 0.03, "steering_rate": 0.03, "lagging_steering": 0.01, "lean": 0.5, "north": 0.1,
          "east": 0.1, "position_x": 20.0, "position_y": 20.0, "run_time": 10.0}
-"""Smallest driven range of a quantity; narrower ones are mostly noise and unevenness, and have no candidates."""
+"""Smallest driven range of a quantity with candidates; narrower ones are mostly noise and road unevenness."""
 MEMORY = {"steering_rate": ("steering", "rate", 0.1), "lagging_steering": ("steering", "lagging", 0.2),
           "lean": ("acceleration_y", "lagging", 0.15)}
-"""Quantity -> (source, kind, lag [s]) of a quantity with memory."""
-WHERE = {**PLACES, "both_grip": ("1", "of the lateral force of both axles, as a share of it")}
-USUAL = {"front_steer": 0.005, "rear_steer": 0.005, "front_force": 0.02, "rear_force": 0.02, "front_grip": 0.1,
+"""Quantity with memory -> (source, kind, lag [s])."""
+ALL_PLACES = {**PLACES, "both_grip": ("1", "of the lateral force of both axles, as a share of it")}
+USUAL_SIZES = {"front_steer": 0.005, "rear_steer": 0.005, "front_force": 0.02, "rear_force": 0.02, "front_grip": 0.1,
          "rear_grip": 0.1, "both_grip": 0.1, "yaw_moment": 0.05, "side_force": 0.1, "sensor_yaw_rate": 0.005,
          "sensor_acceleration_y": 0.2, "sensor_velocity_y": 0.05, "sensor_heading": 0.005}
 """Usual size of a relation, by place, in its unit."""
-SLOPE_NS = 400_000_000  # smoothing of the forward speed before its derivative; shorter leaves INS noise
+SMOOTHING_NS = 400_000_000  # ns, of the forward speed before its derivative, against the noise of the INS
 FACTORS = {"steering": 0.1, "acceleration_y": 3.0, "steering_rate": 0.3}
 """Quantities that a curve may be multiplied by, with their usual sizes."""
 ADMISSIBLE: Mapping[str, tuple[tuple[str, float], ...]] = {
@@ -60,8 +61,8 @@ PAIRS = (("front_steer", "speed", "steering_rate"), ("front_steer", "speed", "st
 
 @dataclass(frozen=True)
 class Candidate:
-    """A candidate term. place: of WHERE; quantity: of QUANTITIES; parity: -1 for an odd curve, 0 for any. low, high:
-    driven range [unit of the quantity]. by: of FACTORS, the curve is multiplied by it; "" for none."""
+    """A candidate term. place: of ALL_PLACES; quantity: of QUANTITIES; parity: -1 for an odd curve, 0 for any. low,
+    high: driven range [unit of the quantity]. by: of FACTORS, the curve is multiplied by it; "" for none."""
 
     place: str
     quantity: str
@@ -88,25 +89,27 @@ class Candidate:
 
     @property
     def changes_sides(self) -> bool:
-        """Whether its mirror image has the other sign: an action to one side in left and right turns alike."""
+        """Whether its sign changes with left and right exchanged, as it acts to the same side in left and right
+        turns."""
         return self.parity == NEITHER and not self.by and not self.place.endswith("_grip")
 
     @property
     def unit(self) -> str:
         """Unit of the curve."""
-        unit = WHERE[self.place][0]
+        unit = ALL_PLACES[self.place][0]
         return f"{unit} per {QUANTITIES[self.by]}" if self.by else unit
 
     @property
     def usual(self) -> float:
-        return USUAL[self.place] / (FACTORS[self.by] if self.by else 1.0)
+        """Usual size of the curve [unit]."""
+        return USUAL_SIZES[self.place] / (FACTORS[self.by] if self.by else 1.0)
 
     @property
     def constants(self) -> dict[str, float]:
         """Fixed parameters of the effect."""
-        known = {"low": self.low, "spacing": (self.high - self.low) / INTERVALS, "parity": self.parity}
         places = ("front_grip", "rear_grip") if self.place == "both_grip" else (self.place,)
-        known |= {f"to_{place}": self.usual for place in places}
+        known = {"low": self.low, "spacing": (self.high - self.low) / INTERVALS, "parity": self.parity,
+                 **{f"to_{place}": self.usual for place in places}}
         for quantity, weight in ((self.quantity, "in"), (self.by, "by")):
             if quantity in MEMORY:
                 source, kind, tau = MEMORY[quantity]
@@ -116,43 +119,44 @@ class Candidate:
         return known | ({"by_one": 0.0} if self.by else {})
 
     def splines(self, u: np.ndarray) -> np.ndarray:
-        """(COUNT, ...) contribution of each unit coefficient at u [unit of the curve]."""
+        """(COUNT, ...) splines of the curve [its unit] at u [unit of the quantity], of which the curve is a linear
+        combination."""
         t, s = ((np.clip(v, self.low, self.high) - self.low) * INTERVALS / (self.high - self.low) for v in (u, -u))
         return self.usual * np.stack([bump(t - k) + self.parity * bump(s - k) for k in range(-1, COUNT - 1)])
 
 
 def run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:
-    """Seconds into its run at instants of the common clock."""
+    """Time since the start of the run [s], at instants of the common clock [ns]."""
     runs, first = np.unique(windows.run, return_index=True)
     begins = windows.starts_ns[first] - np.round(windows.seconds[first] / NANOSECOND).astype(np.int64)
     order = np.argsort(begins)
-    indices = np.clip(np.searchsorted(begins[order], time_ns, side="right") - 1, 0, len(runs) - 1)
-    return (time_ns - begins[order][indices]) * NANOSECOND
+    run = np.clip(np.searchsorted(begins[order], time_ns, side="right") - 1, 0, len(runs) - 1)
+    return (time_ns - begins[order][run]) * NANOSECOND
 
 
 def driven(windows: Windows, vehicle: VehicleParameters) -> dict[str, np.ndarray]:
     """Every quantity at the INS samples above SLOWEST; slip angles as measured."""
     log = windows.joined
-    moving = log.velocity_x > SLOWEST
+    moving = log.velocity_x > MIN_SPEED
     stamps, speed, rate = log.ins_time_ns, log.velocity_x, log.yaw_rate
     time = stamps.astype(float)
     angle = np.interp(time, log.steering_time_ns.astype(float), log.road_wheel_angle)
-    across = log.velocity_y - vehicle.cg_to_ins_x * rate
+    velocity_y = log.velocity_y - vehicle.cg_to_ins_x * rate
     with np.errstate(all="ignore"):
-        found = {"slip_front": (across + vehicle.cg_to_front_axle * rate) / speed - angle,
-                 "slip_rear": (across - vehicle.cg_to_rear_axle * rate) / speed, "steering": angle,
+        found = {"slip_front": (velocity_y + vehicle.cg_to_front_axle * rate) / speed - angle,
+                 "slip_rear": (velocity_y - vehicle.cg_to_rear_axle * rate) / speed, "steering": angle,
                  "acceleration_y": speed * rate,
-                 "acceleration_x": np.gradient(smoothed(stamps, speed, SLOPE_NS), time * NANOSECOND),
+                 "acceleration_x": np.gradient(smoothed(stamps, speed, SMOOTHING_NS), time * NANOSECOND),
                  "speed": speed, "yaw_rate": rate, "north": np.sin(log.yaw), "east": np.cos(log.yaw),
                  "position_x": log.x, "position_y": log.y, "run_time": run_time(windows, stamps)}
         for name, (source, kind, tau) in MEMORY.items():
-            slow = smoothed(stamps, found[source], round(2.0 * tau / NANOSECOND))
-            found[name] = np.gradient(slow, time * NANOSECOND) if kind == "rate" else slow
+            lagging = smoothed(stamps, found[source], round(2.0 * tau / NANOSECOND))
+            found[name] = np.gradient(lagging, time * NANOSECOND) if kind == "rate" else lagging
     return {name: values[moving] for name, values in found.items()}
 
 
 def candidates(windows: Windows, vehicle: VehicleParameters) -> list[Candidate]:
-    """Candidates that these drives excite: channels that were measured, quantities with a range above LEAST, positions
+    """Candidates that these drives excite: of measured channels, of quantities with a range above MIN_RANGES; positions
     only with a single site, because maps of several sites may have different origins."""
     values, found = driven(windows, vehicle), []
     one_site = int(sites(windows).max()) == 0
@@ -163,12 +167,15 @@ def candidates(windows: Windows, vehicle: VehicleParameters) -> list[Candidate]:
             continue
         if quantity.startswith("position_") and not one_site:
             continue
-        u = values[quantity][np.isfinite(values[quantity])]
-        low, high = np.quantile(u, [EDGE, 1.0 - EDGE])
+        low, high = _range(values[quantity])
         if parity == ODD:
-            high = np.quantile(np.abs(u), 1.0 - EDGE)
+            high = _range(np.abs(values[quantity]))[1]
             low = -high
-        factor = values[by][np.isfinite(values[by])] if by else u
-        if high - low > LEAST[quantity] and (not by or np.ptp(np.quantile(factor, [EDGE, 1.0 - EDGE])) > LEAST[by]):
+        if high - low > MIN_RANGES[quantity] and (not by or np.ptp(_range(values[by])) > MIN_RANGES[by]):
             found.append(Candidate(place, quantity, parity, float(low), float(high), by))
     return found
+
+
+def _range(values: np.ndarray) -> np.ndarray:
+    """(low, high) of the finite values, without their tails."""
+    return np.quantile(values[np.isfinite(values)], [TAIL_SHARE, 1.0 - TAIL_SHARE])

@@ -1,4 +1,4 @@
-"""Formulas of a fitted curve: simple shapes that can replace it in the simulation, and textbook causes."""
+"""Formulas for a fitted curve: simple shapes that can replace it in the simulation, and textbook causes."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,10 +12,11 @@ from .candidates import NEITHER, Candidate
 from .relation_fit import RelationFit, RelationFits
 
 MAX_FORMULAS, POINTS = 3, 61
-MIN_EXPLAINED = 0.5  # of what the curve explains, by its quadratic: a shape that explains less is not considered
-SAME = 1e-3  # of what the curve explains: a shape with more numbers must explain that much more
-FULLY, NEARLY = 0.98, 0.9  # of what the best shape explains: a simpler one is preferred; at least NEARLY is needed
-MIN_KEPT_GAIN = 0.9  # of the curve's held-out gain that a printed formula keeps, simulated in the curve's place
+MIN_EXPLAINED = 0.5  # of the gain of the curve, by its quadratic; shapes with less are not considered
+MIN_EXPLAINED_MORE = 1e-3  # of the gain of the curve, by which a shape with more numbers must exceed one with fewer
+FULL_SHARE = 0.98  # of the gain of the best shape, from which a simpler one is preferred
+NEAR_SHARE = 0.9  # the same, if its held-out loss is not significantly higher
+MIN_KEPT_GAIN = 0.9  # of the held-out gain of the curve that a formula keeps, simulated in its place
 MAX_RANGE = 2.0  # largest formula over the largest curve within the driven range
 
 ShapeFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -23,8 +24,8 @@ ShapeFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Formula:
-    """shape: its name. text: with its numbers, y the relation and u the quantity, SI. kept [1]: share of the curve's
-    held-out gain that it keeps, simulated in the curve's place. causes: from textbooks."""
+    """shape: its name. text: with its numbers, y the relation and u the quantity, SI. kept [1]: share of the held-out
+    gain of the curve that it keeps, simulated in its place. causes: from textbooks."""
 
     shape: str
     text: str
@@ -34,8 +35,8 @@ class Formula:
 
 @dataclass(frozen=True, eq=False)
 class FittedShape:
-    """A shape by the quadratic about the curve. numbers, by_fold: those fitted to all blocks, and without each fold.
-    explained [1]: share of what the curve takes off the loss. held_out: (b,) loss by the quadratic."""
+    """A shape fitted by the quadratic about the curve. numbers, by_fold: fitted to all blocks, and without each fold.
+    explained [1]: share of the gain of the curve. held_out: (b,) loss by the quadratic."""
 
     shape: str
     text: str
@@ -65,7 +66,7 @@ ONE_SIDED: dict[str, tuple[str, int, ShapeFunction]] = {
     "saturating": ("y = {0:.3g} + {1:.3g} tanh(u / {2:.3g})", 3,
                    lambda u, p: p[0] + p[1] * np.tanh(u / _nonzero(p[2]))),
 }
-"""Of a curve without odd symmetry."""
+"""Shapes of a curve without odd symmetry."""
 
 CAUSES: Mapping[tuple[str, ...], str] = {
     ("front_steer", "acceleration_y"): "roll steer or compliance of the front suspension",
@@ -121,26 +122,27 @@ CONSTANT = {
     "sensor_acceleration_y": "a bias or tilt of the sensor", "sensor_velocity_y": "a unit mounted askew",
     "sensor_heading": "a unit mounted askew",
 }
-"""By place."""
+"""Causes of a constant, by place."""
 
 
 def fitted_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadratic,
                   fold: np.ndarray) -> Sequence[FittedShape]:
-    """Up to three shapes, the preferred one first. profile: of the loss about the coefficients (8,), by block, all
-    other parameters profiled out; fold: (b,).
+    """Up to MAX_FORMULAS shapes, the preferred one first. profile: of the loss about the coefficients (8,), by block,
+    all other parameters profiled out; fold: (b,).
 
     The numbers of a shape minimise the loss. Only shapes that explain MIN_EXPLAINED are considered; the best is the one
-    of least held-out loss. A shape with fewer numbers is preferred to it where it explains FULLY as much; or NEARLY as
-    much with a held-out loss within one standard error of the paired differences of blocks (Breiman et al. 1984).
+    with the lowest held-out loss. A shape with fewer numbers is preferred if it explains FULL_SHARE as much; or
+    NEAR_SHARE, with a held-out loss within one standard error of the paired differences of blocks (Breiman et al.
+    1984).
     """
     at = np.linspace(candidate.low, candidate.high, POINTS)
     into, value = np.linalg.pinv(candidate.splines(at).T, rcond=1e-6), coefficients @ candidate.splines(at)
 
-    def lost(away: np.ndarray) -> np.ndarray:
-        """(b,) loss beyond that of the curve, at a distance from its coefficients."""
+    def rise(away: np.ndarray) -> np.ndarray:
+        """(b,) rise of the loss over that of the curve, at a distance from its coefficients."""
         return np.einsum("i,bij,j->b", away, profile.hessian, away) - 2.0 * profile.gradient @ away
 
-    total = float(lost(-coefficients).sum())
+    total = float(rise(-coefficients).sum())
     if total <= 1e-20:
         return ()
     found = []
@@ -149,8 +151,7 @@ def fitted_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadr
             continue
 
         def numbers(known: np.ndarray, count: int = count, function: ShapeFunction = function) -> np.ndarray:
-            h, g = profile.hessian[known].sum(axis=0), profile.gradient[known].sum(axis=0)
-            h = ridge(h)
+            h, g = ridge(profile.hessian[known].sum(axis=0)), profile.gradient[known].sum(axis=0)
             root, target = np.linalg.cholesky(h), coefficients + np.linalg.solve(h, g)
             return _least_squares(lambda x: (into @ function(at, x) - target) @ root, count, at, value)
 
@@ -160,12 +161,12 @@ def fitted_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadr
         best = numbers(np.ones(len(fold), bool))
         if shape == "dead zone":
             best[1] = abs(best[1])
-        explained = min(1.0 - float(lost(away(best)).sum()) / total, 1.0)
+        explained = min(1.0 - float(rise(away(best)).sum()) / total, 1.0)
         if explained >= MIN_EXPLAINED:
             by_fold = {int(k): numbers(fold != k) for k in np.unique(fold)}
             held_out = np.zeros(len(fold))
             for k, others in by_fold.items():
-                held_out[fold == k] = lost(away(others))[fold == k]
+                held_out[fold == k] = rise(away(others))[fold == k]
             found.append(FittedShape(shape, text, function, best, by_fold, explained, held_out))
     return _ordered(found)
 
@@ -173,7 +174,7 @@ def fitted_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadr
 def _ordered(found: Sequence[FittedShape]) -> Sequence[FittedShape]:
     """The preferred shape first, the others by held-out loss."""
     order = sorted((one for one in found if not any(
-        len(o.numbers) < len(one.numbers) and o.explained > one.explained - SAME for o in found)),
+        len(o.numbers) < len(one.numbers) and o.explained > one.explained - MIN_EXPLAINED_MORE for o in found)),
         key=lambda one: float(one.held_out.sum()))
     if not order:
         return ()
@@ -181,21 +182,21 @@ def _ordered(found: Sequence[FittedShape]) -> Sequence[FittedShape]:
 
     def as_good(one: FittedShape) -> bool:
         worse, share = one.held_out - best.held_out, one.explained / best.explained
-        alike = float(worse.sum()) <= float(worse.std(ddof=1)) * np.sqrt(len(worse))
-        return share >= FULLY or (share >= NEARLY and alike)
+        within_error = float(worse.sum()) <= float(worse.std(ddof=1)) * np.sqrt(len(worse))
+        return share >= FULL_SHARE or (share >= NEAR_SHARE and within_error)
 
     first = min(filter(as_good, order), key=lambda one: len(one.numbers))
     return (first, *(one for one in order if one is not first))[:MAX_FORMULAS]
 
 
 def simulated_formulas(fits: RelationFits, fit: RelationFit, without: RelationFit) -> tuple[Formula, ...]:
-    """Formulas that keep MIN_KEPT_GAIN of the curve's held-out gain when simulated in its place.
+    """Formulas that keep MIN_KEPT_GAIN of the held-out gain of the curve when simulated in its place.
 
-    Each fold is simulated with the numbers fitted to the others, the parameters of the answer refitted by one step.
-    A curve without odd symmetry is known but for a constant where a parameter of the vehicle file acts the same; its
-    formula therefore gets a constant of its own if it fails without one. Within the driven range a formula must have
-    the sign of the curve and stay below MAX_RANGE times its largest value, and it must not raise the held-out position
-    error of the answer.
+    Each fold is simulated with the numbers fitted to the others, the parameters of the answer refitted by one step. If
+    a parameter of the vehicle file acts like a constant, a curve without odd symmetry is known up to a constant only;
+    its formula therefore gets a constant of its own if it fails without one. Within the driven range a formula must
+    have the sign of the curve and stay below MAX_RANGE times its largest value, and it must not raise the held-out
+    position error of the answer.
     """
     assert fit.candidate is not None
     candidate, gain = fit.candidate, float((without.held_out - fit.held_out).sum())
@@ -225,7 +226,7 @@ def _simulated(fits: RelationFits, fit: RelationFit, without: RelationFit, shape
     loss, into = fits.of(candidate), np.linalg.pinv(splines.T, rcond=1e-6)
 
     def refitted(numbers: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, float]:
-        """The vector with a shape in place of the curve, everything else fitted to the known blocks; the offset."""
+        """(vector with a shape in place of the curve, everything else fitted to the known blocks; offset)."""
         scale = fits.space.scale[fit.indices]
         count = len(fit.coefficients)
         fixed = np.zeros(len(scale))
@@ -258,6 +259,7 @@ def _simulated(fits: RelationFits, fit: RelationFit, without: RelationFit, shape
 
 
 def _nonzero(number: float) -> float:
+    """At least 1e-9, as a divisor."""
     return number if abs(number) > 1e-9 else 1e-9
 
 

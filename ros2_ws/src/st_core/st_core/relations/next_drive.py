@@ -1,4 +1,4 @@
-"""Next drive for a relation: the manoeuvres that narrow its curve or separate it from its rivals most."""
+"""Next drive for a relation: the manoeuvres that reduce its uncertainty or separate it from its rivals most."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,8 +14,8 @@ from ..regression import ridge
 from .candidates import ODD, Candidate, driven
 from .relation_fit import RIDGE, RelationFit, RelationFits
 
-MIN_IMPROVEMENT = 1.3  # factor on separation or precision; a manoeuvre below it is not suggested
-SPARSE = 0.1  # of the density of uniform driving: less is sparse
+MIN_IMPROVEMENT = 1.3  # factor on separation or precision, from which a manoeuvre is suggested
+SPARSE = 0.1  # density over that of uniform driving, below which a range is sparsely driven
 OF_A_PLACE = ("run_time", "position_x", "position_y", "north", "east")  # independent of the manoeuvre
 Range = tuple[float, float]
 
@@ -23,8 +23,8 @@ Range = tuple[float, float]
 @dataclass(frozen=True, eq=False)
 class Option:
     """One manoeuvre, driven REPETITIONS times and added to the runs. deviation: (k,) expected standard deviation of the
-    curve [its unit]. apart: by rival, separation from it in standard deviations. seconds: of one drive in each thin
-    range."""
+    curve [its unit]. apart: by rival, separation from it in standard deviations. seconds: time in each thin range
+    in one drive."""
 
     manoeuvre: Manoeuvre
     deviation: np.ndarray
@@ -42,13 +42,14 @@ class NextDrives:
     options: Sequence[Option] = ()
 
     def most_precise(self, deviation: np.ndarray) -> Option | None:
-        """The option of least maximum deviation; None without MIN_IMPROVEMENT. deviation: (k,) of the existing runs."""
+        """The option with the lowest maximum deviation; None below MIN_IMPROVEMENT. deviation: (k,) of the existing
+        runs."""
         best = min(self.options, key=lambda o: float(o.deviation.max()), default=None)
         return best if best is not None and MIN_IMPROVEMENT * best.deviation.max() <= deviation.max() else None
 
     def most_separating(self) -> tuple[Option, str] | None:
-        """The option of largest minimum separation over the rivals, and that rival; None below MIN_SEPARATION, or
-        without MIN_IMPROVEMENT."""
+        """The option with the largest minimum separation over the rivals, and that rival; None below MIN_SEPARATION or
+        MIN_IMPROVEMENT."""
         weakest = [(option, min(option.apart, key=option.apart.__getitem__)) for option in self.options if option.apart]
         best = max(weakest, key=lambda pair: pair[0].apart[pair[1]], default=None)
         if best is None:
@@ -71,8 +72,8 @@ def thin_ranges(at: np.ndarray, density: np.ndarray, parity: float) -> list[Rang
 
 def next_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, rivals: Mapping[str, RelationFit],
                 design: float, at: np.ndarray, deviation: np.ndarray, thin: Sequence[Range]) -> NextDrives:
-    """Expected value of each manoeuvre, by simulation. rivals: equally good relations. design: design effect. at,
-    deviation: (k,) of the curve. Expected deviations follow from the curvature of the loss about the fit."""
+    """Expected gain of each manoeuvre, by simulation. rivals: equally good relations. design: design effect. at,
+    deviation: (k,) of the curve. Expected deviations are from the curvature of the loss about the fit."""
     if candidate.quantity in OF_A_PLACE:
         return NextDrives(thin)
     splines = candidate.splines(at)
@@ -111,7 +112,7 @@ def _loss(fits: RelationFits, windows: Windows, candidate: Candidate, fit: Relat
 
 def _joint(loss: Loss, rows: np.ndarray, slopes: np.ndarray, theirs: np.ndarray, fit: RelationFit) -> np.ndarray:
     """Curvature in the other parameters, the coefficients of a rival, and the size of the relation."""
-    own = np.einsum("p,pnm->nm", fit.coefficients, np.nan_to_num(slopes[-COUNT:], posinf=0.0, neginf=0.0))
+    own = np.einsum("p,pnm->nm", fit.coefficients, slopes[-COUNT:])
     return loss.quadratic(rows, np.concatenate([slopes[:-COUNT], theirs, own[None]])).hessian.sum(axis=0)
 
 
@@ -120,8 +121,8 @@ def _strength(h: np.ndarray, fit: RelationFit, other: RelationFit, design: float
     others = len(fit.indices) - COUNT
     penalty = np.zeros((len(h) - 1, len(h) - 1))
     penalty[others:, others:] = other.penalty[-COUNT:, -COUNT:]
-    left = float(h[-1, -1] - h[-1, :-1] @ np.linalg.solve(ridge(h[:-1, :-1] + penalty), h[:-1, -1]))
-    return float(np.sqrt(max(2.0 * left / design, 0.0)))
+    unexplained = float(h[-1, -1] - h[-1, :-1] @ np.linalg.solve(ridge(h[:-1, :-1] + penalty), h[:-1, -1]))
+    return float(np.sqrt(max(2.0 * unexplained / design, 0.0)))
 
 
 def _variance(h: np.ndarray, splines: np.ndarray) -> np.ndarray:

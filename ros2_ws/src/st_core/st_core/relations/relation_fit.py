@@ -1,4 +1,4 @@
-"""One candidate relation fitted through the simulator, together with everything in the answer."""
+"""Fits of one candidate relation by simulation, together with the effects of an answer."""
 
 from collections.abc import Sequence
 from copy import copy
@@ -19,24 +19,24 @@ from ..regression import ridge
 from ..vehicle import VehicleParameters
 from .candidates import Candidate, run_time
 
-RELATION = Law.name  # of the three kinds, which share their places in the vector
+RELATION = Law.name  # the three kinds have the same places in the vector
 SMOOTHING = (0.003, 0.03, 0.3)  # penalty on second differences, shares of the coefficients' mean curvature
-LEVEL = 0.1  # of the penalty, on the coefficients themselves: without information they stay at zero
-CONVERGED = 2e-4  # fall of the loss for each scored number: a step that gains less is the last
-ITERATIONS, SHARES, ROUNDS = 8, (1.0, 0.5, 0.2), 2
+SIZE_PENALTY = 0.1  # on the coefficients, over that on their second differences: 0 where there is no information
+ITERATIONS, STEP_SHARES, MIN_LOSS_FALL = 8, (1.0, 0.5, 0.2), 2e-4  # of a fit; the last: per scored error, ends it
+BASE_FITS = 2  # of the answer alone
 RIDGE = 1e-6
 _SECOND = np.diff(np.eye(COUNT), 2, axis=0)
-ROUGHNESS = _SECOND.T @ _SECOND + LEVEL * np.eye(COUNT)
-"""Penalty: sum of squared second differences, plus LEVEL times the squares."""
+ROUGHNESS = _SECOND.T @ _SECOND + SIZE_PENALTY * np.eye(COUNT)
+"""Penalty: sum of squared second differences, plus SIZE_PENALTY times the squares."""
 
 
 @dataclass(frozen=True, eq=False)
 class RelationFit:
-    """A fit. candidate: None for the answer alone.
+    """A fit of a candidate, or of the answer alone (None).
 
-    smooth: of SMOOTHING. vector: of the space of its candidate. rows: (n, m) errors. which, slopes: (a,), (a, n, m) of
-    the free parameters, the coefficients last. penalty: (a, a). q: by block. held_out: (b,) loss of each block under
-    values fitted to the other runs, or blocks. steps: by fold, from the fit to the values fitted without it.
+    smooth: of SMOOTHING. vector: of the space of its candidate. rows: (n, m) errors. indices, slopes: (a,), (a, n, m)
+    of the free parameters, the coefficients last. penalty: (a, a). q: quadratic by block. held_out: (b,) loss of each
+    block at values fitted without its fold. steps: by fold, from the fit to the values fitted without it.
     """
 
     candidate: Candidate | None
@@ -75,9 +75,9 @@ class RunWindows(Windows):
 class RelationFits:
     """Fits of candidate relations on top of one answer.
 
-    windows: the drives. answer: the model found, with the gain of its accelerometer; names of its effects. fold: (b,)
-    fold of each block; the scale of the errors stays that of the answer. refitted: parameters fitted together with a
-    relation; car: those of the vehicle file that are not; their effects are projected out as evidence.
+    answer: model of the answer; gain: of its accelerometer; names: of its effects. fold: (b,) fold of each block. The
+    scale of the errors stays that of the answer. refitted: indices of the parameters fitted together with a relation;
+    car: of the others of the vehicle file, which are projected out of its evidence.
     """
 
     def __init__(self, windows: Windows, answer: AugmentedModel, gain: float, names: Sequence[str],
@@ -90,8 +90,8 @@ class RelationFits:
         self.loss = Loss(Errors(windows, self.space, threads), self.start)
         self.problem = Problem(self.loss, self.start, windows.block)
         self.block, self.blocks, self.fold = windows.block, self.problem.blocks, self.problem.held_out_groups
-        own = {n for n in self.space.hypotheses if get_effect(n).kind == "vehicle parameters" and not get_effect(
-            n).members}
+        own = [n for n in self.space.hypotheses
+               if get_effect(n).kind == "vehicle parameters" and not get_effect(n).members]
         always = (GAIN,) if "acceleration_y" in windows.columns else ()
         self.refitted = self.space.indices(*names, *always)
         self.car = np.setdiff1d(self.space.indices(*own), self.refitted)
@@ -115,15 +115,13 @@ class RelationFits:
     def without(self) -> RelationFit:
         """The answer alone, refitted."""
         vector = self.start
-        for _ in range(ROUNDS):
-            fit = self._fit(None, self.loss, self.refitted, 0.0, self.slopes(vector, self.refitted), vector)
+        for _ in range(BASE_FITS):
+            fit = self._fit(None, self.loss, self.refitted, 0.0, self.loss.slopes(vector, self.refitted), vector)
             vector = fit.vector
         return fit
 
-    def slopes(self, vector: np.ndarray, indices: np.ndarray, loss: Loss | None = None) -> np.ndarray:
-        return np.nan_to_num((loss or self.loss).slopes(vector, indices), posinf=0.0, neginf=0.0)
-
     def quadratic(self, loss: Loss, rows: np.ndarray, slopes: np.ndarray) -> Quadratic:
+        """By block."""
         return loss.quadratic(rows, slopes).summed(self.block, self.blocks)
 
     def penalty(self, candidate: Candidate | None, hessian: np.ndarray, smooth: float) -> np.ndarray:
@@ -135,8 +133,9 @@ class RelationFits:
         return penalty
 
     def left_out_steps(self, q: Quadratic, penalty: np.ndarray,
-                  away: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray]:
-        """({fold: step of the values fitted without it}, (b,) loss of each block under them)."""
+                       away: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray]:
+        """({fold: step to the values fitted without it}, (b,) loss of each block there). away: (a,) distance of the
+        vector from the start [usual sizes]."""
         h, g = ridge(q.hessian.sum(axis=0)) + penalty, q.gradient.sum(axis=0) - penalty @ away
         steps, held_out = {}, np.zeros(self.blocks)
         whole = np.linalg.solve(h, g)
@@ -149,14 +148,14 @@ class RelationFits:
         return steps, held_out
 
     def predicted_held_out(self, q: Quadratic, penalty: np.ndarray, away: np.ndarray) -> np.ndarray:
-        """(b,) held-out loss of each block at the best point of the quadratic, left out fold by fold."""
+        """(b,) held-out loss of each block at the optimum of the quadratic."""
         step = np.linalg.solve(ridge(q.hessian.sum(axis=0)) + penalty, q.gradient.sum(axis=0) - penalty @ away)
         cost = q.cost - 2.0 * q.gradient @ step + np.einsum("i,bij,j->b", step, q.hessian, step)
-        there = Quadratic(cost, q.gradient - q.hessian @ step, q.hessian)
-        return self.left_out_steps(there, penalty, away + step)[1]
+        optimum = Quadratic(cost, q.gradient - q.hessian @ step, q.hessian)
+        return self.left_out_steps(optimum, penalty, away + step)[1]
 
     def fit(self, candidate: Candidate, without: RelationFit, smooth: float) -> RelationFit:
-        """Gauss-Newton through the simulator, from zero coefficients; smooth: of SMOOTHING."""
+        """Gauss-Newton fit by simulation, from zero coefficients. smooth: of SMOOTHING."""
         indices = np.concatenate([self.refitted, self.relation])
         loss = self.of(candidate)
         slopes = np.concatenate([without.slopes, np.zeros((COUNT, *without.slopes.shape[1:]))])
@@ -167,48 +166,49 @@ class RelationFits:
         included, are profiled out."""
         assert fit.candidate is not None
         loss = self.of(fit.candidate)
-        car = self.slopes(fit.vector, self.car, loss)
+        car = loss.slopes(fit.vector, self.car)
         q = self.quadratic(loss, fit.rows, np.concatenate([car, fit.slopes]))
         whole = q.hessian.sum(axis=0)
         others = whole[:-COUNT, :-COUNT]
-        turn = np.concatenate([-np.linalg.solve(ridge(others), whole[:-COUNT, -COUNT:]), np.eye(COUNT)])
-        return Quadratic(q.cost, q.gradient @ turn, np.einsum("ik,bij,jl->bkl", turn, q.hessian, turn))
+        projection = np.concatenate([-np.linalg.solve(ridge(others), whole[:-COUNT, -COUNT:]), np.eye(COUNT)])
+        hessian = np.einsum("ik,bij,jl->bkl", projection, q.hessian, projection)
+        return Quadratic(q.cost, q.gradient @ projection, hessian)
 
     def without_effect(self, candidate: Candidate, fit: RelationFit, name: str) -> RelationFit:
         """The relation with an effect of the answer removed and everything else refitted."""
         own = self.space.indices(name)
-        vector, indices = fit.vector.copy(), np.setdiff1d(fit.indices[:-COUNT], own)
+        vector, others = fit.vector.copy(), np.setdiff1d(fit.indices[:-COUNT], own)
         null = {p.name: p.null for p in get_effect(name).parameters}
         vector[own] = [null[self.space.free[i].parameter] for i in own]
-        loss, moving = self.of(candidate), np.concatenate([indices, self.relation])
-        return self._fit(candidate, loss, moving, fit.smooth, self.slopes(vector, moving, loss), vector)
+        loss, indices = self.of(candidate), np.concatenate([others, self.relation])
+        return self._fit(candidate, loss, indices, fit.smooth, loss.slopes(vector, indices), vector)
 
     def _fit(self, candidate: Candidate | None, loss: Loss, indices: np.ndarray, smooth: float, slopes: np.ndarray,
              vector: np.ndarray) -> RelationFit:
         vector, scale = vector.copy(), self.space.scale
-        for number in range(ITERATIONS):
+        for iteration in range(ITERATIONS):
             if candidate:
-                slopes = np.concatenate([slopes[:-COUNT], self.slopes(vector, self.relation, loss)])
+                slopes = np.concatenate([slopes[:-COUNT], loss.slopes(vector, self.relation)])
             q = self.quadratic(loss, loss.errors.at(vector), slopes)
             h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
-            if not number:
+            if not iteration:
                 penalty = self.penalty(candidate, h, smooth)
             away = ((vector - self.start) / scale)[indices]
             step = np.linalg.solve(ridge(h) + penalty, g - penalty @ away)
             cost = loss.total(vector) + away @ penalty @ away
             gained = 0.0
-            for share in SHARES:
+            for share in STEP_SHARES:
                 there = vector.copy()
                 there[indices] += share * step * scale[indices]
                 there = loss.space.inside(there)
-                now = ((there - self.start) / scale)[indices]
-                gained = cost - (loss.total(there) + now @ penalty @ now)
+                away = ((there - self.start) / scale)[indices]
+                gained = cost - (loss.total(there) + away @ penalty @ away)
                 if gained > 0.0:
                     taken = loss.errors.at(vector) - loss.errors.at(there)
                     slopes = Slopes(vector, indices, slopes).moved(there, scale, taken).values
                     vector = there
                     break
-            if gained < CONVERGED * loss.number:
+            if gained < MIN_LOSS_FALL * loss.number:
                 break
         rows = loss.errors.at(vector)
         q = self.quadratic(loss, rows, slopes)

@@ -10,7 +10,7 @@ from ..discovery.result import Discovery
 from ..discovery.settings import DiscoverySettings, Limits
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
-from .candidates import FACTORS, USUAL, Candidate, driven
+from .candidates import FACTORS, USUAL_SIZES, Candidate, driven
 from .formulas import Formula, simulated_formulas
 from .next_drive import NextDrives, next_drives, thin_ranges
 from .relation_fit import RelationFit, RelationFits, RunWindows
@@ -33,13 +33,13 @@ from .selection import (
     too_small,
 )
 
-MIN_BLOCKS = 10  # a curve of eight coefficients needs as many blocks to be held out
-UNSEEN = 3.0  # usual sizes: a place with a larger smallest detectable relation was not examined
-MUCH_WORSE = 1.25  # held-out error of a run with the relation over without it, from which it is stated first
+MIN_BLOCKS = 10  # for a curve of eight coefficients
+MAX_DETECTABLE = 3.0  # usual sizes; places with a larger smallest detectable relation count as not examined
+MUCH_WORSE = 1.25  # held-out error of a run with the relation over without it, from which the headline has it
 MEASURED_BY = {"sensor_yaw_rate": ("yaw_rate",), "sensor_acceleration_y": ("acceleration_y",),
                "sensor_velocity_y": ("velocity_y",), "sensor_heading": ("yaw",)}
 STEERING_TIMING = ("steering_rate", "lagging_steering")
-"""Quantities by which a relation of the front steering imitates a steering signal that is late or early."""
+"""Quantities of relations of the front steering that imitate a late or early steering signal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,12 +48,12 @@ class Relation:
 
     candidate: where it acts, and on which quantity it depends. coefficients: (8,) of the splines. at: (k,) values of
     the quantity; value, deviation: (k,) the curve there and its standard deviation [unit of the place]; density: (k,)
-    share of the driving near each. gain [1]: held-out fall of the loss for each scored error. chance [1]: p-value that
+    share of the driving near each. gain [1]: reduction of the held-out loss per scored error. chance [1]: p-value that
     any candidate gains as much without a real effect. position_5s [m]: held-out (without, with); runs: the same by run.
     model: everything else, at the values fitted with the relation. others: equally good relations, with the cosine
-    similarity of their effects [1]. formulas: that keep the curve's gain in simulation, preferred first. shares: its
-    size by run. redundant: effects of the answer that it makes redundant, with the residual [1] that returns without
-    each. drives: sparsely driven ranges, and manoeuvres to drive next.
+    similarity of their effects [1]. formulas: that keep the gain of the curve in simulation, preferred first. shares:
+    its size by run. redundant: effects of the answer that it makes redundant, with the residual [1] that returns
+    without each. drives: sparsely driven ranges, and manoeuvres to drive next.
     """
 
     candidate: Candidate
@@ -89,19 +89,19 @@ class RelationSearch:
     tried: Mapping[str, tuple[float, float]]
     visible: Mapping[str, float] = field(default_factory=dict)
 
-    def unseen(self) -> list[str]:
-        """Places with a smallest detectable relation above UNSEEN usual sizes."""
+    def not_examined(self) -> list[str]:
+        """Places whose smallest detectable relation exceeds MAX_DETECTABLE usual sizes."""
         size: dict[str, float] = {}
         for name, visible in self.visible.items():
             place, _, rest = name.partition(" over ")
-            usual = USUAL[place] / FACTORS.get(rest.partition(" times ")[2], 1.0)
+            usual = USUAL_SIZES[place] / FACTORS.get(rest.partition(" times ")[2], 1.0)
             size[place] = min(size.get(place, np.inf), visible / usual)
-        return [place for place, least in size.items() if least > UNSEEN]
+        return [place for place, least in size.items() if least > MAX_DETECTABLE]
 
 
-def indicated(found: Discovery) -> bool:
-    """Whether an answer leaves enough unexplained for a search: outcome unknown, or errors beyond `limits.left` times
-    the noise."""
+def needs_search(found: Discovery) -> bool:
+    """Whether the residual of an answer is large enough for a search: outcome unknown, or errors beyond `limits.left`
+    times the noise."""
     return found.outcome == "unknown" or bool(found.signature)
 
 
@@ -110,8 +110,8 @@ def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehiclePa
                   reported: Collection[tuple[str, str]] = ()) -> RelationSearch:
     """The relation that an answer of `discover` lacks, or the reason for none.
 
-    Every candidate is added to the answer and fitted together with it; effects that a parameter of the vehicle file can
-    reproduce are projected out as evidence. A relation is reported if its p-value over all candidates is below
+    Every candidate is fitted together with the answer; effects that a parameter of the vehicle file can reproduce are
+    projected out of its evidence. A relation is reported if its p-value over all candidates is below
     `limits.false_alarm`, if its held-out gain reaches `limits.relevant` of the residual or `limits.relevant_position`
     significantly, if the predicted path improves at level `limits.false_alarm` (not required of a sensor relation), and
     if it harms no run. Relations that the drives do not separate from it are listed, and redundant effects of the
@@ -127,9 +127,9 @@ def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehiclePa
         return RelationSearch(None, "the model is kinematic without tyre slip, and has no axle forces for a relation "
                               "to act on: use --base linear or --base nonlinear", {})
     windows = RunWindows(runs, vehicle, settings)
-    too_little = _too_little(windows, settings)
-    if too_little:
-        return RelationSearch(None, too_little, {})
+    too_short = _too_short(windows, settings)
+    if too_short:
+        return RelationSearch(None, too_short, {})
     names = [e.name for e in (*found.effects, *found.minor)]
     fits = RelationFits(windows, model, found.acceleration_gain, names, settings, threads)
     tick()
@@ -155,7 +155,7 @@ def _selected(screened: Sequence[Screened], fits: RelationFits, without: Relatio
     if not significant:
         name, (gain, chance) = next(iter(tried.items()))
         return RelationSearch(None, f"no relation is significant. The best, {name}, lowers the held-out loss by "
-                              f"{gain:.3f} for each error, p = {chance:.2g} over all candidates; "
+                              f"{gain:.3f} per scored error, p = {chance:.2g} over all candidates; "
                               f"p < {limits.false_alarm:g} is required", tried, visible)
     explained = {one: finding for one in significant if (finding := _reported(one.candidate, reported))}
     fitted, accepted, against = _fitted([s for s in significant if s not in explained], fits, without, vehicle, limits,
@@ -175,8 +175,8 @@ Fitted = dict[Screened, RelationFit]
 
 def _fitted(significant: Sequence[Screened], fits: RelationFits, without: RelationFit, vehicle: VehicleParameters,
             limits: Limits, tick: Callable[[], None]) -> tuple[Fitted, Fitted, dict[Screened, str]]:
-    """Candidates fitted through the simulator: those not rejected, those of them large enough, and the reasons against
-    the others."""
+    """(candidates with an acceptable curve, those of them that are large enough, reasons against the others), fitted by
+    simulation."""
     fitted: Fitted = {}
     accepted: Fitted = {}
     against: dict[Screened, str] = {}
@@ -192,7 +192,7 @@ def _fitted(significant: Sequence[Screened], fits: RelationFits, without: Relati
         else:
             accepted[one] = fit
         if not wrong:
-            fitted[one] = fit  # a possible rival, though too small to be proposed
+            fitted[one] = fit  # a possible rival, also if too small to be proposed
     return fitted, accepted, against
 
 
@@ -203,7 +203,7 @@ def _reported(candidate: Candidate, reported: Collection[tuple[str, str]]) -> st
     return next((name for name, channel in reported if channel in MEASURED_BY.get(candidate.place, ())), "")
 
 
-def _too_little(windows: RunWindows, settings: DiscoverySettings) -> str:
+def _too_short(windows: RunWindows, settings: DiscoverySettings) -> str:
     """Why these drives are too short for any relation; "" if they are not."""
     if len(set(windows.run)) == 1:
         return "one run was driven; a relation cannot be tested in another drive: give two or more"
@@ -217,7 +217,7 @@ def _too_little(windows: RunWindows, settings: DiscoverySettings) -> str:
 def _described(best: Screened, fitted: Fitted, without: RelationFit, fits: RelationFits, chances: Mapping[str, float],
                settings: DiscoverySettings, vehicle: VehicleParameters,
                stated: Sequence[str]) -> tuple[Relation, str]:
-    """The relation with everything that is reported of it, and its gain in figures."""
+    """The relation with everything reported of it, and a sentence on its gain."""
     fit, limits, c = fitted[best], settings.limits, best.candidate
     falls = without.held_out - fit.held_out
     before, after = (held_out_positions(fits, f) for f in (without, fit))

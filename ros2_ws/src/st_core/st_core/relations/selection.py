@@ -1,5 +1,5 @@
-"""Screening of candidate relations by held-out gain and p-value, and which significant one is reported: reasons to
-reject one, equally good rivals, redundant effects."""
+"""Screening of candidate relations by held-out gain and p-value, and selection of a significant one: reasons to reject
+it, equally good rivals, redundant effects."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,17 +18,18 @@ from .candidates import Candidate, candidates
 from .relation_fit import SMOOTHING, RelationFit, RelationFits
 
 DRAWS = 999  # random signs of the blocks
-POINTS = 41  # of a line
+POINTS = 41  # of a curve
 
 
 @dataclass(frozen=True, eq=False)
 class Screened:
     """A candidate by the slopes about the answer.
 
-    smooth: the penalty of least held-out loss. observed, drawn: score statistic, and with random signs of the blocks
-    (DRAWS,), both over the mean of the draws. freedom: effective degrees of freedom of the curve. design: design effect
-    of dependent windows on the variance of the scores, >= 1, from the residual scores. held_out: (b,) loss. gain:
-    held-out fall of the loss. information: (COUNT, COUNT) on the coefficients, other parameters projected out.
+    smooth: the penalty with the lowest held-out loss. observed, drawn: score statistic, and with random signs of the
+    blocks (DRAWS,), both over the mean of the draws. freedom: effective degrees of freedom of the curve. design: design
+    effect of dependent windows on the variance of the scores, >= 1, from the residual scores. held_out: (b,) loss.
+    gain: reduction of the held-out loss. information: (COUNT, COUNT) on the coefficients, other parameters projected
+    out.
     """
 
     candidate: Candidate
@@ -42,7 +43,7 @@ class Screened:
     information: np.ndarray
 
     def detectable(self, p_value: float, blocks: int) -> float:
-        """Smallest detectable size at the end of the range [unit of the curve] of a straight line, at that p-value."""
+        """Smallest detectable height of a straight line at the end of the range [unit of the curve], at a p-value."""
         c = self.candidate
         at = np.linspace(c.low, c.high, POINTS)
         line = np.linalg.lstsq(c.splines(at).T, at / max(abs(c.low), abs(c.high)), rcond=1e-6)[0]
@@ -55,15 +56,13 @@ def screen(fits: RelationFits, without: RelationFit, vehicle: VehicleParameters,
     """Every candidate that these drives excite and that changes a prediction. without: the answer alone."""
     away = ((without.vector - fits.start) / fits.space.scale)[without.indices]
     base = fits.predicted_held_out(without.q, without.penalty, away)
-    car = fits.slopes(without.vector, fits.car)
+    car = fits.loss.slopes(without.vector, fits.car)
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, fits.blocks))
     found = []
     for candidate in candidates(fits.windows, vehicle):
         tick()
-        one = _screen(fits, without, base, car, candidate, signs)
-        if one is not None:
-            found.append(one)
-    return found
+        found.append(_screen(fits, without, base, car, candidate, signs))
+    return [one for one in found if one is not None]
 
 
 def p_values(screened: Sequence[Screened], blocks: int) -> dict[str, float]:
@@ -71,7 +70,7 @@ def p_values(screened: Sequence[Screened], blocks: int) -> dict[str, float]:
 
     Random signs of blocks: the largest statistic of all candidates in every draw. Likelihood ratio: twice the held-out
     gain over the design effect (of the candidate, or the median of all if larger) and its degrees of freedom, Fisher's
-    F, Bonferroni over the candidates; for what acts in few blocks only.
+    F, Bonferroni over the candidates; for relations that act in few blocks only.
     """
     largest = np.max([s.drawn for s in screened], axis=0)
     design = float(np.median([s.design for s in screened]))
@@ -88,7 +87,7 @@ def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.
     """Efficient scores of the coefficients: all other parameters projected out. base: (b,) held-out loss of the answer
     alone, by the same slopes. car: slopes of the vehicle file's parameters."""
     loss = fits.of(candidate)
-    slopes = fits.slopes(without.vector, fits.relation, loss)
+    slopes = loss.slopes(without.vector, fits.relation)
     q = fits.quadratic(loss, without.rows, np.concatenate([without.slopes, slopes]))
     h = q.hessian.sum(axis=0)
     if float(np.trace(h[-COUNT:, -COUNT:])) <= 1e-9 * float(np.trace(h)):
@@ -116,9 +115,9 @@ def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.
                     held_out, float((base - held_out).sum()), information)
 
 
-REFITTED = 10  # candidates fitted through the simulator
-BOUND_MARGIN = 0.02  # share of the bound of the coefficients: a curve that near is at the bound
-MIN_INFORMATION = 0.02  # share of the relation's information a run must hold for an estimate of its own
+REFITTED = 10  # candidates fitted by simulation
+BOUND_MARGIN = 0.02  # of the bound of the coefficients; a curve within it is on the bound
+MIN_INFORMATION = 0.02  # of the information on the relation, from which a run has an estimate of its own
 TWO_SIDED_95 = 1.96
 
 
@@ -161,7 +160,7 @@ def by_block(fits: RelationFits, values: np.ndarray) -> np.ndarray:
 
 
 def rejected_curve(fits: RelationFits, fit: RelationFit, vehicle: VehicleParameters) -> str:
-    """Why a curve is rejected whatever it gains: at its bound, or an unstable car; "" for an accepted one."""
+    """Why a curve is rejected whatever its gain: on its bound, or an unstable car; "" for an accepted one."""
     assert fit.candidate is not None
     name = fit.candidate.name
     if np.abs(fit.coefficients).max() > (1.0 - BOUND_MARGIN) * HIGHEST:
@@ -183,12 +182,10 @@ def harmful(fits: RelationFits, name: str, before: np.ndarray, after: np.ndarray
     if np.nanmean(rise) > 0.0:
         return (f"{name} is significant, but raises the held-out position error after 5 s from "
                 f"{np.nanmean(before):.3f} to {np.nanmean(after):.3f} m")
-    blocks, run = by_block(fits, rise), np.zeros(fits.blocks, int)
-    run[fits.block] = fits.windows.run
-    names = fits.windows.names
+    blocks, run, names = by_block(fits, rise), fits.problem.run_of_block, fits.windows.names
     for k in np.unique(run):
         of_run = blocks[(run == k) & np.isfinite(blocks)]
-        # Bonferroni: of so many runs one rises by chance.
+        # Bonferroni over the runs.
         if len(of_run) > 2 and lower_bound(of_run, limits.doubt / len(names)) > 0.0:
             here = fits.windows.run == k
             return (f"{name} is significant, but raises the held-out error of {names[k]}: "
@@ -244,13 +241,12 @@ def equally_good(worse: np.ndarray, p: float, seed: int) -> np.ndarray:
 
 
 def run_shares(fits: RelationFits, fit: RelationFit) -> RunShares:
-    """Factor on the relation that each run alone would estimate, everything else refitted: from the quadratic."""
+    """Size of the relation in each run, everything else refitted, by the quadratic."""
     h = fit.q.hessian.sum(axis=0)
     others, own = h[:-COUNT, :-COUNT], fit.coefficients
-    turn = np.concatenate([-np.linalg.solve(ridge(others), h[:-COUNT, -COUNT:] @ own), own])
-    g, hh = fit.q.gradient @ turn, np.einsum("i,bij,j->b", turn, fit.q.hessian, turn)
-    run = np.zeros(fits.blocks, int)
-    run[fits.block] = fits.windows.run
+    direction = np.concatenate([-np.linalg.solve(ridge(others), h[:-COUNT, -COUNT:] @ own), own])
+    g, hh = fit.q.gradient @ direction, np.einsum("i,bij,j->b", direction, fit.q.hessian, direction)
+    run = fits.problem.run_of_block
     informative = [k for k in np.unique(run) if hh[run == k].sum() > MIN_INFORMATION * hh.sum()]
     if len(informative) < 2:
         return RunShares({}, 1.0)

@@ -1,1 +1,1 @@
-"""Prediction bands: calibration from recordings, test on other runs, report."""
+"""Bands from recordings and back: learning them, testing them on other runs, showing how they did."""

@@ -17,7 +17,7 @@ from st_core.errors import ConfigurationError
 from st_core.log import DriveLog
 from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model, get_model
-from st_core.relations import RelationSearch, find_relation, indicated
+from st_core.relations import RelationSearch, find_relation, needs_search
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import json_ready, json_text, new_folder
 from st_recordings.runs import find_runs
@@ -45,7 +45,7 @@ def run_command(request: Request, console: Console) -> int:
         marks.append(time.perf_counter())
         found, earlier = _answer(request, base, progress)
         marks.append(time.perf_counter())
-        search = indicated(found) if request.propose is None else request.propose
+        search = needs_search(found) if request.propose is None else request.propose
         relations = None
         if search:
             bar = progress.add_task("searching for a relation beyond the library", total=None)

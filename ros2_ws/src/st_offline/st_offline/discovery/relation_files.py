@@ -9,7 +9,7 @@ from st_core.discovery.following import REPETITIONS
 from st_core.effects import Effect, load_file, source_file
 from st_core.model_file import Estimate, ModelFile, Provenance
 from st_core.relations import Candidate, Relation, RelationSearch
-from st_core.relations.candidates import MEMORY, QUANTITIES, WHERE
+from st_core.relations.candidates import ALL_PLACES, MEMORY, QUANTITIES
 from st_core.vehicle import VehicleParameters
 
 from . import quantities
@@ -109,7 +109,7 @@ def _title_with_causes(one: Relation) -> str:
 def effect_file(one: Relation, runs: Sequence[str], created: str) -> str:
     """Text of an effect file; straight lines between KNOTS heights of the fitted curve."""
     c = one.candidate
-    meaning = WHERE[c.place][1] + (f", for each {QUANTITIES[c.by]} of {c.by.replace('_', ' ')}" if c.by else "")
+    meaning = ALL_PLACES[c.place][1] + (f", for each {QUANTITIES[c.by]} of {c.by.replace('_', ' ')}" if c.by else "")
     knots = np.linspace(c.low, c.high, KNOTS)
     heights = one.coefficients @ c.splines(knots)
     terms = "\n            + ".join(f"{h:.6g} * hat(t - {k}.0)" for k, h in enumerate(heights))

@@ -36,9 +36,9 @@ def relation_report(found: RelationSearch, answer: Discovery, vehicle: VehiclePa
                     folder: str) -> RelationReport:
     """Everything that is reported of a search for a relation. folder: of the results."""
     one = found.relation
-    unseen = ", ".join(quantities.PLACES[name] for name in found.unseen())
-    excluded: Groups = [("not excluded", [f"a relation at these places, which the drives could not show: {unseen}"]
-                         )] if unseen else []
+    places = ", ".join(quantities.PLACES[name] for name in found.not_examined())
+    excluded: Groups = [("not excluded", [f"a relation at these places, which the drives could not show: {places}"]
+                         )] if places else []
     if one is None:
         return RelationReport([("proposal", [f"none: {quantities.in_words(found.why, found.tried)}"]), *excluded])
     without, with_it = one.position_5s
