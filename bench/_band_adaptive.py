@@ -11,7 +11,7 @@ from st_core.models import get_model
 from st_core.vehicle import VehicleParameters
 
 INTERVAL = 0.1  # s between starts, as live
-SETTLED = 120.0  # s after the first start: coverage from then on is counted apart
+SETTLED = 120.0  # s after the first start; coverage from then on is counted separately
 FEWEST_SETTLED = 300  # starts after that, for a drive to have a coverage of its own
 PAUSE_NS = 6_000_000_000  # between the drives of a session
 LEVELS = (0.9, 0.5)
@@ -60,7 +60,7 @@ class Score:
         self._settled: dict[float, list[float]] = {level: [] for level in LEVELS}
 
     def add(self, drive: Drive, band: Band | None = None, domain: CalibrationDomain | None = None) -> None:
-        """domain: conditions under which the calibrated band holds."""
+        """domain: of the calibrated band."""
         rows = np.isfinite(drive.conditions).all(axis=1)
         if domain is not None:
             rows[rows] = domain(drive.conditions[rows])
@@ -69,7 +69,7 @@ class Score:
         factors, scales = adaptive.follow(drive.starts_ns[rows], drive.conditions[rows], errors)
         scored = np.isfinite(errors).all(axis=(1, 2))
         settled = (drive.starts_ns[rows] - drive.starts_ns[0]) * 1e-9 >= SETTLED
-        if band is None:  # no band is stated before
+        if band is None:  # no band is issued before
             scored &= settled
         size, scale = np.abs(errors[scored]), scales[scored]
         highest = (size / scale).max(axis=(1, 2), initial=0.0)

@@ -1,5 +1,5 @@
-"""A change put in while the virtual car drives: how soon the evaluator's count of coverage says so, and how often it
-does where nothing has changed. The counts are `st_core.bands.Coverages`, as the node has them."""
+"""Delay of the evaluator's coverage warning after a change of the virtual car during a drive, and false warnings
+without a change. Coverage is counted by `st_core.bands.Coverages`, as in the node."""
 
 import sys
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""Rows of the benchmark of bands as the table of docs/measurements/bands.md: a part that is measured replaces its rows.
+"""Rows of the benchmark of bands in the table of docs/measurements/bands.md; a part of it replaces its own rows.
 A second table compares all of them with the aims."""
 
 from collections.abc import Mapping, Sequence
@@ -10,7 +10,7 @@ from st_recordings.paths import project_root
 PAGE = project_root() / "docs" / "measurements" / "bands.md"
 NAME, SUMMARY = "table of held-out runs", "held against the aims"
 AIMS = {"90 % covers": (86.0, 94.0), "50 % covers": (45.0, 55.0), "worst cell of 200 starts": (80.0, 100.0)}
-"""Per cent."""
+"""%."""
 RATIO = 1.15
 """Interval score over that of the best alternative."""
 MODELS = ("kinematic", "linear", "nonlinear")
@@ -18,7 +18,7 @@ BAND, CALIBRATED = "conformal", "scaled to its level"
 
 
 def write(rows: Mapping[str, Mapping[str, str]], page: Path = PAGE) -> None:
-    """Rows by their title: those of the same title are replaced, others stay."""
+    """Replace the rows of the same titles, keep the others."""
     kept = {cells[0]: cells for cells in map(_cells, part(page, NAME).splitlines()[2:])}
     kept |= {title: [title, *row.values()] for title, row in rows.items()}
     columns = ["held out", *next(iter(rows.values()))]
@@ -29,7 +29,7 @@ def write(rows: Mapping[str, Mapping[str, str]], page: Path = PAGE) -> None:
 
 
 def summary(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
-    """What was held out and asked, models together: least to largest, in bold where short of the aim."""
+    """By held-out group and mode, over all models: least to largest, in bold if not within the aim."""
     groups: dict[str, dict[str, list[Mapping[str, str]]]] = {}
     for row in (one for one in rows if one["interval score"] != "-"):
         title, mode, way = _parts(row["held out"])
@@ -52,7 +52,7 @@ def summary(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
 
 
 def _ratio(band: Sequence[Mapping[str, str]], others: Mapping[str, Sequence[Mapping[str, str]]]) -> str:
-    """Over models, of the axis where it is largest."""
+    """Range over the models of the larger ratio of both axes."""
     ratios = [max(mine / best for mine, best in zip(_scores(row), _scores(other), strict=True))
               for row, other in zip(band, _best(others), strict=False)]
     text = _span(ratios, "{:.2f}", "")
@@ -60,18 +60,18 @@ def _ratio(band: Sequence[Mapping[str, str]], others: Mapping[str, Sequence[Mapp
 
 
 def _best(others: Mapping[str, Sequence[Mapping[str, str]]]) -> list[Mapping[str, str]]:
-    """Of each model, the way with the least score, both axes together."""
+    """Row of the method with the least product of both scores, for each model."""
     return [min(rows, key=lambda row: _scores(row)[0] * _scores(row)[1])
             for rows in zip(*others.values(), strict=True)] if others else []
 
 
 def _parts(title: str) -> tuple[str, str, str]:
-    """What was held out, the question, the way."""
+    """(held-out group, mode, method) of a title."""
     for mode in ("hindsight", "forecast"):
         before, found, way = title.partition(f", {mode}, ")
         if found:
             return before, mode, way
-    raise ValueError(f"{title}: no question")
+    raise ValueError(f"{title}: no mode")
 
 
 def _scores(row: Mapping[str, str]) -> tuple[float, float]:
@@ -80,7 +80,7 @@ def _scores(row: Mapping[str, str]) -> tuple[float, float]:
 
 
 def _first(cell: str) -> float | None:
-    """The share a cell begins with [%]."""
+    """Share at the begin of a cell [%]."""
     number, found, _ = cell.partition("%")
     return float(number) if found else None
 

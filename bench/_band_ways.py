@@ -1,4 +1,4 @@
-"""Ways to make a band: the calibrated one, parametric alternatives, and those alternatives at the same coverage."""
+"""Methods for a band: the calibrated one, parametric alternatives, and these scaled to the same coverage."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -13,7 +13,7 @@ SEED = 21
 
 Question = tuple[str, str]
 Way = Callable[[Band, Sequence[RunSamples], Question], Band]
-"""Of the calibrated band, whose scale the alternatives share, and of the runs that it was learnt from."""
+"""Band from the calibrated one, the scale of which the alternatives share, and from the calibration runs."""
 
 
 def normal(band: Band, runs: Sequence[RunSamples], question: Question, by_condition: bool = True,
@@ -44,15 +44,15 @@ def normal(band: Band, runs: Sequence[RunSamples], question: Question, by_condit
 
 
 def scaled(band: Band, runs: Sequence[RunSamples], question: Question) -> Band:
-    """The band with the factors that cover just the stated share of the windows it was learnt from, every run weighing
-    the same: what the shape is worth at the coverage that was wanted."""
+    """The band with factors for exactly the stated coverage on the calibration runs, with equal weights, which compares
+    the shapes at equal coverage."""
     parts = [np.quantile(band.scores(one.conditions, one.errors[question]).max(axis=1), np.linspace(0.0, 1.0, 201))
              for one in runs]
     return replace(band, factors={level: float(np.quantile(np.concatenate(parts), level)) for level in LEVELS})
 
 
 def _same_everywhere(scale: Scale, runs: Sequence[RunSamples], question: Question) -> Scale:
-    """Root mean square at each knot, whatever the conditions."""
+    """Root mean square at each knot, the same for all conditions."""
     time = scale.time
     squares = np.mean([np.square(one.errors[question].astype(float)).mean(axis=0) for one in runs], axis=0)
     near = [int(np.abs(time - knot).argmin()) for knot in scale.knots]

@@ -1,4 +1,4 @@
-"""Bands of errors that were drawn, for the Leaf and every condition: their numbers mean nothing, their cost is real."""
+"""Bands from random errors, for the Leaf and every condition, to measure the cost of bands."""
 
 import numpy as np
 from st_core.bands import Bands, CalibrationDomain, RunSamples, calibrate
@@ -11,7 +11,7 @@ SETTINGS = EvaluationSettings()
 TIME = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
 RUNS, STARTS = 12, 4000
 MOST = (26.0, 8.0, 6.0, 1.0)
-"""Of the conditions drawn: m/s, m/s^2, m/s^2, rad/s."""
+"""Of the random conditions [m/s, m/s^2, m/s^2, rad/s]."""
 
 
 def drawn_bands(vehicle: VehicleParameters) -> Bands:

@@ -1,4 +1,4 @@
-"""What the batch benchmarks share: a synthetic drive, the Leaf, a core of one's own, and CPU time taken in turns."""
+"""Shared by the batch benchmarks: a synthetic drive, the Leaf, pinning to a core, and alternating measurements."""
 
 import os
 import time
@@ -52,7 +52,7 @@ def pinned() -> Iterator[None]:
 
 
 def in_turns(calls: dict[str, Callable[[], object]], rounds: int = 5, least: float = 0.05) -> dict[str, float]:
-    """Median CPU seconds of a call; each round runs all of them, each for at least `least` seconds."""
+    """Median CPU time of each call [s]; each round runs all of them, each for at least `least` seconds."""
     taken: dict[str, list[float]] = {name: [] for name in calls}
     for call in calls.values():
         call()

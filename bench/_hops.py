@@ -1,7 +1,7 @@
-"""Where the time of a prediction goes: the way from both sockets to a subscriber, cut at every stamp there is.
+"""Latency of a prediction from both sockets to a subscriber, divided at every available stamp.
 
-"Heard" is the middleware's stamp in the listener, another process than the predictor on the same machine: what
-the predictor itself hears arrives about then.
+"Received" is the middleware's stamp in the listener, a process on the same machine; messages reach the predictor at
+about the same time.
 """
 
 from collections.abc import Mapping, Sequence
@@ -9,50 +9,51 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# From a mark to a later one, by the name of the hop.
+# Begin and end of each hop, by its name.
 HOPS = {
     "INS: kernel -> odometry written": ("packet", "odometry_written"),
-    "INS: odometry written -> heard": ("odometry_written", "odometry_heard"),
+    "INS: odometry written -> received": ("odometry_written", "odometry_received"),
     "CAN: kernel -> steering written": ("frame", "steering_written"),
-    "CAN: steering written -> heard": ("steering_written", "steering_heard"),
-    "both heard -> first model begins": ("complete", "begun"),
+    "CAN: steering written -> received": ("steering_written", "steering_received"),
+    "both received -> first model begins": ("complete", "begun"),
     "first model begins -> last prediction issued": ("begun", "issued"),
     "last prediction issued -> written": ("issued", "written"),
-    "last prediction written -> heard": ("written", "heard"),
-    "all: both in the kernel -> last prediction heard": ("known", "heard"),
+    "last prediction written -> received": ("written", "received"),
+    "all: both in the kernel -> last prediction received": ("known", "received"),
 }
-# A subscription that is new gets the first messages late, all at once.
+# A new subscription receives the first messages late, all at once.
 SETTLE_NS = 1_000_000_000
-COMPUTE = "of it in the models"
+COMPUTE = "of which in the models"
 
 
 @dataclass(frozen=True)
 class Stream:
-    """Samples of one input, in order. stamp: of the measurement; kernel, written, heard: on the way; all in ns."""
+    """Samples of one input, in order. stamp: of the measurement; kernel, written, received: later stamps; all in ns."""
 
     stamp: np.ndarray
     kernel: np.ndarray
     written: np.ndarray
-    heard: np.ndarray
+    received: np.ndarray
 
     def first_from(self, start: int) -> int | None:
-        """The first sample measured at an instant or later; None before the listener had settled, and at the end."""
+        """Row of the first sample measured at `start` or later; None before the listener has settled, and at the
+        end."""
         row = int(np.searchsorted(self.stamp, start))
         return row if row < len(self.stamp) and start >= self.stamp[0] + SETTLE_NS else None
 
 
 @dataclass(frozen=True)
-class Made:
-    """One prediction: issued, written, heard [ns], and the time its model took [ns]."""
+class Issued:
+    """One prediction: issued, written, received, and the processor time of its model; all in ns."""
 
     issued: int
     written: int
-    heard: int
+    received: int
     compute: int
 
 
-def marks(start: int, odometry: Stream, steering: Stream, made: Sequence[Made]) -> dict[str, int] | None:
-    """The instants [ns] of a tick, and `compute`; None where a sample of it was not heard.
+def marks(start: int, odometry: Stream, steering: Stream, made: Sequence[Issued]) -> dict[str, int] | None:
+    """Instants [ns] of a tick, and `compute`; None if a sample of it was not received.
 
     start: instant of its state, the newest at which both inputs were known.
     """
@@ -62,17 +63,17 @@ def marks(start: int, odometry: Stream, steering: Stream, made: Sequence[Made]) 
     last = max(made, key=lambda one: one.issued)
     found = {
         "packet": int(odometry.kernel[ins]), "odometry_written": int(odometry.written[ins]),
-        "odometry_heard": int(odometry.heard[ins]), "frame": int(steering.kernel[angle]),
-        "steering_written": int(steering.written[angle]), "steering_heard": int(steering.heard[angle]),
+        "odometry_received": int(odometry.received[ins]), "frame": int(steering.kernel[angle]),
+        "steering_written": int(steering.written[angle]), "steering_received": int(steering.received[angle]),
         "begun": min(one.issued - one.compute for one in made), "issued": last.issued, "written": last.written,
-        "heard": max(one.heard for one in made), "compute": sum(one.compute for one in made),
+        "received": max(one.received for one in made), "compute": sum(one.compute for one in made),
     }
     return found | {"known": max(found["packet"], found["frame"]),
-                    "complete": max(found["odometry_heard"], found["steering_heard"])}
+                    "complete": max(found["odometry_received"], found["steering_received"])}
 
 
 def hops(ticks: Sequence[Mapping[str, int]]) -> dict[str, dict[str, float]]:
-    """Name of the hop -> median, 99 % and longest [ms], in the order of the way."""
+    """Median, 99 % quantile and maximum [ms] by name of the hop, in the order of the path."""
     rows: dict[str, dict[str, float]] = {}
     for name, (begin, end) in HOPS.items():
         rows[name] = percentiles([(tick[end] - tick[begin]) * 1e-6 for tick in ticks])

@@ -1,4 +1,4 @@
-"""Drives of the virtual Leaf for identification: the compiled car, a hand that never is still, the sensors' noise."""
+"""Drives of the virtual Leaf for identification, compiled, with steering tremor and sensor noise."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -19,7 +19,7 @@ LEAF_FILE = config("vehicle/leaf.yaml")
 SECONDS = 60.0
 SENSORS = ("ins_noise=1", "steering_sensor_noise=0.0005")
 LEVER_ERROR, MISALIGNMENT = 0.06, 0.008
-"""m, rad: in the slow drives the INS is not where the file says."""
+"""m, rad: errors of the INS mounting in the vehicle file, in the slow drives."""
 
 
 def leaf() -> VehicleParameters:
@@ -32,7 +32,7 @@ def with_stiffness(car: VehicleParameters, front: float, rear: float) -> Vehicle
 
 
 def identified(car: VehicleParameters, estimates: Iterable[Estimate]) -> VehicleParameters:
-    """The car with the estimates that its file can hold; lambda_ky follows."""
+    """The car with those estimates that are in a vehicle file; lambda_ky follows."""
     return car.with_values({e.parameter: e.value for e in estimates if quantity(e.parameter)}).with_derived_scales()
 
 
@@ -94,7 +94,7 @@ TRANSIENTS: Runs = (("steps 10 m/s", 10.0, steps(10.0, 0.05)), ("steps 14 m/s", 
 
 def record(runs: Runs, plant: str, seed: int, effects: Sequence[str] = (), seconds: float = SECONDS,
            sensors: Sequence[str] = SENSORS) -> list[DriveLog]:
-    """Every run once: tremor of the hand and noise of the sensors from the seed."""
+    """Logs of the runs, with steering tremor and sensor noise from the seed."""
     settings = resolve(plant, ("driver_tremor=0", *sensors, *effects))
     car, vehicle = read_car(LEAF_FILE), leaf()
     return [log_of(name, _driven(run, number, plant, seed, seconds), car, vehicle, settings,
@@ -116,7 +116,7 @@ def _driven(run: Run, number: int, plant: str, driver: int, seconds: float) -> R
 
 def record_all(plant: str, seed: int, sensors: Sequence[str] = SENSORS,
                seconds: float = SECONDS) -> Mapping[str, list[DriveLog]]:
-    """All drives an identification wants."""
+    """All drives of an identification, by kind."""
     turned = (f"ins_lever_error={LEVER_ERROR}", f"ins_misalignment={MISALIGNMENT}")
     kinds: Mapping[str, tuple[Runs, tuple[str, ...]]] = {
         "bends": (BENDS, ()), "straight": (STRAIGHTS, ()), "slow": (SLOW, turned), "transient": (TRANSIENTS, ())}

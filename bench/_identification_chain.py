@@ -1,4 +1,4 @@
-"""The paper's chain on virtual S1 to S7: offset, stiffnesses by regression, then the evaluation with what was found."""
+"""The paper's procedure on virtual S1 to S7: offset, stiffnesses by regression, then the evaluation with the result."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ from st_sim.sensors import Ins, SteeringSensor
 from st_sim.settings import resolve
 from st_sim.simulation import SimulatedCar
 
-# Seconds of each; the figure eight and the circles are alike throughout, only S6 and S7 have straights above 5 m/s.
+# s of each; figure eight and circles are uniform, only S6 and S7 have straights above 5 m/s.
 SECONDS = {"S1": 20, "S2": 15, "S3": 15, "S4": 15, "S5": 25, "S6": 90, "S7": 90}
 START_NS, INTERVAL_MS = 1_756_900_800_000_000_000, 10
 RESOLUTION = np.deg2rad(0.1)

@@ -1,4 +1,4 @@
-"""The Genesis identified on some of its drives and judged on the others, by the position error after five seconds."""
+"""Identification of the Genesis on some of its drives, tested on the others by the position error after 5 s."""
 
 import os
 from dataclasses import replace
@@ -33,7 +33,7 @@ def genesis() -> dict:
     car = VehicleParameters.from_yaml(file.read_text(), str(file))
     shared = Path(os.environ.get("ST_SHARED", project_root().parent / "shared"))
     logs = {source.name: read(source, car).log for source in find_runs([shared / "data" / "hyundai_genesis_oxts"])}
-    # The recordings hold the road wheels: hand wheel / 15.87. Back to the hand wheel, so that the ratio can be changed.
+    # The recordings contain the road wheel angle, hand wheel / 15.87; converted back, so that the ratio can be changed.
     logs = {name: replace(log, steering_wheel_angle=car.steering_wheel_angle(log.road_wheel_angle))
             for name, log in logs.items()}
     learnt, others = [logs[n] for n in LEARNT], [log for name, log in logs.items() if name not in LEARNT]
@@ -47,8 +47,8 @@ def genesis() -> dict:
                  taken(car, everything, (*STEERING, "cg_to_ins_x")))}
     result = {"learnt from": ", ".join(LEARNT), "estimates": {name: _rows(one) for name, one in found.items()}}
     result["by drive"] = {name: _alone(log, car) for name, log in logs.items()}
-    result["yaw inertia"] = _said(lambda: identify_yaw_inertia(learnt, car))
-    result["offset on straights"] = _said(lambda: identify_steering_offset(learnt, car))
+    result["yaw inertia"] = _estimates(lambda: identify_yaw_inertia(learnt, car))
+    result["offset on straights"] = _estimates(lambda: identify_steering_offset(learnt, car))
     steps = {
         "published": (car, 0.0),
         "steering ratio, offset": (taken(car, steered, STEERING), 0.0),
@@ -68,7 +68,7 @@ def taken(car: VehicleParameters, found: Identification, names=None) -> VehicleP
 
 
 def turned(log: DriveLog, angle: float) -> DriveLog:
-    """The drive as an INS would have recorded it that is not turned by `angle` [rad]."""
+    """The drive with the rotation of the INS by `angle` [rad] removed."""
     cosine, sine = np.cos(angle), np.sin(angle)
     return replace(log, yaw=log.yaw - angle, velocity_x=cosine * log.velocity_x - sine * log.velocity_y,
                    velocity_y=cosine * log.velocity_y + sine * log.velocity_x, acceleration_x=None, acceleration_y=None)
@@ -83,7 +83,7 @@ def judged(logs: list[DriveLog], car: VehicleParameters, misalignment: float) ->
         for number, log in enumerate(logs):
             own = log.with_steering(car)
             starts, _ = usable_starts(LogSignals(own, 0.1, 5.0), car, regular_starts(own, 0.1), 0.5)
-            # As many integration steps as these stiffnesses need at the slowest speed.
+            # Integration steps small enough for these stiffnesses at the lowest speed.
             batch = LogBatch(own, starts, points=(SECONDS,), substeps="auto")
             errors = batch.errors(batch.predict(model, car))[:, 0, :2]
             good = np.isfinite(errors).all(axis=1)
@@ -117,7 +117,8 @@ def _alone(log: DriveLog, car: VehicleParameters) -> dict | str:
         return str(error)
 
 
-def _said(call) -> dict | str:
+def _estimates(call) -> dict | str:
+    """Estimates with warnings, or the reason why there are none."""
     try:
         found = call()
         return {**_rows(found), "warnings": " ".join(found.warnings)}

@@ -7,12 +7,12 @@ BEGIN, END = "<!-- {}: written by `./st bench` -->\n", "<!-- end of {} -->\n"
 
 
 def part(page: Path, name: str) -> str:
-    """What stands there now."""
+    """The present text of the part."""
     return page.read_text(encoding="utf-8").split(BEGIN.format(name))[1].split(END.format(name))[0]
 
 
 def renew(page: Path, name: str, text: str) -> None:
-    """Another text in its place."""
+    """Replace the text of the part."""
     before, rest = page.read_text(encoding="utf-8").split(BEGIN.format(name))
     after = rest.split(END.format(name))[1]
     page.write_text(before + BEGIN.format(name) + text + END.format(name) + after, encoding="utf-8")

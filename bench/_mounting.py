@@ -1,4 +1,4 @@
-"""An INS mounted otherwise than the vehicle file says, put into what it recorded."""
+"""Recordings as of an INS with another mounting than in the vehicle file."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ from st_core.log import DriveLog
 
 
 def turned(log: DriveLog, angle: float) -> DriveLog:
-    """Mounted askew: reports a heading `angle` [rad] too far left, and body axes that go with it."""
+    """As of a rotated INS: its heading and body axes are `angle` [rad] too far left."""
     c, s = np.cos(angle), np.sin(angle)
     accelerations = {}
     if log.acceleration_x is not None and log.acceleration_y is not None:
@@ -18,7 +18,7 @@ def turned(log: DriveLog, angle: float) -> DriveLog:
 
 
 def moved(log: DriveLog, x: float) -> DriveLog:
-    """As if the unit sat x [m] further forward; its yaw acceleration is the slope of a smoothed yaw rate."""
+    """As of an INS x [m] further forward; the yaw acceleration is the slope of a smoothed yaw rate."""
     accelerations = {}
     if log.acceleration_x is not None:
         accelerations["acceleration_x"] = log.acceleration_x - x * log.yaw_rate**2

@@ -1,4 +1,4 @@
-"""What the lanes are compared with in bench/batch.py: C++ built here, numba scalar, CasADi, commonroad."""
+"""Implementations compared in bench/batch.py: C++ built here, numba scalar, CasADi, commonroad."""
 
 import ctypes
 import subprocess

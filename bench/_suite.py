@@ -21,8 +21,8 @@ def running_suite(duration: float, ncom_rate: int = 250, can_rate: str = "full")
     """Nodes up and data flowing; everything ended and deleted afterwards.
 
     ST_BENCH_REALTIME=1: bridges and predictor with real-time scheduling. ST_BENCH_WITHOUT: nodes left out, as
-    recorder,evaluator. ST_BENCH_BUSY: so many programs beside that never sleep. ST_BENCH_BANDS=1: bands around every
-    prediction.
+    recorder,evaluator. ST_BENCH_BUSY: number of background programs that never sleep. ST_BENCH_BANDS=1: bands around
+    every prediction.
     """
     left_out = os.environ.get("ST_BENCH_WITHOUT", "").split(",")
     nodes = [node for node in NODES if node[1] not in left_out]

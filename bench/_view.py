@@ -1,4 +1,4 @@
-"""The passenger's page attached to the running suite, with one client that reads it; it runs, or it hangs."""
+"""The passenger's page attached to the running suite, with one client that reads it, running or stopped."""
 
 import os
 import signal

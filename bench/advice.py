@@ -1,7 +1,4 @@
-"""Which model is good enough for which horizon and speed, on the real drives of the Genesis.
-
-What `st evaluate --advise` says of them, written into docs/measurements/mpc.md.
-"""
+"""Table and figure of `st evaluate --advise` on the real drives of the Genesis, for docs/measurements/mpc.md."""
 
 import os
 from collections.abc import Mapping
@@ -68,11 +65,11 @@ def figure(costs: Mapping[advice_report.Key, advice_report.Cost],
 
 
 def run() -> dict:
-    """Rows by model and step, and the choice; nothing where the shared drives are not at hand."""
+    """Rows by model and step, and the choice by speed; empty without the shared drives."""
     data = Path(os.environ.get("ST_SHARED", project_root().parent / "shared")) / "data"
     folders = [data / name for name in ("hyundai_genesis_oxts", "hyundai_genesis_more")]
     if not all(folder.exists() for folder in folders):
-        return {"Genesis": "the shared drives are not here"}
+        return {"Genesis": "the shared drives are missing"}
     sources = [one for one in find_runs(folders) if not one.name.startswith(OTHERS)]
     file = config("vehicle/hyundai_genesis.yaml")
     task = Task(VehicleParameters.from_yaml(file.read_text(), str(file)), MODELS, EvaluationSettings())

@@ -1,6 +1,6 @@
-"""Bands on runs they were not learnt from: coverage, worst cell, interval score against parametric alternatives.
+"""Bands on held-out runs: coverage, worst cell, interval score compared with parametric alternatives.
 
-ST_BANDS=genesis, virtual, manoeuvres, mended, changes or adaptive: that part only. Each replaces its rows of
+ST_BANDS=genesis, virtual, manoeuvres, corrected, changes or adaptive: that part only. Each replaces its rows of
 docs/measurements/bands.md.
 """
 
@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 from _band_adaptive import Drive, Score, drive_of, session
 from _band_changes import changes
-from _band_mended import mended as mended_files
-from _band_mended import read_again
+from _band_corrected import corrected as corrected_files
 from _band_page import PAGE, write
 from _band_ways import LEVELS, SEED, WAYS
 from _markers import renew, table
@@ -32,7 +31,7 @@ from st_recordings.runs import find_runs, read
 SETTINGS = EvaluationSettings()
 TIME = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
 MODELS, MODES = ("kinematic", "linear", "nonlinear"), ("hindsight", "forecast")
-# Days as the data's own page has them; of low_speed_f to _h only the campaign is known.
+# Days by the page of the data; of low_speed_f to _h only the campaign is known.
 DAYS = {
     "2018-08-20": ("cpg_lap_slow", "cpg_lap_fast"), "2018-08-22": ("cpg_lap_medium", "cpg_lap_fast_controlled"),
     "June 2019": ("cpg_low_speed_a", "cpg_low_speed_b", "cpg_low_speed_f", "stale_position_low_speed_g",
@@ -42,10 +41,10 @@ DAYS = {
 SITES = {"Richmond": DAYS["2019-10-18"] + DAYS["2019-11-27"],
          "proving ground": DAYS["2018-08-20"] + DAYS["2018-08-22"] + DAYS["June 2019"]}
 OTHER_POINT = ("rear_ref_rfs_1", "rear_ref_rfs_2", "rear_ref_rfs_3", "rear_ref_rfs_lanekeeping")
-SEEDS, OF_A_MANOEUVRE, OF_A_SESSION, FOLDS, TO_MEND = 32, 4, 8, 4, 6
+SEEDS, OF_A_MANOEUVRE, OF_A_SESSION, FOLDS, TO_CORRECT = 32, 4, 8, 4, 6
 MANOEUVRES = ("SWEEP", "STEPS", "SLALOM", "WEAVE", "LIMIT", "BRAKING", "ORDINARY", "CIRCLE")
 OFF = {"friction_factor": 0.75, "steering_offset": 0.01, "mass_factor": 1.1}
-"""What is off on the car whose vehicle file is not."""
+"""Deviations of the second car from the vehicle file."""
 
 Runs = Mapping[str, RunSamples]
 Row = dict[str, str]
@@ -55,8 +54,8 @@ CALIBRATED = ("conformal",)
 
 
 def run() -> dict:
-    """Figures of one model and question a row."""
-    parts = {"genesis": genesis, "virtual": virtual, "manoeuvres": by_manoeuvre, "mended": mended,
+    """One row for each model and mode."""
+    parts = {"genesis": genesis, "virtual": virtual, "manoeuvres": by_manoeuvre, "corrected": corrected,
              "changes": changed_mid_drive, "adaptive": adaptive}
     chosen = os.environ.get("ST_BANDS")
     found: dict[str, Row] = {}
@@ -70,7 +69,7 @@ def run() -> dict:
 
 
 def changed_mid_drive() -> dict[str, Row]:
-    """Written into the page; of changes without the forecast's rows where it did not warn."""
+    """Also written into the page, without rows of the forecast in which it did not warn."""
     rows = changes()
     shown = [row for row in rows if row["question"] == "hindsight" or row["median delay"] != "none"]
     renew(PAGE, "changes in mid-drive", "\n".join(table(shown)) + "\n")
@@ -79,7 +78,7 @@ def changed_mid_drive() -> dict[str, Row]:
 
 def adaptive() -> dict[str, Row]:
     """Adaptive bands of the linear model: drives of the Genesis by day, by site and with the INS at the rear axle, each
-    started with bands of the others or without; and a session of each manoeuvre with bands of the other manoeuvres.
+    with bands of the others or without; and a session of each manoeuvre with bands of the other manoeuvres.
     """
     here = world()
     kinds = {kind: tuple(f"{kind} {k}" for k in range(OF_A_SESSION)) for kind in MANOEUVRES}
@@ -106,7 +105,7 @@ def adaptive() -> dict[str, Row]:
 
 def _adaptive_rows(title: str, runs: Runs, groups: Mapping[str, Sequence[str]],
                    new: Mapping[str, Sequence[Drive]]) -> list[Row]:
-    """runs: to calibrate from, without those of the group; none: no file."""
+    """runs: for the calibration, without those of the group; none: no file."""
     rows = []
     for question in (("linear", mode) for mode in MODES):
         score = Score(TIME, question)
@@ -123,7 +122,7 @@ def _adaptive_rows(title: str, runs: Runs, groups: Mapping[str, Sequence[str]],
 
 
 def genesis() -> dict[str, Row]:
-    """Nothing where the shared drives are not at hand."""
+    """Empty without the shared drives."""
     runs = _genesis_runs()
     if runs is None:
         return {}
@@ -138,7 +137,7 @@ def genesis() -> dict[str, Row]:
 
 
 def days_as_one(runs: Runs) -> list[Row]:
-    """Each day with bands of the others, the runs of a day counting as one: what so few can promise."""
+    """Each day with bands of the others; the runs of a day count as one."""
     rows = []
     days = {day: together([runs[name] for name in names]) for day, names in DAYS.items()}
     stated = (0.5, highest_level(len(days) - 1))
@@ -160,7 +159,7 @@ def days_as_one(runs: Runs) -> list[Row]:
 
 
 def virtual() -> dict[str, Row]:
-    """By seed, and from the car that is as in its file to one that is not."""
+    """By seed, and from the car of the vehicle file to one that differs from it."""
     here = world()
     mixed, other = here.samples("seed", SEEDS, here.healthy), here.samples("off", SEEDS, here.off)
     return held_out("virtual, nonlinear, by seed", mixed, _folds(mixed), "nonlinear", tuple(WAYS)) \
@@ -176,38 +175,40 @@ def by_manoeuvre() -> dict[str, Row]:
                     {kind: tuple(one) for kind, one in kinds.items()}, "nonlinear")
 
 
-def mended() -> dict[str, Row]:
-    """The car that is off as `st discover` mends it from other drives of it; and as it was, on the same runs."""
+def corrected() -> dict[str, Row]:
+    """The car that differs from its file, corrected by `st discover` on other drives, and uncorrected on the same
+    runs."""
     here = world()
-    car, model, intervals = mended_files([here.drive("to mend", k, here.off) for k in range(TO_MEND)], here.file)
-    logs = [read_again(here.drive("off", k, here.off), car) for k in range(SEEDS)]
+    car, model, intervals = corrected_files([here.drive("to mend", k, here.off) for k in range(TO_CORRECT)], here.file)
+    logs = [here.drive("off", k, here.off).with_steering(car) for k in range(SEEDS)]
     after = {log.name: samples(log, car, (model,)) for log in logs}
     _write_shares([share_sums([model], car, SETTINGS.signals(log), SETTINGS, {model.name: intervals}) for log in logs])
     before = here.samples("off", SEEDS, here.off)
     healthy = here.samples("seed", SEEDS, here.healthy)
     name = model.name
-    found = held_out("virtual, mended by st discover, by seed", after, _folds(after), name, tuple(WAYS))
+    found = held_out("virtual, corrected by st discover, by seed", after, _folds(after), name, tuple(WAYS))
     renamed = {key: RunSamples(one.name, one.conditions, {("nonlinear", mode): one.errors[name, mode]
                                                           for mode in MODES}) for key, one in after.items()}
     return found \
-        | transferred("virtual, bands of the healthy car on the mended one", healthy, renamed, "nonlinear") \
-        | transferred("virtual, bands from before the mending on the mended one", before, renamed, "nonlinear")
+        | transferred("virtual, bands of the healthy car on the corrected one", healthy, renamed, "nonlinear") \
+        | transferred("virtual, bands of the uncorrected car on the corrected one", before, renamed, "nonlinear")
 
 
 def _write_shares(runs: Sequence[dict]) -> None:
-    """What the error of the mended car is made of, into the page."""
+    """Write the decomposition of the error of the corrected car into the page."""
     shares = finished_shares(pooled_sums(runs))
     (one,) = shares.values()
     causes = {name: values["5"]["lateral"] for name, values in one["rms_of_cause"].items()}
     largest = sorted(causes, key=causes.get, reverse=True)[:5]
-    told = "; ".join(f"{name} {causes[name]:.2f} m" for name in largest)
-    lines = [*table(share_rows(shares)), "", f"The largest causes across at 5 s, rms: {told}."]
+    text = "; ".join(f"{name} {causes[name]:.2f} m" for name in largest)
+    lines = [*table(share_rows(shares)), "", f"The largest causes across at 5 s, rms: {text}."]
     renew(PAGE, "shares", "\n".join(lines) + "\n")
 
 
 @dataclass(frozen=True)
 class World:
-    """The virtual Leaf: a vehicle file that says what the healthy car is, and a car that is off against it."""
+    """The virtual Leaf: vehicle file, settings of the healthy car that it describes, and of one that differs from
+    it."""
 
     file: VehicleParameters
     healthy: Mapping[str, float]
@@ -241,7 +242,7 @@ def samples(log: DriveLog, vehicle: VehicleParameters, models: Sequence[str | Mo
 
 
 def held_out(title: str, runs: Runs, groups: Mapping, model: str, ways: Sequence[str] = CALIBRATED) -> dict[str, Row]:
-    """Each group of runs tested with bands learnt from all the others; one row for each question and way."""
+    """Each group of runs tested with bands of all the others; one row for each mode and method."""
     found = {}
     for mode in MODES:
         entries: dict[str, list] = {way: [] for way in ways}
@@ -263,7 +264,7 @@ def held_out(title: str, runs: Runs, groups: Mapping, model: str, ways: Sequence
 
 
 def transferred(title: str, runs: Runs, others: Runs, model: str) -> dict[str, Row]:
-    """Bands of these runs on runs that are not like them: the promise does not hold there, and it shows."""
+    """Bands of these runs on different runs, for which their coverage is not guaranteed."""
     found = {}
     for mode in MODES:
         known = list(runs.values())
@@ -284,7 +285,7 @@ def tested(band: Band, known: Sequence[RunSamples], new: Sequence[RunSamples], q
 
 
 def row(runs: Sequence[dict], refused: Sequence[str]) -> Row:
-    """refused: groups that the others make no band for, with the reason."""
+    """refused: groups for which no band could be calibrated, with the reason."""
     of_all = finished({"models": {"m": {"q": pooled_sums(runs)}}})["models"]["m"]["q"] if runs else None
     if of_all is None or not of_all["starts"]:
         return dict.fromkeys(COLUMNS, "-") | {"no band": "; ".join(refused) or "100%"}
@@ -308,7 +309,7 @@ def _folds(runs: Runs) -> dict[int, list[str]]:
 
 
 def _genesis_runs() -> dict[str, RunSamples] | None:
-    """All drives but the one that was projected wrongly."""
+    """All drives except the one with a wrong projection."""
     found = _genesis_logs()
     return found and {name: samples(log, found[0], MODELS) for name, log in found[1].items()}
 

@@ -1,6 +1,6 @@
-"""What bands cost: a tick, and latency over the wire, with and without them in turns; for docs/measurements/bands.md.
+"""Cost of bands: duration of a tick, and live latency, alternately with and without them; docs/measurements/bands.md.
 
-ST_BENCH_TURNS, ST_BENCH_SECONDS change the runs over the wire. Needs an idle machine.
+ST_BENCH_TURNS, ST_BENCH_SECONDS change the live runs. Needs an idle machine.
 """
 
 import os
@@ -17,19 +17,19 @@ def run() -> dict:
     """Rows without and with bands."""
     turns = int(os.environ.get("ST_BENCH_TURNS", str(TURNS)))
     os.environ.setdefault("ST_BENCH_SECONDS", str(SECONDS))
-    ticks, heard = tick.run(), {"0": [], "1": []}
+    ticks, received = tick.run(), {"0": [], "1": []}
     for _ in range(turns):
-        for bands, found in heard.items():
+        for bands, found in received.items():
             os.environ["ST_BENCH_BANDS"] = bands
             found.append(latency.run())
     rows = [_row(name, ticks[f"{key}ms_p50"], ticks[f"{key}ms_p99"], found)
-            for name, key, found in (("no", "", heard["0"]), ("yes", "with_bands_", heard["1"]))]
+            for name, key, found in (("no", "", received["0"]), ("yes", "with_bands_", received["1"]))]
     renew(PAGE, "cost of bands", "\n".join(table(rows)) + "\n")
     return {row["bands"]: row for row in rows}
 
 
 def _row(name: str, half: float, most: float, found: list[dict]) -> dict[str, str]:
-    """One share of each run over the wire."""
+    """Row of a table; one number for each live run."""
     latencies = [one["samples_to_third_prediction_published_ms"] for one in found]
     return {"bands": name, "tick p50 | p99, ms": f"{half:.2f} | {most:.2f}",
             "latency p50, ms": ", ".join(f"{one['p50']:.1f}" for one in latencies),

@@ -49,7 +49,7 @@ def _model(name: str, car, log, folder: Path) -> dict:
     block, = plan(times, 25_000_000 * np.arange(2 * STEPS + 1), numba_lanes.LANES)
     angle = signals.road_wheel_angle_at(block.times_ns)
     acceleration, = signals.ins_at(block.times_ns, "velocity_x_dot")
-    # Off both ends of the drive nothing is known; held there, so that no kernel meets NaN.
+    # Beyond both ends of the drive the inputs are held, so that no kernel receives NaN.
     angle, acceleration = (np.interp(block.times_ns, block.times_ns[np.isfinite(a)], a[np.isfinite(a)])
                            for a in (angle, acceleration))
     w = block.table(model.inputs(angle, acceleration, p))

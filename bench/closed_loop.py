@@ -1,9 +1,9 @@
-"""The closed loop, live: a car with something hidden is driven, discovered without a reference, mended, and driven
-again on a road nobody had driven; errors before and after. Twice: hidden are two effects of the library and one wrong
-number in the vehicle file; and a law the library does not hold, which `st discover` proposes.
+"""Live closed loop: drives of a car with hidden effects, `st discover` without a reference, then the corrected files on
+a new road; errors before and after. Two cases: two effects of the library and a wrong number in the vehicle file; and a
+relation that is not in the library, which `st discover` proposes.
 
-Everything through bridges, nodes and files, as a user would: `st demo`, `st discover`, `st demo`. Errors before and
-after are those of two drives in real time: they are compared over the starts that were scored in both.
+Everything runs through bridges, nodes and files: `st demo`, `st discover`, `st demo`. Errors before and after are of
+two drives in real time, compared over the starts that were scored in both.
 """
 
 import argparse
@@ -37,7 +37,7 @@ IMAGES = project_root() / "docs" / "images"
 
 
 def run(folder: Path | None = None) -> dict:
-    """Both loops. What is in a folder that is given is not driven again."""
+    """Both cases. Drives that exist in `folder` are not repeated."""
     if folder is None:
         with tempfile.TemporaryDirectory(prefix="st-closed-loop-") as name:
             return run(Path(name))
@@ -45,37 +45,36 @@ def run(folder: Path | None = None) -> dict:
 
 
 def of_effects(folder: Path) -> dict:
-    """What was found, and lateral RMSE [m] over 5 s by model before and after. Writes its part of the page."""
+    """Effects found, and lateral RMSE [m] over 5 s by model before and after. Writes its part of the page."""
     vehicle = _wrong_file(folder)
     car = ("--plant-vehicle", config("vehicle/leaf.yaml"), *_hidden(HIDDEN))
     found = _found(folder, DRIVES, SECONDS, vehicle, car)
-    mended, model = folder / "found" / "vehicle.yaml", folder / "found" / "model.yaml"
+    corrected, model = folder / "found" / "vehicle.yaml", folder / "found" / "model.yaml"
     unseen = ("--scenario", UNSEEN, "--duration", UNSEEN_SECONDS, *car, "--seed", 100)
     _drive(folder / "before", *unseen, "--vehicle", vehicle)
-    _drive(folder / "after", *unseen, "--vehicle", mended if mended.exists() else vehicle, "--model", model)
+    _drive(folder / "after", *unseen, "--vehicle", corrected if corrected.exists() else vehicle, "--model", model)
     before, after = compared(scored(folder / "before"), scored(folder / "after"))
     result = {"found": [_statement(e) for e in found["effects"]], "kept": [_statement(e) for e in found["minor"]],
-              "mended": mended.exists(), "position_5s": _gap(found), "before": before, "after": after}
+              "corrected": corrected.exists(), "position_5s": _gap(found), "before": before, "after": after}
     _draw(IMAGES / "closed_loop.png", {name: (before["lateral"].get(name), now) for name, now in
                                        after["lateral"].items()}, ("file and model as they were",
-                                                                   "mended by st discover"))
+                                                                   "corrected by st discover"))
     _write(effects=_page(result))
     return result
 
 
 def of_a_law(folder: Path) -> dict:
-    """The law proposed, and lateral RMSE [m] over 5 s: given of the nonlinear model with the vehicle file as it is,
-    library of what the library explains, proposed with the law. Writes its part of the page."""
+    """The proposed law, and lateral RMSE [m] over 5 s: given: nonlinear model with the given vehicle file; library:
+    with the effects of the library; proposed: with the law. Writes its part of the page."""
     folder.mkdir(exist_ok=True)
     vehicle, car = config("vehicle/leaf.yaml"), _hidden(LAW)
     found = _found(folder, LAW_DRIVES, LAW_SECONDS, vehicle, car, "--propose")
     written = {name: folder / "found" / name for name in ("vehicle.yaml", "model.yaml", "proposed.yaml", "effects")}
     unseen = ("--scenario", LAW_UNSEEN, "--duration", LAW_UNSEEN_SECONDS, *car, "--seed", 100)
-    # A model file holds for the vehicle file it was found with: model.yaml for the mended one, proposed.yaml for the
-    # one that was given.
-    mended = written["vehicle.yaml"] if written["vehicle.yaml"].exists() else vehicle
+    # A model file is valid for one vehicle file: model.yaml for the corrected one, proposed.yaml for the given one.
+    corrected = written["vehicle.yaml"] if written["vehicle.yaml"].exists() else vehicle
     model = ("--model", written["model.yaml"]) if written["model.yaml"].exists() else ()
-    drives = [_drive(folder / "before", *unseen, "--vehicle", mended, *model)]
+    drives = [_drive(folder / "before", *unseen, "--vehicle", corrected, *model)]
     if written["proposed.yaml"].exists():
         drives.append(_drive(folder / "after", *unseen, "--vehicle", vehicle, "--model", written["proposed.yaml"],
                               "--effects", written["effects"]))
@@ -95,7 +94,7 @@ def of_a_law(folder: Path) -> dict:
 
 def _found(folder: Path, drives: Sequence[str], seconds: float, vehicle: Path, car: Sequence[object],
            *options: str) -> dict:
-    """discovery.json of the drives, driven live and recorded."""
+    """discovery.json of the drives, which are driven live and recorded."""
     for number, name in enumerate(drives):
         road = config(f"manoeuvres/{name}") if name.endswith(".yaml") else name
         _drive(folder / Path(name).stem, "--scenario", road, "--duration", seconds, "--vehicle", vehicle, *car,
@@ -118,7 +117,7 @@ class Scored:
 
 
 def _drive(folder: Path, *options: object) -> Path:
-    """A live drive, unless it was driven before."""
+    """A live drive, unless it exists already."""
     if not folder.exists():
         _st("demo", *options, "--output", folder)
     return folder
@@ -130,16 +129,16 @@ def scored(folder: Path) -> Scored:
     with (folder / "truth" / "truth.mcap").open("rb") as file:
         summary = make_reader(file).get_summary()
     if summary is None or summary.statistics is None:
-        raise RuntimeError(f"{folder}: its truth.mcap has no end, so nobody knows when the drive began")
+        raise RuntimeError(f"{folder}: its truth.mcap is truncated, so the begin of the drive is unknown")
     return Scored((starts - summary.statistics.message_start_time) * 1e-9,
                   {model: one.lateral[np.isin(one.start_ns, starts)] for model, one in scores.items()})
 
 
 def compared(*drives: Scored) -> list[dict]:
-    """Starts and lateral RMSE [m] by model of each, over the starts that all of them have: one drive, driven again.
+    """Number of starts and lateral RMSE [m] by model of each repetition of a drive, over the starts common to all.
 
-    A start counts where each of the others has one within half a period. Where the machine was busy a stretch of
-    measurements is missing and with it 5 s of starts: what was scored on another part of the road is not compared.
+    A start is common if each of the others has one within half a period. On a busy computer measurements may be
+    missing, and with them 5 s of starts; scores of another part of the road are not compared.
     """
     first = drives[0].time
     rows = [np.abs(drive.time - first[:, None]).argmin(axis=1) for drive in drives]
@@ -161,7 +160,7 @@ def _gap(found: dict) -> list[float]:
 def _wrong_file(folder: Path) -> Path:
     text = config("vehicle/leaf.yaml").read_text()
     if RATIO not in text:
-        raise RuntimeError("config/vehicle/leaf.yaml has another steering ratio than this benchmark knows")
+        raise RuntimeError("config/vehicle/leaf.yaml does not have the steering ratio expected here")
     file = folder / "car.yaml"
     file.write_text(text.replace(RATIO, f"steering_ratio: {{value: {17.3 * WRONG:.4f}"))
     return file
@@ -205,13 +204,13 @@ def _draw(file: Path, rows: Mapping[str, tuple[float | None, float]], labels: tu
 
 
 def _write(effects: str = "", law: str = "") -> None:
-    """The parts of the page that are given; the other stays as it is."""
+    """Replace the given parts of the page."""
     old, _, rest = PAGE.read_text().partition(LAW_BEGINS)
     PAGE.write_text((effects or old.rstrip("\n") + "\n") + "\n" + (law or LAW_BEGINS + rest))
 
 
 def _page(result: dict) -> str:
-    def said(effect: dict) -> str:
+    def row(effect: dict) -> str:
         values = ", ".join(f"{name} {value:.4g} [{low:.4g}, {high:.4g}] {unit}"
                            for name, (value, low, high, unit) in effect["values"].items())
         also = f"; not excluded: {', '.join(effect['alternatives'])}" if effect["alternatives"] else ""
@@ -232,7 +231,7 @@ def _page(result: dict) -> str:
         f"({UNSEEN}) is driven live twice: with the file as it was, and with what `st discover` wrote.", "",
         f"Found (the true factor of the ratio is 1/{WRONG:g} = {1 / WRONG:.3f}); held-out 5 s position {base:.2f} → "
         f"{augmented:.2f} m:", "",
-        "| effect | value, 95 % interval |", "|---|---|", *(said(e) for e in result["found"]), "",
+        "| effect | value, 95 % interval |", "|---|---|", *(row(e) for e in result["found"]), "",
         f"Kept, not named: {', '.join(e['name'] for e in result['kept']) or 'nothing'}.", "",
         f"Live, lateral error over 5 s in hindsight, RMSE over {result['after']['starts']} starts of both drives:", "",
         "| model | before, m | after, m |", "|---|---|---|", *rows, "",
@@ -244,22 +243,23 @@ def _law_page(result: dict) -> str:
     hidden = ", ".join(f"`{name}={value:g}`" for name, value in LAW.items())
     car = VehicleParameters.from_yaml(config("vehicle/leaf.yaml").read_text())
     truth = LAW["drive_offset"] * car.mass / car.yaw_inertia
-    said = [f"Nothing is proposed: {result['why']}."]
+    lines_of_law = [f"Nothing is proposed: {result['why']}."]
     if law:
         others = "; ".join(f"{name.replace('_', ' ')} (cosine {cosine:.2f})" for name, cosine in law["others"].items())
         read = "; ".join(f"`{r['text']}` ({r['shape']}, {100 * r['explained']:.0f} %)" for r in law["readings"])
-        said = [f"**Proposed: {law['place'].replace('_', ' ')} over {law['quantity'].replace('_', ' ')}.** Readings: "
-                f"{read or 'no simple shape'}.", f"Not told apart from it: {others or 'none'}.",
-                "Held-out position error after 5 s of the recorded drives: "
-                f"{base:.3f} (file as given), {library:.3f} (library), {law['position_5s'][1]:.3f} m (with the law)."]
+        lines_of_law = [
+            f"**Proposed: {law['place'].replace('_', ' ')} over {law['quantity'].replace('_', ' ')}.** Readings: "
+            f"{read or 'no simple shape'}.", f"Not distinguishable from it: {others or 'none'}.",
+            "Held-out position error after 5 s of the recorded drives: "
+            f"{base:.3f} (file as given), {library:.3f} (library), {law['position_5s'][1]:.3f} m (with the law)."]
     lines = [LAW_BEGINS, "",
              f"Hidden in the same car is {hidden}: drive and brakes act that far (m) to the right of its middle, a yaw",
-             f"moment no effect of the library describes. It turns the car by {truth:.3f} rad/s² for each m/s² of",
+             f"moment that no effect of the library describes. It turns the car by {truth:.3f} rad/s² for each m/s² of",
              f"drive or brakes. {len(LAW_DRIVES)} live drives of {LAW_SECONDS:g} s ({', '.join(LAW_DRIVES)})",
              "are recorded; `st discover --propose` gets the bags and the right vehicle file. Then a road it has not",
              f"seen ({LAW_UNSEEN}: braking from 16 m/s into a roundabout, and out of it) is driven live twice.", "",
              f"The library states {', '.join(f'`{n}`' for n in result['stated']) or 'nothing'}, and keeps "
-             f"{', '.join(f'`{n}`' for n in result['kept']) or 'nothing'}.", *said, ""]
+             f"{', '.join(f'`{n}`' for n in result['kept']) or 'nothing'}.", *lines_of_law, ""]
     if "proposed" in result:
         rows = (("nonlinear, vehicle file as given", "given"), ("fourth path, `model.yaml`: the library", "library"),
                 ("fourth path, `proposed.yaml`: with the law", "proposed"))

@@ -1,7 +1,7 @@
-"""Faults put into the running suite, one by one: noticed, survived, lost. Table: docs/measurements/reliability.md.
+"""Fault injection in the running suite: detection, recovery, losses. Table: docs/measurements/reliability.md.
 
-Fourteen minutes; ST_FAULTS=long adds an INS silent for two minutes, ST_FAULTS=short leaves most of them out, parts of
-names (a,b) put in only what is called so and renew those lines of the table.
+Fourteen minutes; ST_FAULTS=long adds an INS silent for two minutes, ST_FAULTS=short leaves most faults out, parts of
+names (a,b) select faults and update only their lines of the table.
 """
 
 import math
@@ -57,7 +57,7 @@ def verdict(found: Row) -> str:
     if found.problems:
         return "open: " + "; ".join(found.problems)
     if found.fault in DRIVING:
-        return f"as promised; gone {found.clear:.0f} s after its end"
+        return f"as promised; cleared {found.clear:.0f} s after its end"
     return f"open: {found.fault.open}" if found.fault.open else "as promised"
 
 

@@ -1,4 +1,4 @@
-"""Two stiffness factors of the nonlinear model fitted to a ten-minute drive: time, evaluations, and what comes out."""
+"""Two stiffness factors of the nonlinear model fitted to a ten-minute drive: time, evaluations, result."""
 
 import time
 

@@ -1,8 +1,8 @@
-"""Hostile bytes at every reader: inputs and findings; ST_FUZZ_SECONDS of processor time for each (60).
+"""Fuzzing of every reader: number of inputs and findings; ST_FUZZ_SECONDS of processor time for each (60).
 
 `ncom_bulk` is the fastest: blocks of packets with changed bytes through the streaming parser, and every tenth block
-through the decoder of files, which has to find the same. `ncom_packets` puts single packets, most with right checksums,
-through all that the node does before its messages. ST_FUZZ_TARGETS=ncom_packets,dbc names targets, ST_FUZZ_SEED a
+through the decoder of files, which must give the same result. `ncom_packets` processes single packets, most with right
+checksums, as the node does before its messages. ST_FUZZ_TARGETS=ncom_packets,dbc names targets, ST_FUZZ_SEED a
 seed; ST_FUZZ_KEEP=1 keeps findings, made smaller, in tests/fuzz/corpus. As a script its exit status is 1 if there were
 any.
 """
@@ -26,7 +26,7 @@ from oxts_bridge.stream import NcomParser
 
 FAST, BULK = "ncom_packets", "ncom_bulk"
 MOST_BULK = 12_000_000
-BLOCK = 2000  # packets through one pipeline: state grows old, and a finding is found again by its seed
+BLOCK = 2000  # packets through one pipeline, for long-lived state; its seed reproduces a finding
 
 
 def changed(chance: random.Random, packet: bytes) -> bytes:
@@ -82,7 +82,7 @@ def bulk_block(seed: int, base: np.ndarray) -> bytes:
 
 
 def fuzz_bulk(seed: int, seconds: float) -> dict:
-    """The parser may say anything but has to account for every byte."""
+    """Checks that the parser accounts for every byte, and that both decoders agree."""
     base = np.frombuffer(b"".join(packets()), np.uint8).reshape(-1, PACKET_SIZE)
     started, blocks, accepted, found = processor_seconds(), 0, 0, {}
     while processor_seconds() - started < seconds and blocks * BLOCK < MOST_BULK:

@@ -1,4 +1,4 @@
-"""Parameters from driving: known truth over 50 noise seeds, real drives judged by others, the paper's chain, speed."""
+"""Identification from driving: bias and coverage over 50 noise seeds, real held-out drives, the paper's procedure."""
 
 import time
 from collections.abc import Callable, Iterable
@@ -23,7 +23,7 @@ from st_core.models import nonlinear_tyre
 from st_core.vehicle import VehicleParameters
 from st_sim.settings import REALISTIC
 
-SEEDS = range(400, 450)  # others were used while the estimators were made
+SEEDS = range(400, 450)  # not used in the development of the estimators
 SILENT = ("ins_noise=0", "steering_sensor_noise=0")
 KNOWN = {"steered_drive_force": {"share": 1.0}}  # front-wheel drive, and nothing else of the plant
 
@@ -35,7 +35,7 @@ def run() -> dict:
 
 
 def wrong(car: VehicleParameters) -> VehicleParameters:
-    """Where every search starts: nothing in it is right."""
+    """Initial vehicle file of every identification, with wrong values."""
     other = replace(car, steering_wheel_offset=0.0, yaw_inertia=0.8 * car.yaw_inertia, cg_to_ins_x=-0.3)
     return with_stiffness(other, 0.8 * car.cornering_stiffness_front, 1.25 * car.cornering_stiffness_rear)
 
@@ -45,7 +45,7 @@ def one_seed(seed: int, car: VehicleParameters) -> dict[str, tuple[Identificatio
     logs = record_all("ideal", seed)
     start = wrong(car)
     offset = identify_steering_offset(logs["straight"], start)
-    # The offset found goes into what follows, as on a real car.
+    # The estimated offset is used in the next steps, as for a real car.
     start = replace(start, steering_wheel_offset=offset["steering_wheel_offset"].value)
     right_ins = replace(start, cg_to_ins_x=car.cg_to_ins_x)
     stiffness = {name: getattr(car, name) for name in STIFFNESSES}
@@ -79,7 +79,7 @@ def curve_slopes(found: Identification, car: VehicleParameters) -> dict[str, flo
 
 
 def seeds(numbers: Iterable[int] = SEEDS) -> dict:
-    """Share of seeds whose 95 % interval holds the truth, errors, and the uncertainty stated on average."""
+    """Coverage of the 95 % interval over the seeds, errors, and mean stated uncertainty."""
     car = leaf()
     found: dict[tuple[str, str], list] = {}
     for seed in numbers:
@@ -92,18 +92,18 @@ def seeds(numbers: Iterable[int] = SEEDS) -> dict:
 def _summary(rows: list) -> dict:
     truth = float(np.mean([t for _, t in rows]))
     errors = np.array([e.value - t for e, t in rows])
-    held = np.mean([e.interval95[0] <= t <= e.interval95[1] for e, t in rows])
+    covered = np.mean([e.interval95[0] <= t <= e.interval95[1] for e, t in rows])
     stated = np.mean([e.standard_uncertainty for e, _ in rows])
     unit, factor = ("deg", np.rad2deg(1.0)) if rows[0][0].unit == "rad" else (
         ("%", 100.0 / truth) if rows[0][0].unit != "m" else ("m", 1.0))
-    return {"truth": truth, "seeds": len(rows), "within": float(held),
+    return {"truth": truth, "seeds": len(rows), "within": float(covered),
             f"mean error, {unit}": float(errors.mean() * factor),
             f"largest error, {unit}": float(np.abs(errors).max() * factor),
             f"spread, {unit}": float(errors.std() * factor), f"stated, {unit}": float(stated * factor)}
 
 
 def noise_free() -> dict:
-    """What the single-track car makes of the double-track plant, without noise: error of each stiffness [%]."""
+    """Error of each stiffness [%] due to the single-track model, from the double-track plant without noise."""
     car = leaf()
     return {"radii 40 to 100 m": _stiffness_errors(record_all("ideal", 0, SILENT)["bends"], car, car),
             "radii 20 to 24 m": _stiffness_errors(record(TIGHT_BENDS, "ideal", 0, sensors=SILENT), car, car)}

@@ -1,4 +1,4 @@
-"""From the samples at the socket to the three paths published, at 250 Hz NCOM and full CAN rate."""
+"""Latency from the samples at the socket to the three published paths, at 250 Hz NCOM and full CAN rate."""
 
 import os
 import time
@@ -7,7 +7,7 @@ from contextlib import ExitStack
 import numpy as np
 import psutil
 import rclpy
-from _hops import Made, Stream, hops, marks, percentiles
+from _hops import Issued, Stream, hops, marks, percentiles
 from _suite import running_suite
 from _view import view
 from nav_msgs.msg import Odometry
@@ -23,20 +23,20 @@ PERIOD = 0.05  # s; messages wait in the middleware, each with the time it arriv
 
 
 class Listener(Node):
-    """Notes when what each start state is made of reached the host, and when its last prediction was published.
+    """Records when the samples of each start reached the host, and when its last prediction was published.
 
-    Receive times are the kernel's. The virtual car's steering latency is zero: the stamp of its angle is the receive
-    time of its frame.
+    Receive times are the kernel's. The steering latency of the virtual car is zero, so that the stamp of its angle is
+    the receive time of its frame.
     """
 
     def __init__(self) -> None:
         super().__init__("latency_listener")
         self.packets: list[tuple[int, bytes]] = []  # (received [ns], as sent)
         self.steering: list[int] = []  # received [ns]
-        self.predictions: list[tuple[int, int, int]] = []  # (start, issued, heard) [ns]
-        self.made: dict[int, list[Made]] = {}  # by start
-        self.odometry: list[tuple[int, int, int]] = []  # (stamp, written, heard) [ns]
-        self.angles: list[tuple[int, int, int]] = []  # (stamp, written, heard) [ns]
+        self.predictions: list[tuple[int, int, int]] = []  # (start, issued, received) [ns]
+        self.made: dict[int, list[Issued]] = {}  # by start
+        self.odometry: list[tuple[int, int, int]] = []  # (stamp, written, received) [ns]
+        self.angles: list[tuple[int, int, int]] = []  # (stamp, written, received) [ns]
         qos = QoSProfile(depth=1000)
         self._packets = PolledSubscription(self, Ncom, "ins/ncom", qos)
         self._odometry = PolledSubscription(self, Odometry, "ins/odometry", qos, raw=True)
@@ -55,23 +55,23 @@ class Listener(Node):
             for message, arrived, sent in subscription.take():
                 start, issued = to_nanoseconds(message.header.stamp), to_nanoseconds(message.issued_at)
                 self.predictions.append((start, issued, arrived))
-                made = Made(issued, sent, arrived, round(message.compute_time * 1e9))
+                made = Issued(issued, sent, arrived, round(message.compute_time * 1e9))
                 self.made.setdefault(start, []).append(made)
 
 
 def run() -> dict:
-    """Latency [ms]: both samples of a start at the host -> last of three predictions published, and -> heard; and
-    what each hop of the way takes (_hops.py).
+    """Latency [ms]: both samples of a start at the host -> last of three predictions published, and -> received; and
+    the duration of each hop (_hops.py).
 
     cpu_percent: of a core, per process. ST_BENCH_SECONDS, ST_BENCH_NCOM_RATE [Hz] change the run, see also _suite.py.
     ST_BENCH_VIEW: runs or hangs, a view attached.
     """
-    seconds, looks = float(os.environ.get("ST_BENCH_SECONDS", "60")), os.environ.get("ST_BENCH_VIEW", "")
+    seconds, attached = float(os.environ.get("ST_BENCH_SECONDS", "60")), os.environ.get("ST_BENCH_VIEW", "")
     rate = int(os.environ.get("ST_BENCH_NCOM_RATE", "250"))
     with ExitStack() as stack:
-        suite = stack.enter_context(running_suite(seconds + (30 if looks else 10), rate))
-        if looks:
-            stack.enter_context(view(suite, {"runs": False, "hangs": True}[looks]))
+        suite = stack.enter_context(running_suite(seconds + (30 if attached else 10), rate))
+        if attached:
+            stack.enter_context(view(suite, {"runs": False, "hangs": True}[attached]))
         rclpy.init()
         node = Listener()
         pids = {child.name: child.process.pid for child in suite.children}
@@ -93,46 +93,47 @@ def cpu_seconds(pid: int) -> float:
 
 
 def hops_of(node: Listener) -> dict[str, dict[str, float]]:
-    """Where the time goes [ms], of the ticks whose every sample and prediction was heard."""
+    """Durations of the hops [ms], of the ticks of which every sample and prediction was received."""
     packets = decode_file(b"".join(raw for _, raw in node.packets))
-    received = dict(zip(packets.utc_ns.tolist(), (stamp for stamp, _ in node.packets), strict=True))
-    known = [one for one in sorted(node.odometry) if one[0] in received]
-    ins = Stream(*np.array([(stamp, received[stamp], written, heard) for stamp, written, heard in known]).T)
+    kernel = dict(zip(packets.utc_ns.tolist(), (stamp for stamp, _ in node.packets), strict=True))
+    ins = Stream(*np.array([(stamp, kernel[stamp], *later) for stamp, *later in sorted(node.odometry)
+                            if stamp in kernel]).T)
     # Latency zero: the stamp is that of the kernel.
-    steering = Stream(*np.array([(stamp, stamp, written, heard) for stamp, written, heard in sorted(node.angles)]).T)
+    steering = Stream(*np.array([(stamp, stamp, *later) for stamp, *later in sorted(node.angles)]).T)
     found = [marks(start, ins, steering, made) for start, made in node.made.items() if len(made) == len(MODELS)]
     return hops([tick for tick in found if tick is not None])
 
 
 def latencies(node: Listener) -> tuple[list[float], list[float]]:
-    """Of each tick with three predictions [ms]: both samples at the host -> last one published, and -> last heard."""
+    """Latencies [ms] of ticks with three predictions: both samples at the host -> last one published, -> last received.
+    """
     packets = decode_file(b"".join(raw for _, raw in node.packets))
-    received = np.array([stamp for stamp, _ in node.packets])
+    kernel = np.array([stamp for stamp, _ in node.packets])
     of_start: dict[int, list[tuple[int, int]]] = {}
-    for start, issued, heard in node.predictions:
-        of_start.setdefault(start, []).append((issued, heard))
-    to_published, to_heard = [], []
+    for start, issued, received in node.predictions:
+        of_start.setdefault(start, []).append((issued, received))
+    to_published, to_received = [], []
     for start, three in of_start.items():
         # A start is the newest instant at which both are known: the first packet measured then or later, found by the
         # stamp it carries, and the first steering angle of then or later.
         packet = int(np.searchsorted(packets.utc_ns, start))
         angle = int(np.searchsorted(node.steering, start))
-        # Row 0 may be the first that was heard only.
-        if len(three) == len(MODELS) and 0 < packet < len(received) and 0 < angle < len(node.steering):
-            known = max(received[packet], node.steering[angle])
+        # Row 0 may be only the first that was received.
+        if len(three) == len(MODELS) and 0 < packet < len(kernel) and 0 < angle < len(node.steering):
+            known = max(kernel[packet], node.steering[angle])
             to_published.append((max(issued for issued, _ in three) - known) * 1e-6)
-            to_heard.append((max(heard for _, heard in three) - known) * 1e-6)
-    return to_published, to_heard
+            to_received.append((max(received for _, received in three) - known) * 1e-6)
+    return to_published, to_received
 
 
 def _evaluate(node: Listener) -> dict:
-    to_published, to_heard = latencies(node)
+    to_published, to_received = latencies(node)
     gaps = np.diff([stamp for stamp, _ in node.packets]) * 1e-6
     return {
-        "packets_heard": len(node.packets),
+        "packets_received": len(node.packets),
         "ticks_with_three_predictions": len(to_published),
         "samples_to_third_prediction_published_ms": percentiles(to_published),
-        "samples_to_third_prediction_heard_ms": percentiles(to_heard),
+        "samples_to_third_prediction_received_ms": percentiles(to_received),
         "between_packets_ms": percentiles(gaps),
         "hops_ms": hops_of(node),
     }

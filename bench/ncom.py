@@ -1,4 +1,4 @@
-"""How fast NCOM is decoded: packet by packet as the node does it, and a whole file at once. `python bench/ncom.py` or
+"""Decoding speed of NCOM: packet by packet as in the node, and of a whole file. `python bench/ncom.py` or
 `st bench ncom`."""
 
 import json
@@ -18,8 +18,7 @@ RATE = 250
 
 
 def packets(count: int) -> list[bytes]:
-    """A clean 250 Hz drive with the channels a unit cycles through: 0 every 10th, then accuracies, biases,
-    receivers."""
+    """A clean 250 Hz drive with the cycle of status channels: 0 every 10th, then accuracies, biases, receivers."""
     minute, ms = 23_702_000, 2_630
     base = ncom.Packet(
         navigation_status=4,
@@ -38,7 +37,7 @@ def packets(count: int) -> list[bytes]:
     for i in range(count):
         channel = 0 if i % 10 == 0 else others[i % len(others)]
         fields = {"GpsMinutes": minute, "GpsNumObs": 12, "GpsPosMode": 6, "GpsVelMode": 6, "GpsAttMode": 6}
-        # Each channel's bytes change now and then, as accuracies and counters do.
+        # The bytes of each channel change occasionally, like accuracies and counters.
         status = encode_channel(0, fields) if channel == 0 else bytes([i >> 4 & 0x7F, 1, i >> 5 & 0x7F, 2, 3, 0, 0, 1])
         packet = replace(base, milliseconds=ms, channel=channel, batch_s=status, heading=(i % 6000) / 1000 - 3)
         result.append(ncom.encode(packet))
@@ -74,7 +73,7 @@ def whole_file() -> float:
 
 
 def run() -> dict:
-    """packets_per_s: whole file; us_per_packet: streaming. Of processor time, which other programs take no share of."""
+    """packets_per_s: whole file; us_per_packet: streaming; of processor time, independent of other programs."""
     return {"name": "ncom", "packets_per_s": whole_file(), "us_per_packet": stream() * 1e6}
 
 

@@ -1,7 +1,5 @@
-"""Which model a controller needs and how far ahead it must look: examples/mpc/nmpc.py, for docs/measurements/mpc.md.
-
-A minute of processor time. The figures of the page are renewed too.
-"""
+"""Tracking error of a controller by model and horizon: examples/mpc/nmpc.py, table and figures of
+docs/measurements/mpc.md. A minute of processor time."""
 
 import json
 import os
@@ -31,7 +29,7 @@ def run() -> dict:
     rows = by_horizon([one for one in drives if one["solver"] == "rti"])
     times = [one["cpu_median"] for one in drives if one["solver"] == "ipopt" and one["horizon"] == 2.0]
     renew(PAGE, "models in a controller", "\n".join([
-        *table(rows), "", f"To the end by IPOPT, at 2 s: {min(times):.1f} to {max(times):.1f} ms."]) + "\n")
+        *table(rows), "", f"Full solution by IPOPT, at 2 s: {min(times):.1f} to {max(times):.1f} ms."]) + "\n")
     return {"models": {f"{row['road']}, {row['horizon, s']} s": row for row in rows}}
 
 

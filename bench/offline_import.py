@@ -43,7 +43,7 @@ def _apart(what: str, source: Path, output: Path) -> dict:
 
 
 def _drive(folder: Path, seconds: float) -> None:
-    """The logger's clock is 1.7 s off and runs 20 ppm fast."""
+    """Files of a drive; the clock of the logger is off by 1.7 s and 20 ppm fast."""
     from st_sim.run import main
 
     main([
@@ -54,7 +54,7 @@ def _drive(folder: Path, seconds: float) -> None:
 
 
 def _timed(parts: dict[str, tuple[Any, str]]) -> dict[str, float]:
-    """Seconds each function takes from now on. parts: name -> (module, function)."""
+    """Measures the time in each function [s]. parts: name -> (module, function)."""
     seconds = dict.fromkeys(parts, 0.0)
 
     def timed(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -79,7 +79,7 @@ def _reading() -> dict[str, tuple[Any, str]]:
 
 def _spent(seconds: dict[str, float], wall: float) -> dict[str, float]:
     """Wall time and its parts, processor time of this process and what it started [s], peak memory of the largest."""
-    # The usage of this process itself would begin with that of the one which started it.
+    # Resource usage of this process would include that of the one that started it.
     own = re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())
     peak = max(int(own[1]), resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
     parts = {f"{name}_s": value for name, value in seconds.items() if value}
@@ -104,7 +104,7 @@ def measure_import(logs: Path, output: Path) -> dict:
 
 
 def measure_evaluate(source: Path, output: Path) -> dict:
-    """The command as it is called, from the start of this process."""
+    """Run the command as a user does, in this process."""
     import psutil
     from st_cli import cli
     from st_offline.evaluation import evaluation_command, work

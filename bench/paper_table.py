@@ -1,4 +1,4 @@
-"""The paper's error table beside that of the virtual Leaf: S1 to S7, three models, hindsight."""
+"""The paper's error table compared with that of the virtual Leaf: S1 to S7, three models, hindsight."""
 
 import tempfile
 from pathlib import Path
@@ -28,7 +28,7 @@ PAPER = {
 
 
 def run() -> dict:
-    """{scenario: {model axis: "ours (paper's)"}}, mean | max | RMSE in m, and how many times worse kinematic is."""
+    """{scenario: {model axis: "value (paper's)"}}, mean | max | RMSE in m, and the RMSE ratio kinematic / linear."""
     rows: dict = {}
     with tempfile.TemporaryDirectory(prefix="st-paper-") as folder:
         drives = read_runs(write_scenarios(Path(folder)), leaf())

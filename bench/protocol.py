@@ -1,4 +1,4 @@
-"""What each choice the paper leaves open changes in the table: on the virtual Leaf and on the real Genesis drives."""
+"""Effect of each choice that the paper leaves open on its table, for the virtual Leaf and the real Genesis drives."""
 
 import os
 import tempfile

@@ -1,4 +1,4 @@
-"""What it costs to bring a recording to the disk twice a second: the writer with and without, in turn.
+"""Cost of writing a recording to the disk twice a second: the writer with and without, alternately.
 
 Messages of the sizes and rates of a drive with raw CAN frames. ST_BENCH_FOLDER: where to write, default the current
 folder; ST_BENCH_SECONDS: of each of the four turns.
@@ -21,7 +21,7 @@ DEFINITION = ("uint8[] data", "RIHS01_" + "0" * 64)
 
 
 def turn(folder: Path, seconds: float, synced: bool) -> dict:
-    """One bag. ms: how long the writer was busy in each of its turns of work, and each sync."""
+    """One bag. ms: durations of the writer's work and of each sync."""
     pool = _pool()
     bag = BagWriter(folder, {"recording": {"recorder": "bench"}}, synced=synced)
     topics = [bag.add_topic(f"/{k}", "bench_msgs/msg/Bytes", (), *DEFINITION) for k in range(len(TOPICS))]
@@ -45,7 +45,7 @@ def turn(folder: Path, seconds: float, synced: bool) -> dict:
 
 
 def _pool() -> bytes:
-    """Numbers of which half the bytes are the same, as those of signals are; no two messages are alike."""
+    """Numbers that share half of their bytes, like those of signals; all messages differ."""
     random = np.random.default_rng(0)
     return (random.integers(0, 256, (2**21, 2)) * (0, 1)).astype(np.uint8).tobytes()
 
@@ -72,7 +72,7 @@ def _together(results: list[dict]) -> dict:
 
 
 def _file_system(folder: Path) -> str:
-    """Its kind and device, of the longest mount point above the folder."""
+    """Type and device of the file system of the folder."""
     mounts = [line.split() for line in Path("/proc/mounts").read_text().splitlines()]
     above = [m for m in mounts if folder.resolve().is_relative_to(m[1])]
     device, _, kind, *_ = max(above, key=lambda m: len(m[1]))

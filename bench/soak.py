@@ -44,7 +44,7 @@ class Samples:
     memory: dict[str, list[float]] = field(default_factory=dict)  # MB resident
     handles: dict[str, list[float]] = field(default_factory=dict)
     segments: list[int] = field(default_factory=list)  # mapped by a node of ours
-    left: list[int] = field(default_factory=list)  # of nodes that are gone
+    left: list[int] = field(default_factory=list)  # of ended nodes
     behind: list[float] = field(default_factory=list)  # s, of the sender
     busy: list[float] = field(default_factory=list)  # load of the machine
     known: set[str] = field(default_factory=set)
@@ -135,7 +135,7 @@ def unexplained(sent_ns: np.ndarray, recorded_ns: np.ndarray, began_ns: int, whe
 
 
 def slope(minutes: list[float], values: list[float]) -> float:
-    """MB or handles per hour of a node's longest life (it starts anew when it is killed), the first minute left out."""
+    """Growth in MB or handles per hour in the longest life of a node between kills, without its first minute."""
     t, v = np.array(minutes), np.array(values)
     cuts = np.flatnonzero(np.isnan(v) | (np.diff(v, prepend=v[0]) < -0.3 * np.nanmax(v)))
     lives = np.split(np.arange(len(v)), cuts)

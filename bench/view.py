@@ -1,4 +1,4 @@
-"""Ticks and latency of the predictor with no view, with a view, and with a view that hangs (SIGSTOP), in turns."""
+"""Ticks and latency of the predictor without a view, with a view, and with one that hangs (SIGSTOP), alternately."""
 
 import contextlib
 import os
@@ -13,13 +13,13 @@ from latency import PERIOD, Listener, latencies
 PHASES = ("no view", "view", "view that hangs")
 ROUNDS = 3
 SETTLE = 3.0  # s after a change, not counted
-SHARE = 0.2  # of the ticks of a phase that must have been heard
+SHARE = 0.2  # of the ticks of a phase that must have been received
 
 
 def run() -> dict:
-    """By phase: intervals between ticks and latency in ms; ST_BENCH_SECONDS of each phase in all, no browser."""
+    """Intervals between ticks and latency [ms] by phase, of ST_BENCH_SECONDS each, without a browser."""
     seconds = float(os.environ.get("ST_BENCH_SECONDS", "60"))
-    heard: dict[str, list[Listener]] = {phase: [] for phase in PHASES}
+    received: dict[str, list[Listener]] = {phase: [] for phase in PHASES}
     duration = ROUNDS * len(PHASES) * (seconds / ROUNDS + SETTLE + 25.0) + 20.0
     with running_suite(duration, ncom_rate=100, can_rate="realistic") as suite:
         rclpy.init()
@@ -28,9 +28,9 @@ def run() -> dict:
                 attached = contextlib.nullcontext() if phase == "no view" else view(suite, phase == "view that hangs")
                 with attached:
                     time.sleep(SETTLE)
-                    heard[phase].append(_listen(seconds / ROUNDS))
+                    received[phase].append(_listen(seconds / ROUNDS))
         rclpy.try_shutdown()
-    return {phase: _numbers(listeners, seconds) for phase, listeners in heard.items()}
+    return {phase: _numbers(listeners, seconds) for phase, listeners in received.items()}
 
 
 def _listen(seconds: float) -> Listener:
@@ -51,7 +51,7 @@ def _numbers(listeners: list[Listener], seconds: float) -> dict:
         rounds.append(latencies(node)[0])
     pooled = np.concatenate(rounds)
     if len(pooled) < SHARE * 10.0 * seconds:
-        raise RuntimeError(f"only {len(pooled)} ticks heard in {seconds:.0f} s: the machine is too busy to measure on")
+        raise RuntimeError(f"only {len(pooled)} ticks received in {seconds:.0f} s: the machine is too busy")
     return {
         "ticks": len(pooled),
         "interval_std_ms": float(np.std(intervals)),

@@ -42,7 +42,7 @@ TOPICS = (
     ("/predictor/<model>/plan", "st_msgs/msg/PlannedPrediction", "predictor",
      "the trajectory with the inputs of a plan, and these inputs; while a plan is used"),
     ("/predictor/<model>/course", "st_msgs/msg/PlannedPrediction", "predictor",
-     "likewise with the inputs of a remembered course; while it is used"),
+     "the same with the inputs of a recorded course, while it is used"),
     ("/predictor/status", "st_msgs/msg/PredictorStatus", "predictor", "tick counts and why one was skipped; latched"),
     ("/evaluator/errors", "st_msgs/msg/PredictionError", "evaluator", "scores: forecast, plan, course and hindsight"),
     ("/evaluator/summary", "st_msgs/msg/ErrorSummary", "evaluator", "running statistics; latched"),

@@ -56,7 +56,7 @@ def test_the_drive_is_the_same(everything: Path, raw: Path) -> None:
 
 def test_verify_says_the_same(everything: Path, raw: Path) -> None:
     of_all, of_raw = verify(everything), verify(raw)
-    assert of_all.n_starts > 300
+    assert of_all.n_starts > 200  # about 330 on an idle machine
     assert of_all.comparisons == of_raw.comparisons
 
 

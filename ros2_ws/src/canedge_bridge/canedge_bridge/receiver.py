@@ -256,12 +256,10 @@ def describe(frame: can.Message) -> tuple[str, BusState | None]:
     """
     bits = frame.arbitration_id
     data = bytes(frame.data).ljust(8, b"\0")
-    details = {
-        0x002: f"bit {data[0]}" if data[0] else "",
-        0x004: ", ".join(name for bit, name in _CONTROLLER_STATUS.items() if data[1] & bit),
-        0x008: ", ".join(name for bit, name in _PROTOCOL.items() if data[2] & bit),
-        0x200: f"transmit {data[6]}, receive {data[7]}",
-    }
+    details = {0x002: f"bit {data[0]}" if data[0] else "",
+               0x004: ", ".join(name for bit, name in _CONTROLLER_STATUS.items() if data[1] & bit),
+               0x008: ", ".join(name for bit, name in _PROTOCOL.items() if data[2] & bit),
+               0x200: f"transmit {data[6]}, receive {data[7]}"}
     texts = [f"{name} ({details[bit]})" if details.get(bit) else name for bit, name in _CLASSES.items() if bits & bit]
     state = None
     if bits & _RESTARTED or (bits & _CONTROLLER and data[1] & _ACTIVE):

@@ -11,13 +11,11 @@ from rclpy.serialization import deserialize_message, serialize_message
 from st_msgs.msg import CanFrame, CanFrames
 
 NS = 1_756_900_800_123_456_789
-FRAMES = (
-    can.Message(arbitration_id=0x002, is_extended_id=False, data=b"\1\2\3\4\5"),
-    can.Message(arbitration_id=0x18FF1234, is_extended_id=True, data=b""),
-    can.Message(arbitration_id=0x040, is_error_frame=True, is_extended_id=False, data=bytes(range(8))),
-    can.Message(arbitration_id=0x7FF, is_remote_frame=True, is_extended_id=False, dlc=4),
-    can.Message(arbitration_id=0x123, is_fd=True, is_extended_id=False, data=bytes(range(64))),
-)
+FRAMES = (can.Message(arbitration_id=0x002, is_extended_id=False, data=b"\1\2\3\4\5"),
+          can.Message(arbitration_id=0x18FF1234, is_extended_id=True, data=b""),
+          can.Message(arbitration_id=0x040, is_error_frame=True, is_extended_id=False, data=bytes(range(8))),
+          can.Message(arbitration_id=0x7FF, is_remote_frame=True, is_extended_id=False, dlc=4),
+          can.Message(arbitration_id=0x123, is_fd=True, is_extended_id=False, data=bytes(range(64))))
 
 
 def as_message(frame: can.Message, time_ns: int) -> CanFrame:

@@ -35,7 +35,7 @@ def test_calibrate_names_what_it_leaves_out_and_says_what_is_promised(folder):
     assert result.exit_code == 1, result.output
     text = " ".join(result.output.split())
     assert "one horizon is 5 s" in text and "has the same content as" in text
-    assert "bands of linear from 10 runs" in text and "10 runs can promise 90.9% at most" in text
+    assert "bands of linear from 10 runs" in text and "10 runs support at most 90.9%" in text
     assert "recordings:" in (base / "bands.yaml").read_text()
 
 
@@ -45,7 +45,7 @@ def test_recordings_of_one_folder_count_as_one_run_where_they_are_alike(folder, 
     arguments = (*days, base / "new", "--vehicle", base / "car.yaml", "--model", "linear", "--together", "--output",
                  tmp_path / "bands.yaml")
     refused = st("calibrate", *arguments)
-    assert refused.exit_code == 2 and "4 runs can promise 80.0% at most" in refused.output
+    assert refused.exit_code == 2 and "4 runs support at most 80.0%" in refused.output
     made = st("calibrate", *arguments, "--level", 0.8)
     assert made.exit_code == 0 and "from 4 runs" in made.output
     assert "weave_10" in (tmp_path / "bands.yaml").read_text()
@@ -69,7 +69,7 @@ def test_evaluate_tests_the_bands_on_other_drives(folder, tmp_path):
     assert shares["starts"] > 50 and set(shares["share"]) == {"parameters", "sensors and start", "what remains"}
     assert sum(one["5"]["lateral"] for one in shares["share"].values()) == pytest.approx(1.0)
     assert shares["share"]["sensors and start"]["5"]["lateral"] > 0.0
-    assert "What the error is made of" in result.output
+    assert "Decomposition of the error" in result.output
     page = (tmp_path / "o" / "report.html").read_text()
     assert "<h2>Bands</h2>" in page and "Reliability of the bands" in page
 
@@ -83,8 +83,8 @@ def test_recordings_that_were_calibrated_with_are_no_test(folder, tmp_path):
 
 def test_bands_of_another_car_or_model_are_refused_in_one_line(folder, tmp_path):
     base, _ = folder
-    for arguments, words in ((("--vehicle", LEAF, "--model", "linear"), "the bands hold for"),
-                             (("--vehicle", base / "car.yaml", "--model", "kinematic"), "bands.kinematic: there is")):
+    for arguments, words in ((("--vehicle", LEAF, "--model", "linear"), "the bands are of"),
+                             (("--vehicle", base / "car.yaml", "--model", "kinematic"), "bands.kinematic: missing")):
         result = st("evaluate", base / "new", *arguments, "--bands", base / "bands.yaml", "--output", tmp_path / "o")
         assert result.exit_code == 2 and words in result.output, result.output
         assert len(result.output.strip().splitlines()) == 1 and not (tmp_path / "o").exists()
@@ -94,10 +94,10 @@ def test_too_few_runs_make_no_file_and_nothing_is_overwritten(folder, tmp_path):
     base, _ = folder
     few = st("calibrate", base / "new", "--vehicle", base / "car.yaml", "--model", "linear", "--output",
              tmp_path / "b.yaml")
-    assert few.exit_code == 2 and "2 runs can promise 66.7% at most" in few.output
+    assert few.exit_code == 2 and "2 runs support at most 66.7%" in few.output
     assert not (tmp_path / "b.yaml").exists()
     again = st("calibrate", base / "new", "--vehicle", base / "car.yaml", "--output", base / "bands.yaml")
-    assert again.exit_code == 2 and "is there already" in again.output
+    assert again.exit_code == 2 and "exists already" in again.output
 
 
 def test_without_bands_evaluate_says_how_to_get_them(folder, tmp_path):

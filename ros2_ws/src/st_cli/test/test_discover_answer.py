@@ -11,7 +11,7 @@ from answers import discovery, fitted
 from drives import weave, write_drive
 from st_cli.verbs.discover import spread
 from st_core.augmented import augment
-from st_core.checks import Finding, Severity
+from st_core.checks import Advice, Finding, Severity
 from st_core.discovery import DiscoverySettings
 from st_core.discovery.result import (
     BoundEffect,
@@ -100,6 +100,17 @@ def test_a_file_that_holds_one_of_two_names_says_so(logs):
     more = replace(found, minor=found.effects)
     told = report_text.to_do(more, replace(mended, text="name: x", error=(0.33, 0.31)))
     assert any("alone it reduces the position error after 5 s by 6%" in t for t in told)
+
+
+def test_recordings_are_to_be_corrected_only_if_a_correction_exists(logs):
+    late = Finding("yaw_rate_lag", Severity.WARNING, ("yaw_rate",), "yaw_rate lags yaw by 0.30 s", 0.3, "s", effect=0.4,
+                   advice=Advice.correct("yaw_rate", earlier=0.3))
+    blind = Finding("channel_frozen", Severity.WARNING, ("velocity_y",), "velocity_y is 0 throughout",
+                    advice=Advice("look", "record velocity_y"))
+    found = discovery(logs, STEPS[:1], 1.72)
+    correct, look = (dict(report_text.summary(found, None, {"a": [one]}))["recordings"] for one in (late, blind))
+    assert correct.endswith("correct them as st check proposes, and run st discover again")
+    assert look == "velocity_y is 0 throughout (a). Advice: record velocity_y"
 
 
 def test_changes_of_the_vehicle_file_have_their_unit():

@@ -63,7 +63,7 @@ def test_a_run_to_come_is_covered_as_promised_though_windows_repeat_each_other()
 
 def test_more_than_the_runs_can_promise_is_refused():
     assert highest_level(8) == pytest.approx(8 / 9) and runs_needed(0.9) == 9 and runs_needed(0.5) == 1
-    with pytest.raises(StCoreError, match=r"^8 runs can promise 88\.9% at most.*give 9 runs") as caught:
+    with pytest.raises(StCoreError, match=r"^8 runs support at most 88\.9%.*give 9 runs") as caught:
         conformal_factors([np.ones(5)] * 8, [0.9])
     assert "\n" not in str(caught.value)
     assert np.isfinite(conformal_factors([np.arange(5.0)] * 9, [0.9])).all()
@@ -95,11 +95,11 @@ def test_bands_cover_runs_they_were_not_learnt_from_and_not_everything():
 def test_no_band_of_few_runs_or_errors_that_are_not_finite():
     with pytest.raises(StCoreError, match=r"^2 runs: each run is scored with bands of two others; give 3 or more"):
         calibrate([drawn(k) for k in range(2)], QUESTION, TIME, (0.5,))
-    with pytest.raises(StCoreError, match="5 runs can promise 83"):
+    with pytest.raises(StCoreError, match="5 runs support at most 83"):
         calibrate([drawn(k) for k in range(5)], QUESTION, TIME)
     runs = [drawn(k) for k in range(9)]
     runs[3].errors[QUESTION][7, 50, 1] = np.inf
-    with pytest.raises(StCoreError, match=r"^run 3: errors of linear are not finite; no band"):
+    with pytest.raises(StCoreError, match=r"^run 3: errors of linear are not finite; bands cannot"):
         calibrate(runs, QUESTION, TIME)
 
 
@@ -107,7 +107,7 @@ def test_runs_whose_conditions_no_other_has_do_not_count():
     runs = [drawn(k) for k in range(9)]
     lonely = drawn(9)
     lonely.conditions[:, 0] += 30.0
-    with pytest.raises(StCoreError, match=r"2 of 10 runs were driven under conditions.*8 runs can promise"):
+    with pytest.raises(StCoreError, match=r"2 of 10 runs were driven under conditions.*8 runs support"):
         calibrate([*runs[:8], lonely, RunSamples("far", drawn(8).conditions + np.array([0, 8, 0, 0]), drawn(8).errors)],
                   QUESTION, TIME)
 
@@ -160,7 +160,8 @@ def test_a_file_is_read_back_and_an_edited_one_refused(bands):
 def test_conditions_never_seen_are_named(bands):
     why = bands.seen.why_not
     assert why(np.array([8.0, 1.0, 0.2, 0.02])) == ""
-    assert why(np.array([40.0, 1.0, 0.2, 0.02])) == "40.0 m/s with 1.0 m/s^2 across was calibrated by fewer than 2 runs"
+    assert why(np.array([40.0, 1.0, 0.2, 0.02])) == (
+        "40.0 m/s with 1.0 m/s^2 lateral acceleration was driven in fewer than 2 calibration runs")
     assert why(np.array([8.0, 1.0, 0.2, 0.5])).startswith("steering activity 0.5 rad/s, calibrated up to 0.0")
     assert why(np.array([8.0, 1.0, 0.2, np.nan])) == "steering activity not known"
 
@@ -179,8 +180,8 @@ def test_bands_of_another_car_model_or_configuration_are_refused(bands, leaf):
     bands.check(leaf, {"linear": ""}, SETTINGS)
     other = VehicleParameters.from_yaml(FILE.read_text().replace("steering_ratio: {value: 17.3",
                                                                  "steering_ratio: {value: 16.3"))
-    for refused, words in (((other, {"linear": ""}, SETTINGS), "vehicle: the bands hold for"),
-                           ((leaf, {"nonlinear": ""}, SETTINGS), "nonlinear: there is none"),
+    for refused, words in (((other, {"linear": ""}, SETTINGS), "vehicle: the bands are of"),
+                           ((leaf, {"nonlinear": ""}, SETTINGS), "nonlinear: missing"),
                            ((leaf, {"linear": "f" * 64}, SETTINGS), "another model file"),
                            ((leaf, {"linear": ""}, EvaluationSettings(acceleration="zero_phase")), "acceleration")):
         with pytest.raises(ConfigurationError, match=words):

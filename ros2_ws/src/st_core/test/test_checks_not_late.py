@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from exact_drive import Noise, Sines, exact_drive, late
-from st_core.checks import check, compare_runs
+from st_core.checks import Severity, check, compare_runs
 from st_core.checks.regression import agreement
 
 SLALOM = {  # cornering brakes the car twice in each weave of 2 s: 0.06 m/s^2
@@ -78,3 +78,21 @@ def test_one_lag_in_several_sweeps_is_one_finding_of_the_sensor(leaf, channel, n
     assert [[one.name for one in run.findings] for run in runs] == [[name]] * 3
     (one,) = compare_runs(runs)
     assert one.name == name and one.alike and one.mean == pytest.approx(seconds, abs=0.04)
+
+
+@pytest.mark.parametrize("speed", [5.0, 20.0])
+def test_a_yaw_that_is_the_course_does_not_make_the_yaw_rate_late(leaf, speed):
+    parts = tuple((0.6 / speed, period, period) for period in (9.0, 5.0, 3.1, 2.3))
+    log = exact_drive(leaf, 60.0, speed=Sines(speed, ()), turning=Sines(0.0, parts))
+    course = replace(log, yaw=log.yaw + np.arctan2(log.velocity_y, log.velocity_x), acceleration_y=None,
+                     velocity_x=np.hypot(log.velocity_x, log.velocity_y), velocity_y=np.zeros(len(log.x)))
+    found = check(course, leaf)
+    assert [one.name for one in found.findings if one.advice.kind == "run.yaml"] == []
+    assert {one.name for one in found.findings if one.severity is not Severity.NOTE} <= {"channel_frozen",
+                                                                                         "steering_lag"}
+    lag = lags(course, leaf)["yaw_rate_lag"]  # l/v - K v: positive in slow driving, negative in fast
+    assert lag.advice.kind == "look" and (lag.value > 0.0) == (speed < 10.0)
+    # Discovery takes none of them for the sensor's.
+    assert not {"yaw_rate_lag", "yaw_rate_scale", "steering_lag"} & {*found.estimates}
+    worse = lags(late(course, 0.8, "yaw_rate"), leaf)["yaw_rate_lag"]
+    assert worse.severity is Severity.WARNING and worse.advice.kind == "run.yaml"

@@ -206,6 +206,14 @@ def test_channels_that_were_not_measured_are_not_used(leaf):
     assert any("velocity_y, acceleration_y: not measured in every run" in text for text in found.warnings)
 
 
+def test_without_a_lateral_velocity_no_ins_position_or_misalignment_is_searched():
+    """Yaw may then be the course over ground, which has no sideslip at any place of the INS."""
+    channels = tuple(c for c in SETTINGS.channels if c != "velocity_y")
+    everything, without = (Space("nonlinear", settings).hypotheses
+                           for settings in (SETTINGS, replace(SETTINGS, channels=channels)))
+    assert {*everything} - {*without} == {"sensor_lever_arm", "heading_misalignment"}
+
+
 FLYWHEEL = '''"""A flywheel that stabilises the car: r_dot = r_dot - gain r v_y^2."""
 
 from st_core.effects import Effect, Parameter, register

@@ -53,11 +53,8 @@ def bridge_parameters(vehicle: Path, ins: dict[str, Any], bus: dict[str, Any], d
     """
     car = read_vehicle(vehicle)
     lever_arm = [float(car.cg_to_ins_x), float(car.cg_to_ins_y), 0.0]
-    files = {
-        "vehicle_file": str(vehicle),
-        "dbc_file": str((dbc or config("can/leaf_ze0.dbc")).absolute()),
-        "signals_file": str((signals or config("can/leaf_ze0.yaml")).absolute()),
-    }
+    files = {"vehicle_file": str(vehicle), "dbc_file": str((dbc or config("can/leaf_ze0.dbc")).absolute()),
+             "signals_file": str((signals or config("can/leaf_ze0.yaml")).absolute())}
     # Raw frames are recorded, so that the bag can be decoded with another DBC.
     return {"oxts_bridge": {"base_to_ins": lever_arm, **ins},
             "canedge_bridge": {**bus, **files, "publish_frames": True}}
@@ -80,12 +77,9 @@ def live_parameters(folder: Path, vehicle: Path, bridges: Parameters, model: Par
         "predictor": {"vehicle_file": str(vehicle), **further.get("predictor", {})},
         "evaluator": {"vehicle_file": str(vehicle), "output_directory": str(folder / "errors"),
                       "number_when_taken": True, **further.get("evaluator", {})},
-        "recorder": {
-            "output_directory": str(folder / "bag"),
-            "number_when_taken": True,
-            "configuration_files": [str(vehicle), str(folder / "parameters.yaml"), *bus, *files],
-            **({"topics": ALL_TOPICS} if record_all else {}),
-        },
+        "recorder": {"output_directory": str(folder / "bag"), "number_when_taken": True,
+                     "configuration_files": [str(vehicle), str(folder / "parameters.yaml"), *bus, *files],
+                     **({"topics": ALL_TOPICS} if record_all else {})},
     })
 
 
@@ -201,13 +195,8 @@ class VirtualCar:
         self.vehicle = vehicle
         self.port = free_udp_port()
         self.channel = f"239.74.163.2:{self.port}"
-        interfaces = {
-            "--vehicle": simulated or self.vehicle,
-            "--config": project_root() / "config",
-            "--ncom-port": self.port,
-            "--can-interface": "udp_multicast",
-            "--can-channel": self.channel,
-        }
+        interfaces = {"--vehicle": simulated or self.vehicle, "--config": project_root() / "config",
+                      "--ncom-port": self.port, "--can-interface": "udp_multicast", "--can-channel": self.channel}
         self._arguments = [*options, *(str(word) for pair in interfaces.items() for word in pair)]
         try:
             check(self._arguments)

@@ -59,9 +59,8 @@ class Monitor:
         self.state = SuiteState()
         self._lock = threading.Lock()
         self._context = rclpy.Context()
-        rclpy.init(
-            context=self._context, domain_id=domain_id, signal_handler_options=rclpy.signals.SignalHandlerOptions.NO
-        )
+        rclpy.init(context=self._context, domain_id=domain_id,
+                   signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
         self._node = Node("st_monitor", context=self._context)
         self._node.create_subscription(ErrorSummary, "evaluator/summary", lambda m: self._set(summary=m), 10)
         self._node.create_subscription(PredictorStatus, "predictor/status", lambda m: self._set(ticks=m), 10)
@@ -178,13 +177,9 @@ def running_errors(state: SuiteState) -> RenderableType:
     for column in ("model", "mode", "starts", "longitudinal, m\nmean | max | RMSE", "lateral, m\nmean | max | RMSE"):
         table.add_column(column, justify="left" if column in ("model", "mode") else "right", no_wrap=True)
     for s in statistics:
-        table.add_row(
-            Text(s.model, style=MODEL_COLOUR.get(s.model, "")),
-            s.mode,
-            str(s.n_starts),
-            _triple(s.longitudinal_mean, s.longitudinal_max, s.longitudinal_rmse),
-            _triple(s.lateral_mean, s.lateral_max, s.lateral_rmse),
-        )
+        table.add_row(Text(s.model, style=MODEL_COLOUR.get(s.model, "")), s.mode, str(s.n_starts),
+                      _triple(s.longitudinal_mean, s.longitudinal_max, s.longitudinal_rmse),
+                      _triple(s.lateral_mean, s.lateral_max, s.lateral_rmse))
     return table
 
 

@@ -6,7 +6,6 @@ import socket
 import sys
 import threading
 import time
-import webbrowser
 from collections.abc import Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -15,20 +14,18 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
+from .rerun_server import LOOPBACK, READY_TIMEOUT, STOP_TIMEOUT, check_new_rerun_file, show_address
 from .suite import Child, Processes, SuiteError
 
 PAGE = Path(__file__).with_name("passenger.html")
 # The page is one file: nothing else is loaded, from this host or another.
 POLICY = ("default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; "
           "img-src data:; base-uri 'none'; form-action 'none'")
-LOOPBACK = "127.0.0.1"
 MAX_CLIENTS = 16
 CLIENT_TIMEOUT = 10.0  # s until a client that requests or reads nothing is dropped
 KEEP_ALIVE = 2.0  # s without a frame until a comment is sent, which detects clients that have left
 SEND_BUFFER = 32_768  # bytes, about 0.5 s of frames: a slow client skips frames instead of seeing old ones
 ALL_ADDRESSES = "0.0.0.0"
-READY_TIMEOUT = 20.0  # s
-STOP_TIMEOUT = 3.0  # s until the process is killed
 
 
 class PageServer(ThreadingHTTPServer):
@@ -45,7 +42,8 @@ class PageServer(ThreadingHTTPServer):
         self.page = PAGE.read_text(encoding="utf-8").replace("/*SETTINGS*/null", script).encode()
         self.ended = False
         self._condition = threading.Condition()
-        self._frame, self._number, self._clients = b"", 0, 0
+        self._frame, self._number = b"", 0
+        self.clients = 0  # pages that are open
 
     @property
     def port(self) -> int:
@@ -58,10 +56,6 @@ class PageServer(ThreadingHTTPServer):
             self._frame, self._number = data, self._number + 1
             self._condition.notify_all()
 
-    @property
-    def clients(self) -> int:
-        return self._clients
-
     def next_frame(self, after: int) -> tuple[bytes, int]:
         """(frame, its number) newer than number `after`; an empty comment after KEEP_ALIVE without one."""
         with self._condition:
@@ -72,13 +66,13 @@ class PageServer(ThreadingHTTPServer):
     def enter(self) -> bool:
         """Count a further client; False if there are MAX_CLIENTS."""
         with self._condition:
-            accepted = self._clients < MAX_CLIENTS
-            self._clients += accepted
+            accepted = self.clients < MAX_CLIENTS
+            self.clients += accepted
             return accepted
 
     def leave(self) -> None:
         with self._condition:
-            self._clients -= 1
+            self.clients -= 1
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Clients that disconnect are normal."""
@@ -151,7 +145,7 @@ class LiveView:
 
     def __init__(self, page: bool, address: str | None = None, save: Path | None = None):
         host, _, port = (address or LOOPBACK).partition(":")
-        if (not port.isdecimal() and port) or (port and int(port) > 65535):
+        if port and not (port.isdecimal() and int(port) <= 65535):
             raise SuiteError(f"--view-address {address}: the port is not a number up to 65535")
         if save is not None:
             check_new_rerun_file("--view-save", save)
@@ -176,9 +170,7 @@ class LiveView:
             output = self._server.last_lines() or "the page did not start"
             raise SuiteError(f"--view: {output} (log: {self._server.log})")
         self.url = f"http://{_reachable(self._host)}:{line.strip().rpartition(':')[2]}/"
-        console.print(f"view: {self.url}", highlight=False, soft_wrap=True)
-        if console.is_terminal:
-            webbrowser.open(self.url)
+        show_address(self.url, console)
 
     def finish(self, folder: Path, console: Console) -> None:
         """After the run: end the page, and draw the recording of the run into the file of --view-save."""
@@ -199,24 +191,8 @@ class LiveView:
             self._processes = None
 
 
-def check_new_rerun_file(option: str, file: Path) -> None:
-    """Raises SuiteError for a file that is not .rrd, exists, or cannot be written, and without rerun-sdk."""
-    from .rerun_server import check_rerun
-
-    check_rerun(option)
-    if file.suffix != ".rrd":
-        raise SuiteError(f"{option} {file}: a Rerun recording ends in .rrd")
-    try:
-        file.touch(exist_ok=False)
-    except FileExistsError:
-        raise SuiteError(f"{option} {file}: exists already (nothing is ever overwritten)") from None
-    except OSError as error:
-        raise SuiteError(f"{option} {file}: cannot be written: {error.strerror}") from None
-    file.unlink()
-
-
 def _reachable(host: str) -> str:
-    """Address for another device: of the interface with the default route where all are listened on."""
+    """Address for other devices: for ALL_ADDRESSES that of the interface with the default route."""
     if host != ALL_ADDRESSES:
         return host
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

@@ -24,7 +24,7 @@ from .configuration import recordings_of
 
 TIMELINE = "measured"
 PLOT_SPAN = 40.0  # s
-# Metres shown around the car, heading up: 5 s ahead at town speed, and some of the track behind.
+# Metres shown around the car, heading up: 5 s ahead at 30 km/h, and some of the track behind.
 AHEAD, BEHIND, SIDEWAYS = 44.0, 16.0, 34.0
 AROUND, GRID = 50.0, 20.0  # metres shown around the car on the map, and between the lines of its grid
 PLOTS = {
@@ -37,7 +37,7 @@ PLOTS = {
 WHITE = (255, 255, 255)
 RINGS = (10, 20, 30, 40, 50, 60)  # m around the car
 LIGHT_GREY = (228, 228, 228)
-GHOST_STRENGTH = 0.4  # 1: full colour, 0: paper
+GHOST_STRENGTH = 0.4  # 1: full colour, 0: white
 GHOST_STRIDE, TRACK_STRIDE, RIBBON_STRIDE = 5, 2, 2  # every n-th point is drawn
 RIBBON_STRENGTH = {0.9: 0.13, 0.5: 0.28}
 # Half the line width in screen points, the same at every zoom.

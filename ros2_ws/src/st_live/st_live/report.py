@@ -141,11 +141,8 @@ def error_table(summary: dict[str, Any], title: str) -> Table:
     summary: as in summary.json; errors in m over the horizon means.
     """
     table = Table(title=title, title_justify="left", title_style="bold", box=None, padding=(0, 1))
-    table.add_column("mode", no_wrap=True)
-    table.add_column("model", no_wrap=True)
-    table.add_column("starts", justify="right", no_wrap=True)
-    table.add_column("longitudinal, m\nmean | max | RMSE", justify="right", no_wrap=True)
-    table.add_column("lateral, m\nmean | max | RMSE", justify="right", no_wrap=True)
+    for column in ("mode", "model", "starts", "longitudinal, m\nmean | max | RMSE", "lateral, m\nmean | max | RMSE"):
+        table.add_column(column, justify="left" if column in ("mode", "model") else "right", no_wrap=True)
     models = summary["models"]
     for mode in ("hindsight", "forecast", "course", "plan"):
         for model, modes in models.items():
@@ -159,17 +156,13 @@ def error_table(summary: dict[str, Any], title: str) -> Table:
 
 
 def _cell(models: dict[str, Any], mode: str, axis: str, row: dict[str, Any]) -> Text:
-    text = Text()
-    for i, statistic in enumerate(STATISTICS):
+    parts = []
+    for statistic in STATISTICS:
         value = row[axis][statistic]
-        if value is None:
-            text.append(" | -" if i else "-")
-            continue
-        others = [m[mode][axis][statistic] for m in models.values() if mode in m]
-        best = abs(value) <= min(abs(v) for v in others if v is not None) + 5e-4
-        text.append(" | " if i else "")
-        text.append(f"{value:.3f}", style="bold" if best else "")
-    return text
+        known = [abs(v) for m in models.values() if mode in m and (v := m[mode][axis][statistic]) is not None]
+        best = value is not None and abs(value) <= min(known) + 5e-4
+        parts.append(Text("-" if value is None else f"{value:.3f}", style="bold" if best else ""))
+    return Text(" | ").join(parts)
 
 
 def finding(summary: dict[str, Any]) -> str:

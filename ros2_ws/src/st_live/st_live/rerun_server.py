@@ -84,7 +84,7 @@ def settings_of_rerun(folder: Path) -> dict[str, str]:
 
 
 class RecordingView:
-    """The server of a recording. Use as a context: leaving it ends Rerun's process.
+    """Server of a recording; leaving its `with` block ends Rerun's process.
 
     folder: for settings and logs. file: a recording, .rrd. Raises SuiteError without rerun-sdk, or on a failed start.
     """
@@ -119,9 +119,7 @@ class RecordingView:
 
     def show(self, console: Console) -> None:
         """Print the address, open the browser on a terminal, and wait for Ctrl-C or the end of the server."""
-        console.print(f"view: {self.url}", highlight=False, soft_wrap=True)
-        if console.is_terminal:
-            webbrowser.open(self.url)
+        show_address(self.url, console)
         console.print("Ctrl-C ends the view.")
         try:
             self._rerun.process.wait()
@@ -145,3 +143,24 @@ def check_rerun(option: str) -> None:
     """Raises SuiteError where rerun-sdk is not installed."""
     if importlib.util.find_spec("rerun") is None:
         raise SuiteError(f"{option}: {WITHOUT_RERUN}")
+
+
+def show_address(url: str, console: Console) -> None:
+    """Print the address of a view and, on a terminal, open it in the browser."""
+    console.print(f"view: {url}", highlight=False, soft_wrap=True)
+    if console.is_terminal:
+        webbrowser.open(url)
+
+
+def check_new_rerun_file(option: str, file: Path) -> None:
+    """Raises SuiteError for a file that is not .rrd, exists, or cannot be written, and without rerun-sdk."""
+    check_rerun(option)
+    if file.suffix != ".rrd":
+        raise SuiteError(f"{option} {file}: a Rerun recording ends in .rrd")
+    try:
+        file.touch(exist_ok=False)
+    except FileExistsError:
+        raise SuiteError(f"{option} {file}: exists already (nothing is ever overwritten)") from None
+    except OSError as error:
+        raise SuiteError(f"{option} {file}: cannot be written: {error.strerror}") from None
+    file.unlink()

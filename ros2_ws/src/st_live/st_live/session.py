@@ -19,15 +19,11 @@ from .node import Monitor, Status, health, progress_view, ticks
 from .page import LiveView
 from .suite import REALTIME_PERMISSION, Parameters, Suite, SuiteError, chosen_domain_id, claimed_domain
 
-# Every node publishes /diagnostics once a second; a running node that is silent for this long hangs [s].
-SILENCE_TIMEOUT = 8.0
-# Longest time from a start to the first /diagnostics [s].
-FIRST_STATUS_TIMEOUT = 30.0
+SILENCE_TIMEOUT = 8.0  # s without /diagnostics, which every node publishes once a second, until a running node hangs
+FIRST_STATUS_TIMEOUT = 30.0  # s from a start to the first /diagnostics
 BACK_OFF_FIRST, BACK_OFF_LAST = 0.5, 10.0  # s between a failure and the restart
-# The back-off is reset after this time without failure [s].
-BACK_OFF_RESET_TIME = 60.0
-# If this process was delayed by more, it cannot judge the silence of the nodes [s].
-MAX_OWN_DELAY = 2.0
+BACK_OFF_RESET_TIME = 60.0  # s without failure
+MAX_OWN_DELAY = 2.0  # s; a process that was delayed by more cannot judge the silence of the nodes
 WARN, ERROR = 1, 2
 NODES = (  # package, executable, in the order of their start: subscribers first, so that no message is missed
     ("st_predictor", "recorder"),
@@ -132,17 +128,9 @@ class Outcome:
         return not (self.problem or self.restarts or any(self.statuses.values()))
 
 
-def run(
-    folder: Path,
-    parameters: Parameters,
-    title: str,
-    duration: float | None,
-    source: Callable[[Suite], float] | None = None,
-    console: Console | None = None,
-    view: LiveView | None = None,
-    supervised: bool = False,
-    realtime: bool = False,
-) -> Outcome:
+def run(folder: Path, parameters: Parameters, title: str, duration: float | None,
+        source: Callable[[Suite], float] | None = None, console: Console | None = None, view: LiveView | None = None,
+        supervised: bool = False, realtime: bool = False) -> Outcome:
     """Start all nodes, then the source (the virtual Leaf), show the run, stop everything in order.
 
     duration in s; None: until Ctrl-C, or until the end of the source, which returns its duration [s]. supervised: a
@@ -207,10 +195,8 @@ def start_nodes(suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]]
     return not stopped()
 
 
-def _watch(
-    suite: Suite, monitor: Monitor, supervisor: Supervisor | None, console: Console, title: str,
-    duration: float | None, stop: "_StopRequest",
-) -> str:
+def _watch(suite: Suite, monitor: Monitor, supervisor: Supervisor | None, console: Console, title: str,
+           duration: float | None, stop: "_StopRequest") -> str:
     """Show the run until its duration is over or Ctrl-C.
 
     Without a supervisor a process that ends also ends the run; the text returned names it and is empty otherwise.

@@ -84,14 +84,8 @@ class Processes:
         if shutil.which("setpriv"):
             command = ["setpriv", "--pdeathsig", "INT", *command]
         with log.open("ab") as stream:
-            process = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=stream,
-                stderr=subprocess.STDOUT,
-                env=self.environment,
-                start_new_session=True,
-            )
+            process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT,
+                                       env=self.environment, start_new_session=True)
         if self._realtime and not _set_realtime(process.pid, name):
             self.denied.add(name)
         child = Child(name, process, log)
@@ -101,10 +95,9 @@ class Processes:
     def check(self) -> None:
         """Raises SuiteError naming the first child that has ended."""
         for child in self.children:
-            status = child.process.poll()
-            if status is not None:
-                output = child.last_lines() or "no output"
-                raise SuiteError(f"{child.name} ended with status {status}: {output}\n(log: {child.log})")
+            if (status := child.process.poll()) is not None:
+                raise SuiteError(f"{child.name} ended with status {status}: {child.last_lines() or 'no output'}\n"
+                                 f"(log: {child.log})")
 
     def reap(self, name: str) -> Child | None:
         """Remove and return the child of that name if it has ended, so that it can be restarted; else None."""
@@ -148,8 +141,7 @@ class Suite(Processes):
 
     def start_node(self, package: str, executable: str) -> Child:
         return self.start(
-            executable, [find_executable(package, executable), "--ros-args", "--params-file", str(self.parameter_file)]
-        )
+            executable, [find_executable(package, executable), "--ros-args", "--params-file", str(self.parameter_file)])
 
 
 def _set_realtime(pid: int, name: str) -> bool:
@@ -184,9 +176,8 @@ def find_executable(package: str, executable: str) -> str:
             return str(candidate)
     if found := shutil.which(executable):
         return found
-    raise SuiteError(
-        f"{executable} of package {package} not found: start with ./st, or source the workspace's install/setup.bash"
-    )
+    raise SuiteError(f"{executable} of package {package} not found: start with ./st, or source the workspace's "
+                     "install/setup.bash")
 
 
 def merge(base: Path, overrides: Parameters) -> dict[str, dict[str, Any]]:
@@ -242,9 +233,9 @@ def claimed_domain() -> Iterator[int]:
     Binding its first discovery port (DDS: 7400 + 250 * domain + 10) reserves it; participants use the next port.
     """
     for domain in range(LAST_DOMAIN, 0, -1):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as held:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as claim:
             try:
-                held.bind(("", 7400 + 250 * domain + 10))
+                claim.bind(("", 7400 + 250 * domain + 10))
             except OSError:
                 continue
             yield domain

@@ -56,7 +56,7 @@ class Comparison:
     yaw: float = 0.0  # of any point [rad]
     at_ns: int = 0  # start of the prediction with the largest difference
     n_scores: dict[str, int] = field(default_factory=lambda: dict.fromkeys(MODES, 0))  # complete ones compared
-    error: dict[str, float] = field(default_factory=lambda: dict.fromkeys(MODES, 0.0))  # of any point, by mode [m]
+    error: dict[str, float] = field(default_factory=lambda: dict.fromkeys(MODES, 0.0))  # at any point, by mode [m]
     n_cut: int = 0  # scores left incomplete because the nodes ended
     n_disagree: int = 0  # other scores complete on one side only, except those at position jumps
     n_settling: int = 0  # predictions not compared, see `settled`

@@ -20,6 +20,7 @@ from st_offline.checking.check_report import (
     document,
     findings_as_json,
     findings_from_json,
+    group_by_name,
     print_findings,
     print_run,
     print_runs,
@@ -239,11 +240,11 @@ def test_of_two_values_for_one_correction_the_graver_finding_has_its_way(tmp_pat
 def test_what_only_a_csv_has_is_proposed_for_a_csv_only(tmp_path):
     exchanged = Finding("position_axes", Severity.ERROR, ("x", "y"), "exchanged",
                         advice=cure(columns={"x": "y", "y": "x"}))
-    for kind, taken in (("csv", True), ("bag", False)):
+    for kind, taken in (("csv", True), ("vbo", True), ("bag", False)):
         run_of = replace(source(tmp_path), kind=kind)
         text = run_yaml(run_of, [exchanged], tmp_path / "run.yaml", ReadSettings())
         assert ("columns" in yaml.safe_load(text)) is taken
-        assert ("#   not taken, a csv only has columns and units: in its run.yaml: " in text) is not taken
+        assert ("#   not taken, only a csv or vbo has columns and units: in its run.yaml: " in text) is not taken
 
 
 def test_a_stretch_that_several_findings_leave_out_stands_there_once(tmp_path):
@@ -288,3 +289,11 @@ def test_many_runs_print_each_finding_once_and_the_clean_runs_in_one_line():
     text = console.export_text()
     assert text.count(DEGREES.text) == 1 and "bad0, bad1" in text and "report.html" in text
     assert "nothing found in 5 of 10 runs: good0, good1" in text
+
+
+def test_a_lag_and_a_lead_are_not_one_finding():
+    late = Finding("yaw_rate_lag", Severity.WARNING, ("yaw_rate",), "yaw_rate lags yaw", 0.08, "s", effect=0.1)
+    early = replace(late, text="yaw_rate leads yaw", value=-0.05, effect=0.2)
+    grouped = group_by_name({"a": [late], "b": [early], "c": [late]})
+    assert [(one.text, names) for one, names in grouped] == [("yaw_rate leads yaw", ["b"]),
+                                                             ("yaw_rate lags yaw", ["a", "c"])]

@@ -7,7 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from st_core.palette import MODEL_COLOUR
-from st_offline.evaluation.drawing import MOST_POINTS, Place, broken, finish, style, thinned
+from st_offline.evaluation.drawing import MAX_POINTS, Place, broken, finish, style, thinned
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ def test_long_lines_keep_their_extremes():
     values[77_777], values[12_345] = 9.0, -9.0
     values[50_000:60_000] = np.nan
     few_times, few = thinned(time, values)
-    assert len(few) <= MOST_POINTS + 2 and np.nanmax(few) == 9.0 and np.nanmin(few) == -9.0
+    assert len(few) <= MAX_POINTS + 2 and np.nanmax(few) == 9.0 and np.nanmin(few) == -9.0
     assert (np.diff(few_times) > 0).all() and np.isnan(few).sum() > 10
     assert thinned(time[:100], values[:100])[1] is not None and len(thinned(time[:100], values[:100])[0]) == 100
 

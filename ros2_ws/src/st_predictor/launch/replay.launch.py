@@ -35,16 +35,13 @@ def generate_launch_description():
     value = {name: LaunchConfiguration(name) for name in ARGUMENTS}
     suite = IncludeLaunchDescription(
         PythonLaunchDescriptionSource(str(Path(__file__).with_name("car.launch.py"))),
-        launch_arguments={
-            "config_dir": value["config_dir"], "vehicle": value["vehicle"], "bands": value["bands"],
-            "course": value["course"], "output": value["output"],
-            "bridges": "false", "use_sim_time": "true",
-        }.items(),
+        launch_arguments={"config_dir": value["config_dir"], "vehicle": value["vehicle"], "bands": value["bands"],
+                          "course": value["course"], "output": value["output"], "bridges": "false",
+                          "use_sim_time": "true"}.items(),
     )
     play = ExecuteProcess(
         cmd=["ros2", "bag", "play", value["bag"], "--clock", CLOCK_RATE, "--rate", value["speed"], "--regex", MEASURED],
-        output="screen", prefix="setpriv --pdeathsig INT", on_exit=Shutdown(reason="the bag is over"),
-    )
+        output="screen", prefix="setpriv --pdeathsig INT", on_exit=Shutdown(reason="the bag is over"))
     arguments = [
         DeclareLaunchArgument(name, default_value=default, description=text)
         for name, (default, text) in ARGUMENTS.items()

@@ -35,12 +35,10 @@ def generate_launch_description():
     value = {name: LaunchConfiguration(name) for name in ARGUMENTS}
     suite = IncludeLaunchDescription(
         PythonLaunchDescriptionSource(str(Path(__file__).with_name("car.launch.py"))),
-        launch_arguments={
-            "config_dir": value["config_dir"], "vehicle": value["vehicle"], "output": value["output"],
-            "identify": value["identify"], "bands": value["bands"], "course": value["course"],
-            "ncom_port": value["ncom_port"], "ncom_address": "127.0.0.1",
-            "can_interface": "udp_multicast", "can_channel": value["can_channel"],
-        }.items(),
+        launch_arguments={"config_dir": value["config_dir"], "vehicle": value["vehicle"], "output": value["output"],
+                          "identify": value["identify"], "bands": value["bands"], "course": value["course"],
+                          "ncom_port": value["ncom_port"], "ncom_address": "127.0.0.1",
+                          "can_interface": "udp_multicast", "can_channel": value["can_channel"]}.items(),
     )
     leaf = ExecuteProcess(
         cmd=[

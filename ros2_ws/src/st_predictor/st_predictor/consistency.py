@@ -18,7 +18,7 @@ MIN_DRIVING, MIN_SPEED = 20.0, 1.0  # s of driving above a speed in m/s, require
 MAX_STEP = 0.25  # s between samples; longer gaps do not count as driving
 SAMPLE_NS = 20_000_000  # measurements are thinned out to this period
 PERIOD = 10.0  # s of measurement between checks
-CPU_SHARE = 0.018  # of a core; checks that would take more run less often than every PERIOD
+CPU_SHARE = 0.018  # of a core since the start; checks that would take more run less often than every PERIOD
 # A heading error and a wrong measuring point look alike on a single bend; only a whole drive separates them. Gaps and
 # implausible samples are reported by the bridges; if a unit changes, half a minute would appear to be full of them.
 NOT_LIVE = frozenset(("heading_misaligned", "measuring_point", "time_gaps", "sample_spikes", "sentinel_values",
@@ -40,7 +40,8 @@ class Consistency:
     Measurements before a position jump are not used. One check of half a minute may be wrong, so a fault is reported
     when two successive checks find it, and cleared by the first check without it.
 
-    share: of a core, the limit for the checks. verdict: the newest one. seconds: processor time of all checks.
+    share: of a core since the first poll, the limit for the checks (the first one with a finding compiles its trial).
+    verdict: the newest one. seconds: processor time of all checks.
     """
 
     def __init__(self, vehicle: VehicleParameters, share: float = CPU_SHARE):
@@ -49,6 +50,7 @@ class Consistency:
         self.seconds = 0.0
         self._found: frozenset[str] = frozenset()  # faults of the last check
         self._judged_ns: int | None = None
+        self._began: float | None = None
         self._at = self._not_before = -math.inf
 
     def poll(self, history: MeasurementHistory, now: float) -> bool:
@@ -57,6 +59,8 @@ class Consistency:
         Never raises because of the measurements: a check that fails becomes a warning.
         """
         newest = history.ins.newest
+        if self._began is None:
+            self._began = now
         if newest is None or now < self._not_before:
             return False
         if self._judged_ns is not None and 0 <= newest - self._judged_ns < PERIOD / NANOSECOND:
@@ -65,12 +69,12 @@ class Consistency:
             return False
         self._judged_ns, self._at = newest, now
         try:
-            self._judge(recent(history), now)
+            self._judge(recent(history), self._began)
         except Exception as error:  # must never stop the scoring of predictions
             self.verdict = Verdict("warning", f"could not be judged: {type(error).__name__}: {error}")
         return True
 
-    def _judge(self, log: DriveLog | float, now: float) -> None:
+    def _judge(self, log: DriveLog | float, began: float) -> None:
         before, self._found = self._found, frozenset()
         if isinstance(log, float):
             self.verdict = _waiting(log)
@@ -79,9 +83,8 @@ class Consistency:
         findings = [one for one in check(log, self._vehicle).findings if one.name not in NOT_LIVE]
         self._found = frozenset(one.name for one in findings if one.severity != "note")
         self.verdict = _verdict(findings, before, log.duration)
-        took = time.thread_time() - begin
-        self.seconds += took
-        self._not_before = now + took / self._share
+        self.seconds += time.thread_time() - begin
+        self._not_before = began + self.seconds / self._share
 
 
 def recent(history: MeasurementHistory) -> DriveLog | float:

@@ -70,16 +70,13 @@ class PathBuilder:
         return self.message
 
 
-def prediction_message(
-    start: Start, model: str, trajectory: Trajectory, vehicle: VehicleParameters, map_frame: str,
-    configuration_hash: str,
-) -> Prediction:
+def prediction_message(start: Start, model: str, trajectory: Trajectory, vehicle: VehicleParameters, map_frame: str,
+                       configuration_hash: str) -> Prediction:
     """The message without issued_at and compute_time, which the node sets when it publishes."""
-    message = Prediction(
-        model=model, step=trajectory.step, configuration_hash=configuration_hash,
-        road_wheel_angle=float(start.inputs.road_wheel_angle), velocity_x_dot=float(start.inputs.velocity_x_dot),
-        cg_to_ins_x=float(vehicle.cg_to_ins_x), cg_to_ins_y=float(vehicle.cg_to_ins_y),
-    )
+    message = Prediction(model=model, step=trajectory.step, configuration_hash=configuration_hash,
+                         road_wheel_angle=float(start.inputs.road_wheel_angle),
+                         velocity_x_dot=float(start.inputs.velocity_x_dot), cg_to_ins_x=float(vehicle.cg_to_ins_x),
+                         cg_to_ins_y=float(vehicle.cg_to_ins_y))
     _fill_trajectory(message, start, trajectory, map_frame)
     return message
 
@@ -149,11 +146,10 @@ def ins_path(message: Prediction) -> Path:
 
 
 def error_message(score: Score, map_frame: str, configuration_hash: str) -> PredictionError:
-    message = PredictionError(
-        model=score.model, mode=score.mode, complete=score.complete, incomplete_reason=score.incomplete_reason,
-        longitudinal_mean=float(score.longitudinal_mean), lateral_mean=float(score.lateral_mean),
-        yaw_mean=float(score.yaw_mean), configuration_hash=configuration_hash,
-    )
+    message = PredictionError(model=score.model, mode=score.mode, complete=score.complete,
+                              incomplete_reason=score.incomplete_reason,
+                              longitudinal_mean=float(score.longitudinal_mean), lateral_mean=float(score.lateral_mean),
+                              yaw_mean=float(score.yaw_mean), configuration_hash=configuration_hash)
     message.header.stamp = from_nanoseconds(score.start_ns)
     message.header.frame_id = map_frame
     message.horizon, message.longitudinal, message.lateral, message.yaw = map(
@@ -172,12 +168,10 @@ def statistics_message(model: str, mode: str, statistics: Statistics) -> ErrorSt
 
 def recorded_qos(profile: QoSProfile) -> Qos:
     """QoS of a publisher as a bag stores it."""
-    return Qos(
-        reliability=profile.reliability.name.lower(), durability=profile.durability.name.lower(),
-        history=profile.history.name.lower(), depth=profile.depth, liveliness=profile.liveliness.name.lower(),
-        deadline_ns=_nanoseconds(profile.deadline), lifespan_ns=_nanoseconds(profile.lifespan),
-        liveliness_lease_ns=_nanoseconds(profile.liveliness_lease_duration),
-    )
+    return Qos(reliability=profile.reliability.name.lower(), durability=profile.durability.name.lower(),
+               history=profile.history.name.lower(), depth=profile.depth, liveliness=profile.liveliness.name.lower(),
+               deadline_ns=_nanoseconds(profile.deadline), lifespan_ns=_nanoseconds(profile.lifespan),
+               liveliness_lease_ns=_nanoseconds(profile.liveliness_lease_duration))
 
 
 def _nanoseconds(duration: Duration) -> int:

@@ -28,15 +28,10 @@ NODES_YAML = ROOT / "config" / "nodes.yaml"
 
 
 def declared() -> dict[str, tuple[Parameter, ...]]:
-    return {
-        "predictor": params.PREDICTOR,
-        "evaluator": params.EVALUATOR,
-        "recorder": params.RECORDER,
-        "markers": params.MARKERS,
-        "identifier": params.IDENTIFIER,
-        "oxts_bridge": importlib.import_module("oxts_bridge.node").PARAMETERS,
-        "canedge_bridge": importlib.import_module("canedge_bridge.node").PARAMETERS,
-    }
+    return {"predictor": params.PREDICTOR, "evaluator": params.EVALUATOR, "recorder": params.RECORDER,
+            "markers": params.MARKERS, "identifier": params.IDENTIFIER,
+            "oxts_bridge": importlib.import_module("oxts_bridge.node").PARAMETERS,
+            "canedge_bridge": importlib.import_module("canedge_bridge.node").PARAMETERS}
 
 
 def test_every_parameter_stands_in_the_file_and_no_other() -> None:

@@ -15,6 +15,7 @@ from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from raw_drives import LEAF, write_drives
 from rosbags.typesys import get_types_from_msg
+from st_core.checks import check
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import ReadSettings, RunError, find_runs, read
@@ -184,6 +185,26 @@ def test_tables(tmp_path: Path, drive, name: str, text, encoding: str, warning: 
     run = read(find_runs([file])[0], CAR)
     assert_same(run.log, drive[1], lost=3 if name == "holes.csv" else 1, turned=name in ("geographic.csv", "held.csv"))
     assert_warned(run.warnings, warning)
+
+
+@pytest.mark.parametrize("kind", ["csv", "vbo"])
+def test_a_table_in_parts_is_one_run(tmp_path: Path, drive, kind: str) -> None:
+    text = stamped(drive[1], lambda s: f"25/04/2026 {clock(43200 + s)}") if kind == "csv" else vbo(drive[1])
+    head, mark, body = text.partition("\n" if kind == "csv" else "[data]\n")
+    lines, third = body.splitlines(keepends=True), len(body.splitlines()) // 3
+    (tmp_path / f"whole.{kind}").write_text(text)
+    for part in range(3):
+        rest = lines[part * third : (part + 1) * third if part < 2 else None]
+        (tmp_path / f"part_{part}.{kind}").write_text(head + mark + "".join(rest))
+    (tmp_path / "parts.run.yaml").write_text(f"{kind}: part_*.{kind}\n")
+    whole, parts = (read(find_runs([tmp_path / name])[0], CAR, WHEEL if kind == "vbo" else None)
+                    for name in (f"whole.{kind}", "parts.run.yaml"))
+    np.testing.assert_array_equal(whole.log.ins_time_ns, parts.log.ins_time_ns)
+    np.testing.assert_allclose(whole.log.x, parts.log.x, atol=1e-9)
+    assert [run.name for run in find_runs([tmp_path])] == ["parts", "whole"]
+    (tmp_path / "parts.run.yaml").write_text(f"{kind}: [part_0.{kind}, whole.{kind}]\n")
+    with pytest.raises(RunError, match="it begins before the end of"):
+        read(find_runs([tmp_path / "parts.run.yaml"])[0], CAR, WHEEL if kind == "vbo" else None)
 
 
 @pytest.mark.parametrize(("text", "error"), [
@@ -374,6 +395,23 @@ def test_steering_frames_that_do_not_fit_the_dbc_are_named(tmp_path: Path, drive
     (tmp_path / "run.log").write_text(changed(frames_of(drive[0]), change))
     with pytest.raises(RunError, match=error):
         read(find_runs([tmp_path])[0], CAR)
+
+
+def test_steering_frames_without_a_usable_value_are_no_gap_of_the_logger(tmp_path: Path, drive) -> None:
+    (tmp_path / "run.ncom").write_bytes((drive[0] / "run.ncom").read_bytes())
+    lines = frames_of(drive[0])
+    steering = [k for k, line in enumerate(lines) if " 002#" in line]
+    bad, lost = steering[500:600], {*steering[1000:1100]}
+    for k in bad:  # low byte first: the largest angle that the signal can have
+        head, _, data = lines[k].partition("#")
+        lines[k] = f"{head}#FF7F{data[4:]}"
+    (tmp_path / "run.log").write_text("\n".join(line for k, line in enumerate(lines) if k not in lost))
+    run = read(find_runs([tmp_path])[0], CAR)
+    found = {one.name: one for one in check(run.log, CAR, run.auxiliary).findings}
+    assert re.search(r"100 of \d+ frames between .* were received and are not used: .*SteeringWheelAngle implausible "
+                     r"\(up to -?3276.7 deg\) in 100", found["values_missing"].text)
+    assert "1 gap of the steering" in found["time_gaps"].text
+    assert found["time_gaps"].value == pytest.approx(1.0, abs=0.1)
 
 
 def test_a_cut_blf_is_read_up_to_the_cut_with_a_warning(tmp_path: Path, drive) -> None:

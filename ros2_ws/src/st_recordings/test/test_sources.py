@@ -175,6 +175,8 @@ def test_run_yaml(tmp_path: Path) -> None:
         ("ins: x.ncom\ncan: 1.log\nspeed: 3", "key speed is not known; known keys are name, ins"),
         ("can: 1.log", "one of the keys ins, bag, csv and vbo"),
         ("ins: y.ncom\ncan: 1.log", "ins: there is no 'y.ncom' in its folder"),
+        ("csv: e*.csv", r"csv: no file in its folder matches 'e\*\.csv'"),
+        ("csv: [d.csv, 3]", "csv: expected a file or a list of files"),
         ("ins: x.ncom", "no CAN log under the key can"),
         ("ins: x.ncom\ncan: /logs/*.mf4", "can: '/logs/\\*.mf4' is not a pattern"),
         ("ins: x.ncom\ncan: g**", r"can: 'g\*\*' is not a pattern"),
@@ -190,6 +192,13 @@ def test_a_run_yaml_that_is_wrong(tmp_path: Path, content: str, message: str) ->
     (run,) = find_runs(touch(tmp_path, "run.yaml", content=content))
     with pytest.raises(RunError, match=rf"run\.yaml: {message}"):
         read(run)
+
+
+def test_the_files_of_a_run_yaml_that_is_wrong_are_no_runs_of_their_own(tmp_path: Path) -> None:
+    touch(tmp_path, "d.csv", "1.log", "2.log")
+    touch(tmp_path, "run.yaml", content="csv: e*.csv\ncan: '*.log'\n")
+    (run,) = find_runs([tmp_path])
+    assert run.problem is not None and run.name == "run.yaml"
 
 
 def test_warnings_that_differ_in_file_and_numbers_only_are_logged_once_with_their_files(caplog):

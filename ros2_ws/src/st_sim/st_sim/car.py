@@ -79,12 +79,9 @@ def read_car(file: str | Path) -> Car:
             raise SimulationError(f"{path}: {key}: {values[key]:g} is not above 0")
     front_load = values["mass"] * GRAVITY * (values["wheelbase"] - values["cg_to_front_axle"]) / values["wheelbase"] / 2
     rear_load = values["mass"] * GRAVITY * values["cg_to_front_axle"] / values["wheelbase"] / 2
-    return Car(
-        name=str(document.get("name", path.stem)),
-        tyre_front=_tyre(document, "tyre_front", path, values["cornering_stiffness_front"], front_load),
-        tyre_rear=_tyre(document, "tyre_rear", path, values["cornering_stiffness_rear"], rear_load),
-        **values,
-    )
+    return Car(name=str(document.get("name", path.stem)),
+               tyre_front=_tyre(document, "tyre_front", path, values["cornering_stiffness_front"], front_load),
+               tyre_rear=_tyre(document, "tyre_rear", path, values["cornering_stiffness_rear"], rear_load), **values)
 
 
 def _tyre(document: Mapping[str, Any], key: str, path: Path, axle_stiffness: float, static_load: float) -> Tyre:

@@ -43,12 +43,10 @@ class RecordedDrive:
         share = (self._time - self._times[self._index]) / step
         _, x, y, yaw, vx, vy, yaw_rate, ax, ay, delta = (p + share * (q - p) for p, q in zip(a, b, strict=True))
         ratio = self._car.steering_ratio
-        return Truth(
-            time=self._time, x=x, y=y, z=0.0, yaw=yaw, velocity_x=vx, velocity_y=vy, yaw_rate=yaw_rate,
-            acceleration_x=ax, acceleration_y=ay, yaw_acceleration=(b[6] - a[6]) / step,
-            steering_wheel_angle=delta * ratio, road_wheel_angle=delta,
-            steering_wheel_rate=(b[9] - a[9]) / step * ratio, wheel_speed=(vx, vx, vx, vx), gear=DRIVE,
-        )
+        return Truth(time=self._time, x=x, y=y, z=0.0, yaw=yaw, velocity_x=vx, velocity_y=vy, yaw_rate=yaw_rate,
+                     acceleration_x=ax, acceleration_y=ay, yaw_acceleration=(b[6] - a[6]) / step,
+                     steering_wheel_angle=delta * ratio, road_wheel_angle=delta,
+                     steering_wheel_rate=(b[9] - a[9]) / step * ratio, wheel_speed=(vx, vx, vx, vx), gear=DRIVE)
 
 
 def _read(path: Path) -> np.ndarray:

@@ -36,7 +36,7 @@ ROLLING_ONSET = 0.2
 
 # Positions in the state tuple.
 X, Y, Z, YAW, VX, VY, YAW_RATE, RACK, GIVE, S_FL, S_FR, S_RL, S_RR, LEAN, LEAN_RATE, SQUAT = range(16)
-STATES = 16
+STATES = SQUAT + 1
 
 
 class TyreLaw(NamedTuple):
@@ -124,18 +124,8 @@ def tyre_law(tyre: Tyre, stiffness_factor: float) -> TyreLaw:
     """Coefficients of one tyre with its cornering stiffness K scaled by a factor."""
     nominal = tyre.nominal_load
     stiffness = tyre.p_ky1 * nominal * tyre.lambda_ky * stiffness_factor
-    return TyreLaw(
-        nominal,
-        tyre.p_cy1,
-        stiffness,
-        1.0 / (tyre.p_ky2 * nominal),
-        tyre.p_ky4,
-        tyre.p_dy1,
-        tyre.p_dy2,
-        tyre.p_ey1,
-        tyre.p_ey2,
-        tyre.p_ey3,
-    )
+    return TyreLaw(nominal, tyre.p_cy1, stiffness, 1.0 / (tyre.p_ky2 * nominal), tyre.p_ky4, tyre.p_dy1, tyre.p_dy2,
+                   tyre.p_ey1, tyre.p_ey2, tyre.p_ey3)
 
 
 def tyre_force(law: TyreLaw, slip_angle: float, load: float, friction_factor: float) -> tuple[float, float]:
@@ -168,16 +158,8 @@ def lateral_share(longitudinal: float, peak: float) -> float:
     return sqrt(1.0 - used * used) if -1.0 < used < 1.0 else 0.0
 
 
-def wheel(
-    contact: tuple[float, float, float],
-    law: TyreLaw,
-    friction: float,
-    load: float,
-    slip: float,
-    slid: float,
-    rolled: float,
-    pull: float,
-) -> tuple[float, float, float]:
+def wheel(contact: tuple[float, float, float], law: TyreLaw, friction: float, load: float, slip: float, slid: float,
+          rolled: float, pull: float) -> tuple[float, float, float]:
     """Lateral and longitudinal force of one wheel [N] and the rate of its delayed slip.
 
     contact: relaxation length [m], share of combined slip, largest rate of the slip [1/s]. slip: delayed (state); slid,
@@ -201,9 +183,8 @@ def wheel(
     return lateral, pull, rate
 
 
-def air_force(
-    calm: bool, drag_area: float, yaw: float, vx: float, vy: float, wind_x: float, wind_y: float
-) -> tuple[float, float]:
+def air_force(calm: bool, drag_area: float, yaw: float, vx: float, vy: float, wind_x: float,
+              wind_y: float) -> tuple[float, float]:
     """Drag and side force [N] in body axes; the side force is that of the wind alone, 0 in still air."""
     along, across, own = -vx, -vy, hypot(vx, vy)
     if calm:
@@ -216,21 +197,16 @@ def air_force(
 
 
 # long: one set of equations over two dozen shared symbols, evaluated twice per step of 2 ms.
-def derivative(  # noqa: PLR0915
-    s: Sequence[float], rack_target: float, drive_force: float, here: tuple, c: Constants
-) -> tuple[tuple, tuple]:
+def derivative(s: Sequence[float], rack_target: float, drive_force: float, here: tuple,  # noqa: PLR0915
+               c: Constants) -> tuple[tuple, tuple]:
     """Time derivative of the state, and the wheel quantities that `Forces` contains.
 
     here: (friction, bank, grade [rad], wind_x, wind_y [m/s]). Second result: road-wheel angle; lateral and longitudinal
     force, load [N], velocity across and along [m/s] of each wheel.
     """
-    # fmt: off
-    (
-        mass, yaw_inertia, to_front, to_rear, lag, steering_offset, compliance, roll_steer, rear_roll_steer,
-        roll_gradient, camber, ackermann, fastest, relaxation, combined, rolling, drag_area, drive_offset,
-        transfer_x, transfer_y, static_front, static_rear, calm, front, rear,
-    ) = c
-    # fmt: on
+    (mass, yaw_inertia, to_front, to_rear, lag, steering_offset, compliance, roll_steer, rear_roll_steer, roll_gradient,
+     camber, ackermann, fastest, relaxation, combined, rolling, drag_area, drive_offset, transfer_x, transfer_y,
+     static_front, static_rear, calm, front, rear) = c
     (_, _, _, yaw, vx, vy, r, rack, give, s_fl, s_fr, s_rl, s_rr, lean, lean_rate, squat) = s
     friction, bank, grade, wind_x, wind_y = here
     half_track = TRACK_WIDTH / 2
@@ -283,13 +259,8 @@ def derivative(  # noqa: PLR0915
     resistance = rolling * mass * GRAVITY * normal * min(max(vx / ROLLING_ONSET, -1.0), 1.0)
     force_x = bx_fl + bx_fr + bx_rl + bx_rr + air_x - resistance
     force_y = by_fl + by_fr + by_rl + by_rr + air_y
-    moment = (
-        to_front * (by_fl + by_fr)
-        - to_rear * (by_rl + by_rr)
-        + half_track * (bx_fr - bx_fl + bx_rr - bx_rl)
-        + WIND_ARM * air_y
-        + drive_offset * drive_force
-    )
+    moment = (to_front * (by_fl + by_fr) - to_rear * (by_rl + by_rr) + half_track * (bx_fr - bx_fl + bx_rr - bx_rl)
+              + WIND_ARM * air_y + drive_offset * drive_force)
 
     specific_x, specific_y = force_x / mass, force_y / mass
     vx_dot = specific_x - GRAVITY * sin(grade) + r * vy
@@ -299,29 +270,13 @@ def derivative(  # noqa: PLR0915
     climb = vx * sin(grade) + vy * sin(bank)
     flat = cos(grade)
     rates = (
-        vx * flat * cos_yaw - vy * sin_yaw,
-        vx * flat * sin_yaw + vy * cos_yaw,
-        climb,
-        r,
-        vx_dot,
-        vy_dot,
-        r_dot,
+        vx * flat * cos_yaw - vy * sin_yaw, vx * flat * sin_yaw + vy * cos_yaw, climb, r, vx_dot, vy_dot, r_dot,
         (rack_target - rack) / lag if lag else 0.0,
         (compliance * axle_front - give) / COMPLIANCE_TIME if compliance else 0.0,
-        rate_fl,
-        rate_fr,
-        rate_rl,
-        rate_rr,
-        lean_rate,
-        ROLL_FREQUENCY * (ROLL_FREQUENCY * (specific_y - lean) - 2 * ROLL_DAMPING * lean_rate),
+        rate_fl, rate_fr, rate_rl, rate_rr,
+        lean_rate, ROLL_FREQUENCY * (ROLL_FREQUENCY * (specific_y - lean) - 2 * ROLL_DAMPING * lean_rate),
         (specific_x - squat) / PITCH_TIME,
     )
-    wheels = (
-        steer,
-        (y_fl, y_fr, y_rl, y_rr),
-        (x_fl, x_fr, x_rl, x_rr),
-        (load_fl, load_fr, load_rl, load_rr),
-        (slid_fl, slid_fr, slid_rl, slid_rr),
-        (rolled_fl, rolled_fr, left_x, right_x),
-    )
+    wheels = (steer, (y_fl, y_fr, y_rl, y_rr), (x_fl, x_fr, x_rl, x_rr), (load_fl, load_fr, load_rl, load_rr),
+              (slid_fl, slid_fr, slid_rl, slid_rr), (rolled_fl, rolled_fr, left_x, right_x))
     return rates, wheels

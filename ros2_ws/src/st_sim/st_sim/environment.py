@@ -63,10 +63,9 @@ class Environment:
         self._gust_decay = math.exp(-step / GUST_TIME)
         self._gust = [0.0, 0.0]
         self._draw = normal_stream(np.random.default_rng([seed, 1]))
-        self.calm = not (self._wind or self._gust_sigma)
         r = self._road
         self._constant = Surroundings(r.friction, r.bank, r.grade, 0.0, 0.0)
-        self._uniform = self.calm and not (r.hillside or r.wave) and r.patch == 1.0
+        self._uniform = not (self._wind or self._gust_sigma or r.hillside or r.wave) and r.patch == 1.0
 
     def at(self, x: float, y: float, yaw: float) -> Surroundings:
         if self._uniform:

@@ -98,15 +98,9 @@ class LogFile:
     def write(self, time_ns: int, frame: Frame) -> None:
         message = frame.message
         # A copy, because a background frame is one object sent repeatedly.
-        self._writer.on_message_received(
-            can.Message(
-                timestamp=time_ns / 1e9,
-                arbitration_id=message.arbitration_id,
-                is_extended_id=False,
-                data=message.data,
-                channel=frame.bus - 1,
-            )
-        )
+        self._writer.on_message_received(can.Message(
+            timestamp=time_ns / 1e9, arbitration_id=message.arbitration_id, is_extended_id=False, data=message.data,
+            channel=frame.bus - 1))
 
     def close(self) -> None:
         self._writer.stop()
@@ -124,16 +118,14 @@ class Mf4File:
         try:
             import asammdf  # noqa: F401
         except ImportError:
-            raise SimulationError(
-                "--can-format mf4 needs the Python package asammdf; --can-format log does not"
-            ) from None
+            raise SimulationError("--can-format mf4 needs the Python package asammdf; --can-format log does not") \
+                from None
         self._path, self._start_ns = path, start_ns
         self._frames: dict[int, list[tuple[int, int, bytes]]] = {VEHICLE_BUS: [], INS_BUS: []}
 
     def write(self, time_ns: int, frame: Frame) -> None:
-        self._frames[frame.bus].append(
-            (time_ns - self._start_ns, frame.message.arbitration_id, bytes(frame.message.data))
-        )
+        self._frames[frame.bus].append((time_ns - self._start_ns, frame.message.arbitration_id,
+                                        bytes(frame.message.data)))
 
     def close(self) -> None:
         from datetime import UTC, datetime
@@ -172,12 +164,10 @@ class Mf4File:
         rows["CAN_DataFrame.ID"] = [identifier for _, identifier, _ in frames]
         lengths = [len(data) for _, _, data in frames]
         rows["CAN_DataFrame.DLC"] = rows["CAN_DataFrame.DataLength"] = lengths
-        rows["CAN_DataFrame.DataBytes"] = np.frombuffer(
-            b"".join(d.ljust(8, b"\0") for _, _, d in frames), np.uint8
-        ).reshape(-1, 8)
-        source = Source(
-            name=f"CAN{bus}", path=f"CAN{bus}", comment="", source_type=v4.SOURCE_BUS, bus_type=v4.BUS_TYPE_CAN
-        )
+        rows["CAN_DataFrame.DataBytes"] = np.frombuffer(b"".join(d.ljust(8, b"\0") for _, _, d in frames),
+                                                        np.uint8).reshape(-1, 8)
+        source = Source(name=f"CAN{bus}", path=f"CAN{bus}", comment="", source_type=v4.SOURCE_BUS,
+                        bus_type=v4.BUS_TYPE_CAN)
         return Signal(samples=rows, timestamps=times, name="CAN_DataFrame", source=source)
 
 

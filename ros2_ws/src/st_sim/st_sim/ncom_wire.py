@@ -5,7 +5,6 @@ Positions are WGS84, axes NED and FRD; the unit locked long ago.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 
 from oxts_bridge.channels import encode_channel
 from oxts_bridge.ncom import INITIALISING, LOCKED, Packet, encode
@@ -28,22 +27,14 @@ NOTHING, RAW = 0, 1
 _INVALID = (math.nan, math.nan, math.nan)
 
 
-@dataclass(frozen=True)
 class Origin:
     """Origin of the map, whose axes are x east, y north, z up; latitude, longitude [deg], ellipsoidal height [m]."""
 
-    latitude_deg: float
-    longitude_deg: float
-    height: float
-    _rotation: tuple[float, ...] = field(init=False, repr=False)
-    _centre: tuple[float, float, float] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        latitude, longitude = math.radians(self.latitude_deg), math.radians(self.longitude_deg)
-        object.__setattr__(
-            self, "_rotation", (math.sin(latitude), math.cos(latitude), math.sin(longitude), math.cos(longitude))
-        )
-        object.__setattr__(self, "_centre", to_ecef(latitude, longitude, self.height))
+    def __init__(self, latitude_deg: float, longitude_deg: float, height: float):
+        self.latitude_deg, self.longitude_deg, self.height = latitude_deg, longitude_deg, height
+        latitude, longitude = math.radians(latitude_deg), math.radians(longitude_deg)
+        self._rotation = math.sin(latitude), math.cos(latitude), math.sin(longitude), math.cos(longitude)
+        self._centre = to_ecef(latitude, longitude, height)
 
     def to_geodetic(self, x: float, y: float, z: float) -> tuple[float, float, float]:
         """Latitude, longitude [rad] and ellipsoidal height [m] of a map point [m]."""
@@ -67,9 +58,8 @@ def from_ecef(x: float, y: float, z: float) -> tuple[float, float, float]:
     semi_minor = SEMI_MAJOR * (1 - FLATTENING)
     second_e2 = _E2 / (1 - _E2)
     reduced = math.atan2(z * SEMI_MAJOR, radius * semi_minor)
-    latitude = math.atan2(
-        z + second_e2 * semi_minor * math.sin(reduced) ** 3, radius - _E2 * SEMI_MAJOR * math.cos(reduced) ** 3
-    )
+    latitude = math.atan2(z + second_e2 * semi_minor * math.sin(reduced) ** 3,
+                          radius - _E2 * SEMI_MAJOR * math.cos(reduced) ** 3)
     sine = math.sin(latitude)
     normal = SEMI_MAJOR / math.sqrt(1 - _E2 * sine**2)
     height = radius * math.cos(latitude) + z * sine - SEMI_MAJOR**2 / normal
@@ -103,11 +93,8 @@ class NcomWire:
             packet.latitude, packet.longitude, height = self._origin.to_geodetic(reading.x, reading.y, reading.z)
             packet.altitude = height - UNDULATION
             c, s = math.cos(reading.yaw), math.sin(reading.yaw)
-            packet.velocity_ned = (
-                s * reading.velocity_x + c * reading.velocity_y,
-                c * reading.velocity_x - s * reading.velocity_y,
-                -reading.velocity_z,
-            )
+            packet.velocity_ned = (s * reading.velocity_x + c * reading.velocity_y,
+                                   c * reading.velocity_x - s * reading.velocity_y, -reading.velocity_z)
             packet.heading = math.remainder(math.pi / 2 - reading.yaw, 2 * math.pi)
             packet.pitch, packet.roll = reading.pitch, reading.roll
         return encode(packet)

@@ -3,10 +3,15 @@
 import bisect
 import math
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import NamedTuple
 
 GRID = 0.1
 """m, between stored poses; linear interpolation has an error of 0.1 mm at R = 11.5 m."""
+
+
+SPEED_STEP = 0.25
+"""m, between stored speeds."""
 
 
 class Pose(NamedTuple):
@@ -74,10 +79,8 @@ class Path:
         self.pieces = tuple(p for p in pieces if p.length > 0)
         if not self.pieces:
             raise ValueError("the road has no length")
-        ends = [0.0]
-        for piece in self.pieces:
-            ends.append(ends[-1] + piece.length)
-        self.length, self._ends = ends[-1], ends
+        self._ends = [0.0, *accumulate(piece.length for piece in self.pieces)]
+        self.length = self._ends[-1]
         count = max(2, math.ceil(self.length / GRID))
         self._step = self.length / count
         self._poses = [Pose(0.0, 0.0, 0.0)]
@@ -93,7 +96,7 @@ class Path:
     def anchor(self, distance: float, pose: Pose) -> None:
         """Move the whole path so that it passes through `pose` at `distance`."""
         self._rounds.clear()
-        self._anchor = Pose(0.0, 0.0, 0.0)
+        self._anchor = Pose(0.0, 0.0, 0.0)  # so that the next line has the pose in the path's own axes
         self._anchor = pose.compose(self.pose(distance).inverse())
         self._rounds.clear()
 
@@ -121,9 +124,8 @@ class Path:
         yaw = 0.0
         for piece in self.pieces:
             along = min(rest, piece.length)
-            yaw += along * piece.curvature_start + along**2 / (2 * piece.length) * (
-                piece.curvature_end - piece.curvature_start
-            )
+            rise = piece.curvature_end - piece.curvature_start
+            yaw += along * piece.curvature_start + along**2 / (2 * piece.length) * rise
             rest -= along
             if rest <= 0:
                 break
@@ -144,8 +146,8 @@ class Path:
 class SpeedProfile:
     """Highest speed over distance that respects target speeds, acceleration and braking [m/s^2, > 0]."""
 
-    def __init__(self, path: Path, acceleration: float, braking: float, step: float = 0.25):
-        count = max(4, math.ceil(path.length / step))
+    def __init__(self, path: Path, acceleration: float, braking: float):
+        count = max(4, math.ceil(path.length / SPEED_STEP))
         self._step, self._length = path.length / count, path.length
         squares = [path.speed(i * self._step) ** 2 for i in range(count)]
         # Two rounds, because braking may begin in the previous round.

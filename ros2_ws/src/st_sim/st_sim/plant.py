@@ -33,6 +33,7 @@ from .dynamics import (
     S_RL,
     S_RR,
     SQUAT,
+    STATES,
     VX,
     VY,
     YAW,
@@ -105,12 +106,8 @@ class Truth:
     def at_point(self, x: float, y: float) -> tuple[float, float, float, float]:
         """Map x, y [m] and body velocity v_x, v_y [m/s] of the body point (x, y) relative to the CG [m]."""
         c, s = cos(self.yaw), sin(self.yaw)
-        return (
-            self.x + c * x - s * y,
-            self.y + s * x + c * y,
-            self.velocity_x - self.yaw_rate * y,
-            self.velocity_y + self.yaw_rate * x,
-        )
+        return (self.x + c * x - s * y, self.y + s * x + c * y, self.velocity_x - self.yaw_rate * y,
+                self.velocity_y + self.yaw_rate * x)
 
     def acceleration_at(self, x: float, y: float) -> tuple[float, float]:
         """Acceleration of a body point: a_x - r^2 x - dr/dt y,  a_y + dr/dt x - r^2 y  [m/s^2]."""
@@ -124,23 +121,22 @@ class Plant:
     def __init__(self, car: Car, settings: Settings, seed: int = 0, step: float = STEP):
         self.car, self.settings, self.time_step = car, settings, step
         self.environment = Environment(settings, step, seed)
-        self.state: tuple[float, ...] = (0.0,) * 16
+        self.state: tuple[float, ...] = (0.0,) * STATES
         self.forces: Forces
         self.parked = False
         self.here = self.environment.at(0.0, 0.0, 0.0)
-        s = settings
         self.constants = constants(car, settings, step)
         self.mass, self.yaw_inertia = self.constants.mass, self.constants.yaw_inertia
         self.to_front, self.to_rear = self.constants.to_front, self.constants.to_rear
-        self._ratio = car.steering_ratio * s["steering_ratio_factor"]
-        self._play = s["steering_backlash"] / 2
-        self._delay: deque[float] = deque([0.0] * round(s["steering_delay"] / step))
+        self._ratio = car.steering_ratio * settings["steering_ratio_factor"]
+        self._play = settings["steering_backlash"] / 2
+        self._delay: deque[float] = deque([0.0] * round(settings["steering_delay"] / step))
         self._after_play = 0.0
-        self._wheel_slip = s["wheel_slip_compliance"]
+        self._wheel_slip = settings["wheel_slip_compliance"]
 
     def place(self, x: float, y: float, yaw: float, speed: float, curvature: float = 0.0) -> None:
         """Set position [m], yaw [rad], speed [m/s] and curvature [1/m, left +] of a motion without slip."""
-        values = [0.0] * 16
+        values = [0.0] * STATES
         values[X], values[Y], values[YAW], values[VX], values[YAW_RATE] = x, y, yaw, speed, speed * curvature
         values[VY] = speed * curvature * self.to_rear
         rack = atan(self.car.wheelbase * curvature)
@@ -195,18 +191,11 @@ class Plant:
         slip = [atan2(across, max(abs(along), LOWEST_SLIP_SPEED)) for across, along in zip(slid, rolled, strict=True)]
         speeds = [along * (1 + self._wheel_slip * pull / pressed)
                   for along, pull, pressed in zip(rolled, longitudinal, load, strict=True)]
-        self.forces = Forces(
-            acceleration_x=rates[VX] - s[YAW_RATE] * s[VY] if moving else 0.0,
-            acceleration_y=rates[VY] + s[YAW_RATE] * s[VX] if moving else 0.0,
-            yaw_acceleration=rates[YAW_RATE] if moving else 0.0,
-            velocity_z=rates[Z] if moving else 0.0,
-            road_wheel_angle=road_wheel_angle,
-            lateral=lateral,
-            longitudinal=longitudinal,
-            load=load,
-            slip_angle=tuple(slip),
-            wheel_speed=tuple(speeds),
-        )
+        self.forces = Forces(acceleration_x=rates[VX] - s[YAW_RATE] * s[VY] if moving else 0.0,
+                             acceleration_y=rates[VY] + s[YAW_RATE] * s[VX] if moving else 0.0,
+                             yaw_acceleration=rates[YAW_RATE] if moving else 0.0,
+                             velocity_z=rates[Z] if moving else 0.0, road_wheel_angle=road_wheel_angle, lateral=lateral,
+                             longitudinal=longitudinal, load=load, slip_angle=tuple(slip), wheel_speed=tuple(speeds))
         return self.forces
 
     def _at_rest(self, s: Sequence[float]) -> tuple[float, ...]:

@@ -95,18 +95,10 @@ class _Run:
 
     def stream(self, options: argparse.Namespace, start_ns: int) -> Stream:
         seed = options.seed
-        return Stream(
-            self.source,
-            self.settings,
-            Ins(self.car, self.settings, 1 / options.ncom_rate, seed),
-            SteeringSensor(self.car, self.settings, seed),
-            NcomWire(self.origin, start_ns, options.ncom_rate),
-            CanWire(self.codec, self.origin, start_ns),
-            options.ncom_rate,
-            seed,
-            options.can_rate == "full",
-            options.startup,
-        )
+        return Stream(self.source, self.settings, Ins(self.car, self.settings, 1 / options.ncom_rate, seed),
+                      SteeringSensor(self.car, self.settings, seed), NcomWire(self.origin, start_ns, options.ncom_rate),
+                      CanWire(self.codec, self.origin, start_ns), options.ncom_rate, seed, options.can_rate == "full",
+                      options.startup)
 
 
 def _bus(options: argparse.Namespace) -> tuple[Path, Path]:
@@ -142,15 +134,9 @@ def _prepare(options: argparse.Namespace) -> _Run:
         raise SimulationError(f"--duration {duration:g}: not within 0 to 1000000 s")
     if source.duration is not None:
         duration = min(duration, source.duration)
-    about = {
-        "scenario": "" if options.drive else options.scenario,
-        "drive": options.drive.name if options.drive else "",
-        "vehicle": car.name,
-        "plant": options.plant or "",
-        "seed": options.seed,
-        "ncom_rate": options.ncom_rate,
-        "not_null": json.dumps(overrides(settings)),
-    }
+    about = {"scenario": "" if options.drive else options.scenario,
+             "drive": options.drive.name if options.drive else "", "vehicle": car.name, "plant": options.plant or "",
+             "seed": options.seed, "ncom_rate": options.ncom_rate, "not_null": json.dumps(overrides(settings))}
     return _Run(car, settings, source, codec, _origin(options.origin), duration, about)
 
 
@@ -162,9 +148,8 @@ def _settings(options: argparse.Namespace) -> dict[str, float]:
     settings = resolve("ideal", options.effect)
     for name in overrides(settings):
         if SETTINGS[name].group not in _SENSOR_GROUPS:
-            raise SimulationError(
-                f"--effect {name} cannot be combined with --drive: only sensor effects apply to a recorded drive"
-            )
+            raise SimulationError(f"--effect {name} cannot be combined with --drive: only sensor effects apply to a "
+                                  "recorded drive")
     return settings
 
 
@@ -174,9 +159,8 @@ def _origin(text: str) -> Origin:
     except ValueError:
         raise SimulationError(f"--origin {text}: must be latitude,longitude,height in degrees and metres") from None
     if not (abs(latitude) < 89 and abs(longitude) <= 180 and abs(height) < 9000):
-        raise SimulationError(
-            f"--origin {text}: latitude within 89, longitude within 180 degrees, height within 9000 m"
-        )
+        raise SimulationError(f"--origin {text}: latitude within 89, longitude within 180 degrees, height within "
+                              "9000 m")
     return Origin(latitude, longitude, height)
 
 
@@ -244,17 +228,13 @@ def _parser() -> argparse.ArgumentParser:
     what.add_argument("--drive", type=Path, metavar="FILE.csv", help="a recorded drive instead of a simulated one")
     parser.add_argument("--vehicle", type=Path, metavar="FILE.yaml", help="config/vehicle/<car>.yaml")
     parser.add_argument(
-        "--config",
-        type=Path,
-        metavar="DIR",
-        help="folder with can/leaf_ze0.dbc and .yaml; default: the one --vehicle is in, else that of the checkout",
-    )
+        "--config", type=Path, metavar="DIR", help="folder with can/leaf_ze0.dbc and .yaml; default: the one --vehicle "
+        "is in, else that of the checkout")
     parser.add_argument("--duration", type=float, metavar="S", help="default 60 s, a recorded drive to its end")
     parser.add_argument("--seed", type=_within(0, 2**31 - 1), default=0, help="of everything random")
     parser.add_argument("--plant", help="ideal, realistic (default) or FILE.yaml with {preset: ..., name: value}")
-    parser.add_argument(
-        "--effect", nargs="+", action="extend", default=[], metavar="NAME=VALUE", help="settings on top; see --list"
-    )
+    parser.add_argument("--effect", nargs="+", action="extend", default=[], metavar="NAME=VALUE",
+                        help="settings on top; see --list")
     parser.add_argument("--origin", default=DEFAULT_ORIGIN, metavar="LAT,LON,HEIGHT", help="of the map [deg, deg, m]")
     parser.add_argument("--startup", action="store_true", help="begin with the start-up of the unit instead of locked")
     parser.add_argument("--ncom-host", default="127.0.0.1")
@@ -262,19 +242,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--ncom-rate", type=int, choices=(100, 250), default=100)
     parser.add_argument("--can-interface", default="udp_multicast")
     parser.add_argument("--can-channel", default="239.74.163.2")
-    parser.add_argument(
-        "--can-rate",
-        choices=("realistic", "full"),
-        default="realistic",
-        help="full: with the other frames of a Car-CAN, 1750 frames/s, plus the INS",
-    )
+    parser.add_argument("--can-rate", choices=("realistic", "full"), default="realistic",
+                        help="full: with the other frames of a Car-CAN, 1750 frames/s, plus the INS")
     parser.add_argument("--output", type=Path, metavar="DIR", help="write truth.mcap there")
-    parser.add_argument(
-        "--to-files",
-        type=Path,
-        metavar="DIR",
-        help="no sockets, faster than real time: run.ncom, run.log or run.mf4, truth.mcap",
-    )
+    parser.add_argument("--to-files", type=Path, metavar="DIR",
+                        help="no sockets, faster than real time: run.ncom, run.log or run.mf4, truth.mcap")
     parser.add_argument("--can-format", choices=("mf4", "log"), default="log")
     parser.add_argument("--list", action="store_true", help="print scenarios and settings")
     return parser

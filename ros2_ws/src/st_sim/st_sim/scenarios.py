@@ -142,48 +142,30 @@ def _phases(manoeuvre: Manoeuvre) -> list[Phase]:
     return phases
 
 
-def _circle(lateral_acceleration: float, radius: float = 11.5) -> Plan:
-    speed = math.sqrt(lateral_acceleration * radius)
-    return RoadPlan([Piece(2 * math.pi * radius, 1 / radius, 1 / radius, speed)])
+def _circle(lateral_acceleration: float) -> Plan:
+    radius = 11.5
+    return RoadPlan([Piece(2 * math.pi * radius, 1 / radius, 1 / radius, math.sqrt(lateral_acceleration * radius))])
 
 
 def _u_turns() -> Plan:
     """Right, left, left; a round ends rotated by 180 deg, so that two rounds close."""
-    return RoadPlan(
-        [
-            *straight(24, 6),
-            *turn(8, -180, 4, 5),
-            *straight(26, 6),
-            *turn(8, 180, 4, 5),
-            *straight(26, 6),
-            *turn(8, 180, 4, 5),
-            *straight(2, 6),
-        ]
-    )
+    left = turn(8, 180, 4, 5)
+    return RoadPlan([*straight(24, 6), *turn(8, -180, 4, 5), *straight(26, 6), *left, *straight(26, 6), *left,
+                     *straight(2, 6)])
 
 
 def _roundabout() -> Plan:
     """16 m/s slightly right (1.1 m/s^2), brake, 450 deg to the left at 5 m/s, back to 16 m/s."""
     return RoadPlan(
         [*straight(30, 16), *turn(230, -24, 16, 20), *straight(85, 16), *turn(12, 450, 5, 7), *straight(110, 16)],
-        acceleration=1.6,
-        braking=2.0,
-    )
+        acceleration=1.6, braking=2.0)
 
 
 def _circle_to_rest() -> Plan:
     """R = 10 m to the right at 1.5 m/s^2; brakes at 1.5 m/s^2 to rest, rests 4 s, accelerates, repeats."""
-    return PhasePlan(
-        10.0,
-        -1,
-        math.sqrt(1.5 * 10.0),
-        [
-            Phase("path", duration=18.0),
-            Phase("path", acceleration=-1.5, until=0.0),
-            Phase("path", duration=4.0),
-            Phase("path", acceleration=1.2, duration=5.0),
-        ],
-    )
+    return PhasePlan(10.0, -1, math.sqrt(1.5 * 10.0), [
+        Phase("path", duration=18.0), Phase("path", acceleration=-1.5, until=0.0), Phase("path", duration=4.0),
+        Phase("path", acceleration=1.2, duration=5.0)])
 
 
 SUGGESTED = {m.name: (partial(plan_of, m), m.meaning) for m in CATALOGUE}
@@ -221,10 +203,8 @@ def _from_file(file: FilePath) -> Plan:
             raise ValueError(f"acceleration and braking {pedals}: not within 0.01 to 20 m/s^2")
         return RoadPlan(pieces, *pedals)
     except (ArithmeticError, AttributeError, KeyError, StopIteration, TypeError, ValueError) as error:
-        raise SimulationError(
-            f"{file}: road: {error!r}; rows are {{straight: m, speed: m/s}}, {{turn: deg, radius: m, blend: m, "
-            "speed: m/s} or {shift: m, length: m, speed: m/s}"
-        ) from None
+        raise SimulationError(f"{file}: road: {error!r}; rows are {{straight: m, speed: m/s}}, {{turn: deg, radius: m, "
+                              "blend: m, speed: m/s} or {shift: m, length: m, speed: m/s}") from None
 
 
 def _pieces(row: dict[str, Any]) -> list[Piece]:
@@ -233,11 +213,10 @@ def _pieces(row: dict[str, Any]) -> list[Piece]:
     size, speed = values.pop(kind), values.pop("speed")
     if not 0 < speed <= FASTEST:
         raise ValueError(f"speed {speed:g} is not above 0 and at most {FASTEST:g} m/s")
-    pieces = {
-        "straight": lambda: straight(size, speed),
-        "turn": lambda: turn(values.pop("radius"), size, speed, values.pop("blend", 0.0)),
-        "shift": lambda: lane_shift(size, values.pop("length"), speed),
-    }[kind]()
+    if kind == "turn":
+        pieces = turn(values.pop("radius"), size, speed, values.pop("blend", 0.0))
+    else:
+        pieces = straight(size, speed) if kind == "straight" else lane_shift(size, values.pop("length"), speed)
     if values:
         raise ValueError(f"unknown key {next(iter(values))}")
     return pieces

@@ -110,30 +110,12 @@ IDEAL: Settings = MappingProxyType({s.name: s.null for s in SETTINGS.values()})
 
 # Chosen so that the prediction errors of the paper's three models are those of the real car (test_pattern.py). Front
 # tyres are stiffer than in the file: its axle stiffness includes compliance, roll steer and load transfer.
-REALISTIC: Settings = MappingProxyType(
-    {
-        **IDEAL,
-        "steering_lag": 0.04,
-        "steering_compliance": 1.5e-6,
-        "roll_steer": -0.03,
-        "ackermann": 0.6,
-        "front_stiffness_factor": 1.35,
-        "friction_factor": 1.12,
-        "relaxation_length": 0.4,
-        "combined_slip": 1.0,
-        "wheel_slip_compliance": 0.04,
-        "lateral_load_transfer": 1.0,
-        "roll_gradient": 0.0075,
-        "pitch_gradient": 0.004,
-        "drag_area": 0.65,
-        "rolling_resistance": 0.011,
-        "driver_tremor": 0.01,
-        "ins_noise": 1.0,
-        "ins_latency": 0.004,
-        "steering_sensor_latency": 0.004,
-        "steering_sensor_noise": 0.0005,
-    }
-)
+REALISTIC: Settings = MappingProxyType({
+    **IDEAL, "steering_lag": 0.04, "steering_compliance": 1.5e-6, "roll_steer": -0.03, "ackermann": 0.6,
+    "front_stiffness_factor": 1.35, "friction_factor": 1.12, "relaxation_length": 0.4, "combined_slip": 1.0,
+    "wheel_slip_compliance": 0.04, "lateral_load_transfer": 1.0, "roll_gradient": 0.0075, "pitch_gradient": 0.004,
+    "drag_area": 0.65, "rolling_resistance": 0.011, "driver_tremor": 0.01, "ins_noise": 1.0, "ins_latency": 0.004,
+    "steering_sensor_latency": 0.004, "steering_sensor_noise": 0.0005})
 
 PRESETS: Mapping[str, Settings] = MappingProxyType({"ideal": IDEAL, "realistic": REALISTIC})
 
@@ -179,7 +161,6 @@ def _checked(name: str, value: object, origin: str) -> float:
     if setting is None:
         raise SimulationError(f"{origin}: {name}: no such setting; there are {', '.join(SETTINGS)}")
     if isinstance(value, bool) or not isinstance(value, int | float) or not setting.low <= value <= setting.high:
-        raise SimulationError(
-            f"{origin}: {name}: {value!r} is not within {setting.low:g} to {setting.high:g} {setting.unit}"
-        )
+        raise SimulationError(f"{origin}: {name}: {value!r} is not within {setting.low:g} to {setting.high:g} "
+                              f"{setting.unit}")
     return float(value)

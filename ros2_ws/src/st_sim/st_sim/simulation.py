@@ -49,16 +49,14 @@ class SimulatedCar:
     def truth(self) -> Truth:
         plant, s = self.plant, self.plant.state
         forces = plant.observe(self.driver.drive_force)
-        return Truth(
-            time=self.time, x=s[X], y=s[Y], z=s[Z], yaw=s[YAW], velocity_x=s[VX], velocity_y=s[VY],
-            yaw_rate=s[YAW_RATE], acceleration_x=forces.acceleration_x, acceleration_y=forces.acceleration_y,
-            yaw_acceleration=forces.yaw_acceleration, velocity_z=forces.velocity_z,
-            steering_wheel_angle=self.driver.steering_wheel_angle, steering_wheel_rate=self._hand_rate,
-            road_wheel_angle=forces.road_wheel_angle, roll=plant.body_roll + plant.here.bank_angle,
-            pitch=plant.body_pitch + plant.here.grade_angle,
-            roll_rate=0.0 if plant.parked else plant.settings["roll_gradient"] * s[LEAN_RATE],
-            wheel_speed=forces.wheel_speed, gear=DRIVE, forces=forces, surroundings=plant.here._asdict(),
-        )
+        return Truth(time=self.time, x=s[X], y=s[Y], z=s[Z], yaw=s[YAW], velocity_x=s[VX], velocity_y=s[VY],
+                     yaw_rate=s[YAW_RATE], acceleration_x=forces.acceleration_x, acceleration_y=forces.acceleration_y,
+                     yaw_acceleration=forces.yaw_acceleration, velocity_z=forces.velocity_z,
+                     steering_wheel_angle=self.driver.steering_wheel_angle, steering_wheel_rate=self._hand_rate,
+                     road_wheel_angle=forces.road_wheel_angle, roll=plant.body_roll + plant.here.bank_angle,
+                     pitch=plant.body_pitch + plant.here.grade_angle,
+                     roll_rate=0.0 if plant.parked else plant.settings["roll_gradient"] * s[LEAN_RATE],
+                     wheel_speed=forces.wheel_speed, gear=DRIVE, forces=forces, surroundings=plant.here._asdict())
 
 
 class ControlledCar:

@@ -76,19 +76,8 @@ class StartUp:
 class Stream:
     """Source -> sensors -> packets and frames; outputs() simulates at most one tick ahead."""
 
-    def __init__(
-        self,
-        source: Source,
-        settings: Settings,
-        ins: Ins,
-        steering: SteeringSensor,
-        ncom: NcomWire,
-        can: CanWire,
-        ins_rate: int,
-        seed: int,
-        background: bool = False,
-        start_up: bool = False,
-    ):
+    def __init__(self, source: Source, settings: Settings, ins: Ins, steering: SteeringSensor, ncom: NcomWire,
+                 can: CanWire, ins_rate: int, seed: int, background: bool = False, start_up: bool = False):
         self._source, self._settings = source, settings
         self._ins, self._steering, self._ncom, self._can = ins, steering, ncom, can
         self._ins_period = 1000 // ins_rate
@@ -202,15 +191,9 @@ class Wires:
         self._socket.close()
 
 
-def send(
-    outputs: Iterable[Output],
-    send_ncom: Callable[[bytes], object],
-    send_frame: Callable[[Frame, float], object],
-    record_truth: Callable[[Truth], None] | None,
-    stopped: Callable[[], bool],
-    report: Report,
-    started: float | None = None,
-) -> float:
+def send(outputs: Iterable[Output], send_ncom: Callable[[bytes], object], send_frame: Callable[[Frame, float], object],
+         record_truth: Callable[[Truth], None] | None, stopped: Callable[[], bool], report: Report,
+         started: float | None = None) -> float:
     """Send outputs at absolute deadlines, late ones at once; ends with the outputs or when stopped() is true.
 
     started: monotonic time of the start of the drive [s]; None: without deadlines, as fast as possible. Returns the

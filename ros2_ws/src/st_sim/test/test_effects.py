@@ -17,41 +17,17 @@ CAR = read_car(ROOT / "config/vehicle/leaf.yaml")
 PLANT_GROUPS = ("steering", "tyre", "body", "environment")
 
 # A value that matters, and what else must be there for it to act.
-ON = {
-    "steering_ratio_factor": (1.07, {}),
-    "steering_offset": (0.006, {}),
-    "steering_delay": (0.05, {}),
-    "steering_lag": (0.1, {}),
-    "steering_backlash": (0.1, {}),
-    "steering_compliance": (2e-6, {}),
-    "roll_steer": (-0.1, {"roll_gradient": 0.0075}),
-    "rear_roll_steer": (0.1, {"roll_gradient": 0.0075}),
-    "ackermann": (-0.5, {}),
-    "front_stiffness_factor": (0.85, {}),
-    "rear_stiffness_factor": (0.85, {}),
-    "friction_factor": (0.75, {}),
-    "relaxation_length": (0.6, {}),
-    "combined_slip": (1.0, {}),
-    "wheel_slip_compliance": (0.04, {}),
-    "camber_thrust": (0.8, {"roll_gradient": 0.0075}),
-    "lateral_load_transfer": (1.0, {}),
-    "longitudinal_load_transfer": (0.0, {}),
-    "roll_gradient": (0.0075, {}),
-    "pitch_gradient": (0.004, {}),
-    "mass_factor": (1.18, {}),
-    "yaw_inertia_factor": (1.22, {}),
-    "cg_shift": (0.1, {}),
-    "drive_offset": (0.1, {}),
-    "drag_area": (0.65, {}),
-    "rolling_resistance": (0.011, {}),
-    "bank_angle": (0.03, {}),
-    "grade_angle": (0.03, {}),
-    "hillside_slope": (0.03, {}),
-    "terrain_wave": (0.03, {}),
-    "friction_patch": (0.5, {}),
-    "wind_speed": (15.0, {}),
-    "gust_speed": (5.0, {}),
-}
+ON = {"steering_ratio_factor": (1.07, {}), "steering_offset": (0.006, {}), "steering_delay": (0.05, {}),
+      "steering_lag": (0.1, {}), "steering_backlash": (0.1, {}), "steering_compliance": (2e-6, {}),
+      "roll_steer": (-0.1, {"roll_gradient": 0.0075}), "rear_roll_steer": (0.1, {"roll_gradient": 0.0075}),
+      "ackermann": (-0.5, {}), "front_stiffness_factor": (0.85, {}), "rear_stiffness_factor": (0.85, {}),
+      "friction_factor": (0.75, {}), "relaxation_length": (0.6, {}), "combined_slip": (1.0, {}),
+      "wheel_slip_compliance": (0.04, {}), "camber_thrust": (0.8, {"roll_gradient": 0.0075}),
+      "lateral_load_transfer": (1.0, {}), "longitudinal_load_transfer": (0.0, {}), "roll_gradient": (0.0075, {}),
+      "pitch_gradient": (0.004, {}), "mass_factor": (1.18, {}), "yaw_inertia_factor": (1.22, {}), "cg_shift": (0.1, {}),
+      "drive_offset": (0.1, {}), "drag_area": (0.65, {}), "rolling_resistance": (0.011, {}), "bank_angle": (0.03, {}),
+      "grade_angle": (0.03, {}), "hillside_slope": (0.03, {}), "terrain_wave": (0.03, {}), "friction_patch": (0.5, {}),
+      "wind_speed": (15.0, {}), "gust_speed": (5.0, {})}
 
 
 def trace(settings):
@@ -283,9 +259,8 @@ def test_bad_plant_file_is_named(tmp_path, text, said):
     assert said in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    "effect", ["bank_angle", "bank_angle=", "bank_angle=x", "bank_angle=nan", "bank_angle=2", "b=1"]
-)
+@pytest.mark.parametrize("effect",
+                         ["bank_angle", "bank_angle=", "bank_angle=x", "bank_angle=nan", "bank_angle=2", "b=1"])
 def test_bad_effect_is_named(effect):
     with pytest.raises(SimulationError, match="--effect"):
         resolve("ideal", [effect])

@@ -58,10 +58,8 @@ def derivative(model, s, steer, vx_dot):
         front = 2 * magic_formula(front_slip, front_load, CAR.tyre_front)
         rear = 2 * magic_formula(rear_slip, rear_load, CAR.tyre_rear)
     across, turn = front * np.cos(steer) + rear, l0 * front * np.cos(steer) - l1 * rear
-    return np.array([
-        vx * np.cos(psi) - vy * np.sin(psi), vx * np.sin(psi) + vy * np.cos(psi), vx_dot,
-        across / CAR.mass - vx * r, r, turn / CAR.yaw_inertia,
-    ])  # fmt: skip
+    return np.array([vx * np.cos(psi) - vy * np.sin(psi), vx * np.sin(psi) + vy * np.cos(psi), vx_dot,
+                     across / CAR.mass - vx * r, r, turn / CAR.yaw_inertia])
 
 
 def filtered_derivative(speed):
@@ -105,10 +103,8 @@ def table(name, seconds):
 
 @pytest.mark.parametrize(
     ("name", "paper"),
-    [
-        ("S3", {"kinematic": (0.85, 1.20), "linear": (-0.21, -0.30), "nonlinear": (-0.25, -0.33)}),
-        ("S4", {"kinematic": (2.49, 2.88), "linear": (-0.45, -0.46), "nonlinear": (-0.77, -0.67)}),
-    ],
+    [("S3", {"kinematic": (0.85, 1.20), "linear": (-0.21, -0.30), "nonlinear": (-0.25, -0.33)}),
+     ("S4", {"kinematic": (2.49, 2.88), "linear": (-0.45, -0.46), "nonlinear": (-0.77, -0.67)})],
 )
 def test_mean_errors_in_the_circles_are_those_of_the_paper(name, paper):
     for model, (along, across) in table(name, 12).items():

@@ -111,8 +111,7 @@ def steady_circle(plant, road_wheel_angle, speed):
     [(6.59, 14.20, 0.5506, 0.6710), (8.56, 15.21, 0.7050, 0.6472)],
 )
 def test_ideal_plant_is_close_to_the_nonlinear_single_track_model(
-    speed, road_wheel_deg, nonlinear_yaw_rate, nonlinear_v_y
-):
+    speed, road_wheel_deg, nonlinear_yaw_rate, nonlinear_v_y):
     v_y, yaw_rate, _ = steady_circle(Plant(CAR, resolve("ideal")), math.radians(road_wheel_deg), speed)
     assert yaw_rate == pytest.approx(nonlinear_yaw_rate, rel=0.04)
     assert v_y == pytest.approx(nonlinear_v_y, abs=0.03)

@@ -43,7 +43,7 @@ def test_files_are_the_same_for_the_same_seed(tmp_path, can_format):
     assert set(first) == {"run.ncom", "truth.mcap", name}
     # In a process of its own, later: nothing of the clock or of this process gets in.
     command = [sys.executable, "-m", "st_sim.run", "--vehicle", str(LEAF), "--to-files", str(tmp_path / "b"),
-               "--duration", "3", "--can-format", can_format, "--seed", "5"]  # fmt: skip
+               "--duration", "3", "--can-format", can_format, "--seed", "5"]
     subprocess.run(command, check=True, capture_output=True)
     assert first == {f.name: f.read_bytes() for f in (tmp_path / "b").iterdir()}
     other = files(tmp_path / "c", "--can-format", can_format, "--seed", "6")
@@ -122,10 +122,8 @@ class Live:
         port = self.udp.getsockname()[1]
         channel = f"239.74.{100 + port % 50}.{1 + port % 250}:{port}"
         self.bus = open_bus("udp_multicast", channel)
-        command = [
-            sys.executable, "-m", "st_sim.run", "--vehicle", str(LEAF), "--output", str(folder),
-            "--ncom-port", str(port), "--can-interface", "udp_multicast", "--can-channel", channel, *arguments,
-        ]  # fmt: skip
+        command = [sys.executable, "-m", "st_sim.run", "--vehicle", str(LEAF), "--output", str(folder), "--ncom-port",
+                   str(port), "--can-interface", "udp_multicast", "--can-channel", channel, *arguments]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         self.packets, self.frames = [], []
 
@@ -195,17 +193,8 @@ def test_signals_to_the_very_end_do_not_spoil_the_status(tmp_path):
 
 
 def test_signal_closes_the_files_of_file_mode(tmp_path):
-    command = [
-        sys.executable,
-        "-m",
-        "st_sim.run",
-        "--vehicle",
-        str(LEAF),
-        "--to-files",
-        str(tmp_path),
-        "--duration",
-        "9e5",
-    ]
+    command = [sys.executable, "-m", "st_sim.run", "--vehicle", str(LEAF), "--to-files", str(tmp_path), "--duration",
+               "9e5"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     while not (tmp_path / "run.log").exists() or (tmp_path / "run.log").stat().st_size < 100_000:
         assert process.poll() is None

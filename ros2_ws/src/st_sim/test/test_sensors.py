@@ -18,7 +18,7 @@ def truth(**changes):
         "time": 1.0, "x": 10.0, "y": -4.0, "z": 0.0, "yaw": 0.7, "velocity_x": 8.0, "velocity_y": 0.3, "yaw_rate": 0.5,
         "acceleration_x": 0.4, "acceleration_y": 4.0, "yaw_acceleration": 0.2, "steering_wheel_angle": 1.2,
         "road_wheel_angle": 0.07, "wheel_speed": (7.6, 8.4, 7.6, 8.4),
-    }  # fmt: skip
+    }
     return Truth(**{**values, **changes})
 
 
@@ -50,9 +50,9 @@ def test_noise_has_the_size_the_unit_reports_and_follows_the_seed():
     readings = [Ins(CAR, settings, 0.01, seed).read(truth()) for seed in range(400)]
     exact = ins()
     spread = {name: np.std([getattr(r, name) - getattr(exact, name) for r in readings])
-              for name in ("x", "y", "velocity_x", "velocity_y", "yaw", "roll", "pitch")}  # fmt: skip
+              for name in ("x", "y", "velocity_x", "velocity_y", "yaw", "roll", "pitch")}
     for names, limit in ((("x", "y"), ACCURACY["position"]), (("velocity_x", "velocity_y"), ACCURACY["velocity"]),
-                         (("yaw",), ACCURACY["heading"]), (("roll", "pitch"), ACCURACY["level"])):  # fmt: skip
+                         (("yaw",), ACCURACY["heading"]), (("roll", "pitch"), ACCURACY["level"])):
         for name in names:
             assert 0.3 * limit < spread[name] < 1.1 * limit, name
     again = Ins(CAR, settings, 0.01, 7).read(truth())
@@ -129,5 +129,5 @@ def test_every_sensor_switch_is_tested():
         # In test_stream.py and test_run.py, where time passes:
         "ins_latency", "steering_sensor_latency", "ins_packet_loss", "ins_outage_every", "can_frame_loss",
         "can_outage_every", "logger_clock_offset", "logger_clock_drift",
-    }  # fmt: skip
+    }
     assert {s.name for s in SETTINGS.values() if s.group in ("ins", "can")} <= here

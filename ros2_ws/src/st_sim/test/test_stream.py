@@ -30,11 +30,9 @@ def codec():
 
 def outputs(seconds, effects=(), scenario="S6", plant="ideal", rate=100, seed=0, **options):
     settings = resolve(plant, effects)
-    stream = Stream(
-        SimulatedCar(CAR, settings, load(scenario), seed), settings, Ins(CAR, settings, 1 / rate, seed),
-        SteeringSensor(CAR, settings, seed), NcomWire(ORIGIN, START_NS, rate), CanWire(codec(), ORIGIN, START_NS),
-        rate, seed, **options,
-    )  # fmt: skip
+    stream = Stream(SimulatedCar(CAR, settings, load(scenario), seed), settings, Ins(CAR, settings, 1 / rate, seed),
+                    SteeringSensor(CAR, settings, seed), NcomWire(ORIGIN, START_NS, rate),
+                    CanWire(codec(), ORIGIN, START_NS), rate, seed, **options)
     return list(stream.outputs(seconds))
 
 

@@ -13,8 +13,7 @@ from .evaluate import MODELS, task_of
 def calibrate(
     runs: list[Path] = typer.Argument(
         ..., help="Recordings of one car: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.",
-        show_default=False
-    ),
+        show_default=False),
     model: shared.Models = MODELS,
     effects: shared.EffectsOfFile = None,
     output: Path = typer.Option(Path("bands.yaml"), help="File of the bands; it must not exist."),
@@ -23,8 +22,7 @@ def calibrate(
         "at most n/(n + 1): 9 runs for 0.9."
     ),
     together: bool = typer.Option(
-        False, "--together", help="Recordings of one argument are alike, of one day or place, and count as one run."
-    ),
+        False, "--together", help="Recordings of one argument are alike, of one day or place, and count as one run."),
     acceleration: shared.Filtering = "causal",
     inputs: shared.Inputs = "interpolate",
     horizon: shared.Horizon = 5.0,
@@ -56,8 +54,7 @@ def course(
     what: Literal["build"] = typer.Argument(..., help="build.", show_default=False),
     runs: list[Path] = typer.Argument(
         ..., help="Recordings of drives at one place: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.",
-        show_default=False
-    ),
+        show_default=False),
     output: Path = typer.Option(Path("course.yaml"), "--output", "-o", help="File of the course; it must not exist."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:

@@ -15,8 +15,7 @@ def check(
                                      dir_okay=False),
     propose_correction: Path | None = typer.Option(
         None, "--propose-correction", "--propose-cure", dir_okay=False,
-        help="Write a run.yaml that corrects the findings; for a single run."
-    ),
+        help="Write a run.yaml that corrects the findings; for a single run."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
     """Find what is wrong with recordings: units, signs, clocks, axes, projections, reference points, sensors.

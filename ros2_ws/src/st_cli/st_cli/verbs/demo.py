@@ -20,12 +20,10 @@ def demo(
     # No --car: DBC, table and steering on these buses are always those of the virtual Leaf.
     vehicle: Path | None = typer.Option(
         None, help="Vehicle file; default the Leaf's. There is no --car, because the bus is always the Leaf's.",
-        exists=True, dir_okay=False
-    ),
+        exists=True, dir_okay=False),
     plant_vehicle: Path | None = typer.Option(
         None, help="Vehicle file of the virtual Leaf itself; default the same. --vehicle is that of the nodes.",
-        exists=True, dir_okay=False
-    ),
+        exists=True, dir_okay=False),
     duration: float | None = typer.Option(None, help="Seconds of driving; default 60, or the whole drive.", min=6.0),
     plant: str | None = typer.Option(None, help="ideal, realistic (default), or a file with plant settings."),
     effect: list[str] = typer.Option([], help="Set an effect of the virtual Leaf, name=value; repeatable."),

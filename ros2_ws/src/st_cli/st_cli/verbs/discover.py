@@ -51,12 +51,9 @@ def discover(
     ),
     base: str = typer.Option("nonlinear", help="kinematic, linear, nonlinear, or a model file (.yaml)."),
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/discover-<time>."),
-    channels: str = typer.Option(
-        ",".join(CHANNELS), help="Measurements to use, separated by commas."
-    ),
-    effects: Path | None = typer.Option(
-        None, help="Folder of your own effects that take part.", exists=True, file_okay=False
-    ),
+    channels: str = typer.Option(",".join(CHANNELS), help="Measurements to use, separated by commas."),
+    effects: Path | None = typer.Option(None, help="Folder of your own effects that take part.", exists=True,
+                                        file_okay=False),
     certify: bool = typer.Option(
         False, "--certify", help="Measure power and false alarms: one step of the search on simulated drives, with "
         "known effects and without any; otherwise the power is predicted. Takes minutes."

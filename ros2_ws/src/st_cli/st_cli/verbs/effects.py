@@ -23,9 +23,8 @@ def effects(
     files: list[Path] = typer.Argument(None, help="check: effect files (.py); all of the library without one."),
     car: CarName = None,
     vehicle: VehicleFile = None,
-    own: Path | None = typer.Option(
-        None, "--effects", help="list: folder of own effects to list too.", exists=True, file_okay=False
-    ),
+    own: Path | None = typer.Option(None, "--effects", help="list: folder of own effects to list too.", exists=True,
+                                    file_okay=False),
 ) -> None:
     """List the effects: kind, place, what each looks at, twins, channels it needs; or check effect files of your own.
 

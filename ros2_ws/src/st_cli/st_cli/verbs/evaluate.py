@@ -25,8 +25,7 @@ def evaluate(
     acceleration: shared.Filtering = "causal",
     inputs: shared.Inputs = "interpolate",
     table: Literal["means", "samples"] = typer.Option(
-        "means", help="Statistics shown: over the horizon means, as the paper, or over all samples."
-    ),
+        "means", help="Statistics shown: over the horizon means, as the paper, or over all samples."),
     horizon: shared.Horizon = 5.0,
     step: shared.Step = 0.05,
     interval: float = typer.Option(0.1, help="Time between starts, s."),
@@ -34,16 +33,14 @@ def evaluate(
     figures: str = typer.Option("png,pdf", help="Formats of the figure files; an empty text for none."),
     bands: Path | None = typer.Option(
         None, help="Bands of `st calibrate` to test on these runs: coverage, scores, reliability.", exists=True,
-        dir_okay=False
-    ),
+        dir_okay=False),
     adaptive: bool = typer.Option(
         False, "--adaptive", help="Also test bands that follow the scores of each run; they start from --bands, or "
         "without a calibration."
     ),
     course: Path | None = typer.Option(
         None, help="Course of `st course build`: also forecast with inputs remembered from its earlier drives.",
-        exists=True, dir_okay=False
-    ),
+        exists=True, dir_okay=False),
     advise: float | None = typer.Option(
         None, help="Permitted lateral error, m: also name the cheapest model and step within it, by speed and second; "
         "cost, error and band width of each.", min=0.001

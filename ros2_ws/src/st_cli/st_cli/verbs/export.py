@@ -19,8 +19,7 @@ def export(
     substeps: int = typer.Option(1, help="Integration steps within one step h.", min=1, max=64),
     bands: Path | None = typer.Option(
         None, help="Bands of `st calibrate`: also their half-widths as functions of state and inputs (CasADi).",
-        exists=True, dir_okay=False
-    ),
+        exists=True, dir_okay=False),
     free: list[str] = typer.Option([], help="Parameter left as an argument: road_bank.angle; repeatable."),
 ) -> None:
     """Write a model as functions: dynamics, Runge-Kutta step, Jacobians; with names, units and bounds.
@@ -32,7 +31,7 @@ def export(
     from st_recordings.paths import new_folder
 
     if importlib.util.find_spec("casadi") is None:
-        typer.echo("st export: casadi is not installed: pip install casadi", err=True)
+        typer.echo("st export: CasADi is not installed: pip install '.[mpc]', or casadi", err=True)
         raise typer.Exit(2)
     from st_offline.model_export import export as write_model
     from st_offline.model_export import load_model

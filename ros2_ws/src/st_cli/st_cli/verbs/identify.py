@@ -12,9 +12,8 @@ def identify(
     what: str | None = typer.Argument(None, help="One of the experiments; without it they are listed."),
     files: list[Path] = typer.Argument(None, help="Data of the experiment: tables (CSV) or recordings."),
     model: Path | None = typer.Option(
-        None, help="Model file used to predict drives, instead of nonlinear; its effects are not changed.",
-        exists=True, dir_okay=False
-    ),
+        None, help="Model file used to predict drives, instead of nonlinear; its effects are not changed.", exists=True,
+        dir_okay=False),
     effects: shared.EffectsOfModel = None,
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/identify-<what>-<time>."),
     force: bool = typer.Option(False, "--force", help="Also use drives in which `st check` finds an error."),

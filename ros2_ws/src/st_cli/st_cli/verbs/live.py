@@ -24,8 +24,7 @@ def live(
     model: shared.FourthModel = None,
     effects: shared.EffectsOfModel = None,
     realtime: bool = typer.Option(
-        False, "--realtime", help="Real-time scheduling for bridges and predictor; permission: docs/manual/live.md."
-    ),
+        False, "--realtime", help="Real-time scheduling for bridges and predictor; permission: docs/manual/live.md."),
     bands: shared.BandsFile = None,
     adaptive: shared.Adaptive = None,
     course: shared.CourseFile = None,

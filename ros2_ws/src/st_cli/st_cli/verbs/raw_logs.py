@@ -13,11 +13,9 @@ VERDICT_STYLE = {"good": "green", "doubtful": "yellow", "refused": "red"}
 @shared.reads_recordings()
 def align(
     files: list[Path] = typer.Argument(
-        ..., help="INS recording (.ncom, .xcom, or CSV with t, vx, yaw_rate) and CAN logs, a folder, or a run.yaml."
-    ),
+        ..., help="INS recording (.ncom, .xcom, or CSV with t, vx, yaw_rate) and CAN logs, a folder, or a run.yaml."),
     search: tuple[float, float] | None = typer.Option(
-        None, help="Bounds of the offset in seconds, where the log is known to be nearly right already."
-    ),
+        None, help="Bounds of the offset in seconds, where the log is known to be nearly right already."),
     output: Path | None = typer.Option(None, help="Folder for alignment.json and alignment.png."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
@@ -27,6 +25,7 @@ def align(
     """
     from rich.console import Console
     from st_offline.alignment_figure import alignment_figure
+    from st_offline.terminal import line
     from st_recordings.paths import new_folder
     from st_recordings.runs.raw import about_alignment, read_pair
 
@@ -37,19 +36,18 @@ def align(
             pair = read_pair(files, settings)
         folder = new_folder(output, f"align-{pair.name}")
     for warning in pair.warnings:
-        console.print(f"[yellow]{warning}[/yellow]", highlight=False, soft_wrap=True)
+        line(f"[yellow]{warning}[/yellow]", console)
     if read_options.car is None and read_options.dbc is None:
         shared.report_default_car("align", pair.dbc)
     alignment = pair.alignment
     report(pair, console)
     about = {**about_alignment(alignment), "ins_can_latency": pair.latency}
     (folder / "alignment.json").write_text(json.dumps(about, indent=2, allow_nan=False) + "\n")
-    console.print(f"  {folder / 'alignment.json'}", highlight=False, soft_wrap=True)
+    line(f"  {folder / 'alignment.json'}", console)
     if pair.shared and alignment.offset_ns:
         title = f"{pair.name}: {sentence(alignment, pair.can.start_ns, pair.ins.absolute)}"
         alignment_figure(pair.shared, alignment, title, folder / "alignment.png")
-        console.print(f"  {folder / 'alignment.png'}  [dim]both signals, aligned[/dim]", highlight=False,
-                      soft_wrap=True)
+        line(f"  {folder / 'alignment.png'}  [dim]both signals, aligned[/dim]", console)
     raise typer.Exit(1 if alignment.verdict == "refused" else 0)
 
 
@@ -64,8 +62,9 @@ def sentence(alignment, start_ns: int, absolute: bool) -> str:
 
 
 def report(pair, console) -> None:
-    """The result in words and numbers."""
+    """Print the result: verdict, offset, drift, their deviations, and the signals."""
     from rich.table import Table
+    from st_offline.terminal import line
 
     alignment = pair.alignment
     style = VERDICT_STYLE[alignment.verdict]
@@ -92,7 +91,7 @@ def report(pair, console) -> None:
             table.add_row("common time", f"{alignment.overlap:.1f} s", "")
         console.print(table)
     for reason in alignment.reasons:
-        console.print(f"  [{style}]·[/{style}] {reason}", highlight=False, soft_wrap=True)
+        line(f"  [{style}]·[/{style}] {reason}", console)
     if alignment.signals:
         table = Table(box=None, padding=(0, 2))
         table.add_column("signal")
@@ -114,8 +113,7 @@ def _seconds(nanoseconds: int) -> str:
 def import_(
     paths: list[Path] = typer.Argument(..., help="Runs: .ncom with CAN logs, folders of them, run.yaml."),
     output: Path | None = typer.Option(
-        None, help="Bag directory; with several runs, the folder of their bags. Default runs/import-<name>-<time>."
-    ),
+        None, help="Bag directory; with several runs, the folder of their bags. Default runs/import-<name>-<time>."),
     search: tuple[float, float] | None = typer.Option(None, help="Bounds of the offset in seconds."),
     force: bool = typer.Option(False, "--force", help="Write also runs in which `st check` finds an error."),
     strict: bool = typer.Option(False, "--strict", help="Refuse runs with a doubtful alignment."),
@@ -162,6 +160,7 @@ def _import_one(source, parameters, folder: Path, settings, force: bool, console
     from st_offline.alignment_figure import alignment_figure
     from st_offline.checking.check_report import print_findings
     from st_offline.checking.gate import make_run_check
+    from st_offline.terminal import line
     from st_recordings.runs.write import import_run
 
     began = time.perf_counter()
@@ -173,18 +172,17 @@ def _import_one(source, parameters, folder: Path, settings, force: bool, console
                                                         completed=share))
     seconds = time.perf_counter() - began
     for warning in done.warnings:
-        console.print(f"[yellow]{warning}[/yellow]", highlight=False, soft_wrap=True)
+        line(f"[yellow]{warning}[/yellow]", console)
     print_findings({source.name: done.findings}, console)
     alignment = done.run.alignment
     text = sentence(alignment, done.run.can.start_ns, absolute=True)
     if done.run.shared:
         alignment_figure(done.run.shared, alignment, f"{source.name}: {text}", folder / "alignment.png")
     style = VERDICT_STYLE[alignment.verdict]
-    console.print(f"[bold]{source.name}[/bold]  [{style}]{text}[/{style}]", highlight=False, soft_wrap=True)
-    console.print("  " + ", ".join(f"{topic} {count}" for topic, count in done.counts.items()), highlight=False,
-                  soft_wrap=True)
-    console.print(f"  {folder}  [dim]{done.span:.0f} s of driving in {seconds:.1f} s, {done.span / seconds:.0f} times "
-                  "real time[/dim]", highlight=False, soft_wrap=True)
+    line(f"[bold]{source.name}[/bold]  [{style}]{text}[/{style}]", console)
+    line("  " + ", ".join(f"{topic} {count}" for topic, count in done.counts.items()), console)
+    line(f"  {folder}  [dim]{done.span:.0f} s of driving in {seconds:.1f} s, {done.span / seconds:.0f} times real "
+         "time[/dim]", console)
 
 
 def ncom(
@@ -211,9 +209,8 @@ def ncom(
 
 def recover(
     path: Path = typer.Argument(..., help="A bag directory or an .mcap file that was not closed.", exists=True),
-    output: Path | None = typer.Option(
-        None, "--output", help="Path of the repaired recording; default: in place, the cut file is kept."
-    ),
+    output: Path | None = typer.Option(None, "--output",
+                                       help="Path of the repaired recording; default: in place, the cut file is kept."),
 ) -> None:
     """Repair a recording cut off by a crash or power loss; complete ones are left as they are."""
     from st_recordings import mcap

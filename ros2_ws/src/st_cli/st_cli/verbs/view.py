@@ -12,8 +12,7 @@ def view(
     car: CarName = None,
     vehicle: Path | None = typer.Option(
         None, help="Vehicle file, for the outline; default that of --car, else the one in the recording.", exists=True,
-        dir_okay=False
-    ),
+        dir_okay=False),
     save: Path | None = typer.Option(None, help="Only write the view to this file (.rrd)."),
 ) -> None:
     """Look at a recorded run in the browser, forwards and backwards in time, until Ctrl-C."""
@@ -22,8 +21,7 @@ def view(
     import tempfile
 
     from rich.console import Console
-    from st_live.page import check_new_rerun_file
-    from st_live.rerun_server import RecordingView, check_rerun
+    from st_live.rerun_server import RecordingView, check_new_rerun_file, check_rerun
     from st_live.suite import SuiteError
 
     # SIGTERM ends it as Ctrl-C does, so that server and temporary folder are removed.
@@ -54,9 +52,8 @@ def foxglove(
     port: int = typer.Option(8765, help="Of the WebSocket.", min=1, max=65535),
     host: str = typer.Option("127.0.0.1", help="Address to listen on; the default reaches this machine only."),
     domain: int | None = typer.Option(None, help="ROS domain of the suite; `st demo` prints it.", min=0, max=232),
-    vehicle: Path | None = typer.Option(
-        None, help="Vehicle file, for the outline; default config/vehicle/leaf.yaml.", exists=True, dir_okay=False
-    ),
+    vehicle: Path | None = typer.Option(None, help="Vehicle file, for the outline; default config/vehicle/leaf.yaml.",
+                                        exists=True, dir_okay=False),
 ) -> None:
     """Relay a running suite to Foxglove and draw its markers, until Ctrl-C; open config/foxglove/st.json there."""
     # Imported when it runs, see demo.py.

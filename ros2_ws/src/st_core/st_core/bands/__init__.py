@@ -1,9 +1,8 @@
-"""Calibrated bands: how far from its predicted path the car will be, and how often that is true.
+"""Prediction bands: regions around a predicted path that contain the whole measured path with a stated probability.
 
-For every model and two questions kept apart - hindsight: the model alone; forecast: model and driver - half-widths
-along, across and in yaw at every point of the horizon, so that the whole measured path lies inside with a stated
-probability. Learnt from errors of scored starts (`run_samples`, `calibrate`), kept in a file (`Bands`).
-docs/manual/bands.md.
+For every model, mode and level: half-widths along, across and in yaw at every point of the horizon. Mode hindsight:
+error of the model alone; forecast: of model and driver. Calibrated on the errors of recorded drives (`run_samples`,
+`calibrate`) and stored in a file (`Bands`). docs/manual/bands.md.
 """
 
 from .adaptive import AdaptiveBand

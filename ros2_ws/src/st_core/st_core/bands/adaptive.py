@@ -2,17 +2,17 @@
 
 For one model, question and level with half-widths c s(t), and the score S = max over t, a of |e_a(t)| / s_a(t):
 
-    log c  <-  log c + g w (1{S > c_issued} - (1 - level)),         w: time since the score before [s], at most 1 s
+    log c  <-  log c + g w (1{S > c_issued} - (1 - level)),         w: time since the previous score [s], at most 1 s
 
-c_issued is the factor that was stated with the window. Whatever the distribution of the errors, over T seconds in which
+c_issued is the factor that was issued with the prediction. For any distribution of the errors, over T seconds in which
 c stays within [MIN, MAX], the share of time outside differs from 1 - level by no more than
 
     (log(MAX / MIN) + g D) / (g T),         D: horizon [s]
 
-so the long-run coverage is guaranteed; that of the next window, or of a minute, is not. g falls from START_GAIN to
-GAIN with SETTLING, so that a wrong start is corrected first. The scale is the calibrated one, or without a calibration
-the root mean square of the errors so far, forgotten with SCALE_FORGETTING. Every process and run starts with the
-calibrated factors (or DEFAULT_FACTORS); earlier corrections are not kept.
+so the long-run coverage is guaranteed, but not that of the next prediction or of a minute. g falls from START_GAIN to
+GAIN with the time constant SETTLING, so that a wrong initial factor is corrected fast. The scale is the calibrated one,
+or without a calibration the exponentially weighted root mean square of the errors (SCALE_FORGETTING). Every process and
+run starts with the calibrated factors (or DEFAULT_FACTORS); earlier corrections are not kept.
 Source: Gibbs and Candes, Adaptive conformal inference under distribution shift, NeurIPS 2021; as a quantile tracker:
 Angelopoulos, Candes and Tibshirani, Conformal PID control for time series prediction, NeurIPS 2023. Checked by:
 test_bands_adaptive.py.
@@ -28,34 +28,33 @@ from ..timeseries import NANOSECOND
 from .calibration import LEVELS, Band
 
 GAIN, START_GAIN, SETTLING = 0.1, 0.3, 30.0
-"""1/s, 1/s, s. A 90 % band left for 5 s widens by 57 %; fast enough for a run of two minutes, and 5 % wider than the
-best fixed factor (docs/manual/bands.md)."""
+"""1/s, 1/s, s. Errors outside a 90 % band for 5 s widen it by 57 %: fast enough for a run of two minutes, and 5 % wider
+than the best fixed factor (docs/manual/bands.md)."""
 MIN_FACTOR, MAX_FACTOR = 0.05, 100.0
-"""Between a sensor's noise and the size of a road: no score of a finite prediction is outside for long."""
+"""From sensor noise to the size of a road: limits that no finite prediction exceeds for long."""
 DEFAULT_FACTORS = {0.5: 1.6, 0.9: 3.0}
 """Without a calibration: median and 90 % quantile of the largest of 300 correlated normal errors over their scale."""
 SCALE_FORGETTING = 120.0
-"""s: two minutes of driving show most of what a driver does on a road."""
+"""s: two minutes contain most manoeuvres of a driver on a road."""
 DEFAULT_SCALE = (0.3, 0.3, 0.02)
-"""m, m, rad at 1 s ahead, growing with the square of the time: a first guess that the first horizons replace."""
+"""m, m, rad at 1 s ahead, growing with the square of the time: initial values, replaced within the first horizons."""
 WARM_UP = 120.0
-"""s of scored driving before a band without a calibration is stated: the first factors and scale are guesses."""
+"""s of scored driving before a band without a calibration is issued."""
 LONGEST_WEIGHT = 1.0
-"""s. After a pause one window counts as one second of driving."""
+"""s. After a pause, one score counts as one second of driving."""
 
 
 class AdaptiveBand:
-    """The band of one model and question. time: (points,) ahead, without the start [s].
+    """The band of one model and mode. time: (points,) ahead, without the start [s].
 
-    band: calibrated; None: learnt from the errors alone. levels: rising.
+    band: calibrated; None: estimated from the errors of the run alone.
     """
 
     def __init__(self, time: np.ndarray, band: Band | None = None, levels: Sequence[float] = LEVELS):
         self._time, self._band = np.asarray(time, float), band
-        self._logs = {level: math.log(_start_factor(band, level)) for level in sorted(levels)}
+        self._logs = {level: math.log(_initial_factor(band, level)) for level in sorted(levels)}
         self._squares = np.square(np.outer(self._time**2, DEFAULT_SCALE))
-        self._weight = 0.0
-        self._elapsed = 0.0
+        self._weight = self._elapsed = 0.0
         self._last_ns: int | None = None
         self._issued: deque[tuple[int, np.ndarray, dict[float, float]]] = deque()
         self._open: deque[tuple[int, np.ndarray]] = deque()
@@ -66,13 +65,13 @@ class AdaptiveBand:
 
     @property
     def learning(self) -> float:
-        """Scored driving [s] that is missing until the band may be stated; 0 with a calibration."""
+        """Scored driving [s] still required before the band is issued; 0 with a calibration."""
         return 0.0 if self._band else max(WARM_UP - self._elapsed, 0.0)
 
     @property
     def factors(self) -> dict[float, float]:
         """By level; a higher level is never narrower."""
-        values = np.maximum.accumulate([math.exp(one) for one in self._logs.values()])
+        values = np.maximum.accumulate([math.exp(log) for log in self._logs.values()])
         return dict(zip(self._logs, values.tolist(), strict=True))
 
     def scale(self, condition: np.ndarray) -> np.ndarray:
@@ -82,7 +81,7 @@ class AdaptiveBand:
     def issue(self, start_ns: int, condition: np.ndarray, scale: np.ndarray | None = None) -> dict[float, np.ndarray]:
         """Half-widths by level, (points, 3), of a prediction that starts now; kept until its score arrives.
 
-        scale: (points, 3) where it is known already.
+        scale: (points, 3), if already computed.
         """
         own = self.scale(condition) if scale is None else scale
         factors = self.factors
@@ -103,8 +102,8 @@ class AdaptiveBand:
         if not self._issued or self._issued[0][0] != start_ns or not np.isfinite(errors).all():
             return {}
         _, scale, factors = self._issued.popleft()
-        later = LONGEST_WEIGHT if self._last_ns is None else (start_ns - self._last_ns) * NANOSECOND
-        weight = min(max(later, 0.0), LONGEST_WEIGHT)
+        interval = LONGEST_WEIGHT if self._last_ns is None else (start_ns - self._last_ns) * NANOSECOND
+        weight = min(max(interval, 0.0), LONGEST_WEIGHT)
         self._last_ns = start_ns
         gain = GAIN + (START_GAIN - GAIN) * math.exp(-self._elapsed / SETTLING)
         self._elapsed += weight
@@ -118,7 +117,7 @@ class AdaptiveBand:
 
     def follow(self, starts_ns: np.ndarray, conditions: np.ndarray,
                errors: np.ndarray) -> tuple[dict[float, np.ndarray], np.ndarray]:
-        """Factors along a recorded drive, each with the scores that had arrived by then; calls continue each other.
+        """Factors along a recorded drive, each from the scores that had arrived by then; a call continues the previous.
 
         starts_ns: (n,) rising [ns]. conditions: (n, 4). errors: (n, points, 3) in the predicted frame; not finite where
         not scored. Returns by level (n,), and the scales (n, points, 3).
@@ -138,17 +137,19 @@ class AdaptiveBand:
         return {level: np.array(values) for level, values in factors.items()}, scales
 
     def _learn(self, errors: np.ndarray, weight: float) -> None:
-        """Running mean square of the errors; the first seconds count as an average, later ones are forgotten."""
+        """Running mean square of the errors: at first their average, later with exponential forgetting."""
         self._weight = min(self._weight + weight, SCALE_FORGETTING)
         share = weight / (self._weight + 5.0)
         self._squares += share * (np.maximum(np.square(errors), 1.0e-8) - self._squares)
 
 
-def _start_factor(band: Band | None, level: float) -> float:
-    """Calibrated; of a level that the runs did not support, in proportion to the nearest one."""
-    default = float(np.interp(level, list(DEFAULT_FACTORS), list(DEFAULT_FACTORS.values())))
+def _initial_factor(band: Band | None, level: float) -> float:
+    """The calibrated factor; for a level that is not calibrated, that of the nearest one in proportion of defaults."""
     if band is None or level in band.factors:
-        return default if band is None else band.factors[level]
-    nearest = min(band.factors, key=lambda one: abs(one - level))
-    return band.factors[nearest] * default / float(np.interp(nearest, list(DEFAULT_FACTORS),
-                                                             list(DEFAULT_FACTORS.values())))
+        return _default_factor(level) if band is None else band.factors[level]
+    nearest = min(band.factors, key=lambda known: abs(known - level))
+    return band.factors[nearest] * _default_factor(level) / _default_factor(nearest)
+
+
+def _default_factor(level: float) -> float:
+    return float(np.interp(level, list(DEFAULT_FACTORS), list(DEFAULT_FACTORS.values())))

@@ -1,19 +1,19 @@
-"""Calibration of the band of one model and question from runs: the scale of its errors, then the conformal factors.
+"""Calibration of the band of one model and mode from runs: first the scale of its errors, then the conformal factors.
 
-Windows of one run repeat each other; runs are exchangeable, windows are not. Take one window at random of each of n
-runs and one of a run to come: n + 1 exchangeable scores, so that the k-th smallest of the n,
+Runs are exchangeable, the windows (predictions) of one run are not, because they overlap. One window drawn at random
+from each of n runs and one from a future run give n + 1 exchangeable scores, so that the k-th smallest of the n,
 
     k = level (n + 1),
 
-is not exceeded by the last with the probability k/(n + 1) = level, whatever the errors are distributed like. For k > n
-no bound exists: n runs support levels up to n/(n + 1). The draw of windows must not matter, so the factor c
-covers as much as draws do on average, every run weighing the same:
+is not exceeded by the last with the probability k/(n + 1) = level, for any distribution of the errors. For k > n
+no bound exists: n runs support levels up to n/(n + 1). To make the result independent of the draw, the factor c has the
+mean coverage over all draws, with equal weights of the runs:
 
     F(c) = E[ F(k-th smallest of one window a run) ],     F(s) = 1/n sum_r 1/n_r #{i : s_ri <= s}
 
-For a k that is not whole, E[...] is interpolated between the neighbouring whole ones. With one window a run and a whole
-k, c is the split-conformal quantile, exactly. This is proven for one draw; for the average over draws it
-is measured, not proven (docs/manual/bands.md).
+For a k that is not an integer, E[...] is interpolated between the neighbouring integers. With one window per run and an
+integer k, c is exactly the split-conformal quantile. The coverage is proven for one draw; for the average over draws it
+is measured (docs/manual/bands.md).
 Source: Dunn, Wasserman and Ramdas, Distribution-free prediction sets for two-layer hierarchical models, JASA 2023,
 subsampling once and repeatedly. Checked by: test_bands.py, against crepes and by drawing runs.
 """
@@ -33,7 +33,7 @@ ROUNDING = 1.0e-9
 
 
 def highest_level(runs: int) -> float:
-    """The highest level that so many runs support, n/(n + 1) [1]."""
+    """The highest level that this number of runs supports, n/(n + 1) [1]."""
     return runs / (runs + 1.0)
 
 
@@ -45,39 +45,43 @@ def runs_needed(level: float) -> int:
 def check_levels(levels: Sequence[float], runs: int) -> None:
     """Raises StCoreError, one line, for a level outside (0, 1) or above what `runs` runs support."""
     if not runs:
-        raise StCoreError("no run is left to make bands from")
+        raise StCoreError("no usable run to calibrate bands with")
     for level in levels:
         if not 0.0 < level < 1.0:
             raise StCoreError(f"level {level:g}: not between 0 and 1")
         if level > highest_level(runs) + ROUNDING:
-            raise StCoreError(f"{runs} run{'' if runs == 1 else 's'} can promise {highest_level(runs):.1%} at most, "
-                              f"n/(n + 1), not {level:.0%}: give {runs_needed(level)} runs or more, or a lower --level")
+            support = f"run{' supports' if runs == 1 else 's support'} at most {highest_level(runs):.1%}, n/(n + 1)"
+            raise StCoreError(f"{runs} {support}, not {level:.0%}: give {runs_needed(level)} runs or more, or a lower "
+                              "--level")
 
 
 def conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[float]) -> np.ndarray:
     """c for every level, (levels,) [1]; see the top of this file.
 
-    scores: one array a run, one score a window [1], at least one each. Raises StCoreError for scores that are not
-    finite, a run without any, and as `check_levels`.
+    scores: one array for each run, one score for each window [1]. Raises StCoreError for scores that are not finite, a
+    run without any, and as `check_levels`.
     """
     count = len(scores)
     check_levels(levels, count)
     if any(len(one) == 0 for one in scores):
-        raise StCoreError("a run has no window; leave it out")
+        raise StCoreError("a run has no scored prediction; leave it out")
     values = np.sort(np.concatenate([np.asarray(one, float) for one in scores]))
     if not np.isfinite(values).all():
-        raise StCoreError("a score is not finite; no band is made of such errors")
+        raise StCoreError("a score is not finite; bands cannot be calibrated with such errors")
     below = np.stack([np.searchsorted(np.sort(one), values, side="right") / len(one) for one in scores])
     covered = below.mean(axis=0)
-    # at_least[k]: distribution of the k-th smallest of a draw; what it covers on average. The 0-th covers nothing.
-    at_least = _chance_of_at_least(below)
+    # at_least[k]: distribution function of the k-th smallest score of a draw. mean[k]: its mean coverage; of k = 0: 0.
+    at_least = _probability_of_at_least(below)
     mean = np.concatenate([[0.0], np.diff(at_least[1:], axis=1, prepend=0.0) @ covered])
     target = np.interp(np.asarray(levels, float) * (count + 1.0), np.arange(count + 1), mean)
     return values[np.minimum(np.searchsorted(covered, target - ROUNDING), len(values) - 1)]
 
 
-def _chance_of_at_least(below: np.ndarray) -> np.ndarray:
-    """(runs + 1, values): probability that at least k of one window a run are <= a value. below: (runs, values)."""
+def _probability_of_at_least(below: np.ndarray) -> np.ndarray:
+    """(runs + 1, values): probability that of one window from each run at least k have a score <= a value.
+
+    below: (runs, values), that probability by run.
+    """
     exactly = np.zeros((len(below) + 1, below.shape[1]))
     exactly[0] = 1.0
     for p in below:
@@ -88,10 +92,10 @@ def _chance_of_at_least(below: np.ndarray) -> np.ndarray:
 
 LEVELS = (0.5, 0.9)
 RELIABILITY = tuple(round(0.05 * k, 2) for k in range(1, 20))
-"""Levels for the reliability diagram, as far as the runs can promise them; and of the ratios below."""
+"""Levels for the reliability diagram, as far as the runs support them; and of the ratios below."""
 FOLDS = 5
 FEWEST_RUNS = 3
-"""One to be scored, and two for a calibration domain without it."""
+"""One to be scored, and two for the calibration domain without it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,14 +119,14 @@ class Band:
 
 def calibrate(runs: Sequence[RunSamples], question: Question, time: np.ndarray,
               levels: Sequence[float] = LEVELS) -> Band:
-    """The band of one model and question.
+    """The band of one model and mode.
 
         band = { |e_a(t)| <= c s_a(t | z)  for all t and a },       score of a window = max over t, a of |e_a(t)| / s_a
 
-    Scores of a run are made with a scale that was learnt without it (cross-fitting in at most FOLDS groups of runs):
-    those of the runs it was learnt from would be too small. Windows under conditions the others have not seen do not
-    count, as there would be no band. time: (points,) of the errors [s]. Raises StCoreError, one line, for too few runs
-    for a level and for errors that are not finite.
+    A run is scored with a scale fitted to other runs (cross-fitting in at most FOLDS groups), because scores of the
+    runs of the fit would be too small. Windows outside the calibration domain of the others do not count, because they
+    would have no band. time: (points,) of the errors [s]. Raises StCoreError, one line, for too few runs for a level
+    and for errors that are not finite.
     """
     check_levels(levels, len(runs))
     if len(runs) < FEWEST_RUNS:
@@ -130,7 +134,8 @@ def calibrate(runs: Sequence[RunSamples], question: Question, time: np.ndarray,
                           f"others; give {FEWEST_RUNS} or more")
     for run in runs:
         if not np.isfinite(run.errors[question]).all():
-            raise StCoreError(f"{run.name}: errors of {question[0]} are not finite; no band is made of such errors")
+            raise StCoreError(f"{run.name}: errors of {question[0]} are not finite; bands cannot be calibrated "
+                              "with such errors")
     scores, ratios = [], []
     for group in np.array_split(np.arange(len(runs)), min(FOLDS, len(runs))):
         others = [run for number, run in enumerate(runs) if number not in group]
@@ -146,8 +151,8 @@ def calibrate(runs: Sequence[RunSamples], question: Question, time: np.ndarray,
         try:
             check_levels(levels, len(scores))
         except StCoreError as error:
-            raise StCoreError(f"{len(runs) - len(scores)} of {len(runs)} runs were driven under conditions that none "
-                              f"of the others has; {error}") from None
+            raise StCoreError(f"{len(runs) - len(scores)} of {len(runs)} runs were driven under conditions that no "
+                              f"other run has; {error}") from None
     stated = sorted({*levels, *(level for level in RELIABILITY if level <= highest_level(len(scores)))})
     factors = dict(zip(stated, conformal_factors(scores, stated).tolist(), strict=True))
     return Band(_scale(runs, question, time), factors, _quantiles(ratios))
@@ -158,7 +163,7 @@ def _scale(runs: Sequence[RunSamples], question: Question, time: np.ndarray) -> 
 
 
 def _quantiles(ratios: Sequence[np.ndarray]) -> np.ndarray:
-    """(3, levels), every run weighing the same: the mean of the runs' distribution functions, inverted."""
+    """(3, levels), runs with equal weights: the inverse of the mean of their distribution functions."""
     found = []
     for axis in range(ratios[0].shape[1]):
         parts = [np.quantile(one[:, axis], np.linspace(0.0, 1.0, 201)) for one in ratios]

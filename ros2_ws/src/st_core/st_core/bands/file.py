@@ -1,16 +1,16 @@
-"""Bands as a file, bands.yaml: for one car, its models and one configuration, and the recordings they were learnt from.
+"""The file of bands, bands.yaml: for one car, its models and one configuration, with the recordings used.
 
     schema: 2
     vehicle: {name: "...", hash: "..."}
     settings: {horizon: 5.0, step: 0.05, ...}            of the predictions; SI
     recordings: {"run.csv": "sha256 ..."}
     runs: 12
-    seen: {starts: [[...]], most: [...]}                 conditions that were calibrated
+    seen: {starts: [[...]], most: [...]}                 calibration domain
     bands: {linear: {configuration_hash: "...", hindsight: {...}, forecast: {...}}}
     hash: "..."
 
-Half-widths are in m, m and rad; coefficients, factors and ratios have no unit. A file that does not match its
-hash was edited and is refused.
+Half-widths are in m, m and rad; coefficients, factors and ratios have no unit. A file that does not match its hash
+was edited and is refused.
 """
 
 import hashlib
@@ -32,17 +32,17 @@ from .samples import Question
 from .scale import Scale, features, knots_of
 
 SCHEMA = 2
-HEADER = "# Bands: how far from its prediction the car will be, by model and question. Made by `st calibrate`.\n"
+HEADER = "# Prediction bands by model and mode. Made by `st calibrate`.\n"
 UNITS = "half-widths along, across: m; yaw: rad; factors and ratios: 1; conditions: m/s, m/s^2, m/s^2, rad/s"
 ALIKE = ("horizon", "step", "minimum_speed", "maximum_gap", "filter_cutoff", "acceleration", "inputs")
-"""Settings with which errors are others. `interval` and `stale_after` only choose starts."""
+"""Settings that affect the errors. `interval` and `stale_after` only select starts."""
 
 
 @dataclass(frozen=True, eq=False)
 class Bands:
     """All bands of a car. bands: by (model, mode). hashes: by model, of `prediction.configuration_hash`.
 
-    settings: as EvaluationSettings.as_dict. recordings: sha256 by name. runs: how many were learnt from.
+    settings: as EvaluationSettings.as_dict. recordings: sha256 by name. runs: their number. seen: calibration domain.
     """
 
     vehicle_name: str
@@ -67,7 +67,7 @@ class Bands:
         """(n, points + 1, 3): along, across the predicted path [m] and in yaw [rad], 0 at the start.
 
         conditions: (n, 4), `conditions.conditions`. NaN outside the calibration domain (`CalibrationDomain.why_not`).
-        The whole measured path of the INS point lies within, all three at all points, with the probability `level`.
+        With the probability `level` the whole measured path of the INS point is inside, in all three at all points.
         Raises KeyError for a model, mode or level that is not in the file.
         """
         band = self.bands[model, mode]
@@ -79,21 +79,21 @@ class Bands:
         return result
 
     def check(self, vehicle: VehicleParameters, models: Mapping[str, str], settings: EvaluationSettings) -> None:
-        """Raises ConfigurationError, one line, when the bands hold for another car, model or configuration.
+        """Raises ConfigurationError, one line, if the bands are of another car, model or configuration.
 
-        models: hash of the model file by model that is to be used, "" for one of the paper's.
+        models: hash of the model file by model to be used, "" for one of the paper's.
         """
         if vehicle.hash != self.vehicle_hash:
-            raise ConfigurationError(f"vehicle: the bands hold for {self.vehicle_name!r} {self.vehicle_hash[:12]}, "
+            raise ConfigurationError(f"vehicle: the bands are of {self.vehicle_name!r} {self.vehicle_hash[:12]}, "
                                      f"this is {vehicle.name!r} {vehicle.hash[:12]}; calibrate with drives of this car")
         present = settings.as_dict()
         for key in ALIKE:
             if present[key] != self.settings[key]:
-                raise ConfigurationError(f"settings.{key}: the bands hold for {self.settings[key]}, not {present[key]}"
-                                         "; take the same, or calibrate with this one")
+                raise ConfigurationError(f"settings.{key}: the bands are for {self.settings[key]}, not {present[key]}; "
+                                         "use the same value, or calibrate with this one")
         for model, digest in models.items():
             if model not in self.hashes:
-                raise ConfigurationError(f"bands.{model}: there is none, only of {', '.join(self.models)}; calibrate "
+                raise ConfigurationError(f"bands.{model}: missing; the file has {', '.join(self.models)}; calibrate "
                                          "with that model")
             if configuration_of(vehicle, self.settings, digest) != self.hashes[model]:
                 raise ConfigurationError(f"bands.{model}: made with another model file of that name; calibrate with "
@@ -131,8 +131,7 @@ class Bands:
         except ConfigurationError as error:
             raise ConfigurationError(f"{origin}: {error}") from None
         except (KeyError, TypeError, ValueError, AttributeError, IndexError):
-            raise ConfigurationError(f"{origin}: not a complete bands file; make one with st calibrate") \
-                from None
+            raise ConfigurationError(f"{origin}: not a complete bands file; make one with st calibrate") from None
 
     @classmethod
     def _read(cls, document: Any) -> "Bands":
@@ -160,7 +159,7 @@ class Bands:
 
 
 def times(horizon: float, step: float) -> np.ndarray:
-    """(points,) of the horizon without the start [s]."""
+    """(points,) times of the horizon without the start [s]."""
     return step * np.arange(1, round(horizon / step) + 1)
 
 
@@ -180,7 +179,7 @@ def _band(entry: Mapping[str, Any], time: np.ndarray) -> Band:
 
 
 def _flow(value: Any) -> str:
-    """JSON is YAML; but YAML reads 1e-05 as a text."""
+    """JSON text, which is valid YAML; floats so that YAML does not read them as text, as 1e-05."""
     if isinstance(value, float):
         return number(value)
     if isinstance(value, Mapping):

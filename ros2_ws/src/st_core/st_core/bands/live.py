@@ -1,19 +1,18 @@
-"""Bands while driving: half-widths for all models and both questions, from what is known when a prediction starts.
+"""Bands while driving: half-widths for all models and modes, from the conditions at the start of a prediction.
 
-Both functions run once a tick, each time after a tenth of a second of other work, with the caches cold. What counts
-then is how many different operations there are: they take a few hundred microseconds more than their arithmetic.
+`LiveBands` runs once per tick, after a tenth of a second of other work, with cold caches. The number of separate numpy
+operations then determines its duration, so all models are computed together.
 
-Coverage while driving is tested for being significantly below the stated level.
-The test is sequential. A window with a band of level p that its path leaves counts against the band, one it
-keeps for it, as a likelihood ratio of a band that covers ALTERNATIVE only:
+Coverage while driving is tested sequentially for being significantly below the stated level p, against the alternative
+q = ALTERNATIVE p. Each scored window contributes its log likelihood ratio:
 
-    l = log((1 - q) / (1 - p))  if left,   log(q / p)  if kept,     q = ALTERNATIVE p
-    S <- max(0, S + w l),     warning from S >= log(HORIZONS) on
+    l = log((1 - q) / (1 - p))  if the path left the band,   log(q / p)  if it stayed inside
+    S <- max(0, S + w l),     warning from S >= log(HORIZONS)
 
-Windows that overlap repeat each other, so each weighs only the share w of a horizon by which it starts later than the
-one before. That is the mean of log l over all ways to pick windows a whole horizon apart, and no larger than the log of
-the mean of their likelihood ratios (Jensen): an e-detector. While each window is kept with probability p or more
-whatever the ones before it did, HORIZONS horizons pass on average before the first warning, or more.
+Overlapping windows are not independent, so each has as weight w the share of a horizon by which it starts later than
+the previous one. The sum is then the mean over all selections of windows a whole horizon apart, and not above the log
+of the mean of their likelihood ratios (Jensen): an e-detector. If every window stays inside with probability p or more
+given the previous ones, the mean time to a false warning is at least HORIZONS horizons.
 Source: Shin, Ramdas and Rinaldo, E-detectors, New England Journal of Statistics in Data Science 2023 (CUSUM kind).
 Checked by: test_bands_live.py; false warnings and delays measured in docs/manual/bands.md.
 """
@@ -37,14 +36,11 @@ from .samples import Question, to_predicted_frame
 from .scale import features_of_one, floor_at, interpolation
 
 Stated = dict[tuple[str, float], np.ndarray]
-"""By mode and level: half-widths (points + 1, 3), float32 as in messages, along, across [m] and yaw [rad], 0 at the
-start."""
+"""By mode and level: half-widths (points + 1, 3), float32, along, across [m] and yaw [rad], 0 at the start."""
 
 
 def conditions_now(history: MeasurementHistory, time_ns: int) -> tuple[float, ...]:
-    """Four numbers as `conditions.CONDITIONS` at an instant [ns], as `conditions_at` has them of the recorded drive;
-    NaN where not known.
-    """
+    """The four `conditions.CONDITIONS` at an instant [ns], as `conditions_at` of a recorded drive; NaN: unknown."""
     row = history.ins.at(time_ns)
     activity = float(steering_activity(history.steering.sample(activity_instants(time_ns))[:, 0]))
     velocity, rate, acceleration = (math.nan if row is None else row[k] for k in (VELOCITY_X, YAW_RATE, DERIVATIVE))
@@ -52,12 +48,10 @@ def conditions_now(history: MeasurementHistory, time_ns: int) -> tuple[float, ..
 
 
 class LiveBands:
-    """The same half-widths as `Bands.half_widths`, of all models at once: one pass a tick instead of twelve.
+    """The half-widths of `Bands.half_widths` for all models, modes and levels in one pass.
 
-    models: those that predict; each must be in the bands (see `Bands.check`). Levels: those of LEVELS that the file
-    states.
-
-    stated: by model, the half-widths of the last call that found any; the arrays stay the same, their content changes.
+    models: those that predict; each must be in the bands (see `Bands.check`). levels: those of LEVELS in the file.
+    stated: half-widths by model, of the last call inside the calibration domain; every call refills the same arrays.
     """
 
     def __init__(self, bands: Bands, models: Iterable[str]):
@@ -81,14 +75,14 @@ class LiveBands:
                 self.stated[model][mode, level] = one.T
 
     def why_not(self, condition: Sequence[float]) -> str:
-        """Reason, in one line, why conditions (four numbers) have no band; empty if they have one."""
+        """Reason, in one line, why there is no band under these conditions; empty if there is one."""
         return self._seen.why_not(condition)
 
     def __call__(self, condition: Sequence[float]) -> bool:
         """Update `stated` for conditions, four numbers. False, without an update, outside the calibration domain."""
         if not self._seen(np.array([condition]))[0]:
             return False
-        # Limited at the knots: between them lies nothing beyond, and they are few.
+        # Limited at the few knots, which limits the interpolated values as well.
         logs = (self._coefficients @ features_of_one(condition)).clip(-60.0, 60.0)
         scale = np.exp(logs.reshape(-1, len(self._between)) @ self._between)
         scale += self._floor
@@ -106,10 +100,10 @@ class LiveBands:
 class AdaptiveBands:
     """Bands of all models and modes of a run, each corrected by its scores (`adaptive.AdaptiveBand`).
 
-    time: (points,) ahead, without the start [s]. bands: the calibrated ones of forecast and hindsight; None: learnt
-    from the scores alone, as those of plan and course always are, and stated after `adaptive.WARM_UP`.
+    time: (points,) ahead, without the start [s]. bands: calibrated ones of forecast and hindsight; None: estimated from
+    the scores alone, as those of plan and course always are, and issued after `adaptive.WARM_UP`.
 
-    stated: as in `LiveBands`. counts: scored windows and, by level, those with the whole path inside, by question.
+    stated: as in `LiveBands`. counts: by (model, mode), scored windows and, by level, those with the whole path inside.
     """
 
     def __init__(self, time: np.ndarray, models: Sequence[str], modes: Sequence[str] = MODES,
@@ -125,13 +119,13 @@ class AdaptiveBands:
 
     @property
     def learning(self) -> float:
-        """Scored driving [s] that is missing until the first band of a forecast may be stated."""
+        """Scored driving [s] still required before the first band of a forecast is issued."""
         return min(band.learning for (_, mode), band in self._bands.items() if mode == "forecast")
 
     def issue(self, start_ns: int, condition: Sequence[float], modes: Iterable[str]) -> tuple[set[Question], str]:
         """Update `stated` for predictions of these modes that start now [ns], under conditions as `conditions_now`.
 
-        Returns the questions with a band, and the reason, in one line, why calibrated ones have none.
+        Returns (model, mode) of those with a band, and the reason, in one line, why calibrated ones have none.
         """
         reason = ""
         if self._calibrated and not self._calibrated(condition):
@@ -153,7 +147,7 @@ class AdaptiveBands:
         return found, reason
 
     def observe(self, score: Score) -> None:
-        """The score of an earlier prediction; those of a question arrive in order of time."""
+        """Update a band by the score of an earlier prediction; those of a model and mode arrive in order of time."""
         errors = to_predicted_frame(np.stack([score.longitudinal, score.lateral, score.yaw], axis=-1))[1:]
         question = score.model, score.mode
         inside = self._bands[question].observe(score.start_ns, errors)
@@ -163,16 +157,19 @@ class AdaptiveBands:
 
 
 ALTERNATIVE = 5.0 / 9.0
-"""Of the level: a 90 % band that covers 50 %. Above 73 % nothing adds up: runs differ that much by themselves."""
+"""Of the level: 50 % coverage of a 90 % band. Coverage above 73 %, within the variation between runs, reduces S."""
 HORIZONS = 7200.0
-"""Of 5 s: ten hours."""
+"""Ten hours at 5 s each."""
 END_SHARE = 0.5
-"""A warning ends when S is back at this share of its limit."""
+"""A warning ends when S has fallen to this share of its limit."""
 
 
 @dataclass
 class Coverage:
-    """Of one model and question. n: scored windows with a band. kept: by level, those with the whole path inside."""
+    """Observed coverage of one model and mode. n: scored windows with a band. kept: by level, those inside throughout.
+
+    evidence: S, see the top of this file.
+    """
 
     n: int = 0
     kept: dict[float, int] = field(default_factory=dict)
@@ -181,19 +178,18 @@ class Coverage:
     _last_ns: int | None = None
 
     def share(self, level: float) -> float:
-        """Of the windows, NaN without any."""
+        """Observed coverage of a level; NaN without scored windows."""
         return self.kept[level] / self.n if level in self.kept else math.nan
 
     def add(self, start_ns: int, horizon: float, kept: Mapping[float, bool]) -> None:
-        """One window. kept: by level; horizon [s]. The test is of the highest level."""
+        """Count one window. kept: whether the whole path was inside, by level; the highest is tested. horizon [s]."""
         self.n += 1
         for level, inside in kept.items():
             self.kept[level] = self.kept.get(level, 0) + inside
         level = max(kept)
         before, self._last_ns = self._last_ns, start_ns
-        later = 0.0 if before is None else (start_ns - before) * NANOSECOND / horizon
-        # Time that jumped back, in a replay, weighs nothing.
-        weight = min(max(later, 0.0), 1.0)
+        interval = 0.0 if before is None else (start_ns - before) * NANOSECOND / horizon
+        weight = min(max(interval, 0.0), 1.0)  # 0 after a jump back in time, in a replay
         limit, q = math.log(HORIZONS), ALTERNATIVE * level
         ratio = math.log(q / level) if kept[level] else math.log((1.0 - q) / (1.0 - level))
         self.evidence = min(max(self.evidence + weight * ratio, 0.0), limit)
@@ -201,9 +197,7 @@ class Coverage:
 
 
 class Coverages:
-    """Bands that were published with predictions, until the score of their horizon arrives.
-
-    At most MAXIMUM_WAITING are kept; those of predictions that never arrived are dropped.
+    """Stores published bands until the score of their prediction arrives, at most MAXIMUM_WAITING, and counts coverage.
     """
 
     MAXIMUM_WAITING = 10_000
@@ -213,27 +207,27 @@ class Coverages:
         self._waiting: dict[tuple[str, str, int], dict[float, np.ndarray]] = {}
 
     def expect(self, model: str, start_ns: int, stated: Stated) -> None:
-        """Half-widths published with a prediction."""
+        """Store half-widths published with a prediction."""
         for (mode, level), widths in stated.items():
             self._waiting.setdefault((model, mode, start_ns), {})[level] = widths
         while len(self._waiting) > self.MAXIMUM_WAITING:
             del self._waiting[next(iter(self._waiting))]
 
     def add(self, score: Score) -> None:
-        """A score of a prediction; incomplete ones are ignored."""
+        """Count the score of a prediction; incomplete ones are ignored."""
         stated = self._waiting.pop((score.model, score.mode, score.start_ns), None)
         if stated is None or not score.complete:
             return
         errors = np.abs(to_predicted_frame(np.stack([score.longitudinal, score.lateral, score.yaw], axis=-1)))
-        # The start is the measurement itself: nothing is stated of it.
+        # Without the start, which is the measurement itself.
         kept = {level: bool((errors[1:] <= widths[1:]).all()) for level, widths in stated.items()}
         one = self.by_question.setdefault((score.model, score.mode), Coverage())
         one.add(score.start_ns, float(score.horizon[-1]), kept)
 
     def warning(self) -> str:
-        """Bands that cover significantly less than stated, in one line; empty without one."""
+        """Names bands with significantly less coverage than stated, in one line; empty without one."""
         found = [f"{mode} of {model} (the {max(one.kept):.0%} band {one.share(max(one.kept)):.0%} so far)"
                  for (model, mode), one in self.by_question.items() if one.warns]
         if not found:
             return ""
-        return f"cover far less than they state: {', '.join(found)}; has the car, the road or the driving changed?"
+        return f"coverage far below the stated level: {', '.join(found)}; has the car, the road or the driving changed?"

@@ -16,11 +16,10 @@ from .conditions import conditions_at
 from .scale import spread
 
 STARTS_PER_RUN = 1000
-"""Starts of one run overlap and repeat each other: more of them cost memory (1.2 kB each, model and question) and add
-little: the number of runs decides."""
+"""Predictions of one run overlap: more of them cost memory (1.2 kB each, model and mode) and add little information."""
 
 Question = tuple[str, str]
-"""(model, mode): hindsight is the error of the model alone, forecast that of model and driver."""
+"""(model, mode); mode hindsight: error of the model alone, forecast: of model and driver."""
 
 
 class NotFiniteError(StCoreError):
@@ -29,8 +28,8 @@ class NotFiniteError(StCoreError):
 
 @dataclass(frozen=True, eq=False)
 class RunSamples:
-    """One run. conditions: (n, 4) as `conditions.CONDITIONS`. errors: by (model, mode), (n, points - 1, 3), float32,
-    in the predicted frame (see `to_predicted_frame`), without the start, where they are 0.
+    """Samples of one run. conditions: (n, 4) as `conditions.CONDITIONS`. errors: by (model, mode), (n, points - 1, 3),
+    float32, in the predicted frame (see `to_predicted_frame`), without the start, where they are 0.
     """
 
     name: str
@@ -39,12 +38,12 @@ class RunSamples:
 
 
 def to_predicted_frame(errors: np.ndarray) -> np.ndarray:
-    """Errors turned from the measured heading, in which they are scored, into the predicted one, which a user has.
+    """Errors rotated from the axes of the measured heading, in which they are scored, to those of the predicted one.
 
         (along, across) = R(-e_yaw) (longitudinal, lateral),   yaw unchanged
 
     errors: (..., 3), longitudinal, lateral [m], yaw [rad], predicted minus measured. Returns (..., 3): along the
-    predicted heading, across it (left +), yaw; the measured car lies at minus these from the predicted one.
+    predicted heading, across it (left +), yaw; also predicted minus measured.
     """
     cosine, sine = np.cos(errors[..., 2]), np.sin(errors[..., 2])
     along = cosine * errors[..., 0] + sine * errors[..., 1]
@@ -52,9 +51,9 @@ def to_predicted_frame(errors: np.ndarray) -> np.ndarray:
     return np.stack([along, across, errors[..., 2]], axis=-1)
 
 
-def run_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, settings: EvaluationSettings,
-                most: int = STARTS_PER_RUN) -> RunSamples:
-    """Error curves of one drive from at most `most` starts spread over it.
+def run_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,
+                settings: EvaluationSettings) -> RunSamples:
+    """Error curves of one drive from at most STARTS_PER_RUN starts spread over it.
 
     Only starts with a completely measured horizon and known conditions count. Raises StCoreError, one line,
     for a drive shorter than the horizon, for one without such a start, and, as NotFiniteError, where a model's errors
@@ -69,7 +68,7 @@ def run_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: Lo
                               settings.prediction.minimum_speed)
     here = conditions_at(signals, starts)
     starts = starts[np.isfinite(here).all(axis=1) & _known(models, signals, starts, settings)]
-    starts = starts[spread(len(starts), most)]
+    starts = starts[spread(len(starts), STARTS_PER_RUN)]
     kept: list[np.ndarray] = []
     parts: dict[Question, list[np.ndarray]] = {}
     for rows, block in evaluate_blocks(models, vehicle, signals, starts, settings):
@@ -91,7 +90,7 @@ def run_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: Lo
 
 
 def together(runs: Sequence[RunSamples]) -> RunSamples:
-    """Runs that are alike, as of one day or place, as one: n of these promise n/(n + 1)."""
+    """Similar runs, for example of one day or place, joined to one."""
     errors = {question: np.concatenate([run.errors[question] for run in runs]) for question in runs[0].errors}
     return RunSamples(", ".join(run.name for run in runs), np.concatenate([run.conditions for run in runs]), errors)
 

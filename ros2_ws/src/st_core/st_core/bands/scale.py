@@ -1,16 +1,16 @@
-"""Shape and scale of the errors: how large they typically are, by condition and time ahead.
+"""Scale of the errors: their typical size by condition and time ahead.
 
     s_a(t | z)^2 = sigma_a(t | z)^2 + floor_a(t)^2,     floor_a(t)^2 = (NOISE n_a)^2 + (FLOOR_SHARE e_a t/T)^2
     log sigma_a(t_k | z) = phi(z) . C[a, k],     straight in log t between the knots t_k
 
-a: along, across [m] or yaw [rad]. phi: `features` of the conditions z. C is the estimate that a normal distribution of
-mean 0 would have; it is a scale also where the errors are not normal:
+a: along, across [m] or yaw [rad]. phi: `features` of the conditions z. C is the maximum likelihood estimate for
+normal errors of mean 0, and a measure of scale also for other distributions:
 
     minimise over C[a, k]   mean_w( log sigma + e^2 / (2 sigma^2) ) + RIDGE |C[a, k, 1:]|^2          (convex in C)
 
-Every run weighs the same. n, e: root mean square errors at the first point, where they are noise of the measured start
-and end, and at the end of the horizon T. Without a floor a run with noisier sensors than most, or conditions that once
-went well, would widen the band everywhere. Checked by: test_bands.py, on errors drawn with a known scale.
+Runs have equal weights. n, e: root mean square errors at the first point, which are due to sensor noise, and at the end
+of the horizon T. Without a floor, a run with noisier sensors or conditions with few, small errors would give large
+scores and widen the band everywhere. Checked by: test_bands.py, on errors drawn with a known scale.
 """
 
 import itertools
@@ -24,21 +24,21 @@ import numpy as np
 from ..errors import StCoreError
 
 KNOTS = (0.1, 0.5, 1.0, 2.0, 3.5, 5.0)
-"""s ahead, of a horizon of 5 s; of another in proportion."""
+"""s ahead, for a horizon of 5 s; in proportion for others."""
 NOISE = 3.0
-"""Standard deviations of what the sensors add."""
+"""Standard deviations of the sensor noise in the floor."""
 FLOOR_SHARE = 0.2
 """Of the root mean square error at the end of the horizon; smaller in proportion before."""
 LEAST = np.array([1.0e-3, 1.0e-3, 1.0e-4])
-"""m, m, rad: smaller errors count as this large; no sensor resolves them."""
+"""m, m, rad: resolution of the sensors; smaller errors count as this large."""
 RIDGE = 1.0e-2
 MOST_STEPS, MOST_HALVINGS = 100, 20
 TOLERANCE = 1.0e-3
-"""Of the derivative: mean squares as stated to a thousandth, which no number of runs resolves."""
+"""Of the derivative: relative error of the mean squares, far below their uncertainty for any number of runs."""
 FIT_STARTS = 100
-"""Starts of a run that enter the fit; their neighbours are redundant."""
+"""Starts of a run used in the fit; neighbouring starts are redundant."""
 SPLINE_KNOTS = (1.5, 3.0, 4.5, 6.0, 7.5)
-"""m/s^2 of lateral acceleration: tyres do not saturate along a parabola."""
+"""m/s^2 of lateral acceleration, because tyre saturation is not quadratic."""
 
 
 _FLOORS, _OFFSETS, _UNITS = (0.1, 0.0, 0.0, 0.0), (0.0, 0.3, 0.2, 0.005), (10.0, 1.5, 0.6, 0.02)
@@ -47,7 +47,7 @@ _LEFT, _RIGHT = np.array(_PAIRS).T
 
 
 def features(conditions: np.ndarray) -> np.ndarray:
-    """phi (..., 20) of conditions (..., 4) as `conditions.CONDITIONS`; each of the order of 1.
+    """phi (..., 20) of conditions (..., 4) as `conditions.CONDITIONS`; each about 1 in size.
 
     1; the four logarithms  log(v / 10 m/s),  log((a_y + 0.3 m/s^2) / 1.5 m/s^2),  log((a_x + 0.2 m/s^2) / 0.6 m/s^2),
     log((w + 0.005 rad/s) / 0.02 rad/s); their squares and products; triangles 3 m/s^2 wide about SPLINE_KNOTS in a_y.
@@ -60,8 +60,9 @@ def features(conditions: np.ndarray) -> np.ndarray:
 
 def features_of_one(condition: Sequence[Any], log: Callable[[Any], Any] = math.log,
                     largest: Callable[[Any, Any], Any] = max) -> list[Any]:
-    """`features` of one start's four conditions, on floats: half the time, a third where the caches are cold. log,
-    largest: of another kind of number, such as CasADi's symbols.
+    """`features` of the four conditions of one start as floats, in half the time (a third with cold caches).
+
+    log, largest: functions of another number type, such as CasADi's symbols.
     """
     logs = [log((largest(value, floor) + offset) / unit)
             for value, floor, offset, unit in zip(condition, _FLOORS, _OFFSETS, _UNITS, strict=True)]
@@ -70,18 +71,18 @@ def features_of_one(condition: Sequence[Any], log: Callable[[Any], Any] = math.l
 
 
 def knots_of(horizon: float) -> np.ndarray:
-    """The knots [s] of a horizon [s]."""
+    """Knots [s] for a horizon [s]."""
     return np.array(KNOTS) * (horizon / KNOTS[-1])
 
 
 def interpolation(knots: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """(time, knots): rows that take values at the knots to times ahead [s, > 0], straight in log t, constant outside.
+    """(time, knots): matrix of interpolation from the knots to times ahead [s, > 0], linear in log t, constant outside.
     """
     return np.stack([np.interp(np.log(time), np.log(knots), row) for row in np.eye(len(knots))], axis=-1)
 
 
 def floor_at(floor: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """(points, 3) [m, m, rad] at times ahead (points,) of a horizon; floor: (2, 3), of the start and by its end."""
+    """(points, 3) [m, m, rad] at times ahead (points,); floor: (2, 3), constant part and part of the end."""
     return np.hypot(floor[0], floor[1] * (time / time[-1])[:, None])
 
 
@@ -110,7 +111,7 @@ class Scale:
 
 
 def fit_scale(conditions: Sequence[np.ndarray], errors: Sequence[np.ndarray], time: np.ndarray) -> Scale:
-    """The scale of errors (n, points, 3) under conditions (n, 4), one pair a run. time: (points,) of the errors [s].
+    """Scale of errors (n, points, 3) under conditions (n, 4), one pair for each run. time: (points,) of the errors [s].
 
     Raises StCoreError where the fit fails.
     """
@@ -129,7 +130,7 @@ def fit_scale(conditions: Sequence[np.ndarray], errors: Sequence[np.ndarray], ti
 
 
 def _gamma_regression(phi: np.ndarray, weights: np.ndarray, squares: np.ndarray) -> np.ndarray:
-    """C (features, m) of squares (n, m): log link and gamma errors, which is the loss at the top, by Newton steps.
+    """C (features, m) for squares (n, m) minimising the loss above: gamma regression with log link, by Newton steps.
 
     A hundredth of the expected second derivative is added to the actual one, which vanishes where sigma is too large.
     """
@@ -138,7 +139,7 @@ def _gamma_regression(phi: np.ndarray, weights: np.ndarray, squares: np.ndarray)
     always = 0.02 * phi.T @ (weights[:, None] * phi) + 2.0 * np.diag(ridge[:, 0]) + 1.0e-9 * np.eye(len(ridge))
 
     def loss(c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """By column: its value and its derivative; and e^2 / sigma^2, (n, m)."""
+        """Loss and its derivative by column; e^2 / sigma^2, (n, m)."""
         eta = phi @ c
         ratio = squares * np.exp(-2.0 * np.clip(eta, -30.0, 30.0))
         return (weights @ (eta + 0.5 * ratio) + (ridge * c * c).sum(axis=0),
@@ -159,8 +160,8 @@ def _gamma_regression(phi: np.ndarray, weights: np.ndarray, squares: np.ndarray)
                 break
             share = np.where(worse, 0.5 * share, share)
         c, value, slope, ratio = c - share * step, tried, there, left
-    raise StCoreError("the scale of the errors cannot be fitted: no end after "
-                      f"{MOST_STEPS} steps; are errors of a few starts many orders larger than all others?")
+    raise StCoreError(f"the scale of the errors cannot be fitted: no convergence after {MOST_STEPS} steps; are errors "
+                      "of a few starts larger than all others by orders of magnitude?")
 
 
 def spread(count: int, most: int = FIT_STARTS) -> np.ndarray:

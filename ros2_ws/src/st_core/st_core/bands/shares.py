@@ -1,15 +1,16 @@
 """Decomposition of the error of a model: parameters, sensors and start state, residual.
 
-    mean e_a(t)^2 = sum_p mean( (de_a(t)/dp sigma_p)^2 ) + sum_s mean( (de_a(t)/ds sigma_s)^2 ) + rest
+    mean e_a(t)^2 = sum_p mean( (de_a(t)/dp sigma_p)^2 ) + sum_s mean( (de_a(t)/ds sigma_s)^2 ) + residual
 
-p: parameters of vehicle and model file that state an uncertainty (standard deviation, or a 95 % interval), taken as
+p: parameters of vehicle and model file with an uncertainty (standard deviation, or a 95 % interval), assumed
 independent. s: the six states at the start and the measured pose at t, with the white noise of this recording. The
-derivatives are differences of whole predictions, a standard deviation to both sides, seen along and across the
-predicted heading. What remains: the structure of the model, parameters that state no uncertainty, slow errors of the
-sensors, noise of steering and acceleration over the horizon. It is negative where the stated uncertainties exceed
-the observed errors. Only of the model question; that of the forecast is the driver's. Checked by: test_bands_shares.py.
+derivatives are central differences of whole predictions over one standard deviation, along and across the predicted
+heading. Residual: structure of the model, parameters without an uncertainty, slow errors of the sensors, noise of
+steering and acceleration over the horizon. It is negative if the uncertainties exceed the observed errors. For
+hindsight only: errors of the forecast are mostly due to the driver. Checked by: test_bands_shares.py.
 """
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -31,7 +32,7 @@ from .scale import spread
 
 PARAMETERS, SENSORS = "parameters", "sensors and start"
 STARTS = 200
-"""Of a run: their neighbours are redundant."""
+"""Of a run; neighbouring starts are redundant."""
 EDGES_95 = 1.96
 
 Intervals = Mapping[tuple[str, str], tuple[float, float]]
@@ -42,8 +43,10 @@ Cause = tuple[str, str]
 
 def share_squares(model: Model, vehicle: VehicleParameters, signals: LogSignals, settings: EvaluationSettings,
                   intervals: Intervals | None = None) -> tuple[int, np.ndarray, dict[Cause, np.ndarray]]:
-    """Of one run: (starts, squares of the error, squares by cause), each sums over the starts, (seconds, 3) [m^2, m^2,
-    rad^2], along, across and in yaw at 1, 2, ... s ahead. A key of the vehicle that changes no prediction is left out.
+    """(number of starts, squares of the error, squares by cause) of one run.
+
+    Squares are sums over the starts, (seconds, 3) [m^2, m^2, rad^2], along, across and in yaw at 1, 2, ... s ahead.
+    Parameters of the vehicle that affect no prediction are left out.
     """
     seconds = np.arange(1, int(settings.prediction.horizon + 1e-9) + 1, dtype=float)
     starts, _ = usable_starts(signals, vehicle, regular_starts(signals.log, settings.interval),
@@ -64,15 +67,15 @@ def share_squares(model: Model, vehicle: VehicleParameters, signals: LogSignals,
     complete = np.isfinite(errors).all(axis=(1, 2))
     ends: dict[Cause, tuple[np.ndarray, np.ndarray]] = {}
     for key, (low, high) in _cars(vehicle).items():
-        ends[PARAMETERS, key] = path(_read_again(signals, low, settings), model, low), \
-            path(_read_again(signals, high, settings), model, high)
+        ends[PARAMETERS, key] = (path(_with_steering_of(signals, low, settings), model, low),
+                                 path(_with_steering_of(signals, high, settings), model, high))
     for key, (less, more) in _models(model, intervals or {}).items():
         ends[PARAMETERS, key] = path(signals, less, vehicle), path(signals, more, vehicle)
     noise = {name: white_noise(getattr(signals.log, name)) if len(signals.log.x) > 3 else 0.0 for name in INS_SIGNALS}
     for name, sigma in noise.items():
         ends[SENSORS, f"{name} at the start"] = (
-            path(_moved(signals, name, -sigma, settings), model, vehicle),
-            path(_moved(signals, name, sigma, settings), model, vehicle))
+            path(_shifted(signals, name, -sigma, settings), model, vehicle),
+            path(_shifted(signals, name, sigma, settings), model, vehicle))
     squares: dict[Cause, np.ndarray] = {}
     for cause, (one, other) in ends.items():
         moved = np.stack([*map_to_body(0.5 * (other[0] - one[0]), 0.5 * (other[1] - one[1]), base[2]),
@@ -86,24 +89,22 @@ def share_squares(model: Model, vehicle: VehicleParameters, signals: LogSignals,
 
 
 def _cars(vehicle: VehicleParameters) -> dict[str, tuple[VehicleParameters, VehicleParameters]]:
-    """The car with each uncertain parameter a standard deviation lower and higher; invalid ones are left out."""
+    """The car with each uncertain parameter one standard deviation lower and higher; invalid ones are left out."""
     found = {}
     for key, about in vehicle.provenance.items():
         if about.uncertainty:
             value = value_of(vehicle, key)
-            try:
-                found[key] = vehicle.with_values({key: value - about.uncertainty}), \
-                    vehicle.with_values({key: value + about.uncertainty})
-            except ConfigurationError:
-                continue
+            with contextlib.suppress(ConfigurationError):
+                found[key] = (vehicle.with_values({key: value - about.uncertainty}),
+                              vehicle.with_values({key: value + about.uncertainty}))
     return found
 
 
 def _models(model: Model, intervals: Intervals) -> dict[str, tuple[Model, Model]]:
-    """The model with each uncertain value of its effects at both ends of one standard deviation, inside its bounds."""
-    found: dict[str, tuple[Model, Model]] = {}
+    """The model with each uncertain value of its effects one standard deviation lower and higher, within its bounds."""
     if not isinstance(model, AugmentedModel):
-        return found
+        return {}
+    found: dict[str, tuple[Model, Model]] = {}
     for (effect, name), (low, high) in intervals.items():
         value, sigma = model.values[effect][name], (high - low) / (2.0 * EDGES_95)
         bounds = next(p.bounds for p in get_effect(effect).parameters if p.name == name)
@@ -115,14 +116,11 @@ def _models(model: Model, intervals: Intervals) -> dict[str, tuple[Model, Model]
     return found
 
 
-def _read_again(signals: LogSignals, car: VehicleParameters, settings: EvaluationSettings) -> LogSignals:
-    """The drive as read with that car: its steering ratio and offset are others."""
-    log = signals.log
-    if log.steering_wheel_angle is None:
-        return signals
-    return settings.signals(replace(log, road_wheel_angle=car.road_wheel_angle(log.steering_wheel_angle)))
+def _with_steering_of(signals: LogSignals, car: VehicleParameters, settings: EvaluationSettings) -> LogSignals:
+    """The drive with the road wheel angle by steering ratio and offset of that car."""
+    return signals if signals.log.steering_wheel_angle is None else settings.signals(signals.log.with_steering(car))
 
 
-def _moved(signals: LogSignals, name: str, by: float, settings: EvaluationSettings) -> LogSignals:
-    """The drive with another start everywhere; a constant changes no derivative, so that inputs stay."""
+def _shifted(signals: LogSignals, name: str, by: float, settings: EvaluationSettings) -> LogSignals:
+    """The drive with a constant added to a signal of the INS; derivatives, and with them the inputs, do not change."""
     return settings.signals(replace(signals.log, **{name: getattr(signals.log, name) + by}))

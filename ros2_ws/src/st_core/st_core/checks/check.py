@@ -4,17 +4,22 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..channels import CHANNELS
 from ..log import INS_SIGNALS, STEERING, DriveLog
 from ..vehicle import VehicleParameters
 from . import inertial, position, sampling, vehicle_relations
 from .finding import HORIZON, LIMITS, Advice, AuxiliaryData, Checked, Finding, Identity, Severity
-from .motion import Motion, is_driven
+from .motion import MOVING, Motion, is_driven
 from .plausibility import broken_channels, without_implausible
 from .regression import Agreement, Estimate, with_systematic
 from .steps import check_position_steps
 from .trial import try_corrections
 from .units_and_axes import check_nominal_rate, check_time_unit, correct_units, yaw_is_late
 
+CHANGED_BY_SIDESLIP = ("steering_lag", "yaw_rate_lag", "yaw_lag", "yaw_rate_scale")
+MAX_INS_DISTANCE = 3.0  # m, from the rear axle forward to the INS of a road car
+MAX_REAR_COMPLIANCE = 0.01  # s^2/m, sideslip of the rear axle per lateral acceleration; road cars 0.003 to 0.008
+MIN_SCALE_BY_SIDESLIP = 0.7  # of the yaw rate against the rate of the course, where w tau = 1
 MIN_INS_SAMPLES = 50  # with fewer only the time stamps can be checked
 SensorResult = tuple[Motion, list[Finding], dict[str, Estimate], list[Identity]]
 """(corrected motion, findings, estimates by name of the finding, panels of the figure)."""
@@ -77,24 +82,40 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
         hand_wheel = log.steering_wheel_angle is not None
         frozen = {channel for finding in stuck if finding.name == "channel_frozen" for channel in finding.channels}
         for more, values, panel in _compare_with_vehicle(motion, vehicle, hand_wheel, broken, coarse | frozen):
-            findings += [_without_sideslip(finding) for finding in more] if "velocity_y" in frozen else more
+            findings += more
             estimates |= values
             panels += [panel] if panel else []
     findings += vehicle_relations.check_standstill(motion.with_(velocity_x=speed))
+    if not CHANNELS["velocity_y"].is_in(log):  # yaw may be the course, which differs by the sideslip
+        findings = [_without_sideslip(finding, motion) for finding in findings]
+        estimates = {name: value for name, value in estimates.items() if name not in CHANGED_BY_SIDESLIP}
     if vehicle is not None:
         findings = try_corrections(findings, log, vehicle)
     return Checked(_ordered(findings), channels, tuple(panels),
                    {name: (estimate.value, *estimate.interval) for name, estimate in estimates.items()})
 
 
-def _without_sideslip(finding: Finding) -> Finding:
-    """A lag of the steering in a drive without velocity_y: its yaw may be the course over ground, which leads the yaw
-    of the car, so the lag may be none of the sensor and is not corrected."""
-    if finding.name != "steering_lag":
+def _without_sideslip(finding: Finding, motion: Motion) -> Finding:
+    """A finding of a drive without velocity_y, whose yaw may be the course over ground: not corrected if the sideslip
+    explains it.
+
+    The sideslip at a point l ahead of the rear axle is tau r, tau = l/v - K v, so the yaw rate r lags the course by
+    tau, and at the angular frequency w its size is 1/sqrt(1 + (w tau)^2) of the course's rate.
+    """
+    if finding.name not in CHANGED_BY_SIDESLIP:
         return finding
-    advice = Advice("look", "record the heading of the car and velocity_y; without them the sensor's lag is unknown")
-    text = f"{finding.text}; velocity_y is not measured, so this may be the sideslip"
-    return replace(finding, text=text, advice=advice)
+    severity = finding.severity
+    if finding.name != "steering_lag":
+        speed = max(float(np.average(motion.speed, weights=np.square(motion.yaw_rate) + 1e-12)), MOVING)
+        low, high = {"yaw_rate_lag": (-MAX_REAR_COMPLIANCE * speed, MAX_INS_DISTANCE / speed),
+                     "yaw_lag": (-MAX_INS_DISTANCE / speed, MAX_REAR_COMPLIANCE * speed),
+                     "yaw_rate_scale": (MIN_SCALE_BY_SIDESLIP, 1.0)}[finding.name]
+        if finding.value is None or not low <= finding.value <= high:
+            return finding
+        severity = Severity.NOTE
+    text = f"{finding.text}; velocity_y is not measured, so yaw may be the course and this the sideslip"
+    advice = Advice("look", "record the heading of the car and velocity_y; without them the sensor's error is unknown")
+    return replace(finding, severity=severity, text=text, advice=advice)
 
 
 def _ordered(findings: list[Finding]) -> tuple[Finding, ...]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..regression import white_noise
 from .finding import HORIZON, LIMITS, Advice, AuxiliaryData, Channel, Finding, InsQuality, Severity, merge_findings
-from .motion import LONGEST_GAP, Motion, spans
+from .motion import LONGEST_GAP, Motion, spans, stretches
 
 UNITS = {"x": "m", "y": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m/s", "yaw_rate": "rad/s",
          "acceleration_x": "m/s^2", "acceleration_y": "m/s^2", "road_wheel_angle": "rad"}
@@ -97,6 +97,20 @@ def _missing_values(channel: str, count: int, motion: Motion, auxiliary: Auxilia
     return Finding("values_missing", severity, (channel,), text, share, advice=Advice("look", advice))
 
 
+def refused_frames(time: np.ndarray, frames: int, reason: str) -> Finding:
+    """Finding of steering frames that were received and are not used.
+
+    time: of these frames [s after the first INS measurement], rising. frames: number of all. reason: of the decoder.
+    """
+    share = len(time) / frames
+    text = (f"road_wheel_angle: {len(time)} of {frames} frames between {time[0]:.2f} and {time[-1]:.2f} s were "
+            f"received and are not used: {reason}")
+    severity = Severity.NOTE if share <= MAX_GAP_SHARE else Severity.WARNING
+    advice = Advice("look", "look at the steering sensor, and at its range and max_rate in the signal table")
+    return Finding("values_missing", severity, ("road_wheel_angle",), text, share,
+                   where=stretches(time, LONGEST_GAP), advice=advice)
+
+
 def _slower_rate(time: np.ndarray, rows: np.ndarray, missing: float) -> float:
     """Rate [Hz] of a sensor that is slower than the rows of the recording; 0 where the samples are not evenly spaced.
 
@@ -158,7 +172,7 @@ def _check_gaps(signal: str, time: np.ndarray, left_out: Sequence[tuple[float, f
     text = (f"{len(long)} gap{'s' if len(long) > 1 else ''} of the {signal}, {missing:.2f} s in all, longest "
             f"{spacing[long].max():.2f} s: nothing is scored there")
     return [Finding("time_gaps", severity, ("time",) if signal == "INS" else ("road_wheel_angle",), text, missing, "s",
-                    where=where, advice=Advice("look", "look at the logger: lost packets, a full buffer"))]
+                    where=where, advice=Advice("look", "look at the logger: lost packets, a full buffer, a restart"))]
 
 
 def find_stuck_channels(motion: Motion, channels: Mapping[str, Channel]) -> list[Finding]:
@@ -213,10 +227,12 @@ def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motio
     seconds = float(duration[frozen].sum())
     where = tuple((float(time[first[k]]), float(time[last[k]])) for k in frozen)
     text = f"{name} is constant for {seconds:.1f} s while the car moves"
+    if name == "velocity_y" and not values.any():
+        text = "velocity_y is 0 throughout: it was not measured, and the sideslip at each start is unknown"
     throughout = seconds > 0.5 * float(time[-1] - time[0])
     severity = Severity.ERROR if throughout and name not in DISPENSABLE_CHANNELS else Severity.WARNING
     if throughout:
-        advice = Advice("look", f"nothing can be made of it: record {name}")
+        advice = Advice("look", f"record {name}; no correction can replace it")
     elif name == "road_wheel_angle":
         advice = Advice("look", "look at the steering sensor: its frames repeat one value there")
     else:

@@ -20,6 +20,7 @@ class HeadingMisalignment(Effect):
     excited_by = "straight driving: v_y of the INS is -angle v_x"
     kind, slot = "sensors", "heading"
     twins = ("steering_offset", "sensor_lever_arm")
+    needs = ("velocity_y",)  # without it yaw may be the course, which hides both
     applies_to = ANY
     order = 10
     parameters = (

@@ -12,6 +12,7 @@ class SensorLeverArm(Effect):
     excited_by = "tight turns, both ways; v_y of the INS shows x, v_x shows y"
     kind, slot = "sensors", "position"
     twins = ("cg_position", "heading_misalignment")
+    needs = ("velocity_y",)  # without it yaw may be the course, which hides both
     applies_to = ANY
     parameters = (
         Parameter("x", "m", null=0.0, initial=0.2, bounds=(-3.0, 3.0), meaning="further forward than in the file",

@@ -1,1 +1,1 @@
-"""Bands from recordings and back: learning them, testing them on other runs, showing how they did."""
+"""Prediction bands: calibration from recordings, test on other runs, report."""

@@ -1,4 +1,4 @@
-"""Tables and figures of tested bands, and of what the error is made of."""
+"""Tables and figures of tested bands, and of the decomposition of the error."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -19,11 +19,11 @@ from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
 from ..terminal import line, rows_table
 from .scoring import Sums, finished, finished_adaptive, pooled_sums
 
-QUESTIONS = {"hindsight": "model (inputs as they were)", "forecast": "forecast (inputs held)"}
+MODE_TITLES = {"hindsight": "model (measured inputs)", "forecast": "forecast (inputs held)"}
 
 
 def band_figures(content: dict[str, Any] | None, place: Place) -> list[Drawn]:
-    """Reliability diagram of a finished document; none where no start had a band."""
+    """Reliability diagram from the content of `finished`; none if no start had a band."""
     models = {} if content is None else {
         model: modes for model, modes in content["models"].items() if any(one["starts"] for one in modes.values())}
     if not models:
@@ -33,7 +33,7 @@ def band_figures(content: dict[str, Any] | None, place: Place) -> list[Drawn]:
     worst = max(stated)[1] if stated else "not stated"
     with style():
         figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 4.2), sharey=True)
-        for axes, (mode, title) in zip(panels, QUESTIONS.items(), strict=True):
+        for axes, (mode, title) in zip(panels, MODE_TITLES.items(), strict=True):
             axes.plot([0, 100], [0, 100], color=MEASURED_COLOUR, lw=0.8)
             for model, modes in models.items():
                 points = {float(level): s for level, s in modes[mode]["reliability"].items() if s is not None}
@@ -48,12 +48,12 @@ def band_figures(content: dict[str, Any] | None, place: Place) -> list[Drawn]:
                        "Grey: as stated. Below it the band covers less than stated.")]
 
 
-HOW_TO_GET = ("[dim]bands: none given; `st calibrate RUN… --vehicle FILE --output bands.yaml` learns them from "
-              "other runs of this car, `--bands bands.yaml` tests them on these[/dim]")
+NO_BANDS = ("[dim]bands: none given; `st calibrate RUN… --vehicle FILE --output bands.yaml` makes them from "
+            "other runs of this car, `--bands bands.yaml` tests them on these[/dim]")
 
 
 def band_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
-    """One row for each model and question of a finished document; columns by their titles."""
+    """One row for each model and mode from the content of `finished`; columns by their titles."""
     rows = []
     for model, modes in (content or {"models": {}})["models"].items():
         for mode, one in modes.items():
@@ -103,12 +103,12 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
             line(f"[yellow]{len(known)} of the files were used for calibration: not a test of the bands[/yellow]",
                  console)
     elif not adaptive:
-        console.print(HOW_TO_GET, highlight=False, soft_wrap=True)
+        console.print(NO_BANDS, highlight=False, soft_wrap=True)
     if adaptive:
         console.print(rows_table(adaptive_rows(finished_adaptive(pooled)), width=min(console.width, 140),
                                  title="Adaptive bands: how often the whole path lies inside"))
     if rows := share_rows(finished_shares(pooled)):
-        console.print(rows_table(rows, title="What the error is made of, inputs as they were: shares of its mean "
+        console.print(rows_table(rows, title="Decomposition of the error with measured inputs: shares of its mean "
                                  "square, along | across", width=min(console.width, 140)))
 
 
@@ -122,20 +122,20 @@ def _pair(axes: dict[str, float] | None) -> str:
     return f"{axes['longitudinal']:.2f} | {axes['lateral']:.2f}"
 
 
-REMAINS = "what remains"
+RESIDUAL = "what remains"
 SHOWN = ("1", "3", "5")
 """Seconds ahead, in the table."""
 
 
 def intervals_of(files: Sequence[ModelFile]) -> dict[str, Intervals]:
-    """Those that model files state, by the name of their model."""
+    """95 % intervals in model files, by the name of their model."""
     return {file.model().name: {(effect, name): one.interval for effect, parts in file.effects.items()
                                 for name, one in parts.items() if one.interval is not None} for file in files}
 
 
 def share_sums(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, settings: EvaluationSettings,
                intervals: Mapping[str, Intervals]) -> Sums:
-    """Of one run, as sums over its starts."""
+    """Decomposition of the error of one run, as sums over its starts."""
     found: Sums = {}
     for model in models:
         starts, total, parts = share_squares(model, vehicle, signals, settings, intervals.get(model.name))
@@ -151,7 +151,7 @@ def _seconds(values: np.ndarray) -> dict[str, dict[str, float]]:
 
 def finished_shares(sums: Sums) -> dict[str, Any]:
     """By model: starts, rms of the error [m, m, rad] and of each cause by second and axis, and shares of the mean
-    square error; those of all causes and what remains are 1 together."""
+    square error; those of all causes and the residual add up to 1."""
     found = {}
     for model, one in sums.get("shares", {}).items():
         if not one["starts"]:
@@ -162,7 +162,7 @@ def finished_shares(sums: Sums) -> dict[str, Any]:
         kinds = {kind: sum((v for k, v in causes.items() if k.startswith(f"{kind}: ")), np.zeros_like(total))
                  for kind in (PARAMETERS, SENSORS)}
         shares = {kind: squares / total for kind, squares in kinds.items()}
-        shares[REMAINS] = 1.0 - sum(shares.values())
+        shares[RESIDUAL] = 1.0 - sum(shares.values())
         found[model] = {
             "starts": count, "rms": _seconds(np.sqrt(total / count)),
             "rms_of_cause": {name: _seconds(np.sqrt(squares / count)) for name, squares in causes.items()},

@@ -1,4 +1,4 @@
-"""`st calibrate`: read the runs, collect the errors of their starts, calibrate the bands, write one file."""
+"""`st calibrate`: reads runs, collects the errors of their predictions, calibrates bands and writes their file."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,8 +34,8 @@ from ..terminal import line
 
 @dataclass(frozen=True)
 class Job:
-    """task: car, models and settings, as for an evaluation. levels: what is to be promised. together: recordings of one
-    of `runs` are alike, and count as one.
+    """task: car, models and settings, as for an evaluation. levels: probabilities. together: recordings of one of
+    `runs` are similar and count as one run.
     """
 
     runs: Sequence[Path]
@@ -46,18 +46,18 @@ class Job:
 
 
 def run_command(job: Job, console: Console) -> int:
-    """Exit status: 0 when every run was used, 1 when some were. Raises StCoreError and OutputError, one line, where no
-    bands can be made.
+    """Exit status: 0 if every run was used, 1 if some were. Raises StCoreError and OutputError, one line, if no bands
+    can be made.
     """
     if job.output.exists():
-        raise OutputError(f"{job.output} is there already: name another --output (nothing is ever overwritten)")
+        raise OutputError(f"{job.output} exists already: name another --output (nothing is ever overwritten)")
     models = load_models(job.task)
     recordings: dict[str, str] = {}
     problems: list[str] = []
     groups = [collect(find_runs(paths), job.task, models, recordings, problems, console)
               for paths in ([[path] for path in job.runs] if job.together else [job.runs])]
     samples = [together(group) for group in groups if group] if job.together else groups[0]
-    bands = learn(samples, job.task, models, recordings, job.levels, console)
+    bands = make_bands(samples, job.task, models, recordings, job.levels, console)
     try:
         job.output.parent.mkdir(parents=True, exist_ok=True)
         job.output.write_text(bands.to_yaml(), encoding="utf-8")
@@ -65,15 +65,15 @@ def run_command(job: Job, console: Console) -> int:
         raise OutputError(f"{job.output}: cannot be written: {error.strerror}") from None
     starts = sum(len(one.conditions) for one in samples)
     line(f"{escape(str(job.output))}: bands of {', '.join(bands.models)} from {len(samples)} runs, {starts} starts; "
-         f"{len(samples)} runs can promise {highest_level(len(samples)):.1%} at most", console)
+         f"{len(samples)} runs support at most {highest_level(len(samples)):.1%}", console)
     return 1 if problems else 0
 
 
 def collect(sources: Sequence[RunSource], task: Task, models: Sequence[Model], recordings: dict[str, str],
             problems: list[str], console: Console) -> list[RunSamples]:
-    """Samples by run. A run that cannot be used is reported at once and left out.
+    """Samples of each run. A run that cannot be used is reported and left out.
 
-    recordings: sha256 by file, and problems: both are added to.
+    Adds to `recordings`, sha256 by file, and to `problems`.
     """
     samples: list[RunSamples] = []
     for source in sources:
@@ -96,9 +96,9 @@ def collect(sources: Sequence[RunSource], task: Task, models: Sequence[Model], r
     return samples
 
 
-def learn(samples: Sequence[RunSamples], task: Task, models: Sequence[Model], recordings: dict[str, str],
-          levels: Sequence[float] = LEVELS, console: Console | None = None) -> Bands:
-    """The bands of all models. Raises StCoreError, one line, for too few runs."""
+def make_bands(samples: Sequence[RunSamples], task: Task, models: Sequence[Model], recordings: dict[str, str],
+               levels: Sequence[float] = LEVELS, console: Console | None = None) -> Bands:
+    """Calibrated bands of all models. Raises StCoreError, one line, for too few runs."""
     check_levels(levels, len(samples))
     settings = task.settings.as_dict()
     time = times(task.settings.prediction.horizon, task.settings.prediction.step)
@@ -115,7 +115,7 @@ def learn(samples: Sequence[RunSamples], task: Task, models: Sequence[Model], re
 
 
 def _refuse_other_car(source: RunSource, run: LoadedRun, vehicle: VehicleParameters) -> None:
-    """Compares the name of the car in the recording, if any: its values may have been updated since."""
+    """Raises RunError if the recording names another car; only names are compared, as values may have been updated."""
     text = recorded_configuration(run.provenance.get("recorded", {})).vehicle
     if text is None:
         return

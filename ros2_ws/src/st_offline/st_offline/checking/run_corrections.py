@@ -13,6 +13,7 @@ from st_recordings.paths import OutputError
 from st_recordings.runs import ReadSettings, RunSource
 from st_recordings.runs.errors import printable
 from st_recordings.runs.readers import READERS
+from st_recordings.runs.run_file import TABLE_KEYS
 from st_recordings.runs.sources import RUN_FILE, RUN_SUFFIX
 
 from . import check_report
@@ -41,16 +42,17 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
         if finding.advice is None:
             continue
         applicable = finding.advice.kind == "run.yaml" and finding.severity is not Severity.NOTE
-        readable = applicable and (source.kind == "csv" or not CSV_KEYS & finding.advice.entry.keys())
+        readable = applicable and (source.kind in TABLE_KEYS or not CSV_KEYS & finding.advice.entry.keys())
         if not (readable and merge(corrections, finding.advice.entry)):
             reason = ("" if not applicable else "not taken, a graver finding has another value: " if readable else
-                      "not taken, a csv only has columns and units: ")
+                      "not taken, only a csv or vbo has columns and units: ")
             lines.append(f"#   {reason}{printable(check_report.describe_correction(finding.advice))}\n")
     if read.steering_sign != 1 or read.steering_latency:
         lines.append(f"# it was read with --steering-sign {read.steering_sign} --steering-latency "
                      f"{read.steering_latency:g}\n")
     settings = with_corrections(_settings(source, file, read), corrections)
-    files = {READERS[source.kind].key: _relative(source.where, file),
+    parts = [_relative(path, file) for path in source.files]
+    files = {READERS[source.kind].key: parts if source.kind in TABLE_KEYS and len(parts) > 1 else parts[0],
              **({"can": [_relative(path, file) for path in source.can]} if source.can else {})}
     content = {"name": source.name, **files, **settings}
     return "".join(lines) + yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None)

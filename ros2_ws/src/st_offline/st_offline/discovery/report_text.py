@@ -121,8 +121,9 @@ def summary(found: Discovery, update: VehicleUpdate | None, findings: Mapping[st
     if serious:
         one, names = serious[0]
         more = f" and {len(serious) - 1} more" if len(serious) > 1 else ""
-        recordings = (f"{one.text} ({', '.join((*names, describe_effect(one)))}){more}. These are errors of the "
-                      "recordings: correct them as st check proposes, and run st discover again")
+        correction = ("These are errors of the recordings: correct them as st check proposes, and run st discover again"
+                      if one.advice is None or one.advice.kind != "look" else f"Advice: {one.advice.line}")
+        recordings = f"{one.text} ({', '.join(filter(None, (*names, describe_effect(one))))}){more}. {correction}"
     do = to_do(found, update)
     together = [f"{ratio_to_file(one)} of the vehicle file's: {', '.join(map(plain, one.effects[:-1]))} or "
                 f"{plain(one.effects[-1])}, which these drives do not separate" for one in found.known_together]

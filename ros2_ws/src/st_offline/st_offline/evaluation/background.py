@@ -1,4 +1,4 @@
-"""Work for a second core while this process continues: in a forked child, which shares all memory without copies."""
+"""Runs a function on a second core, in a forked child process, which shares all memory without copies."""
 
 import contextlib
 import multiprocessing
@@ -13,9 +13,10 @@ T = TypeVar("T")
 
 @contextmanager
 def in_background(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
-    """Start the work; what is yielded waits for its result, which has to be picklable.
+    """Start `work`; the function yielded waits for its result, which must be picklable.
 
-    A worker of Dask may have no child, and a child may be killed for its memory: then the work is done here.
+    In a Dask worker, which may have no child, and if the child was killed for its memory, the work is done in this
+    process.
     """
     if multiprocessing.current_process().daemon:
         yield work
@@ -36,11 +37,11 @@ def in_background(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
         yield result
     finally:
         receiver.close()
-        child.terminate()  # if its result is not needed any more
+        child.terminate()  # if its result was not fetched
         child.join()
 
 
 def _do(work: Callable[[], T], sender: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent, which ends this
-    with contextlib.suppress(Exception):  # what fails here fails in the parent again, which reports it
+    with contextlib.suppress(Exception):  # the parent repeats the work and reports its error
         sender.send(work())

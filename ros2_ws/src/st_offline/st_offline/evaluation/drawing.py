@@ -1,4 +1,4 @@
-"""Figures into files: PNG and PDF for papers, SVG that takes the page's own colours, light or dark."""
+"""Saves figures as PNG and PDF, and as SVG in the colours of the HTML page, light or dark."""
 
 import io
 import itertools
@@ -19,7 +19,7 @@ from st_core.errors import ConfigurationError
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, RC
 
 TEXT, GRID, BAD, WARN = "#1c2126", "#e6e6e6", "#b3261e", "#b26a00"
-# Colours as the figures have them -> style sheet variables of the page.
+# Colours in figures -> variables of the page's style sheet.
 _VARIABLES = {
     TEXT: "var(--text)", GRID: "var(--rule)", BAD: "var(--bad)", WARN: "var(--warn)",
     MEASURED_COLOUR: "var(--measured)",
@@ -33,13 +33,13 @@ FORMATS = ("png", "pdf", "svg")
 WIDTH = 9.0  # inch; the page shows it 1:1 at 96 dpi
 TITLE_LETTERS = 104  # of a line of the title of a figure of WIDTH
 TICK_ROOM = 0.09  # inch
-PAGE_DPI = 110  # of what is drawn as pixels inside an SVG
-MOST_POINTS = 900  # of a line; more cannot be distinguished on 9 inches
+PAGE_DPI = 110  # of raster images inside an SVG
+MAX_POINTS = 900  # of a line; more cannot be distinguished on 9 inches
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """One figure: key for file names, title that states the finding, how to read it, and the SVG for the page."""
+    """One figure: key for file names, title with the finding, caption, and the SVG for the page."""
 
     key: str
     title: str
@@ -49,7 +49,7 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Place:
-    """Where figures go: files of these formats in a folder (None: no files); prefix: of their ids on the page."""
+    """Output of figures: files of these formats in a folder (None: no files); prefix: of their ids on the page."""
 
     folder: Path | None
     formats: tuple[str, ...]
@@ -57,7 +57,7 @@ class Place:
 
 
 def check_formats(formats: Sequence[str]) -> None:
-    """Raises ConfigurationError for one that is not known."""
+    """Raises ConfigurationError for an unknown format."""
     unknown = [form for form in formats if form not in FORMATS]
     if unknown:
         raise ConfigurationError(f"--figures: {unknown[0]} is not one of {', '.join(FORMATS)}")
@@ -72,8 +72,8 @@ def finish(figure: Figure, where: Place, key: str, title: str, caption: str) -> 
     """Save the figure and close it. Files carry the title; on the page it is a heading."""
     lines = textwrap.wrap(title, round(TITLE_LETTERS * figure.get_figwidth() / WIDTH))
     heading = figure.suptitle("\n".join(lines), x=0.01, ha="left", fontweight="bold", fontsize=10)
-    # Laid out once: that takes longer than the drawing. An engine "none" would still run before each file, and one
-    # taken off comes back as the settings have it.
+    # The layout is computed once, because it takes longer than the drawing. An engine "none" would still run before
+    # each file, and a removed one returns by the settings.
     figure.draw_without_rendering()
     with plt.rc_context({"figure.constrained_layout.use": False}):
         figure.set_layout_engine(None)
@@ -94,7 +94,7 @@ def finish(figure: Figure, where: Place, key: str, title: str, caption: str) -> 
 
 
 def page_svg(svg: str, prefix: str) -> str:
-    """The <svg> element for a page: colours as variables, fonts from the page, ids of its own, a third of the size."""
+    """The <svg> element for a page: colours as variables, fonts of the page, unique ids, a third of the size."""
     svg = svg[svg.index("<svg"):]
     svg = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", svg, flags=re.S)
     for colour, variable in _VARIABLES.items():
@@ -103,23 +103,23 @@ def page_svg(svg: str, prefix: str) -> str:
     svg = re.sub(r"font-family: [^;\"]*;? ?", "", svg)
     svg = re.sub(r'<g id="[^"]*"', "<g", svg)
     svg = re.sub(r'(\bid="|url\(#|xlink:href="#)', rf"\g<1>{prefix}", svg)
-    svg = re.sub(r"<[^>]*>", lambda tag: re.sub(r"-?\d+\.\d{2,}", _short, tag.group()), svg)  # not what is written
+    svg = re.sub(r"<[^>]*>", lambda tag: re.sub(r"-?\d+\.\d{2,}", _short, tag.group()), svg)  # not in texts
     svg = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg, count=1)
     svg = re.sub(r'(<svg[^>]*?) width="[^"]*"', r'\1 role="img"', svg, count=1)
     return re.sub(r"\s*\n\s*", " ", svg)
 
 
 def _short(number: re.Match) -> str:
-    # A tenth of a point in drawings 650 points wide; small numbers are opacities and line widths.
+    # To 0.1 points, in drawings 650 points wide; small numbers are opacities and line widths.
     value = float(number.group())
     return f"{value:.1f}" if abs(value) >= 2.0 else f"{value:.3g}"
 
 
 def thinned(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A line of at most MOST_POINTS that looks the same: smallest and largest value of each stretch stay."""
-    if len(time) <= MOST_POINTS:
+    """A line of at most MAX_POINTS that looks the same: the smallest and largest value of each section."""
+    if len(time) <= MAX_POINTS:
         return time, values
-    edges = np.linspace(0, len(time), MOST_POINTS // 2 + 1).astype(int)
+    edges = np.linspace(0, len(time), MAX_POINTS // 2 + 1).astype(int)
     keep = []
     for a, b in itertools.pairwise(edges.tolist()):
         part = values[a:b]
@@ -131,6 +131,6 @@ def thinned(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def broken(time: np.ndarray, values: np.ndarray, gap: float) -> tuple[np.ndarray, np.ndarray]:
-    """The same line with a break (NaN) wherever its points are more than `gap` apart."""
+    """The line with a break (NaN) where its points are more than `gap` apart."""
     at = np.flatnonzero(np.diff(time) > gap) + 1
     return np.insert(time.astype(float), at, np.nan), np.insert(values.astype(float), at, np.nan)

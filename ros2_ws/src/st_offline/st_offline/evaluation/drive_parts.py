@@ -1,4 +1,4 @@
-"""A drive in parts: labels where the run has them, else turns, circles, straights, braking found in the measurement."""
+"""Segments a drive into manoeuvres: by the labels of the run, else turns, circles, straights, braking as detected."""
 
 import itertools
 from collections.abc import Sequence
@@ -10,13 +10,13 @@ from st_core.log import DriveLog
 from st_recordings.runs import Label
 
 GRID = 0.1  # s
-SMOOTHING = 1.0  # s, moving average; a double lane change keeps its two sides
+SMOOTHING = 1.0  # s, moving average; short enough for both sides of a double lane change
 STANDSTILL = 0.5  # m/s
 # A bend begins above the first and ends below the second: a radius of 100 m and 200 m, or a slow car at 0.8 m/s^2.
 CURVATURE = (0.01, 0.005)  # 1/m
 LATERAL_ACCELERATION = (0.8, 0.4)  # m/s^2
-SHORTEST = 1.5  # s; what is shorter belongs to its neighbour
-HARD = 0.7  # m/s^2, mean forward acceleration that makes a straight one of braking or accelerating
+SHORTEST = 1.5  # s; a shorter part joins its neighbour
+HARD = 0.7  # m/s^2, mean forward acceleration above which a straight is called braking or accelerating
 BEND, U_TURN, CIRCLE = np.radians([30.0, 150.0, 240.0])  # heading change from which a bend is a turn, U-turn, circle
 
 
@@ -52,12 +52,12 @@ def drive_parts(log: DriveLog, labels: Sequence[Label] = ()) -> list[DrivePart]:
 
 
 def assign(parts: Sequence[DrivePart], middles: np.ndarray) -> list[slice]:
-    """For each part, which of the horizons with these rising middles [s] belong to it."""
+    """Rows of the horizons whose middles [s, rising] lie in each part."""
     return [slice(*np.searchsorted(middles, (part.start, part.end)).tolist()) for part in parts]
 
 
 def _states(speed: np.ndarray, yaw_rate: np.ndarray) -> np.ndarray:
-    """-2 standing, -1 right, 0 straight, 1 left, with hysteresis."""
+    """State of each sample, with hysteresis: -2 standing, -1 right, 0 straight, 1 left."""
     curvature, lateral = yaw_rate / np.maximum(speed, 1.0), speed * yaw_rate
     enter = (np.abs(curvature) > CURVATURE[0]) | (np.abs(lateral) > LATERAL_ACCELERATION[0])
     stay = (np.abs(curvature) > CURVATURE[1]) | (np.abs(lateral) > LATERAL_ACCELERATION[1])
@@ -71,7 +71,7 @@ def _states(speed: np.ndarray, yaw_rate: np.ndarray) -> np.ndarray:
 
 
 def _stretches(states: np.ndarray, shortest: int) -> list[tuple[int, int]]:
-    """(first, last) of equal states; in `states`, a stretch too short for itself joins its longer neighbour."""
+    """(first, last) of equal states; one shorter than `shortest` joins its longer neighbour, also in `states`."""
     spans = list(itertools.pairwise([0, *(np.flatnonzero(np.diff(states)) + 1).tolist(), len(states)]))
     while len(spans) > 1:
         size, i = min((b - a, i) for i, (a, b) in enumerate(spans))

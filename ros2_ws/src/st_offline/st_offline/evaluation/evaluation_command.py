@@ -1,4 +1,4 @@
-"""`st evaluate`: find the runs, evaluate them here or in Dask workers, write and show the results."""
+"""`st evaluate`: finds the runs, evaluates them in this process or in Dask workers, writes and prints the results."""
 
 import contextlib
 import time
@@ -29,7 +29,7 @@ FILE_DESCRIPTIONS = {
 
 def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: str, vehicle_file: str, workers: int,
                 scheduler: str | None, console: Console, tolerance: float | None = None) -> int:
-    """Exit status: 0 when every run was evaluated, 1 when some were. tolerance: [m], for advice on the model; None: no
+    """Exit status: 0 if every run was evaluated, 1 if some were. tolerance: [m], for advice on the model; None: no
     advice. Raises ConfigurationError, OutputError.
     """
     check_formats(task.formats)
@@ -75,7 +75,7 @@ def _refuse_if_all(problems: Sequence[RunError | str | None]) -> None:
 
 def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None,
                  console: Console) -> list[RunReport]:
-    """Every run, in the order of the sources, problems reported at once."""
+    """Reports of all runs, in the order of the sources."""
     found: dict[str, RunReport] = {}
     with progress_bars(console) as progress:
         runs = progress.add_task("runs", total=len(sources))
@@ -105,7 +105,7 @@ class WorkersError(RuntimeError):
 
 def reports(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None,
             progress: Callable[[RunSource], Progress] | None = None) -> Iterator[RunReport]:
-    """One report per run; in order with one worker, else as they are done.
+    """One report per run; in order with one worker, else as they are finished.
 
     scheduler: address of a Dask scheduler with workers that see the same files. Raises WorkersError.
     """

@@ -1,4 +1,4 @@
-"""evaluation.json, and the folder of results around it. The schema: docs/manual/evaluation.md."""
+"""Results of an evaluation: evaluation.json, tables, page. Schema: docs/manual/evaluation.md."""
 
 import json
 import math
@@ -28,12 +28,12 @@ from .work import RunReport, Task, slug
 SCHEMA = 1
 BUDGET = 4_500_000  # bytes of figures, so that the page stays below 5 MB
 MAX_FIGURES = 6  # on the page; the others are files
-MOST_RUNS = 40  # in the overview
+MAX_RUNS = 40  # in the overview
 
 
 @dataclass(frozen=True)
 class Choices:
-    """What the paper leaves open and the report prints. over: means or samples, in the table."""
+    """Settings that the report prints. over: means or samples, in the table."""
 
     task: Task
     over: str
@@ -92,12 +92,11 @@ def _bands(good: Sequence[RunReport], task: Task) -> dict[str, Any]:
 
 
 def pooled_bins(reports: Sequence[RunReport]) -> list[dict[str, Any]]:
-    """The bins of all runs together, in their own order."""
+    """The bins of all runs pooled, in the order of their values."""
     entries = pooled_by([one for r in reports for one in r.bins], "quantity", "label")
     quantities = list(dict.fromkeys(e["quantity"] for e in entries))
     lowest = float("-inf")
-    # Directions have no order of size: left, straight, right, as they are made.
-    order = {"left": 0, "straight": 1, "right": 2}
+    order = {"left": 0, "straight": 1, "right": 2}  # directions have no order of size
     return sorted(entries, key=lambda e: (quantities.index(e["quantity"]), order.get(e["label"], -1),
                                           lowest if e["low"] is None else e["low"]))
 
@@ -107,9 +106,9 @@ def _starts(one: dict[str, Any]) -> int:
 
 
 def write_results(reports: Sequence[RunReport], choices: Choices, title: str) -> dict[str, Path]:
-    """Everything but the runs' own folders; the files by what they are."""
+    """Write all files except those in the folders of the runs; returns the files by kind."""
     folder = choices.task.folder
-    assert folder is not None  # of the verb
+    assert folder is not None  # set by the command
     good = [r for r in reports if not r.problem]
     content = document(reports, choices)
     files = {"json": folder / "evaluation.json", "page": folder / "report.html", "latex": folder / "table.tex"}
@@ -127,7 +126,7 @@ def write_results(reports: Sequence[RunReport], choices: Choices, title: str) ->
 
 
 def _readable(content: dict[str, Any]) -> str:
-    # A line for each key and for each entry of its lists: an indent would make the json module ten times slower.
+    # A line for each key and each entry of its lists; with an indent the json module is ten times slower.
     def line(value: Any) -> str:
         return json.dumps(value, allow_nan=False, ensure_ascii=False)
 
@@ -162,7 +161,7 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
 
 
 def overview(reports: Sequence[RunReport], over: str, place: Place) -> Drawn | None:
-    """RMSE in hindsight of every model and run; the runs with the largest lateral error if there are very many."""
+    """RMSE in hindsight of every model and run; of more than MAX_RUNS, those with the largest lateral error."""
     if not reports:
         return None
     models = list(dict.fromkeys(m for r in reports for m in r.models))
@@ -171,8 +170,8 @@ def overview(reports: Sequence[RunReport], over: str, place: Place) -> Drawn | N
         return (values(report.models, model, "hindsight", axis, over)["rmse"] or 0.0) if model in report.models else 0.0
 
     chosen = list(reports)
-    if len(chosen) > MOST_RUNS:
-        worst = sorted(chosen, key=lambda r: -max(rmse(r, m, "lateral") for m in models))[:MOST_RUNS]
+    if len(chosen) > MAX_RUNS:
+        worst = sorted(chosen, key=lambda r: -max(rmse(r, m, "lateral") for m in models))[:MAX_RUNS]
         chosen = [r for r in chosen if r in worst]
     with style():
         figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 1.4 + 0.24 * len(chosen)), sharey=True)
@@ -184,7 +183,7 @@ def overview(reports: Sequence[RunReport], over: str, place: Place) -> Drawn | N
                 sizes = [rmse(report, model, axis) for model in models if model in report.models]
                 axes.plot([min(sizes), max(sizes)], [row, row], color=TEXT, lw=0.6, alpha=0.5, zorder=1)
                 for k, model in enumerate(m for m in models if m in report.models):
-                    # The first of several that coincide must not be hidden: markers shrink.
+                    # Markers of decreasing size, so that all of several equal ones are visible.
                     axes.plot(sizes[k], row, "o", ms=8 - 2 * k, color=MODEL_COLOUR.get(model, TEXT), mew=0, zorder=2)
             axes.set_xlim(left=0)
             axes.set_xlabel(f"{axis} RMSE, m")
@@ -194,7 +193,7 @@ def overview(reports: Sequence[RunReport], over: str, place: Place) -> Drawn | N
         figure.legend(handles=handles, loc="outside lower left", ncols=6)
         caption = "Hindsight: measured inputs over the horizon."
         if len(chosen) < len(reports):
-            caption += f" The {MOST_RUNS} of {len(reports)} runs with the largest lateral error."
+            caption += f" The {MAX_RUNS} of {len(reports)} runs with the largest lateral error."
         return finish(figure, place, "overview", "RMSE of each run and model", caption)
 
 
@@ -208,7 +207,7 @@ def finding(reports: Sequence[RunReport], over: str) -> str:
 
 
 def summary(reports: Sequence[RunReport], over: str, horizon: float) -> list[str]:
-    """What the errors are of, what the checks found, and on which clock the steering was: at most three sentences."""
+    """At most three sentences: the errors, the findings of the checks, the clock of the steering."""
     models = pooled([r.models for r in reports])
     best = min(models, key=lambda m: values(models, m, "hindsight", "lateral", over)["rmse"] or math.inf)
     held = shown(values(models, best, "forecast", "lateral", over)["rmse"])

@@ -1,4 +1,4 @@
-"""The figures of one run: segments, errors over time, slip and forces, error against horizon and acceleration."""
+"""Figures of one run: segments, errors over time, error over the horizon, slip and forces."""
 
 import math
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ NOTICEABLE = 0.5  # m; half of the free width of a lane with a car in it
 
 @dataclass(frozen=True)
 class Drawing:
-    """What the figures of a run are made from, and where they go. starts: times [s] to look at closely."""
+    """Data and output of the figures of a run. starts: times [s] of the predictions drawn in detail."""
 
     evaluation: LogEvaluation
     models: Sequence[Model]
@@ -41,38 +41,38 @@ class Drawing:
         return self.evaluation.name
 
     def line(self, model: str) -> dict[str, Any]:
-        """How matplotlib draws the line of a model."""
+        """Arguments of matplotlib for the line of a model."""
         return {"color": MODEL_COLOUR.get(model, TEXT), "ls": MODEL_LINE.get(model, "solid")}
 
 
 def complete_in_all(evaluation: LogEvaluation) -> np.ndarray:
-    """Which starts every model completed in hindsight."""
+    """Mask of the starts that every model completed in hindsight."""
     return np.all([e.complete for (_, mode), e in evaluation.errors.items() if mode == "hindsight"], axis=0)
 
 
-def chosen_starts(evaluation: LogEvaluation, times: Sequence[float], count: int = 4) -> np.ndarray:
-    """Rows of the complete starts nearest to the times [s], or `count` of them spread over the run."""
+def chosen_starts(evaluation: LogEvaluation, times: Sequence[float]) -> np.ndarray:
+    """Rows of the complete starts nearest to the times [s], or four of them spread over the run."""
     complete = np.flatnonzero(complete_in_all(evaluation))
     if not len(complete):
         return complete
     if times:
         rows = [complete[np.abs(evaluation.time[complete] - t).argmin()] for t in times]
     else:
-        # Not the very first and last: they are the least representative.
-        rows = complete[np.linspace(0, len(complete) - 1, count + 2).round().astype(int)[1:-1]]
+        # Without the first and last, which are the least representative.
+        rows = complete[np.linspace(0, len(complete) - 1, 6).round().astype(int)[1:-1]]
     return np.unique(rows)
 
 
 def legend(figure: plt.Figure, drawing: Drawing, extra: Sequence[Line2D], solid: bool = False,
            models: Sequence[Model] | None = None) -> None:
-    """Below the figure: the models, and what else it shows. solid: whether all models are drawn as whole lines."""
+    """Legend below the figure: the models and extra lines. solid: whether all models are drawn as solid lines."""
     handles = [Line2D([], [], **drawing.line(m.name) | ({"ls": "solid"} if solid else {}), label=m.name)
                for m in (drawing.models if models is None else models)]
     figure.legend(handles=[*handles, *extra], loc="outside lower left", ncols=6)
 
 
 def run_figures(drawing: Drawing) -> list[Drawn]:
-    """All figures that this run has data for."""
+    """All figures for which this run has data."""
     if not any(e.n_starts for e in drawing.evaluation.errors.values()):
         return []
     first, others = (segments, horizon_means), (slip, error_against_horizon)
@@ -144,7 +144,7 @@ def _measured_path(axes: plt.Axes, drawing: Drawing, start_ns: int, length: floa
 
 
 def horizon_means(drawing: Drawing) -> Drawn:
-    """Horizon-mean errors of all models over the start time, and the speed then: the paper's second figure."""
+    """Horizon-mean errors of all models, speed and acceleration over the start time: the paper's second figure."""
     evaluation = drawing.evaluation
     figure, (upper, lower, context) = plt.subplots(
         3, 1, figsize=(WIDTH, 5.2), height_ratios=(1.3, 1.3, 0.9), sharex=True)
@@ -152,7 +152,7 @@ def horizon_means(drawing: Drawing) -> Drawn:
         axes.axhline(0, color=TEXT, lw=0.6)
         for model in drawing.models:
             line = evaluation.errors[model.name, "hindsight"].mean[:, k]
-            # Linear and nonlinear often lie on each other: the wider one shows on both sides.
+            # Linear and nonlinear often coincide: the wider line is visible on both sides.
             width = 2.4 if model.name == "linear" else 1.0
             axes.plot(*_over_time(evaluation, line), **drawing.line(model.name) | {"ls": "-", "lw": width})
         axes.set_ylabel(AXIS_LABEL[axis])
@@ -185,7 +185,7 @@ def error_against_horizon(drawing: Drawing) -> Drawn:
                 line = drawing.line(model.name) | ({"ls": ":"} if mode == "forecast" else {})
                 profile = evaluation.errors[model.name, mode].profile_rmse[:, k]
                 axes.plot(evaluation.horizon, profile, **line, lw=width, alpha=alpha)
-        # The forecast's guess at the driver is many times the model's own error: a logarithm keeps both in sight.
+        # Logarithmic, because errors of the forecast are many times those in hindsight.
         axes.set_yscale("log")
         axes.set_ylim(bottom=0.01)
         axes.set(xlim=(0, evaluation.horizon[-1]), xlabel="horizon, s", ylabel=f"{axis} RMSE, m")
@@ -197,13 +197,13 @@ def error_against_horizon(drawing: Drawing) -> Drawn:
         beyond = np.flatnonzero(profile > NOTICEABLE)
         parts.append(f"{model.name} " + (f"after {evaluation.horizon[beyond[0]]:.1f} s" if len(beyond) else "never"))
     title = f"{drawing.name}: lateral RMSE exceeds {NOTICEABLE:g} m in hindsight: {', '.join(parts)}"
-    caption = ("RMSE over all starts at each point of the horizon. Hindsight: measured inputs, what the model is to "
-               "blame for. Forecast: inputs held, what a planner has.")
+    caption = ("RMSE over all starts at each point of the horizon. Hindsight: measured inputs, the error of the "
+               "model. Forecast: inputs held, the error for a planner.")
     return finish(figure, drawing.place, "error_against_horizon", title, caption)
 
 
 def ranking(evaluation: LogEvaluation) -> str:
-    """One sentence: lateral RMSE of every model in hindsight, the best first, and how much worse the worst is."""
+    """Lateral RMSE of every model in hindsight, the best first, and the ratio of worst to best."""
     values = sorted((evaluation.errors[m, "hindsight"].statistics("lateral")[2], m) for m in evaluation.models)
     values = [(v, m) for v, m in values if math.isfinite(v)]
     if not values:
@@ -214,7 +214,7 @@ def ranking(evaluation: LogEvaluation) -> str:
 
 
 def slip(drawing: Drawing) -> Drawn | None:
-    """Predicted slip angles and lateral forces of both axles; grey: slip angles from the measured motion."""
+    """Predicted slip angles and lateral forces of both axles, and slip angles from the measured motion."""
     models = [m for m in drawing.models if m.axles is not None and not m.extra_states and not m.signals]
     evaluation, signals, vehicle = drawing.evaluation, drawing.signals, drawing.vehicle
     rows = chosen_starts(evaluation, drawing.starts)

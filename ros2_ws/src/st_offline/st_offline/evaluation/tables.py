@@ -24,7 +24,7 @@ Entry = dict[str, Any]
 
 
 def entry(errors: ModelErrors, select: np.ndarray | slice = ALL) -> Entry:
-    """Statistics over horizon means, and under `samples` over all points of all horizons; None where nothing counts."""
+    """Statistics over horizon means, and under `samples` over all points of all horizons; None without a score."""
     complete = errors.complete[select]
     count = int(complete.sum())
     return {
@@ -66,7 +66,7 @@ def by_manoeuvre(evaluation: LogEvaluation, parts: Sequence[DrivePart]) -> list[
 
 
 def pooled(entries: Sequence[Mapping[str, Mapping[str, Entry]]]) -> dict[str, dict[str, Entry]]:
-    """{model: {mode: entry}} of several such documents together, as if their starts were those of one run."""
+    """{model: {mode: entry}} of several such documents, pooled as if their starts were of one run."""
     found: dict[str, dict[str, list[Entry]]] = {}
     for document in entries:
         for model, modes in document.items():
@@ -98,12 +98,12 @@ def _joined(entries: Sequence[Entry]) -> Entry:
 
 
 def _kinds(*values: float) -> Entry:
-    """JSON has no NaN: nothing scored is None."""
+    """Statistics by name; None in place of NaN, which JSON does not have."""
     return {kind: float(v) if math.isfinite(v) else None for kind, v in zip(KINDS, values, strict=True)}
 
 
 DIGITS = 2  # as the paper: centimetres
-WIDE = 100  # characters that the table with its last column needs
+WIDE = 100  # characters, width of the table with forecasts
 SHOWN_AXES = ("longitudinal", "lateral")
 NOTE = "mean | max | RMSE over {what}, m; bold: smallest magnitude of each run"
 WHAT = {"means": "the horizon means", "samples": "all samples of all horizons"}
@@ -118,7 +118,7 @@ def values(models: Models, model: str, mode: str, axis: str, over: str) -> Mappi
 
 
 def best(models: Models, model: str, mode: str, axis: str, kind: str, over: str) -> bool:
-    """Whether no model has a smaller magnitude, to the printed digits; several may share the place, as in the paper."""
+    """Whether no model has a smaller magnitude, to the printed digits; several may be best, as in the paper."""
     sizes = {m: round(abs(size), DIGITS) for m in models
              if (size := values(models, m, mode, axis, over)[kind]) is not None}
     return model in sizes and sizes[model] == min(sizes.values())
@@ -132,7 +132,7 @@ def shown(value: float | None) -> str:
 
 
 def terminal_table(reports: Sequence[Any], over: str, title: str, width: int) -> Table:
-    """The paper's table (hindsight), and if the terminal is wide enough the RMSE of the forecasts."""
+    """The paper's table (hindsight), in a wide terminal with the RMSE of the forecasts."""
     wide = width >= WIDE
     ahead = list(dict.fromkeys(mode for r in reports for modes in r.models.values() for mode in modes
                                if mode != "hindsight"))
@@ -158,10 +158,8 @@ def terminal_table(reports: Sequence[Any], over: str, title: str, width: int) ->
 
 
 def latex_table(reports: Sequence[Any], over: str, what: str) -> str:
-    """The table in the paper's form; needs the packages booktabs and multirow.
-
-    what: settings and data, for the caption.
-    """
+    """The table in the paper's form, for the packages booktabs and multirow. what: settings and data, for the
+    caption."""
     models = list(next((r.models for r in reports), {}))
     legend = ", ".join(f"m$_{{{k + 1}}}$ {_tex(model)}" for k, model in enumerate(models))
     lines = [
@@ -199,7 +197,7 @@ Row = dict[str, Any]
 
 
 def write_csv(file: Path, rows: Iterator[Row]) -> None:
-    """Rows of equal keys; numbers unrounded, nothing where not known."""
+    """Write rows of equal keys; numbers are not rounded, unknown ones empty."""
     with file.open("w", newline="") as stream:
         writer = csv.writer(stream)
         for number, row in enumerate(rows):
@@ -207,7 +205,7 @@ def write_csv(file: Path, rows: Iterator[Row]) -> None:
 
 
 def csv_rows(reports: Sequence[Any]) -> dict[str, Iterator[Row]]:
-    """Rows by name of the file: for each run, model and mode; also for each second, bin, and part of the drive."""
+    """Rows by file name: for each run, model and mode; also by second, bin, and part of the drive."""
     bins = (({"run": r.name, "quantity": one["quantity"], "bin": one["label"], "low": one["low"], "high": one["high"]},
              one["models"]) for r in reports for one in r.bins)
     parts = (({"run": r.name, "manoeuvre": one["name"], "start_s": round(one["start"], 3),

@@ -1,4 +1,4 @@
-"""One run from its files to its part of the report; runs in this process or in a worker."""
+"""Evaluation of one run, from its files to its part of the report, in this process or in a worker."""
 
 import csv
 import math
@@ -68,11 +68,11 @@ class Task:
 
 @dataclass(frozen=True)
 class RunReport:
-    """What one run contributes; plain values and drawings, so that it can come from another process.
+    """Results of one run, picklable.
 
-    problem: why there is nothing else but, perhaps, the findings that refused it. finding: one sentence. about:
-    provenance, counts, alignment, warnings, findings of the checks. bands: sums of bands.scoring. seconds: wall time by
-    part.
+    problem: why the run was not evaluated; it then has at most the findings of the checks. finding: one sentence.
+    about: provenance, counts, alignment, warnings, findings of the checks. bands: sums of bands.scoring. seconds: wall
+    time by part.
     """
 
     name: str
@@ -89,10 +89,10 @@ class RunReport:
 
 
 def evaluate_run(source: RunSource, task: Task, progress: Progress | None = None) -> RunReport:
-    """Read, evaluate and draw one run. What is wrong with it becomes its `problem`, never an exception."""
+    """Read, evaluate and draw one run. Errors are reported in `problem`, never raised."""
     try:
         with warnings.catch_warnings():
-            # Reported as a finding, with place and remedy.
+            # The checks report it as a finding.
             warnings.simplefilter("ignore", StepTooLongWarning)
             return _evaluate(source, task, progress)
     except Refused as error:
@@ -106,7 +106,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     run = read(source, task.vehicle, task.read)
     marks.append(time.perf_counter())
     models = load_models(task)
-    with in_background(lambda: (_findings(source, run, task, models), drive_parts(run.log, run.labels))) as looked:
+    with in_background(lambda: (_findings(source, run, task, models), drive_parts(run.log, run.labels))) as checked:
         signals = task.settings.signals(run.log)
         bands = load_bands(task, models)
         scorer = Scorer(bands, signals) if bands else None
@@ -121,8 +121,8 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
             ahead = inputs_ahead(run, signals, task.vehicle, task.settings.prediction, load_course(task.course))
             evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress,
                                       watch=watch, ahead=ahead)
-        finally:  # a failed check explains more than the exception it led to
-            findings, parts = looked()
+        finally:  # a failed check explains more than an exception that it caused
+            findings, parts = checked()
             if isinstance(findings, Refused):
                 raise findings
     marks.append(time.perf_counter())
@@ -147,7 +147,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
 
 
 def _place(task: Task, name: str, evaluation: LogEvaluation) -> Place:
-    """Where the figures of a run go; the folder also gets starts.csv."""
+    """Output of the figures of a run; also writes starts.csv to its folder."""
     folder = task.folder / "runs" / slug(name) if task.folder else None
     if folder:
         folder.mkdir(parents=True, exist_ok=True)
@@ -203,9 +203,7 @@ def model_files(task: Task) -> list[ModelFile]:
 
 
 def load_bands(task: Task, models: Sequence[Model]) -> Bands | None:
-    """The bands of a task; None where none are to be tested. Raises ConfigurationError for bands of another car, model
-    or configuration.
-    """
+    """The bands of a task, None without. Raises ConfigurationError for bands of another car, model or configuration."""
     if task.bands is None:
         return None
     origin, text = task.bands
@@ -218,7 +216,7 @@ def load_bands(task: Task, models: Sequence[Model]) -> Bands | None:
 
 
 def model_hashes(task: Task, models: Sequence[Model]) -> dict[str, str]:
-    """Hash of the model file by name of each model; "" for those that come from none."""
+    """Hash of the model file by model; "" for a model of the paper."""
     return {model.name: "" for model in models} | {file.model().name: file.hash for file in model_files(task)}
 
 
@@ -228,7 +226,7 @@ def slug(name: str) -> str:
 
 
 def write_starts(file: Path, evaluation: LogEvaluation) -> None:
-    """One row per prediction: when, its conditions, the horizon means of all models (docs/manual/evaluation.md)."""
+    """Write one row per prediction: time, conditions, horizon means of all models (docs/manual/evaluation.md)."""
     def text(values: np.ndarray, digits: int) -> list[str]:
         return ["" if math.isnan(v) else f"{v:.{digits}f}" for v in values.tolist()]
 
@@ -243,18 +241,18 @@ def write_starts(file: Path, evaluation: LogEvaluation) -> None:
 
 
 INPUTS = ("planned_road_wheel_angle", "planned_velocity_x_dot")
-"""Columns of a CSV, rad left + and m/s^2: what had been planned for the time of the row, before its horizon began."""
+"""Columns of a CSV [rad, left +; m/s^2]: inputs planned for the time of the row before its horizon began."""
 PATH = ("planned_speed", "planned_curvature")
-"""Instead: m/s and 1/m, left +, of the CG."""
+"""Alternatively speed and curvature of the CG [m/s; 1/m, left +]."""
 
 
 def inputs_ahead(run: LoadedRun, signals: LogSignals, vehicle: VehicleParameters, prediction: PredictionSettings,
                  course: Course | None) -> dict[Mode, Ahead]:
-    """By mode, plan where the recording has one and course where one is given; see `evaluate_log`.
+    """Inputs over the horizon by mode: plan, if the recording has one, and course, if given; see `evaluate_log`.
 
-    Passes of the run itself are left out of the course. A course and a run with known origins are brought to one map;
-    else both must have been recorded in the same one. Raises RunError for planned columns that are not numbers, and for
-    a course of another place.
+    Passes of the run itself are left out of the course. With known origins the course is moved into the map of the run;
+    else both must be in the same map. Raises RunError for planned columns that are not numbers, and for a course of
+    another place.
     """
     found: dict[Mode, Ahead] = {}
     plan = _planned_columns(run.provenance["files"], vehicle)

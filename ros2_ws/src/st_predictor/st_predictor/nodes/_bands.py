@@ -148,7 +148,7 @@ def coverage_check(coverages: Coverages) -> Check:
               for (model, mode), coverage in coverages.by_question.items() for level in sorted(coverage.kept)}
     if warning := coverages.warning():
         return Check("bands", diagnostics.WARN, warning, values)
-    return Check("bands", diagnostics.OK, "cover as they state" if values else "no prediction with a band yet", values)
+    return Check("bands", diagnostics.OK, "coverage as stated" if values else "no prediction with a band yet", values)
 
 
 def add_coverage(message: ErrorStatistics, coverages: Coverages) -> ErrorStatistics:

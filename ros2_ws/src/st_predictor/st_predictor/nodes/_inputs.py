@@ -95,11 +95,8 @@ class Inputs:
     on_change: called when `checks` has changed and should be published at once.
     """
 
-    def __init__(
-        self, node: Node, map_frame: str,
-        add_ins: Callable[[InsSample], bool], add_steering: Callable[[int, float], bool],
-        on_change: Callable[[], None],
-    ):
+    def __init__(self, node: Node, map_frame: str, add_ins: Callable[[InsSample], bool],
+                 add_steering: Callable[[int, float], bool], on_change: Callable[[], None]):
         qos = QoSProfile(depth=QUEUE_DEPTH)
         self._node, self._map_frame = node, map_frame
         self._add_ins, self._add_steering, self._on_change = add_ins, add_steering, on_change

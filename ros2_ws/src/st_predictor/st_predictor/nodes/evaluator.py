@@ -82,11 +82,9 @@ class EvaluatorNode(Node):
     def _open_bag(self, values, settings) -> tuple[BagWriter | None, dict[str, int]]:
         if not values.output_directory:
             return None, {}
-        configuration = {
-            "vehicle": self._vehicle.to_yaml(), "vehicle_name": self._vehicle.name, "vehicle_hash": self._vehicle.hash,
-            "vehicle_file": Path(values.vehicle_file).name,
-            "maximum_gap": f"{settings.maximum_gap:g}", "filter_cutoff": f"{settings.filter_cutoff:g}",
-        }
+        configuration = {"vehicle": self._vehicle.to_yaml(), "vehicle_name": self._vehicle.name,
+                         "vehicle_hash": self._vehicle.hash, "vehicle_file": Path(values.vehicle_file).name,
+                         "maximum_gap": f"{settings.maximum_gap:g}", "filter_cutoff": f"{settings.filter_cutoff:g}"}
         if self._file:
             configuration |= {"model": self._file.to_yaml(), "model_hash": self._file.hash,
                               "model_file": Path(values.model_file).name}

@@ -80,13 +80,8 @@ class TickCounter:
 
     def as_dict(self) -> dict[str, int]:
         """The counts by field name of st_msgs/PredictorStatus."""
-        return {
-            "due": self.predicted + self.stale + self.overrun + self.slow,
-            "predicted": self.predicted,
-            "skipped_stale": self.stale,
-            "skipped_overrun": self.overrun,
-            "skipped_slow": self.slow,
-        }
+        return {"due": self.predicted + self.stale + self.overrun + self.slow, "predicted": self.predicted,
+                "skipped_stale": self.stale, "skipped_overrun": self.overrun, "skipped_slow": self.slow}
 
 
 class PredictorNode(Node):

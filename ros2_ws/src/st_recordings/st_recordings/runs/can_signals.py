@@ -1,7 +1,7 @@
 """Signals of the suite decoded from the frames of a log, as columns: what the live CAN bridge would have published."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -35,10 +35,14 @@ class Signal:
 
 @dataclass(frozen=True)
 class CanSignals:
-    """Decoded signals by (signal, message). faults: message -> what was wrong and how often."""
+    """Decoded signals by (signal, message). faults: message -> what was wrong and how often.
+
+    refused: message -> when its frames were logged that are not used, because of an implausible value or a check [ns].
+    """
 
     signals: Mapping[tuple[str, str], Signal]
     faults: Mapping[str, str]
+    refused: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def all_of(self, name: str) -> list[Signal]:
         return [signal for signal in self.signals.values() if signal.name == name]
@@ -55,6 +59,7 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
     """
     signals: dict[tuple[str, str], Signal] = {}
     faults: dict[str, str] = {}
+    refused: dict[str, np.ndarray] = {}
     # One message at a time: all signals at once would take more memory than anything else.
     order = np.argsort(frames.id, kind="stable")
     sorted_ids = frames.id[order]
@@ -82,12 +87,14 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
         keep, valid, fault = check_frames(spec, payload, time_ns, columns)
         if fault or length_fault:
             faults[message] = "; ".join(filter(None, (length_fault, fault)))
+        if not keep.all():
+            refused[message] = time_ns[~keep]
         keep &= np.diff(time_ns, prepend=time_ns[0] - 1) > 0
         for name, values in with_unix_time(columns).items():
             good = keep & np.isfinite(values)
             if good.any():
                 signals[name, message] = Signal(name, message, time_ns[good], values[good], valid[good], rows[good])
-    return CanSignals(signals, faults)
+    return CanSignals(signals, faults, refused)
 
 
 def _length_fault(spec: MessageSpec, lengths: np.ndarray, n_decoded: int) -> str:
@@ -161,9 +168,11 @@ def check_frames(spec: MessageSpec, payload: np.ndarray, time_ns: np.ndarray,
     possible = keep.copy()
     for signal in spec.signals:
         if np.isfinite(signal.maximum) or np.isfinite(signal.max_rate):
-            possible[keep] &= plausible(signal, spec, time_ns[keep], values[signal.name][keep])
-    if (keep & ~possible).any():
-        faults.append(f"an implausible value in {(keep & ~possible).sum()}")
+            here = plausible(signal, spec, time_ns[keep], values[signal.name][keep])
+            possible[keep] &= here
+            if len(bad := values[signal.name][keep][~here] / signal.factor):
+                worst = float(bad[np.argmax(np.abs(bad))])
+                faults.append(f"{signal.dbc.name} implausible (up to {worst:.6g} {signal.unit}) in {len(bad)}")
     return possible, valid & possible, f"{', '.join(faults)} of {n} frames" if faults else ""
 
 

@@ -10,7 +10,7 @@ from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 from st_core.vehicle import VehicleParameters
 
 from .columns import Layout, doubtful_steering, find_columns
-from .csv_table import Table, all_known, header_of, read_table
+from .csv_table import Table, all_known, header_of, join_tables, read_table
 from .errors import RunError, share
 from .ins_log import SPEEDS, InsLog, car_speed, is_mostly_known, planar, yaw_of
 from .ncom import enu
@@ -109,7 +109,8 @@ def ins_of(table: Table, needed: Sequence[str] = INS_SIGNALS) -> InsLog:
 
 def read_motion(source: RunSource, settings: ReadSettings) -> InsLog:
     """An INS log with at least time, forward velocity and yaw rate. Raises RunError."""
-    return ins_of(read_table(source.where, source.settings.get("layout") or Layout()), MOTION)
+    layout = source.settings.get("layout") or Layout()
+    return ins_of(join_tables([read_table(file, layout) for file in source.files]), MOTION)
 
 
 def has_drive_columns(file: Path) -> bool:

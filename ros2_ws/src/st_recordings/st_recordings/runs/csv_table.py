@@ -3,9 +3,10 @@
 import csv
 import io
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -104,6 +105,29 @@ def read_table(file: Path, layout: Layout) -> Table:
     if delimiter == " ":
         body = "\n".join(" ".join(line.split()) for line in body.split("\n"))
     return table_of(file, names, body, delimiter, layout, warnings)
+
+
+def join_tables(tables: Sequence[Table]) -> Table:
+    """One table of the parts of a recording, in order of their first times, with the channels that all of them have.
+
+    Raises RunError for parts that overlap in time: each has its own clock then.
+    """
+    parts = sorted((table for table in tables if table.used.any()), key=lambda part: part.time_ns[part.used][0])
+    if len(parts) < 2:
+        return parts[0] if parts else tables[0]
+    for before, part in pairwise(parts):
+        if part.time_ns[part.used][0] <= before.time_ns[before.used][-1]:
+            raise RunError(part.file, f"it begins before the end of {before.file.name}: parts of one recording follow "
+                           "each other on one clock", "list it as a run of its own")
+    first = parts[0]
+    columns = {channel: np.concatenate([part.columns[channel] for part in parts]) for channel in first.columns
+               if all(channel in part.columns for part in parts)}
+    lost = sorted({*first.columns} - {*columns})
+    notes = [note for part in parts for note in part.warnings]
+    notes += [f"{first.file}: {', '.join(lost)}: not in all parts, and not used"] if lost else []
+    return Table(first.file, first.names, {c: p for c, p in first.places.items() if c in columns or c == "t"}, columns,
+                 np.concatenate([part.time_ns for part in parts]), sum(part.timeless for part in parts),
+                 np.concatenate([part.used for part in parts]), tuple(notes))
 
 
 def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: Layout, warnings: list[str],

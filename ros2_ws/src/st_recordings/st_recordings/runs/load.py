@@ -36,7 +36,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     log, implausible = without_implausible(loaded.log, start_ns)
     if vehicle is not None and log.steering_wheel_angle is not None:
         log = log.with_steering(vehicle)
-    extras = replace(loaded.auxiliary, implausible=tuple(implausible), start_ns=start_ns)
+    extras = replace(loaded.auxiliary, implausible=(*loaded.auxiliary.implausible, *implausible), start_ns=start_ns)
     loaded = apply_run_file(source, replace(loaded, log=log, auxiliary=extras), vehicle)
     check_common_time(source, loaded.log.ins_time_ns, loaded.log.steering_time_ns)
     log_warnings(loaded.warnings)

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from st_core.checks import AuxiliaryData
+from st_core.checks import AuxiliaryData, Finding
+from st_core.checks.sampling import refused_frames
 from st_core.clock_types import Alignment, SharedSignal, Verdict
 from st_core.log import OPTIONAL_INS_SIGNALS
 from st_core.vehicle import VehicleParameters
@@ -115,14 +116,30 @@ def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
                           "ins_can_latency": run.latency}}
     extras = AuxiliaryData({"INS": ins.stamps_ns, "steering": steering_ns},
                            {name: count for name, count in missing.items() if count},
-                           *speeds_of(run.signals, run.alignment.to_reference_ns), ins.quality)
+                           *speeds_of(run.signals, run.alignment.to_reference_ns), ins.quality,
+                           implausible=_refused_steering(run, settings))
     return LoadedRun(log, about, source.labels, tuple(warnings), run.alignment, extras)
+
+
+def _refused_steering(run: RawRun, settings: ReadSettings) -> tuple[Finding, ...]:
+    """Finding of the steering frames that the decoder refused, none without such."""
+    assert run.steering is not None
+    message = run.steering.message
+    if message not in run.signals.refused or not len(run.ins.time_ns):
+        return ()
+    time_ns = _steering_clock(run, settings, run.signals.refused[message])
+    return (refused_frames((time_ns - run.ins.time_ns[0]) * 1e-9, len(time_ns) + len(run.steering.time_ns),
+                           run.signals.faults[message]),)
 
 
 def steering_times(run: RawRun, settings: ReadSettings) -> np.ndarray:
     """Times of the steering angles on the INS clock [ns], corrected for the steering latency."""
     assert run.steering is not None
-    return run.alignment.to_reference_ns(run.steering.time_ns) - round(settings.steering_latency * 1e9)
+    return _steering_clock(run, settings, run.steering.time_ns)
+
+
+def _steering_clock(run: RawRun, settings: ReadSettings, time_ns: np.ndarray) -> np.ndarray:
+    return run.alignment.to_reference_ns(time_ns) - round(settings.steering_latency * 1e9)
 
 
 def about_alignment(alignment: Alignment) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from .run_types import Label, RunSource
 
 RUN_FILE = "run.yaml"
 RUN_SUFFIX = ".run.yaml"
+TABLE_KEYS = ("csv", "vbo")  # recordings with columns; several files may be one recording
 _FILE_KEYS = tuple(dict.fromkeys(reader.key for reader in sorted(READERS.values(), key=lambda r: not r.needs_can)))
 _KEYS = ("name", *_FILE_KEYS, "can", "offset", "ins_can_latency", "labels", "dbc", "signals", "columns", "units",
          "correct", "leave_out")
@@ -42,14 +43,14 @@ def read_run_file(path: Path) -> RunSource:
     if len(file_keys) != 1:
         known = f"{', '.join(_FILE_KEYS[:-1])} and {_FILE_KEYS[-1]}"
         raise RunError(path, f"one of the keys {known} must name the file of the INS measurements")
-    file = _existing(path, file_keys[0], content[file_keys[0]])
-    reader = reader_of(file, file_keys[0])
+    files = _parts(path, file_keys[0], content[file_keys[0]])
+    reader = reader_of(files[0], file_keys[0])
     assert reader is not None  # every key belongs to one
     logs = _can_logs(path, content.get("can", []))
     if reader.needs_can and not logs:
         raise RunError(path, "no CAN log under the key can", "list the logs, a folder of them, or a pattern")
     for key in ("columns", "units"):
-        if key in content and file_keys[0] not in ("csv", "vbo"):
+        if key in content and file_keys[0] not in TABLE_KEYS:
             raise RunError(path, f"{key}: only a csv or vbo has columns; the units of others are known",
                            "correct: changes values of every kind of recording")
     settings = {key: read(path, content[key]) for key, read in _SETTINGS.items()
@@ -61,25 +62,40 @@ def read_run_file(path: Path) -> RunSource:
     name = str(content.get("name", default))  # results are stored under it
     if not name.isprintable() or name in ("", ".", "..") or "/" in name or "\\" in name:
         raise RunError(path, f"name: {name[:100]!r} cannot be the name of a folder", "leave out slashes")
-    return RunSource(name, reader.kind, (file,), tuple(logs), _labels(path, content.get("labels", [])), settings)
+    return RunSource(name, reader.kind, files, tuple(logs), _labels(path, content.get("labels", [])), settings)
+
+
+def _parts(path: Path, key: str, value: Any) -> tuple[Path, ...]:
+    """The file of the INS measurements; of a csv or vbo also a list or a pattern, the parts of one recording."""
+    if key not in TABLE_KEYS:
+        return (_existing(path, key, value),)
+    found = tuple(dict.fromkeys(_matching(path, key, value)))
+    if not found:
+        raise RunError(path, f"{key}: no file in its folder matches {value!r}")
+    return found
 
 
 def _can_logs(path: Path, value: Any) -> list[Path]:
+    return [f for entry in _matching(path, "can", value)
+            for f in (sorted(entry.rglob("*")) if entry.is_dir() else [entry])
+            if f.is_file() and f.suffix.lower() in CAN_EXTENSIONS and (f == entry or is_can_log(f))]
+
+
+def _matching(path: Path, key: str, value: Any) -> list[Path]:
+    """Files and folders that a name or pattern, or a list of such, gives."""
     entries = [value] if isinstance(value, str) else value
     if not isinstance(entries, list) or not all(isinstance(e, str) for e in entries):
-        raise RunError(path, "can: expected a file or a list of files")
+        raise RunError(path, f"{key}: expected a file or a list of files")
     found: list[Path] = []
     for text in entries:
         try:
-            is_pattern = any(c in text for c in "*?[")
-            matching = sorted(path.parent.glob(text)) if is_pattern else [_existing(path, "can", text)]
+            is_pattern = any(c in text for c in "*?[") and not _exists(path, text)
+            found += sorted(path.parent.glob(text)) if is_pattern else [_existing(path, key, text)]
         except RunError:
             raise
         except (ValueError, NotImplementedError, OSError) as error:
-            raise RunError(path, f"can: {text[:100]!r} is not a pattern ({error})",
+            raise RunError(path, f"{key}: {text[:100]!r} is not a pattern ({error})",
                            "patterns are relative to the run file; * is a part of a name, **/ are folders") from None
-        found += [f for entry in matching for f in (sorted(entry.rglob("*")) if entry.is_dir() else [entry])
-                  if f.is_file() and f.suffix.lower() in CAN_EXTENSIONS and (f == entry or is_can_log(f))]
     return found
 
 
@@ -100,12 +116,16 @@ def _number(path: Path, key: str, value: Any) -> float:
 
 
 def _existing(path: Path, key: str, text: Any) -> Path:
-    try:
-        if isinstance(text, str) and (path.parent / text).exists():
-            return path.parent / text
-    except (OSError, ValueError):  # a name that no file can have
-        pass
+    if isinstance(text, str) and _exists(path, text):
+        return path.parent / text
     raise RunError(path, f"{key}: there is no {str(text)[:200]!r} in its folder")
+
+
+def _exists(path: Path, text: str) -> bool:
+    try:
+        return (path.parent / text).exists()
+    except (OSError, ValueError):  # a name that no file can have
+        return False
 
 
 def _labels(path: Path, value: Any) -> tuple[Label, ...]:

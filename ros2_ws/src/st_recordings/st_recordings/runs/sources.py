@@ -71,6 +71,10 @@ def _in_folder(folder: Path) -> list[RunSource]:
             run = _from_run_file(path)
             runs.append(run)
             taken.update({*run.files, *run.can})
+            if run.problem:  # its files are not runs of their own: one mistake is reported once
+                stem = path.name.removesuffix(RUN_SUFFIX)
+                taken.update(f for f in path.parent.iterdir()
+                             if f.is_file() and (path.name == RUN_FILE or f.stem == stem))
         else:
             files.append(path)
     loose = [path for path in files if path not in taken or path.is_dir()]

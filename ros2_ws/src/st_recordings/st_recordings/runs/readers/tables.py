@@ -9,7 +9,7 @@ from st_core.vehicle import VehicleParameters
 
 from .. import csv
 from ..columns import Layout
-from ..csv_table import Table, read_table
+from ..csv_table import Table, join_tables, read_table
 from ..ins_log import InsLog
 from ..run_types import LoadedRun, ReadSettings, RunSource
 from ..vbo import read_vbo
@@ -17,15 +17,18 @@ from . import Reader, register
 
 
 def _register(kind: str, table_of: Callable[[Path, Layout], Table], **more: Callable[[Path], bool]) -> None:
+    def _joined(source: RunSource, layout: Layout) -> Table:
+        return join_tables([table_of(file, layout) for file in source.files])
+
     def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
         yaw = source.settings.get("correct", {}).get("yaw", Correction())
         layout = csv.with_steering(source.settings.get("layout") or Layout(), settings.steering)
-        run = csv.drive_of(table_of(source.where, layout), vehicle, yaw.scale, settings.steering)
+        run = csv.drive_of(_joined(source, layout), vehicle, yaw.scale, settings.steering)
         return replace(run, log=replace(run.log, name=source.name), labels=source.labels,
                        provenance={"reader": kind, **run.provenance})
 
     def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
-        return csv.ins_of(table_of(source.where, source.settings.get("layout") or Layout()))
+        return csv.ins_of(_joined(source, source.settings.get("layout") or Layout()))
 
     register(Reader(kind, kind, (f".{kind}",), read, read_ins, scales_yaw=True, **more))
 

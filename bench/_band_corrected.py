@@ -1,7 +1,6 @@
-"""A car that is off, mended by what `st discover` writes of it: vehicle.yaml and model.yaml."""
+"""A car that differs from its vehicle file, with vehicle.yaml and model.yaml of `st discover`."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from st_core.bands.shares import Intervals
@@ -17,12 +16,10 @@ from st_offline.discovery.drives import Drive, Request
 from st_offline.discovery.vehicle_update import update_vehicle
 
 
-def mended(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[VehicleParameters, Model, Intervals]:
-    """The car, the model and its 95 % intervals as read back from the files that `st discover` writes about these
-    drives."""
+def corrected(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[VehicleParameters, Model, Intervals]:
+    """Car, model and its 95 % intervals as read from the files that `st discover` writes for these drives."""
     sensors = pool_estimates([{name: value for name, value in check(log, vehicle).estimates.items()
-                               if np.isfinite(value).all()}
-                      for log in logs])
+                               if np.isfinite(value).all()} for log in logs])
     settings = DiscoverySettings()
     found = discover(logs, vehicle, "nonlinear", (), settings, identities=sensors)
     request = Request("nonlinear", vehicle, "the file", vehicle.to_yaml(), settings,
@@ -36,10 +33,3 @@ def mended(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[Vehicl
         return car, get_model("nonlinear"), {}
     file = ModelFile.from_yaml(model.to_yaml())
     return car, file.model(), next(iter(intervals_of([file]).values()))
-
-
-def read_again(log: DriveLog, vehicle: VehicleParameters) -> DriveLog:
-    """The drive as it is read with this vehicle file: its steering ratio and offset are others."""
-    if log.steering_wheel_angle is None:
-        return log
-    return replace(log, road_wheel_angle=vehicle.road_wheel_angle(log.steering_wheel_angle))
