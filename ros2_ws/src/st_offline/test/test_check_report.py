@@ -154,17 +154,17 @@ def test_the_clocks_of_many_runs_are_one_sentence():
     found = {str(n): about_alignment(Alignment(0, -n * 100_000_000, 0.0, 0.001 * n, 0.1, "shared signals", verdict))
              for n, verdict in enumerate((Verdict.GOOD, Verdict.GOOD, Verdict.DOUBTFUL), 1)}
     assert check_report.describe_clocks({**found, "csv": {"method": "none"}}) == (
-        "steering clocks of 3 runs: +0.100 to +0.300 s relative to INS, found from the data, at worst ± 3.0 ms, "
+        "INS minus steering clock of 3 runs: -0.300 to -0.100 s, found from the data, at worst ± 3.0 ms, "
         "1 of them doubtful")
     assert check_report.describe_clocks({**found, "set": {**found["1"], "method": "by hand"}}).endswith(
-        "; set: steering clock: +0.100 s relative to INS, set by hand")
+        "; set: INS minus steering clock: -0.100 s, set by hand")
     del found["3"]
     assert check_report.describe_clocks(found).count("steering clock:") == 2
 
 
 @pytest.mark.parametrize(("method", "text"), [
-    ("none", ""), ("by hand", "steering clock: +0.430 s relative to INS, set by hand"),
-    ("shared signals", "steering clock: +0.430 s relative to INS, found from the data (by shared signals, ± 1.2 ms, "
+    ("none", ""), ("by hand", "INS minus steering clock: -0.430 s, set by hand"),
+    ("shared signals", "INS minus steering clock: -0.430 s, found from the data (by shared signals, ± 1.2 ms, "
      "good)")])
 def test_the_clock_of_the_steering_is_stated(method, text):
     alignment = about_alignment(Alignment(0, -430_000_000, 0.0, 0.0012, 0.1, method, Verdict.GOOD))
@@ -289,6 +289,20 @@ def test_many_runs_print_each_finding_once_and_the_clean_runs_in_one_line():
     text = console.export_text()
     assert text.count(DEGREES.text) == 1 and "bad0, bad1" in text and "report.html" in text
     assert "nothing found in 5 of 10 runs: good0, good1" in text
+
+
+def test_an_offset_of_a_time_zone_is_explained():
+    zone = about_alignment(Alignment(0, 7198_588_000_000, 0.0, 0.001, 0.1, "shared signals", Verdict.GOOD))
+    assert "+7198.588 s (about +2 h: one of the two in local time), found" in check_report.describe_clock(zone)
+    other = about_alignment(Alignment(0, 900_000_000_000, 0.0, 0.001, 0.1, "shared signals", Verdict.GOOD))
+    assert "local time" not in check_report.describe_clock(other)
+
+
+def test_a_correction_is_offered_only_if_there_is_one():
+    looked_at = replace(COARSE, severity=Severity.WARNING)
+    assert len(page_summary([run("drive", (looked_at,))])) == 1
+    (_, correct) = page_summary([replace(run("drive", (JUMPS,)), where="a/run.yaml")])
+    assert correct.startswith("Correct: `st check a/run.yaml --propose-correction run.yaml`, with the other options")
 
 
 def test_a_lag_and_a_lead_are_not_one_finding():

@@ -196,7 +196,7 @@ def _what_to_fill_in(key: str) -> str:
     if key not in VEHICLE_QUANTITIES:
         return ""
     entries = "value, source and uncertainty" if key in DEFAULT_UNCERTAINTIES else "value and source"
-    return f", {entries}; {VEHICLE_QUANTITIES[key].limit().removesuffix(' 1')}"
+    return f", {entries}; {VEHICLE_QUANTITIES[key].limit()}"
 
 
 def _bus_problems(car: Car) -> list[str]:

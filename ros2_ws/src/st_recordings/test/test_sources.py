@@ -208,3 +208,9 @@ def test_warnings_that_differ_in_file_and_numbers_only_are_logged_once_with_thei
     lines = [record.getMessage() for record in caplog.records]
     assert len(lines) == errors.MAX_ALIKE + 2 and lines[0] == "warning: grouped/0.csv: 0 of 3000 rows are not used"
     assert "37 more like" in lines[-1] and "grouped/3.csv" in lines[-1] and "and 27 more" in lines[-1]
+
+
+def test_errors_that_differ_in_their_file_only_are_stated_once_with_all_files():
+    problems = [f"a/{name}.csv: no column; write a {name}.run.yaml" for name in ("one", "two")]
+    text = errors.join_problems([*problems, "b.log: is empty"])
+    assert text == "a/one.csv: no column; write a one.run.yaml (the same in a/two.csv); b.log: is empty"

@@ -13,6 +13,7 @@ from st_recordings.paths import json_text, new_folder
 from st_recordings.recorded import configuration_of
 from st_recordings.runs import ReadSettings, RunSource, find_runs, read
 from st_recordings.runs.bag import records_of
+from st_recordings.runs.errors import join_problems
 from st_recordings.runs.raw import about_alignment
 
 from ..terminal import line, list_files, progress_bars, report_problem
@@ -61,7 +62,7 @@ def run_command(job: Job, console: Console, report_vehicle: Callable[[str], None
             except RUN_ERRORS as error:
                 failed[source.name] = describe_problem(error, source)
     if not good:
-        raise ConfigurationError("no run can be read: " + "; ".join(failed.values()))
+        raise ConfigurationError("no run can be read: " + join_problems(failed.values()))
     new_folder(folder, "")
     print_runs(good, console)
     for name, problem in failed.items():
@@ -85,7 +86,7 @@ def check_run(source: RunSource, job: Job) -> CheckedRun:
     run = read(source, car, job.read)
     checked = check_log(run.log, car, run.auxiliary, MODELS)
     return CheckedRun(source.name, checked, car, car_from, run.log.duration, run.warnings, run.provenance["files"],
-                      about_alignment(run.alignment), str(source.where))
+                      about_alignment(run.alignment), source.arguments)
 
 
 def write(good: Sequence[CheckedRun], failed: Mapping[str, str], folder: Path, json: Path | None,

@@ -83,11 +83,15 @@ def page_summary(good: Sequence[CheckedRun]) -> list[str]:
     meaning = check_report.MEANING[gravest.severity]
     sign = next(filter(None, (check_report.advise_steering_sign(
         run.checked.findings, run.where, run.alignment["method"] != "none") for run in good)), "")
-    correct = (f"Correct: `st check {good[0].where if len(good) == 1 else 'RUN'} --propose-correction run.yaml` writes "
-               "the corrections into a run.yaml; use that instead of the recording.")
+    correct = (f"Correct: `st check {good[0].where if len(good) == 1 else 'RUN'} --propose-correction run.yaml`, with "
+               "the other options of this check, writes the corrections into a run.yaml; use that instead of the "
+               "recording.")
+    exist = any(finding.advice is not None and finding.advice.kind == "run.yaml" for finding in findings
+                if finding.severity is not Severity.NOTE)
     clocks = check_report.describe_clocks({run.name: run.alignment for run in good})
-    return [f"{meaning[0].upper()}{meaning[1:]}{size}{refused}.", f"{sign[0].upper()}{sign[1:]}." if sign else correct,
-            *([f"{clocks}."] if clocks else [])]
+    sentences = (f"{meaning[0].upper()}{meaning[1:]}{size}{refused}.",
+                 f"{sign[0].upper()}{sign[1:]}." if sign else correct if exist else "", f"{clocks}." if clocks else "")
+    return [sentence for sentence in sentences if sentence]
 
 
 def write_page(file: Path, good: Sequence[CheckedRun], failed: Mapping[str, str], content: dict[str, Any]) -> None:

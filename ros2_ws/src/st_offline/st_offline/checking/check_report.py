@@ -18,6 +18,7 @@ from st_recordings.runs.raw import about_alignment
 
 from ..terminal import line
 
+MAX_ZONE_DEVIATION = 120.0  # s, of unsynchronised clocks from whole half hours between time zones
 MAX_STRETCHES = 4
 MAX_LISTED = 3  # findings in a headline
 MAX_RUNS = 8  # runs with their findings one by one; of more, each finding once
@@ -139,11 +140,12 @@ def describe_clocks(alignments: Mapping[str, Mapping[str, Any]]) -> str:
     if len(found) <= 2:
         return "; ".join(f"{name}: {text}" for name, alignment in alignments.items()
                          if (text := describe_clock(alignment)))
-    ahead = sorted(-alignment["offset_s"] for alignment in found)
+    offsets = sorted(alignment["offset_s"] for alignment in found)
     deviation = max(alignment["offset_deviation_s"] or 0.0 for alignment in found)
     doubtful = sum(alignment["verdict"] != "good" for alignment in found)
-    of_all = (f"steering clocks of {len(found)} runs: {ahead[0]:+.3f} to {ahead[-1]:+.3f} s relative to INS, found "
-              f"from the data, at worst ± {1e3 * deviation:.1f} ms, {doubtful or 'none'} of them doubtful")
+    of_all = (f"INS minus steering clock of {len(found)} runs: {offsets[0]:+.3f} to {offsets[-1]:+.3f} s"
+              f"{_zone_note(offsets[0])}, found from the data, at worst ± {1e3 * deviation:.1f} ms, "
+              f"{doubtful or 'none'} of them doubtful")
     by_hand = [f"{name}: {describe_clock(alignment)}" for name, alignment in alignments.items()
                if alignment["method"] == "by hand"]
     return "; ".join([of_all, *by_hand])
@@ -153,18 +155,24 @@ def describe_clock(alignment: Mapping[str, Any]) -> str:
     """Sentence on the clock of the steering, from `about_alignment`; empty where there is only one clock."""
     if alignment["method"] == "none":
         return ""
-    # INS minus other clock; the other one runs ahead where that is negative.
-    ahead = -alignment["offset_s"]
     origin = "set by hand" if alignment["method"] == "by hand" else (
         f"found from the data (by {alignment['method']}, ± {1e3 * (alignment['offset_deviation_s'] or 0.0):.1f} ms, "
         f"{alignment['verdict']})")
-    return f"steering clock: {ahead:+.3f} s relative to INS, {origin}"
+    return f"INS minus steering clock: {alignment['offset_s']:+.3f} s{_zone_note(alignment['offset_s'])}, {origin}"
+
+
+def _zone_note(offset: float) -> str:
+    """Explains an offset [s] near a difference of time zones; empty for another one."""
+    half_hours = round(offset / 1800.0)
+    if not 0 < abs(half_hours) <= 28 or abs(offset - 1800.0 * half_hours) > MAX_ZONE_DEVIATION:
+        return ""
+    return f" (about {0.5 * half_hours:+g} h: one of the two in local time)"
 
 
 @dataclass(frozen=True)
 class CheckedRun:
     """One run of `st check`. vehicle_from: file or recording. warnings: of the reader, corrections included.
-    alignment: of `about_alignment`. where: file or folder, as typed.
+    alignment: of `about_alignment`. where: files, folder or run.yaml, as they are typed.
     """
 
     name: str

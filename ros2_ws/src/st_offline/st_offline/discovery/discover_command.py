@@ -21,6 +21,7 @@ from st_core.relations import RelationSearch, find_relation, needs_search
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import json_ready, json_text, new_folder
 from st_recordings.runs import find_runs
+from st_recordings.runs.errors import join_problems
 
 from ..evaluation.drawing import Drawn, Place, check_formats
 from ..terminal import progress_bars
@@ -107,9 +108,9 @@ def _read(request: Request, progress: Progress) -> tuple[list[Drive], list[Drive
                          lambda: progress.advance(bar), request.force)
     suspect, reference = drives[:len(sources)], drives[len(sources):]
     if not _logs(suspect):
-        raise ConfigurationError("no run can be used: " + "; ".join(d.problem for d in suspect))
+        raise ConfigurationError("no run can be used: " + join_problems(d.problem for d in suspect))
     if healthy and not _logs(reference):
-        raise ConfigurationError("no --reference run can be used: " + "; ".join(d.problem for d in reference))
+        raise ConfigurationError("no --reference run can be used: " + join_problems(d.problem for d in reference))
     _refuse_twice(suspect, reference)
     return suspect, _named_apart(suspect, reference)
 

@@ -11,6 +11,7 @@ from rich.markup import escape
 from st_core.errors import ConfigurationError
 from st_recordings.paths import new_folder
 from st_recordings.runs import RunError, RunSource, find_runs
+from st_recordings.runs.errors import join_problems
 
 from ..bands.bands_report import print_tables
 from ..checking.check_report import describe_clock, findings_from_json, print_findings
@@ -70,7 +71,7 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
 
 def _refuse_if_all(problems: Sequence[RunError | str | None]) -> None:
     if all(problems):
-        raise ConfigurationError("no run can be used: " + "; ".join(map(str, problems)))
+        raise ConfigurationError("no run can be used: " + join_problems(map(str, problems)))
 
 
 def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None,

@@ -120,7 +120,7 @@ def steering_of(signals: CanSignals, file: Path | str, table: SignalTable) -> Si
     found = sorted({message for _, message in signals.signals})
     raise RunError(file, f"the steering message {expected} is not in the log; "
                    + (f"it has {', '.join(found)}" if found else "none of the known messages is"),
-                   "log the bus that carries it (Car-CAN), or give the DBC and table of this car")
+                   "name the car of this log, --car DIR, or log the bus that carries the message")
 
 
 def speeds_of(signals: CanSignals, to_reference: Callable[[np.ndarray], np.ndarray] = np.asarray

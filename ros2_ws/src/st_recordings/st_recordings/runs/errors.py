@@ -75,6 +75,21 @@ def grouped_warnings() -> Iterator[None]:
                     f"{len(others)} more like {alike[0][:100]}...: {files} (each in full in the report)"))
 
 
+def join_problems(problems: Iterable[str]) -> str:
+    """Error messages as one text; of those that differ in the names of their files only, the first with all files."""
+    groups: dict[str, list[str]] = {}
+    for problem in problems:
+        file, _, message = problem.partition(": ")
+        stem = Path(file).stem
+        groups.setdefault(re.sub(rf"\b{re.escape(stem)}\b", "", message) if stem else message, []).append(problem)
+    texts = []
+    for first, *others in groups.values():
+        files = ", ".join(other.partition(": ")[0] for other in others[:10])
+        more = f" and {len(others) - 10} more" if len(others) > 10 else ""
+        texts.append(f"{first} (the same in {files}{more})" if others else first)
+    return "; ".join(texts)
+
+
 def check_readable(path: Path) -> None:
     """Raises RunError for a file that is missing, empty, compressed or cannot be opened."""
     try:

@@ -62,7 +62,8 @@ def read_run_file(path: Path) -> RunSource:
     name = str(content.get("name", default))  # results are stored under it
     if not name.isprintable() or name in ("", ".", "..") or "/" in name or "\\" in name:
         raise RunError(path, f"name: {name[:100]!r} cannot be the name of a folder", "leave out slashes")
-    return RunSource(name, reader.kind, files, tuple(logs), _labels(path, content.get("labels", [])), settings)
+    return RunSource(name, reader.kind, files, tuple(logs), _labels(path, content.get("labels", [])), settings,
+                     run_file=path)
 
 
 def _parts(path: Path, key: str, value: Any) -> tuple[Path, ...]:

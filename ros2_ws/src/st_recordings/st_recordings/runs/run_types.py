@@ -50,7 +50,7 @@ class RunSource:
     """The files of one run. kind: of its reader ("bag", "ncom", "csv", "vbo"), or "" with a `problem`.
 
     settings: from run.yaml: offset [s], ins_can_latency (value and deviation [s]), dbc, signals (paths), layout
-    (columns.Layout), correct (channel -> Correction), leave_out ((start, end) [s]).
+    (columns.Layout), correct (channel -> Correction), leave_out ((start, end) [s]). run_file: the run.yaml, if any.
     """
 
     name: str
@@ -60,6 +60,12 @@ class RunSource:
     labels: tuple[Label, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
     problem: RunError | None = None
+    run_file: Path | None = None
+
+    @property
+    def arguments(self) -> str:
+        """What to type to read this run again."""
+        return str(self.run_file) if self.run_file else " ".join(map(str, (*self.files, *self.can)))
 
     @property
     def where(self) -> Path:
