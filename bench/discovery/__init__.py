@@ -1,4 +1,4 @@
-"""Blind benchmark of discovery: hidden effects in two plants and real drives, what is said of them, the score."""
+"""Blind benchmark of discovery: hidden effects in two plants and real drives, the answers, the score."""
 
 import sys
 from collections.abc import Sequence

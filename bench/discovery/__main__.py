@@ -1,4 +1,4 @@
-"""python -m bench.discovery: run cases and print what came out; see `main`."""
+"""python -m bench.discovery: run cases and print the results; see `main`."""
 
 import sys
 

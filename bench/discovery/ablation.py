@@ -26,9 +26,9 @@ def variants() -> list[tuple[str, float, Limits]]:
     return rows
 
 
-def run(cases: Sequence, out: Path, until: float | None, say: Callable[[Record], None]) -> None:
-    """All cases with each variant; a file of JSON lines each, beside `out`, its records marked with the limit."""
+def run(cases: Sequence, out: Path, until: float | None, report: Callable[[Record], None]) -> None:
+    """All cases with each variant; a file of JSON lines each, next to `out`, its records marked with the limit."""
     for name, factor, limits in variants():
         file = out.with_name(f"{out.stem}_{name or 'usual'}_{factor:g}.jsonl")
-        records = run_all(cases, file, until, say, limits, whole=False)
+        records = run_all(cases, file, until, report, limits, whole=False)
         file.write_text("".join(json.dumps({**r, "limit": [name, factor]}) + "\n" for r in records))

@@ -1,6 +1,6 @@
 """The cases of blocks A to E: what is hidden, in which car, in which drives. All follows from set, block and index.
 
-Truth is never handed to `discover`; it is kept beside the drives for the score. Block F is in `edits`.
+Truth is never handed to `discover`; it is stored with the drives for the score. Block F is in `edits`.
 """
 
 import hashlib
@@ -123,7 +123,7 @@ def _one(set_: str, index: int) -> Case:
 
 
 def _several(set_: str, index: int) -> Case:
-    """B: three to five wrong parameters, none to two errors of sensors and of physics besides, no reference."""
+    """B: three to five wrong parameters, none to two errors of sensors and of physics in addition, no reference."""
     draw, plant = _draw(set_, "B", index), _plant(index)
     car = healthy_car(plant, (seed_of(set_, "B", index, "car"),))
     file, driven, hidden, words = dict(car.settings), car.settings, [], []
@@ -135,7 +135,7 @@ def _several(set_: str, index: int) -> Case:
         settings, largest = WRONG[name]
         change = float(draw.choice([-1, 1]) * draw.uniform(0.4, 1.0) * largest)
         for setting in settings:
-            if name == "heading_misalignment":  # no vehicle file holds it
+            if name == "heading_misalignment":  # not in a vehicle file
                 driven = {**driven, setting: driven[setting] + change}
             else:
                 file[setting] = file[setting] + change if setting in ADDED else file[setting] * (1.0 + change)
@@ -187,7 +187,7 @@ def _referenced(set_: str, index: int) -> Case:
 
 
 def _file_of_leaf() -> Settings:
-    """What config/vehicle/leaf.yaml believes of the virtual Leaf."""
+    """Values of config/vehicle/leaf.yaml for the virtual Leaf."""
     return {"mass_factor": 1.0, "yaw_inertia_factor": 1.0, "front_stiffness_factor": 1.0, "rear_stiffness_factor": 1.0,
             "friction_factor": 1.0, "steering_ratio_factor": 1.0, "steering_offset": 0.0, "cg_shift": 0.0,
             "ins_lever_error": 0.0}

@@ -15,8 +15,8 @@ FOLDER = Path(tempfile.gettempdir()) / "st_bench_discovery"
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="st bench discovery", description=(
-        "Hidden effects in two plants and edits of real drives: what discovery says of them, against the truth. Look "
-        "at the development set as often as you like; the sealed set is opened with a frozen version."))
+        "Hidden effects in two plants and edits of real drives: the answers of discovery, compared with the truth. "
+        "Look at the development set as often as you like; the sealed set is opened with a frozen version."))
     parser.add_argument("--set", default="development",
                         help="development, sealed, or any other word: a set of its own")
     parser.add_argument("--counts", type=_counts, default=COUNTS, metavar="A=10,B=10",
@@ -42,9 +42,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     until = None if chosen.until is None else time.time() + 60 * chosen.until
     cases = list(in_fair_order(chosen.set, chosen.counts, chosen.part))
     if chosen.ablation:
-        ablation.run(cases, out, until, _say)
+        ablation.run(cases, out, until, _print_record)
         return 0
-    records = run_all(cases, out, until, _say, whole=not chosen.plain)
+    records = run_all(cases, out, until, _print_record, whole=not chosen.plain)
     print(score.as_text(score.scores(records)))
     print(f"{len(records)} of {len(cases)} cases, in {out}")
     return 0
@@ -64,11 +64,11 @@ def _part(text: str) -> tuple[int, int]:
     return int(k) - 1, int(n)
 
 
-def _say(r: Record) -> None:
+def _print_record(r: Record) -> None:
     names = " + ".join("|".join(group) for group in score.groups(r)) or "-"
-    told = "".join(f" bound: {name} to {to}" for name, to in r["bound"])
+    bounds = "".join(f" bound: {name} to {to}" for name, to in r["bound"])
     position = r.get("position")
     errors = "" if not position else " 5 s " + ", ".join(f"{k} {v:.2f}" for k, v in position.items()) + " m;"
     words = f"{r['plant']}, {r['words']}" if "words" in r else f"{r['kind']} {r['size']:+.3g}"
-    print(f"{r['block']} {r['index']} [{words}] -> {r['outcome']}: {names}{told};{errors} {r.get('cpu_s', 0):.1f} of "
+    print(f"{r['block']} {r['index']} [{words}] -> {r['outcome']}: {names}{bounds};{errors} {r.get('cpu_s', 0):.1f} of "
           f"{r['case_s']:.1f} s {r.get('error', '')}", flush=True)

@@ -36,7 +36,7 @@ NO_LAW = Law()
 
 
 class Stopped(Exception):
-    """The car came to rest, which the compiled loop does not know."""
+    """The car came to rest, which the compiled loop cannot simulate."""
 
 
 @dataclass(frozen=True)
@@ -115,8 +115,8 @@ def compiled(loop):
 def foot(pedal, speed, acceleration, motion, rear, wheelbase):
     """The next longitudinal acceleration the pedals ask for [m/s^2].
 
-    pedal: the last one. speed [m/s], acceleration [m/s^2]: wanted. motion: v_x, v_y [m/s], yaw rate [rad/s], road-wheel
-    angle [rad]. rear: CG to rear axle [m]. Force that the steered wheels take in a bend is made up for.
+    pedal: the last one. speed [m/s], acceleration [m/s^2]: targets. motion: v_x, v_y [m/s], yaw rate [rad/s],
+    road-wheel angle [rad]. rear: CG to rear axle [m]. Force that the steered wheels take in a bend is made up for.
     """
     vx, vy, r, steer = motion
     bend = abs(vx * r * sin(steer)) * rear / wheelbase
@@ -131,7 +131,7 @@ def _tuple(s):
 
 
 def _pushed(rates, s, law, body, time, ax):
-    """The rates of the state with a law no library holds."""
+    """The rates of the state with a law that is not in the library."""
     aside, turning = push(law, body, time, s[VX], s[YAW_RATE], ax, rates[VY], rates[YAW_RATE])
     return (rates[0], rates[1], rates[2], rates[3], rates[4], rates[5] + aside, rates[6] + turning, rates[7], rates[8],
             rates[9], rates[10], rates[11], rates[12], rates[13], rates[14], rates[15])
@@ -159,11 +159,11 @@ def _loop(state, options, c, road, law, body, first, delayed, gusts, hand, yaw, 
         if gain[k] and not looked:
             left_over = s[YAW] - yaw[k]
         looked = gain[k]
-        wanted = hand[k] + gain[k] * (yaw[k] + left_over - s[YAW]) * nominal_ratio
+        target = hand[k] + gain[k] * (yaw[k] + left_over - s[YAW]) * nominal_ratio
         pedal = foot(pedal, speed[k], acceleration[k], (s[VX], s[VY], s[YAW_RATE], s[RACK]), rear, wheelbase)
         force = mass * pedal
         for step in range(DECIDE):
-            angle += min(max(wanted - angle, -FASTEST_HAND * STEP), FASTEST_HAND * STEP)
+            angle += min(max(target - angle, -FASTEST_HAND * STEP), FASTEST_HAND * STEP)
             if step == 0:
                 out[k, RECORDED] = angle
             friction, bank, grade = road_at(road, s[X], s[YAW])

@@ -1,4 +1,4 @@
-"""The drives of a case, and what `discover` is told of them."""
+"""The drives of a case, and the inputs of `discover`."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache

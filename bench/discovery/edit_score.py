@@ -1,6 +1,6 @@
 """Block F: an answer for edited drives against the answer for the drives as they are.
 
-Before the edit a value is what that answer makes of it: stated, kept, or fitted on top of it and not worth either."""
+The value before the edit is the one in that answer: stated, kept, or fitted in addition without being either."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,13 +15,13 @@ Stated = dict[tuple[str, str], tuple[float, float, float]]
 
 @dataclass(frozen=True)
 class Edited:
-    """moved: the edited value is stated and its interval holds what the edit makes of the one before; or the effect is
-    an alternative of what is stated. others: effects whose values moved besides. expected, said: of the edit."""
+    """moved: the edited value is stated and its interval contains the expected one; or the effect is an alternative
+    of a stated one. others: other effects whose values moved. expected, stated: value of the edited parameter."""
 
     moved: bool
     others: tuple[str, ...]
     expected: float
-    said: tuple[float, float, float] | None
+    stated: tuple[float, float, float] | None
 
 
 def edited(plain: Record, r: Record) -> Edited:
@@ -33,10 +33,10 @@ def edited(plain: Record, r: Record) -> Edited:
     if edit.effect == "steering_offset" and ("steering_ratio", "factor") in before:
         # What is added to the recorded angle is divided by the ratio before it reaches the wheels.
         expected = start - r["size"] / before["steering_ratio", "factor"][0]
-    said = after.get(key)
-    moved = said[1] <= expected <= said[2] if said else edit.effect in alternatives(r)
+    value = after.get(key)
+    moved = value[1] <= expected <= value[2] if value else edit.effect in alternatives(r)
     others = {k for k in (*before, *after) if k[0] != edit.effect and not _same(k, before, after, plain, r)}
-    return Edited(moved, tuple(sorted({effect for effect, _ in others})), expected, said)
+    return Edited(moved, tuple(sorted({effect for effect, _ in others})), expected, value)
 
 
 def stated(r: Record) -> Stated:

@@ -105,21 +105,21 @@ DIFFERENT: dict[str, dict[str, str]] = {
     },
     "multibody": {
         "lateral_load_transfer": "four wheels on springs",
-        "longitudinal_load_transfer": "likewise",
+        "longitudinal_load_transfer": "as above",
         "combined_slip": "its tyres' own weighting of longitudinal and lateral slip",
         "steered_drive_force": "drive and brakes act at the steered wheels too",
         "roll_steer": "camber and kinematics of its axles turn with the roll",
         "tyre_stiffness": "a Magic Formula of the project's form is only fitted to its tyres",
-        "front_stiffness": "likewise",
-        "rear_stiffness": "likewise",
-        "friction": "likewise",
+        "front_stiffness": "as above",
+        "rear_stiffness": "as above",
+        "friction": "as above",
         "yaw_rate_scale": "the gyroscope leans with the body, up to 0.11 rad, and shows 0.6 % less there",
     },
 }
 """plant -> effect -> why it is there in the plant and not in the base model, whatever is hidden: naming it is right."""
 SCATTER = ("heading_misalignment", "lateral_acceleration_bias", "yaw_rate_scale", "speed_scale")
 """What every car has a little of and no vehicle file can hold: naming it is right if its true value is in the interval
-stated. The same holds for what identification left wrong in a file."""
+stated. The same applies to remaining errors of an identified file."""
 
 # Effect -> parameter -> setting, where the library counts the quotient of the car's setting and the file's ...
 _QUOTIENTS = {"steering_ratio": "steering_ratio_factor", "front_stiffness": "front_stiffness_factor",

@@ -38,7 +38,7 @@ def _stated(r: dict[str, Any]) -> str:
 
 
 def is_of_interest(r: dict[str, Any], name: str) -> bool:
-    """What is truly different between plant and model is no confusion, unless it is what is hidden."""
+    """True differences between plant and model do not count as confusion, unless they are hidden."""
     return name in r["hidden"] or name not in different(r["plant"])
 
 

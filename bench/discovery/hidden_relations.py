@@ -1,4 +1,5 @@
-"""Twelve laws no library holds, and six effects taken out of it: how each is hidden, where it acts, its shape.
+"""Twelve laws that are not in the library, and six effects taken out of it: how each is hidden, where it acts, its
+shape.
 
 What acts on the car is in its equations (`pushes`, or a switch of the plant); what lies between wheel and sensor, or in
 a sensor, is put into the recording.
@@ -24,7 +25,7 @@ Change = Callable[[DriveLog, VehicleParameters, float], DriveLog]
 
 
 def _kinked(log: DriveLog, vehicle: VehicleParameters, size: float) -> DriveLog:
-    """Beyond 0.04 rad the wheels turn `size` more than the recorded angle says."""
+    """Beyond 0.04 rad the wheels turn `size` more than the recorded angle."""
     true, edge = log.road_wheel_angle, 0.04
     beyond = np.maximum(np.abs(true) - edge, 0.0)
     angle = np.sign(true) * (np.minimum(np.abs(true), edge) + beyond / (1.0 + size))
@@ -47,7 +48,7 @@ def _feeling_gyroscope(log: DriveLog, vehicle: VehicleParameters, size: float) -
 class Hidden:
     """name; places: of a law that are right; shapes: of its first reading that are right, () where nothing is; slots:
     of the library where it acts. settings: added to those of the plant; law, change: of the equations, of the
-    recording, with their size. On the multi-body cars `elsewhere` stands in for switches only the virtual Leaf has.
+    recording, with their size. On the multi-body cars `elsewhere` replaces switches that only the virtual Leaf has.
     removed: the effect of the library that is taken out, and what is like it."""
 
     name: str

@@ -1,5 +1,5 @@
-"""What the truth says of an answer: held-out errors of base, answer and oracle, what each hidden effect is worth, and
-the shares of the gap by kind. Plain data."""
+"""Comparison of an answer with the truth: held-out errors of base, answer and oracle, benefit of each hidden effect,
+and the shares of the gap by kind. Plain data."""
 
 from typing import Any
 
@@ -33,22 +33,22 @@ def judged(case: Case, drives: Drives, found: Discovery) -> Record:
     settings = settings_of(case)
     judge = Judge(drives.held_out, drives.vehicle, settings)
     base = Point(everything().with_values(found.base.values), found.acceleration_gain)
-    said = base if found.model is None else Point(found.model, found.acceleration_gain)
+    answer = base if found.model is None else Point(found.model, found.acceleration_gain)
     if case.block == "E":
-        return _rounded(_visible(case, drives, judge, base, said))
+        return _rounded(_visible(case, drives, judge, base, answer))
     if case.block == "D":
         healthy = Judge(drives.twin, drives.vehicle, settings)
         judge.size = np.sqrt(np.nanmean(np.square(healthy.errors(base)), axis=0))
         start = {n: drives.truth[n] for n in case.hidden}
         oracle = Oracle(drives.suspect, drives.vehicle, case.hidden, start, settings, base)
         without = judge.square(oracle.without(case.hidden))
-        record = _compared(judge, base=base, found=said, oracle=oracle.best)
+        record = _compared(judge, base=base, found=answer, oracle=oracle.best)
         return _rounded(record | {"detectability": 1.0 - judge.square(oracle.best) / without})
     names = set() if case.kind == "base" else there(case)
     start = {n: drives.truth[n] for n in names if n in drives.truth}
     oracle = Oracle(drives.suspect, drives.vehicle, names, start, settings)
     judge.sized_by(oracle.best)
-    record = _compared(judge, base=oracle.base, found=said, oracle=oracle.best)
+    record = _compared(judge, base=oracle.base, found=answer, oracle=oracle.best)
     least = judge.loss(oracle.best)
     record["worth"] = {n: judge.loss(oracle.without([n])) / least for n in case.hidden}
     record["shares"] = _shares(judge, oracle, names)
@@ -61,12 +61,12 @@ def _compared(judge: Judge, **points: Point) -> Record:
             "loss": {k: judge.loss(p) for k, p in points.items()}}
 
 
-def _visible(case: Case, drives: Drives, judge: Judge, base: Point, said: Point) -> Record:
+def _visible(case: Case, drives: Drives, judge: Judge, base: Point, answer: Point) -> Record:
     """Whether what is hidden shows on held-out drives: loss of the base over its loss on the healthy car's."""
     healthy = Judge(drives.twin, drives.vehicle, settings_of(case))
     healthy.sized_by(base)
     judge.size = healthy.size
-    return _compared(judge, base=base, found=said) | {"seen": judge.loss(base) / healthy.loss(base)}
+    return _compared(judge, base=base, found=answer) | {"seen": judge.loss(base) / healthy.loss(base)}
 
 
 def _shares(judge: Judge, oracle: Oracle, names: set[str]) -> Record:

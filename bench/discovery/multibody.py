@@ -1,9 +1,9 @@
-"""The second plant of the benchmark: a multi-body car of 29 states that nobody of this project wrote.
+"""The second plant of the benchmark: a multi-body car of 29 states from another project.
 
     x' = f(x, steering rate, acceleration)  of commonroad-vehicle-models, midpoint rule
 
 driven by the same programmes as the virtual car and read by the same sensors. Added in front of its equations is the
-steering chain hand wheel -> delay -> play -> ratio -> lag -> offset, beside them the gravity of a slope and the wind of
+steering chain hand wheel -> delay -> play -> ratio -> lag -> offset, in addition the gravity of a slope and the wind of
 st_sim, which act on the masses and on the body's centre of gravity. Cars that nearly stop or tip over are refused.
 Checked by: tests/bench/test_discovery_plants.py.
 """
@@ -147,7 +147,7 @@ def _with_curve(p, law: Law):
 
 
 def _pushed(f, x, law, body, time, ax):
-    """The rates with a law no library holds; f is changed."""
+    """The rates with a law that is not in the library; f is changed."""
     aside, turning = push(law, body, time, x[P_VX], x[P_YAW_RATE], ax, f[P_VY], f[P_YAW_RATE])
     f[P_VY] += aside
     f[P_VY_FRONT] += aside
@@ -193,11 +193,11 @@ def _loop(state, o, p, slippery, road, law, body, first, delayed, gusts, hand, y
         if gain[k] and not looked:
             left_over = x[P_YAW] - yaw[k]
         looked = gain[k]
-        wanted = hand[k] + gain[k] * (yaw[k] + left_over - x[P_YAW]) * o.nominal
+        target = hand[k] + gain[k] * (yaw[k] + left_over - x[P_YAW]) * o.nominal
         motion = (x[P_VX], x[P_VY], x[P_YAW_RATE], x[P_STEER])
         pedal = foot(pedal, speed[k], acceleration[k], motion, o.to_rear, o.wheelbase)
         for step in range(DECIDE):
-            angle += min(max(wanted - angle, -FASTEST_HAND * STEP), FASTEST_HAND * STEP)
+            angle += min(max(target - angle, -FASTEST_HAND * STEP), FASTEST_HAND * STEP)
             if step == SENSED:
                 row[RECORDED] = angle
             friction, bank, grade = road_at(road, x[0], x[P_YAW])
@@ -214,7 +214,7 @@ def _loop(state, o, p, slippery, road, law, body, first, delayed, gusts, hand, y
                 loose = min(max(loose, late - o.play), late + o.play)
                 late = loose
             rack = late / o.ratio + o.memory * (rack - late / o.ratio)
-            # The rate that brings the wheels to where the rack wants them within the step.
+            # The rate that brings the wheels to the rack position within the step.
             turn = (rack + o.offset - x[P_STEER]) / STEP
             f = rates(x, turn, pedal, here, tyres, o.drag_area, o.calm)
             if law[0]:

@@ -1,7 +1,7 @@
 """The cars of the multi-body plant: parameter sets and equations of the package commonroad-vehicle-models.
 
 The package's 29 equations are used as they are. It gives one tyre to all wheels; here each axle has its own, by naming
-`p.tire_front` or `p.tire_rear` where its source says `p.tire` (`PerAxle`).
+`p.tire_front` or `p.tire_rear` where its source has `p.tire` (`PerAxle`).
 
 Axes: its equations are written with y to the right and z down, and hold for y to the left (yaw left +) as their mirror
 image. So its roll is + when the left side goes down, its "left" wheels stand on the right; pitch is + nose up.
@@ -40,8 +40,8 @@ SLIP_RANGE, LOAD_RANGE = 0.2, (0.3, 1.8)
 
 @dataclass(frozen=True)
 class Choice:
-    """What the package does not say of a car. number: of its parameter set. cg_to_ins_x [m]: the INS sits on the
-    centreline, as high as the centre of gravity of the body."""
+    """Data of a car that the package does not contain. number: of its parameter set. cg_to_ins_x [m]: the INS sits on
+    the centreline, as high as the centre of gravity of the body."""
 
     number: int
     name: str
@@ -83,7 +83,7 @@ def complete(settings: Mapping[str, float]) -> dict[str, float]:
 
 class PerAxle(ExecutionLoader):
     """Imports a module of the package with the tyre of each call named by axle, lines as they are. Nothing is kept
-    beside the package. Raises ImportError if its source is another one."""
+    next to the package. Raises ImportError if its source is another one."""
 
     def get_filename(self, fullname: str) -> str:
         return find_spec(fullname).origin
@@ -185,7 +185,7 @@ def fitted_tyre(load: float, tyre: TyreNumbers) -> tuple[MagicFormula, float]:
     """The Magic Formula of the suite nearest to a tyre of the package (least squares over slip angles and loads), and
     the root mean square of what is left, over `p_dy1` times the static load [1]. load: static, of one tyre [N]."""
     slips, loads = np.meshgrid(np.linspace(-SLIP_RANGE, SLIP_RANGE, 81), load * np.linspace(*LOAD_RANGE, 7))
-    wanted = np.vectorize(lambda a, f: tyre_force(a, f, tyre))(slips, loads)
+    target = np.vectorize(lambda a, f: tyre_force(a, f, tyre))(slips, loads)
     size = tyre.p_dy1 * load
     start = np.array([tyre.p_cy1, tyre.p_dy1, 0.0, tyre.p_ey1, 0.0, tyre.p_ky1 * 8.0])
     low, high = ([getattr(TYRE_QUANTITIES[name], end) for name in FITTED] for end in ("minimum", "maximum"))
@@ -195,7 +195,7 @@ def fitted_tyre(load: float, tyre: TyreNumbers) -> tuple[MagicFormula, float]:
 
     def left(values: np.ndarray) -> np.ndarray:
         law = formula(values)
-        return ((magic_formula_force(slips, *magic_formula_coefficients(loads, law), law) - wanted) / size).ravel()
+        return ((magic_formula_force(slips, *magic_formula_coefficients(loads, law), law) - target) / size).ravel()
 
     found = least_squares(left, np.clip(start, np.array(low) + 1e-9, np.array(high) - 1e-9), bounds=(low, high),
                           x_scale=np.maximum(np.abs(start), 0.1))

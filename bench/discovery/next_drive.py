@@ -1,4 +1,4 @@
-"""The drive a discovery asks for, driven by the car in question; then the question again with it added."""
+"""The next drive suggested by a discovery, driven by the same car; then the discovery repeated with it."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -16,8 +16,8 @@ def driven_again(case: Case, drives: Drives, found: Discovery, settings: Discove
                  record: Mapping[str, Any]) -> dict[str, Any]:
     """Whether the suggested drive settles what was hidden: then it is stated by its own name alone.
 
-    Asked where one effect is hidden that matters, it is not settled yet, and a drive was suggested. record: of the case
-    so far.
+    For cases with one hidden effect that matters, which is not yet settled, and with a suggested drive. record: of the
+    case so far.
     """
     suggested = found.next_manoeuvre
     visible = matters(record) or stratum(record.get("detectability", 0.0)) != "invisible"

@@ -116,14 +116,14 @@ class Oracle:
 
     def without(self, names: Collection[str]) -> Point:
         """With the slopes about the best; a few evaluations, where a fit of its own takes a hundred."""
-        gone = np.array([n in names for n, _ in self._free] + [False])
-        if not gone.any():
+        removed = np.array([n in names for n, _ in self._free] + [False])
+        if not removed.any():
             return self.best
-        d = np.where(gone, (self._null - self._x) / self._unit, 0.0)
-        stay = np.flatnonzero(~gone)
+        d = np.where(removed, (self._null - self._x) / self._unit, 0.0)
+        stay = np.flatnonzero(~removed)
         h = self._hessian
-        d[stay] = np.linalg.solve(h[np.ix_(stay, stay)], -h[np.ix_(stay, gone)] @ d[gone])
-        x = min((self._inside(self._x + d * self._unit), np.where(gone, self._null, self._x)), key=self._cost)
+        d[stay] = np.linalg.solve(h[np.ix_(stay, stay)], -h[np.ix_(stay, removed)] @ d[removed])
+        x = min((self._inside(self._x + d * self._unit), np.where(removed, self._null, self._x)), key=self._cost)
         for _ in range(REFITS):
             z = self._z(x)
             j = self._slopes[stay]

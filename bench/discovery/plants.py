@@ -30,7 +30,7 @@ SLID_AWAY = 6.0
 @dataclass(frozen=True)
 class Order:
     """One run that is to be driven. settings: of plant and sensors. before: those until the share `from_` of it, None:
-    the same throughout. moved [m]: to the east, at another site. law: of `pushes`, that no library holds."""
+    the same throughout. moved [m]: to the east, at another site. law: of `pushes`, not in the library."""
 
     name: str
     seed: tuple[int, ...]
@@ -44,7 +44,7 @@ class Order:
 
 
 def driven(plant: str, vehicle: VehicleParameters, order: Order) -> DriveLog:
-    """One run, read as the vehicle file says; where the car spins or stops, the next attempt. Raises Stopped."""
+    """One run, read with the vehicle file; where the car spins or stops, the next attempt. Raises Stopped."""
     for attempt in range(20):
         tried = (*order.seed, attempt)
         noise = int(np.random.default_rng(tried).integers(2**31))
@@ -71,7 +71,8 @@ def _driven_once(plant: str, vehicle: VehicleParameters, order: Order, programme
 
 
 def _curved(law: Law) -> Car:
-    """The virtual Leaf, with rear tyres of another shape where the law says so, as stiff and as strong as they were."""
+    """The virtual Leaf, with rear tyres of another shape if the law requires it, as stiff and as strong as they
+    were."""
     if law.kind != REAR_CURVE:
         return NOMINAL
     rear = NOMINAL.tyre_rear

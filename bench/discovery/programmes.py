@@ -1,6 +1,6 @@
 """Programmes of hand and foot, put together from the manoeuvres of `st_core`: what is driven in the cases.
 
-Steering is open loop, so that the same programme can be driven by any car, except on roads, where the hand holds the
+Steering is open loop, so that the same programme can be driven by any car, except on roads, where the driver keeps the
 heading as a driver does. Sizes are given as the lateral acceleration the nominal car would reach. Drawn manoeuvres are
 shorter than those that are suggested.
 """
@@ -160,7 +160,7 @@ def _whole(b: Builder, lateral: float, manoeuvre: Manoeuvre) -> None:
 
 
 def suggested(name: str) -> Part:
-    """A drive of the catalogue just as it is suggested. Raises StopIteration where there is none of that name."""
+    """A drive of the catalogue as suggested. Raises StopIteration for an unknown name."""
     one = next(m for m in CATALOGUE if m.name == name)
     return Part(partial(_whole, manoeuvre=one), (one.speed, one.speed), (one.lateral, one.lateral))
 

@@ -1,4 +1,5 @@
-"""Laws no library holds, as accelerations of a plant: the same few lines in both plants, compiled into their loops.
+"""Laws that are not in the library, as accelerations of a plant: the same few lines in both plants, compiled into their
+loops.
 
     F_f / m = (l_r a_y + k^2 r_dot) / l,   F_r / m = (l_f a_y - k^2 r_dot) / l,   a_y = v_y_dot + v_x r,   k^2 = I_z / m
 

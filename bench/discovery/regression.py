@@ -103,8 +103,8 @@ class Regression:
         w = self._base.inputs(angle, signals["velocity_x_dot"], p)
         state = self._base.start_state((0.0 * vx, 0.0 * vx, vx, vy, 0.0 * vx, r), w, p)
         rates = self._base.rhs(state, w, p)
-        felt = self._base.specific_force(state, w, p)[1] + rates[5] * car.cg_to_ins_x
-        target = np.stack([vy_dot - rates[3], signals["yaw_rate_dot"] - rates[5], a_y - felt], axis=1)
+        specific_force = self._base.specific_force(state, w, p)[1] + rates[5] * car.cg_to_ins_x
+        target = np.stack([vy_dot - rates[3], signals["yaw_rate_dot"] - rates[5], a_y - specific_force], axis=1)
         front = (vy + car.cg_to_front_axle * r) / np.maximum(vx, 3.0) - angle
         rear = (vy - car.cg_to_rear_axle * r) / np.maximum(vx, 3.0)
         library = np.stack([np.ones_like(vx), angle, angle_rate, front, rear, front**3, rear**3, r * vx,

@@ -1,4 +1,5 @@
-"""Blocks L, M and N: a law no library holds, an effect taken out of the library, nothing left. Drives and truth."""
+"""Blocks L, M and N: a law that is not in the library, an effect taken out of the library, nothing left. Drives and
+truth."""
 
 from dataclasses import dataclass, replace
 
@@ -19,7 +20,7 @@ EACH, NOTHING = 5, 60
 COUNTS = {"L": EACH * len(LAWS), "M": EACH * len(REMOVED), "N": NOTHING}
 RUNS, HELD_OUT = 4, 2
 WRONG = {"front_stiffness_factor": 1.15, "steering_ratio_factor": 0.94, "yaw_inertia_factor": 1.2}
-"""Half of block N: what the vehicle file believes of the car in their place; the library can mend all of it."""
+"""Half of block N: wrong values in the vehicle file instead; the library contains all of them."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +81,8 @@ def drives_of(case: LawCase) -> LawDrives:
     """All drives of a case."""
     car, hidden = case.car, case.hidden
     own = vehicle_of(car.plant, car.settings)
-    believed = {name: car.settings[name] * factor for name, factor in WRONG.items()} if case.wrong else {}
-    vehicle = vehicle_of(car.plant, {**car.settings, **believed})
+    file_values = {name: car.settings[name] * factor for name, factor in WRONG.items()} if case.wrong else {}
+    vehicle = vehicle_of(car.plant, {**car.settings, **file_values})
 
     def drive(with_law: bool, first: int, count: int) -> list[DriveLog]:
         return [_one(case, own if hidden is None else vehicle, with_law, first + i) for i in range(count)]

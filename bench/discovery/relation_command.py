@@ -17,8 +17,8 @@ from .run import key_of, read, read_all
 
 def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="st bench discovery --laws", description=(
-        "Laws no library holds, hidden in two plants: what is proposed, against the truth. Block L: twelve laws, M: "
-        "six effects taken out of the library, N: nothing left."))
+        "Laws that are not in the library, hidden in two plants: what is proposed, against the truth. Block L: "
+        "twelve laws, M: six effects taken out of the library, N: nothing left."))
     parser.add_argument("--set", default="development", help="development, sealed, sealed-2, or any other word")
     parser.add_argument("--until", type=float, metavar="MINUTES", help="begin no case after this time")
     parser.add_argument("--skip", type=int, default=0, metavar="CASES", help="leave out the first, opened before")
@@ -39,7 +39,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def in_turn(set_: str) -> list[LawCase]:
-    """The blocks side by side: wherever it is stopped, each is about equally far."""
+    """Cases in an order in which all blocks advance at the same rate."""
     cases = [((k + 0.5) / count, block, case) for block, count in COUNTS.items()
              for k, case in enumerate(cases_of(set_, block))]
     return [case for *_, case in sorted(cases, key=lambda c: c[:2])]
@@ -60,14 +60,14 @@ def _run(cases: Sequence[LawCase], file: Path, until: float | None, whole: bool)
             done[key] = {"set": key[0], "block": key[1], "index": key[2], "version": source_version(), **answered}
             with file.open("a") as out:
                 out.write(json.dumps(done[key]) + "\n")
-            _say(done[key])
+            _print_record(done[key])
         records.append(done[key])
     return records
 
 
-def _say(r: Record) -> None:
+def _print_record(r: Record) -> None:
     law = r["law"]
-    said = f"{law['place']} over {law['quantity']} {law['reads']}" if law else r["outcome"]
+    answer = f"{law['place']} over {law['quantity']} {law['reads']}" if law else r["outcome"]
     errors = ", ".join(f"{k} {v:.2f}" for k, v in r["position"].items())
-    print(f"{r['block']} {r['index']} [{r['plant']}, {r['hidden']} x {r['scale']:g}] -> {said}; 5 s {errors} m; "
+    print(f"{r['block']} {r['index']} [{r['plant']}, {r['hidden']} x {r['scale']:g}] -> {answer}; 5 s {errors} m; "
           f"{sum(r['seconds']):.0f} s", flush=True)

@@ -1,4 +1,4 @@
-"""One case of blocks L, M and N: what is found, what is proposed, what that is worth on drives nobody fitted to."""
+"""One case of blocks L, M and N: answer, proposal, and their error on held-out drives."""
 
 import time
 from typing import Any
@@ -26,8 +26,8 @@ ORACLE_LEFT_OUT = ("front_stiffness", "rear_stiffness")
 
 
 def run_case(case: LawCase, whole: bool = True) -> Record:
-    """Plain data. whole: with the oracle and the two baselines. A law is looked for where `st discover` does so
-    unasked: where much is unexplained."""
+    """Plain data. whole: with the oracle and the two baselines. A law is searched for where `st discover` does so by
+    default: where much is unexplained."""
     drives = drives_of(case)
     vehicle, settings = drives.vehicle, case.settings
     begin = time.process_time()
@@ -35,15 +35,15 @@ def run_case(case: LawCase, whole: bool = True) -> Record:
                       for log in drives.suspect])
     found = discover(drives.suspect, vehicle, "nonlinear", (), settings, identities=sensors)
     middle = time.process_time()
-    said = find_relation(found, drives.suspect, vehicle, settings) if needs_search(found) else RelationSearch(
+    search = find_relation(found, drives.suspect, vehicle, settings) if needs_search(found) else RelationSearch(
         None, "not searched: the residual is near the noise", {})
     end = time.process_time()
     judge = RunWindows(drives.held_out, vehicle, settings)
     answer = found.model or found.base
-    after = proposed_model(said) or answer
+    after = proposed_model(search) or answer
     record = {"hidden": case.hidden.name if case.hidden else "nothing", "plant": case.car.plant, "scale": case.scale,
               "wrong": case.wrong, "seconds": [middle - begin, end - middle],
-              "driven": float(sum(log.duration for log in drives.suspect)), **_told(found, said),
+              "driven": float(sum(log.duration for log in drives.suspect)), **_answer_record(found, search),
               "position": {"base": position(judge, found.base), "found": position(judge, answer),
                            "proposed": position(judge, after)}}
     if whole and case.hidden:
@@ -52,8 +52,8 @@ def run_case(case: LawCase, whole: bool = True) -> Record:
     return record
 
 
-def proposed_model(said: RelationSearch) -> AugmentedModel | None:
-    one = said.relation
+def proposed_model(search: RelationSearch) -> AugmentedModel | None:
+    one = search.relation
     if one is None:
         return None
     heights = {f"c{k}": float(c) for k, c in enumerate(one.coefficients)}
@@ -67,15 +67,15 @@ def position(windows: RunWindows, model: AugmentedModel) -> float:
 
 
 def _oracle(case: LawCase, healthy: list[DriveLog], twin: list[DriveLog], vehicle: VehicleParameters) -> float:
-    """What is left where there is no law: the effects that are truly there in the plant, fitted to the same programmes
-    of the healthy car, on the same programmes that are held out."""
+    """Residual error without the law: effects that are in the plant, fitted to the same programmes of the healthy car,
+    on the same held-out programmes."""
     names = {*SCATTER, *(n for n in different(case.car.plant) if members(n) == (n,))} - set(ORACLE_LEFT_OUT)
     best = Oracle(healthy, vehicle, names, {}, case.settings).best
     return position(RunWindows(twin, vehicle, case.settings), best.model)
 
 
-def _told(found: Discovery, said: RelationSearch) -> Record:
-    one = said.relation
+def _answer_record(found: Discovery, search: RelationSearch) -> Record:
+    one = search.relation
     law, needless = None, ()
     if one is not None:
         needless = tuple(one.redundant)
@@ -83,6 +83,6 @@ def _told(found: Discovery, said: RelationSearch) -> Record:
                "others": dict(one.others), "chance": one.chance, "gain": one.gain,
                "shape": one.formulas[0].shape if one.formulas else "",
                "reads": one.formulas[0].text if one.formulas else "", "promised": list(one.position_5s)}
-    return {"outcome": found.outcome, "wanted": needs_search(found), "why": said.why, "law": law,
+    return {"outcome": found.outcome, "wanted": needs_search(found), "why": search.why, "law": law,
             "alone": [e.name for e in found.effects if not e.alternatives], "needless": list(needless),
             "kept": [e.name for e in (*found.effects, *found.minor)]}

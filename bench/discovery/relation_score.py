@@ -19,7 +19,7 @@ WORSE = 1.02
 CLOSABLE = 0.02, 0.1
 """m, and share of what the library leaves: the oracle must be so much better for a share of that to mean anything."""
 LENGTH = 300.0
-"""s of driving the time is told for."""
+"""s of driving for which the time is reported."""
 
 
 def hidden_of(r: Record) -> Hidden:
@@ -37,12 +37,12 @@ def closable(r: Record) -> bool:
 
 
 def noticed(r: Record) -> bool:
-    """The answer says that something is missing that no known effect explains; only then a law is looked for."""
+    """Whether the answer reports an effect that no known one explains; only then a law is searched for."""
     return r["wanted"]
 
 
 def proposed_or_unknown(r: Record) -> bool:
-    """More than a remark beside names: a law, or nothing is named at all."""
+    """Whether the answer has a law, or names nothing."""
     return r["law"] is not None or r["outcome"] == "unknown"
 
 
@@ -51,12 +51,12 @@ def place_right(r: Record) -> bool:
 
 
 def slot_right(r: Record) -> bool:
-    """The place of the law, or of one that is named beside it."""
+    """Whether the place of the law, or of one of its alternatives, is right."""
     return bool(set(places(r)) & set(hidden_of(r).places))
 
 
 def closed(r: Record, after: float | None = None) -> float:
-    """Share of what the library leaves that is taken away; 0 without a proposal."""
+    """Share of the error left by the library that the proposal removes; 0 without one."""
     return (r["position"]["found"] - (r["position"]["proposed"] if after is None else after)) / leaves(r)
 
 
@@ -65,18 +65,18 @@ def is_worse(r: Record) -> bool:
 
 
 def places(r: Record) -> list[str]:
-    """Of the law that is proposed, and of those that are named beside it."""
+    """Places of the proposed law and of its alternatives."""
     return list(dict.fromkeys([r["law"]["place"], *(name.partition(" over ")[0] for name in r["law"]["others"])]))
 
 
 def misnamed_by_library(r: Record) -> list[str]:
-    """Effects of the library stated alone that are not there, and not where the law is."""
+    """Effects of the library stated alone that are neither in the car nor at the place of the law."""
     fine = {*different(r["plant"]), *SCATTER}
     return [n for n in r["alone"] if n not in fine and get_effect(n).slot not in hidden_of(r).slots]
 
 
 def misnamed(r: Record) -> list[str]:
-    """Those of them of which the proposal does not say that the name may stand for the law."""
+    """Those of them that the proposal does not declare redundant."""
     return [n for n in misnamed_by_library(r) if n not in r.get("needless", ())]
 
 
@@ -122,12 +122,12 @@ def scores(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
     times = [seconds(r) for r in records]
     alarms = sum(r["law"] is not None for r in nothing)
     return [
-        row("noticed (said to be missing)", share(map(noticed, hidden)), "85 %", "95 %"),
+        row("noticed (reported as missing)", share(map(noticed, hidden)), "85 %", "95 %"),
         row("... by a proposal, or as the outcome *unknown*", share(map(proposed_or_unknown, hidden))),
         row("... where the library leaves something", share(map(noticed, matter))),
         row("... on the virtual Leaf, where nothing else is missing", share(noticed(r) for r in hidden
                                                                           if r["plant"] == LEAF)),
-        row("right slot, or a set that holds it, of proposals", share(map(slot_right, proposed)), "80 %", "90 %"),
+        row("right slot, or a set that contains it, of proposals", share(map(slot_right, proposed)), "80 %", "90 %"),
         row("... the proposal's own place", share(map(place_right, proposed))),
         row("... where the library leaves something", share(slot_right(r) for r in matter if r["law"])),
         row(f"... places named, of {len(ALL_PLACES)}: median / most", counts(len(places(r)) for r in proposed)),
@@ -135,7 +135,7 @@ def scores(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
             "70 / 40 %", "90 / 60 %"),
         row("held-out made worse, of proposals", share(map(is_worse, proposed)), "1 %", "0"),
         row("proposal where nothing is left", f"{alarms} of {len(nothing)}", "1 of 60", "0"),
-        row("something said to be missing there", f"{sum(map(noticed, nothing))} of {len(nothing)}"),
+        row("something reported as missing there", f"{sum(map(noticed, nothing))} of {len(nothing)}"),
         row("a library name stated alone and wrong", share(bool(misnamed(r)) for r in hidden), "5 %", "2 %"),
         row("... without what the proposal takes back", share(bool(misnamed_by_library(r)) for r in hidden)),
         row("first reading of the shape right, where the place is", share(map(shape_right, shaped)), "60 %", "80 %"),
@@ -162,7 +162,7 @@ def methods(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
         one("proposal, or none", lambda r: r["position"]["proposed"],
             "a law; slot right in " + share(map(slot_right, [r for r in everywhere if r["law"]]))),
         one("sparse regression of residual accelerations", lambda r: r["baselines"]["regression"],
-            f"its largest term; a name that goes with it acts in the slot in {share(map(regressed, everywhere))}"),
+            f"its largest term; a name related to it acts in the slot in {share(map(regressed, everywhere))}"),
         one("Gaussian process on residual accelerations", lambda r: r["baselines"]["process"],
             f"nothing; its shortest length scale is most often that of the {most} "
             f"({inputs.count(most)} of {len(inputs)})"),

@@ -29,7 +29,7 @@ def as_markdown(records: Sequence[Record]) -> str:
         "Law by law; position after 5 s on held-out drives, mean over the cases, m:",
         table(("hidden", "cases", "noticed", "slot right", "vehicle file", "library", "with the proposal", "oracle"),
               _laws(records)),
-        "What failed, case by case:", table(("case", "hidden", "said", "wrong"), _failures(records) or [("-",) * 4])])
+        "What failed, case by case:", table(("case", "hidden", "answer", "wrong"), _failures(records) or [("-",) * 4])])
 
 
 def _methods(records: Sequence[Record]) -> list[str]:
@@ -45,7 +45,7 @@ def _origin(records: Sequence[Record]) -> str:
     counts = ", ".join(f"{sum(r['block'] == b for r in records)} of {n} {b}" for b, n in COUNTS.items())
     looked = ("" if sets.startswith("sealed") else
               " **Development cases: they were looked at while the method was written.**")
-    return (f"Set: {sets}. Version {versions}. Cases: {counts} (L: laws no library holds, M: an effect taken out of "
+    return (f"Set: {sets}. Version {versions}. Cases: {counts} (L: laws not in the library, M: an effect taken out of "
             f"the library, N: nothing left to find).{looked} In brackets: 95 % Wilson interval.")
 
 
@@ -76,11 +76,11 @@ def _failures(records: Sequence[Record]) -> list[tuple[str, ...]]:
         if wrong:
             law = r["law"]
             by = f" times {law['by']}" if law and law["by"] else ""
-            said = f"{r['outcome']}, no proposal"
+            answer = f"{r['outcome']}, no proposal"
             if law:
-                said = f"{law['place']} over {law['quantity']}{by}, {law['reads']}"
+                answer = f"{law['place']} over {law['quantity']}{by}, {law['reads']}"
             rows.append((f"{r['block']} {r['index']}", f"{r['plant']}: {r['hidden']} x {r['scale']:g}",
-                         said.replace("|", "\\|"), "; ".join(wrong)))
+                         answer.replace("|", "\\|"), "; ".join(wrong)))
     return rows
 
 

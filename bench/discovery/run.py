@@ -1,4 +1,4 @@
-"""One case: drives, what `discover` says of them, and what the truth says of that. Many cases: in an order that stays
+"""One case: drives, the answer of `discover`, and its comparison with the truth. Many cases: in an order that stays
 fair when time runs out, resumable."""
 
 import json
@@ -52,7 +52,7 @@ def run_case(case: Question, limits: Limits | None = None, whole: bool = True) -
 
 
 def about(case: Question) -> Record:
-    """What is asked, whatever is answered."""
+    """The part of a record that describes the question."""
     if isinstance(case, EditCase):
         return {"kind": case.name or "unedited", "size": case.size}
     return {"kind": case.kind, "plant": case.car.plant, "hidden": list(case.hidden), "words": case.words,
@@ -60,7 +60,7 @@ def about(case: Question) -> Record:
 
 
 def _timed(suspect, vehicle, reference, settings: DiscoverySettings) -> tuple[Discovery, float]:
-    """As `st discover` asks: with what the checks measured of the sensors."""
+    """As in `st discover`, with the estimates of the sensors by the checks."""
     begin = time.process_time()
     sensors = pool_estimates([{name: value for name, value in check(log, vehicle).estimates.items()
                                if np.isfinite(value).all()}
@@ -135,7 +135,7 @@ def read_all(files: Iterable[Path]) -> list[Record]:
     return list(kept.values())
 
 
-def run_all(cases: Iterable[Question], file: Path, until: float | None, say: Callable[[Record], None],
+def run_all(cases: Iterable[Question], file: Path, until: float | None, report: Callable[[Record], None],
             limits: Limits | None = None, whole: bool = True) -> list[Record]:
     """Records of all cases, appended to the file one by one; those in it are not computed again. until: no case begins
     after this Unix time."""
@@ -152,7 +152,7 @@ def run_all(cases: Iterable[Question], file: Path, until: float | None, say: Cal
                          "case_s": round(time.process_time() - begin, 2)}
             with file.open("a") as out:
                 out.write(json.dumps(done[key]) + "\n")
-            say(done[key])
+            report(done[key])
         records.append(done[key])
     return records
 

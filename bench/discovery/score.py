@@ -1,4 +1,4 @@
-"""Records to scores: shares with 95 % Wilson intervals, beside what is wanted."""
+"""Records to scores: shares with 95 % Wilson intervals, and the required ones."""
 
 import math
 from collections import defaultdict
@@ -14,12 +14,12 @@ from .effects import alike, members
 from .judge import different
 
 Record = dict[str, Any]
-WORTH = 1.10
-"""A hidden effect counts if the oracle's held-out loss is so many times as large without it."""
+MIN_LOSS_RATIO = 1.10
+"""A hidden effect counts if the held-out loss of the oracle without it, divided by that with it, is at least this."""
 CLOSABLE = 0.02, 0.1
-"""m, and share of the base's error: the oracle must gain so much for a share of its gain to mean anything."""
+"""Minimum gain of the oracle, [m] and as share of the base error, for a share of it to be meaningful."""
 WORSE = 1.02
-"""A held-out position error above so many times the base's is worse."""
+"""Ratio of held-out position error to that of the base above which an answer is worse."""
 SEEN = 1.10
 """Block E: the base's loss over its loss on the healthy car's drives, for what is hidden to count as there."""
 STRATA = (("strong", 0.5), ("medium", 0.25), ("weak", 0.1), ("invisible", -math.inf))
@@ -84,8 +84,8 @@ def exact(r: Record) -> bool:
 
 
 def matters(r: Record) -> list[str]:
-    """Hidden effects the oracle cannot do without."""
-    return [n for n, worth in r.get("worth", {}).items() if worth >= WORTH]
+    """Hidden effects that matter: without them the oracle is worse."""
+    return [n for n, ratio in r.get("worth", {}).items() if ratio >= MIN_LOSS_RATIO]
 
 
 def values_inside(r: Record) -> list[tuple[str, bool]]:
@@ -113,10 +113,10 @@ def is_worse(r: Record) -> bool:
     return r["position"]["found"] > WORSE * r["position"]["base"]
 
 
-def is_told(r: Record) -> bool:
-    """Block E: told as bound, unknown or unexplained, and not named: nothing is stated but what is truly different."""
-    told = bool(r["bound"]) or r["outcome"] in ("bound", "unknown") or r.get("unexplained", False)
-    return told and not false_ones({**r, "hidden": []})
+def is_reported(r: Record) -> bool:
+    """Block E: reported as bound, unknown or unexplained, and nothing stated except true differences."""
+    reported = bool(r["bound"]) or r["outcome"] in ("bound", "unknown") or r.get("unexplained", False)
+    return reported and not false_ones({**r, "hidden": []})
 
 
 def power_pairs(records: Iterable[Record]) -> list[tuple[str, float, bool]]:
@@ -143,7 +143,7 @@ def promise(r: Record, name: str) -> float | None:
 
 
 def budget_misses(r: Record) -> list[float]:
-    """Said minus true share of the gap, each part added last."""
+    """Estimated minus true share of the gap, each part added last."""
     return [abs(r["budget"].get(part, [0.0])[0] - last) for part, (last, _) in r.get("shares", {}).items()]
 
 
@@ -182,9 +182,9 @@ def scores(records: Sequence[Record]) -> list[Record]:
     _nothing_hidden(table, blocks["C"], "")
     _referenced(table, blocks["D"])
     seen = [r for r in blocks["E"] if r.get("seen", 0.0) >= SEEN]
-    table.add("E: told as bound or unknown, not named", "80 %", "92 %", share(seen, is_told))
+    table.add("E: reported as bound or unknown, not named", "80 %", "92 %", share(seen, is_reported))
     for kind in ("place", "time", "unknown"):
-        table.add(f"  {kind}", "", "", share([r for r in seen if r["kind"] == kind], is_told))
+        table.add(f"  {kind}", "", "", share([r for r in seen if r["kind"] == kind], is_reported))
     _edits(table, blocks["F"])
     away = {b: [r for r in blocks[b] if r["plant"] != LEAF] for b in "ABC"}
     _parameters_found(table, [*away["A"], *away["B"]], "multi-body, ")

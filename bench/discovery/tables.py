@@ -75,7 +75,7 @@ def _origin(records: Sequence[Record]) -> str:
         return text
     which = f"All {looked_at}" if looked_at == counts.total() else f"{looked_at} of the {counts.total()}"
     warning = (f"**Development cases.** {which} cases below were looked at while the decision was "
-               "written: they show where it stands, not how good it is.")
+               "written: they show progress, not quality.")
     if "sealed" not in sets:
         warning += " **The sealed set has not been opened yet.**"
     if len(versions) > 1:
@@ -136,7 +136,7 @@ def _methods(records: Sequence[Record]) -> str:
 
 ABLATED = ("A and B: effects that matter, stated alone or in a set", "A and B: statements that are false",
            "A and B: mean set size", "A and B: values inside their 95 % interval", "C: something stated",
-           "D: alarms, same conditions", "E: told as bound or unknown, not named")
+           "D: alarms, same conditions", "E: reported as bound or unknown, not named")
 
 
 def _ablation(records: Sequence[Record]) -> str:
@@ -157,7 +157,7 @@ def _ablation(records: Sequence[Record]) -> str:
 
 
 def _failures(records: Sequence[Record]) -> list[str]:
-    """One table for each block: case, what is hidden, what was said, what is wrong with that."""
+    """One table for each block: case, hidden effects, answer, errors."""
     plain = next((r for r in records if r["block"] == "F" and r["index"] < 0), None)
     parts = []
     for block in "ABCDEF":
@@ -167,13 +167,13 @@ def _failures(records: Sequence[Record]) -> list[str]:
                 wrong = failures(r, plain)
                 if wrong:
                     what = f"{r['plant']}: {r['words']}" if "words" in r else f"{r['kind']} {r['size']:+.3g}"
-                    rows.append((f"{block} {r['index']}", what, f"{r['outcome']}: {said(r)}", "; ".join(wrong)))
+                    rows.append((f"{block} {r['index']}", what, f"{r['outcome']}: {answer_text(r)}", "; ".join(wrong)))
         if rows:
-            parts.append(table(("case", "hidden", "said", "wrong"), rows))
+            parts.append(table(("case", "hidden", "answer", "wrong"), rows))
     return parts or ["Nothing."]
 
 
-def said(r: Record) -> str:
+def answer_text(r: Record) -> str:
     names = [" or ".join(group) for group in groups(r)] + [f"{name} bound to {to}" for name, to in r["bound"]]
     return " + ".join(names) or "-"
 
@@ -187,15 +187,15 @@ def failures(r: Record, plain: Record | None) -> list[str]:
         if plain is None:
             return []
         e = edited(plain, r)
-        value = "not stated" if e.said is None else f"{e.said[0]:.4g} ({e.said[1]:.4g} to {e.said[2]:.4g})"
+        value = "not stated" if e.stated is None else f"{e.stated[0]:.4g} ({e.stated[1]:.4g} to {e.stated[2]:.4g})"
         return [*([] if e.moved else [f"expected {e.expected:.4g}, {value}"]),
-                *([f"moved besides: {', '.join(e.others)}"] if e.others else [])]
+                *([f"also moved: {', '.join(e.others)}"] if e.others else [])]
     if block == "D":
         alarm = r["kind"] == "healthy" and r["outcome"] != "none"
         missed = r["kind"] == "one" and r.get("detectability", 0.0) > 0.1 and not score.exact(r)
         return ["alarm"] * alarm + [f"not the exact name (D {r.get('detectability', 0.0):.2f})"] * missed
     if block == "E":
-        return ["not told, or named"] if r.get("seen", 0.0) >= score.SEEN and not score.is_told(r) else []
+        return ["not reported, or named"] if r.get("seen", 0.0) >= score.SEEN and not score.is_reported(r) else []
     if block == "C" and r["kind"] == "base":
         return ["something is stated"] if r["effects"] else []
     wrong = [f"false: {' or '.join(names)}" for names in score.false_ones(r)]

@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def answers(name: str, numbers: Sequence[str]) -> Iterator[dict[str, Any]]:
-    """Counts of one case, as it is and with each of the numbers changed."""
+    """Counts of one case, unchanged and with each of the numbers changed."""
     with tempfile.TemporaryDirectory(prefix="st-ablation-") as temporary:
         folder = Path(temporary)
         truth = write(cases("development")[name], folder)

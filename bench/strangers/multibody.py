@@ -27,7 +27,7 @@ def numbers(car: Stranger) -> Numbers:
 
 def drive(car: Stranger, road: np.ndarray, seconds: float, wander: np.ndarray, seed: int) -> np.ndarray:
     """Rows as of `plants.drive`. A rolling single-track car drives the road first; its hand, heading and speed are the
-    programme of the multi-body car, whose driver holds the heading."""
+    programme of the multi-body car, with a driver that keeps the heading."""
     v = nominal_car(car.package)
     proxy = PROXY._replace(
         mass=v.mass, inertia=v.yaw_inertia, wheelbase=v.wheelbase, front=v.cg_to_front_axle,

@@ -1,7 +1,7 @@
 """Equations of motion of the strangers, compiled; fourth-order Runge-Kutta with a driver who follows a road.
 
 State q, all descriptions: x, y [m], yaw [rad], v_x, v_y [m/s] at the CG, yaw rate [rad/s], then their own states.
-wheel: road-wheel angle the driver asks for [rad]; push: sum of the longitudinal tyre forces [N].
+wheel: road-wheel angle requested by the driver [rad]; push: sum of the longitudinal tyre forces [N].
 """
 
 import math
@@ -17,13 +17,13 @@ STEP = 0.005
 STATES = 16
 ROW = STATES + 5
 AX, AY, TURN, WHEEL, PUSH = range(STATES, ROW)
-"""Columns behind the states: rates of v_x, v_y and yaw rate, road-wheel angle asked for, push."""
+"""Columns behind the states: rates of v_x, v_y and yaw rate, requested road-wheel angle, push."""
 DRAG, ROLLING_RESISTANCE, BRAKE_FRONT = 0.38, 0.011, 0.65
 
 
 @njit(cache=True)
 def stiffened(stiffness, load_ratio, p):
-    """Cornering stiffness of one tyre at its load; a table holds its load dependence itself."""
+    """Cornering stiffness of one tyre at its load; a table contains its load dependence."""
     if p.tyre == TABLE:
         return stiffness / 2
     return stiffness / 2 * load_ratio * (1 - p.load_loss * (load_ratio - 1))
@@ -257,8 +257,8 @@ def drive(description, road, p, seconds, wander):
         goal = min(near + int(max(4.0, 0.9 * q[3]) / 0.5), len(road) - 1)
         dx, dy = road[goal, 0] - q[0], road[goal, 1] - q[1]
         side = -math.sin(q[2]) * dx + math.cos(q[2]) * dy
-        asked = 2 * side / (dx * dx + dy * dy) * (p.wheelbase + 0.0022 * q[3] ** 2) + wander[i]
-        wheel += STEP * min(max((asked - wheel) / 0.15, -0.6), 0.6)
+        requested = 2 * side / (dx * dx + dy * dy) * (p.wheelbase + 0.0022 * q[3] ** 2) + wander[i]
+        wheel += STEP * min(max((requested - wheel) / 0.15, -0.6), 0.6)
         target = road[near + min(int(q[3]), 40), 3]
         if leaving and target > 3.0:
             leaving, hold = False, 0.0
@@ -287,8 +287,8 @@ def axle_forces(rows: np.ndarray, p: Numbers) -> tuple[np.ndarray, np.ndarray, n
 
         F_f = (m a_y l_r + I r_dot) / L,  F_r = (m a_y l_f - I r_dot) / L,  a_y = v_y_dot + v_x r
 
-    Slip of the axle as the body moves and the steering wheel asks: compliance, roll steer and lag are in the force, not
-    in the slip. Valid above a few m/s.
+    Slip of the axle by the motion of the body and the steering wheel: compliance, roll steer and lag are in the force,
+    not in the slip. Valid above a few m/s.
     """
     rear = p.wheelbase - p.front
     vx = np.maximum(rows[:, 3], 0.8)

@@ -1,4 +1,4 @@
-"""The files of a case: drives as CSV, the owner's car folder, a drive held back, and the truth beside them."""
+"""The files of a case: drives as CSV, the owner's car folder, a held-out drive, and the truth."""
 
 import json
 import re
@@ -51,7 +51,7 @@ def _driven(case: Case, shorten: float) -> Iterator[tuple[str, np.ndarray]]:
     planned += [(f"held_out_{name}", name, comfort, 70.0) for name in HELD_OUT]
     for number, (name, kind, accepted, seconds) in enumerate(planned):
         rng = np.random.default_rng([case.seed, 1, number])
-        # The multi-body car knows no standstill.
+        # The multi-body car cannot stand still.
         line = road(kind, rng, accepted, stops=car.description != MULTI_BODY)
         count = int(seconds * shorten / plants.STEP)
         wander = np.convolve(rng.standard_normal(count), np.full(160, 1 / 12.6), "same") * TREMOR

@@ -12,9 +12,9 @@ MEMBERS = {"tyre_stiffness": ("front_stiffness", "rear_stiffness")}
 
 
 def statements(result: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Each named effect: in_car, value, interval, true range, inside (None where there is no value to compare).
+    """Each named effect: in_car, value, interval, true range, inside (None without a value).
 
-    Effective corrections and minor effects are no statements.
+    Effective corrections and minor effects do not count as statements.
     """
     truth, found = result["truth"], []
     for one in named(result["answer"]):
@@ -59,7 +59,7 @@ def true_range(name: str, result: Mapping[str, Any]) -> list[float] | None:
 
 
 def hidden(result: Mapping[str, Any]) -> dict[str, bool]:
-    """By hidden error: named, alone or in a set that holds it.
+    """By hidden error: named, alone or in a set that contains it.
 
     A combination whose interval contradicts the vehicle file is such a set for errors of axle stiffness. For a load it
     is none, because the guessed stiffness of the file contradicts it anyway.

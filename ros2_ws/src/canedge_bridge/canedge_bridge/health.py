@@ -21,14 +21,10 @@ class Health:
     def __init__(self, bus_name: str, decoder: Decoder, receiver_status: Callable[[], ReceiverStatus],
                  now_ns: Callable[[], int]):
         """now_ns: clock that stamps the frames [ns since 1970]."""
-        self._bus_name = bus_name
-        self._decoder = decoder
-        self._receiver_status = receiver_status
+        self._bus_name, self._decoder, self._receiver_status = bus_name, decoder, receiver_status
         self._now_ns = now_ns
         self._started_at = self._rated_at = time.monotonic()
-        self._previous_frames = 0
-        self._rate = 0.0
-        self._previous_bad = 0
+        self._previous_frames, self._rate, self._previous_bad = 0, 0.0, 0
         self._previous_good: dict[str, int] = {}
         self._rates: dict[str, float] = {}
 

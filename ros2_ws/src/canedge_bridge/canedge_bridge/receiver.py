@@ -74,20 +74,14 @@ class Receiver:
                  on_state: Callable[[BusState, str], None] = lambda state, reason: None,
                  on_trouble: Callable[[Exception], None] = lambda error: None,
                  silence: float = 1.0, network_interface: str = ""):
-        self._open_bus = open_bus
-        self._on_frame = on_frame
-        self._on_state = on_state
-        self._on_trouble = on_trouble
-        self._silence = silence
-        self._network_interface = network_interface
+        self._open_bus, self._on_frame, self._on_state = open_bus, on_frame, on_state
+        self._on_trouble, self._silence, self._network_interface = on_trouble, silence, network_interface
         self._status = ReceiverStatus()
         self._delays: deque[int] = deque(maxlen=512)
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._bus: can.BusABC | None = None
-        self._back_off = BACK_OFF_FIRST
-        self._last_frame_at = 0.0
-        self._last_error_frame_at = 0.0
+        self._back_off, self._last_frame_at, self._last_error_frame_at = BACK_OFF_FIRST, 0.0, 0.0
         self._thread = threading.Thread(target=self._run, name="can receiver", daemon=True)
 
     def start(self) -> None:

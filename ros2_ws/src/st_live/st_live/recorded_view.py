@@ -170,10 +170,7 @@ class Scene:
         self._rr.log("text", rr.TextDocument(markdown, media_type="text/markdown"))
 
     def paths(self, time_ns: int, pose: Pose, history: History) -> None:
-        """Car, track, predictions with bands, and ghosts, in both pictures.
-
-        pose: x, y [m], yaw [rad].
-        """
+        """Car, track, predictions with bands, and ghosts, in both pictures. pose: x, y [m], yaw [rad]."""
         self._set_time(time_ns)
         lines = [north_up(x, y, pose) for x, y in grid(pose, GRID, 2.0 * AROUND)]
         self._log_lines("map/grid", lines, [LIGHT_GREY], THIN, order=-1.0)

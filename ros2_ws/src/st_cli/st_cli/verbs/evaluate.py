@@ -78,8 +78,7 @@ def task_of(read_options: shared.ReadOptions, model: Sequence[str], effects: Pat
             inputs: Literal["interpolate", "hold"], times: Sequence[float],
             **others: Any) -> "tuple[Task, Path | None, str]":
     """(task, vehicle file that was named, file the car is of). times: horizon, step [s], minimum speed [m/s], interval
-    of the starts [s]. others: of Task.
-    """
+    of the starts [s]. others: of Task."""
     from st_core.log_evaluation import EvaluationSettings
     from st_core.prediction import PredictionSettings
     from st_offline.evaluation.work import Task

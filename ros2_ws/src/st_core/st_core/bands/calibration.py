@@ -101,8 +101,7 @@ FEWEST_RUNS = 3
 @dataclass(frozen=True, eq=False)
 class Band:
     """Half-widths are factor times scale. factors: by level, rising with it [1]. ratios: (3, len(RELIABILITY)),
-    quantiles of |error| / scale at a single point, by axis: the distribution there, for the CRPS.
-    """
+    quantiles of |error| / scale at a single point, by axis: the distribution there, for the CRPS."""
 
     scale: Scale
     factors: dict[float, float]

@@ -44,8 +44,7 @@ def steering_activity(angle: np.ndarray) -> np.ndarray:
 def conditions(velocity_x: float | np.ndarray, yaw_rate: float | np.ndarray, velocity_x_dot: float | np.ndarray,
                activity: float | np.ndarray) -> np.ndarray:
     """(..., 4), columns as CONDITIONS. velocity_x [m/s], yaw_rate [rad/s]: at the INS point; velocity_x_dot [m/s^2];
-    activity: of `steering_activity` [rad/s].
-    """
+    activity: of `steering_activity` [rad/s]."""
     parts = np.broadcast_arrays(*magnitudes(*map(np.asarray, (velocity_x, yaw_rate, velocity_x_dot, activity))))
     return np.stack([np.asarray(part, float) for part in parts], axis=-1)
 

@@ -29,8 +29,7 @@ class NotFiniteError(StCoreError):
 @dataclass(frozen=True, eq=False)
 class RunSamples:
     """Samples of one run. conditions: (n, 4) as `conditions.CONDITIONS`. errors: by (model, mode), (n, points - 1, 3),
-    float32, in the predicted frame (see `to_predicted_frame`), without the start, where they are 0.
-    """
+    float32, in the predicted frame (see `to_predicted_frame`), without the start, where they are 0."""
 
     name: str
     conditions: np.ndarray

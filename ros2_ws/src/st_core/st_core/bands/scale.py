@@ -89,8 +89,7 @@ def floor_at(floor: np.ndarray, time: np.ndarray) -> np.ndarray:
 @dataclass(frozen=True, eq=False)
 class Scale:
     """coefficients: C, (3, knots, features). floor: (2, 3), NOISE n and FLOOR_SHARE e [m, m, rad]. time: (points,)
-    ahead [s, > 0]; knots: [s].
-    """
+    ahead [s, > 0]; knots: [s]."""
 
     coefficients: np.ndarray
     floor: np.ndarray

@@ -35,8 +35,7 @@ from ..terminal import line
 @dataclass(frozen=True)
 class Job:
     """task: car, models and settings, as for an evaluation. levels: probabilities. together: recordings of one of
-    `runs` are similar and count as one run.
-    """
+    `runs` are similar and count as one run."""
 
     runs: Sequence[Path]
     task: Task
@@ -47,8 +46,7 @@ class Job:
 
 def run_command(job: Job, console: Console) -> int:
     """Exit status: 0 if every run was used, 1 if some were. Raises StCoreError and OutputError, one line, if no bands
-    can be made.
-    """
+    can be made."""
     if job.output.exists():
         raise OutputError(f"{job.output} exists already: name another --output (nothing is ever overwritten)")
     models = load_models(job.task)

@@ -42,8 +42,7 @@ CallKey = tuple[str, float, str]
 @dataclass(frozen=True)
 class Cost:
     """Processor time of one prediction over the horizon [s]. floats: live, without numba. compiled: live, with numba;
-    None where the model cannot be compiled. batch: of one start, when a whole drive is predicted as a batch.
-    """
+    None where the model cannot be compiled. batch: of one start, when a whole drive is predicted as a batch."""
 
     floats: float
     compiled: float | None
@@ -150,8 +149,7 @@ def processor_time(cost: Cost) -> float:
 def cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
              tolerance: float) -> dict[float, tuple[Key | None, ...]]:
     """By lower edge of speed [m/s]: for each second ahead the cheapest with an error across within the tolerance
-    [m] in WITHIN_SHARE of the starts; None where no model does.
-    """
+    [m] in WITHIN_SHARE of the starts; None where no model does."""
     order = sorted(accuracies, key=lambda key: processor_time(costs[key]))
     speeds = sorted({low for one in accuracies.values() for low in one.within})
     seconds = max((len(one.second) for one in accuracies.values()), default=0)

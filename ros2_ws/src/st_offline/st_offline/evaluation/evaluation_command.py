@@ -31,8 +31,7 @@ FILE_DESCRIPTIONS = {
 def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: str, vehicle_file: str, workers: int,
                 scheduler: str | None, console: Console, tolerance: float | None = None) -> int:
     """Exit status: 0 if every run was evaluated, 1 if some were. tolerance: [m], for advice on the model; None: no
-    advice. Raises ConfigurationError, OutputError.
-    """
+    advice. Raises ConfigurationError, OutputError."""
     check_formats(task.formats)
     began = time.perf_counter()
     sources = find_runs(paths)

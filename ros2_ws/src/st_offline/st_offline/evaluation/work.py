@@ -49,8 +49,7 @@ class Task:
     """Settings of an evaluation. models: by name, or (file name, content) of a model.yaml. starts: times drawn in
     detail [s], () for a choice. folder: of the results; None: nothing is written. formats: of the figures. force:
     evaluate runs with errors in the checks. bands, course: (file name, content). adaptive: test adaptive bands.
-    effects: folder of own effects of the model files.
-    """
+    effects: folder of own effects of the model files."""
 
     vehicle: VehicleParameters
     models: tuple[str | tuple[str, str], ...]
