@@ -25,9 +25,9 @@ TOLERATED = 10
 
 @dataclass(frozen=True)
 class Decoded:
-    """One good frame.
+    """One decoded frame.
 
-    values: canonical names, SI. valid: False where a counter or checksum set to `warn` was wrong; fault names it.
+    values: canonical names, SI. valid: False if a counter or checksum set to `warn` was wrong; fault names it.
     """
 
     message: str
@@ -54,7 +54,7 @@ class MessageStatistics:
 
 @dataclass
 class FrameStatistics:
-    """Frames outside the table."""
+    """Counts of frames that are not in the table."""
 
     unknown: int = 0
     error: int = 0
@@ -79,9 +79,9 @@ class Plausibility:
         self.implausible = 0
 
     def accepts(self, si: float, time_ns: int) -> bool:
-        """Whether this value [SI] is in range and within the reach of the value before it or of the last accepted one.
+        """Whether this value [SI] is in range and reachable from the previous value or from the last accepted one.
 
-        A single outlier thus costs one frame, as does a true step. Values out of range are not compared with.
+        A single outlier thus costs one frame, as does a true step. Values out of range are no reference.
         """
         value = si / self._spec.factor
         in_range = self._spec.minimum <= value <= self._spec.maximum
@@ -97,7 +97,7 @@ class Plausibility:
     def _reachable(self, value: float, time_ns: int) -> bool:
         references = [one for one in (self._previous, self._accepted)
                       if one is not None and 0 < time_ns - one[0] <= self._remember_ns]
-        # Frames can arrive closer together than they were sent: no shorter than the period counts.
+        # At least the period, because frames can arrive closer together than they were sent.
         return not references or any(
             abs(value - last) <= self._spec.max_rate * max((time_ns - last_ns) * 1e-9, self._period)
             for last_ns, last in references)
@@ -187,7 +187,7 @@ class Decoder:
         return Decoded(spec.name, time_ns, with_unix_time(values), not fault, fault)
 
     def _plausible(self, row: _Row, values: Mapping[str, float], time_ns: int) -> bool:
-        """False also while too many recent values of a signal are impossible: a possible one is then a coincidence."""
+        """False also while too many recent values of a signal are implausible: plausible ones are then coincidence."""
         possible = [check.accepts(values[name], time_ns) for name, check in row.plausibility if name in values]
         if not all(possible):
             row.statistics.implausible += 1
@@ -270,7 +270,7 @@ def _raw_of(spec: SignalSpec, si: float) -> float:
     if spec.name in ANGLES and spec.dbc.minimum is not None:
         turn = 2 * math.pi / abs(spec.gain)
         step = abs(spec.dbc.scale)
-        # Rounded first: 359.996 deg is sent as 0, not as 360.00, which the unit never sends.
+        # Rounded first, so that 359.996 deg is sent as 0, not as 360.00.
         physical = spec.dbc.minimum + (round(physical / step) * step - spec.dbc.minimum + step / 4) % turn - step / 4
     return _to_raw(spec.dbc, physical)
 

@@ -111,7 +111,7 @@ class Receiver:
                 with self._lock:
                     self._status.opened += 1
                 self._set_state(BusState.SILENT, "no frame yet")
-            except Exception as error:  # The thread survives whatever a driver raises.
+            except Exception as error:  # no error of a driver may end the thread
                 self._handle_failure(error)
         self._close()
 
@@ -204,7 +204,7 @@ class Receiver:
         if changed:
             try:
                 self._on_state(state, reason)
-            except Exception as error:  # A failing callback must not end the receiver.
+            except Exception as error:  # nor of a callback
                 self._on_trouble(error)
 
 

@@ -25,7 +25,7 @@ _RECEIVE_BUFFER = 1 << 20
 
 
 def check_channel(interface: str, channel: str) -> None:
-    """Raises ValueError, one line, for an interface python-can does not know or a channel that cannot be one."""
+    """Raises ValueError, one line, for an interface unknown to python-can or an invalid channel."""
     if interface not in can.VALID_INTERFACES:
         raise ValueError(f"interface {interface!r} is not one of {', '.join(sorted(can.VALID_INTERFACES))}")
     if not channel:
@@ -35,7 +35,7 @@ def check_channel(interface: str, channel: str) -> None:
 
 
 def id_filters(keys: Iterable[tuple[int, bool]]) -> list[dict[str, Any]]:
-    """python-can filters, handed to the kernel by SocketCAN, that pass exactly these (arbitration id, 29-bit?)."""
+    """python-can filters that pass exactly these (arbitration id, 29-bit?); SocketCAN filters in the kernel."""
     return [{"can_id": i, "can_mask": 0x1FFFFFFF if extended else 0x7FF, "extended": extended} for i, extended in keys]
 
 
@@ -44,8 +44,8 @@ def open_bus(interface: str, channel: str, filters: list[dict[str, Any]] | None 
 
     interface: `socketcan`, `virtual`, ... as in python-can; `udp_multicast` is confined to the loopback interface and
     takes "group" or "group:port". filters: see `id_filters`; on socketcan and udp_multicast error frames pass them.
-    bitrate: bit/s for interfaces that set it themselves; 0 leaves it alone (SocketCAN's is set with `ip link`).
-    Raises ValueError for an impossible channel, OSError or can.CanError if the bus cannot be opened now.
+    bitrate: bit/s for interfaces that set it themselves; 0: the interface's default (SocketCAN: set with `ip link`).
+    Raises ValueError for an invalid channel, OSError or can.CanError if the bus cannot be opened.
     """
     check_channel(interface, channel)
     if interface == "udp_multicast":
@@ -63,11 +63,11 @@ def link_is_up(name: str) -> bool | None:
 
 
 class LoopbackMulticastBus(can.BusABC):
-    """Processes of this machine on one multicast group form a bus; nothing leaves the machine.
+    """Bus between processes of this machine on one multicast group; no datagram leaves the machine.
 
-    A class of its own because python-can's joins the group on whatever interface the routing table names, takes
-    datagrams of every group that shares the port, hands senders their own frames, and builds a message object before
-    looking at the filter. The datagrams are python-can's.
+    The class of python-can is not used, because it joins the group on the interface of the routing table, receives
+    datagrams of every group with the same port, returns frames to their sender, and builds message objects before
+    filtering. The format of the datagrams is that of python-can.
     """
 
     def __init__(self, channel: str, can_filters: Any = None, **kwargs: Any):
@@ -79,7 +79,7 @@ class LoopbackMulticastBus(can.BusABC):
         self.filtered = 0
         self.malformed = 0
         self._receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        # A separate socket for sending has a port of its own, which distinguishes own frames.
+        # Own frames are recognised by the port of this separate socket.
         self._sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._set_up(group, port)
@@ -128,7 +128,7 @@ class LoopbackMulticastBus(can.BusABC):
         return message, self._accepted is not None
 
     def _read(self) -> tuple[bytes | None, float] | None:
-        """(datagram, kernel receive time); (None, 0) for one's own; None when nothing waits."""
+        """(datagram, kernel receive time); (None, 0) for an own one; None if none is waiting."""
         try:
             data, ancillary, _, address = self._receiver.recvmsg(_LARGEST_DATAGRAM, socket.CMSG_SPACE(_TIMESPEC.size))
         except BlockingIOError:

@@ -1,1 +1,1 @@
-"""The st command: it only hands over."""
+"""The st command: options and messages only."""

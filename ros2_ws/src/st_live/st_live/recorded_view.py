@@ -1,4 +1,4 @@
-"""Draws a recorded run into a Rerun recording (.rrd), with one picture per 0.1 s."""
+"""Draws a recorded run into a Rerun recording (.rrd), one picture every 0.1 s."""
 
 import math
 from collections.abc import Callable, Sequence

@@ -19,8 +19,8 @@ MAX_STEP = 0.25  # s between samples; longer gaps do not count as driving
 SAMPLE_NS = 20_000_000  # measurements are thinned out to this period
 PERIOD = 10.0  # s of measurement between checks
 CPU_SHARE = 0.018  # of a core since the start; checks that would take more run less often than every PERIOD
-# A heading error and a wrong measuring point look alike on a single bend; only a whole drive separates them. Gaps and
-# implausible samples are reported by the bridges; if a unit changes, half a minute would appear to be full of them.
+# A heading error and a wrong measuring point cannot be distinguished on a single bend, only on a whole drive. Gaps and
+# implausible samples are reported by the bridges; after a change of unit, half a minute would be full of them.
 NOT_LIVE = frozenset(("heading_misaligned", "measuring_point", "time_gaps", "sample_spikes", "sentinel_values",
                       "out_of_range", "channel_wraps", "channel_jumps"))
 

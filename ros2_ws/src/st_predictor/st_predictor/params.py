@@ -140,7 +140,7 @@ def _read(values: SimpleNamespace, parameter: str, parse: Callable[[str, str], T
 
 
 def prediction_settings(values: SimpleNamespace) -> PredictionSettings:
-    """The st_core settings among a node's parameters. Raises ConfigurationError where two of them do not fit."""
+    """The st_core settings among a node's parameters. Raises ConfigurationError if they are inconsistent."""
     names = PredictionSettings.__dataclass_fields__.keys() & vars(values).keys()
     return checked(values, lambda: PredictionSettings(**{name: getattr(values, name) for name in names}))
 

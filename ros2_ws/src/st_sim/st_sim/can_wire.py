@@ -111,7 +111,7 @@ class Background:
             self._frames.append((period, index % period, Frame(message, VEHICLE_BUS)))
         own = 100 + 2 * 50 + 1000 / 60
         listed = sum(1000 / period for period, _, _ in self._frames)
-        # The recording has more identifiers than the list; the fastest ones stand in for the others.
+        # The recording has more identifiers than the list; the fastest ones are sent in place of the others.
         extra = max(0, round((CAR_CAN_RATE - own - listed) / 100))
         self._frames += [(10, i % 10, self._frames[i % 12][2]) for i in range(extra)]
 

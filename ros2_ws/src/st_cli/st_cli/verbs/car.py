@@ -1,4 +1,4 @@
-"""`st car`: the folder of a car of one's own."""
+"""`st car`: writes or checks the folder of a car."""
 
 from pathlib import Path
 from typing import Literal

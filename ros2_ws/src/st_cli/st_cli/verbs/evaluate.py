@@ -94,7 +94,7 @@ def task_of(read_options: shared.ReadOptions, model: Sequence[str], effects: Pat
 
 
 def model_named(name: str) -> str | tuple[str, str]:
-    """A model's name, or its file with the content: workers elsewhere may not see the file."""
+    """The name of a model, or (file, content), because remote workers may not see the file."""
     if not name.endswith((".yaml", ".yml")):
         return name
     try:
@@ -105,9 +105,9 @@ def model_named(name: str) -> str | tuple[str, str]:
 
 def car_of(vehicle: Path | None, models: Sequence[str | tuple[str, str]],
            effects: Path | None = None) -> tuple["VehicleParameters", str]:
-    """The car and where it comes from: the file given, else the model file with an embedded one, else the Leaf.
+    """(car, its file): of the vehicle file, else embedded in a model file, else the Leaf.
 
-    effects: folder of own effects the model files use; they are loaded.
+    effects: folder of own effects of the model files, which are loaded.
     """
     from st_core.effects import load_folder
     from st_core.model_file import ModelFile
@@ -116,9 +116,9 @@ def car_of(vehicle: Path | None, models: Sequence[str | tuple[str, str]],
         load_folder(str(effects.absolute()))
     if vehicle is None:
         for origin, text in (one for one in models if not isinstance(one, str)):
-            held = ModelFile.from_yaml(text, origin).vehicle
-            if held is not None:
-                return held, origin
+            embedded = ModelFile.from_yaml(text, origin).vehicle
+            if embedded is not None:
+                return embedded, origin
     parameters, file = shared.load_vehicle_or_default(vehicle)
     return parameters, str(file)
 

@@ -1,4 +1,4 @@
-"""`st view` and `st foxglove`: a recorded run, or a running suite, to look at."""
+"""`st view` and `st foxglove`: shows a recorded run, or a running suite."""
 
 from pathlib import Path
 

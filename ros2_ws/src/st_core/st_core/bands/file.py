@@ -100,7 +100,7 @@ class Bands:
                                          "this one")
 
     def to_yaml(self) -> str:
-        """A file that `from_yaml` reads back to the same bands."""
+        """Text of the file; `from_yaml` reads the same bands from it."""
         document = self._document()
         lines = [HEADER + f"schema: {SCHEMA}", f"units: {json.dumps(UNITS)}"]
         lines += [f"{key}: {_flow(document[key])}" for key in ("vehicle", "settings", "runs", "seen")]

@@ -108,7 +108,7 @@ def _models(model: Model, intervals: Intervals) -> dict[str, tuple[Model, Model]
     for (effect, name), (low, high) in intervals.items():
         value, sigma = model.values[effect][name], (high - low) / (2.0 * EDGES_95)
         bounds = next(p.bounds for p in get_effect(effect).parameters if p.name == name)
-        # To one side only where the other is out of bounds: the difference is then as large as the whole.
+        # One-sided if the other end is out of bounds.
         pair = [float(np.clip(value + side * sigma, *bounds)) for side in (-1.0, 1.0)]
         if pair[0] < pair[1]:
             low_end, high_end = (model.with_values({effect: {name: end}}) for end in pair)

@@ -11,7 +11,7 @@ from st_core.log_signals import LogSignals
 
 Sums = dict[str, Any]
 ENOUGH = 200
-"""Starts of a cell from which on its coverage counts: below, chance alone moves 90 % by more than two."""
+"""Minimum starts of a cell; with fewer, its standard error at 90 % is more than two points."""
 SHOWN = (0.5, 0.9)
 EDGES = {"speed": (SPEED, "m/s"), "lateral_acceleration": (LATERAL_ACCELERATION, "m/s²"),
          "steering_activity": (STEERING_RATE, "rad/s")}
@@ -19,7 +19,7 @@ _PROBABILITIES = np.concatenate([0.5 - 0.5 * np.array(RELIABILITY)[::-1], [0.5],
 
 
 class Scorer:
-    """Scores of the bands over one run, as sums. Errors are turned into the predicted frame, as bands are."""
+    """Scores of the bands over one run, as sums. Errors are rotated into the predicted frame, that of the bands."""
 
     def __init__(self, bands: Bands, signals: LogSignals):
         self._bands, self._signals = bands, signals
@@ -40,7 +40,7 @@ class Scorer:
             self._sums.append({"models": {model: {mode: entry}}})
 
     def sums(self, files: Mapping[str, str]) -> Sums:
-        """All blocks together. files: sha256 by path of the run; those the bands were learnt from are named."""
+        """Sums of all blocks. files: sha256 by path of the run; those used for calibration are in known_recordings."""
         known = set(self._bands.recordings.values())
         return pooled_sums([*self._sums, {"known_recordings": [name for name, digest in files.items()
                                                                if digest in known]}])
@@ -50,7 +50,7 @@ class AdaptiveScorer:
     """Coverage of adaptive bands over one run, in order of time, as sums. bands: None: without a calibration."""
 
     LATE = 120.0
-    """s after the first start: coverage from then on is counted apart."""
+    """s after the first start; coverage from then on is counted separately."""
 
     def __init__(self, bands: Bands | None, signals: LogSignals, time: np.ndarray):
         self._bands, self._signals, self._time = bands, signals, time

@@ -112,7 +112,7 @@ class Accuracy:
 
 
 def model_accuracy(runs: Sequence[RunSamples], model: str, settings: EvaluationSettings) -> Accuracy:
-    """The accuracy from errors of this model in at least one run. Raises StCoreError where no band can be fitted."""
+    """Accuracy from the errors of this model in at least one run. Raises StCoreError if no band can be fitted."""
     question = model, "hindsight"
     time = times(settings.prediction.horizon, settings.prediction.step)
     seconds = range(1, math.floor(time[-1] + 1e-9) + 1)
@@ -171,7 +171,7 @@ class Advice:
 
 
 def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: Console) -> None:
-    """Tables on the terminal, and advice.csv. Runs that cannot be used were named by the evaluation before."""
+    """Print the tables and write advice.csv. Runs that cannot be used have been reported by the evaluation."""
     with console.status("cost and accuracy of each model and step"):
         advice = measure(sources, task)
     found = rows(advice.costs, advice.accuracies)
@@ -188,7 +188,7 @@ def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: 
 
 
 def measure(sources: Sequence[RunSource], task: Task) -> Advice:
-    """Raises ConfigurationError where no run can be used."""
+    """Costs and accuracies from all usable runs. Raises ConfigurationError if there is none."""
     settings = {one.prediction.step: one for one in steps(task.settings)}
     models = load_models(task)
     samples: dict[Key, list[RunSamples]] = {}
@@ -231,7 +231,7 @@ def measure(sources: Sequence[RunSource], task: Task) -> Advice:
 
 
 def steps(settings: EvaluationSettings) -> list[EvaluationSettings]:
-    """The same with MULTIPLES of the step, as far as a second and the horizon are whole numbers of them."""
+    """Settings with MULTIPLES of the step, if a second and the horizon are whole numbers of steps."""
     found = []
     for multiple in MULTIPLES:
         step = round(multiple * settings.prediction.step, 9)

@@ -41,7 +41,7 @@ class PredictionBands:
         if file is not None:
             place = f"bands_file: {values.bands_file}: "
             params.checked(values, lambda: file.check(vehicle, file_hashes, EvaluationSettings(settings)), place)
-            self._text = f"learnt from {file.runs} runs"
+            self._text = f"calibrated on {file.runs} runs"
         if values.adaptive_bands:
             time = settings.step * np.arange(1, settings.steps + 1)
             self._adaptive = AdaptiveBands(time, list(file_hashes), (*MODES, *OTHER_MODES), file)
@@ -103,7 +103,7 @@ class PredictionBands:
                   for (model, mode), (n, kept) in self._adaptive.counts.items() for level, inside in kept.items()}
         if (seconds := self._adaptive.learning) > 0.0:
             return Check("bands", diagnostics.OK, "adaptive, learning: no band yet", {"driving required [s]": seconds})
-        text = f"adaptive, {self._text or 'learnt from the errors of this run'}"
+        text = f"adaptive, {self._text or 'estimated from the errors of this run'}"
         return Check("bands", diagnostics.OK, text, values)
 
 
