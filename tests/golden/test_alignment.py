@@ -172,3 +172,17 @@ def test_the_command_says_so_and_draws_it(pair: Pair, tmp_path) -> None:
     assert result["offset_s"] + result["at_ns"] * 1e-9 == pytest.approx((at + OFFSET) * (1 + DRIFT), abs=1e-3)
     assert (tmp_path / "out/alignment.png").stat().st_size > 20_000
     assert np.isclose(result["common_time_s"], 60, atol=1)
+
+
+def test_slip_of_braked_wheels_is_within_the_uncertainty_of_wheel_speeds(pair: Pair) -> None:
+    """0.3 % slip per m/s^2, as a rear axle that carries a third of the brake force."""
+    kept = pair.without("ins_", "vehicle").signals
+
+    def with_slip(signal):
+        acceleration = np.gradient(signal.values, signal.time_ns * 1e-9)
+        return replace(signal, values=signal.values * (1.0 + 0.003 * np.minimum(acceleration, 0.0)))
+
+    slipping = {k: with_slip(s) if s.name.startswith("wheel_speed") else s for k, s in kept.items()}
+    result, _ = align_clocks(pair.ins, CanSignals(slipping, {}))
+    assert result.verdict is Verdict.DOUBTFUL and "delay and slip are not known" in result.reasons[-1]
+    assert abs(pair.error(result, result.at_ns)) < 2 * result.offset_deviation

@@ -72,14 +72,19 @@ def align(signals: Sequence[SharedSignal], search: tuple[float, float] | None = 
     fine = pairs[CUTOFFS[-1]]
     if not fine:
         return refused_alignment(*reasons, "the shared signals are known for a few seconds only")
-    shorter = min(max(side.known.sum() for side in sides) * STEP
-                  for sides in ([p.reference for p in fine], [p.other for p in fine]))
-    result = _align_with_overlap(fine, pairs, usable, reasons, max(0.4 * shorter, 10.0), search)
+    result = _align_with_overlap(fine, pairs, usable, reasons, _needed_overlap(fine), search)
     if result.verdict is Verdict.REFUSED and max((s.correlation for s in result.signals), default=0.0) < USABLE_PEAK:
         short = _align_with_overlap(fine, pairs, usable, reasons, MIN_OVERLAP, search)
         if short.verdict is not Verdict.REFUSED:
             return short.doubted(f"the recordings share only {short.overlap:.0f} s")
     return result
+
+
+def _needed_overlap(pairs: Sequence[Pair]) -> float:
+    """Common time [s] below which a correlation is not looked at: 40 % of the shorter recording, at least 10 s."""
+    shorter = min(max(side.known.sum() for side in sides) * STEP
+                  for sides in ([p.reference for p in pairs], [p.other for p in pairs]))
+    return max(0.4 * shorter, 10.0)
 
 
 def _align_with_overlap(fine: Sequence[Pair], pairs: dict[float, list[Pair]], usable: Sequence[SharedSignal],
@@ -212,10 +217,10 @@ def _fine_pairs(signals: Sequence[SharedSignal]) -> tuple[list[Pair], int, int]:
 def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.ndarray]:
     """Offsets [s], reference minus other clock, and the mean correlation of the signals at each.
 
-    Empty where no signal is usable. Lags with less than 10 s in common are left out.
+    Empty where no signal is usable. Lags with less in common than `align` requires at first are left out.
     """
     fine, r0, o0 = _fine_pairs(signals)
-    curve = mean_correlation(fine, 10.0, (-np.inf, np.inf)) if fine else None
+    curve = mean_correlation(fine, _needed_overlap(fine), (-np.inf, np.inf)) if fine else None
     return (curve[0] + (r0 - o0) * 1e-9, curve[1]) if curve else (np.zeros(0), np.zeros(0))
 
 

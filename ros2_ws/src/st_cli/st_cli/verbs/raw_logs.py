@@ -85,7 +85,7 @@ def report(pair, console) -> None:
                           f"{at:.1f} s later, in the middle of the common time")
             table.add_row("  deviation there", f"{alignment.offset_deviation * 1e3:.2f} ms",
                           f"{max(alignment.offset_deviation**2 - assumed**2, 0.0) ** 0.5 * 1e3:.2f} ms without that of "
-                          "the latency assumed for the bus")
+                          "the assumed delay")
             table.add_row("drift", f"{alignment.drift_ppm:+.2f} ± {alignment.drift_deviation:.2f} ppm",
                           "INS against CAN clock")
             table.add_row("common time", f"{alignment.overlap:.1f} s", "")
@@ -98,7 +98,7 @@ def report(pair, console) -> None:
         for name in ("alone, ms", "correlation", "residual / spread"):
             table.add_column(name, justify="right")
         for row in alignment.signals:
-            alone = f"{row.difference * 1e3:+.2f} ± {row.deviation * 1e3:.2f}"
+            alone = f"{round(row.difference * 1e3, 2) + 0.0:+.2f} ± {row.deviation * 1e3:.2f}"
             table.add_row(row.name, alone, f"{row.correlation:.5f}", f"{row.residual:.4f}")
         console.print(table)
 

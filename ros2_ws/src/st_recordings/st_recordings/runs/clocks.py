@@ -14,6 +14,9 @@ from .ins_log import InsLog
 # Delays [s]: (expected, standard deviation), or bounds.
 INS_ON_CAN = (0.002, 0.002)  # from the instant an INS value is true to its frame in the log, if it was not measured
 WHEEL_SPEED = (0.015, 0.015)  # wheel speeds are counted over a period before they are sent
+# Slip of driven or braked wheels per acceleration [s^2/m]: at speed v it looks like a delay of this times v. A braked
+# rear axle has 0.003, a driven one 0.007, one that rolls freely 0.
+WHEEL_SLIP = 0.002
 STEERING_LEAD = (-0.06, 0.06)  # yaw follows the steering wheel by the response time of the car
 
 NO_INS_FRAMES = "the log has no INS frames that the DBC describes (RT_..., rt.dbc of `st car new`)"
@@ -92,9 +95,12 @@ def substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1) -> 
         speed = replace(speed, values=(speed.values + right.values) / 2.0)  # one wheel alone shows the yaw rate too
     if speed is not None:
         values = _without_standstill(ins, np.abs(velocity_x))
-        return ([_pair(f"speed ({speed.message})", "speed", ins.time_ns, values, speed, speed, WHEEL_SPEED)],
-                f"{NO_INS_FRAMES}: aligned by the wheel speed, whose delay is not known; assumed are "
-                "{:g} ± {:g} ms".format(*(1e3 * value for value in WHEEL_SPEED)))
+        delay, deviation = WHEEL_SPEED
+        slip = WHEEL_SLIP * float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
+        latency = delay, float(np.hypot(deviation, slip))
+        return ([_pair(f"speed ({speed.message})", "speed", ins.time_ns, values, speed, speed, latency)],
+                f"{NO_INS_FRAMES}: aligned by the wheel speed, of which delay and slip are not known; assumed are "
+                f"{1e3 * latency[0]:.0f} ± {1e3 * latency[1]:.0f} ms")
     steering = can.first_of("steering_wheel_angle")
     if steering is None:
         return [], ""
