@@ -22,7 +22,7 @@ from st_core.discovery.result import (
     NotTestable,
     Value,
 )
-from st_core.discovery.where import survey
+from st_core.discovery.where import window_errors
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery import drives, quantities, report_text
 from st_offline.discovery.discovery_report import document, show, write_page
@@ -165,7 +165,7 @@ def test_angles_are_in_degrees_with_the_digits_their_interval_bears(logs):
 
 
 def scene(found, logs, folder=None):
-    return Scene(found, logs, CAR, None, None, Place(folder, ("png",) if folder else ()))
+    return Scene(found, logs, None, None, Place(folder, ("png",) if folder else ()))
 
 
 def test_every_figure_is_drawn_where_there_is_something_to_draw(logs, tmp_path):
@@ -182,13 +182,12 @@ def test_every_figure_is_drawn_where_there_is_something_to_draw(logs, tmp_path):
         assert make(scene(empty, logs)) is None
 
 
-def test_figures_of_the_driving_are_drawn_from_surveys(tmp_path):
+def test_figures_of_the_driving_are_drawn_from_errors(tmp_path):
     files = [write_drive(tmp_path / f"{speed}.csv", weave(90.0, speed)) for speed in (7.0, 9.0)]
     long = [read_drive(source, CAR, ReadSettings(), force=True).log for source in find_runs(files)]
     found, settings = discovery(long, STEPS[:1], 1.72), DiscoverySettings(channels=("yaw_rate", "position"))
-    before, after = (survey(long, model, CAR, settings, noise={"yaw_rate": 0.002, "position": 0.05})
-                     for model in (found.base, found.model))
-    one = Scene(found, long, CAR, before, after, Place(tmp_path, ("png",)))
+    before, after = (window_errors(long, model, CAR, settings) for model in (found.base, found.model))
+    one = Scene(found, long, before, after, Place(tmp_path, ("png",)))
     drawn = maps(one)
     assert drawn.key == "map" and "with what was found" in drawn.svg
 

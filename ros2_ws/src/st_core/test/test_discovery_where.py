@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
-from st_core.discovery.where import survey
+from st_core.discovery.where import largest_errors
 from st_core.discovery.where_parts import CELL_SIZE, Range, Samples, cells, changes, excesses, membership, range_text
 from st_core.log import DriveLog
 from st_core.prediction import predict
@@ -148,7 +148,7 @@ def test_lag_is_missed_where_the_steering_moves(leaf):
     plain, lagging = augment("nonlinear", {}), augment("nonlinear", {"steering_lag": {"time_constant": 0.15}})
     settings = DiscoverySettings(channels=("velocity_y", "yaw_rate"))
     healthy, suspect = weave(leaf, plain, "healthy", 1), weave(leaf, lagging, "suspect", 2)
-    statements = survey([suspect], plain, leaf, settings, [healthy]).statements
+    statements = largest_errors([suspect], plain, leaf, settings, [healthy])
     told = [s for s in statements if s.channel == "yaw_rate" and s.condition.startswith("steering rate")]
     assert told and told[0].interval[0] > 2.0 and told[0].condition.startswith("steering rate 0.1 to 0.2 rad/s")
-    assert not survey([weave(leaf, plain, "another", 3)], plain, leaf, settings, [healthy]).statements
+    assert not largest_errors([weave(leaf, plain, "another", 3)], plain, leaf, settings, [healthy])

@@ -61,7 +61,7 @@ from .search import Found, Search
 from .settings import DiscoverySettings
 from .space import Space, known_quantities
 from .varying import Varying, evidence_of, varying
-from .where import survey
+from .where import largest_errors
 from .windows import MARGIN_NS, Windows, noise_floor
 
 Progress = Callable[[str, int, int], None]
@@ -460,8 +460,8 @@ class _Work:
     def _where(self, fit: Fit, floor: Mapping[str, float]) -> tuple[WhereStatement, ...]:
         self._tick("where")()
         noise = {channel: value for channel, value in floor.items() if channel != "position_5s"}
-        return survey(self.runs, self.space.at(fit.vector), self.vehicle, self.settings, self.reference, noise,
-                      float(fit.vector[-1])).statements
+        return largest_errors(self.runs, self.space.at(fit.vector), self.vehicle, self.settings, self.reference, noise,
+                              float(fit.vector[-1]))
 
     def _run_table(self) -> tuple[Run, ...]:
         site = sites(self.windows)

@@ -3,7 +3,7 @@
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import stats
@@ -41,49 +41,34 @@ SIGNED = ("lateral acceleration", "steering angle", "steering rate")
 MIN_CONTRAST = 1.15  # error of a range over that of the channel everywhere, from which it is reported
 
 
-@dataclass(frozen=True, eq=False)
-class Survey:
-    """Statements, the largest excess first within each channel, and their data: samples, reference: errors of single
-    predictions. bins: by condition. parts: of runs with larger errors than the rest of the run. places: with larger
-    errors than the conditions explain."""
-
-    statements: tuple[WhereStatement, ...]
-    samples: Samples
-    reference: Samples | None
-    bins: tuple[BinExcess, ...]
-    parts: tuple[Part, ...]
-    places: tuple[Cell, ...]
-
-
-def survey(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters, settings: DiscoverySettings,
-           reference: Sequence[DriveLog] = (), noise: Mapping[str, float] | None = None, gain: float = 0.0) -> Survey:
-    """Errors of a model on the runs, compared with those on the reference drives, or with the sensor noise.
+def largest_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters,
+                   settings: DiscoverySettings, reference: Sequence[DriveLog] = (),
+                   noise: Mapping[str, float] | None = None, gain: float = 0.0) -> tuple[WhereStatement, ...]:
+    """Where the errors of a model on the runs exceed those on the reference drives, or the sensor noise; the largest
+    excess first within each channel.
 
     noise: one standard deviation by channel [unit]; needed without reference. gain: see `Windows.errors`. A channel
     that runs or reference do not have is left out.
     """
-    samples = sample(runs, model, vehicle, settings, gain)
-    expected = sample(reference, model, vehicle, settings, gain) if reference else None
+    samples = window_errors(runs, model, vehicle, settings, gain)
+    expected = window_errors(reference, model, vehicle, settings, gain) if reference else None
     if expected is not None:
         common = [c for c in samples.squares if c in expected.squares and np.isfinite(expected.squares[c]).any()]
         samples = replace(samples, squares={c: samples.squares[c] for c in common})
     sigma = {channel: (noise or {}).get(channel, 0.0) for channel in samples.squares}
     ranges, members = membership(samples)
     bins = excesses(samples, members, ranges, expected, sigma, settings.seed, RESAMPLES)
-    parts, places = [], []
-    shuffles = min(RESAMPLES, PERMUTATIONS)
-    for channel in samples.squares:
-        parts += changes(samples, channel, sigma[channel], settings.block, settings.seed, shuffles)
-        places += cells(samples, channel, sigma[channel])
-    places = _significant(places)
-    statements = tuple(s for channel in samples.squares
-                       for s in _statements(channel, bins, parts, places, samples, expected is not None))
-    return Survey(statements, samples, expected, bins, tuple(parts), tuple(places))
+    parts = [part for channel, noise_level in sigma.items()
+             for part in changes(samples, channel, noise_level, settings.block, settings.seed, PERMUTATIONS)]
+    places = _significant([cell for channel, noise_level in sigma.items()
+                           for cell in cells(samples, channel, noise_level)])
+    return tuple(statement for channel in samples.squares
+                 for statement in _statements(channel, bins, parts, places, samples, expected is not None))
 
 
-def sample(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters, settings: DiscoverySettings,
-           gain: float = 0.0) -> Samples:
-    """Samples of all windows of the runs, see `windows.Windows`."""
+def window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters,
+                  settings: DiscoverySettings, gain: float = 0.0) -> Samples:
+    """Errors and conditions of all windows of the runs, see `windows.Windows`."""
     windows = Windows(runs, vehicle, settings)
     errors = windows.errors(model, gain)
     squares = _squares(errors)

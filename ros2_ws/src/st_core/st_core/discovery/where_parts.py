@@ -72,7 +72,7 @@ class Range:
 @dataclass(frozen=True)
 class BinExcess:
     """Error of one channel in one range. excess [1]: over the expected one; interval: 95 %. p: of an error not above
-    the expected. blocks: number of them. level [unit]: root mean square. covered: whether the reference visited the
+    the expected. blocks: number of them. covered: whether the reference visited the
     range; True without one."""
 
     channel: str
@@ -81,7 +81,6 @@ class BinExcess:
     interval: tuple[float, float]
     p: float
     blocks: int
-    level: float
     covered: bool = True
     significant: bool = False
 
@@ -210,7 +209,7 @@ def _excess(channel: str, part: Range, mean: float, expected: float, deviation: 
     p = float(stats.t.sf(log_ratio / deviation, blocks - 1))
     return BinExcess(channel, part, math.exp(0.5 * log_ratio),
                      (math.exp(0.5 * (log_ratio - reach)), math.exp(0.5 * min(log_ratio + reach, 60.0))), p, blocks,
-                     math.sqrt(mean), covered)
+                     covered)
 
 
 def _with_significance(found: list[BinExcess]) -> tuple[BinExcess, ...]:

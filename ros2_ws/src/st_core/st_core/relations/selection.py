@@ -27,9 +27,8 @@ class Screened:
 
     smooth: the penalty with the lowest held-out loss. observed, drawn: score statistic, and with random signs of the
     blocks (DRAWS,), both over the mean of the draws. freedom: effective degrees of freedom of the curve. design: design
-    effect of dependent windows on the variance of the scores, >= 1, from the residual scores. held_out: (b,) loss.
-    gain: reduction of the held-out loss. information: (COUNT, COUNT) on the coefficients, other parameters projected
-    out.
+    effect of dependent windows on the variance of the scores, >= 1, from the residual scores. gain: reduction of
+    the held-out loss. information: (COUNT, COUNT) on the coefficients, other parameters projected out.
     """
 
     candidate: Candidate
@@ -38,7 +37,6 @@ class Screened:
     drawn: np.ndarray
     freedom: float
     design: float
-    held_out: np.ndarray
     gain: float
     information: np.ndarray
 
@@ -97,12 +95,11 @@ def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.
     penalties = {smooth: fits.penalty(candidate, h, smooth) for smooth in SMOOTHING}
     losses = {smooth: fits.predicted_held_out(q, penalty, away) for smooth, penalty in penalties.items()}
     smooth = min(losses, key=lambda one: float(losses[one].sum()))
-    held_out, own_penalty = losses[smooth], penalties[smooth][-COUNT:, -COUNT:]
     whole = q_all.hessian.sum(axis=0)
     cross = np.linalg.solve(ridge(whole[:-COUNT, :-COUNT]), whole[:-COUNT, -COUNT:])
     own = q_all.gradient[:, -COUNT:] - q_all.gradient[:, :-COUNT] @ cross
     information = whole[-COUNT:, -COUNT:] - whole[-COUNT:, :-COUNT] @ cross
-    inverse = np.linalg.pinv(information + own_penalty)
+    inverse = np.linalg.pinv(information + penalties[smooth][-COUNT:, -COUNT:])
     drawn = np.einsum("di,ij,dj->d", signs @ own, inverse, signs @ own)
     mean = max(float(drawn.mean()), 1e-30)
     total = own.sum(axis=0)
@@ -112,7 +109,7 @@ def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.
     after = residual_gradient[:, -COUNT:] - residual_gradient[:, :-COUNT] @ cross
     design = max(2.0 * float(np.einsum("bi,ij,bj->", after, inverse, after)) / freedom, 1.0)
     return Screened(candidate, smooth, float(total @ inverse @ total) / mean, drawn / mean, freedom, design,
-                    held_out, float((base - held_out).sum()), information)
+                    float((base - losses[smooth]).sum()), information)
 
 
 REFITTED = 10  # candidates fitted by simulation

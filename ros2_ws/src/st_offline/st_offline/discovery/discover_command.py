@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.progress import Progress
 from st_core.checks import pool_estimates
 from st_core.discovery import Discovery, discover
-from st_core.discovery.where import survey
+from st_core.discovery.where import window_errors
 from st_core.effects import load_folder
 from st_core.errors import ConfigurationError
 from st_core.log import DriveLog
@@ -171,15 +171,14 @@ def measured(drives: Sequence[Drive]) -> dict[str, tuple[float, float, float]]:
 
 def draw(found: Discovery, request: Request, place: Place) -> list[Drawn]:
     """The figures that there are data for, in the order of the page."""
-    suspect, reference = _logs(request.drives), _logs(request.healthy)
-    # The channels that were used: one that not every run has was left out.
-    noise = {channel: one.floor for channel, one in found.gap.items() if channel in request.settings.channels}
-    settings = replace(request.settings, channels=tuple(noise))
+    runs = _logs(request.drives)
+    # Of the channels that all runs have.
+    settings = replace(request.settings, channels=tuple(c for c in found.gap if c in request.settings.channels))
 
-    def look(model):
-        return survey(suspect, model, request.vehicle, settings, reference, noise, found.acceleration_gain)
+    def errors(model):
+        return window_errors(runs, model, request.vehicle, settings, found.acceleration_gain)
 
-    scene = Scene(found, suspect, request.vehicle, look(found.base), look(found.model) if found.model else None, place)
+    scene = Scene(found, runs, errors(found.base), errors(found.model) if found.model else None, place)
     makers = (waterfall, axle_curves, maps, agreement)
     return [figure for make in makers if (figure := make(scene))]
 

@@ -12,12 +12,11 @@ from matplotlib.patches import Patch
 from st_core.channels import UNITS
 from st_core.discovery import Discovery
 from st_core.discovery.result import Value
-from st_core.discovery.where import Survey
+from st_core.discovery.where_parts import Samples
 from st_core.log import DriveLog
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_core.relations import Relation
 from st_core.relations.candidates import QUANTITIES
-from st_core.vehicle import VehicleParameters
 
 from ..evaluation.drawing import BAD, TEXT, WIDTH, Drawn, Place, finish, style
 from . import quantities, report_text
@@ -30,13 +29,12 @@ FLAT = 0.3  # a track narrower than this share of its length is drawn stretched
 
 @dataclass(frozen=True)
 class Scene:
-    """What the figures are made from. before, after: surveys of all runs with base and augmented model."""
+    """Data of the figures. before, after: errors of all runs with base and augmented model."""
 
     found: Discovery
     runs: Sequence[DriveLog]
-    vehicle: VehicleParameters
-    before: Survey
-    after: Survey | None
+    before: Samples
+    after: Samples | None
     place: Place
 
     @property
@@ -46,7 +44,7 @@ class Scene:
 
     @property
     def channel(self) -> str:
-        return report_text.worst_channel(self.found, list(self.before.samples.squares))
+        return report_text.worst_channel(self.found, list(self.before.squares))
 
 
 def waterfall(scene: Scene) -> Drawn | None:
@@ -135,11 +133,11 @@ def maps(scene: Scene) -> Drawn | None:
         size = (HALF_WIDTH, float(np.clip(0.4 * HALF_WIDTH * shape, 1.2, 3.5)) + 0.9)
         figure, panels = plt.subplots(1, len(sides), figsize=size, sharex=True, sharey=True, squeeze=False)
         every = max(1, len(log.x) // 600)
-        for axes, (name, survey) in zip(panels[0], sides, strict=True):
-            rows = np.flatnonzero(survey.samples.run == run)
+        for axes, (name, samples) in zip(panels[0], sides, strict=True):
+            rows = np.flatnonzero(samples.run == run)
             rows = rows[:: max(1, len(rows) // 500)]
-            x, y = survey.samples.x[rows], survey.samples.y[rows]
-            level = quantities.factor(unit) * np.sqrt(survey.samples.squares[scene.channel][rows])
+            x, y = samples.x[rows], samples.y[rows]
+            level = quantities.factor(unit) * np.sqrt(samples.squares[scene.channel][rows])
             axes.plot(log.x[::every], log.y[::every], color=MEASURED_COLOUR, lw=0.6, alpha=0.6, zorder=1)
             points = axes.scatter(x, y, c=level, s=14, cmap="cividis", zorder=2, linewidths=0, rasterized=True,
                                   vmin=0.0, vmax=top)
@@ -157,7 +155,7 @@ def maps(scene: Scene) -> Drawn | None:
 
 def _worst_run(scene: Scene) -> tuple[int | None, np.ndarray]:
     """The run with the largest error in the channel, tracks that are not straight first, and its errors [SI]."""
-    samples = scene.before.samples
+    samples = scene.before
     squares = samples.squares.get(scene.channel)
     if squares is None or not len(squares):
         return None, np.empty(0)
