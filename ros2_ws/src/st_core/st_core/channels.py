@@ -49,6 +49,8 @@ class Channel:
 
     def is_in(self, log: Any) -> bool:
         """Whether a DriveLog has the channel. In a log at standstill throughout, 0 is a valid lateral velocity."""
+        if self.name == "velocity_y" and not log.sideslip_measured:
+            return False
         values = [getattr(log, name) for name in self.signals]
         zero_is_none = self.zero_is_none and bool((np.abs(log.velocity_x) > STANDSTILL_SPEED).any())
         return all(v is not None and np.isfinite(v).any() and not (zero_is_none and not v.any()) for v in values)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +31,8 @@ class DriveLog:
     road_wheel_angle: mean of the front axle, left + [rad]. steering_wheel_angle: as measured, left +, offset not
     removed [rad]; None where the source has only the road wheel angle.
 
+    sideslip_measured: False where velocity_y and the heading follow from the vehicle file (`st_core.sideslip`).
+
     Raises StCoreError, naming the log and the signal, if an array breaks these rules.
     """
 
@@ -46,6 +49,7 @@ class DriveLog:
     steering_wheel_angle: np.ndarray | None = None
     acceleration_x: np.ndarray | None = None
     acceleration_y: np.ndarray | None = None
+    sideslip_measured: bool = True
 
     def __post_init__(self) -> None:
         for base, signals in (("ins_time_ns", (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS)), ("steering_time_ns", STEERING)):
@@ -115,7 +119,7 @@ class DriveLog:
         """The measurements with start_ns <= time <= end_ns, of both time bases."""
         span = (start_ns, end_ns + 1)
         ins, steering = (slice(*np.searchsorted(t, span).tolist()) for t in (self.ins_time_ns, self.steering_time_ns))
-        parts = {}
+        parts: dict[str, Any] = {}
         for key in (column.name for column in fields(self)):
             value = getattr(self, key)
             if isinstance(value, np.ndarray):

@@ -284,3 +284,11 @@ def _filter_causally(times_ns: np.ndarray, values: np.ndarray, cutoff: float,
     derivative = np.full(len(values), np.nan)
     derivative[1:] = np.where(after_gap, np.nan, (filtered[1:] - filtered[:-1]) / (spacings_ns * NANOSECOND))
     return filtered, derivative
+
+
+def smoothed(time_ns: np.ndarray, values: np.ndarray, width_ns: int) -> np.ndarray:
+    """Centred mean over `width_ns` about each sample, over fewer samples at the ends."""
+    total = np.concatenate(([0.0], np.cumsum(values)))
+    low = np.searchsorted(time_ns, time_ns - width_ns // 2)
+    high = np.searchsorted(time_ns, time_ns + width_ns // 2, side="right")
+    return (total[high] - total[low]) / (high - low)

@@ -75,13 +75,13 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
     if not any(finding.name == "samples_repeated" and {"x", "y"} & {*finding.channels} for finding in stuck):
         motion, steps = check_position_steps(motion)  # held positions step by nature
         findings += steps
-    speed = motion.velocity_x
+    speed, by_hand = motion.velocity_x, log.steering_wheel_angle is not None
     rate, (motion, fine, estimates, panels) = _check_sensors_at_true_rate(motion, time_unit, _removed_factors(gross))
     findings += rate + position.with_sign_alternative(_merge_gross_and_fine(gross, fine, estimates), recorded, motion)
     if vehicle is not None:
-        hand_wheel = log.steering_wheel_angle is not None
         frozen = {channel for finding in stuck if finding.name == "channel_frozen" for channel in finding.channels}
-        for more, values, panel in _compare_with_vehicle(motion, vehicle, hand_wheel, broken, coarse | frozen):
+        unusable = coarse | frozen if log.sideslip_measured else {*coarse, *frozen, "velocity_y"}
+        for more, values, panel in _compare_with_vehicle(motion, vehicle, by_hand, broken, unusable):
             findings += more
             estimates |= values
             panels += [panel] if panel else []

@@ -13,11 +13,11 @@ from ..identification.axle_curve import axle_curve, axle_force, draw_models, for
 from ..identification.cornering_stiffness import AXLES, AxleRegression, axle_regressions
 from ..log import DriveLog
 from ..readings import correct_log
+from ..sideslip import steady_velocity_y
 from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .evidence import Joint
 from .fit import Fit, Problem
 from .result import Combination, ForceCurve
-from .windows import steady_velocity_y
 
 DRAWS = 100  # of the values, for quantiles of 90 % and 95 %
 MAX_SLIP = 0.35  # rad, beyond the peak force of every road tyre

@@ -24,8 +24,9 @@ from ..log import INS_SIGNALS, DriveLog
 from ..log_signals import LogSignals, same
 from ..models import Model
 from ..readings import faultless_readings
+from ..sideslip import steady_velocity_y
 from ..start_grid import Block
-from ..timeseries import NANOSECOND, Neighbours
+from ..timeseries import NANOSECOND, Neighbours, smoothed
 from ..vehicle import VehicleParameters
 from .settings import DiscoverySettings
 
@@ -124,20 +125,6 @@ def score_points(settings: DiscoverySettings) -> np.ndarray:
     first = 0.0 if "velocity_y" in settings.channels else SIDESLIP_SETTLING_TIME
     points = np.maximum(np.round((first + settings.horizon * np.array(SCORED_SHARES)) / STEP), 1).astype(int)
     return np.unique(points)
-
-
-def smoothed(time_ns: np.ndarray, values: np.ndarray, width_ns: int) -> np.ndarray:
-    """Centred mean over `width_ns` about each sample, over fewer samples at the ends."""
-    total = np.concatenate(([0.0], np.cumsum(values)))
-    low = np.searchsorted(time_ns, time_ns - width_ns // 2)
-    high = np.searchsorted(time_ns, time_ns + width_ns // 2, side="right")
-    return (total[high] - total[low]) / (high - low)
-
-
-def steady_velocity_y(log: DriveLog, vehicle: VehicleParameters) -> np.ndarray:
-    """v_y at the INS point in steady cornering [m/s]: r (l_r - m l_f v^2 / (l C_r)) + r d_x."""
-    slip = vehicle.mass * vehicle.cg_to_front_axle / (vehicle.wheelbase * vehicle.cornering_stiffness_rear)
-    return log.yaw_rate * (vehicle.cg_to_rear_axle - slip * log.velocity_x**2 + vehicle.cg_to_ins_x)
 
 
 def prepared(log: DriveLog, vehicle: VehicleParameters, settings: DiscoverySettings) -> DriveLog:
@@ -281,11 +268,12 @@ def _join(runs: Sequence[DriveLog]) -> tuple[DriveLog, list[int]]:
     for run in runs:
         offsets.append(at - run.start_ns)
         at += run.end_ns - run.start_ns + PAUSE_NS
-    parts = {n: np.concatenate([getattr(run, n) for run in runs]) for n in (*names, "road_wheel_angle")
-             if all(getattr(run, n) is not None for run in runs)}
-    times = {n: np.concatenate([getattr(run, n) + o for run, o in zip(runs, offsets, strict=True)])
-             for n in ("ins_time_ns", "steering_time_ns")}
-    return DriveLog(name="all runs", **times, **parts), offsets
+    columns: dict[str, Any] = {
+        n: np.concatenate([getattr(run, n) for run in runs]) for n in (*names, "road_wheel_angle")
+        if all(getattr(run, n) is not None for run in runs)}
+    for n in ("ins_time_ns", "steering_time_ns"):
+        columns[n] = np.concatenate([getattr(run, n) + o for run, o in zip(runs, offsets, strict=True)])
+    return DriveLog(name="all runs", **columns), offsets
 
 
 def _starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: float,

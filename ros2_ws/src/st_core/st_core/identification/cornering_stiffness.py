@@ -232,7 +232,7 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
     A slope with zero inside its interval is not given: value NaN, unidentifiable, with the reason as its verdict.
     Raises IdentificationError, with the numbers, for too little excitation.
     """
-    logs, noticed = prepare_drives(logs, vehicle)
+    logs, noticed = prepare_drives(logs, vehicle, "velocity_y")
     runs = [run_samples(log, vehicle) for log in logs]
     regressions, correlation, rejected = _regressions(runs, vehicle)
     require_coverage(regressions[0].coverage,

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from ..augmented import AugmentedModel
+from ..channels import CHANNELS
 from ..discovery.fit import Problem, Slopes
 from ..discovery.loss import Errors, Loss
 from ..discovery.settings import DiscoverySettings
@@ -111,7 +112,8 @@ class _GatedWindows(Windows):
 
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DrivingFitSettings):
         super().__init__(runs, vehicle, DiscoverySettings(
-            channels=settings.channels, horizon=settings.horizon, windows=20_000, interval=settings.interval))
+            channels=tuple(name for name in settings.channels if all(CHANNELS[name].is_in(run) for run in runs)),
+            horizon=settings.horizon, windows=20_000, interval=settings.interval))
         self._batch._substeps = 2  # slow and stiff: 50 ms are too long for some cars at 5 m/s
         grid = np.round(np.arange(0.0, self.time[-1] + 0.5 * STEP, STEP) / NANOSECOND).astype(np.int64)
         speed, rate = self.measured_at(self.starts_ns[:, None] + grid, "velocity_x", "yaw_rate")

@@ -39,7 +39,7 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
 
     vehicle: the lengths; its lever arm does not enter. Raises IdentificationError for too thin driving.
     """
-    logs, noticed = prepare_drives(logs, vehicle)
+    logs, noticed = prepare_drives(logs, vehicle, "velocity_y")
     runs = [run_samples(log, vehicle) for log in logs]
     masks = [(run.velocity_x >= MINIMUM_SPEED) & (run.velocity_x <= MAXIMUM_SPEED)
              & (np.abs(run.velocity_x * run.yaw_rate) <= MAXIMUM_ACCELERATION) for run in runs]

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..channels import CHANNELS
 from ..log import DriveLog
 from ..log_signals import LogSignals
 from ..timeseries import NANOSECOND, filtered_derivative
@@ -75,18 +76,25 @@ def run_samples(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) 
     return RunSamples(log.name, *(column[known] for column in columns))
 
 
-def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[list[DriveLog], tuple[str, ...]]:
+def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
+                   *needed: str) -> tuple[list[DriveLog], tuple[str, ...]]:
     """(drives as the estimators need them, warnings).
 
     The road wheel angle is that of this vehicle's ratio and offset, where the hand wheel was recorded. The mean
     difference of yaw rate and rate of change of yaw is removed from each drive: the bias of a gyro would appear as an
-    offset of the steering. Raises IdentificationError for no drive, two of one name, and one that is too short.
+    offset of the steering. needed: channels that each drive must have. Raises IdentificationError for no drive, two of
+    one name, and one that is too short or lacks a channel.
     """
     names = [log.name for log in logs]
     if not names:
         raise IdentificationError("no drives were given; name at least one recording")
     if len(set(names)) != len(names):
         raise IdentificationError(f"drives {', '.join(names)}: one is named twice; each may enter once")
+    for log in logs:
+        for name in needed:
+            if not CHANNELS[name].is_in(log):
+                raise IdentificationError(f"{log.name}: {name} is not measured, and this identification needs it: "
+                                          "record it with an INS of two antennas, or leave the drive out")
     own = [log if log.steering_wheel_angle is None else log.with_steering(vehicle) for log in logs]
     noticed = []
     for k, log in enumerate(own):

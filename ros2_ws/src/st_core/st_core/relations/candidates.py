@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..discovery.levels import sites
-from ..discovery.windows import Windows, smoothed
+from ..discovery.windows import Windows
 from ..effects._law import COUNT, INTERVALS, PLACES, Law, LawMemory, LawTimed, bump
-from ..timeseries import NANOSECOND
+from ..timeseries import NANOSECOND, smoothed
 from ..vehicle import VehicleParameters
 
 ODD, NEITHER = -1.0, 0.0

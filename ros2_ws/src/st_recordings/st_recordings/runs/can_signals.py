@@ -131,10 +131,13 @@ def speeds_of(signals: CanSignals, to_reference: Callable[[np.ndarray], np.ndarr
     """
     wheels = {name: (to_reference(signal.time_ns[signal.valid]), signal.values[signal.valid])
               for name in SPEEDS if (signal := signals.first_of(name)) is not None}
-    # Of the frames of both orientations of the axes, those that are sent: two messages in one series would alternate.
-    ins = max(signals.all_of("ins_velocity_x"), key=lambda signal: np.count_nonzero(signal.valid), default=None)
-    ins_speed = None if ins is None else series(to_reference(ins.time_ns[ins.valid]), ins.values[ins.valid])
-    return car_speed(wheels), ins_speed
+    ins = signals.all_of("ins_velocity_x")  # in the frames of either orientation of the axes
+    if not ins:
+        return car_speed(wheels), None
+    order = np.argsort(np.concatenate([signal.rows[signal.valid] for signal in ins]), kind="stable")
+    time_ns, values = (np.concatenate([getattr(signal, name)[signal.valid] for signal in ins])[order]
+                       for name in ("time_ns", "values"))
+    return car_speed(wheels), series(to_reference(time_ns), values)
 
 
 def load_signal_table(dbc: Path, table: Path) -> SignalTable:

@@ -10,6 +10,7 @@ import numpy as np
 from st_core.checks.plausibility import without_implausible
 from st_core.corrections import Correction, apply_corrections, describe_corrections
 from st_core.errors import StCoreError
+from st_core.sideslip import with_steady_sideslip
 from st_core.vehicle import VehicleParameters
 
 from .errors import RunError, log_warnings
@@ -36,8 +37,14 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     log, implausible = without_implausible(loaded.log, start_ns)
     if vehicle is not None and log.steering_wheel_angle is not None:
         log = log.with_steering(vehicle)
+    warnings = loaded.warnings
+    if vehicle is not None:
+        log = with_steady_sideslip(log, vehicle)
+        if not log.sideslip_measured:
+            warnings = (*warnings, f"{source.where}: yaw is the course over ground; heading and sideslip are computed "
+                        "from it for steady cornering with the vehicle file")
     extras = replace(loaded.auxiliary, implausible=(*loaded.auxiliary.implausible, *implausible), start_ns=start_ns)
-    loaded = apply_run_file(source, replace(loaded, log=log, auxiliary=extras), vehicle)
+    loaded = apply_run_file(source, replace(loaded, log=log, auxiliary=extras, warnings=warnings), vehicle)
     check_common_time(source, loaded.log.ins_time_ns, loaded.log.steering_time_ns)
     log_warnings(loaded.warnings)
     return replace(loaded, provenance={**loaded.provenance, "files": digests.result()})

@@ -35,7 +35,8 @@ def read_vbo(file: Path, layout: Layout) -> Table:
     """The table of a drive's channels (csv.drive_of). Raises RunError.
 
     GNSS gives the course over ground. Where the file has no heading of two antennas, yaw is that course, the lateral
-    velocity is zero and the yaw rate, if it has no channel, is the derivative of the course, with a warning.
+    velocity is zero (`st_core.sideslip` estimates both) and the yaw rate, if it has no channel, is the derivative of
+    the course, with a warning.
     """
     check_readable(file)
     text = text_of(file)
@@ -139,9 +140,6 @@ def _with_motion(table: Table, names: list[str], warnings: list[str]) -> Table:
         if "velocity_y" not in columns:
             speed, slip = columns["velocity_x"], _wrapped(course - columns["yaw"])
             columns["velocity_x"], columns["velocity_y"] = speed * np.cos(slip), speed * np.sin(slip)
-            if not np.nan_to_num(slip).any():
-                notes.append(f"{table.file}: yaw is the course over ground of the GNSS: no lateral velocity is known, "
-                             "it is taken as zero")
         _set_yaw_rate(table, columns, notes)
     derived = {name: Place(-1, "heading", COLUMNS[name].kind, next(iter(UNITS[COLUMNS[name].kind])), False)
                for name in ("yaw", "velocity_y", "yaw_rate") if name in columns}

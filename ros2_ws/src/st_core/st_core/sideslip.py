@@ -1,0 +1,66 @@
+"""Drives without measured sideslip: a GNSS receiver with one antenna gives the course over ground as yaw.
+
+The car's heading differs from its course by the sideslip angle at the antenna. Taken as heading, the course turns each
+prediction by that angle. Instead, the sideslip of steady cornering is used, which the vehicle file gives:
+
+    v_y = r (l_r - m l_f v_x^2 / (l C_r) + d_x),    beta = atan(v_y / v_x),    heading = course - beta
+
+r: yaw rate, d_x: from the CG forward to the antenna. What is measured of the sideslip is then only what the file says,
+so stiffnesses, lever arm and misalignment cannot be identified from it: `DriveLog.sideslip_measured`.
+Checked by: test_sideslip.py.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from .log import DriveLog
+from .timeseries import NANOSECOND, smoothed
+from .types import wrap_angle
+from .vehicle import VehicleParameters
+
+MIN_SPEED = 2.0  # m/s; the course of a slower car is mostly noise
+COURSE_TIME = 0.2  # s, over which the direction of the displacement is taken
+RATE_WIDTH_NS = 200_000_000
+"""ns over which the yaw rate is averaged: one that is derived from the course is noisy."""
+MAX_COURSE_ERROR = 0.0015
+"""rad, root mean square of what depends on the yaw rate in direction of the displacement minus yaw: more is sideslip.
+Genesis drives with the heading of the INS: 0.003 (INS above the rear axle) to 0.03; courses of a GNSS: to 0.0004."""
+
+
+def steady_velocity_y(log: DriveLog, vehicle: VehicleParameters) -> np.ndarray:
+    """v_y at the INS point in steady cornering [m/s], see the module."""
+    slip = vehicle.mass * vehicle.cg_to_front_axle / (vehicle.wheelbase * vehicle.cornering_stiffness_rear)
+    return log.yaw_rate * (vehicle.cg_to_rear_axle - slip * log.velocity_x**2 + vehicle.cg_to_ins_x)
+
+
+def with_steady_sideslip(log: DriveLog, vehicle: VehicleParameters) -> DriveLog:
+    """The drive with heading and lateral velocity of steady cornering, where its yaw is the course; else the drive."""
+    if log.velocity_y.any() or len(log.ins_time_ns) < 3:
+        return log
+    fast = log.velocity_x > MIN_SPEED
+    if not fast.any():
+        return log
+    steady = replace(log, yaw_rate=smoothed(log.ins_time_ns, log.yaw_rate, RATE_WIDTH_NS))
+    angle = np.arctan2(steady_velocity_y(steady, vehicle), np.maximum(log.velocity_x, MIN_SPEED))
+    angle = np.interp(log.ins_time_ns, log.ins_time_ns[fast], angle[fast])
+    if np.std(angle) < MAX_COURSE_ERROR or not _is_course(log, steady.yaw_rate, fast):
+        return log
+    speed = log.velocity_x
+    return replace(log, yaw=log.yaw - angle, velocity_x=speed * np.cos(angle), velocity_y=speed * np.sin(angle),
+                   sideslip_measured=False)
+
+
+def _is_course(log: DriveLog, yaw_rate: np.ndarray, fast: np.ndarray) -> bool:
+    """Whether yaw is the direction of the displacement. Any sideslip at a fixed point is a r / v + b r v, nearly."""
+    time = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
+    ends = time - 0.5 * COURSE_TIME, time + 0.5 * COURSE_TIME
+    east, north = (np.subtract(*(np.interp(t, time, values) for t in ends[::-1])) for values in (log.x, log.y))
+    use = fast & (ends[0] >= time[0]) & (ends[1] <= time[-1]) & (np.hypot(east, north) > MIN_SPEED * COURSE_TIME)
+    if not use.any():
+        return False
+    apart = wrap_angle(np.arctan2(north, east) - log.yaw)[use]
+    rate, speed = yaw_rate[use], log.velocity_x[use]
+    regressors = np.stack([rate / speed, rate * speed, np.ones_like(rate)], axis=1)
+    coefficients = np.linalg.lstsq(regressors, apart, rcond=None)[0]
+    return float(np.std(regressors @ coefficients)) < MAX_COURSE_ERROR

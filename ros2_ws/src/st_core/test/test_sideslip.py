@@ -1,0 +1,80 @@
+"""Course over ground in place of the heading: recognised, and replaced by the heading of steady cornering."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from st_core.channels import CHANNELS
+from st_core.checks import check
+from st_core.identification.cornering_stiffness import identify_stiffness
+from st_core.identification.ins_mounting import identify_ins_mounting
+from st_core.identification.result import IdentificationError
+from st_core.log import DriveLog
+from st_core.log_evaluation import evaluate_log
+from st_core.sideslip import steady_velocity_y, with_steady_sideslip
+from st_core.vehicle import VehicleParameters
+from support import ROOT
+from winding_road import Truth, winding_road
+
+LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
+CAR = VehicleParameters.from_yaml(LEAF.read_text(), str(LEAF))
+START_NS = 1_756_900_800_000_000_000
+
+
+@pytest.fixture(scope="module")
+def heading() -> DriveLog:
+    """A minute and a half with heading and lateral velocity."""
+    t, x, y, yaw, v_x, v_y, rate, hand = winding_road(CAR, Truth(0.0, CAR.steering_ratio, 1.0), 90.0, 5, 0.3).T
+    time_ns = START_NS + np.round(t * 1e9).astype(np.int64)
+    return DriveLog("road", time_ns, x, y, np.unwrap(yaw), v_x, v_y, rate, time_ns, hand / CAR.steering_ratio)
+
+
+@pytest.fixture(scope="module")
+def course(heading: DriveLog) -> DriveLog:
+    """The same drive of a GNSS receiver: course as yaw, speed over ground."""
+    angle = np.arctan2(heading.velocity_y, heading.velocity_x)
+    return replace(heading, yaw=heading.yaw + angle, velocity_x=np.hypot(heading.velocity_x, heading.velocity_y),
+                   velocity_y=np.zeros_like(angle))
+
+
+def test_heading_and_lateral_velocity_are_those_of_the_car(heading: DriveLog, course: DriveLog) -> None:
+    found = with_steady_sideslip(course, CAR)
+    assert not found.sideslip_measured and not CHANNELS["velocity_y"].is_in(found)
+    assert np.std(course.yaw - heading.yaw) > 0.008
+    assert np.std(found.yaw - heading.yaw) < 0.003
+    assert np.std(found.velocity_y - steady_velocity_y(heading, CAR)) < 0.05
+
+
+def test_predictions_are_better(course: DriveLog) -> None:
+    errors = [np.nanmean(np.abs(evaluate_log(("linear",), CAR, log).errors["linear", "hindsight"].at_seconds[:, -1, 1]))
+              for log in (course, with_steady_sideslip(course, CAR))]
+    assert errors[1] < 0.6 * errors[0]
+
+
+def test_a_heading_stays(heading: DriveLog) -> None:
+    assert with_steady_sideslip(heading, CAR) is heading
+    unknown = replace(heading, velocity_y=np.zeros(len(heading.x)))
+    assert with_steady_sideslip(unknown, CAR) is unknown
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.02, 0.5])
+def test_too_short_a_drive_stays(course: DriveLog, seconds: float) -> None:
+    short = course.slice(START_NS, START_NS + round(seconds * 1e9))
+    assert with_steady_sideslip(short, CAR) is short
+
+
+def test_standstill_stays(course: DriveLog) -> None:
+    still = replace(course, velocity_x=np.zeros(len(course.x)))
+    assert with_steady_sideslip(still, CAR) is still
+
+
+def test_what_needs_the_sideslip_is_refused(course: DriveLog) -> None:
+    log = with_steady_sideslip(course, CAR)
+    for identify in (identify_stiffness, identify_ins_mounting):
+        with pytest.raises(IdentificationError, match="road: velocity_y is not measured"):
+            identify([log], CAR)
+
+
+def test_no_check_locates_the_ins_from_it(course: DriveLog) -> None:
+    found = check(with_steady_sideslip(course, replace(CAR, cg_to_ins_x=CAR.cg_to_ins_x + 0.5)), CAR)
+    assert not {"measuring_point", "heading_misaligned", "yaw_lag"} & {finding.name for finding in found.findings}
