@@ -233,8 +233,9 @@ class Decoder:
         given = dict(values)
         if spec is not None:
             raw.update(spec.fill)
-            if "ins_unix_time" in given and "ins_unix_time" in spec.decoded_names:
-                given.update(to_parts(given.pop("ins_unix_time"), frozenset(s.name for s in spec.signals)))
+            names = frozenset(s.name for s in spec.signals)
+            if "ins_unix_time" in given and "ins_unix_time" not in names:
+                given.update(to_parts(given.pop("ins_unix_time"), names))
         ours = {s.name: s for s in spec.signals} if spec is not None else {}
         by_name = {s.name: s for s in dbc.signals}
         for name, value in given.items():

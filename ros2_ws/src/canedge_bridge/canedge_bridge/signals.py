@@ -96,15 +96,6 @@ class CheckSpec:
 
 
 @dataclass(frozen=True)
-class Sample:
-    """A recorded frame and the value of one of its signals in the DBC's unit; the sign is not checked."""
-
-    data: bytes
-    signal: str
-    value: float
-
-
-@dataclass(frozen=True)
 class MessageSpec:
     """One row of the table. period, timeout in seconds; fill: raw values of undecoded signals in encoded frames."""
 
@@ -116,7 +107,6 @@ class MessageSpec:
     counter: CheckSpec | None
     checksum: CheckSpec | None
     fill: Mapping[str, int]
-    samples: tuple[Sample, ...]
 
     @property
     def name(self) -> str:
@@ -126,12 +116,6 @@ class MessageSpec:
     def key(self) -> tuple[int, bool]:
         """(arbitration id, 29-bit?)"""
         return self.dbc.frame_id, self.dbc.is_extended_frame
-
-    @property
-    def decoded_names(self) -> frozenset[str]:
-        """Canonical names in a decoded frame."""
-        names = frozenset(s.name for s in self.signals)
-        return names | {"ins_unix_time"} if any(n.startswith("gps_") for n in names) else names
 
 
 @dataclass(frozen=True)
@@ -247,15 +231,15 @@ def _message(row: Entry, dbc: DbcMessage, dbc_path: Path) -> MessageSpec:
     counter = row.optional("counter")
     checksum = row.optional("checksum")
     fill = row.optional("fill")
+    for sample in row.entries("samples"):
+        _check_sample(sample, dbc, signals, dbc_path)
     return MessageSpec(
         dbc=dbc, needed=row.boolean("needed"), signals=signals,
         period=row.quantity("period", "s", 0.0005, 60.0), timeout=row.quantity("timeout", "s", 0.001, 600.0),
         counter=_check(counter, dbc, dbc_path, row) if counter else None,
         checksum=_check(checksum, dbc, dbc_path, row, with_rule=True) if checksum else None,
-        fill={name: fill.integer(name, 0, 2 ** _find(dbc, name, dbc_path, row).length - 1) for name in fill} if fill
-        else {},
-        samples=tuple(_sample(s, dbc, signals, dbc_path) for s in row.entries("samples")),
-    )
+        fill={} if fill is None else {name: fill.integer(name, 0, 2 ** _find(dbc, name, dbc_path, row).length - 1)
+                                      for name in fill})
 
 
 def _check_layout(dbc: DbcMessage, dbc_path: Path) -> None:
@@ -353,8 +337,8 @@ def _check(entry: Entry, dbc: DbcMessage, dbc_path: Path, row: Entry, with_rule:
     return CheckSpec(signal.name, Field(signal.start // 8, shift, signal.length), mode, rule)
 
 
-def _sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...], dbc_path: Path) -> Sample:
-    """Raises TableError if the recorded frame does not decode to its expected value."""
+def _check_sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...], dbc_path: Path) -> None:
+    """Raises TableError if the recorded frame of a sample does not decode to its value, apart from the sign."""
     entry.only("data", "signal", "value", "unit")
     try:
         data = bytes.fromhex(entry.text("data"))
@@ -373,4 +357,3 @@ def _sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...], dbc_
     if not math.isclose(abs(value), abs(expected), rel_tol=1e-6, abs_tol=abs(spec.dbc.scale) / 2):
         raise TableError(f"{dbc_path}: {spec.dbc.name} decodes {frame} incorrectly: {value:g} {spec.unit} instead of "
                          f"{expected:g} ({entry.origin}: {entry.path}); its byte order, start bit or factor is wrong")
-    return Sample(data, spec.dbc.name, expected)

@@ -5,7 +5,7 @@ import shutil
 import pytest
 from canedge_bridge.signals import load_table
 from st_cli.cli import app
-from st_cli.verbs._options import LEAF, report_default_car, resolve_car
+from st_cli.verbs._options import LEAF, ReadOptions, report_default_car
 from st_core.vehicle import VehicleParameters
 from st_recordings.car import car_names, load_car
 from st_recordings.car_skeleton import MEASUREMENT_HINTS, problems, remarks, write_skeleton
@@ -34,7 +34,7 @@ def test_every_car_of_the_configuration_can_be_read(name):
 
 
 def test_a_car_says_how_its_recordings_are_read(folder):
-    vehicle, read = resolve_car(str(folder), None)
+    vehicle, read = ReadOptions(car=str(folder)).resolve()
     assert vehicle == folder / "vehicle.yaml"
     assert (read.dbc, read.signals) == (folder / "can.dbc", folder / "signals.yaml")
     assert (read.steering_sign, read.steering_latency) == (-1, 0.03)
@@ -42,13 +42,14 @@ def test_a_car_says_how_its_recordings_are_read(folder):
 
 def test_options_replace_a_part_of_the_car(folder, tmp_path):
     other = tmp_path / "other.yaml"
-    vehicle, read = resolve_car(str(folder), other, None, other, 1, 0.0, offset=1.5)
+    vehicle, read = ReadOptions(car=str(folder), vehicle=other, signals=other, steering_sign=1, steering_latency=0.0,
+                                offset=1.5).resolve()
     assert vehicle == other and read.signals == other and read.dbc == folder / "can.dbc"
     assert (read.steering_sign, read.steering_latency, read.offset) == (1, 0.0, 1.5)
 
 
 def test_without_a_car_options_stand_alone():
-    vehicle, read = resolve_car(None, None, steering_sign=-1)
+    vehicle, read = ReadOptions(steering_sign=-1).resolve()
     assert vehicle is None and read.dbc is None
     assert (read.steering_sign, read.steering_latency) == (-1, 0.0)
 

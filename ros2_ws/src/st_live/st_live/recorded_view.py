@@ -51,7 +51,7 @@ FLUSH = 5.0  # s between writes; few large chunks load quickly
 TEXT_PERIOD_NS = 1_000_000_000
 MODELS = ("kinematic", "linear", "nonlinear", "augmented")
 LEVELS = ("ok", "warning", "**error**", "stale")
-# Topic -> method that takes its messages.
+# Kind of message by topic.
 TOPICS = {
     "predictor/status": "status", "ins/odometry": "odometry", "vehicle/steering": "steering",
     **{f"predictor/{model}/prediction": "prediction" for model in MODELS},
@@ -276,7 +276,27 @@ class Feed:
         self._text_due_ns = 0
 
     def take(self, topic: str, message: Any) -> None:
-        getattr(self, f"_{TOPICS[topic]}")(message)
+        kind = TOPICS[topic]
+        if kind == "odometry":
+            sample = convert.ins_sample(message, self._map_frame)
+            self._sample = self._sample if isinstance(sample, str) else sample
+        elif kind == "steering":
+            self._angle = message.road_wheel_angle
+        elif kind == "prediction":
+            self._history.add_path(message.model, convert.ins_path(message))
+        elif kind == "error" and message.complete and message.mode == "forecast":
+            end_ns = to_nanoseconds(message.header.stamp) + round(message.horizon[-1] * 1e9)
+            self._scene.error(end_ns, message.model, message.longitudinal_mean, message.lateral_mean)
+        elif kind == "summary":
+            self._rows = message.statistics
+        elif kind == "status":
+            skipped = message.skipped_stale + message.skipped_overrun + message.skipped_slow
+            reason = f" ({message.reason})" if message.reason else ""
+            self._ticks = f"Ticks {message.due}, predicted {message.predicted}, skipped {skipped}{reason}"
+        elif kind == "diagnostics":
+            for s in message.status:
+                level = s.level if isinstance(s.level, int) else int.from_bytes(s.level, "little")
+                self._health[s.name] = (level, s.name, s.message)
 
     def draw(self) -> None:
         """One picture of the newest sample, if there is a new one."""
@@ -289,34 +309,6 @@ class Feed:
         if not 0 <= self._text_due_ns - sample.time_ns <= TEXT_PERIOD_NS:
             self._text_due_ns = sample.time_ns + TEXT_PERIOD_NS
             self._scene.text(sample.time_ns, error_text(self._rows, self._ticks, list(self._health.values())))
-
-    def _odometry(self, message: Any) -> None:
-        sample = convert.ins_sample(message, self._map_frame)
-        self._sample = self._sample if isinstance(sample, str) else sample
-
-    def _steering(self, message: Any) -> None:
-        self._angle = message.road_wheel_angle
-
-    def _prediction(self, message: Any) -> None:
-        self._history.add_path(message.model, convert.ins_path(message))
-
-    def _error(self, message: Any) -> None:
-        if message.complete and message.mode == "forecast":
-            end_ns = to_nanoseconds(message.header.stamp) + round(message.horizon[-1] * 1e9)
-            self._scene.error(end_ns, message.model, message.longitudinal_mean, message.lateral_mean)
-
-    def _summary(self, message: Any) -> None:
-        self._rows = message.statistics
-
-    def _status(self, message: Any) -> None:
-        skipped = message.skipped_stale + message.skipped_overrun + message.skipped_slow
-        reason = f" ({message.reason})" if message.reason else ""
-        self._ticks = f"Ticks {message.due}, predicted {message.predicted}, skipped {skipped}{reason}"
-
-    def _diagnostics(self, message: Any) -> None:
-        for s in message.status:
-            level = s.level if isinstance(s.level, int) else int.from_bytes(s.level, "little")
-            self._health[s.name] = (level, s.name, s.message)
 
 
 def error_text(rows: Sequence[Any], ticks: str, health: Sequence[tuple[int, str, str]]) -> str:

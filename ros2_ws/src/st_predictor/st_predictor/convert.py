@@ -73,11 +73,10 @@ class PathBuilder:
 def prediction_message(start: Start, model: str, trajectory: Trajectory, vehicle: VehicleParameters, map_frame: str,
                        configuration_hash: str) -> Prediction:
     """The message without issued_at and compute_time, which the node sets when it publishes."""
-    message = Prediction(model=model, step=trajectory.step, configuration_hash=configuration_hash,
+    message = Prediction(model=model, configuration_hash=configuration_hash,
                          road_wheel_angle=float(start.inputs.road_wheel_angle),
-                         velocity_x_dot=float(start.inputs.velocity_x_dot), cg_to_ins_x=float(vehicle.cg_to_ins_x),
-                         cg_to_ins_y=float(vehicle.cg_to_ins_y))
-    _fill_trajectory(message, start, trajectory, map_frame)
+                         velocity_x_dot=float(start.inputs.velocity_x_dot))
+    _fill(message, start, trajectory, vehicle, map_frame)
     return message
 
 
@@ -107,17 +106,18 @@ def planned_message(start: Start, model: str, plan_ns: int, inputs: InputSequenc
     """The message without issued_at and compute_time. plan_ns: stamp of the plan, 0 for a course; inputs: on the
     half-step grid."""
     message = PlannedPrediction(
-        model=model, step=trajectory.step, configuration_hash=configuration_hash, plan_stamp=from_nanoseconds(plan_ns),
-        cg_to_ins_x=float(vehicle.cg_to_ins_x), cg_to_ins_y=float(vehicle.cg_to_ins_y),
+        model=model, configuration_hash=configuration_hash, plan_stamp=from_nanoseconds(plan_ns),
         road_wheel_angle=_float64(inputs.road_wheel_angle), velocity_x_dot=_float64(inputs.velocity_x_dot))
-    _fill_trajectory(message, start, trajectory, map_frame)
+    _fill(message, start, trajectory, vehicle, map_frame)
     return message
 
 
-def _fill_trajectory(message: Prediction | PlannedPrediction, start: Start, trajectory: Trajectory,
-                     map_frame: str) -> None:
+def _fill(message: Prediction | PlannedPrediction, start: Start, trajectory: Trajectory, vehicle: VehicleParameters,
+          map_frame: str) -> None:
     message.header.stamp = from_nanoseconds(start.time_ns)
     message.header.frame_id = map_frame
+    message.step, message.cg_to_ins_x, message.cg_to_ins_y = (
+        trajectory.step, float(vehicle.cg_to_ins_x), float(vehicle.cg_to_ins_y))
     message.x, message.y, message.velocity_x, message.velocity_y, message.yaw, message.yaw_rate = map(
         _float64, trajectory.states.T)
 

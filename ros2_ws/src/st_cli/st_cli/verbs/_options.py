@@ -133,9 +133,14 @@ class ReadOptions:
 
         Raises RunError for a car that cannot be read.
         """
-        return resolve_car(self.car, self.vehicle, self.dbc, self.signals, self.steering_sign, self.steering_latency,
-                           offset=self.offset, ins_can_latency=self.ins_can_latency, steering=self.steering,
-                           odometry=self.odometry_topic, **others)
+        from st_recordings.car import STEERING_DEFAULTS
+        from st_recordings.runs import ReadSettings
+
+        named = resolve_car(self.car, self.vehicle, self.dbc, self.signals, self.steering_sign, self.steering_latency)
+        settings = STEERING_DEFAULTS | named.steering | others
+        return named.vehicle, ReadSettings(dbc=named.dbc, signals=named.signals, offset=self.offset,
+                                           ins_can_latency=self.ins_can_latency, steering=self.steering,
+                                           odometry=self.odometry_topic, **settings)
 
     @property
     def steering(self) -> "SteeringField | None":
@@ -181,23 +186,8 @@ def reads_recordings(*names: str, **changed: Any) -> Callable[[Callable[..., Any
     return decorate
 
 
-def resolve_car(car: str | None, vehicle: Path | None, dbc: Path | None = None, signals: Path | None = None,
-                steering_sign: int | None = None, steering_latency: float | None = None,
-                **others: Any) -> "tuple[Path | None, ReadSettings]":
-    """(vehicle file or None if none was named; how raw logs are read). others: of ReadSettings.
-
-    Raises RunError for a car that cannot be read.
-    """
-    from st_recordings.car import STEERING_DEFAULTS
-    from st_recordings.runs import ReadSettings
-
-    named = resolve_live_car(car, vehicle, dbc, signals, steering_sign, steering_latency, complete=False)
-    steering = STEERING_DEFAULTS | named.steering
-    return named.vehicle, ReadSettings(dbc=named.dbc, signals=named.signals, **steering, **others)
-
-
 @dataclass(frozen=True)
-class LiveCar:
+class NamedCar:
     """Parts of a car. vehicle, dbc, signals: None if not named. steering: sign and latency, if given."""
 
     vehicle: Path | None
@@ -206,8 +196,9 @@ class LiveCar:
     steering: dict[str, Any]
 
 
-def resolve_live_car(car: str | None, vehicle: Path | None, dbc: Path | None, signals: Path | None,
-                     steering_sign: int | None, steering_latency: float | None, complete: bool = True) -> LiveCar:
+def resolve_car(car: str | None, vehicle: Path | None, dbc: Path | None = None, signals: Path | None = None,
+                steering_sign: int | None = None, steering_latency: float | None = None,
+                complete: bool = False) -> NamedCar:
     """The parts of a car, each of which its own option replaces.
 
     Raises RunError for a car that cannot be read and, if `complete`, for one without DBC or signal table.
@@ -218,14 +209,14 @@ def resolve_live_car(car: str | None, vehicle: Path | None, dbc: Path | None, si
     steering = {"steering_sign": steering_sign, "steering_latency": steering_latency}
     given: dict[str, Any] = {name: value for name, value in steering.items() if value is not None}
     if car is None:
-        return LiveCar(vehicle, dbc, signals, given)
+        return NamedCar(vehicle, dbc, signals, given)
     named = load_car(car)
     for file, option in ((dbc or named.dbc, "--dbc"), (signals or named.signals, "--signals")):
         if complete and not file.is_file():
             raise RunError(file, "does not exist, so the bus of this car is not described",
                            f"write it, or name another with {option}")
     own: dict[str, Any] = {"steering_sign": named.steering_sign, "steering_latency": named.steering_latency}
-    return LiveCar(vehicle or named.vehicle, dbc or named.dbc, signals or named.signals, own | given)
+    return NamedCar(vehicle or named.vehicle, dbc or named.dbc, signals or named.signals, own | given)
 
 
 LEAF = config("car/leaf/vehicle.yaml")

@@ -40,7 +40,7 @@ def effects(
         if what == "list":
             _print_library(Console())
             return
-        named = resolve_car(car, vehicle)[0]
+        named = resolve_car(car, vehicle).vehicle
         parameters, file = load_vehicle_or_default(named)
         all_kept = _check_contracts(files or (), parameters, Console())
         if named is None:

@@ -37,7 +37,7 @@ def export(
     from st_offline.model_export import load_model
 
     with shared.refusals("export", OSError):
-        source = shared.resolve_car(car, vehicle)[0]
+        source = shared.resolve_car(car, vehicle).vehicle
         parameters, file = shared.load_vehicle_or_default(source)
         if effects is not None:
             load_folder(str(effects.absolute()))

@@ -45,7 +45,7 @@ def live(
     ins = {"udp_port": ncom_port, "bind_address": ncom_address, "sender_filter": ncom_sender}
     bus = {"interface": can_interface, "channel": can_channel}
     with shared.refusals("live", SuiteError):
-        named = shared.resolve_live_car(car, vehicle, dbc, signals, steering_sign, steering_latency)
+        named = shared.resolve_car(car, vehicle, dbc, signals, steering_sign, steering_latency, complete=True)
         vehicle = configuration.vehicle_file(named.vehicle)
         further = configuration.model_parameters(model, effects, vehicle)
         page = LiveView(view, view_address, view_save)

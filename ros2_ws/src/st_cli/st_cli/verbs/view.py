@@ -29,7 +29,7 @@ def view(
     console = Console()
     with refusals("view", SuiteError), tempfile.TemporaryDirectory(prefix="st-view-") as name:
         check_rerun("st view")
-        vehicle = resolve_car(car, vehicle)[0]
+        vehicle = resolve_car(car, vehicle).vehicle
         if save:
             check_new_rerun_file("--save", save)
         file = recording

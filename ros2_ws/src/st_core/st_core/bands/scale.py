@@ -16,7 +16,8 @@ scores and widen the band everywhere. Checked by: test_bands.py, on errors drawn
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -95,10 +96,10 @@ class Scale:
     floor: np.ndarray
     time: np.ndarray
     knots: np.ndarray
-    _between: np.ndarray = field(init=False, repr=False)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_between", interpolation(self.knots, self.time))
+    @cached_property
+    def _between(self) -> np.ndarray:
+        return interpolation(self.knots, self.time)
 
     def __call__(self, conditions: np.ndarray) -> np.ndarray:
         """s (n, points, 3) [m, m, rad] under conditions (n, 4)."""

@@ -5,7 +5,7 @@ import math
 import re
 import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from st_core.course_tracker import course_inputs
 from st_core.effects import load_folder
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.evaluation import Mode
-from st_core.log_evaluation import AXES, Ahead, Block, EvaluationSettings, LogEvaluation, evaluate_log
+from st_core.log_evaluation import AXES, Ahead, Block, EvaluationSettings, LogEvaluation, Progress, evaluate_log
 from st_core.log_signals import LogSignals
 from st_core.model_file import ModelFile
 from st_core.models import Model, get_model
@@ -40,8 +40,6 @@ from .background import in_background
 from .drawing import Drawn, Place
 from .drive_parts import drive_parts
 from .run_figures import Drawing, ranking, run_figures
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
