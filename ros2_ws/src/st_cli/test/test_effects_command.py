@@ -47,7 +47,7 @@ def law(tmp_path):
 def test_the_library_is_listed():
     shown = st("effects").output
     assert all(name in shown for name in EFFECTS)
-    assert "slip angles, memory" in next(line for line in shown.splitlines() if "roll_steer" in line)
+    assert "acts on: slip angles, memory" in shown.partition("\nroll_steer ")[2].partition("hard to separate")[0]
 
 
 def test_own_effects_are_listed_with_their_folder(law):

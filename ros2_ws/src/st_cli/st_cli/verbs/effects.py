@@ -49,17 +49,20 @@ def effects(
 
 
 def _print_library(console: "Console") -> None:
-    from rich.table import Column, Table
+    """One paragraph per effect: a table of eight columns does not fit a terminal."""
+    from rich.markup import escape
+    from rich.padding import Padding
     from st_core.effects import EFFECTS, twins_of
 
-    table = Table(Column("effect", no_wrap=True), "kind", "where", "equation", "acts on", "excited by",
-                  "hard to separate from", "needs", box=None)
     for name, effect in sorted(EFFECTS.items(), key=lambda item: (item[1].kind, item[0])):
         hooks = dict.fromkeys(word for hook, word in HOOK_WORDS.items() if getattr(effect, hook))
-        inputs = ", ".join((*hooks, *(f"signal {s}" for s in effect.signals)))
-        table.add_row(name, effect.kind, effect.slot, effect.physics, inputs, effect.excited_by,
-                      ", ".join(sorted(twins_of(name))) or "-", ", ".join(effect.needs) or "-")
-    console.print(table)
+        lines = {"": effect.physics, "acts on": ", ".join((*hooks, *(f"signal {s}" for s in effect.signals))),
+                 "excited by": effect.excited_by, "hard to separate from": ", ".join(sorted(twins_of(name))),
+                 "needs": ", ".join(effect.needs)}
+        console.print(f"[bold]{name}[/bold]  {effect.kind}, {effect.slot}", highlight=False)
+        for key, text in lines.items():
+            if text:
+                console.print(Padding(f"{key + ': ' if key else ''}{escape(text)}", (0, 0, 0, 2)), highlight=False)
 
 
 def _check_contracts(files: Sequence[Path], car: "VehicleParameters", console: "Console") -> bool:

@@ -55,7 +55,8 @@ def judge_agreement(found: Agreement | None, expected: Expected, removed_scale: 
     estimates = {f"{name}_lag": lag} if found.carries_lag else {}
     if abs(found.correlation) < expected.correlation:  # noise of either falsifies the scale and the bias, not the lag
         return late, estimates
-    estimates |= {f"{name}_scale": scale.scaled(removed_scale), f"{name}_bias": bias}
+    estimates |= {f"{name}_scale": scale.scaled(removed_scale)}
+    estimates |= {f"{name}_bias": bias} if bias.deviation else {}  # 0: none was fitted
     # Regression on a noisy quantity gives between r^2 and 1 of the true slope (Fuller 1987, Measurement Error Models,
     # 1.1), so noise of the derived quantity may explain a scale below 1.
     explained_by_noise = scale.value < 1.0 and scale.value / found.correlation**2 + scale.half > 1.0

@@ -10,6 +10,7 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from st_core.checks import SCHEMA, Advice, Checked, Finding, Identity, Severity, compare_runs
+from st_core.checks.sampling import UNITS as CHANNEL_UNITS
 from st_core.clock_types import alignment_not_needed
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import json_ready
@@ -27,8 +28,9 @@ MEANING = {
     Severity.ERROR: "an evaluation would be meaningless", Severity.WARNING: "an evaluation would be biased",
     Severity.NOTE: "harmless here",
 }
-QUANTITY_UNITS = {"yaw_rate_bias": "rad/s", "yaw_offset": "rad", "heading_misaligned": "rad", "steering_offset": "rad",
-              "position_reference": "m", "measuring_point": "m"}
+QUANTITY_UNITS = {**{f"{channel}_bias": unit for channel, unit in CHANNEL_UNITS.items()},
+                  **dict.fromkeys(("yaw_offset", "heading_misaligned", "steering_offset"), "rad"),
+                  **dict.fromkeys(("position_reference", "measuring_point"), "m")}
 ADVICE_PLACE = {"run.yaml": "in its run.yaml: ", "vehicle": "in the vehicle file: ", "option": "with the option ",
                 "look": ""}
 
@@ -91,7 +93,7 @@ def format_finding_value(finding: Finding) -> str:
 def format_quantity(name: str, value: Sequence[float]) -> str:
     """An estimate (value, low, high) as text, by the name of the finding it would be."""
     kind = name.rpartition("_")[2]
-    of = QUANTITY_UNITS.get(name, {"lag": "s", "bias": "m/s^2"}.get(kind, "1"))
+    of = QUANTITY_UNITS.get(name, "s" if kind == "lag" else "1")
     return format_value(value[0], value[1:], of)
 
 
