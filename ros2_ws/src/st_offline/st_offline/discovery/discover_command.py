@@ -26,7 +26,7 @@ from st_recordings.runs.errors import join_problems
 from ..evaluation.drawing import Drawn, Place, check_formats
 from ..terminal import progress_bars
 from .discovery_report import document, model_file, show, write_page
-from .drives import Drive, Request, answer_key, cache_folder, cached_answer, keep_answer, read_drives
+from .drives import Drive, Request, answer_key, cache_folder, cached_answer, clock_warning, keep_answer, read_drives
 from .figures import Scene, agreement, axle_curves, maps, relation_figure, waterfall
 from .relation_files import relation_document, write_files
 from .relation_report import RelationReport, relation_report
@@ -45,6 +45,8 @@ def run_command(request: Request, console: Console) -> int:
         request = replace(request, drives=drives, healthy=healthy, own_effects=own)
         marks.append(time.perf_counter())
         found, earlier = _answer(request, base, progress)
+        if warning := clock_warning((*drives, *healthy)):
+            found = replace(found, warnings=(*found.warnings, warning))
         marks.append(time.perf_counter())
         search = needs_search(found) if request.propose is None else request.propose
         relations = None

@@ -29,6 +29,7 @@ from ..checking.check_report import findings_as_json
 from ..checking.gate import RUN_ERRORS, Refused, check_log, describe_problem, refuse_errors
 
 ANSWER_FORMAT = 2  # of a cached answer; files of another number are not used
+MAX_CLOCK_DEVIATION = 0.01  # s; a third of the delay of a usual steering
 
 
 @dataclass(frozen=True)
@@ -108,6 +109,7 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
         car = "" if text is None else VehicleParameters.from_yaml(text, "the vehicle in the recording").name
         about = {"files": file_hashes((*source.files, *source.can)),
                  "duration_s": run.log.duration, "alignment": run.alignment.verdict.value,
+                 "clock_deviation_s": json_ready(run.alignment.offset_deviation),
                  "warnings": list(run.warnings), "findings": findings_as_json(checked.findings),
                  "estimates": json_ready(checked.estimates), "vehicle": car}
         refuse_errors(source.where, checked.findings, force)
@@ -116,6 +118,17 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
         return Drive(source.name, None, {"findings": findings_as_json(error.findings)}, str(error))
     except RUN_ERRORS as error:
         return Drive(source.name, None, {}, describe_problem(error, source))
+
+
+def clock_warning(drives: Sequence[Drive]) -> str:
+    """Warning of steering clocks too uncertain for effects of some tens of milliseconds; empty if there are none."""
+    uncertain = [deviation for drive in drives if drive.log is not None
+                 and (deviation := drive.about.get("clock_deviation_s") or 0.0) > MAX_CLOCK_DEVIATION]
+    if not uncertain:
+        return ""
+    return (f"the steering clock is known to ± {1e3 * max(uncertain):.0f} ms only, in {len(uncertain)} of "
+            f"{len(drives)} runs, each with an error of its own: values of steering lag and delay, yaw inertia and "
+            "tyre relaxation may be due to that (log frames of the INS on CAN, or give the offset)")
 
 
 def cache_folder() -> Path | None:
