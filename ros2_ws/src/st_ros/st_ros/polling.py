@@ -6,21 +6,28 @@ Messages wait in the middleware's queue (`depth` per topic), in order, each with
 """
 
 import importlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from builtin_interfaces.msg import Time
 from rclpy.callback_groups import CallbackGroup
+from rclpy.clock import Clock, ClockType
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 # Prefix of rmw's name for a node that discovery has not resolved yet, and the text shown for it.
 UNRESOLVED_PREFIX = "_NODE_NAME"
 UNRESOLVED_NODE = "a node without a name yet"
 # Interval between counts of a publisher's subscribers [s]: one count costs as much as filling a message.
 SUBSCRIBER_COUNT_PERIOD = 0.05
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # late subscribers get the newest message
+
+
+def steady_timer(node: Node, period: float, callback: Callable[[], object]) -> None:
+    """Call back every `period` seconds of a steady clock, also while the clock of a replay is paused."""
+    node.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
 class _NeverReady(CallbackGroup):

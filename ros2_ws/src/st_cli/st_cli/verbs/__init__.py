@@ -1,1 +1,1 @@
-"""One file per verb of the st command."""
+"""One file per verb of the st command. A verb imports its libraries when it runs, so that `st --help` is fast."""

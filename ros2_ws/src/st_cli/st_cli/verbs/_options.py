@@ -97,7 +97,6 @@ SteeringLatency = Annotated[float | None, typer.Option(
 @contextmanager
 def refusals(verb: str, *more: type[Exception]) -> Iterator[None]:
     """Report errors of a verb's inputs in one line, with exit status 2. more: errors specific to this verb."""
-    # Imported when it runs, see demo.py.
     from st_core.errors import StCoreError
     from st_recordings.paths import OutputError
     from st_recordings.runs.errors import RunError

@@ -36,7 +36,6 @@ def calibrate(
     For every model and two questions, the model alone and the forecast with inputs held. Test them on other drives with
     `st evaluate --bands`. Exit status: 0 all runs used, 1 some not, 2 no bands could be made.
     """
-    # Imported here so that `st --help` does not load the libraries.
     from rich.console import Console
     from st_offline.bands.calibration_command import Job, run_command
 
@@ -62,7 +61,6 @@ def course(
 
     Use it with `st evaluate --course`. Exit status: 0 all runs used, 1 some not, 2 no course could be built.
     """
-    # Imported here so that `st --help` does not load the libraries.
     from rich.console import Console
     from st_offline.course_command import build_course
 

@@ -23,7 +23,6 @@ def check(
     Nothing is corrected; each finding names its correction. Exit status: 0 no error was found, 1 one was, or a run
     could not be read, 2 nothing could be read.
     """
-    # Imported here: the drawing libraries take a second to load, which would delay `st --help`.
     from rich.console import Console
     from st_offline.checking.check_command import Job, run_command
 

@@ -41,7 +41,6 @@ def demo(
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/demo-<what>-<time>."),
 ) -> None:
     """Drive the virtual Leaf, or a recorded drive, through bridges and nodes; show how well each model predicts."""
-    # Imported here so that `st --help` does not load the drawing and ROS libraries.
     from st_live import configuration, report, session
     from st_live.page import LiveView
     from st_live.suite import SuiteError

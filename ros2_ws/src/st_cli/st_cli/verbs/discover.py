@@ -74,7 +74,6 @@ def discover(
 
     Exit status: 0 the answer uses all runs, 1 some could not be used, 2 the search could not be started.
     """
-    # Imported here so that `st --help` does not load the drawing libraries.
     from rich.console import Console
     from st_core.discovery import DiscoverySettings
     from st_offline.discovery.discover_command import run_command

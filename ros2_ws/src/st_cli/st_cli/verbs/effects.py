@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import typer
+from rich.console import Console
 
 from ._options import CarName, VehicleFile, load_vehicle_or_default, refusals, report_default_car, resolve_car
 
 if TYPE_CHECKING:
-    from rich.console import Console
     from st_core.vehicle import VehicleParameters
 
 HOOK_WORDS = {
@@ -31,7 +31,6 @@ def effects(
     check: null exactly the base model, finite in its bounds, the same on floats, batches, compiled and in CasADi,
     mirror images, stable. Exit status: 0 all promises kept, 1 some not, 2 a file cannot be loaded.
     """
-    from rich.console import Console
     from st_core.effects import load_folder
 
     with refusals("effects", OSError):
@@ -48,7 +47,7 @@ def effects(
     raise typer.Exit(0 if all_kept else 1)
 
 
-def _print_library(console: "Console") -> None:
+def _print_library(console: Console) -> None:
     """One paragraph per effect: a table of eight columns does not fit a terminal."""
     from rich.markup import escape
     from rich.padding import Padding
@@ -65,7 +64,7 @@ def _print_library(console: "Console") -> None:
                 console.print(Padding(f"{key + ': ' if key else ''}{escape(text)}", (0, 0, 0, 2)), highlight=False)
 
 
-def _check_contracts(files: Sequence[Path], car: "VehicleParameters", console: "Console") -> bool:
+def _check_contracts(files: Sequence[Path], car: "VehicleParameters", console: Console) -> bool:
     from st_core.contract import check_effect
     from st_core.effects import EFFECTS, load_file
     from st_core.errors import ConfigurationError

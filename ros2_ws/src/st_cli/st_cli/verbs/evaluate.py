@@ -55,7 +55,6 @@ def evaluate(
     A run that cannot be used is named and the others go on. Exit status: 0 all runs evaluated, 1 some not, 2 none
     could be.
     """
-    # Imported here so that `st --help` does not load the drawing libraries.
     from rich.console import Console
     from st_offline.evaluation.evaluation_command import run_command
     from st_offline.evaluation.work import load_bands, load_course, load_models

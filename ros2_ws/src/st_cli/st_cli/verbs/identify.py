@@ -24,7 +24,6 @@ def identify(
     The given vehicle file is not changed; the new one is vehicle.yaml in the output folder. Exit status: 0 something
     was identified, 1 nothing could be, 2 the data cannot be used.
     """
-    # Imported here: the drawing libraries take a second to load, which would delay `st --help`.
     from rich.console import Console
     from rich.table import Table
     from st_live.configuration import load_model

@@ -35,7 +35,6 @@ def live(
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/live-<time>."),
 ) -> None:
     """Listen to the RT3000 and the car's CAN bus; predict, score and record until Ctrl-C."""
-    # Imported when it runs, see demo.py.
     from st_live import configuration, report, session
     from st_live.page import LiveView
     from st_live.suite import SuiteError

@@ -23,7 +23,6 @@ def replay(
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
     """Play a recording through predictor, evaluator and recorder on its own clock; record their predictions."""
-    # Imported here so that `st --help` does not load the ROS libraries.
     from rich.console import Console
     from st_live.configuration import recordings_of
     from st_live.page import LiveView

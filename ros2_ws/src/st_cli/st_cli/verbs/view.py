@@ -16,7 +16,6 @@ def view(
     save: Path | None = typer.Option(None, help="Only write the view to this file (.rrd)."),
 ) -> None:
     """Look at a recorded run in the browser, forwards and backwards in time, until Ctrl-C."""
-    # Imported when it runs, see demo.py.
     import signal
     import tempfile
 
@@ -56,7 +55,6 @@ def foxglove(
                                         exists=True, dir_okay=False),
 ) -> None:
     """Relay a running suite to Foxglove and draw its markers, until Ctrl-C; open config/foxglove/st.json there."""
-    # Imported when it runs, see demo.py.
     import sys
     import tempfile
     import time

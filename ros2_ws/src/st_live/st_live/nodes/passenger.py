@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from st_core.palette import colour_of
@@ -28,7 +27,7 @@ from st_msgs.msg import InsStatus, PlannedPrediction, Prediction, PredictionErro
 from st_predictor import convert
 from st_recordings.car import read_vehicle
 from st_ros import spin
-from st_ros.polling import PolledSubscription
+from st_ros.polling import PolledSubscription, steady_timer
 
 from ..page import PageServer
 from ..suite import VIEW_NICE
@@ -196,7 +195,7 @@ class PassengerNode(Node):
         super().__init__("passenger")
         self._frames, self._server = frames, server
         self._subscriptions_by_topic = {"predictor/status": self._subscribe("predictor/status")}
-        self.create_timer(PERIOD, self._show, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        steady_timer(self, PERIOD, self._show)
 
     def _subscribe(self, topic: str) -> PolledSubscription:
         kind = TOPICS[topic]

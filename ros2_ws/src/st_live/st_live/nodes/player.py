@@ -21,7 +21,7 @@ import rclpy
 from builtin_interfaces.msg import Time
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
@@ -32,7 +32,7 @@ from st_recordings.runs.reconstruct import stamp_of as instant_of
 from st_recordings.runs.reconstruct import steering_value
 from st_recordings.runs.run_types import SteeringField
 from st_ros import spin
-from st_ros.polling import PolledSubscription, from_nanoseconds, message_class, wait_for_any
+from st_ros.polling import LATCHED, PolledSubscription, from_nanoseconds, message_class, wait_for_any
 
 INPUTS = ("/ins/odometry", "/vehicle/steering")  # names published, independent of those in the recording
 CLOCK_STEP_NS = 10_000_000
@@ -42,7 +42,6 @@ STATUS_PERIOD = 0.5  # s
 SUBSCRIBERS = 3  # predictor, evaluator, recorder
 PLAN, ORIGIN = "/plan/inputs", "/ins/origin"
 FEWER_SUBSCRIBERS = {PLAN: 2, ORIGIN: 1}  # predictor, recorder; recorder alone without a course
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # At rate 0: longest wait of the clock for predictor and evaluator [s]; shorter after a wait without progress
 # (standstill, no inputs).
 TIMEOUT, SHORT_TIMEOUT = 2.0, 0.005

@@ -6,12 +6,11 @@ from fnmatch import fnmatchcase
 
 import foxglove
 from foxglove import Channel, Schema
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from st_recordings.bag_metadata import UnknownTypeError, definition
 from st_ros import spin
-from st_ros.polling import PolledSubscription, message_class
+from st_ros.polling import PolledSubscription, message_class, steady_timer
 
 # Topics for viewers; raw packets and frames are not relayed.
 TOPICS = ("/ins/odometry", "/ins/status", "/vehicle/*", "/predictor/*", "/evaluator/*", "/view/*", "/tf",
@@ -25,9 +24,8 @@ class RelayNode(Node):
     def __init__(self) -> None:
         super().__init__("foxglove_relay")
         self._open: dict[str, tuple[PolledSubscription, Channel] | None] = {}
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(PERIOD, self._forward, clock=steady)
-        self.create_timer(DISCOVERY_PERIOD, self._open_new_topics, clock=steady)
+        steady_timer(self, PERIOD, self._forward)
+        steady_timer(self, DISCOVERY_PERIOD, self._open_new_topics)
 
     def _forward(self) -> None:
         for subscription, channel in filter(None, self._open.values()):

@@ -3,7 +3,7 @@
 import time
 
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import NavSatFix
 from st_core.course import Course
 from st_core.course_tracker import CourseForecast, CourseTracker, Own
@@ -16,7 +16,7 @@ from st_msgs.msg import InputPlan
 from st_recordings.runs.ncom import origin_offset
 from st_ros import diagnostics
 from st_ros.diagnostics import Check
-from st_ros.polling import PolledSubscription
+from st_ros.polling import LATCHED, PolledSubscription
 
 from .. import convert
 
@@ -86,8 +86,7 @@ class CourseInput:
         if course is None:
             return
         self._tracker = CourseTracker(_with_search_tree(course), vehicle, horizon, step)
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        node.create_subscription(NavSatFix, "ins/origin", self._move, latched)
+        node.create_subscription(NavSatFix, "ins/origin", self._move, LATCHED)
 
     def _move(self, message: NavSatFix) -> None:
         assert self._course is not None and self._tracker is not None

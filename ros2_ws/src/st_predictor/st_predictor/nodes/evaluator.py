@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from st_core.bands import Coverages
 from st_core.evaluation import ErrorStatistics, Evaluator, Mode, Score
@@ -21,7 +20,7 @@ from st_msgs.msg import ErrorSummary, PlannedPrediction, Prediction, PredictionE
 from st_recordings.mcap import BagWriter, Qos
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
-from st_ros.polling import PolledSubscription
+from st_ros.polling import LATCHED, PolledSubscription, steady_timer
 
 from .. import convert, params
 from ..consistency import Consistency
@@ -71,12 +70,10 @@ class EvaluatorNode(Node):
                for mode in convert.OTHER_MODES for model in self._models}}
         error_qos = QoSProfile(depth=ERROR_DEPTH)
         self._error_publisher = self.create_publisher(PredictionError, "evaluator/errors", error_qos)
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._summary_publisher = self.create_publisher(ErrorSummary, "evaluator/summary", latched)
+        self._summary_publisher = self.create_publisher(ErrorSummary, "evaluator/summary", LATCHED)
         # Steady clock: messages must be processed and written even while a replay's clock is paused.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(WORK_PERIOD, self._work, clock=steady)
-        self.create_timer(SUMMARY_PERIOD, self._publish_summary, clock=steady)
+        steady_timer(self, WORK_PERIOD, self._work)
+        steady_timer(self, SUMMARY_PERIOD, self._publish_summary)
         self.get_logger().info(f"scores {', '.join(self._models)} with {self._vehicle.name}")
 
     def _open_bag(self, values, settings) -> tuple[BagWriter | None, dict[str, int]]:

@@ -5,15 +5,14 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 from nav_msgs.msg import Odometry
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from st_core.identification.online import NAMES, OnlineFit, OnlineIdentifier, Tracked, fit_recent
 from st_msgs.msg import Steering, TrackedParameter, TrackedParameters
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
 from st_ros.parameters import ConfigurationError
-from st_ros.polling import PolledSubscription, to_nanoseconds
+from st_ros.polling import LATCHED, PolledSubscription, steady_timer, to_nanoseconds
 
 from .. import convert, params
 
@@ -43,10 +42,9 @@ class IdentifierNode(Node):
         qos = QoSProfile(depth=QUEUE_DEPTH)
         self._odometry = PolledSubscription(self, Odometry, "ins/odometry", qos)
         self._steering = PolledSubscription(self, Steering, "vehicle/steering", qos)
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._publisher = self.create_publisher(TrackedParameters, "identifier/parameters", latched)
-        self.create_timer(DRAIN_PERIOD, self._drain, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self.create_timer(PUBLISH_PERIOD, self._publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._publisher = self.create_publisher(TrackedParameters, "identifier/parameters", LATCHED)
+        steady_timer(self, DRAIN_PERIOD, self._drain)
+        steady_timer(self, PUBLISH_PERIOD, self._publish)
         self._diagnostics = Diagnostics(self, vehicle.name, self._checks)
         self.get_logger().info(f"tracks {', '.join(NAMES)} of {vehicle.name}; nothing is applied")
 

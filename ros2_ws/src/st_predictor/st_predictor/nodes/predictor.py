@@ -7,10 +7,9 @@ from types import SimpleNamespace
 
 import numpy as np
 from nav_msgs.msg import Path as PathMessage
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from st_core.compiled import compile_models
 from st_core.evaluation import Mode
 from st_core.models import get_model
@@ -20,6 +19,7 @@ from st_core.types import InputSequence, InsSample, Trajectory
 from st_msgs.msg import PlannedPrediction, Prediction, PredictorStatus
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
+from st_ros.polling import LATCHED, steady_timer
 
 from .. import convert, params
 from ._ahead import CourseInput, PlanInput
@@ -111,7 +111,7 @@ class PredictorNode(Node):
         # Simulated time advances only while the executor runs, so waiting for later samples would be pointless.
         self._simulated = self.get_parameter("use_sim_time").value
         self._wait = 0.0 if self._simulated else min(values.sample_wait, MAX_WAIT_SHARE * self._period)
-        self.create_timer(DRAIN_PERIOD, self._inputs.drain, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        steady_timer(self, DRAIN_PERIOD, self._inputs.drain)
         self._timer = self.create_timer(self._period, self._tick)
         self.create_timer(STATUS_PERIOD, self._publish_status)
         self.get_logger().info(
@@ -144,8 +144,7 @@ class PredictorNode(Node):
         }
         self._other_outputs = {(mode, model): self.create_publisher(PlannedPrediction, f"predictor/{model}/{mode}", qos)
                                for mode in convert.OTHER_MODES for model in self._core.models}
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._status_publisher = self.create_publisher(PredictorStatus, "predictor/status", latched)
+        self._status_publisher = self.create_publisher(PredictorStatus, "predictor/status", LATCHED)
 
     def _add_ins(self, sample: InsSample) -> bool:
         self._bands.add_ins(sample)

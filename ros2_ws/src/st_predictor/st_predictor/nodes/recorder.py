@@ -11,7 +11,6 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
@@ -21,7 +20,7 @@ from st_recordings.mcap import Qos
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
 from st_ros.parameters import ConfigurationError
-from st_ros.polling import UNRESOLVED_PREFIX, PolledSubscription, message_class
+from st_ros.polling import UNRESOLVED_PREFIX, PolledSubscription, message_class, steady_timer
 
 from .. import convert, params
 from ._bag import is_whole, open_bag, recording_check
@@ -92,9 +91,8 @@ class RecorderNode(Node):
         self._refused: dict[str, str] = {}
         self._watchdog = PublisherWatchdog(self)
         self._simulated_time = self.get_parameter("use_sim_time").value
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(WORK_PERIOD, self._work, clock=steady)
-        self.create_timer(TOPIC_SCAN_PERIOD, self._subscribe_new, clock=steady)
+        steady_timer(self, WORK_PERIOD, self._work)
+        steady_timer(self, TOPIC_SCAN_PERIOD, self._subscribe_new)
         self._diagnostics = Diagnostics(self, str(self._bag.directory), self._checks)
         self._subscribe_new()
         self.get_logger().info(f"recording into {self._bag.directory}")
