@@ -76,6 +76,15 @@ def test_stiffer_tyres_raise_the_slip_speed_their_models_need(driven):
     assert needed == one.vehicle.minimum_slip_speed
 
 
+def test_a_model_that_is_stiffer_than_the_car_raises_the_slip_speed_of_the_file(driven):
+    found = discovery([driven.log], [("steering_ratio", {"factor": 0.92}, 0.5)], 1.0)
+    best = augment("nonlinear", {"steering_ratio": {"factor": 0.92}, "yaw_inertia": {"factor": 0.5}})
+    one = folded_update(replace(found, model=best, minor=found.effects), request(driven))
+    assert one.vehicle.minimum_slip_speed > CAR.minimum_slip_speed and one.vehicle.yaw_inertia == CAR.yaw_inertia
+    step = PredictionSettings().step
+    assert slip_speed_needed((one.model,), one.vehicle, STABILITY_SPEEDS, step) == one.vehicle.minimum_slip_speed
+
+
 def test_effective_corrections_stay_in_the_model_and_are_marked(driven):
     """What predicts best on the original car predicts the same on the updated one; its file says what has a meaning."""
     found = discovery([driven.log], [("mass", {"factor": 1.1}, 0.5)], 1.0)

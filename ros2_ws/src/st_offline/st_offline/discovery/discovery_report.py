@@ -188,7 +188,7 @@ WHAT = {"report.html": "one page, with all figures", "discovery.json": "every nu
         "vehicle.yaml": "the vehicle file, corrected: --vehicle of every command",
         "effects": "the relation proposed, as an effect; its folder: --effects of st evaluate, st demo, st live",
         "proposed.yaml": "a model with it: --model, together with --effects and the vehicle file as it was given",
-        "model.yaml": "corrections with no entry in a vehicle file: --model of st demo, st live, st evaluate"}
+        "model.yaml": "all effects that are not in the vehicle file: --model of st demo, st live, st evaluate"}
 MAX_ADVICE = 3  # sentences; the page has all
 
 

@@ -106,11 +106,12 @@ def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
     if not folded:
         return VehicleUpdate(request.vehicle, "", found.model, (), {}, kept)
     car = fold(request.vehicle, folded, found.named.values)
-    needed = slip_speed_needed(("linear", "nonlinear"), car, STABILITY_SPEEDS, PredictionSettings().step)
-    if needed is not None and needed > car.minimum_slip_speed:  # stiffer tyres need more for stable models
-        car = replace(car, minimum_slip_speed=needed)
-    error, worse = _held_out_error(found, request.vehicle, folded, drives)
     model = _remaining(found, car, folded, drives, request.vehicle)
+    needed = _slip_speed(car, model)
+    if needed > car.minimum_slip_speed:  # the model belongs to the car of the file, so the file must suit it too
+        car = replace(car, minimum_slip_speed=needed)
+        model = _remaining(found, car, folded, drives, request.vehicle)
+    error, worse = _held_out_error(found, request.vehicle, folded, drives)
     changes = {key: (*change, *_interval(found, request.vehicle, folded, key))
                for key, change in _changes(request.vehicle, car).items()}
     if SLIP_SPEED in changes:  # it follows from the others
@@ -120,6 +121,13 @@ def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
     shown = {key: change for key, change in changes.items() if not key.endswith("lambda_ky")}
     return VehicleUpdate(vehicle, text, model, tuple(effect.name for effect in folded), shown, kept, error,
                          worse, objections(vehicle, request.vehicle))
+
+
+def _slip_speed(car: VehicleParameters, model: AugmentedModel) -> float:
+    """minimum_slip_speed [m/s] with which the base models and the model, if any suffices for it, are stable."""
+    step = PredictionSettings().step
+    needed = [slip_speed_needed((one,), car, STABILITY_SPEEDS, step) for one in ("linear", "nonlinear", model)]
+    return max((speed for speed in needed if speed is not None), default=car.minimum_slip_speed)
 
 
 def _origin(found: Discovery, folded: Sequence[type[Effect]]) -> tuple[str, Provenance]:
