@@ -126,7 +126,7 @@ class Axles:
 
 
 def _combined(model: AugmentedModel, vehicle: VehicleParameters) -> np.ndarray:
-    """(5,) `COMBINATIONS` of a model."""
+    """(4,) `COMBINATIONS` of a model."""
     car = model.effective_vehicle(vehicle)
     limits = VEHICLE_QUANTITIES["cornering_stiffness_front"]  # which a random draw may exceed
     front, rear = (min(max(float(axle_force(model, vehicle, axle, np.array([SMALL_SLIP]))[0]) / SMALL_SLIP,
@@ -134,4 +134,4 @@ def _combined(model: AugmentedModel, vehicle: VehicleParameters) -> np.ndarray:
     understeer = understeer_coefficient(replace(car, cornering_stiffness_front=front, cornering_stiffness_rear=rear))
     gain = GAIN_SPEED / (car.wheelbase * (1.0 + understeer * GAIN_SPEED**2))
     w = model.inputs(1.0 / vehicle.steering_ratio, 0.0, model.parameters(vehicle))
-    return np.array([front / car.mass, rear / car.mass, car.yaw_inertia / car.mass, understeer, gain * float(w[0])])
+    return np.array([front / car.mass, rear / car.mass, understeer, gain * float(w[0])])

@@ -347,12 +347,11 @@ class Discovery:
 
 def known_together(combinations: Sequence[Combination], named: Sequence[FoundEffect]) -> tuple[Combination, ...]:
     """Axle stiffnesses over the mass that differ from the vehicle file although no effect that changes them is named;
-    without one, the understeer gradient or yaw gain of which this is true. The inertia over the mass is left out: its
-    intervals do not hold on cars with other dynamics (docs/measurements/discovery_limits.md)."""
+    without one, the understeer gradient or yaw gain of which this is true."""
     names = {name for e in named for name in (e.name, *e.alternatives)}
     found = [c for c in combinations if c.differs and c.file > 0.0 and not names.intersection(c.effects)]
     stiffness = tuple(c for c in found if "stiffness" in c.name)
-    return stiffness or tuple(c for c in found if "inertia" not in c.name)[:1]
+    return stiffness or tuple(found)[:1]
 
 
 def plain(value: Any) -> Any:

@@ -12,7 +12,6 @@ class YawInertia(Effect):
     excited_by = "sweeps and sine with dwell; steady cornering does not show it"
     kind, slot = "vehicle parameters", "body"
     twins = ("mass", "steering_lag", "tyre_relaxation")
-    combinations = ("yaw inertia over mass",)
     ratio_to = "mass"
     parameters = (
         Parameter("factor", "1", null=1.0, initial=1.15, bounds=(0.4, 2.5), meaning="true inertia over the file's",
