@@ -46,6 +46,21 @@ def predicted(problem: Problem, fit: Fit, scores: Scores, limits: Limits) -> Cer
     return Certificate(tuple(powers), 0, 0, False)
 
 
+def confounded_with(problem: Problem, fit: Fit, effect: str, scores: Scores, limits: Limits) -> str:
+    """The effect of the answer that takes the place of this one: with its values known, this one would be found at its
+    usual size; "" for none."""
+    q = problem.quadratic_of_all(fit.vector).summed(problem.block, problem.blocks)
+    names = [n for n in fit.names if not problem.space.overlaps(effect, (n,))]
+    own, best, found = problem.space.indices(effect), "", limits.shown
+    for other in names:
+        information = score(q, problem, tuple(n for n in names if n != other), effect)[1]
+        index = int(np.argmax(information))
+        power = _power(problem, fit, own[index], SIZES[-1], information[index], scores, limits)
+        if power >= found:
+            best, found = other, power
+    return best
+
+
 def _power(problem: Problem, fit: Fit, index: int, share: float, information: float, scores: Scores,
            limits: Limits) -> float:
     """Probability that a parameter is found at a share of its usual size."""

@@ -161,7 +161,7 @@ class _Work:
         lines = waterfall.budget(problem, base, found.fit, fit, next((fit for _, fit in bound), None), ends)
         power = self._certificate(found)
         driven = self._catalogue(found, effects)
-        untestable = self._untestable(power, names, driven)
+        untestable = self._untestable(found, power, names, driven)
         left = (gap_named["position_5s"].augmented / max(floor.get("position_5s", 0.0), 1e-9)
                 if "position_5s" in gap_named else 1.0)
         together = known_together(names.combinations, effects)
@@ -421,19 +421,23 @@ class _Work:
         self._tick("next drive")()
         return catalogue(self.problem, found.fit)
 
-    def _untestable(self, power: Certificate, names: _Names, driven: Catalogue | None) -> tuple[NotTestable, ...]:
+    def _untestable(self, found: Found, power: Certificate, names: _Names,
+                    driven: Catalogue | None) -> tuple[NotTestable, ...]:
         """Effects that these drives cannot show."""
         stated = {*(name for e in names.stated for name in (e.name, *e.alternatives)), *(e.name for e in names.minor)}
         collected = []
+        problem, scores = self.problem, found.scores
         for name in self.space.hypotheses:
             powers = [p for p in power.powers if p.effect == name]
             if name in stated or max((p.found for p in powers), default=0.0) >= self.limits.shown:
                 continue
             largest = max(powers, key=lambda p: p.size)
-            drive = shows(self.problem, name, driven) if driven else ""
+            drive = shows(problem, name, driven) if driven else ""
+            other = certificate.confounded_with(problem, found.fit, name, scores, self.limits)
+            why = f"in these drives {other.replace('_', ' ')} acts like it; it shows" if other else "it shows"
             size = f"{100 * largest.size:.3g} %" if largest.unit == "1" else f"{largest.size:.3g} {largest.unit}"
-            collected.append(NotTestable(name, f"{size} of it would be found with probability {largest.found:.2f}; it "
-                                         f"shows in {get_effect(name).excited_by}", drive))
+            collected.append(NotTestable(name, f"{size} of it would be found with probability {largest.found:.2f}; "
+                                         f"{why} in {get_effect(name).excited_by}", drive))
         for name in self.space.without_signal:
             signals = ", ".join(get_effect(name).signals)
             collected.append(NotTestable(name, f"it needs the signal {signals}, which is not recorded"))
