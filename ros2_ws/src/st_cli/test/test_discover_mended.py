@@ -18,6 +18,7 @@ from st_core.stability import slip_speed_needed
 from st_core.vehicle import VehicleParameters, value_of
 from st_offline.discovery.discovery_report import model_file
 from st_offline.discovery.drives import Drive, Request, read_drive
+from st_offline.discovery.report_text import to_do
 from st_offline.discovery.vehicle_update import KEYS, edited, folded_update, update_vehicle
 from st_recordings.car_skeleton import STABILITY_SPEEDS
 from st_recordings.runs import ReadSettings, find_runs
@@ -83,6 +84,16 @@ def test_a_model_that_is_stiffer_than_the_car_raises_the_slip_speed_of_the_file(
     assert one.vehicle.minimum_slip_speed > CAR.minimum_slip_speed and one.vehicle.yaw_inertia == CAR.yaw_inertia
     step = PredictionSettings().step
     assert slip_speed_needed((one.model,), one.vehicle, STABILITY_SPEEDS, step) == one.vehicle.minimum_slip_speed
+
+
+def test_without_a_new_file_the_slip_speed_of_the_model_is_advised(driven):
+    found = discovery([driven.log], [("mass", {"factor": 1.5}, 0.5)], 1.0)
+    found = replace(found, model=augment("nonlinear", {"mass": {"factor": 1.5}, "yaw_inertia": {"factor": 0.4}}))
+    one = update_vehicle(found, request(driven))
+    assert not one.text and one.slip_speed > CAR.minimum_slip_speed
+    assert f"set minimum_slip_speed to {one.slip_speed:g} m/s" in "".join(to_do(found, one))
+    mild = augment("nonlinear", {"mass": {"factor": 1.5}})
+    assert update_vehicle(replace(found, model=mild), request(driven)).slip_speed == 0.0
 
 
 def test_effective_corrections_stay_in_the_model_and_are_marked(driven):

@@ -311,6 +311,9 @@ def _vehicle_lines(found: Discovery, update: VehicleUpdate | None) -> list[str]:
         lines.append(f"vehicle.yaml is not written: alone it would change the position error after 5 s from "
                      f"{metres(update.error[0])} to {metres(update.error[1])} on held-out drives{where}; "
                      "use model.yaml")
+    if update is not None and update.slip_speed:
+        lines.append(f"with model.yaml, set minimum_slip_speed to {update.slip_speed:g} m/s in the vehicle file: below "
+                     "that, steps of 50 ms are too long for it")
     lines += update.objections if update is not None else ()
     lines += [f"{plain(e.name)} is negative ({short_values(e.name, {name: p})}): the reaction would precede its cause: "
               "a clock or a stated latency is wrong; look at the clocks (st check, st align) before using it"

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 import yaml
@@ -46,7 +47,8 @@ class VehicleUpdate:
     folded: effects in the file. changes: (before, after, low, high) by key, SI. kept: (before, after) by key for each
     effect with such keys whose folding would change the predictions. error: (original, updated) mean position error
     after 5 s of the base model with each file, each drive with the values found without it [m]. worse: drives in
-    which it is significantly larger with the updated file. objections: to the car.
+    which it is significantly larger with the updated file. objections: to the car. slip_speed: minimum_slip_speed
+    that the model needs, if it is more than that of the file [m/s], else 0.
     """
 
     vehicle: VehicleParameters
@@ -58,6 +60,7 @@ class VehicleUpdate:
     error: tuple[float, float] = (math.nan, math.nan)
     worse: tuple[str, ...] = ()
     objections: tuple[str, ...] = ()
+    slip_speed: float = 0.0
 
     @property
     def improves(self) -> bool:
@@ -71,8 +74,7 @@ def update_vehicle(found: Discovery, request: Request) -> VehicleUpdate | None:
     update = folded_update(found, request)
     if update is None or not update.text or update.improves:
         return update
-    return VehicleUpdate(request.vehicle, "", found.model or update.model, (), {}, update.kept, update.error,
-                         update.worse)
+    return _without_file(request.vehicle, found.model or update.model, update.kept, update.error, update.worse)
 
 
 def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
@@ -104,7 +106,7 @@ def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
         else:
             kept[effect.name] = _changes(request.vehicle, fold(request.vehicle, (effect,), found.named.values))
     if not folded:
-        return VehicleUpdate(request.vehicle, "", found.model, (), {}, kept)
+        return _without_file(request.vehicle, found.model, kept)
     car = fold(request.vehicle, folded, found.named.values)
     model = _remaining(found, car, folded, drives, request.vehicle)
     needed = _slip_speed(car, model)
@@ -121,6 +123,14 @@ def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
     shown = {key: change for key, change in changes.items() if not key.endswith("lambda_ky")}
     return VehicleUpdate(vehicle, text, model, tuple(effect.name for effect in folded), shown, kept, error,
                          worse, objections(vehicle, request.vehicle))
+
+
+def _without_file(vehicle: VehicleParameters, model: AugmentedModel, kept: Mapping[str, Mapping[str, Any]],
+                  *measured: Any) -> VehicleUpdate:
+    """A model for the original file. measured: `error` and `worse`, if a file was tried."""
+    needed = _slip_speed(vehicle, model)
+    return replace(VehicleUpdate(vehicle, "", model, (), {}, kept, *measured),
+                   slip_speed=needed if needed > vehicle.minimum_slip_speed else 0.0)
 
 
 def _slip_speed(car: VehicleParameters, model: AugmentedModel) -> float:
