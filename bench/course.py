@@ -7,13 +7,13 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from _markers import renew, table
 from st_recordings.paths import project_root
 from st_recordings.recorded import read_scores
 
 MODELS = ("kinematic", "linear", "nonlinear")
 SECONDS, LATER = 60.0, 420.0  # of the first and the second drive
 PAGE = project_root() / "docs" / "measurements" / "live_results.md"
-BEGIN, END = "<!-- st bench course -->", "<!-- end of st bench course -->"
 
 
 def run() -> dict:
@@ -25,7 +25,9 @@ def run() -> dict:
         _st("course", "build", folder / "first" / "bag", "-o", course)
         _st("demo", "--duration", LATER, "--seed", 5, "--course", course, "--output", folder / "second")
         rows = measured(folder / "second")
-    write(rows)
+    cells = [{"model": model} | {key: f"{value:.2f}" if isinstance(value, float) else str(value)
+                                 for key, value in row.items()} for model, row in rows.items()]
+    renew(PAGE, "course", "\n".join(table(cells)) + "\n")
     return {"rows": rows}
 
 
@@ -45,22 +47,11 @@ def measured(run: Path) -> dict[str, dict]:
         rows[model] = {
             "starts": len(common), "held, m": held, "course, m": remembered, "ratio": remembered / held,
             "hindsight, m": hindsight,
-            **{f"{mode}, inside 90 \\| 50 %": " \\| ".join(f"{100.0 * summary[model][mode]['bands'][level]:.0f}"
+            **{f"{mode}, inside 90 | 50 %": " | ".join(f"{100.0 * summary[model][mode]['bands'][level]:.0f}"
                                                          for level in ("0.9", "0.5"))
                for mode in ("forecast", "hindsight", "course")},
         }
     return rows
-
-
-def write(rows: dict[str, dict]) -> None:
-    """The table between BEGIN and END of the page."""
-    columns = list(next(iter(rows.values())))
-    lines = ["| model | " + " | ".join(columns) + " |", "|---|" + "---|" * len(columns)]
-    lines += [f"| {model} | " + " | ".join(f"{v:.2f}" if isinstance(v, float) else str(v) for v in row.values()) + " |"
-              for model, row in rows.items()]
-    before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
-    after = rest.partition(END)[2]
-    PAGE.write_text(f"{before}{BEGIN}\n" + "\n".join(lines) + f"\n{END}{after}", encoding="utf-8")
 
 
 def _st(*arguments: object) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
+from _markers import part, renew
 from faults.car import Drive, WindingRoad
 from faults.catalogue import DRIVING, FAULTS, LONG, Fault
 from faults.measure import Recorded, Row, row
@@ -19,7 +20,6 @@ from faults.measure import run as put_all
 from faults.rig import running
 
 DOCUMENT = Path(__file__).resolve().parents[1] / "docs" / "measurements" / "reliability.md"
-BEGIN, END = "<!-- fault table: written by `st bench faults` -->\n", "<!-- end of fault table -->\n"
 
 ALL = (*FAULTS, *DRIVING, *LONG)
 ROAD = 900.0  # s
@@ -75,8 +75,5 @@ def table(rows: list[Row], before: dict[str, str]) -> str:
 
 
 def write(rows: list[Row]) -> None:
-    text = DOCUMENT.read_text()
-    head, rest = text.split(BEGIN)
-    old, tail = rest.split(END)
-    before = {line.split(" | ")[0].removeprefix("| "): line for line in old.splitlines()}
-    DOCUMENT.write_text(head + BEGIN + table(rows, before) + END + tail)
+    before = {line.split(" | ")[0].removeprefix("| "): line for line in part(DOCUMENT, "fault table").splitlines()}
+    renew(DOCUMENT, "fault table", table(rows, before))
