@@ -1,6 +1,6 @@
 """Encodes INS readings as NCOM packets with the status channels of an RT3000 with RTK and dual antenna.
 
-Positions are WGS84, axes NED and FRD; the unit locked long ago.
+Positions are WGS84, axes NED and FRD; the unit is locked, and its filter has converged.
 """
 
 import math

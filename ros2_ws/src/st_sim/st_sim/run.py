@@ -182,8 +182,7 @@ def _live(options: argparse.Namespace, stop: Callable[[], bool]) -> None:
             os.setpriority(os.PRIO_PROCESS, 0, -10)
         time.sleep(max(0.0, started - time.monotonic()))
         _report(state="sending", start_ns=start_ns, duration=run.duration)
-        send(outputs, wires.send_ncom, wires.send_frame, truth.write if truth else None, stop, wires.report,
-             started)
+        send(outputs, wires.send_ncom, wires.send_frame, truth.write if truth else None, stop, wires.report, started)
     faults = {"fault": truth.fault} if truth and truth.fault else {}
     _report(state="done", **asdict(wires.report), **faults)
 

@@ -70,12 +70,12 @@ class _Noise:
     def __init__(self, white: float, slow: float, time: float, interval: float, draw: Callable[[], float]):
         self._white, self._draw = white, draw
         self._memory = math.exp(-interval / time)
-        self._kick = slow * math.sqrt(1 - self._memory**2)
-        self._wander = slow * draw()
+        self._increment = slow * math.sqrt(1 - self._memory**2)
+        self._slow = slow * draw()
 
     def __call__(self, roughness: float = 1.0) -> float:
-        self._wander = self._memory * self._wander + self._kick * self._draw()
-        return self._wander + self._white * roughness * self._draw()
+        self._slow = self._memory * self._slow + self._increment * self._draw()
+        return self._slow + self._white * roughness * self._draw()
 
 
 class Ins:

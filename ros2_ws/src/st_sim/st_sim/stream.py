@@ -86,7 +86,7 @@ class Stream:
         self._ins_loss = Loss(settings["ins_packet_loss"], settings["ins_outage_every"], (seed, 7))
         self._can_loss = Loss(settings["can_frame_loss"], settings["can_outage_every"], (seed, 8))
         self._queue: list[Output] = []
-        self._made = 0
+        self._pushed = 0  # number of outputs so far
 
     def outputs(self, duration: float) -> Iterator[Output]:
         """Outputs measured in [0, duration), sorted by `due`."""
@@ -140,8 +140,8 @@ class Stream:
                 self._push(due + i * FRAME_TIME, Kind.CAN, frame)
 
     def _push(self, due: float, kind: Kind, payload: bytes | Frame | Truth) -> None:
-        self._made += 1
-        heapq.heappush(self._queue, Output(due, self._made, kind, payload))
+        self._pushed += 1
+        heapq.heappush(self._queue, Output(due, self._pushed, kind, payload))
 
 
 @dataclass

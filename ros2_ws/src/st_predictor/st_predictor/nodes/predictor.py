@@ -92,8 +92,7 @@ class PredictorNode(Node):
         backend = self._make_core(values)
         self._map_frame = values.map_frame
         self._diagnostics = Diagnostics(self, self._vehicle.name, self._checks)
-        self._inputs = Inputs(self, values.map_frame, self._add_ins, self._add_steering,
-                              self._diagnostics.publish)
+        self._inputs = Inputs(self, values.map_frame, self._add_ins, self._add_steering, self._diagnostics.publish)
         self._plan = PlanInput(self, values.plan_frame, self._vehicle)
         settings = self._core.settings
         self._course = CourseInput(self, params.load_course(values), self._vehicle, settings.horizon, settings.step)
@@ -202,8 +201,7 @@ class PredictorNode(Node):
             trajectory = self._core.run(start, model)
             compute_time = time.perf_counter() - began
             car = self._core.car(model)
-            message = convert.prediction_message(
-                start, model, trajectory, car, self._map_frame, self._hash[model])
+            message = convert.prediction_message(start, model, trajectory, car, self._map_frame, self._hash[model])
             message.compute_time = compute_time
             message.bands = bands.get(model, [])
             now = self.get_clock().now()
