@@ -21,6 +21,7 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.runs import ReadSettings, RunError, find_runs, read
 from st_recordings.runs.bag import definitions
 from st_recordings.runs.cdr import typestore
+from st_recordings.runs.raw import read_pair
 from st_recordings.runs.run_types import SteeringField
 from support import shared
 
@@ -412,6 +413,15 @@ def test_steering_frames_without_a_usable_value_are_no_gap_of_the_logger(tmp_pat
                      r"\(up to -?3276.7 deg\) in 100", found["values_missing"].text)
     assert "1 gap of the steering" in found["time_gaps"].text
     assert found["time_gaps"].value == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_clock_of_a_vbo_is_aligned_with_a_can_log(tmp_path: Path, drive) -> None:
+    """Also of one with a steering column, which is a whole drive for other commands."""
+    (tmp_path / "run.vbo").write_text(vbo(drive[1]))
+    aligned = read_pair([tmp_path / "run.vbo", drive[0] / "run.log"], ReadSettings())
+    reference = read_pair([drive[0] / "run.ncom", drive[0] / "run.log"], ReadSettings())
+    moved = int(aligned.ins.time_ns[0]) - int(reference.ins.time_ns[0])
+    assert aligned.alignment.offset_ns - reference.alignment.offset_ns == pytest.approx(moved, abs=10_000_000)
 
 
 def test_a_cut_blf_is_read_up_to_the_cut_with_a_warning(tmp_path: Path, drive) -> None:

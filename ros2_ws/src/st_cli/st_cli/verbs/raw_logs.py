@@ -13,7 +13,7 @@ VERDICT_STYLE = {"good": "green", "doubtful": "yellow", "refused": "red"}
 @shared.reads_recordings()
 def align(
     files: list[Path] = typer.Argument(
-        ..., help="INS recording (.ncom, .xcom, or CSV with t, vx, yaw_rate) and CAN logs, a folder, or a run.yaml."),
+        ..., help="INS recording (.ncom, .xcom, .vbo; CSV with t, vx, yaw_rate) and CAN logs, a folder, a run.yaml."),
     search: tuple[float, float] | None = typer.Option(
         None, help="Bounds of the offset in seconds, where the log is known to be nearly right already."),
     output: Path | None = typer.Option(None, help="Folder for alignment.json and alignment.png."),

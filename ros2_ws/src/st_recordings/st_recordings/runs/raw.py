@@ -22,6 +22,7 @@ from .errors import RunError, check_readable, share
 from .frames import CanLog, no_frames
 from .ins_log import InsLog, is_mostly_known
 from .readers import READERS
+from .run_file import TABLE_KEYS
 from .run_types import LoadedRun, ReadSettings, RunSource, drive_log, signal_files
 from .sources import find_runs
 
@@ -164,7 +165,7 @@ def clock_settings(source: RunSource, settings: ReadSettings) -> dict[str, Any]:
 def read_pair(files: Sequence[Path], settings: ReadSettings) -> RawRun:
     """Reads and aligns an INS recording and CAN logs; no steering is needed. Raises RunError.
 
-    files: the recording (NCOM, or CSV with speed and yaw rate) and the logs, or a folder or run.yaml that names them.
+    files: recording (NCOM, VBO, or CSV with speed and yaw rate) and logs, or a folder or run.yaml that names them.
     """
     source = _pair_source(files)
     read_ins = csv.read_motion if source.kind == "csv" else READERS[source.kind].read_ins
@@ -173,10 +174,10 @@ def read_pair(files: Sequence[Path], settings: ReadSettings) -> RawRun:
 
 
 def _pair_source(files: Sequence[Path]) -> RunSource:
-    tables = [f for f in files if f.suffix.lower() == ".csv"]
+    tables = [f for f in files if f.suffix.lower()[1:] in TABLE_KEYS]
     logs = [f for f in files if f.suffix.lower() in EXTENSIONS]
-    if len(tables) == 1 and len(logs) == len(files) - 1 and logs:  # for other verbs, a CSV is a whole drive
-        return RunSource(tables[0].stem, "csv", (tables[0],), tuple(logs))
+    if len(tables) == 1 and len(logs) == len(files) - 1 and logs:  # for other verbs, a table is a whole drive
+        return RunSource(tables[0].stem, tables[0].suffix.lower()[1:], (tables[0],), tuple(logs))
     runs = find_runs(files)
     for run in runs:
         if run.problem is not None:
@@ -185,5 +186,5 @@ def _pair_source(files: Sequence[Path]) -> RunSource:
     if len(raw) != 1:
         what = "no pair" if not raw else f"more than one pair ({', '.join(run.name for run in raw)})"
         raise RunError(", ".join(map(str, files)), f"{what} of an INS recording and CAN logs is in there",
-                       "give one .ncom (or CSV) and its CAN logs")
+                       "give one .ncom (or CSV, VBO) and its CAN logs")
     return raw[0]
