@@ -1,4 +1,4 @@
-"""Models extended by effects: `augment(base, {effect: {parameter: value}})`, a Model that every backend accepts."""
+"""Models with effects: `augment(base, {effect: {parameter: value}})`, a Model that every backend accepts."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,9 +21,9 @@ Values = Mapping[str, Mapping[str, float]]
 class AugmentedModel(Model):
     """A base model with effects and the values of their parameters, created by `augment`.
 
-    Adds to a Model: `effective_vehicle`, for the lever arm; `steering`, the effects with memory on a recorded road
-    wheel angle; `observe` and `correct`, from true to measured values and back. `st_core.readings` applies these to
-    logs and trajectories. Models that differ only in values share their functions, so that nothing is compiled twice.
+    In addition to a Model: `effective_vehicle`, the vehicle with its effects; `steering`, effects with memory on a
+    recorded road wheel angle; `observe` and `correct`, from true to measured values and back. `st_core.readings`
+    applies them to logs and trajectories. Models that differ only in values share their compiled functions.
 
     base: model without effects. effects: in the order they act. values: by effect and parameter.
     """
@@ -43,7 +43,7 @@ class AugmentedModel(Model):
         return np.array([self.values[effect][p.name] for effect, p in self.free])
 
     def with_vector(self, vector: Sequence[float]) -> "AugmentedModel":
-        """The model with other values of the parameters in `free`; raises ConfigurationError outside the bounds."""
+        """The model with other values of the parameters in `free`. Raises ConfigurationError outside the bounds."""
         values: dict[str, dict[str, float]] = {}
         for (effect, parameter), value in zip(self.free, vector, strict=True):
             if value != self.values[effect][parameter.name]:
@@ -56,7 +56,7 @@ class AugmentedModel(Model):
             raise ConfigurationError(f"effect {name}: not in this model, which has {', '.join(self.values) or 'none'}")
         changed = [e for e in self.effects if e.name in values]
         merged = {e.name: {**self.values[e.name], **values[e.name]} for e in changed}
-        return _make(self.base, self.effects, {**self.values, **_check_all_values(changed, merged)})
+        return _compose(self.base, self.effects, {**self.values, **_check_all_values(changed, merged)})
 
     @property
     def has_memory(self) -> bool:
@@ -74,12 +74,13 @@ class AugmentedModel(Model):
         return tuple((e.name, *self.values[e.name].values()) for e in self.active if e.steering or e.observe)
 
     def input_dependencies(self, p: Any) -> tuple:
-        """The part of the parameters p that `inputs` depends on; a cache key for inputs."""
+        """The part of the parameters p that `inputs` depends on, as a cache key."""
         own = compose(self.base, self.effects).own
         return (p.base, *(t for e, t in zip(own, p.effects, strict=True) if e.inputs or e.prepare)) if own else p
 
     def effective_vehicle(self, vehicle: VehicleParameters) -> VehicleParameters:
-        """The vehicle as changed by effects on its parameters. Raises ConfigurationError for impossible parameters."""
+        """The vehicle as changed by effects on its parameters. Raises ConfigurationError beyond the limits of a
+        vehicle."""
         cached = self._vehicles.get(id(vehicle))
         if cached is None or cached[0] is not vehicle:
             changed = vehicle
@@ -89,18 +90,6 @@ class AugmentedModel(Model):
             cached = self._vehicles[id(vehicle)] = vehicle, changed
         return cached[1]
 
-    def folded(self, vehicle: VehicleParameters) -> tuple[VehicleParameters, "AugmentedModel"]:
-        """The vehicle with those effects included that a vehicle file can represent, and the model without them.
-
-        Predictions from the same readings are the same; if steering ratio or offset changed, the road wheel angle must
-        be recomputed (`DriveLog.with_steering`), and the play of steering_backlash divided by the factor of
-        steering_ratio. Raises ConfigurationError for impossible parameters.
-        """
-        for effect in self.active:
-            if effect.fold:
-                vehicle = effect.fold(vehicle, self._theta(effect))
-        return vehicle, _make(self.base, tuple(e for e in self.effects if not e.fold), self.values)
-
     def lean(self) -> "AugmentedModel":
         """The model without costly effects that are at null; its predictions are bit-identical."""
         return self.only(e for e in self.effects if e in self.active or not e.costly)
@@ -108,7 +97,7 @@ class AugmentedModel(Model):
     def only(self, effects: Iterable[type[Effect]]) -> "AugmentedModel":
         """The model with only these of its effects."""
         selected = tuple(effects)
-        return self if len(selected) == len(self.effects) else _make(self.base, selected, self.values)
+        return self if len(selected) == len(self.effects) else _compose(self.base, selected, self.values)
 
     def specific_force(self, state: tuple, w: tuple, p: Any) -> tuple:
         a_x, a_y = Model.specific_force(self, state, w, p)
@@ -159,11 +148,11 @@ class AugmentedModel(Model):
 
 
 def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedModel:
-    """The base model with effects added to those it already has.
+    """The base model with effects in addition to those it has.
 
     effects: values by effect and parameter, optional for constants (not `Parameter.fit`); or names, for initial values.
-    Raises ConfigurationError naming effect, parameter and limit: for an unknown or repeated effect, one that does not
-    apply to the base, a value missing or outside its bounds.
+    Raises ConfigurationError naming effect, parameter and limit for an unknown or repeated effect, one that does not
+    apply to the base, and a value that is missing or outside its bounds.
     """
     base = get_model(base)
     if not isinstance(effects, Mapping):
@@ -179,12 +168,12 @@ def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedMode
         base = base.base
     ordered = sorted((get_effect(name) for name in effects), key=lambda effect: (effect.order, effect.name))
     _check_applicable(base, ordered)
-    return _make(base, tuple(ordered), _check_all_values(ordered, effects))
+    return _compose(base, tuple(ordered), _check_all_values(ordered, effects))
 
 
 def _check_applicable(base: Model, effects: Sequence[type[Effect]]) -> None:
     kinds = {base.name}
-    # An effect may turn the model into another kind, which a second one extends: as many passes as such effects.
+    # An effect may turn the model into another kind that a second one extends: as many passes as such effects.
     lifts = [effect.lifts for effect in effects if effect.lifts]
     for _ in lifts:
         kinds |= {to for start, to in lifts if start in kinds}
@@ -194,7 +183,8 @@ def _check_applicable(base: Model, effects: Sequence[type[Effect]]) -> None:
             raise ConfigurationError(f"effect {effect.name}: does not apply to a {base.name} model, only to {allowed}")
 
 
-def _make(base: Model, effects: tuple[type[Effect], ...], checked: Values) -> AugmentedModel:
+def _compose(base: Model, effects: tuple[type[Effect], ...], checked: Values) -> AugmentedModel:
+    """The model of checked values, without those of other effects."""
     values = MappingProxyType({e.name: checked[e.name] for e in effects})
     composed = compose(base, effects)
 
@@ -227,6 +217,19 @@ def _check_values(effect: type[Effect], values: Mapping[str, float]) -> dict[str
         if name not in result:
             raise ConfigurationError(f"effect {effect.name}: {name}: unknown parameter; it has {', '.join(result)}")
     return result
+
+
+def fold(vehicle: VehicleParameters, effects: Iterable[type[Effect]], values: Values) -> VehicleParameters:
+    """The vehicle with effects in its parameters, which must have `fold`.
+
+    Predictions from the same readings are the same; if steering ratio or offset changed, the road wheel angle must be
+    recomputed (`DriveLog.with_steering`), and the play of steering_backlash divided by the factor of steering_ratio.
+    Raises ConfigurationError beyond the limits of a vehicle file.
+    """
+    for effect in effects:
+        assert effect.fold is not None
+        vehicle = effect.fold(vehicle, effect.Theta(**values[effect.name], car=()))
+    return vehicle
 
 
 def neutral(model: AugmentedModel) -> AugmentedModel:

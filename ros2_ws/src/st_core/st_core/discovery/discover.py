@@ -410,7 +410,7 @@ class _Work:
                                      f"it reduces the size of the errors by {share_of(gain):.1%}; others reduce it by "
                                      "more, and were tried first")
             else:
-                verdict, gain = Reason("part of the answer", name, {}, "part of a stated effect, or its sum"), 0.0
+                verdict, gain = Reason("part of the answer", name, {}, "within a stated effect, or contains it"), 0.0
             rows.append(Candidate(name, get_effect(name).kind, values, share_of(gain), verdict.rule, verdict.text))
         return tuple(sorted(rows, key=lambda c: -c.gain))
 

@@ -1,4 +1,4 @@
-"""Physical effects as plug-ins: one file each, found by being in this folder, or in one given to `load_folder`."""
+"""Physical effects as plug-ins: one file each, in this folder, or in one given to `load_folder`."""
 
 import hashlib
 import importlib
@@ -41,8 +41,8 @@ __all__ = ["ANY", "COMBINATIONS", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "HOOKS",
 def load_folder(path: str) -> tuple[str, ...]:
     """Import every module of a folder (names that begin with _ are helpers) and return the effects registered, sorted.
 
-    A folder loaded before is not read again. Raises ConfigurationError naming the file for a missing folder, a
-    module fails to import or registers nothing, or a name is taken; nothing of that folder is then registered.
+    A folder loaded before is not read again. Raises ConfigurationError naming the file for a missing folder, a module
+    that fails to import or registers nothing, and a name in use; nothing of that folder is then registered.
     """
     finder, package = _package(path)
     if package not in sys.modules:
@@ -54,15 +54,15 @@ def load_folder(path: str) -> tuple[str, ...]:
 
 
 def load_file(folder: str, name: str) -> tuple[type[Effect], ...]:
-    """The effects of one module of a folder, which is imported unless it is, as the library is; the others are left
-    alone. Raises ConfigurationError as `load_folder`."""
+    """The effects of one module of a folder, imported if it is not yet; other modules of the folder are not. Raises
+    ConfigurationError as `load_folder`."""
     finder, package = _package(folder)
 
-    def there() -> tuple[type[Effect], ...]:
+    def registered() -> tuple[type[Effect], ...]:
         return tuple(e for e in EFFECTS.values() if source_file(e) == f"{finder.path}/{name}.py")
-    if not there():
+    if not registered():
         _load(finder, package, [name])
-    return there()
+    return registered()
 
 
 def _modules(finder: FileFinder) -> list[str]:
@@ -97,7 +97,8 @@ def _load(finder: FileFinder, package: str, names: Sequence[str]) -> None:
 
 
 def _check_others(names: Iterable[str], known: Iterable[str], folder: str) -> None:
-    """Other effects that effects speak of; one in a file of the folder that is not loaded is called as its file is."""
+    """Raises ConfigurationError for twins and members that are not known. known: with the files of the folder, which
+    have the names of their effects, also if not loaded."""
     for name in sorted(names):
         for key in ("twins", "members"):
             for other in getattr(EFFECTS[name], key):

@@ -1,4 +1,4 @@
-"""What an effect is, and the registry of all effects."""
+"""Base class of effects, their parameters, and the registry."""
 
 import math
 import re
@@ -24,8 +24,8 @@ SLOTS = ("steering", "front axle", "rear axle", "both axles", "body",
          "position", "velocity", "heading", "yaw rate", "acceleration")
 COMBINATIONS = {"front cornering stiffness over mass": "N/(rad kg)", "rear cornering stiffness over mass": "N/(rad kg)",
                 "understeer gradient K": "s^2/m^2", "steady-state yaw gain at 20 m/s": "1/s"}
-"""Unit by name: ratios of vehicle parameters that determine predictions, whichever single parameter is in error. Yaw
-inertia over mass is none of them: delays and relaxation take its place in a fit, and four of six intervals on cars with
+"""Unit by name. Predictions depend on these combinations; single vehicle parameters are not separable in them. Yaw
+inertia over mass is not one of them: delays and relaxation act like it in a fit, and four of six intervals on cars with
 other dynamics missed the truth."""
 
 
@@ -33,17 +33,16 @@ other dynamics missed the truth."""
 class Parameter:
     """One number of an effect.
 
-    null: value at which nothing changes. initial: where a fit starts, a usual size of the effect. bounds: physical
-    limits, inclusive. source: where initial and bounds come from. meaning: in a few words, sign included.
-    odd: changes sign when left and right are exchanged. fit: False for a constant of the car that the effect needs and
-    a fit leaves alone; null is then its default. identity: the estimate of `st_core.checks.check` that measures it
-    without a fit to the car, same value, sign and unit; "" without one. theory: its value in any car by physics;
-    None where that is of the single car. quantity: key of the vehicle file that it is a difference from, same
-    unit and sign, where neither `vehicle` nor `fold` of the effect shows that. shape: a coordinate of a curve; its
-    bounds are those of the family of curves, and a value on one is a curve as any other. model_error: standard
-    deviation of the values that models of other equations find for the same car; from `bench/strangers`, the
-    development cars. deviation: standard deviation about null of what comes on top of the car that was measured, which
-    binds a fit in the place of the uncertainties of the vehicle file; inf for what is no such thing.
+    null: value without effect. initial: start of a fit, a usual size of the effect. bounds: physical limits, inclusive.
+    source: of initial and bounds. meaning: in a few words, with the sign. odd: whether it changes sign with left and
+    right exchanged. fit: False for a constant of the car, not fitted; null is then its default. identity: the estimate
+    of `st_core.checks.check` that measures it without a fit to the car, same value, sign and unit; "" without one.
+    theory: its value by physics, if the same in any car. quantity: key of the vehicle file that it is a difference
+    from, same unit and sign, if neither `vehicle` nor `fold` of the effect has it. shape: whether it is a coordinate of
+    a family of curves; a value on its bounds is then as good as any other. model_error: standard deviation of the
+    values from models of other equations for the same car; from the development cars of `bench/strangers`. deviation:
+    prior standard deviation about null of an addition to the measured car, as a load, instead of the uncertainties of
+    the vehicle file; inf for other parameters.
     Raises ConfigurationError when these contradict each other.
     """
 
@@ -72,7 +71,7 @@ class Parameter:
             if value is not None and not low <= value <= high:
                 raise ConfigurationError(f"parameter {self.name}: {which} is outside its bounds")
         if self.fit and self.null == self.initial:
-            raise ConfigurationError(f"parameter {self.name}: initial equals null; a fit would start at nothing")
+            raise ConfigurationError(f"parameter {self.name}: initial equals null; give a usual size of the effect")
         for which in ("name", "unit", "source", "meaning"):
             if not str(getattr(self, which)).strip():
                 raise ConfigurationError(f"parameter {self.name}: {which} is empty")
@@ -89,9 +88,7 @@ class Parameter:
 
 class Instant(NamedTuple):
     """Arguments of the hooks of the equations at one instant: state, inputs after the steering effects; SI, at the CG.
-
-    w, p: of the whole model, to be handed on.
-    """
+    w, p: inputs and parameters of the whole model, for `forces`."""
 
     x: Any
     y: Any
@@ -108,8 +105,7 @@ class Instant(NamedTuple):
 class Measured(NamedTuple):
     """Readings of the INS: map frame [m], yaw [rad], body axes at the INS point [m/s, m/s^2], yaw rate [rad/s].
 
-    yaw_acceleration: derivative of that yaw rate [rad/s^2]; no reading, but what a late one differs by. 0 where it is
-    not known.
+    yaw_acceleration: derivative of the yaw rate [rad/s^2], for late readings of it; 0 if unknown.
     """
 
     x: Any
@@ -124,40 +120,37 @@ class Measured(NamedTuple):
 
 
 class Effect:
-    """One physical effect: what it is called, its parameters, and hooks at the places of a model where it acts.
+    """One physical effect: its description, its parameters, and hooks at the places of a model where it acts.
 
-    Every hook is a @staticmethod and optional. `theta` has the parameters by name, and what `constants` returned as
+    Every hook is an optional @staticmethod. `theta` has the parameters by name, and the result of `constants` as
     `theta.car`. Hooks of the equations are compiled and differentiated: they use only arithmetic and `st_core.ops`, no
-    branch on a value, and return tuples. `given`: what `prepare` returned, or the declared `signals` without it.
+    branch on a value, and return tuples. `given`: the result of `prepare`, or the declared `signals` without it.
 
-        constants(vehicle) -> numbers of the car the hooks need, a NamedTuple (or one float)
-        vehicle(vehicle, theta) -> another VehicleParameters; once for a set of values, theta.car is not there yet
-        fold(vehicle, theta) -> the VehicleParameters that have the effect in them, exactly, where a vehicle file can
-            hold it; without it the same as `vehicle`
-        steering(time, angle, begins, theta) -> (time [s], road wheel angle [rad]), changed; arrays of a
-            whole recording, for effects with memory; begins: True where that is fresh, at the start and after each gap
+        constants(vehicle) -> numbers of the car for the other hooks, a NamedTuple (or one float)
+        vehicle(vehicle, theta) -> changed VehicleParameters; once for a set of values, without theta.car
+        fold(vehicle, theta) -> VehicleParameters that contain the effect exactly, for a vehicle file; default `vehicle`
+        steering(time, angle, begins, theta) -> (time [s], road wheel angle [rad]), changed; arrays of a whole
+            recording, for effects with memory; begins: True at the start and after each gap, where memory is reset
         inputs(road_wheel_angle, velocity_x_dot, signals, theta) -> both, changed; once per instant
         prepare(road_wheel_angle, velocity_x_dot, signals, theta) -> tuple, named by `prepared`; once per instant
         slip_angles(slip_front, slip_rear, extra, at, given, theta) -> both, changed
         axle_forces(forces, slip_front, slip_rear, at, given, theta) -> (front, rear) [N], from
-            forces(slip_front, slip_rear, at) -> (front, rear), what they were without it
+            forces(slip_front, slip_rear, at) -> (front, rear), those without the effect
         acceleration(at, given, theta) -> (along x, along y [m/s^2], of yaw [rad/s^2]), added
-        start(slips, at, given, theta) -> values of `extra_states` at the start; without it zeros
+        start(slips, at, given, theta) -> initial values of `extra_states`; default 0
         rates(extra, slips, forces, at, given, theta) -> their derivatives; slips [rad] geometric, forces [N] as acting
-        specific_force(at, given, theta) -> (a_x, a_y) [m/s^2] an accelerometer at the CG shows on top of the motion
-        observe(measured, theta) -> Measured: what the sensors make of the truth; correct(measured, theta): back again
+        specific_force(at, given, theta) -> (a_x, a_y) [m/s^2] of an accelerometer at the CG, in excess of the motion
+        observe(measured, theta) -> Measured: readings for true values; correct(measured, theta): the inverse
 
-    name: unique. physics: the equation in a line, sign included. excited_by: driving that shows it. twins: effects it
-    is hard to separate from, named by one of the two at least. applies_to: kinds of model. lifts: (from, to) for an
-    effect that turns one kind into another.
-    extra_units: of the extra states, for those who export the model.
-    kind: one of EFFECT_KINDS, what it belongs to. slot: one of SLOTS, where it acts. needs: channels without any one
-    of which it leaves no trace, or only that of another effect. members: names of the effects it is the sum of.
-    combinations: names of COMBINATIONS that it changes. ratio_to: key of the vehicle file; driving shows only the ratio
-    of its quantity to that one. at_peak_force: drives show it only near the largest force of an axle.
-    costly: computes the tyres again; leave it out of a fast model where it is at null.
-    order: among the effects at one hook, low acts first. Source of the twins: sensitivity vectors of a single-track
-    car, steady circle, step, sweep and limit.
+    name: unique. physics: the equation in a line, with the sign. excited_by: driving that shows it. kind: of
+    EFFECT_KINDS, what it belongs to. slot: of SLOTS, where it acts. twins: effects that are hard to separate from it
+    (one of the two may name the other), by sensitivity vectors of a single-track car on circle, step, sweep and limit.
+    needs: channels, all of which it needs to be observable and separable. members: names of the effects it is the sum
+    of. combinations: of COMBINATIONS, that it changes. ratio_to: key of the vehicle file; drives show only the ratio of
+    its quantity to that one. at_peak_force: observable only near the peak force of an axle. applies_to: kinds of model.
+    lifts: (from, to) of an effect that turns one kind into another. extra_units: of `extra_states`, for exports.
+    costly: evaluates the tyres again, and is left out of a fast model at null. order: among the effects at one hook,
+    lowest first.
     """
 
     name: ClassVar[str]
@@ -203,19 +196,17 @@ PASSIVE = ("constants", "fold")
 EQUATION_HOOKS = ("slip_angles", "axle_forces", "acceleration", "rates", "specific_force")
 EFFECTS: dict[str, type[Effect]] = {}
 UNLISTED: dict[str, type[Effect]] = {}
-"""Effects that a program builds models with and no search takes: not in the library, only in `get_effect`."""
+"""Effects for models built by programs, not in the library of a search; `get_effect` has them."""
 
 
 def register(effect: type[Effect]) -> type[Effect]:
-    """Class decorator: checks an effect and enters it under its name.
-
-    Raises ConfigurationError naming the effect and what is wrong: a name taken, an unknown attribute, a text missing.
-    """
+    """Class decorator: checks an effect and enters it in EFFECTS. Raises ConfigurationError naming effect and
+    problem."""
     return _enter(effect, EFFECTS)
 
 
 def unlisted(effect: type[Effect]) -> type[Effect]:
-    """Class decorator: as `register`, and enters it in UNLISTED."""
+    """Class decorator: as `register`, but in UNLISTED."""
     return _enter(effect, UNLISTED)
 
 
@@ -290,7 +281,7 @@ def _wrong_pairs(effect: type[Effect]) -> Iterator[str]:
 
 
 def source_file(effect: type[Effect]) -> str:
-    """The file an effect is written in; what was compiled of it is stale when that changes."""
+    """The file of an effect; compiled functions of it are outdated when that changes."""
     return str(getattr(sys.modules.get(effect.__module__), "__file__", effect.__module__))
 
 
@@ -306,7 +297,7 @@ def get_effect(name: str) -> type[Effect]:
 
 
 def twins_of(name: str) -> frozenset[str]:
-    """Names of the effects hard to separate from one: those it names, and those that name it."""
+    """Names of the effects that are hard to separate from one: its twins, and those with it as a twin."""
     return frozenset(get_effect(name).twins) | {other for other, effect in EFFECTS.items() if name in effect.twins}
 
 

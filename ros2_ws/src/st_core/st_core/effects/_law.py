@@ -1,15 +1,15 @@
-"""Empirical relation: a smooth curve of one quantity, at one place of the model. What `st_core.relations` fits.
+"""Empirical relation: a smooth curve of one quantity, at one place of the model, fitted by `st_core.relations`.
 
     u = sum of in_i quantity_i, held at low and at low + 5 spacing beyond;   t(u) = (u - low) / spacing
     f(u) = sum over k of c_k (B(t(u) - k) + parity B(t(-u) - k)),   B the cubic B-spline on whole numbers, k = -1 ... 6
 
-and f, times one `by_` quantity where requested, times one `to_` weight is added at that place. parity -1 makes f
-odd, +1 even, 0 neither. All weights, the range and the parity are constants, so that every law of a kind is the same
-compiled function. Three kinds: `law` of what the car does now, `law_memory` of a quantity q that lags or of its rate,
+f, times one `by_` quantity if requested, times one `to_` weight is added at that place. parity: -1 odd, +1 even, 0
+neither. All weights, the range and the parity are constants, so that all laws of a kind are the same compiled function.
+Three kinds: `law` of present quantities, `law_memory` of a quantity q with a lag or of its rate,
 
-    s_dot = (q - s) / tau,   settled at the start;   u = s, or u = (q - s) / tau
+    s_dot = (q - s) / tau,   s = q at the start;   u = s, or u = (q - s) / tau
 
-and `law_timed` of the time in the run, a signal not available live.
+and `law_timed` of the time in the run, a signal of recordings only.
 """
 
 from typing import NamedTuple
@@ -18,11 +18,11 @@ from ..ops import absolute, cos, maximum, minimum, sin
 from ._base import Effect, Parameter, unlisted
 
 COUNT = 8
-HIGHEST = 100.0  # usual sizes of a law: a curve that high is none
+MAX_HEIGHT = 100.0  # usual sizes, bound of the coefficients
 INTERVALS = 5.0
-MOVED = ("steering", "acceleration_y", "acceleration_x", "speed", "yaw_rate", "north", "east", "position_x",
+MOTION = ("steering", "acceleration_y", "acceleration_x", "speed", "yaw_rate", "north", "east", "position_x",
          "position_y")
-INPUTS = ("slip_front", "slip_rear", *MOVED)
+INPUTS = ("slip_front", "slip_rear", *MOTION)
 BY = ("steering", "acceleration_y")
 PLACES = {
     "front_steer": ("rad", "of the front wheels, added to the road wheel angle"),
@@ -33,12 +33,12 @@ PLACES = {
     "rear_grip": ("1", "of the rear axle's lateral force, as a share of it"),
     "yaw_moment": ("rad/s^2", "yaw acceleration by a moment on the body, left +"),
     "side_force": ("m/s^2", "lateral acceleration by a force on the body, left +"),
-    "sensor_yaw_rate": ("rad/s", "on what the yaw rate sensor shows"),
-    "sensor_acceleration_y": ("m/s^2", "on what the accelerometer shows"),
+    "sensor_yaw_rate": ("rad/s", "on the reading of the yaw rate sensor"),
+    "sensor_acceleration_y": ("m/s^2", "on the reading of the accelerometer"),
     "sensor_velocity_y": ("m/s", "on the lateral velocity of the INS"),
     "sensor_heading": ("rad", "on the heading of the INS"),
 }
-"""Where a law can act: unit, and meaning with its sign."""
+"""Places of a law: unit, and meaning with its sign."""
 
 
 class Car(NamedTuple):
@@ -69,7 +69,7 @@ def curve(u, theta):
 
 
 def of_motion(at, theta):
-    """u without the slip angles, which are not known everywhere."""
+    """u without the slip angles, which are not arguments of all hooks."""
     return (theta.in_steering * at.road_wheel_angle + theta.in_acceleration_y * at.velocity_x * at.yaw_rate
             + theta.in_acceleration_x * at.velocity_x_dot + theta.in_speed * at.velocity_x
             + theta.in_yaw_rate * at.yaw_rate + theta.in_north * sin(at.yaw) + theta.in_east * cos(at.yaw)
@@ -77,13 +77,13 @@ def of_motion(at, theta):
 
 
 def times(at, theta):
-    """What the curve is multiplied with."""
+    """Factor on the curve."""
     return (theta.by_one + theta.by_steering * at.road_wheel_angle
             + theta.by_acceleration_y * at.velocity_x * at.yaw_rate)
 
 
 def of_readings(measured, theta):
-    """f of what the sensors show."""
+    """f of the readings."""
     return curve(theta.in_acceleration_y * measured.velocity_x * measured.yaw_rate
                  + theta.in_speed * measured.velocity_x + theta.in_yaw_rate * measured.yaw_rate, theta)
 
@@ -94,10 +94,10 @@ def _constant(name: str, meaning: str, null: float = 0.0) -> Parameter:
 
 
 def _parameters(*more: Parameter) -> tuple[Parameter, ...]:
-    """Of a kind of law: heights, range, parity, weights; more: its own constants."""
+    """Parameters of a kind of law: coefficients, range, parity, weights; more: its own constants."""
     return (
-        *(Parameter(f"c{k}", "1", null=0.0, initial=1.0, bounds=(-HIGHEST, HIGHEST), meaning=f"height of spline {k}",
-                    source="of the law") for k in range(COUNT)),
+        *(Parameter(f"c{k}", "1", null=0.0, initial=1.0, bounds=(-MAX_HEIGHT, MAX_HEIGHT),
+                    meaning=f"coefficient of spline {k}", source="of the law") for k in range(COUNT)),
         _constant("low", "least value of u"), _constant("spacing", "of the knots of u", 1.0),
         _constant("parity", "-1 odd, +1 even, 0 neither"),
         *(_constant(f"in_{name}", "weight in u") for name in INPUTS),
@@ -128,7 +128,7 @@ class Law(Effect):
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, at, given, theta):
         u = of_motion(at, theta) + theta.in_slip_front * slip_front + theta.in_slip_rear * slip_rear
-        return gripped(forces, slip_front, slip_rear, at, curve(u, theta), theta)
+        return changed_forces(forces, slip_front, slip_rear, at, curve(u, theta), theta)
 
     @staticmethod
     def acceleration(at, given, theta):
@@ -137,11 +137,11 @@ class Law(Effect):
 
     @staticmethod
     def observe(measured, theta):
-        return _shown(measured, of_readings(measured, theta), theta)
+        return _add_to_readings(measured, of_readings(measured, theta), theta)
 
     @staticmethod
     def correct(measured, theta):
-        return _shown(measured, -of_readings(measured, theta), theta)
+        return _add_to_readings(measured, -of_readings(measured, theta), theta)
 
 
 @unlisted
@@ -160,18 +160,18 @@ class LawMemory(Effect):
 
     @staticmethod
     def slip_angles(slip_front, slip_rear, extra, at, given, theta):
-        rate = (remembered(at, theta) - extra[0]) / theta.tau
+        rate = (with_memory(at, theta) - extra[0]) / theta.tau
         y = curve(of_motion(at, theta) + theta.in_lagging * extra[0] + theta.in_rate * rate, theta)
         y = y * (times(at, theta) + theta.by_rate * rate)
         return slip_front - theta.to_front_steer * y, slip_rear - theta.to_rear_steer * y
 
     @staticmethod
     def start(slips, at, given, theta):
-        return (remembered(at, theta),)
+        return (with_memory(at, theta),)
 
     @staticmethod
     def rates(extra, slips, forces, at, given, theta):
-        return ((remembered(at, theta) - extra[0]) / theta.tau,)
+        return ((with_memory(at, theta) - extra[0]) / theta.tau,)
 
 
 @unlisted
@@ -194,22 +194,22 @@ class LawTimed(Effect):
 
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, at, given, theta):
-        return gripped(forces, slip_front, slip_rear, at, curve(given[0], theta), theta)
+        return changed_forces(forces, slip_front, slip_rear, at, curve(given[0], theta), theta)
 
 
-def remembered(at, theta):
+def with_memory(at, theta):
     """q of a law with memory."""
     return theta.of_steering * at.road_wheel_angle + theta.of_acceleration_y * at.velocity_x * at.yaw_rate
 
 
-def gripped(forces, slip_front, slip_rear, at, y, theta):
+def changed_forces(forces, slip_front, slip_rear, at, y, theta):
     """Axle forces with a law y at one of their places."""
     front, rear = forces(slip_front, slip_rear, at)
     return (front * (1.0 + theta.to_front_grip * y) + theta.to_front_force * theta.car.load_front * y,
             rear * (1.0 + theta.to_rear_grip * y) + theta.to_rear_force * theta.car.load_rear * y)
 
 
-def _shown(m, y, theta):
+def _add_to_readings(m, y, theta):
     return m._replace(yaw=m.yaw + theta.to_sensor_heading * y, yaw_rate=m.yaw_rate + theta.to_sensor_yaw_rate * y,
                       velocity_y=m.velocity_y + theta.to_sensor_velocity_y * y,
                       acceleration_y=m.acceleration_y + theta.to_sensor_acceleration_y * y)

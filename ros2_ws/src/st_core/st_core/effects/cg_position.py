@@ -1,4 +1,4 @@
-"""CG further forward or back than in the vehicle file. Axles and INS stay where they are in the body."""
+"""Longitudinal CG position other than in the vehicle file; axles and INS unchanged in the body."""
 
 from dataclasses import replace
 

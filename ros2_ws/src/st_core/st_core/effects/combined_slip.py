@@ -1,8 +1,8 @@
-"""Drive and brake force take lateral force away: friction ellipse per axle.
+"""Drive and brake forces reduce the lateral force: friction ellipse per axle.
 
     F_y = F_y0 (1 - share + share sqrt(1 - (F_x / D)^2))
 
-F_x is what the forward motion requires, D the peak of the axle at its load; |F_x| is held at 0.98 D.
+F_x is the force that the forward motion requires, D the peak force of the axle at its load; |F_x| <= 0.98 D.
 """
 
 from typing import NamedTuple
@@ -13,7 +13,7 @@ from ..ops import maximum, minimum, sin, sqrt
 from ..tyres import magic_formula_peak
 from ._base import Effect, Parameter, register
 
-LARGEST = 0.98**2
+MAX_SQUARE_RATIO = 0.98**2  # of (F_x / D)^2; the slope of the root is finite
 
 
 class Drive(NamedTuple):
@@ -36,9 +36,9 @@ def axle_drive_forces(lateral_front, at, car: Drive):
     lateral_front: F_f [N].
     """
     force = car.mass * (at.velocity_x_dot - at.velocity_y * at.yaw_rate) + lateral_front * sin(at.road_wheel_angle)
-    push, brake = maximum(force, 0.0), minimum(force, 0.0)
-    return (car.drive_front * push + car.brake_front * brake,
-            (1.0 - car.drive_front) * push + (1.0 - car.brake_front) * brake)
+    drive, brake = maximum(force, 0.0), minimum(force, 0.0)
+    return (car.drive_front * drive + car.brake_front * brake,
+            (1.0 - car.drive_front) * drive + (1.0 - car.brake_front) * brake)
 
 
 class Car(NamedTuple):
@@ -46,10 +46,10 @@ class Car(NamedTuple):
     tyres: TyreParameters
 
 
-def left(force, peak, share):
-    """Share of the lateral force an axle keeps under a longitudinal force, both in N."""
-    used = force / peak
-    return 1.0 - share + share * sqrt(1.0 - minimum(used * used, LARGEST))
+def lateral_factor(force, peak, share):
+    """Factor on the lateral force of an axle with a longitudinal force; force, peak [N]."""
+    ratio = force / peak
+    return 1.0 - share + share * sqrt(1.0 - minimum(ratio * ratio, MAX_SQUARE_RATIO))
 
 
 @register
@@ -81,4 +81,5 @@ class CombinedSlip(Effect):
     def axle_forces(forces, slip_front, slip_rear, at, given, theta):
         front, rear = forces(slip_front, slip_rear, at)
         drive_front, drive_rear = axle_drive_forces(front, at, theta.car.drive)
-        return front * left(drive_front, given[0], theta.share), rear * left(drive_rear, given[1], theta.share)
+        return (front * lateral_factor(drive_front, given[0], theta.share),
+                rear * lateral_factor(drive_rear, given[1], theta.share))

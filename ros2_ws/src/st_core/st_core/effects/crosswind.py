@@ -1,9 +1,9 @@
-"""Steady wind over ground: side force of the moving air less that of still air, ahead of the CG.
+"""Steady wind over ground: side force of the moving air minus that of still air, ahead of the CG.
 
     F_y = rho / 2 side_area (|u| u_y - |u_0| u_y0),   M_z = side_force_arm F_y,
     u = wind - velocity in body axes, u_0 = -velocity
 
-Drag is in the measured v_x_dot already.
+Drag is part of the measured v_x_dot.
 """
 
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from ..ops import cos, sin, sqrt
 from ._base import Effect, Parameter, register
 
 AIR_DENSITY = 1.2  # kg/m^3
-TINY = 1.0e-6  # (m/s)^2; the root has a slope everywhere
+SMALL_SQUARE = 1.0e-6  # (m/s)^2; the slope of the root is finite
 
 
 class Car(NamedTuple):
@@ -24,7 +24,7 @@ class Car(NamedTuple):
 
 def pressure(along, across):
     """|u| u_y [m^2/s^2]."""
-    return sqrt(along * along + across * across + TINY) * across
+    return sqrt(along * along + across * across + SMALL_SQUARE) * across
 
 
 @register

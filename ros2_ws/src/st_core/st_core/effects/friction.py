@@ -1,4 +1,4 @@
-"""Friction other than that of the tyre data: wet, cold, another tyre."""
+"""Friction other than in the tyre data: wet, cold, another tyre."""
 
 from dataclasses import replace
 

@@ -2,9 +2,9 @@
 
     F = F_lin / (1 + s u^2 + s^2 u^4)^(1/4),   u = F_lin / static load of the axle
 
-The force tends to F_z / sqrt(s): s = 1 / mu^2, 0 is linear. Where the linear force equals that limit, the axle has 0.76
-of it. With its own slope and limit it is within 2 % of the peak of brush and Magic Formula curves up to twice that slip
-(4 % for a Magic Formula with C 1.3, E -3).
+The limit is F_z / sqrt(s), so s = 1 / mu^2; s = 0 is linear. Where the linear force equals the limit, F is 0.76 of it.
+Fitted to brush and Magic Formula curves, it is within 2 % of their peak up to twice that slip (4 % for a Magic Formula
+with C 1.3, E -3).
 """
 
 from ..ops import sqrt

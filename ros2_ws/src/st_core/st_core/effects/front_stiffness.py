@@ -1,8 +1,22 @@
-"""Cornering stiffness of the front axle other than the vehicle file's."""
+"""Cornering stiffness of the front axle other than in the vehicle file."""
 
 from dataclasses import replace
 
 from ._base import Effect, Parameter, register
+
+
+def stiffness_factor(initial):
+    """The parameter of an axle stiffness."""
+    return Parameter("factor", "1", null=1.0, initial=initial, bounds=(0.3, 3.0),
+                     meaning="true stiffness over the file's", model_error=0.04,
+                     source="tyres of one size spread by 2; openpilot learns 0.2-5 for both axles together")
+
+
+def with_stiffness(vehicle, axle, factor):
+    """The vehicle with the cornering stiffness of an axle, "front" or "rear", times a factor."""
+    stiffness, tyre = getattr(vehicle, f"cornering_stiffness_{axle}"), getattr(vehicle, f"tyre_{axle}")
+    return replace(vehicle, **{f"cornering_stiffness_{axle}": stiffness * factor,
+                               f"tyre_{axle}": tyre._replace(lambda_ky=tyre.lambda_ky * factor)})
 
 
 @register
@@ -14,14 +28,8 @@ class FrontStiffness(Effect):
     twins = ("steering_compliance", "steering_ratio", "roll_steer", "mass", "friction", "tyre_stiffness")
     combinations = ("front cornering stiffness over mass", "understeer gradient K", "steady-state yaw gain at 20 m/s")
     ratio_to = "mass"
-    parameters = (
-        Parameter("factor", "1", null=1.0, initial=0.9, bounds=(0.3, 3.0), meaning="true stiffness over the file's",
-                  source="tyres of one size spread by 2; openpilot learns 0.2-5 for both axles together",
-                  model_error=0.04),
-    )
+    parameters = (stiffness_factor(0.9),)
 
     @staticmethod
     def vehicle(vehicle, theta):
-        tyre = vehicle.tyre_front
-        return replace(vehicle, cornering_stiffness_front=vehicle.cornering_stiffness_front * theta.factor,
-                       tyre_front=tyre._replace(lambda_ky=tyre.lambda_ky * theta.factor))
+        return with_stiffness(vehicle, "front", theta.factor)

@@ -1,11 +1,11 @@
-"""INS turned in the body: what it calls forward points to the left of the car's forward."""
+"""INS rotated in the body: its forward axis points to the left of that of the car."""
 
 from ..ops import cos, sin
 from ._base import ANY, Effect, Parameter, register
 
 
-def turned(m, yaw, angle):
-    """Measured in axes turned by `angle` to the left, with that yaw."""
+def rotate(m, yaw, angle):
+    """Readings in axes rotated by `angle` to the left, with that yaw."""
     c, s = cos(angle), sin(angle)
     return m._replace(yaw=yaw, velocity_x=c * m.velocity_x + s * m.velocity_y,
                       velocity_y=c * m.velocity_y - s * m.velocity_x,
@@ -16,7 +16,7 @@ def turned(m, yaw, angle):
 @register
 class HeadingMisalignment(Effect):
     name = "heading_misalignment"
-    physics = "measured yaw = yaw + angle, velocity and acceleration given in the turned axes; position stays"
+    physics = "measured yaw = yaw + angle, velocity and acceleration in the rotated axes; position unchanged"
     excited_by = "straight driving: v_y of the INS is -angle v_x"
     kind, slot = "sensors", "heading"
     twins = ("steering_offset", "sensor_lever_arm")
@@ -31,8 +31,8 @@ class HeadingMisalignment(Effect):
 
     @staticmethod
     def observe(measured, theta):
-        return turned(measured, measured.yaw + theta.angle, theta.angle)
+        return rotate(measured, measured.yaw + theta.angle, theta.angle)
 
     @staticmethod
     def correct(measured, theta):
-        return turned(measured, measured.yaw - theta.angle, -theta.angle)
+        return rotate(measured, measured.yaw - theta.angle, -theta.angle)

@@ -1,4 +1,4 @@
-"""Lateral accelerometer that reads something at rest on level ground."""
+"""Lateral accelerometer with a bias: its reading at rest on level ground."""
 
 from ._base import ANY, Effect, Parameter, register
 

@@ -1,13 +1,13 @@
-"""Load moves to the outer wheels and, tyres being degressive, the axle loses force.
+"""Load transfer to the outer wheels, which reduces the axle force, as tyre force is degressive in load.
 
     dF = share m a_y h / track, split between the axles;   F = F(F_z / 2 + dF) + F(F_z / 2 - dF) of two tyres
 
-a_y = (F_f + F_r) / m of the forces without the transfer. The difference to two equally loaded tyres is added, on top
-of any other change of the axle force. The steered wheels push unequally along the car too, the outer one backwards:
+a_y = (F_f + F_r) / m of the forces without the transfer. The difference to two equally loaded tyres is added to the
+axle force. The forces of the steered wheels also differ along the car, the outer one backwards:
 
     M_z = -track / 2 sin delta (F_outer - F_inner) of the front axle, against the turn
 
-A single track has no width to hold that moment; it is written as a pair of opposite axle forces.
+A single track has no width for that moment; it is represented by a pair of opposite axle forces.
 """
 
 from typing import NamedTuple
@@ -26,8 +26,8 @@ class Car(NamedTuple):
     load_transfer_front: float
 
 
-def pair(slip, load, moved, tyre):
-    """(outer, inner) tyre [N] when `moved` is shifted from the inner of two loads [N] to the outer."""
+def tyre_pair(slip, load, moved, tyre):
+    """(outer, inner) tyre force [N] with `moved` [N] shifted from the inner of two loads [N] to the outer."""
     return tyre_force(slip, load + moved, tyre), tyre_force(slip, load - moved, tyre)
 
 
@@ -39,7 +39,7 @@ class LateralLoadTransfer(Effect):
     excited_by = "cornering to the limit, transients; nothing shows it below 0.4 g"
     kind, slot = "physics", "both axles"
     twins = ("friction", "front_stiffness", "rear_stiffness")
-    applies_to = frozenset(("nonlinear",))  # a linear tyre does not know its load
+    applies_to = frozenset(("nonlinear",))  # a linear tyre has no dependence on load
     prepared = ("load_front", "load_rear")
     costly = True
     order = 20
@@ -62,8 +62,8 @@ class LateralLoadTransfer(Effect):
         front, rear = forces(slip_front, slip_rear, at)
         car, track, part = theta.car.tyres, theta.car.track_width, theta.car.load_transfer_front
         moved = theta.share * (front + rear) * car.cg_height / track
-        outer, inner = pair(slip_front, given[0], part * moved, car.tyre_front)
-        outer_rear, inner_rear = pair(slip_rear, given[1], (1.0 - part) * moved, car.tyre_rear)
+        outer, inner = tyre_pair(slip_front, given[0], part * moved, car.tyre_front)
+        outer_rear, inner_rear = tyre_pair(slip_rear, given[1], (1.0 - part) * moved, car.tyre_rear)
         couple = 0.5 * track * (outer - inner) / (car.cg_to_front_axle + car.cg_to_rear_axle)
         # The equations of motion take the front force times cos delta.
         return (front + outer + inner - 2.0 * tyre_force(slip_front, given[0], car.tyre_front)

@@ -1,9 +1,9 @@
-"""Passengers and luggage: a mass over the rear axle, on top of the car that was measured.
+"""Passengers and luggage: a mass over the rear axle, in addition to the measured car.
 
     m = m + load,  b = load l_r / m,  l_f = l_f + b,  l_r = l_r - b,  I_z = I_z + m_empty b^2 + load (l_r_empty - b)^2
 
-A load farther forward acts like a smaller one over the rear axle. The tyres of the nonlinear model take the changed
-axle loads; stiffnesses of the linear model stay.
+A load farther forward acts like a smaller one over the rear axle. The tyres of the nonlinear model have the changed
+axle loads; stiffnesses of the linear model are unchanged.
 """
 
 from dataclasses import replace

@@ -1,9 +1,9 @@
-"""Load moves between the axles under acceleration, and the tyres answer to it.
+"""Load transfer between the axles under acceleration, and its effect on the tyre forces.
 
     dF_z = m height a_x / l from the front axle to the rear,   F = F + F_MF(F_z + dF_z) - F_MF(F_z),   a_x = v_x_dot
 
-height is what the base model lacks: all of it for linear tyres, the excess over the vehicle file for the Magic Formula.
-How a tyre answers is the Magic Formula's of the vehicle file, two tyres per axle, F_z their loads with the file's CG.
+height is that missing in the base model: all of it for linear tyres, the excess over the vehicle file for the Magic
+Formula. F_MF is the Magic Formula of the vehicle file, two tyres per axle, F_z their loads with the CG of the file.
 """
 
 from ..models.nonlinear_tyre import axle_loads
@@ -12,8 +12,8 @@ from ..tyres import magic_formula_coefficients, magic_formula_force
 from ._base import Effect, Parameter, register
 
 
-def gain(slip, before, after, tyre):
-    """What the two tyres of an axle gain [N]; before, after: (B, D, E) at their loads."""
+def force_change(slip, before, after, tyre):
+    """Change of the force of the two tyres of an axle [N]; before, after: (B, D, E) at their loads."""
     return 2.0 * (magic_formula_force(slip, after[0], after[1], after[2], tyre)
                   - magic_formula_force(slip, before[0], before[1], before[2], tyre))
 
@@ -50,5 +50,5 @@ class LongitudinalLoadTransfer(Effect):
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, at, given, theta):
         front, rear = forces(slip_front, slip_rear, at)
-        return (front + gain(slip_front, given[0:3], given[6:9], theta.car.tyre_front),
-                rear + gain(slip_rear, given[3:6], given[9:12], theta.car.tyre_rear))
+        return (front + force_change(slip_front, given[0:3], given[6:9], theta.car.tyre_front),
+                rear + force_change(slip_rear, given[3:6], given[9:12], theta.car.tyre_rear))

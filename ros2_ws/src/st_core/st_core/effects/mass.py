@@ -1,4 +1,4 @@
-"""Mass other than the vehicle file's: load, passengers. CG, yaw inertia and lengths stay."""
+"""Mass other than in the vehicle file, with CG, yaw inertia and lengths unchanged."""
 
 from dataclasses import replace
 

@@ -1,15 +1,15 @@
-"""Position that is late, to first order: (x, y)_measured = (x, y) - time R(yaw) (v_x, v_y), of the INS point.
+"""Late position, to first order: (x, y)_measured = (x, y) - time R(yaw) (v_x, v_y), of the INS point.
 
-It acts first on the truth and is taken back last, when yaw and velocity are the true ones again: so `correct` undoes
-`observe` exactly.
+It is the first effect on the true values and the last one corrected, when yaw and velocity are the true ones: so
+`correct` is the exact inverse of `observe`.
 """
 
 from ..ops import cos, sin
 from ._base import ANY, Effect, Parameter, register
 
 
-def moved(measured, time):
-    """Measured where it will be, or was, after `time` [s] at its velocity."""
+def extrapolate(measured, time):
+    """The readings with the position after `time` [s] at their velocity."""
     cosine, sine = cos(measured.yaw), sin(measured.yaw)
     east = measured.velocity_x * cosine - measured.velocity_y * sine
     north = measured.velocity_x * sine + measured.velocity_y * cosine
@@ -32,8 +32,8 @@ class PositionLag(Effect):
 
     @staticmethod
     def observe(measured, theta):
-        return moved(measured, -theta.time)
+        return extrapolate(measured, -theta.time)
 
     @staticmethod
     def correct(measured, theta):
-        return moved(measured, theta.time)
+        return extrapolate(measured, theta.time)

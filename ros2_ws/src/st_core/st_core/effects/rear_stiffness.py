@@ -1,8 +1,7 @@
-"""Cornering stiffness of the rear axle other than the vehicle file's."""
+"""Cornering stiffness of the rear axle other than in the vehicle file."""
 
-from dataclasses import replace
-
-from ._base import Effect, Parameter, register
+from ._base import Effect, register
+from .front_stiffness import stiffness_factor, with_stiffness
 
 
 @register
@@ -14,14 +13,8 @@ class RearStiffness(Effect):
     twins = ("front_stiffness", "cg_position", "friction", "tyre_stiffness")
     combinations = ("rear cornering stiffness over mass", "understeer gradient K", "steady-state yaw gain at 20 m/s")
     ratio_to = "mass"
-    parameters = (
-        Parameter("factor", "1", null=1.0, initial=0.85, bounds=(0.3, 3.0), meaning="true stiffness over the file's",
-                  source="tyres of one size spread by 2; openpilot learns 0.2-5 for both axles together",
-                  model_error=0.04),
-    )
+    parameters = (stiffness_factor(0.85),)
 
     @staticmethod
     def vehicle(vehicle, theta):
-        tyre = vehicle.tyre_rear
-        return replace(vehicle, cornering_stiffness_rear=vehicle.cornering_stiffness_rear * theta.factor,
-                       tyre_rear=tyre._replace(lambda_ky=tyre.lambda_ky * theta.factor))
+        return with_stiffness(vehicle, "rear", theta.factor)

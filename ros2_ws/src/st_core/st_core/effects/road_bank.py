@@ -1,7 +1,7 @@
-"""Road that is higher on one side of the car, all along: a_y = -g sin(angle).
+"""Road banked to one side everywhere: a_y = -g sin(angle).
 
-The angle is the parameter, as no sensor of the suite separates bank from body roll. An accelerometer does not show
-the gravity along the slope: it shows g sin(angle) more than the car's motion.
+The angle is a parameter, as no sensor of the suite separates bank from body roll. The accelerometer measures the
+specific force, so g sin(angle) more than the lateral acceleration.
 """
 
 from ..ops import sin
@@ -12,7 +12,7 @@ from ._base import Effect, Parameter, register
 @register
 class RoadBank(Effect):
     name = "road_bank"
-    physics = "a_y = -g sin(angle) on the car, unfelt by an accelerometer"
+    physics = "a_y = -g sin(angle) on the car, not measured by an accelerometer"
     excited_by = "straight driving with an accelerometer; the same road in both directions"
     kind, slot = "surroundings", "body"
     twins = ("crosswind", "road_slope", "lateral_acceleration_bias", "steering_offset")

@@ -1,9 +1,9 @@
-"""Plane road that is tilted in the map: gravity pulls the car the same way wherever it heads.
+"""Plane road that is tilted in the map: gravity acts in one direction whatever the heading.
 
     a_y = -g (sin(slope_y) cos(yaw) - sin(slope_x) sin(yaw))
 
-Forward the pull is in the measured v_x_dot already. An accelerometer does not feel it: it shows as much more than the
-car's motion, along the car too.
+The component along the car is part of the measured v_x_dot. The accelerometer measures the specific force, without
+gravity, in both directions.
 """
 
 from ..ops import cos, sin
@@ -11,8 +11,8 @@ from ..tyres import GRAVITY
 from ._base import Effect, Parameter, register
 
 
-def rise(at, theta):
-    """(forward, to the left) of the car: rise of the road per way [1]."""
+def gradient(at, theta):
+    """Rise of the road per distance (forward, to the left) of the car [1]."""
     cosine, sine = cos(at.yaw), sin(at.yaw)
     east, north = sin(theta.slope_x), sin(theta.slope_y)
     return east * cosine + north * sine, north * cosine - east * sine
@@ -21,7 +21,7 @@ def rise(at, theta):
 @register
 class RoadSlope(Effect):
     name = "road_slope"
-    physics = "a_y = -g (sin(slope_y) cos(yaw) - sin(slope_x) sin(yaw)) on the car, unfelt by an accelerometer"
+    physics = "a_y = -g (sin(slope_y) cos(yaw) - sin(slope_x) sin(yaw)) on the car, not measured by an accelerometer"
     excited_by = "the same place in two directions, with an accelerometer: wind is measured and grows with speed"
     kind, slot = "surroundings", "body"
     twins = ("crosswind", "road_bank", "steering_offset")
@@ -35,9 +35,9 @@ class RoadSlope(Effect):
     @staticmethod
     def acceleration(at, given, theta):
         zero = 0.0 * at.velocity_x
-        return zero, zero - GRAVITY * rise(at, theta)[1], zero
+        return zero, zero - GRAVITY * gradient(at, theta)[1], zero
 
     @staticmethod
     def specific_force(at, given, theta):
-        forward, left = rise(at, theta)
+        forward, left = gradient(at, theta)
         return GRAVITY * forward, GRAVITY * left

@@ -1,10 +1,10 @@
-"""Front wheels that steer as the body rolls: delta = delta_measured - gradient lean.
+"""Roll steer of the front wheels: delta = delta_measured - gradient lean.
 
-lean is the lateral acceleration the body has rolled with, second order:
+lean is the lateral acceleration filtered by the roll of the body, second order:
 
     lean_ddot = (2 pi f)^2 (a_y - lean) - 2 zeta 2 pi f lean_dot,   a_y = (F_f cos delta + F_r) / m
 
-The change of delta is put into the slip angle; what it turns the force itself by is below 0.1 % of it.
+The change of delta acts on the slip angle only; by the direction of the force it would change it by less than 0.1 %.
 """
 
 from ..ops import cos
@@ -29,7 +29,7 @@ class RollSteer(Effect):
                   source="roll 0.3-0.5 deg per m/s^2, roll steer 0-10 %, both ways in racing cars"),
         Parameter("frequency", "Hz", null=2.0, initial=2.0, bounds=(0.8, 4.0), fit=False, meaning="of the body in roll",
                   source="passenger cars 1.5-2.5 Hz"),
-        Parameter("damping", "1", null=0.4, initial=0.4, bounds=(0.05, 1.0), fit=False, meaning="of it",
+        Parameter("damping", "1", null=0.4, initial=0.4, bounds=(0.05, 1.0), fit=False, meaning="of the body in roll",
                   source="passenger cars 0.3-0.5"),
     )
 

@@ -1,4 +1,4 @@
-"""INS at another place of the body than in the vehicle file."""
+"""Position of the INS in the body other than in the vehicle file."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Velocity with a wrong scale: both components; position stays."""
+"""Scale error of the velocity, both components; position unchanged."""
 
 from ._base import ANY, Effect, Parameter, register
 
@@ -6,7 +6,7 @@ from ._base import ANY, Effect, Parameter, register
 @register
 class SpeedScale(Effect):
     name = "speed_scale"
-    physics = "measured v_x, v_y = factor times the true ones; positions stay"
+    physics = "measured v_x, v_y = factor times the true ones; positions unchanged"
     excited_by = "any driving with position fixes: distance against speed"
     kind, slot = "sensors", "velocity"
     needs = ("position",)

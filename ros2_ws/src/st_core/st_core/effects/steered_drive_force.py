@@ -1,6 +1,6 @@
-"""Drive and brake force of the front wheels turns with them into the body: F_y + F_x,front sin delta at the front axle.
+"""Lateral component of the drive and brake force of the steered wheels: F_y + F_x,front sin delta at the front axle.
 
-The single-track models of the paper leave it out: their forward acceleration is an input.
+The single-track models of the paper, with the forward acceleration as an input, lack it.
 """
 
 from ..ops import tan
@@ -11,7 +11,7 @@ from .combined_slip import axle_drive_forces, drive_of
 @register
 class SteeredDriveForce(Effect):
     name = "steered_drive_force"
-    physics = "front axle pushes sideways with share F_x,front sin delta, F_x from the forward motion"
+    physics = "F_y of the front axle + share F_x,front sin delta, F_x from the forward motion"
     excited_by = "braking or power with the wheels turned: tight turns"
     kind, slot = "physics", "front axle"
     twins = ("combined_slip", "longitudinal_load_transfer")

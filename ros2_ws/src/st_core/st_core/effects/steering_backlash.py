@@ -1,4 +1,4 @@
-"""Play in the steering: the wheels follow only at the ends of it."""
+"""Play in the steering: the wheels follow at its ends only."""
 
 from collections.abc import Callable
 

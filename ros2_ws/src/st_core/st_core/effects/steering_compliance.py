@@ -1,7 +1,7 @@
-"""Front wheels that give way under their lateral force: delta = delta_measured - compliance F_f.
+"""Compliance of the front suspension under lateral force: delta = delta_measured - compliance F_f.
 
-The slip angle then is a' = a + compliance F_f(a'), with the force on both sides. Two Newton steps from a' = a, with the
-slope at zero slip: exact for a linear tyre, and to 1e-4 rad at the limit of adhesion.
+The slip angle is the solution of a' = a + compliance F_f(a'), by two Newton steps from a' = a with the slope at zero
+slip: exact for a linear tyre, within 1e-4 rad at the limit of adhesion.
 """
 
 from ._base import Effect, Parameter, register

@@ -1,7 +1,6 @@
 """Dead time in the steering: delta(t) = delta_measured(t - time).
 
-A time stamp that is wrong has the same equation: > 0 also when steering stamps are early against the INS, < 0 when they
-are late.
+An error of the time stamps has the same equation: > 0 if the steering stamps are early against the INS, < 0 if late.
 """
 
 from ._base import ANY, Effect, Parameter, register

@@ -1,7 +1,7 @@
 """First-order lag in the steering: time_constant delta_dot = delta_measured - delta.
 
-It acts on the measured angle alone, so it is solved on the recording: exactly, for an angle that runs straight between
-samples, without another state and without a start value to guess. Settled at the first sample and after each gap.
+It acts on the measured angle alone, so it is solved on the recording: exactly, for a piecewise linear angle, without a
+further state or an assumed initial value. In steady state at the first sample and after each gap.
 """
 
 import numpy as np

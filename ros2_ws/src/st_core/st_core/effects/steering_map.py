@@ -1,7 +1,7 @@
-"""Steering ratio that depends on the angle: delta = delta' (1 + curvature delta'^2), delta' as the fixed ratio has it.
+"""Steering ratio that depends on the angle: delta = delta' (1 + curvature delta'^2), delta' by the constant ratio.
 
-Acts after steering_ratio and steering_offset: the middle of the map is where the wheels are straight. From
-curvature = -1 / (3 delta^2) on wheels would turn back; the least allowed keeps that beyond 0.6 rad.
+Acts after steering_ratio and steering_offset, so that the map is centred where the wheels are straight. It decreases
+beyond delta'^2 = -1 / (3 curvature); by the lower bound that is beyond 0.6 rad.
 """
 
 from ._base import ANY, Effect, Parameter, register

@@ -1,4 +1,4 @@
-"""Wheels that are not straight at zero steering wheel angle: delta = delta_measured + angle."""
+"""Angle of the road wheels at zero steering wheel angle: delta = delta_measured + angle."""
 
 from dataclasses import replace
 

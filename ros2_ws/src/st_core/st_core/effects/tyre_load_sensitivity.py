@@ -1,8 +1,9 @@
-"""How the cornering stiffness of both axles grows with load; the stiffness at the file's static load is unchanged.
+"""Load dependence of the cornering stiffness of both axles; the stiffness at the static load of the file is unchanged.
 
     K(F_z) = K_0 sin(p_ky4 atan(F_z / (factor p_ky2 F_z0))),   K_0 such that K at the static load of one tyre stays
 
-factor > 1: the stiffest load is higher, so K grows more nearly in proportion to the load. Source: paper, appendix.
+factor > 1: the load of the largest stiffness is higher, so K is more nearly proportional to the load. Source: paper,
+appendix.
 """
 
 from dataclasses import replace
@@ -29,7 +30,7 @@ class TyreLoadSensitivity(Effect):
     excited_by = "braking and power in turns; a load transfer of 10 % at least"
     kind, slot = "vehicle parameters", "both axles"
     twins = ("longitudinal_load_transfer", "lateral_load_transfer", "mass")
-    applies_to = frozenset(("nonlinear",))  # a linear tyre does not know its load
+    applies_to = frozenset(("nonlinear",))  # a linear tyre has no dependence on load
     order = 40  # before mass and cg_position: the file's stiffness is that at the file's load
     parameters = (
         Parameter("factor", "1", null=1.0, initial=1.8, bounds=(0.5, 5.0), meaning="load of the stiffest tyre over the "

@@ -1,15 +1,15 @@
-"""Tyres that need a way to build up their force: length / v d(alpha')/dt = alpha - alpha', force from alpha'.
+"""Relaxation of the tyre force over distance: length / v d(alpha')/dt = alpha - alpha', force from alpha'.
 
-v is held at minimum_slip_speed, so that a force left over at standstill fades. A time constant tau = length / v
-below 25 ms would be too stiff for steps of 50 ms; there the state keeps 25 ms and only the share tau / 25 ms of it is
-used: the delay at low frequency stays tau, at length 0 nothing is left. The tyre starts settled at the slip it has.
-Source: Pacejka, Tire and Vehicle Dynamics, ch. 7, single-point contact.
+v >= minimum_slip_speed, so that the force decays at standstill. A time constant tau = length / v below 25 ms would be
+too stiff for steps of 50 ms; the state then has 25 ms and acts with the share tau / 25 ms only, so that the delay at
+low frequency is tau, and 0 for length 0. Initial state: steady at the initial slip. Source: Pacejka, Tire and Vehicle
+Dynamics, ch. 7, single-point contact.
 """
 
 from ..ops import absolute, maximum
 from ._base import Effect, Parameter, register
 
-SHORTEST = 0.025  # s; RK4 with 50 ms steps is stable down to 18 ms
+MIN_TIME_CONSTANT = 0.025  # s; RK4 with 50 ms steps is stable down to 18 ms
 
 
 @register
@@ -24,7 +24,7 @@ class TyreRelaxation(Effect):
     order = 40
     parameters = (
         Parameter("length", "m", null=0.0, initial=0.4, bounds=(0.0, 1.5),
-                  meaning="way rolled until 63 % of a slip step",
+                  meaning="distance rolled until 63 % of a slip step",
                   source="passenger tyres 0.2-0.8 m, more at high load",
                   model_error=0.08),
     )
@@ -36,7 +36,7 @@ class TyreRelaxation(Effect):
     @staticmethod
     def slip_angles(slip_front, slip_rear, extra, at, given, theta):
         tau = theta.length / maximum(absolute(at.velocity_x), theta.car)
-        share = tau / maximum(tau, SHORTEST)
+        share = tau / maximum(tau, MIN_TIME_CONSTANT)
         return slip_front + share * (extra[0] - slip_front), slip_rear + share * (extra[1] - slip_rear)
 
     @staticmethod
@@ -45,5 +45,5 @@ class TyreRelaxation(Effect):
 
     @staticmethod
     def rates(extra, slips, forces, at, given, theta):
-        tau = maximum(theta.length / maximum(absolute(at.velocity_x), theta.car), SHORTEST)
+        tau = maximum(theta.length / maximum(absolute(at.velocity_x), theta.car), MIN_TIME_CONSTANT)
         return (slips[0] - extra[0]) / tau, (slips[1] - extra[1]) / tau

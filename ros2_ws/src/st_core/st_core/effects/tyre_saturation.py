@@ -1,4 +1,4 @@
-"""Tyres that saturate: what linear tyres lack against the Magic Formula, with its longitudinal load transfer."""
+"""Saturation of the tyres: linear tyres replaced by the Magic Formula, with its longitudinal load transfer."""
 
 from ..models.nonlinear_tyre import inputs as tyre_inputs
 from ..models.nonlinear_tyre import parameters as tyre_parameters
@@ -35,5 +35,5 @@ class TyreSaturation(Effect):
         b_front, d_front, e_front, b_rear, d_rear, e_rear = given
         mf_front = magic_formula_force(slip_front, b_front, d_front, e_front, theta.car.tyre_front)
         mf_rear = magic_formula_force(slip_rear, b_rear, d_rear, e_rear, theta.car.tyre_rear)
-        rest = 1.0 - theta.share
-        return rest * front + theta.share * mf_front, rest * rear + theta.share * mf_rear
+        linear = 1.0 - theta.share
+        return linear * front + theta.share * mf_front, linear * rear + theta.share * mf_rear

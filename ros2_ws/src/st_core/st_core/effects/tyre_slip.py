@@ -1,8 +1,8 @@
-"""Tyres that slip: what the kinematic model lacks against the dynamic one with linear tyres.
+"""Slip of the tyres: the kinematic model replaced by the dynamic one with linear tyres.
 
     derivative of the state = (1 - share) kinematic + share dynamic
 
-A share between 0 and 1 has no physical meaning; a fit with it detects that slip is missing.
+A share between 0 and 1 has no physical meaning; a fit of it detects missing slip.
 """
 
 from ..models.linear_tyre import inputs as linear_inputs

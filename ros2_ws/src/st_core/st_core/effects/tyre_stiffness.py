@@ -1,8 +1,7 @@
-"""Cornering stiffness of both axles other than the vehicle file's, by the same factor: another set of tyres."""
+"""Cornering stiffness of both axles other than in the vehicle file, by the same factor: another set of tyres."""
 
-from ._base import Effect, Parameter, register
-from .front_stiffness import FrontStiffness
-from .rear_stiffness import RearStiffness
+from ._base import Effect, register
+from .front_stiffness import stiffness_factor, with_stiffness
 
 
 @register
@@ -14,12 +13,8 @@ class TyreStiffness(Effect):
     twins = ("mass", "front_stiffness", "rear_stiffness", "cg_position")
     ratio_to = "mass"
     members = ("front_stiffness", "rear_stiffness")
-    parameters = (
-        Parameter("factor", "1", null=1.0, initial=0.85, bounds=(0.3, 3.0), meaning="true stiffness over the file's",
-                  source="tyres of one size spread by 2; openpilot learns 0.2-5 for both axles together",
-                  model_error=0.04),
-    )
+    parameters = (stiffness_factor(0.85),)
 
     @staticmethod
     def vehicle(vehicle, theta):
-        return RearStiffness.vehicle(FrontStiffness.vehicle(vehicle, theta), theta)
+        return with_stiffness(with_stiffness(vehicle, "front", theta.factor), "rear", theta.factor)

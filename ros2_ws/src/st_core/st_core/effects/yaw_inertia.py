@@ -1,4 +1,4 @@
-"""Yaw inertia other than the vehicle file's."""
+"""Yaw inertia other than in the vehicle file."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Yaw rate sensor that reads something at standstill."""
+"""Yaw rate sensor with a bias: its reading at standstill."""
 
 from ._base import Effect, Parameter, register
 
@@ -6,7 +6,7 @@ from ._base import Effect, Parameter, register
 @register
 class YawRateBias(Effect):
     name = "yaw_rate_bias"
-    physics = "measured r = r + bias; the heading of the INS stays"
+    physics = "measured r = r + bias; the heading of the INS is unchanged"
     excited_by = "any driving, straight too, with the heading measured"
     kind, slot = "sensors", "yaw rate"
     needs = ("yaw_rate",)

@@ -1,6 +1,6 @@
-"""Yaw rate that is late, to first order: r_measured(t) = r(t - time) = r - time r_dot.
+"""Late yaw rate, to first order: r_measured(t) = r(t - time) = r - time r_dot.
 
-The derivative comes with the readings; for a single live sample it is unknown and the yaw rate is not corrected.
+The derivative is part of the readings; of a single live sample it is unknown, and the yaw rate is not corrected.
 """
 
 from ._base import Effect, Parameter, register

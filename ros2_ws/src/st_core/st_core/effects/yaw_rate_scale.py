@@ -1,4 +1,4 @@
-"""Yaw rate sensor with a wrong scale."""
+"""Scale error of the yaw rate sensor."""
 
 from ._base import Effect, Parameter, register
 
@@ -6,7 +6,7 @@ from ._base import Effect, Parameter, register
 @register
 class YawRateScale(Effect):
     name = "yaw_rate_scale"
-    physics = "measured r = factor r; the heading of the INS stays"
+    physics = "measured r = factor r; the heading of the INS is unchanged"
     excited_by = "turning, with r v_x against a_y, or the heading over a whole lap"
     kind, slot = "sensors", "yaw rate"
     needs = ("yaw_rate",)

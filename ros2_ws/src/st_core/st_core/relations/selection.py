@@ -10,7 +10,7 @@ from scipy import stats
 from ..contract import describe_instability
 from ..discovery.settings import Limits
 from ..effects import get_effect
-from ..effects._law import COUNT, HIGHEST
+from ..effects._law import COUNT, MAX_HEIGHT
 from ..models import get_model
 from ..regression import ridge
 from ..vehicle import VehicleParameters
@@ -160,9 +160,9 @@ def rejected_curve(fits: RelationFits, fit: RelationFit, vehicle: VehicleParamet
     """Why a curve is rejected whatever its gain: on its bound, or an unstable car; "" for an accepted one."""
     assert fit.candidate is not None
     name = fit.candidate.name
-    if np.abs(fit.coefficients).max() > (1.0 - BOUND_MARGIN) * HIGHEST:
-        return (f"the curve of {name} reaches its bound of {HIGHEST * fit.candidate.usual:.3g} {fit.candidate.unit}, "
-                "beyond any physical relation: see the findings of st check, and the vehicle file")
+    if np.abs(fit.coefficients).max() > (1.0 - BOUND_MARGIN) * MAX_HEIGHT:
+        return (f"the curve of {name} reaches its bound of {MAX_HEIGHT * fit.candidate.usual:.3g} "
+                f"{fit.candidate.unit}, beyond any physical relation: check the vehicle file, and run st check")
     model = fits.space_of(fit.candidate).at(fit.vector)
     low, high = np.quantile(fits.windows.speeds[np.isfinite(fits.windows.speeds)], [0.05, 0.95])
     slow = max(float(low), vehicle.minimum_slip_speed)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import yaml
 from scipy import stats
-from st_core.augmented import AugmentedModel
+from st_core.augmented import AugmentedModel, fold
 from st_core.batch import LogBatch
 from st_core.discovery import Discovery
 from st_core.effects import Effect, get_effect
@@ -36,7 +36,6 @@ DIGITS = 6  # of a written value
 SAME_VALUE = 1e-5  # relative difference that rounding to DIGITS makes at most
 SLIP_SPEED = "minimum_slip_speed"
 KEYS = (*VEHICLE_QUANTITIES, *(f"{tyre}.{key}" for tyre in TYRES for key in TYRE_QUANTITIES))
-Values = Mapping[str, Mapping[str, float]]
 
 
 @dataclass(frozen=True)
@@ -203,14 +202,6 @@ def changed(vehicle: VehicleParameters, effect: type[Effect], values: Mapping[st
     except StCoreError:  # beyond the limits of a vehicle file
         return {}
     return {key: pair for key, pair in pairs.items() if not key.endswith("lambda_ky")}
-
-
-def fold(vehicle: VehicleParameters, effects: Iterable[type[Effect]], values: Values) -> VehicleParameters:
-    """The vehicle with these effects in its parameters. Raises ConfigurationError outside the limits of the file."""
-    for effect in effects:
-        assert effect.fold is not None  # others are not folded
-        vehicle = effect.fold(vehicle, effect.Theta(**values[effect.name], car=()))
-    return vehicle
 
 
 def without(model: AugmentedModel, effects: Iterable[type[Effect]]) -> AugmentedModel:
