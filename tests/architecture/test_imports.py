@@ -214,3 +214,37 @@ def test_the_core_has_no_clock_and_no_files(forbidden):
         return not is_core(path) or module.partition(".")[0] != forbidden
 
     assert offences(allowed) == []
+
+
+@cache
+def defined_in(file: Path) -> frozenset[str]:
+    """Names at the top level of a module, in its conditions too, and its submodules."""
+    names = {child.stem if child.suffix == ".py" else child.name for child in file.parent.iterdir()
+             } if file.name == "__init__.py" else set()
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            names.add(node.name)
+        elif isinstance(node, (ast.Import, ast.ImportFrom)):
+            names.update(alias.asname or alias.name for alias in node.names)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            names.add(node.id)
+    return frozenset(names)
+
+
+@pytest.mark.parametrize("folder", ["bench", "examples", "tests", "tools"])
+def test_what_other_code_imports_of_the_packages_exists(folder):
+    """Types are checked in the packages only; a benchmark or an example would fail when it is started."""
+    missing = []
+    for path in sorted((ROOT / folder).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if not isinstance(node, ast.ImportFrom) or node.level or not node.module:
+                continue
+            top, *parts = node.module.split(".")
+            if top not in PACKAGES:
+                continue
+            module = SOURCES.joinpath(top, top, *parts)
+            file = module / "__init__.py" if module.is_dir() else module.with_suffix(".py")
+            known = defined_in(file) if file.is_file() else frozenset()
+            missing += [f"{path.relative_to(ROOT)}: {node.module}.{alias.name}" for alias in node.names
+                        if alias.name not in known]
+    assert not missing
