@@ -13,8 +13,7 @@ from cantools.database import DecodeError
 from cantools.database.can import Message as DbcMessage
 from cantools.database.can import Signal as DbcSignal
 
-EXTENDED = 0x8000_0000
-"""Added to the identifier of a 29-bit frame in the `ids` of `decode_log`."""
+EXTENDED = 0x8000_0000  # added to the identifier of a 29-bit frame in the `ids` of `decode_log`
 PADDING = frozenset((0x00, 0x55, 0xAA, 0xCC, 0xFF))
 """Bytes that controllers append to fill a frame up to the next valid length."""
 

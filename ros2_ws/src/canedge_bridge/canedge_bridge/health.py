@@ -11,8 +11,7 @@ from .receiver import BusState, ReceiverStatus
 
 _LEVELS = {BusState.OK: OK, BusState.SILENT: WARN, BusState.ERROR_PASSIVE: WARN, BusState.BUS_OFF: ERROR,
            BusState.DOWN: ERROR, BusState.GONE: ERROR}
-# A signal missing for this long after the start is not an error yet [s].
-_START_UP_TIME = 2.0
+_START_UP_TIME = 2.0  # a signal missing for this long after the start is not an error yet [s]
 
 
 class Health:

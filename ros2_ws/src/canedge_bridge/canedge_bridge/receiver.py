@@ -16,10 +16,8 @@ import can
 
 from .transport import link_is_up
 
-# Delay before the bus is reopened [s], doubled after each failure.
-BACK_OFF_FIRST, BACK_OFF_LAST = 0.1, 5.0
-# Timeout of recv [s]; stop(), silence and a removed interface are detected within it.
-_RECEIVE_TIMEOUT = 0.2
+BACK_OFF_FIRST, BACK_OFF_LAST = 0.1, 5.0  # delay before the bus is reopened [s], doubled after each failure
+_RECEIVE_TIMEOUT = 0.2  # timeout of recv [s]; stop(), silence and a removed interface are detected within it
 # All controllers report entering error-passive, but some do not report leaving it: the state ends after this time
 # without an error frame [s].
 _ERROR_PASSIVE_TIMEOUT = 5.0

@@ -27,8 +27,7 @@ CANONICAL_SIGNALS = {
     "gps_time": "s", "gps_utc_offset": "s",
 }
 ANGLES = frozenset({"ins_yaw"})
-# Largest plausible factor or offset of a DBC signal.
-MAX_SCALING = 1e12
+MAX_SCALING = 1e12  # largest plausible factor or offset of a DBC signal
 # Angle to each side that a steering wheel sensor must reach if the table gives no range [rad].
 MIN_STEERING_SPAN = math.radians(180)
 

@@ -13,10 +13,8 @@ from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 
 # Measurements only; predictions and errors of the recorded run are not played.
 MEASURED = "/(ins|vehicle|can)/.*|/tf|/tf_static"
-# Time for the nodes to start before the first message is played [s].
-START_DELAY = 3.0
-# /clock messages per second; the predictor's ticks follow them.
-CLOCK_RATE = "200"
+START_DELAY = 3.0  # time for the nodes to start before the first message is played [s]
+CLOCK_RATE = "200"  # /clock messages per second; the predictor's ticks follow them
 
 ARGUMENTS = {
     "config_dir": (None, "folder with nodes.yaml and car/ (config/ of the repository)"),

@@ -11,14 +11,11 @@ from .ncom_wire import Origin
 from .sensors import InsReading, WheelSpeeds
 
 STEERING_MESSAGE = "Leaf_Steering"
-VEHICLE_BUS, INS_BUS = 1, 2
-"""CANedge channels of the car and of the INS. On a live bus both share one channel."""
+VEHICLE_BUS, INS_BUS = 1, 2  # CANedge channels of the car and of the INS. On a live bus both share one channel
 
-FRAME_TIME = 0.00025
-"""s, duration of a frame at 500 kbit/s; frames of one instant are sent at this interval."""
+FRAME_TIME = 0.00025  # s, duration of a frame at 500 kbit/s; frames of one instant are sent at this interval
 
-CAR_CAN_RATE = 1750
-"""Frames per second on the Car-CAN of a Leaf (52 identifiers, counted in a recording)."""
+CAR_CAN_RATE = 1750  # frames per second on the Car-CAN of a Leaf (52 identifiers, counted in a recording)
 
 # Other identifiers of that recording and their periods [ms]; `--can-rate full` sends them with random contents.
 _BACKGROUND = {

@@ -11,10 +11,8 @@ from typing import Any
 
 from .settings import SimulationError, read_document
 
-GRAVITY = 9.81
-"""m/s^2, as in st_core."""
-TRACK_WIDTH = 1.54
-"""m, both axles, for every vehicle file. Leaf ZE0, manufacturer: 1.540 m front, 1.535 m rear."""
+GRAVITY = 9.81  # m/s^2, as in st_core
+TRACK_WIDTH = 1.54  # m, both axles, for every vehicle file. Leaf ZE0, manufacturer: 1.540 m front, 1.535 m rear
 
 _TO_SI = {"deg": math.pi / 180, **dict.fromkeys(("rad", "kg", "kg m^2", "m", "m/s", "N", "N/rad", "1"), 1.0)}
 

@@ -12,26 +12,18 @@ from .plant import RACK, VX, VY, YAW, YAW_RATE, Plant, X, Y
 from .scenarios import Plan
 from .settings import Settings
 
-DECISION = 0.01
-"""s, sampling time."""
-PREVIEW_TIME, SHORTEST_PREVIEW = 0.8, 4.0
-"""s, m."""
-ANTICIPATION = 0.18
-"""s by which the curvature is steered early, to compensate the lag of hand, steering and tyres."""
-HAND_TIME = 0.08
-"""s, time constant of the hand."""
+SAMPLING_TIME = 0.01  # s
+PREVIEW_TIME, SHORTEST_PREVIEW = 0.8, 4.0  # s, m
+ANTICIPATION = 0.18  # s by which the curvature is steered early, to compensate the lag of hand, steering and tyres
+HAND_TIME = 0.08  # s, time constant of the hand
 FASTEST_HAND, FURTHEST_HAND = 8.0, 9.5
 """rad/s and rad at the hand wheel: 460 deg/s is fast for a person, 540 deg is the end stop."""
-TREMOR_TIME = 0.4
-"""s, correlation time of random steering."""
+TREMOR_TIME = 0.4  # s, correlation time of random steering
 INTEGRAL_STEER, INTEGRAL_LIMIT = 0.015, 0.03
 SPEED_GAIN, SPEED_INTEGRAL = 1.2, 0.5
-SLOWEST_STEERING = 0.5
-"""m/s. Below, the hand wheel is held, because the course angle is not defined."""
-JERK = 10.0
-HARDEST_BRAKING, HARDEST_DRIVE = 7.0, 3.5
-HOLDING_BRAKE = 2.0
-"""m/s^3 and m/s^2 of the pedals."""
+SLOWEST_STEERING = 0.5  # m/s. Below, the hand wheel is held, because the course angle is not defined
+JERK = 10.0  # m/s^3, of the pedals
+HARDEST_BRAKING, HARDEST_DRIVE, HOLDING_BRAKE = 7.0, 3.5, 2.0  # m/s^2
 
 
 class Driver:
@@ -60,7 +52,7 @@ class Driver:
     def advance(self, plant: Plant, time: float, step: float) -> None:
         if time >= self._next - 1e-9:
             # Counted from the first call, so that a drive does not depend on the time at its start.
-            self._next = time + DECISION
+            self._next = time + SAMPLING_TIME
             self._decide(plant, time)
         move = (self._target + self._tremor - self.steering_wheel_angle) * step / HAND_TIME
         fastest = FASTEST_HAND * step
@@ -85,12 +77,12 @@ class Driver:
             self._holding = True
         self._pedals(plant, demand.speed, demand.acceleration)
         if self._tremor_size:
-            memory = math.exp(-DECISION / TREMOR_TIME)
+            memory = math.exp(-SAMPLING_TIME / TREMOR_TIME)
             self._tremor = memory * self._tremor + self._tremor_size * math.sqrt(1 - memory**2) * self._draw()
 
     def _track(self, x: float, y: float, speed: float) -> None:
         """Update `distance` to the point of the road nearest to the car."""
-        self.distance += speed * DECISION
+        self.distance += speed * SAMPLING_TIME
         for _ in range(2):
             road = self.plan.path.pose(self.distance)
             self.distance += math.cos(road.yaw) * (x - road.x) + math.sin(road.yaw) * (y - road.y)
@@ -107,7 +99,7 @@ class Driver:
         offset = math.cos(road.yaw) * (s[Y] - road.y) - math.sin(road.yaw) * (s[X] - road.x)
         course = math.remainder(s[YAW] + math.atan2(s[VY], speed) - road.yaw, 2 * math.pi)
         preview = max(SHORTEST_PREVIEW, PREVIEW_TIME * speed)
-        self._steer_sum += INTEGRAL_STEER * offset * DECISION
+        self._steer_sum += INTEGRAL_STEER * offset * SAMPLING_TIME
         self._steer_sum = min(max(self._steer_sum, -INTEGRAL_LIMIT), INTEGRAL_LIMIT)
         bend = self.plan.path.curvature(self.distance + ANTICIPATION * speed)
         curvature = bend - 2 * (offset + preview * math.sin(course)) / preview**2 - self._steer_sum
@@ -121,10 +113,10 @@ class Driver:
         error = target_speed - s[VX]
         if abs(acceleration) < 0.5:
             # Only at constant speed: while braking or accelerating the integral would add to the feed-forward.
-            self._speed_sum = min(max(self._speed_sum + SPEED_INTEGRAL * error * DECISION, -1.0), 1.0)
+            self._speed_sum = min(max(self._speed_sum + SPEED_INTEGRAL * error * SAMPLING_TIME, -1.0), 1.0)
         # Cornering resistance: the side force of the front tyres times the steer angle.
         cornering = abs(s[VX] * s[YAW_RATE] * math.sin(s[RACK])) * plant.to_rear / self.car.wheelbase
         target = acceleration + SPEED_GAIN * error + self._speed_sum + cornering - s[VY] * s[YAW_RATE]
         target = min(max(target, -HARDEST_BRAKING), HARDEST_DRIVE)
-        self._pedal += min(max(target - self._pedal, -JERK * DECISION), JERK * DECISION)
+        self._pedal += min(max(target - self._pedal, -JERK * SAMPLING_TIME), JERK * SAMPLING_TIME)
         self.drive_force = self._mass * self._pedal

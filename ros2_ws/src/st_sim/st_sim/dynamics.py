@@ -11,28 +11,19 @@ from .car import GRAVITY, TRACK_WIDTH, Car, Tyre
 from .settings import Settings
 
 AIR_DENSITY = 1.2
-SIDE_AREA = 2.5
-"""m^2, side force coefficient times side area; about half of the Leaf's 4.7 m^2 of flank."""
-WIND_ARM = 0.25
-"""m, centre of side wind ahead of the CG."""
+SIDE_AREA = 2.5  # m^2, side force coefficient times side area; about half of the Leaf's 4.7 m^2 of flank
+WIND_ARM = 0.25  # m, centre of side wind ahead of the CG
 BRAKE_SHARE_FRONT = 0.65
-ROLL_SHARE_FRONT = 0.55
-"""Share of the lateral load transfer at the front axle."""
-MINIMUM_LOAD = 50.0
-"""N. Lower limit of a wheel load, also of a lifted wheel, to avoid division by zero."""
+ROLL_SHARE_FRONT = 0.55  # share of the lateral load transfer at the front axle
+MINIMUM_LOAD = 50.0  # N. Lower limit of a wheel load, also of a lifted wheel, to avoid division by zero
 LOWEST_SLIP_SPEED = 0.5
 """m/s. Lower limit of the denominator of slip: as low as the step allows (the paper's models use 3 m/s)."""
-CREEP_SPEED = 2.5
-"""m/s. Below, CREEP_DAMPING is added to a relaxing tyre, which is a spring with little damping there."""
-CREEP_DAMPING = 0.17
-"""s/m, slip per sliding speed."""
+CREEP_SPEED = 2.5  # m/s. Below, CREEP_DAMPING is added to a relaxing tyre, which is a spring with little damping there
+CREEP_DAMPING = 0.17  # s/m, slip per sliding speed
 ROLL_FREQUENCY, ROLL_DAMPING = 12.6, 0.4
 """rad/s (2 Hz) and damping ratio of body roll, which also determines the lateral load transfer."""
-PITCH_TIME = 0.08
-COMPLIANCE_TIME = 0.01
-"""s, time constants of pitch with its load transfer, and of the steering compliance."""
-ROLLING_ONSET = 0.2
-"""m/s. Below, the rolling resistance decreases to 0, so that it cannot move a stationary car."""
+PITCH_TIME, COMPLIANCE_TIME = 0.08, 0.01  # s, time constants of pitch with its load transfer, of steering compliance
+ROLLING_ONSET = 0.2  # m/s. Below, the rolling resistance decreases to 0, so that it cannot move a stationary car
 
 # Positions in the state tuple.
 X, Y, Z, YAW, VX, VY, YAW_RATE, RACK, GIVE, S_FL, S_FR, S_RL, S_RR, LEAN, LEAN_RATE, SQUAT = range(16)

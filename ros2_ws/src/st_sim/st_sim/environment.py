@@ -11,8 +11,7 @@ from .settings import Settings
 # Terrain wave along x; patches of other friction along x [m].
 WAVE_LENGTH = 80.0
 PATCH_LENGTH, PATCH_PERIOD = 10.0, 40.0
-GUST_TIME = 1.5
-"""Correlation time of gusts [s]."""
+GUST_TIME = 1.5  # correlation time of gusts [s]
 
 
 class Surroundings(NamedTuple):

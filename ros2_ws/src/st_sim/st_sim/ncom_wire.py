@@ -19,8 +19,7 @@ UNDULATION = 45.5
 """Geoid above the ellipsoid [m], EGM96 near Eindhoven. Altitude is sent above the geoid, as units do by default."""
 
 UNIX_OF_GPS_EPOCH_NS = 315_964_800_000_000_000
-LEAP_SECONDS_NS = 18_000_000_000
-"""GPS is ahead of UTC by 18 s since 2017."""
+LEAP_SECONDS_NS = 18_000_000_000  # GPS is ahead of UTC by 18 s since 2017
 
 # Navigation status without any valid data, and with inertial data only.
 NOTHING, RAW = 0, 1

@@ -47,13 +47,10 @@ from .dynamics import (
 from .environment import Environment
 from .settings import Settings
 
-STEP = 0.002
-"""s, of the integrator (Heun). Halving it moves a 10 s drive by less than a millimetre (test_plant.py)."""
+STEP = 0.002  # s, of the integrator (Heun). Halving it moves a 10 s drive by less than a millimetre (test_plant.py)
 
-STANDSTILL = 0.02
-"""m/s. Below, with the brakes applied, the car is at rest."""
-DRIVE = 4
-"""Gear code on CAN; 1 P, 2 R, 3 N."""
+STANDSTILL = 0.02  # m/s. Below, with the brakes applied, the car is at rest
+DRIVE = 4  # gear code on CAN; 1 P, 2 R, 3 N
 
 
 class Forces(NamedTuple):

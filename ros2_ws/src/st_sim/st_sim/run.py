@@ -29,8 +29,7 @@ from .stream import Report, Source, Stream, Wires, send
 DEFAULT_DURATION = 60.0
 START_GRID_NS = 20_000_000
 """UTC grid of the start of drives, so that every epoch at 100 or 250 Hz is a whole millisecond."""
-LEAD_NS = 20_000_000
-"""Minimum time from the end of preparation to the first epoch."""
+LEAD_NS = 20_000_000  # minimum time from the end of preparation to the first epoch
 FILE_EPOCH_NS = 1_756_900_800_000_000_000
 """2025-09-03 12:00:00 UTC: start of a drive written to files, plus one hour per seed."""
 DEFAULT_ORIGIN = "51.448,5.49,65.0"

@@ -15,17 +15,12 @@ from st_core.manoeuvres import CATALOGUE, Lines, Manoeuvre
 from .path import Path, Piece, SpeedProfile, lane_shift, straight, turn
 from .settings import SimulationError, read_document
 
-Hands = Callable[[float], float]
-"""Wheelbase of the car [m] -> road-wheel angle [rad, left +]."""
+Hands = Callable[[float], float]  # wheelbase of the car [m] -> road-wheel angle [rad, left +]
 
-LONGEST_ROAD = 20_000.0
-"""m, of one round from a file."""
-FASTEST = 100.0
-"""m/s."""
-PEDAL_LEAD = 0.15
-"""s by which the pedals move before the speed has to change."""
-SPEED_SLACK = 0.15
-"""m/s by which the target may fall below the speed while braking."""
+LONGEST_ROAD = 20_000.0  # m, of one round from a file
+FASTEST = 100.0  # m/s
+PEDAL_LEAD = 0.15  # s by which the pedals move before the speed has to change
+SPEED_SLACK = 0.15  # m/s by which the target may fall below the speed while braking
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,8 @@ from .environment import normal_stream
 from .plant import Truth
 from .settings import Settings
 
-OUTAGE_LENGTH = 1.0
-"""s."""
-ROUGH_SPEED = 5.0
-"""m/s, speed from which vibration noise is full; at rest it is a tenth."""
+OUTAGE_LENGTH = 1.0  # s
+ROUGH_SPEED = 5.0  # m/s, speed from which vibration noise is full; at rest it is a tenth
 SLOWEST_WHEEL, SLOWEST_VEHICLE = 1.1 / 3.6, 2.8 / 3.6
 """m/s, below which wheel speeds and vehicle speed are sent as 0 (as in recordings of this car family)."""
 

@@ -8,8 +8,7 @@ from .plant import DRIVE, LEAN_RATE, RACK, VX, VY, YAW, YAW_RATE, Plant, Truth, 
 from .scenarios import Plan
 from .settings import Settings
 
-RUN_IN = 4.0
-"""s simulated before time 0, so that the drive begins in steady motion."""
+RUN_IN = 4.0  # s simulated before time 0, so that the drive begins in steady motion
 
 
 class SimulatedCar:

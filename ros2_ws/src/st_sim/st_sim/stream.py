@@ -22,12 +22,9 @@ TICK_MS = 2
 TRUTH_PERIOD_MS = 10
 # (period, phase) in ms: the control units of the car are not synchronous with the INS.
 STEERING, WHEELS, GEAR = (10, 2), (20, 6), (60, 8)
-INS_CAN_DELAY = 0.0015
-"""s from the datagram to the first frame on CAN."""
-EARLY = 0.0003
-"""s. A frame due within this time is sent at once, as exact as on a bus."""
-LATE = 0.005
-"""s after the deadline, from which on an output counts as late."""
+INS_CAN_DELAY = 0.0015  # s from the datagram to the first frame on CAN
+EARLY = 0.0003  # s. A frame due within this time is sent at once, as exact as on a bus
+LATE = 0.005  # s after the deadline, from which on an output counts as late
 
 
 class Kind(IntEnum):

@@ -34,14 +34,11 @@ MIN_FACTOR, MAX_FACTOR = 0.05, 100.0
 """From sensor noise to the size of a road: limits that no finite prediction exceeds for long."""
 DEFAULT_FACTORS = {0.5: 1.6, 0.9: 3.0}
 """Without a calibration: median and 90 % quantile of the largest of 300 correlated normal errors over their scale."""
-SCALE_FORGETTING = 120.0
-"""s: two minutes contain most manoeuvres of a driver on a road."""
+SCALE_FORGETTING = 120.0  # s: two minutes contain most manoeuvres of a driver on a road
 DEFAULT_SCALE = (0.3, 0.3, 0.02)
 """m, m, rad at 1 s ahead, growing with the square of the time: initial values, replaced within the first horizons."""
-WARM_UP = 120.0
-"""s of scored driving before a band without a calibration is issued."""
-LONGEST_WEIGHT = 1.0
-"""s. After a pause, one score counts as one second of driving."""
+WARM_UP = 120.0  # s of scored driving before a band without a calibration is issued
+LONGEST_WEIGHT = 1.0  # s. After a pause, one score counts as one second of driving
 
 
 class AdaptiveBand:

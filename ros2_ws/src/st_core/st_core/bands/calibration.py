@@ -94,8 +94,7 @@ LEVELS = (0.5, 0.9)
 RELIABILITY = tuple(round(0.05 * k, 2) for k in range(1, 20))
 """Levels for the reliability diagram, as far as the runs support them; and of the ratios below."""
 FOLDS = 5
-FEWEST_RUNS = 3
-"""One to be scored, and two for the calibration domain without it."""
+FEWEST_RUNS = 3  # one to be scored, and two for the calibration domain without it
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,7 @@ from ..timeseries import NANOSECOND
 
 CONDITIONS = ("speed", "lateral_acceleration", "forward_acceleration", "steering_activity")
 UNITS = {"speed": "m/s", "lateral_acceleration": "m/s^2", "forward_acceleration": "m/s^2", "steering_activity": "rad/s"}
-ACTIVITY_SPAN = 1.0
-"""s, about the duration of a steering correction; the live predictor stores two seconds."""
+ACTIVITY_SPAN = 1.0  # s, about the duration of a steering correction; the live predictor stores two seconds
 ACTIVITY_STEP = 0.05
 """s. With a sensor of 0.1 deg at the hand wheel and a ratio of 16, the resolution of the rate is 0.002 rad/s."""
 _INSTANTS_NS = np.round(np.arange(-ACTIVITY_SPAN, 0.5 * ACTIVITY_STEP, ACTIVITY_STEP) / NANOSECOND).astype(np.int64)
@@ -61,10 +60,8 @@ def conditions_at(signals: LogSignals, starts_ns: np.ndarray) -> np.ndarray:
     return conditions(speed, yaw_rate, acceleration, activity)
 
 
-FEWEST_STARTS = 10
-"""Of a run in a cell of speed and lateral acceleration, to count: one second of driving."""
-FEWEST_RUNS = 2
-"""With FEWEST_STARTS in a cell, because one run does not show the variation between runs."""
+FEWEST_STARTS = 10  # of a run in a cell of speed and lateral acceleration, to count: one second of driving
+FEWEST_RUNS = 2  # with FEWEST_STARTS in a cell, because one run does not show the variation between runs
 CELLED = {CONDITIONS.index("speed"): SPEED, CONDITIONS.index("lateral_acceleration"): LATERAL_ACCELERATION}
 """Edges by column of the conditions."""
 

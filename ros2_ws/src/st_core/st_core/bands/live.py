@@ -158,10 +158,8 @@ class AdaptiveBands:
 
 ALTERNATIVE = 5.0 / 9.0
 """Of the level: 50 % coverage of a 90 % band. Coverage above 73 %, within the variation between runs, reduces S."""
-HORIZONS = 7200.0
-"""Ten hours at 5 s each."""
-END_SHARE = 0.5
-"""A warning ends when S has fallen to this share of its limit."""
+HORIZONS = 7200.0  # ten hours at 5 s each
+END_SHARE = 0.5  # a warning ends when S has fallen to this share of its limit
 
 
 @dataclass

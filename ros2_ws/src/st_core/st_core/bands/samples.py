@@ -18,8 +18,7 @@ from .scale import spread
 STARTS_PER_RUN = 1000
 """Predictions of one run overlap: more of them cost memory (1.2 kB each, model and mode) and add little information."""
 
-Question = tuple[str, str]
-"""(model, mode); mode hindsight: error of the model alone, forecast: of model and driver."""
+Question = tuple[str, str]  # (model, mode); mode hindsight: error of the model alone, forecast: of model and driver
 
 
 class NotFiniteError(StCoreError):

@@ -24,22 +24,16 @@ import numpy as np
 
 from ..errors import StCoreError
 
-KNOTS = (0.1, 0.5, 1.0, 2.0, 3.5, 5.0)
-"""s ahead, for a horizon of 5 s; in proportion for others."""
-NOISE = 3.0
-"""Standard deviations of the sensor noise in the floor."""
-FLOOR_SHARE = 0.2
-"""Of the root mean square error at the end of the horizon; smaller in proportion before."""
-LEAST = np.array([1.0e-3, 1.0e-3, 1.0e-4])
-"""m, m, rad: resolution of the sensors; smaller errors count as this large."""
+KNOTS = (0.1, 0.5, 1.0, 2.0, 3.5, 5.0)  # s ahead, for a horizon of 5 s; in proportion for others
+NOISE = 3.0  # standard deviations of the sensor noise in the floor
+FLOOR_SHARE = 0.2  # of the root mean square error at the end of the horizon; smaller in proportion before
+LEAST = np.array([1.0e-3, 1.0e-3, 1.0e-4])  # m, m, rad: resolution of the sensors; smaller errors count as this large
 RIDGE = 1.0e-2
 MOST_STEPS, MOST_HALVINGS = 100, 20
 TOLERANCE = 1.0e-3
 """Of the derivative: relative error of the mean squares, far below their uncertainty for any number of runs."""
-FIT_STARTS = 100
-"""Starts of a run used in the fit; neighbouring starts are redundant."""
-SPLINE_KNOTS = (1.5, 3.0, 4.5, 6.0, 7.5)
-"""m/s^2 of lateral acceleration, because tyre saturation is not quadratic."""
+FIT_STARTS = 100  # starts of a run used in the fit; neighbouring starts are redundant
+SPLINE_KNOTS = (1.5, 3.0, 4.5, 6.0, 7.5)  # m/s^2 of lateral acceleration, because tyre saturation is not quadratic
 
 
 _FLOORS, _OFFSETS, _UNITS = (0.1, 0.0, 0.0, 0.0), (0.0, 0.3, 0.2, 0.005), (10.0, 1.5, 0.6, 0.02)

@@ -31,14 +31,11 @@ from ..vehicle import VehicleParameters, value_of
 from .scale import spread
 
 PARAMETERS, SENSORS = "parameters", "sensors and start"
-STARTS = 200
-"""Of a run; neighbouring starts are redundant."""
+STARTS = 200  # of a run; neighbouring starts are redundant
 EDGES_95 = 1.96
 
-Intervals = Mapping[tuple[str, str], tuple[float, float]]
-"""95 % interval by effect and parameter, of a model file."""
-Cause = tuple[str, str]
-"""(PARAMETERS or SENSORS, name)."""
+Intervals = Mapping[tuple[str, str], tuple[float, float]]  # 95 % interval by effect and parameter, of a model file
+Cause = tuple[str, str]  # (PARAMETERS or SENSORS, name)
 
 
 def share_squares(model: Model, vehicle: VehicleParameters, signals: LogSignals, settings: EvaluationSettings,

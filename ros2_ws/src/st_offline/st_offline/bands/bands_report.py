@@ -123,8 +123,7 @@ def _pair(axes: dict[str, float] | None) -> str:
 
 
 RESIDUAL = "what remains"
-SHOWN = ("1", "3", "5")
-"""Seconds ahead, in the table."""
+SHOWN = ("1", "3", "5")  # seconds ahead, in the table
 
 
 def intervals_of(files: Sequence[ModelFile]) -> dict[str, Intervals]:

@@ -10,8 +10,7 @@ from st_core.log_evaluation import AXES, Block
 from st_core.log_signals import LogSignals
 
 Sums = dict[str, Any]
-ENOUGH = 200
-"""Minimum starts of a cell; with fewer, its standard error at 90 % is more than two points."""
+ENOUGH = 200  # minimum starts of a cell; with fewer, its standard error at 90 % is more than two points
 SHOWN = (0.5, 0.9)
 EDGES = {"speed": (SPEED, "m/s"), "lateral_acceleration": (LATERAL_ACCELERATION, "m/s²"),
          "steering_activity": (STEERING_RATE, "rad/s")}
@@ -49,8 +48,7 @@ class Scorer:
 class AdaptiveScorer:
     """Coverage of adaptive bands over one run, in order of time, as sums. bands: None: without a calibration."""
 
-    LATE = 120.0
-    """s after the first start; coverage from then on is counted separately."""
+    LATE = 120.0  # s after the first start; coverage from then on is counted separately
 
     def __init__(self, bands: Bands | None, signals: LogSignals, time: np.ndarray):
         self._bands, self._signals, self._time = bands, signals, time

@@ -137,8 +137,7 @@ def model_accuracy(runs: Sequence[RunSamples], model: str, settings: EvaluationS
     return Accuracy(tuple(seconds), tuple(rms.tolist()), level, width, within)
 
 
-Key = tuple[str, float]
-"""Model, step [s]."""
+Key = tuple[str, float]  # model, step [s]
 
 
 def processor_time(cost: Cost) -> float:

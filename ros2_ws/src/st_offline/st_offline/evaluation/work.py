@@ -239,8 +239,7 @@ def write_starts(file: Path, evaluation: LogEvaluation) -> None:
 
 INPUTS = ("planned_road_wheel_angle", "planned_velocity_x_dot")
 """Columns of a CSV [rad, left +; m/s^2]: inputs planned for the time of the row before its horizon began."""
-PATH = ("planned_speed", "planned_curvature")
-"""Alternatively speed and curvature of the CG [m/s; 1/m, left +]."""
+PATH = ("planned_speed", "planned_curvature")  # alternatively speed and curvature of the CG [m/s; 1/m, left +]
 
 
 def inputs_ahead(run: LoadedRun, signals: LogSignals, vehicle: VehicleParameters, prediction: PredictionSettings,

@@ -10,8 +10,7 @@ from st_ros import diagnostics
 from st_ros.diagnostics import Check
 from st_ros.parameters import ConfigurationError
 
-# Unsynced data older than this raise a warning [s]; half a second is normal.
-MAX_SYNC_DELAY = 1.0
+MAX_SYNC_DELAY = 1.0  # unsynced data older than this raise a warning [s]; half a second is normal
 
 
 def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) -> BagWriter:

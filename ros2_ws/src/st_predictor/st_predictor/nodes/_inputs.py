@@ -19,10 +19,8 @@ from .. import convert
 # After this long without a message the accepted publisher counts as ended; another one of the same node name is then
 # its restart [s].
 SILENCE_TIMEOUT = 1.0
-# Largest gap in the accepted publisher's message numbers: four seconds at 250 Hz.
-MAX_LOST = 1000
-# Queued messages per topic: 16 s at 250 Hz, so that a node starved of processor time loses nothing.
-QUEUE_DEPTH = 4000
+MAX_LOST = 1000  # largest gap in the accepted publisher's message numbers: four seconds at 250 Hz
+QUEUE_DEPTH = 4000  # queued messages per topic: 16 s at 250 Hz, so that a node starved of processor time loses nothing
 
 
 class PublisherLock:

@@ -32,10 +32,8 @@ NICE = 5  # behind bridges and predictor: a third of an equal share
 WORK_PERIOD, SUMMARY_PERIOD = 0.05, 1.0  # s
 MODES = ("forecast", "hindsight")
 LEVELS = {"warning": diagnostics.WARN, "error": diagnostics.ERROR}
-# Measurements kept [s]: the longest horizon of a predictor plus the wait for late signals.
-HISTORY_SPAN = 65.0
-# At the end of a run, the scores of the last horizon are published at once for every model and mode.
-ERROR_DEPTH = 1000
+HISTORY_SPAN = 65.0  # measurements kept [s]: the longest horizon of a predictor plus the wait for late signals
+ERROR_DEPTH = 1000  # at the end of a run, the scores of the last horizon are published at once for every model and mode
 QUEUE_DEPTH = 500  # queued predictions per topic: 50 s at 10 Hz, 5 s of a fast replay
 # Tolerance for rounding on another computer; another vehicle file shifts a path by centimetres within a second [SI].
 TRAJECTORY_TOLERANCE = 1.0e-6

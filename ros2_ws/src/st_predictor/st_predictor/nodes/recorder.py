@@ -26,18 +26,15 @@ from .. import convert, params
 from ._bag import is_whole, open_bag, recording_check
 
 NICE = 5  # behind bridges and predictor: a third of an equal share
-# The queues are emptied this often [s]; each message carries the time it arrived.
-WORK_PERIOD = 0.05
+WORK_PERIOD = 0.05  # the queues are emptied this often [s]; each message carries the time it arrived
 TOPIC_SCAN_PERIOD = 0.25  # s
 # After a full disk: interval between checks for free space [s], and the space needed for a new bag [bytes].
 RESUME_PERIOD, RESUME_SPACE = 5.0, 200_000_000
 # A resumed recording stays a warning for this long [s].
 RESUME_WARNING_DURATION = 10.0
 DIAGNOSTICS = "/diagnostics"
-# Every node publishes /diagnostics once a second; a node silent for this long is reported [s].
-SILENCE_TIMEOUT = 10.0
-# Queued messages per topic: four seconds at 250 Hz, for a slow disk.
-QUEUE_DEPTH = 1000
+SILENCE_TIMEOUT = 10.0  # every node publishes /diagnostics once a second; a node silent for this long is reported [s]
+QUEUE_DEPTH = 1000  # queued messages per topic: four seconds at 250 Hz, for a slow disk
 
 
 class PublisherWatchdog:
