@@ -17,7 +17,7 @@ from ..bands.bands_report import print_tables
 from ..checking.check_report import describe_clock, findings_from_json, print_findings
 from ..terminal import line, list_files, progress_bars, report_problem
 from .drawing import check_formats
-from .evaluation_report import Choices, finding, settings_in_words, write_results
+from .evaluation_report import Choices, finding, settings_in_words, summary, write_results
 from .tables import terminal_table
 from .work import Progress, RunReport, Task, evaluate_run
 
@@ -45,6 +45,7 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
     with console.status("writing the report"):
         files = write_results(found, choices, title)
     console.print(terminal_table(good, over, title, console.width))
+    line(summary(good, over, task.settings.prediction.horizon)[0], console)
     for key, value in settings_in_words(choices).items():
         line(f"[dim]{key}: {escape(value)}[/dim]", console)
     print_tables([report.bands for report in good], task.bands is not None, task.adaptive, console)

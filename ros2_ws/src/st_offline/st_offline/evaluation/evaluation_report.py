@@ -206,11 +206,15 @@ def finding(reports: Sequence[RunReport], over: str) -> str:
     return f"{name}: lateral RMSE " + ", ".join(f"{model} {shown(size)} m" for size, model in ranked)
 
 
+INPUTS = {"forecast": "", "plan": "with the inputs of the plan ", "course": "with those of the course "}
+
+
 def summary(reports: Sequence[RunReport], over: str, horizon: float) -> list[str]:
     """At most three sentences: the errors, the findings of the checks, the clock of the steering."""
     models = pooled([r.models for r in reports])
     best = min(models, key=lambda m: values(models, m, "hindsight", "lateral", over)["rmse"] or math.inf)
-    held = shown(values(models, best, "forecast", "lateral", over)["rmse"])
+    held, *ahead = (f"{words}{shown(values(models, best, mode, 'lateral', over)['rmse'])} m"
+                    for mode, words in INPUTS.items() if mode in models[best])
     minutes = sum(r.about["duration"] for r in reports) / 60.0
     groups = [(one, names) for one, names in group_by_name({r.name: findings_from_json(r.about) for r in reports})
               if one.severity is not Severity.NOTE]
@@ -218,6 +222,7 @@ def summary(reports: Sequence[RunReport], over: str, horizon: float) -> list[str
                        for one, names in groups)
     steering = describe_clocks({report.name: report.about["alignment"] for report in reports})
     return [f"{minutes:.1f} minutes, predictions of {horizon:g} s. With the measured inputs (hindsight) the error is "
-            f"the model's; with the inputs of the start held (forecast) it includes the driver: {best} {held} m.",
+            f"the model's; with the inputs of the start held (forecast) it includes the driver: "
+            f"{best} {', '.join([held, *ahead])}.",
             f"The recordings bias this: {biased}." if biased else "The checks found no error and no warning.",
             *([f"{steering}."] if steering else [])]
