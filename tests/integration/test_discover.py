@@ -18,7 +18,7 @@ from st_core.discovery import DiscoverySettings, discover
 from st_core.log import DriveLog
 from st_core.model_file import ModelFile
 from st_core.vehicle import VehicleParameters
-from st_offline.discovery.discover_command import measured, write_results
+from st_offline.discovery.discover_command import sensor_estimates, write_results
 from st_offline.discovery.drives import Drive, Request, read_drives
 from st_offline.discovery.vehicle_update import update_vehicle
 from st_recordings.runs import ReadSettings, find_runs
@@ -67,7 +67,7 @@ def answer(folder: Path, effects: Mapping[str, float], seed: int, reference: Seq
     """discovery.json of drives with these settings of the plant."""
     read = drives(write_drives(folder / "raw", effects, seed, SHORT))
     settings = DiscoverySettings(where=False)
-    found = discover(logs(read), CAR, "nonlinear", logs(reference), settings, identities=measured(read))
+    found = discover(logs(read), CAR, "nonlinear", logs(reference), settings, identities=sensor_estimates(read))
     out = folder / "out"
     out.mkdir()
     question = Request("nonlinear", CAR, str(LEAF), LEAF.read_text(), settings, drives=read, healthy=reference)

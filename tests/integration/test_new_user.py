@@ -2,7 +2,7 @@
 
 import pytest
 from st_core.discovery import DiscoverySettings, discover
-from st_offline.discovery.discover_command import measured
+from st_offline.discovery.discover_command import sensor_estimates
 from st_offline.discovery.drives import Request, read_drives
 from st_offline.discovery.vehicle_update import update_vehicle
 from st_recordings.car import read_vehicle
@@ -30,7 +30,7 @@ def answered(tmp_path_factory):
     vehicle = read_vehicle(file)
     read = read_drives(find_runs([folder / "drives"]), vehicle, ReadSettings(), 1, lambda: None)
     request = Request("nonlinear", vehicle, str(file), file.read_text(), DiscoverySettings(), drives=read)
-    found = discover([d.log for d in read], vehicle, settings=request.settings, identities=measured(read))
+    found = discover([d.log for d in read], vehicle, settings=request.settings, identities=sensor_estimates(read))
     return truth, found, update_vehicle(found, request)
 
 

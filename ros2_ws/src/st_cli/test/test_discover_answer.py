@@ -26,7 +26,7 @@ from st_core.discovery.where import window_errors
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery import drives, quantities, report_text
 from st_offline.discovery.discovery_report import document, show, write_page
-from st_offline.discovery.drives import Request, cached_answer, keep_answer, read_drive
+from st_offline.discovery.drives import Request, read_answer, write_answer, read_drive
 from st_offline.discovery.figures import Scene, agreement, axle_curves, maps, waterfall
 from st_offline.discovery.relation_report import RelationReport
 from st_offline.discovery.vehicle_update import VehicleUpdate, update_vehicle
@@ -272,15 +272,15 @@ def test_page_and_terminal_hold_the_same_of_a_proposal(logs, drive, tmp_path, ca
 def test_an_answer_is_kept_whole(logs, tmp_path):
     found = discovery(logs, STEPS, 1.72, bound=(tied(logs),), start=augment("nonlinear", {"mass": {"factor": 1.1}}))
     for one in (found, discovery(logs, (), 1.72)):
-        keep_answer(tmp_path / "a.json", one)
-        back = cached_answer(tmp_path / "a.json")
+        write_answer(tmp_path / "a.json", one)
+        back = read_answer(tmp_path / "a.json")
         assert back.document() == one.document() and back.steps == one.steps and back.bound == one.bound
         assert back.base.values == one.base.values
         assert (back.model and back.model.values) == (one.model and one.model.values)
     for damaged in ("", "{}", (tmp_path / "a.json").read_text()[:200], '{"base": 1}'):
         (tmp_path / "a.json").write_text(damaged)
-        assert cached_answer(tmp_path / "a.json") is None
-    assert cached_answer(tmp_path / "none.json") is None
+        assert read_answer(tmp_path / "a.json") is None
+    assert read_answer(tmp_path / "none.json") is None
 
 
 def test_another_question_is_another_answer(logs):

@@ -14,7 +14,7 @@ from st_core.model_file import ModelFile, Provenance
 from st_core.vehicle import VehicleParameters
 from st_live.configuration import model_parameters
 from st_live.suite import SuiteError
-from st_offline.discovery.discover_command import _refuse_twice, measured
+from st_offline.discovery.discover_command import _check_reference, sensor_estimates
 from st_offline.discovery.drives import clock_warning, read_drive, read_drives
 from st_recordings.runs import ReadSettings, find_runs
 from support import ROOT
@@ -116,8 +116,8 @@ def test_a_reference_of_another_car_is_refused(drive, tmp_path):
         return replace(read, name=file, about={**read.about, **digest})
     leaf, genesis, unknown = of("Leaf", "a.csv"), of("Genesis", "b.csv"), of("", "c.csv")
     with pytest.raises(ConfigurationError, match=r"--reference b\.csv was recorded with 'Genesis', a\.csv"):
-        _refuse_twice([leaf], [unknown, genesis])
-    _refuse_twice([leaf, unknown], [of("Leaf", "d.csv"), of("", "e.csv")])
+        _check_reference([leaf], [unknown, genesis])
+    _check_reference([leaf, unknown], [of("Leaf", "d.csv"), of("", "e.csv")])
 
 
 def test_references_are_listed_and_runs_must_be_left(drive, tmp_path):
@@ -134,7 +134,7 @@ def test_references_are_listed_and_runs_must_be_left(drive, tmp_path):
 def test_what_the_checks_measured_is_pooled_over_the_runs(tmp_path):
     files = [write_drive(tmp_path / f"{seconds:.0f}.csv", weave(seconds)) for seconds in (30.0, 40.0)]
     one, two = read_drives(find_runs(files), car(LEAF), ReadSettings(), 1, lambda: None)
-    alone, both = measured([one]), measured([one, two])
+    alone, both = sensor_estimates([one]), sensor_estimates([one, two])
     assert alone["yaw_rate_bias"] == tuple(one.about["estimates"]["yaw_rate_bias"])
     value, low, high = both["yaw_rate_bias"]
     assert low <= value <= high and set(both) >= set(alone)

@@ -1,4 +1,4 @@
-"""What `st discover` does: read, discover with a progress bar, write and show the results."""
+"""The command `st discover`: read recordings, discover, write and show the results."""
 
 import hashlib
 import time
@@ -26,7 +26,7 @@ from st_recordings.runs.errors import join_problems
 from ..evaluation.drawing import Drawn, Place, check_formats
 from ..terminal import progress_bars
 from .discovery_report import document, model_file, show, write_page
-from .drives import Drive, Request, answer_key, cache_folder, cached_answer, clock_warning, keep_answer, read_drives
+from .drives import Drive, Request, answer_key, cache_folder, read_answer, clock_warning, write_answer, read_drives
 from .figures import Scene, agreement, axle_curves, maps, relation_figure, waterfall
 from .relation_files import relation_document, write_files
 from .relation_report import RelationReport, relation_report
@@ -34,7 +34,7 @@ from .vehicle_update import VehicleUpdate, update_vehicle
 
 
 def run_command(request: Request, console: Console) -> int:
-    """Exit status: 0 answered from all runs, 1 some runs could not be used. Raises ConfigurationError, StCoreError."""
+    """Exit status: 1 if some runs could not be used, else 0. Raises ConfigurationError, StCoreError."""
     check_formats(request.formats)
     own = own_effects(request.effects)
     base = base_model(request.base, request.vehicle, request.vehicle_file)
@@ -82,7 +82,7 @@ def own_effects(folder: Path | None) -> dict[str, str]:
 
 
 def base_model(name: str, vehicle: VehicleParameters, vehicle_file: str) -> Model:
-    """The base model of a name or a model file. Raises ConfigurationError, one line."""
+    """The base model of a name or a model file. Raises ConfigurationError."""
     if not name.endswith((".yaml", ".yml")):
         if name not in MODELS:
             raise ConfigurationError(f"--base {name}: there are {', '.join(MODELS)}, or a model file (.yaml)")
@@ -101,6 +101,7 @@ def base_model(name: str, vehicle: VehicleParameters, vehicle_file: str) -> Mode
 
 
 def _read(request: Request, progress: Progress) -> tuple[list[Drive], list[Drive]]:
+    """(suspect, reference) drives. Raises ConfigurationError where none can be used."""
     sources = find_runs(request.runs)
     healthy = find_runs(request.reference) if request.reference else []
     if not sources:
@@ -113,16 +114,16 @@ def _read(request: Request, progress: Progress) -> tuple[list[Drive], list[Drive
         raise ConfigurationError("no run can be used: " + join_problems(d.problem for d in suspect))
     if healthy and not _logs(reference):
         raise ConfigurationError("no --reference run can be used: " + join_problems(d.problem for d in reference))
-    _refuse_twice(suspect, reference)
-    return suspect, _named_apart(suspect, reference)
+    _check_reference(suspect, reference)
+    return suspect, _with_unique_names(suspect, reference)
 
 
-def _refuse_twice(suspect: Sequence[Drive], reference: Sequence[Drive]) -> None:
+def _check_reference(suspect: Sequence[Drive], reference: Sequence[Drive]) -> None:
     """Raises ConfigurationError for a drive on both lists, and for a reference recorded with another car."""
-    mine = {digest for d in suspect if d.log is not None for digest in d.about["files"].values()}
+    used = {digest for d in suspect if d.log is not None for digest in d.about["files"].values()}
     cars = {d.about["vehicle"]: d.name for d in suspect if d.log is not None and d.about["vehicle"]}
     for drive in (d for d in reference if d.log is not None):
-        if mine & set(drive.about["files"].values()):
+        if used & set(drive.about["files"].values()):
             raise ConfigurationError(f"{drive.name} is given as a run and as --reference: remove it from one list")
         if drive.about["vehicle"] and cars and drive.about["vehicle"] not in cars:
             car, name = next(iter(cars.items()))
@@ -130,7 +131,7 @@ def _refuse_twice(suspect: Sequence[Drive], reference: Sequence[Drive]) -> None:
                                      f"with {car!r}: a reference is a drive of the same car without the fault")
 
 
-def _named_apart(suspect: Sequence[Drive], reference: Sequence[Drive]) -> list[Drive]:
+def _with_unique_names(suspect: Sequence[Drive], reference: Sequence[Drive]) -> list[Drive]:
     """The reference drives, renamed where a run has the same name: results identify runs by name."""
     taken = {d.name for d in suspect}
     renamed = []
@@ -146,33 +147,33 @@ def _logs(drives: Sequence[Drive]) -> list[DriveLog]:
 
 
 def _answer(request: Request, base: Model, progress: Progress) -> tuple[Discovery, bool]:
-    """The answer, and whether it is that of an earlier start with the same inputs."""
+    """The answer, and whether it is a cached one for the same inputs."""
     bar = progress.add_task("", total=None)
 
     def stage(name: str, done: int, total: int) -> None:
         progress.update(bar, description=escape(name), completed=done, total=total)
 
-    logs, reference, identities = _logs(request.drives), _logs(request.healthy), measured(request.drives)
+    logs, reference, identities = _logs(request.drives), _logs(request.healthy), sensor_estimates(request.drives)
     name = answer_key(logs, reference, request.vehicle, base, request.settings, request.own_effects, identities)
     folder = cache_folder() if request.cached else None
     file = folder / f"{name}.json" if folder else None
-    found = cached_answer(file) if file else None
+    found = read_answer(file) if file else None
     if found is not None:
         return found, True
     found = discover(logs, request.vehicle, base, reference, request.settings, stage, identities, request.jobs)
     if file:
-        keep_answer(file, found)
+        write_answer(file, found)
     return found, False
 
 
-def measured(drives: Sequence[Drive]) -> dict[str, tuple[float, float, float]]:
-    """What the checks measured of the sensors, (value, low, high) by name, the drives together."""
+def sensor_estimates(drives: Sequence[Drive]) -> dict[str, tuple[float, float, float]]:
+    """Estimates of sensor errors by the checks, (value, low, high) by name, pooled over the drives."""
     return pool_estimates([{name: value for name, value in d.about["estimates"].items() if None not in value}
-                   for d in drives if d.log is not None])
+                           for d in drives if d.log is not None])
 
 
 def draw(found: Discovery, request: Request, place: Place) -> list[Drawn]:
-    """The figures that there are data for, in the order of the page."""
+    """The figures of the page, in its order."""
     runs = _logs(request.drives)
     # Of the channels that all runs have.
     settings = replace(request.settings, channels=tuple(c for c in found.gap if c in request.settings.channels))
@@ -188,7 +189,7 @@ def draw(found: Discovery, request: Request, place: Place) -> list[Drawn]:
 def write_results(found: Discovery, request: Request, update: VehicleUpdate | None, folder: Path,
                   drawn: Sequence[Drawn] | None, seconds: dict[str, float],
                   relations: RelationSearch | None = None, report: RelationReport | None = None) -> dict[str, Path]:
-    """Write all files; paths by kind. drawn: None for no page. relations: beyond the library; report: of them."""
+    """Write all files; paths by kind. drawn: None for no page. report: of the relations beyond the library."""
     files = {"discovery.json": folder / "discovery.json"}
     if update is not None:
         model = model_file(found, request, update)

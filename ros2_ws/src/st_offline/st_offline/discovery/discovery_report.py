@@ -1,4 +1,4 @@
-"""Results of a discovery: discovery.json (docs/manual/discovery.md), model.yaml, page and terminal summary."""
+"""Results of a discovery: discovery.json (docs/manual/discovery.md), model.yaml, page and summary on the terminal."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -43,7 +43,7 @@ def document(found: Discovery, request: Request, update: VehicleUpdate | None,
 
 
 def provenance(found: Discovery, request: Request, seconds: Mapping[str, float]) -> dict[str, Any]:
-    """Everything the answer depends on."""
+    """All inputs of the answer."""
     return {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "vehicle": {"name": request.vehicle.name, "file": request.vehicle_file, "hash": request.vehicle.hash},
@@ -63,9 +63,9 @@ def provenance(found: Discovery, request: Request, seconds: Mapping[str, float])
 
 
 def model_file(found: Discovery, request: Request, update: VehicleUpdate) -> ModelFile | None:
-    """What vehicle.yaml does not hold, on that vehicle; None where nothing is left. Effects at null are left out.
+    """The effects that are not in vehicle.yaml, for that vehicle; None without any. Effects at null are left out.
 
-    With a reference a value may be a change against it; the interval is moved to the total.
+    With a reference a value may be a change against it; the interval is shifted to the total.
     """
     intervals: dict[tuple[str, str], Interval] = {}
     for one in found.effects:
@@ -178,18 +178,19 @@ def _wide_tables(found: Discovery) -> list[Table]:
 
 
 def _limit(key: str, value: float) -> str:
-    """A remark on a value that is at a limit of the vehicle file; SI."""
+    """A remark on a value [SI] at a limit of the vehicle file; "" for others."""
     known = quantity(key)
     ends = () if known is None else (known.minimum, known.maximum)
     return " (limit of the file)" if any(math.isclose(value, end, rel_tol=1e-4) for end in ends) else ""
 
 
-WHAT = {"report.html": "one page, with all figures", "discovery.json": "every number, docs/manual/discovery.md",
-        "vehicle.yaml": "the vehicle file, corrected: --vehicle of every command",
-        "effects": "the relation proposed, as an effect; its folder: --effects of st evaluate, st demo, st live",
-        "proposed.yaml": "a model with it: --model, together with --effects and the vehicle file as it was given",
-        "model.yaml": "all effects that are not in the vehicle file: --model of st demo, st live, st evaluate"}
-MAX_ADVICE = 3  # sentences; the page has all
+FILE_MEANINGS = {
+    "report.html": "one page, with all figures", "discovery.json": "every number, docs/manual/discovery.md",
+    "vehicle.yaml": "the vehicle file, corrected: --vehicle of every command",
+    "effects": "the relation proposed, as an effect; its folder: --effects of st evaluate, st demo, st live",
+    "proposed.yaml": "a model with it: --model, together with --effects and the vehicle file as it was given",
+    "model.yaml": "all effects that are not in the vehicle file: --model of st demo, st live, st evaluate"}
+MAX_ADVICE = 3  # sentences on the terminal; the page has all
 
 
 def show(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Drive], files: Mapping[str, Path],
@@ -199,11 +200,11 @@ def show(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Dr
     recordings: all runs, with those that could not be used. earlier: the answer is from the cache. law: the search for
     a relation beyond the library.
     """
-    def answer(question: str, text: str) -> None:
-        console.print(f"[bold]{question}[/bold]: {escape(text)}", highlight=False)
+    def print_line(name: str, text: str) -> None:
+        console.print(f"[bold]{name}[/bold]: {escape(text)}", highlight=False)
 
     for role, text in report_text.drives(found):
-        answer(role, text)
+        print_line(role, text)
     console.print(f"[bold]{escape(report_text.title(found))}[/bold]", highlight=False)
     if law is not None and law.headline:
         console.print(f"[bold]{escape(law.headline)}[/bold]", highlight=False)
@@ -217,10 +218,10 @@ def show(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Dr
     for question, text in (*report_text.summary(found, update, about),
                            *(("to do", text) for text in advice),
                            *(("warning", text) for text in found.warnings)):
-        answer(question, text)
+        print_line(question, text)
     for drive in recordings:
         if drive.problem:
             report_problem(drive.name, drive.problem, console)
     if earlier:
         console.print("[dim]Cached answer to the same inputs; --fresh repeats the search.[/dim]")
-    list_files({file: WHAT[name] for name, file in files.items()}, console)
+    list_files({file: FILE_MEANINGS[name] for name, file in files.items()}, console)

@@ -34,10 +34,10 @@ MAX_CLOCK_DEVIATION = 0.01  # s; a third of the delay of a usual steering
 
 @dataclass(frozen=True)
 class Drive:
-    """One run as it was read, or the reason why it cannot be used (then log is None).
+    """One run as read, or the problem why it cannot be used (log is then None).
 
-    about: for the report, with the findings also of a refused run, the estimates of the checks, and as vehicle the name
-    of the car in a recording, "" without one.
+    about: for the report, with the findings (also of a refused run), the estimates of the checks, and as vehicle the
+    name of the car in a recording, "" without one.
     """
 
     name: str
@@ -50,10 +50,11 @@ class Drive:
 class Request:
     """base: name or model file. vehicle_text: of vehicle_file. settings: of the search.
 
-    runs, reference: paths of recordings; drives, healthy: the same as read. read: how. effects: folder of own effects;
-    own_effects: sha256 of each file in it. output: folder, None for runs/discover-<time>. jobs: processes. formats: of
-    figure files. report: whether one is written. cached: whether earlier results may be used. force: use runs in which
-    a check finds an error. propose: search for a relation beyond the library; None: where much is unexplained.
+    runs, reference: paths of recordings; drives, healthy: the same as read. read: options. effects: folder of own
+    effects; own_effects: sha256 of each file in it. output: folder, None for runs/discover-<time>. jobs: processes.
+    formats: of figure files. report: whether one is written. cached: whether a cached answer may be used. force: use
+    runs in which a check finds an error. propose: search for a relation beyond the library; None: if the residual is
+    large.
     """
 
     base: str
@@ -79,9 +80,7 @@ class Request:
 
 def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settings: ReadSettings, jobs: int,
                 done: Callable[[], None], force: bool = False) -> list[Drive]:
-    """Every run, in the order of the sources. jobs: parallel processes. force: also use runs with an error in the
-    checks.
-    """
+    """Every run, in the order of the sources. jobs: parallel processes."""
     if jobs <= 1 or len(sources) < 2:
         drives = []
         for source in sources:
@@ -142,7 +141,7 @@ def cache_folder() -> Path | None:
 def answer_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle: VehicleParameters, base: Model,
                settings: DiscoverySettings, effects: Mapping[str, str],
                identities: Mapping[str, Sequence[float]]) -> str:
-    """Cache name of an answer: of all its inputs, the code included."""
+    """Cache key of an answer: hash of all its inputs, the code included."""
     values = base.values if isinstance(base, AugmentedModel) else {}
     files = sorted(file for folder in st_core.__path__ for file in Path(folder).rglob("*.py"))
     code = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
@@ -153,8 +152,8 @@ def answer_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle:
     return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()[:32]
 
 
-def keep_answer(file: Path, found: Discovery) -> None:
-    """Write an answer for `cached_answer`, in one step; a failure, as of a full disk, is ignored."""
+def write_answer(file: Path, found: Discovery) -> None:
+    """Write an answer for `read_answer`, atomically; a failure, as of a full disk, is ignored."""
     def parts(model: AugmentedModel) -> list[Any]:
         return [_base(model), {effect: dict(values) for effect, values in model.values.items()}]
 
@@ -169,30 +168,30 @@ def keep_answer(file: Path, found: Discovery) -> None:
         return
 
 
-def cached_answer(file: Path) -> Discovery | None:
-    """The answer in a file of `keep_answer`; None for a missing or damaged one."""
+def read_answer(file: Path) -> Discovery | None:
+    """The answer in a file of `write_answer`; None for a missing or damaged file."""
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
         hints = get_type_hints(Discovery)
-        parts = {name: restored(kind, content[name]) for name, kind in hints.items() if name not in MODELS}
+        parts = {name: _restore(kind, content[name]) for name, kind in hints.items() if name not in MODELS}
         parts |= {name: content[name] and augment(*content[name]) for name in MODELS}
         return Discovery(**parts)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, StCoreError):
         return None
 
 
-def restored(kind: Any, value: Any) -> Any:
+def _restore(kind: Any, value: Any) -> Any:
     """Lists and dicts of `Discovery.document` as dataclasses, tuples and mappings of the type `kind`."""
     origin, inner = get_origin(kind), get_args(kind)
     if isinstance(kind, type) and is_dataclass(kind):
         hints = get_type_hints(kind)
-        return kind(**{name: restored(hints[name], entry) for name, entry in value.items()})
+        return kind(**{name: _restore(hints[name], entry) for name, entry in value.items()})
     if origin is tuple:
-        return tuple(map(restored, repeat(inner[0]) if inner[-1] is Ellipsis else inner, value))
+        return tuple(map(_restore, repeat(inner[0]) if inner[-1] is Ellipsis else inner, value))
     if origin is Mapping:
-        return {name: restored(inner[1], entry) for name, entry in value.items()}
+        return {name: _restore(inner[1], entry) for name, entry in value.items()}
     if NoneType in inner:
-        return None if value is None else restored(next(one for one in inner if one is not NoneType), value)
+        return None if value is None else _restore(next(one for one in inner if one is not NoneType), value)
     return value
 
 

@@ -24,7 +24,7 @@ from .relation_files import title_of
 
 AFTER = MODEL_COLOUR["augmented"]
 HALF_WIDTH = 6.8  # inch; two of them in a row of the page
-FLAT = 0.3  # a track narrower than this share of its length is drawn stretched
+MIN_ASPECT = 0.3  # width over length of a track, below which its axes have different scales
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def axle_curves(scene: Scene) -> Drawn | None:
 
 
 def maps(scene: Scene) -> Drawn | None:
-    """The track of one run, coloured by the error of the most affected channel, before and after."""
+    """The track of one run, coloured by the error of the channel with the largest excess, before and after."""
     run, levels = _worst_run(scene)
     if run is None:
         return None
@@ -129,7 +129,7 @@ def maps(scene: Scene) -> Drawn | None:
     unit = UNITS[scene.channel]
     with style():
         log = scene.runs[run]
-        shape = np.ptp(log.y) / max(np.ptp(log.x), 1e-9) if _flatness(log) > FLAT else 0.5
+        shape = np.ptp(log.y) / max(np.ptp(log.x), 1e-9) if _aspect(log) > MIN_ASPECT else 0.5
         size = (HALF_WIDTH, float(np.clip(0.4 * HALF_WIDTH * shape, 1.2, 3.5)) + 0.9)
         figure, panels = plt.subplots(1, len(sides), figsize=size, sharex=True, sharey=True, squeeze=False)
         every = max(1, len(log.x) // 600)
@@ -141,7 +141,7 @@ def maps(scene: Scene) -> Drawn | None:
             axes.plot(log.x[::every], log.y[::every], color=MEASURED_COLOUR, lw=0.6, alpha=0.6, zorder=1)
             points = axes.scatter(x, y, c=level, s=14, cmap="cividis", zorder=2, linewidths=0, rasterized=True,
                                   vmin=0.0, vmax=top)
-            if _flatness(log) > FLAT:
+            if _aspect(log) > MIN_ASPECT:
                 axes.set_aspect("equal", adjustable="box")
             axes.set_title("base model" if name == "before" else "with what was found", fontsize=9)
             axes.set_xlabel("east, m")
@@ -154,39 +154,40 @@ def maps(scene: Scene) -> Drawn | None:
 
 
 def _worst_run(scene: Scene) -> tuple[int | None, np.ndarray]:
-    """The run with the largest error in the channel, tracks that are not straight first, and its errors [SI]."""
+    """(run with the largest error in the channel, of the tracks that are not straight if there are any; its errors
+    [SI])."""
     samples = scene.before
     squares = samples.squares.get(scene.channel)
     if squares is None or not len(squares):
         return None, np.empty(0)
     runs = np.unique(samples.run)
-    wide = [_flatness(scene.runs[r]) > FLAT for r in runs]
+    wide = [_aspect(scene.runs[r]) > MIN_ASPECT for r in runs]
     runs = runs[wide] if any(wide) else runs
     run = int(max(runs, key=lambda r: float(squares[samples.run == r].mean())))
     return run, np.sqrt(squares[samples.run == run])
 
 
-def _flatness(log: DriveLog) -> float:
+def _aspect(log: DriveLog) -> float:
     """Smaller over larger extent of the track."""
     width, height = np.ptp(log.x), np.ptp(log.y)
     return float(min(width, height) / max(width, height, 1e-9))
 
 
-MOST_PANELS = 6
-MOST_ROWS = 14  # of a level
-WIDEST = 3.0  # share; intervals beyond are cut off
+MAX_PANELS = 6
+MAX_ROWS = 14  # of a level
+MAX_SHARE = 3.0  # end of the axis, where intervals are cut off
 
 
 def agreement(scene: Scene) -> Drawn | None:
-    """Share of each effect in each part of the driving: 1 is the value stated, 0 none of it."""
+    """Value of each effect in each part of the driving, over the stated value."""
     effects = [e for e in scene.found.effects if any(e.agreement.values())]
     if not effects:
         return None
-    effects = report_text.by_size(effects)[:MOST_PANELS]
+    effects = report_text.by_size(effects)[:MAX_PANELS]
     every = {e.name: [(level, v) for level, entries in e.agreement.items() for v in entries] for e in effects}
     met = dict.fromkeys((level, v.where) for entries in every.values() for level, v in entries)
     count = Counter(level for level, _ in met)
-    crowded = {level for level in count if level == "place" or count[level] > MOST_ROWS}
+    crowded = {level for level in count if level == "place" or count[level] > MAX_ROWS}
     names = {(level, where): (level, f"{count[level]} {level}s") if level in crowded else (level, where)
              for level, where in met}
     labels = sorted(dict.fromkeys(names.values()), key=lambda label: list(count).index(label[0]))
@@ -196,7 +197,7 @@ def agreement(scene: Scene) -> Drawn | None:
                                       squeeze=False)
         for axes, effect in zip(panels[0], effects, strict=True):
             shares = [(level, rows[level, v.where], v) for level, v in every[effect.name]]
-            _shares(axes, [(row, v) for level, row, v in shares if level not in crowded])
+            _draw_shares(axes, [(row, v) for level, row, v in shares if level not in crowded])
             for _, row, v in (one for one in shares if one[0] in crowded):
                 axes.plot(np.clip(v.share, *axes.get_xlim()), row, "|", ms=7, color=AFTER, alpha=0.6)
             axes.set_title(textwrap.fill(quantities.plain(effect.name), 64 // len(effects)), fontsize=8)
@@ -212,16 +213,18 @@ def agreement(scene: Scene) -> Drawn | None:
         return finish(figure, scene.place, "agreement", "Share of each effect by part of the driving", caption)
 
 
-def _shares(axes: plt.Axes, shares: Sequence[tuple[int, Value]]) -> None:
+def _draw_shares(axes: plt.Axes, shares: Sequence[tuple[int, Value]]) -> None:
+    """Points and intervals of (row, value)."""
     axes.axvline(0.0, color=TEXT, lw=0.8, ls=":")
     axes.axvline(1.0, color=TEXT, lw=0.8)
     for row, one in shares:
         low, high = one.share - report_text.Z95 * one.deviation, one.share + report_text.Z95 * one.deviation
         clear = low > 0.0 or high < 0.0
-        axes.plot(np.clip([low, high], -WIDEST, WIDEST), [row, row], color=AFTER, lw=1.2)
-        axes.plot(np.clip(one.share, -WIDEST, WIDEST), row, "o", ms=4.5, color=AFTER, mfc=AFTER if clear else "none")
+        axes.plot(np.clip([low, high], -MAX_SHARE, MAX_SHARE), [row, row], color=AFTER, lw=1.2)
+        axes.plot(np.clip(one.share, -MAX_SHARE, MAX_SHARE), row, "o", ms=4.5, color=AFTER,
+                  mfc=AFTER if clear else "none")
     ends = [v.share + side * report_text.Z95 * v.deviation for _, v in shares for side in (-1.0, 1.0)]
-    axes.set_xlim(max(min([-0.2, *ends]), -WIDEST) - 0.05, min(max([1.2, *ends]), WIDEST) + 0.05)
+    axes.set_xlim(max(min([-0.2, *ends]), -MAX_SHARE) - 0.05, min(max([1.2, *ends]), MAX_SHARE) + 0.05)
 
 
 def relation_figure(one: Relation, place: Place) -> Drawn:

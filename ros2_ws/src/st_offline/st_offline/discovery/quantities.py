@@ -1,4 +1,4 @@
-"""Names and numbers of a discovery as reports show them: angles in degrees, digits by the interval."""
+"""Names and numbers of a discovery in reports: angles in degrees, digits by the interval."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -16,15 +16,17 @@ _DISPLAY = {"rad": ("°", 57.29577951308232), "rad/s": ("°/s", 57.2957795130823
 
 
 def factor(unit: str) -> float:
-    """From SI to what is shown."""
+    """From SI to the unit of reports."""
     return _DISPLAY.get(unit, ("", 1.0))[1]
 
 
 def shown_unit(unit: str) -> str:
+    """The unit of reports."""
     return _DISPLAY.get(unit, (unit.replace("^2", "²"), 1.0))[0]
 
 
 def channel(name: str) -> str:
+    """Name of a channel in reports."""
     return WORDS.get(name, plain(name))
 
 
@@ -45,19 +47,20 @@ def size(value: float, unit: str) -> str:
 
 
 def metres(value: float) -> str:
+    """A length [m]; in millimetres below 0.1 m."""
     if not math.isfinite(value):
         return "unknown"
     return f"{value:.2f} m" if abs(value) >= 0.095 else f"{value:.3f} m"
 
 
 def digits(p: FittedParameter) -> int:
-    """Decimals that the interval bears."""
+    """Significant decimals, by the width of the interval."""
     half = 0.5 * (p.interval[1] - p.interval[0]) * factor(p.unit)
     return max(1 - math.floor(math.log10(half) + 1e-6), 0) if math.isfinite(half) and half > 0.0 else 3
 
 
 def decimal(number: float, decimals: int) -> str:
-    """A number with these decimals, with an exponent where they are many."""
+    """A number with these decimals; with an exponent beyond MOST_DECIMALS."""
     if decimals <= MOST_DECIMALS:
         text = f"{number:.{decimals}f}"
         return text if float(text) else f"{number + 0.0:.1g}"  # neither "-0.0" nor "x 0" for a small number
@@ -66,7 +69,7 @@ def decimal(number: float, decimals: int) -> str:
 
 
 def value(p: FittedParameter, of: Parameter | None = None, interval: bool = True) -> str:
-    """Value and 95 % interval, in the digits that the interval bears. What changes nothing at 1 is a factor.
+    """Value and 95 % interval, in significant digits; with the null 1 as a factor.
 
     of: the parameter of the effect; its bounds limit the interval, and a value on one of them is reported as such.
     """
@@ -88,11 +91,12 @@ def values(effect: str, parameters: Mapping[str, FittedParameter], interval: boo
 
 
 def short_values(effect: str, parameters: Mapping[str, FittedParameter]) -> str:
+    """Values without intervals."""
     return ", ".join(values(effect, parameters, interval=False))
 
 
 def fitted(name: str, numbers: Mapping[str, float]) -> str:
-    """Values of an effect without intervals, in few digits; what changes nothing at 1 is a factor."""
+    """Values of an effect without intervals, in few digits; with the null 1 as a factor."""
     known = {p.name: p for p in EFFECTS[name].parameters} if name in EFFECTS else {}
     texts = []
     for key, number in numbers.items():
@@ -136,7 +140,7 @@ SIGNS = {"acceleration_x": " (derivative of the forward speed, also where a bend
 
 
 def axis(c: Candidate) -> str:
-    """Label of the vertical axis; a grip is a share of the force, a force a share of the static load."""
+    """Label of the vertical axis. A grip is relative to the force, a force to the static load."""
     per = {"front_force": " over its static load", "rear_force": " over its static load",
            "yaw_moment": " over the yaw inertia", "side_force": " over the mass"}.get(c.place, "")
     side = (", + reads too large" if c.of_sensor else ", relative, + more force" if c.place.endswith("grip")
@@ -145,7 +149,7 @@ def axis(c: Candidate) -> str:
 
 
 def in_newtons(c: Candidate, vehicle: VehicleParameters) -> str:
-    """y as a force or moment of that car; "" for other places."""
+    """Unit of y as a force or moment of that car; "" for other places."""
     sizes = {"yaw_moment": f"1 rad/s² is a moment of {vehicle.yaw_inertia:.4g} N m, by the yaw inertia",
              "side_force": f"1 m/s² is a force of {vehicle.mass:.4g} N, by the mass",
              "front_force": f"1 is a force of {2.0 * vehicle.static_tyre_load_front:.4g} N, by the axle load",
@@ -154,13 +158,14 @@ def in_newtons(c: Candidate, vehicle: VehicleParameters) -> str:
 
 
 def title(c: Candidate, constant: bool = False) -> str:
+    """Place and quantity of a relation, written out. constant: whether its formula is a constant."""
     by = f", for each {QUANTITIES[c.by]}" if c.by else ""
     if constant:
         return f"{PLACES[c.place]}{by}, the same at every {QUANTITIES[c.quantity]}"
     return f"{PLACES[c.place]}{by}, as a function of the {QUANTITIES[c.quantity]}"
 
 
-def named(name: str) -> str:
+def written_out(name: str) -> str:
     """A relation by `Candidate.name`, written out."""
     where, _, rest = name.partition(" over ")
     what, _, by = rest.partition(" times ")
@@ -169,8 +174,8 @@ def named(name: str) -> str:
     return f"{PLACES[where]} as a function of the {QUANTITIES[what]}" + (f" times {QUANTITIES[by]}" if by else "")
 
 
-def in_words(text: str, names: Iterable[str]) -> str:
+def spell_out(text: str, names: Iterable[str]) -> str:
     """A sentence with the names of relations written out."""
-    for name in sorted(names, key=len, reverse=True):  # the name of one may begin with that of another
-        text = text.replace(name, named(name))
+    for name in sorted(names, key=len, reverse=True):  # a name may begin with another
+        text = text.replace(name, written_out(name))
     return text

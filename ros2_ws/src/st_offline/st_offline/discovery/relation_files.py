@@ -15,7 +15,7 @@ from st_core.vehicle import VehicleParameters
 from . import quantities
 
 LIBRARY = Path(source_file(Effect)).parent
-KNOTS = 21  # straight lines between; the curve has eight numbers, so that nothing is lost
+KNOTS = 21  # of the straight lines that replace the curve of eight coefficients
 SLOT = {"front_steer": "front axle", "rear_steer": "rear axle", "front_force": "front axle", "rear_force": "rear axle",
         "front_grip": "front axle", "rear_grip": "rear axle", "both_grip": "both axles", "yaw_moment": "body",
         "side_force": "body",
@@ -29,25 +29,25 @@ OF_READINGS = {"acceleration_y": "measured.velocity_x * measured.yaw_rate", "spe
                "yaw_rate": "measured.yaw_rate"}
 FIELD = {"sensor_yaw_rate": "yaw_rate", "sensor_acceleration_y": "acceleration_y", "sensor_velocity_y": "velocity_y",
          "sensor_heading": "yaw"}
-MAPPED = ("north", "east", "position_x", "position_y")  # fixed to the map
+OF_MAP = ("north", "east", "position_x", "position_y")  # fixed to the map
 OPS = {"east": "absolute, cos, maximum, minimum", "north": "absolute, maximum, minimum, sin"}
 SLIPS = "slip_angles(slip_front, slip_rear, extra, at, given, theta)"
 FORCES = "axle_forces(forces, slip_front, slip_rear, at, given, theta)"
-AS_BEFORE = "front, rear = forces(slip_front, slip_rear, at)\n        "
+FORCES_BEFORE = "front, rear = forces(slip_front, slip_rear, at)\n        "
 HOOKS = {
     # A wheel turned to the left slides less to the left.
     "front_steer": (SLIPS, "return slip_front - {y}, slip_rear"),
     "rear_steer": (SLIPS, "return slip_front, slip_rear - {y}"),
-    "front_force": (FORCES, f"{AS_BEFORE}return front + theta.car * {{y}}, rear"),
-    "rear_force": (FORCES, f"{AS_BEFORE}return front, rear + theta.car * {{y}}"),
-    "front_grip": (FORCES, f"{AS_BEFORE}return front * (1.0 + {{y}}), rear"),
-    "rear_grip": (FORCES, f"{AS_BEFORE}return front, rear * (1.0 + {{y}})"),
-    "both_grip": (FORCES, f"{AS_BEFORE}y = 1.0 + {{y}}\n        return front * y, rear * y"),
+    "front_force": (FORCES, f"{FORCES_BEFORE}return front + theta.car * {{y}}, rear"),
+    "rear_force": (FORCES, f"{FORCES_BEFORE}return front, rear + theta.car * {{y}}"),
+    "front_grip": (FORCES, f"{FORCES_BEFORE}return front * (1.0 + {{y}}), rear"),
+    "rear_grip": (FORCES, f"{FORCES_BEFORE}return front, rear * (1.0 + {{y}})"),
+    "both_grip": (FORCES, f"{FORCES_BEFORE}y = 1.0 + {{y}}\n        return front * y, rear * y"),
     "yaw_moment": ("acceleration(at, given, theta)", "y = {y}\n        return 0.0 * y, 0.0 * y, y"),
     "side_force": ("acceleration(at, given, theta)", "y = {y}\n        return 0.0 * y, y, 0.0 * y"),
 }
 LOAD = {"front_force": "cg_to_rear_axle", "rear_force": "cg_to_front_axle"}
-FILE = '''"""PROPOSAL, not an established effect: {title}.
+EFFECT_FILE = '''"""PROPOSAL, not an established effect: {title}.
 
 Fitted by st discover --propose to {count} drives, {created}: {runs}.
 Over {low:.3g} to {high:.3g} {quantity_unit} of {quantity}; constant beyond. {meaning}
@@ -90,7 +90,7 @@ class {cls}(Effect):
 
 
 def name_of(one: Relation) -> str:
-    """Name of the effect; numbered if the model has a relation at that place already."""
+    """Name of the effect; numbered if the model already has a relation at that place."""
     name = f"proposed_{one.candidate.place}"
     before = sum(e.name == name or e.name.startswith(f"{name}_") for e in one.model.effects)
     return f"{name}_{before + 1}" if before else name
@@ -115,7 +115,7 @@ def effect_file(one: Relation, runs: Sequence[str], created: str) -> str:
     terms = "\n            + ".join(f"{h:.6g} * hat(t - {k}.0)" for k, h in enumerate(heights))
     formulas = "\n".join(f"Formula {k}: {r.text} ({r.shape}, keeps {r.kept:.0%} of the curve's held-out gain)"
                          for k, r in enumerate(one.formulas, 1)) or "No simple formula can replace the curve."
-    return FILE.format(
+    return EFFECT_FILE.format(
         title=_title_with_causes(one), count=len(runs), runs=", ".join(runs), created=created, low=c.low, high=c.high,
         step=(c.high - c.low) / (KNOTS - 1), quantity=c.quantity.replace("_", " "),
         quantity_unit=QUANTITIES[c.quantity],
@@ -144,13 +144,13 @@ def _body(one: Relation) -> str:
     return f"{before}\n    @staticmethod\n    def {hook}:\n        {text.format(y=y)}{_lagging(c)}"
 
 
-def _remembered(c: Candidate) -> str:
+def _with_memory(c: Candidate) -> str:
     """The quantity with memory of a candidate; "" for none."""
     return next((q for q in (c.quantity, c.by) if q in MEMORY), "")
 
 
 def _quantity(name: str) -> str:
-    """Its formula in a hook of the slip angles or of the motion."""
+    """Formula of a quantity in a hook of the slip angles or of the motion."""
     if name not in MEMORY:
         return OF_MOTION[name]
     source, kind, tau = MEMORY[name]
@@ -158,17 +158,17 @@ def _quantity(name: str) -> str:
 
 
 def _memory(c: Candidate) -> str:
-    if not _remembered(c):
+    if not _with_memory(c):
         return ""
-    unit = QUANTITIES[MEMORY[_remembered(c)][0]]
+    unit = QUANTITIES[MEMORY[_with_memory(c)][0]]
     return f'\n    extra_states = ("lagging",)\n    extra_units = ("{unit}",)'
 
 
 def _lagging(c: Candidate) -> str:
     """Hooks of a relation with memory."""
-    if not _remembered(c):
+    if not _with_memory(c):
         return ""
-    source, _, tau = MEMORY[_remembered(c)]
+    source, _, tau = MEMORY[_with_memory(c)]
     now = OF_MOTION[source]
     return (f"\n\n    @staticmethod\n    def start(slips, at, given, theta):\n        return ({now},)\n\n"
             "    @staticmethod\n    def rates(extra, slips, forces, at, given, theta):\n"
@@ -176,7 +176,7 @@ def _lagging(c: Candidate) -> str:
 
 
 def _kind(c: Candidate) -> str:
-    if c.quantity in MAPPED:
+    if c.quantity in OF_MAP:
         return "surroundings"
     return "sensors" if c.of_sensor else "physics"
 
@@ -185,8 +185,8 @@ def write_files(found: RelationSearch, vehicle: VehicleParameters, runs: Sequenc
                 digests: dict[str, str], folder: Path) -> dict[str, Path]:
     """Write the effect file and the model file that uses it; paths by kind, none without a relation.
 
-    A relation of the time in the run is not written: it predicts nothing of another drive. The user's effects in the
-    model are copied along, so that one folder of effects is enough for every command.
+    A relation of the time in the run is not written, as it is not valid in other drives. The user's effects in the
+    model are copied, so that one folder of effects is enough for every command.
     """
     one = found.relation
     if one is None or one.candidate.quantity == "run_time":

@@ -40,7 +40,7 @@ def relation_report(found: RelationSearch, answer: Discovery, vehicle: VehiclePa
     excluded: Groups = [("not excluded", [f"a relation at these places, which the drives could not show: {places}"]
                          )] if places else []
     if one is None:
-        return RelationReport([("proposal", [f"none: {quantities.in_words(found.why, found.tried)}"]), *excluded])
+        return RelationReport([("proposal", [f"none: {quantities.spell_out(found.why, found.tried)}"]), *excluded])
     without, with_it = one.position_5s
     runs = ", ".join(f"{name} ({before:.2f} → {after:.2f} m)" for name, (before, after) in one.much_worse().items())
     worse, causes = f"WORSE by a quarter or more in {runs}", one.formulas[0].causes if one.formulas else ""
@@ -102,7 +102,7 @@ def _uncertainty(one: Relation) -> list[str]:
 def _alternatives(one: Relation) -> list[str]:
     lines = []
     if one.others:
-        names = "; ".join(f"{quantities.named(name)} ({cosine:.2f})" for name, cosine in one.others.items())
+        names = "; ".join(f"{quantities.written_out(name)} ({cosine:.2f})" for name, cosine in one.others.items())
         lines.append(f"these drives do not separate it from: {names}. In brackets the cosine similarity of the two "
                      "effects on the predictions: 1 the same, 0 unrelated")
     for name, share in one.redundant.items():
@@ -170,8 +170,8 @@ def next_drive_sentences(one: Relation) -> list[str]:
     separating, precise = drives.most_separating(), drives.most_precise(one.deviation)
     if separating is not None:
         option, rival = separating
-        lines.append(f"to separate it from {quantities.named(rival)}: {_manoeuvre(option)}. Their difference is then "
-                     f"{option.apart[rival] / max(drives.now[rival], 1e-9):.1f} times as large")
+        lines.append(f"to separate it from {quantities.written_out(rival)}: {_manoeuvre(option)}. Their difference is "
+                     f"then {option.apart[rival] / max(drives.now[rival], 1e-9):.1f} times as large")
     elif drives.now:
         lines.append("no manoeuvre of the catalogue separates it much better from its alternatives: look for the "
                      "cause on the car")

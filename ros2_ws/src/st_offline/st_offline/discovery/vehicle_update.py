@@ -1,4 +1,4 @@
-"""The user's vehicle file with the named effects; everything else stays in the model file."""
+"""The user's vehicle file with the named effects; the other effects are in the model file."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -245,7 +245,7 @@ def _interval(found: Discovery, vehicle: VehicleParameters, folded: Sequence[typ
 
 
 def updated_text(request: Request, car: VehicleParameters, changes: Mapping[str, tuple[float, ...]], source: str,
-                about: Provenance) -> str:
+                 about: Provenance) -> str:
     """The user's vehicle file with these keys replaced; everything else, comments included, is unchanged.
 
     A derived lambda_ky is written only where it would be derived differently. A file that cannot be edited so that it
@@ -267,16 +267,16 @@ def updated_text(request: Request, car: VehicleParameters, changes: Mapping[str,
 
 def edited_or_whole(text: str, entries: Mapping[str, Callable[[str, float], str]], car: VehicleParameters,
                     tolerance: float) -> str:
-    """A vehicle file with these entries replaced, or the car as a whole where the file does not read as it then.
+    """A vehicle file with these entries replaced; the car written as a whole if the result would be read differently.
 
     tolerance: relative, of every value.
     """
     try:
         new = edited(text, entries)
-        again = VehicleParameters.from_yaml(new)
+        read = VehicleParameters.from_yaml(new)
     except (ConfigurationError, yaml.YAMLError):
         return car.to_yaml()
-    return new if all(_close(again, car, key, tolerance) for key in KEYS) else car.to_yaml()
+    return new if all(_close(read, car, key, tolerance) for key in KEYS) else car.to_yaml()
 
 
 def _close(car: VehicleParameters, other: VehicleParameters, key: str, tolerance: float) -> bool:
@@ -285,26 +285,26 @@ def _close(car: VehicleParameters, other: VehicleParameters, key: str, tolerance
 
 def _entry(change: Sequence[float], source: str, about: Provenance) -> Callable[[str, float], str]:
     """change: (before, after), and (low, high) where known; SI. -> unit of the file, its factor to SI -> the entry."""
-    def words(unit: str, factor: float) -> str:
+    def entry(unit: str, factor: float) -> str:
         before, after, *ends = (number(float(f"{value / factor:.{DIGITS}g}")) for value in change)
         interval = f", 95 % interval {ends[0]} to {ends[1]}" if ends else ""
         spread = (change[3] - change[2]) / (2 * 1.96) if ends else 0.0
         known = replace(about, uncertainty=float(f"{spread / factor:.3g}") if spread > 0.0 else None)
         return (f"{{value: {after}, unit: {quoted(unit)}, source: {quoted(f'{source}{interval}; before {before}')}"
                 f"{known.words()}}}")
-    return words
+    return entry
 
 
 def edited(text: str, entries: Mapping[str, Callable[[str, float], str]]) -> str:
     """A vehicle file with these entries, "mass" or "tyre_front.p_dy1", replaced or inserted."""
     root = yaml.compose(text, Loader=yaml.SafeLoader)
-    changes = [_change(root, key, words) for key, words in entries.items()]
+    changes = [_change(root, key, entry) for key, entry in entries.items()]
     for start, end, new in sorted(changes, reverse=True):
         text = text[:start] + new + text[end:]
     return text
 
 
-def _change(root: yaml.Node, key: str, words: Callable[[str, float], str]) -> tuple[int, int, str]:
+def _change(root: yaml.Node, key: str, entry: Callable[[str, float], str]) -> tuple[int, int, str]:
     """(start, end, replacement) of one entry."""
     tyre, _, name = key.rpartition(".")
     section, known = _child(root, tyre) if tyre else root, quantity(key)
@@ -314,11 +314,11 @@ def _change(root: yaml.Node, key: str, words: Callable[[str, float], str]) -> tu
         first = section.value[0][0].start_mark
         unit = next(iter(units))
         gap = ", " if section.flow_style else "\n" + " " * first.column
-        return first.index, first.index, f"{name}: {words(unit, units[unit])}{gap}"
+        return first.index, first.index, f"{name}: {entry(unit, units[unit])}{gap}"
     # The end of a block is where the next key begins, comments between included.
     last = node if node.flow_style else node.value[-1][1]
     unit = next(value.value for name, value in node.value if name.value == "unit")
-    return node.start_mark.index, last.end_mark.index, words(unit, units[unit])
+    return node.start_mark.index, last.end_mark.index, entry(unit, units[unit])
 
 
 def _child(section: yaml.Node, key: str) -> yaml.MappingNode | None:
