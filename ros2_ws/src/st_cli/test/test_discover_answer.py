@@ -26,7 +26,7 @@ from st_core.discovery.where import window_errors
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery import drives, quantities, report_text
 from st_offline.discovery.discovery_report import document, show, write_page
-from st_offline.discovery.drives import Request, read_answer, write_answer, read_drive
+from st_offline.discovery.drives import Request, read_answer, read_drive, write_answer
 from st_offline.discovery.figures import Scene, agreement, axle_curves, maps, waterfall
 from st_offline.discovery.relation_report import RelationReport
 from st_offline.discovery.vehicle_update import VehicleUpdate, update_vehicle

@@ -26,7 +26,7 @@ from st_recordings.runs.errors import join_problems
 from ..evaluation.drawing import Drawn, Place, check_formats
 from ..terminal import progress_bars
 from .discovery_report import document, model_file, show, write_page
-from .drives import Drive, Request, answer_key, cache_folder, read_answer, clock_warning, write_answer, read_drives
+from .drives import Drive, Request, answer_key, cache_folder, clock_warning, read_answer, read_drives, write_answer
 from .figures import Scene, agreement, axle_curves, maps, relation_figure, waterfall
 from .relation_files import relation_document, write_files
 from .relation_report import RelationReport, relation_report
