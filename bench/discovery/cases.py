@@ -38,11 +38,11 @@ STIFFNESS = ("front_stiffness", "rear_stiffness", "both stiffnesses")
 class Case:
     """One question to `discover`.
 
-    block: A to E; kind: of the block. car: healthy; settings: of the car that drives; file: what the vehicle file
-    believes, None where it is identified. hidden: effects of the library that are there or wrong in the file; words:
-    what is hidden, for a person. reference: whether healthy drives are given. effects: names that take part, None for
-    all. shifted: driven otherwise than the reference. from_: share of each run after which the change is there.
-    elsewhere: settings at the second site, where every other run is driven.
+    block: A to E; kind: of the block. car: healthy; settings: of the driven car; file: settings the vehicle file
+    assumes, None if it is identified. hidden: effects of the library that are present, or wrong in the file; words: the
+    same as a sentence. reference: whether healthy drives are given. effects: names of the candidates, None for all.
+    shifted: driven on other roads or at other speeds than the reference. from_: share of each run after which the
+    change is present. elsewhere: settings at the second site, where every other run is driven.
     """
 
     set_: str
@@ -75,7 +75,7 @@ def seed_of(set_: str, *what: object) -> int:
 
 
 def cases_of(set_: str, block: str, count: int | None = None) -> list[Case]:
-    """The first `count` cases of a block, A to E; they are the same however many are asked for."""
+    """The first `count` cases of a block, A to E, independent of `count`."""
     make = {"A": _one, "B": _several, "C": _nothing, "D": _referenced, "E": _bound}[block]
     return [make(set_, i) for i in range(COUNTS[block] if count is None else count)]
 

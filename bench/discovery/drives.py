@@ -27,8 +27,8 @@ OFF = {"factor": 0.02, "angle": 0.0005}
 @dataclass(frozen=True)
 class Drives:
     """reference, suspect: what `discover` gets, with `vehicle` as the file. held_out: more drives of the suspect car;
-    twin: the same programmes driven by the healthy car, where that is asked for. truth: values of all effects the plant
-    has a switch for, against that file. mistaken: names of what identification got wrong in it."""
+    twin: the same programmes driven by the healthy car, on request. truth: values of all effects the plant has a switch
+    for, relative to that file. mistaken: names of effects that identification got wrong in it."""
 
     reference: tuple[DriveLog, ...]
     suspect: tuple[DriveLog, ...]
@@ -78,8 +78,8 @@ def without_vy(log: DriveLog) -> DriveLog:
 
 
 def _file(case: Case) -> tuple[VehicleParameters, Values]:
-    """The vehicle file, as the case believes or identified on drives of its own, and what of that is not the car's: an
-    axle identified without its compliance is softer than its tyres."""
+    """The vehicle file, assumed or identified on separate drives, and its errors: an axle identified without
+    its compliance is softer than its tyres."""
     if case.file is not None:
         return vehicle_of(case.car.plant, case.file), {}
     start = vehicle_of(case.car.plant, case.car.settings)

@@ -16,7 +16,7 @@ Stated = dict[tuple[str, str], tuple[float, float, float]]
 @dataclass(frozen=True)
 class Edited:
     """moved: the edited value is stated and its interval contains the expected one; or the effect is an alternative
-    of a stated one. others: other effects whose values moved. expected, stated: value of the edited parameter."""
+    of a stated one. others: other effects with changed values. expected, stated: value of the edited parameter."""
 
     moved: bool
     others: tuple[str, ...]

@@ -1,6 +1,6 @@
-"""Which switch of a plant stands for which effect of the library: the one table between the worlds.
+"""Table of the plants' switches and the effects of the library they correspond to.
 
-The switches act in the plants' own equations; the library's names are those of st_core.effects. `full` is the change of
+The switches act in the plants' equations; the library's names are those of st_core.effects. `full` is the change of
 a large effect (scale 1), `signs` the directions it may take: the other is outside what the library, or a car, allows.
 """
 
@@ -141,7 +141,7 @@ _TOTALS = {
 
 def true_values(car: Settings, file: Settings, vehicle: VehicleParameters) -> Values:
     """{effect: {parameter: value}} in the library's parameters, of a plant with the settings `car` and a vehicle file
-    that believes `file`; vehicle: that file. Effects at null included, those without a switch left out."""
+    that assumes `file`; vehicle: that file. Effects of value zero are included, those without a switch are not."""
     ratio = car["steering_ratio_factor"] / file["steering_ratio_factor"]
     values = {name: {"factor": car[s] / file[s]} for name, s in _QUOTIENTS.items() if s in car}
     values |= {name: {p: car[s] - file[s]} for name, (p, s) in _DIFFERENCES.items() if s in car}

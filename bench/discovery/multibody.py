@@ -139,7 +139,7 @@ def _run(car: str, s: Mapping[str, float], state: np.ndarray, programme: Program
 
 
 def _with_curve(p, law: Law):
-    """The numbers of a car whose rear tyres have another shape of curve, as stiff and as strong as they were."""
+    """Parameters of a car whose rear tyres have another curve shape, with the same stiffness and grip."""
     if law.kind != REAR_CURVE:
         return p
     rear = p.tire_rear

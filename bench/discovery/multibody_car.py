@@ -203,8 +203,8 @@ def fitted_tyre(load: float, tyre: TyreNumbers) -> tuple[MagicFormula, float]:
 
 
 def vehicle_of(car: str, settings: Mapping[str, float] | None = None) -> VehicleParameters:
-    """The vehicle file of a car whose body, tyres, steering ratio and offset and INS point are as `settings` say (None:
-    nothing hidden): what a single-track model can know of it. Lags, sensors and surroundings have no place in it.
+    """The vehicle file of a car whose body, tyres, steering ratio and offset and INS point follow `settings` (None:
+    nothing hidden). Lags, sensors and surroundings are not part of a vehicle file.
     """
     s, choice = complete(settings or {}), CARS[car]
     p = parameters_of(car, s)

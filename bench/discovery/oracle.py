@@ -171,7 +171,7 @@ class Oracle:
 
     def _moved(self, x: np.ndarray, z: np.ndarray, hessian: np.ndarray, gradient: np.ndarray,
                free: np.ndarray) -> np.ndarray | None:
-        """A step that lowers the cost by more than SETTLED; None where there is none."""
+        """A step that lowers the cost by more than SETTLED, or None."""
         before = np.log1p(np.square(z) / TAIL).sum()
         for damping in DAMPING:
             d = self._step(x, hessian + damping * np.diag(np.diag(hessian)), gradient, free)

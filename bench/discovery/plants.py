@@ -1,5 +1,5 @@
-"""The plants of the benchmark behind one face: the virtual Leaf and the multi-body car, driven, and what a vehicle file
-of just that car would say."""
+"""The plants of the benchmark with one interface: drives of the virtual Leaf and of the multi-body car, and the correct
+vehicle file of each."""
 
 from dataclasses import dataclass, replace
 

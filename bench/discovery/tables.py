@@ -65,7 +65,7 @@ def as_markdown(records: Sequence[Record], ablated: Sequence[Record]) -> str:
 
 
 def _origin(records: Sequence[Record]) -> str:
-    """Set, versions and numbers of cases; and a warning where these are no figures of the sealed set."""
+    """Set, versions and numbers of cases, with a warning if the figures are not of the sealed set."""
     counts = Counter(r["block"] for r in records if r["index"] >= 0)
     sets, versions = (sorted({r[key] for r in records}) for key in ("set", "version"))
     text = (f"Set: {', '.join(sets)}. Version {', '.join(versions)}. Cases: "

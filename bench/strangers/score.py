@@ -59,10 +59,10 @@ def true_range(name: str, result: Mapping[str, Any]) -> list[float] | None:
 
 
 def hidden(result: Mapping[str, Any]) -> dict[str, bool]:
-    """By hidden error: named, alone or in a set that contains it.
+    """By hidden error: whether it is named, alone or in a set.
 
-    A combination whose interval contradicts the vehicle file is such a set for errors of axle stiffness. For a load it
-    is none, because the guessed stiffness of the file contradicts it anyway.
+    A combination whose interval contradicts the vehicle file counts as such a set for errors of axle stiffness. For a
+    load it does not, because the guessed stiffness of the file contradicts it anyway.
     """
     stated, combined = set(), set()
     for one in named(result["answer"]):
