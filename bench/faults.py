@@ -57,8 +57,8 @@ def verdict(found: Row) -> str:
     if found.problems:
         return "open: " + "; ".join(found.problems)
     if found.fault in DRIVING:
-        return f"as promised; cleared {found.clear:.0f} s after its end"
-    return f"open: {found.fault.open}" if found.fault.open else "as promised"
+        return f"as expected; cleared {found.clear:.0f} s after its end"
+    return f"open: {found.fault.open}" if found.fault.open else "as expected"
 
 
 def table(rows: list[Row], before: dict[str, str]) -> str:
@@ -68,7 +68,7 @@ def table(rows: list[Row], before: dict[str, str]) -> str:
     for r in rows:
         notice = "-" if math.isnan(r.notice) else f"{r.notice:.1f}"
         what = verdict(r).replace("|", "/")
-        cells = (r.fault.name, r.fault.promise, notice, f"{r.recover:.1f}", r.ticks_lost, r.packets_lost, what)
+        cells = (r.fault.name, r.fault.expected, notice, f"{r.recover:.1f}", r.ticks_lost, r.packets_lost, what)
         before[r.fault.name] = "| " + " | ".join(map(str, cells)) + " |"
     kept = [before[fault.name] for fault in ALL if fault.name in before]
     return "\n".join([*lines, *kept]) + "\n"

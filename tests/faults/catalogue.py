@@ -26,17 +26,17 @@ NODES = ("oxts_bridge", "canedge_bridge", "predictor", "evaluator", "recorder")
 
 @dataclass(frozen=True)
 class Fault:
-    """seconds: how long it lasts. put: puts it in, returns what takes it away. promise: in words, for the table.
+    """One fault. seconds: its duration. put: inserts it, returns the function that removes it. expected: behaviour, for
+    the table.
 
-    check: the line of the terminal that has to tell it, "" where none needs to; words: that have to stand there.
-    predictions: what they do meanwhile. short: also in the quick run. restarts: a node that is started again.
-    settles [s]: for everything to be well again afterwards.
+    check: diagnostic that has to report it, "" for none; words: required in its text. predictions: meanwhile. short:
+    also in the quick run. restarts: a node that is started again. settles: time for recovery [s].
     """
 
     name: str
     seconds: float
     put: Callable[[Rig], Undo]
-    promise: str
+    expected: str
     check: str = ""
     words: str = ""
     predictions: str = GO_ON

@@ -54,18 +54,18 @@ def test_own_effects_are_listed_with_their_folder(law):
     assert "proposed_rear_steer" in st("effects", "list", "--effects", law / "effects").output
 
 
-def test_a_proposed_file_keeps_all_promises(law):
+def test_a_proposed_file_meets_all_requirements(law):
     result = st("effects", "check", law / "effects" / "proposed_rear_steer.py")
-    assert result.exit_code == 0 and "proposed_rear_steer: all promises kept" in result.output, result.output
+    assert result.exit_code == 0 and "proposed_rear_steer: all requirements met" in result.output, result.output
     assert result.output.count("yes") == 8
 
 
 def test_a_file_of_the_library_is_checked_as_one_of_your_own():
     result = st("effects", "check", source_file(EFFECTS["yaw_rate_bias"]))
-    assert result.exit_code == 0 and "yaw_rate_bias: all promises kept" in result.output, result.output
+    assert result.exit_code == 0 and "yaw_rate_bias: all requirements met" in result.output, result.output
 
 
-def test_a_broken_promise_is_said_and_is_an_exit_status(law):
+def test_a_violated_requirement_is_reported_with_an_exit_status(law):
     file = law / "effects" / "proposed_rear_steer.py"
     file.write_text(file.read_text().replace("theta.share * relation(", "theta.share + relation("))
     result = st("effects", "check", file)

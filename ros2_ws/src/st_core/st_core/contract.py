@@ -1,7 +1,7 @@
 """Requirements on every effect, checked by `st effects check` for the library and for users' own effects.
 
-Each function in `PROMISES` returns the violation by an effect and a car, in one line with figures, or "". It covers all
-backends: floats, the numpy batch, the compiled lanes and CasADi. Checked by: test_contract.py.
+Each function in `REQUIREMENTS` returns the violation by an effect and a car, in one line with figures, or "". It covers
+all backends: floats, the numpy batch, the compiled lanes and CasADi. Checked by: test_contract.py.
 """
 
 import importlib.util
@@ -34,17 +34,17 @@ READING = Measured(3.0, -2.0, 0.2, 12.0, 0.1, 0.25, 0.4, 2.9, 0.3)
 
 
 @dataclass(frozen=True)
-class Promise:
+class Requirement:
     """A requirement in words, and its violation, "" if fulfilled."""
 
     what: str
     problem: str
 
 
-def check_effect(effect: type[Effect], vehicle: VehicleParameters) -> tuple[Promise, ...]:
-    """Result of every requirement, in the order of PROMISES; an exception counts as a violation."""
-    promises = []
-    for what, find_violation in PROMISES.items():
+def check_effect(effect: type[Effect], vehicle: VehicleParameters) -> tuple[Requirement, ...]:
+    """Result of every requirement, in the order of REQUIREMENTS; an exception counts as a violation."""
+    results = []
+    for what, find_violation in REQUIREMENTS.items():
         try:
             with np.errstate(all="ignore"):
                 problem = find_violation(effect, vehicle)
@@ -52,8 +52,8 @@ def check_effect(effect: type[Effect], vehicle: VehicleParameters) -> tuple[Prom
             problem = str(error)
         except Exception as error:
             problem = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        promises.append(Promise(what, problem))
-    return tuple(promises)
+        results.append(Requirement(what, problem))
+    return tuple(results)
 
 
 def _check_texts(effect: type[Effect], vehicle: VehicleParameters) -> str:
@@ -161,7 +161,7 @@ def _check_correction(effect: type[Effect], vehicle: VehicleParameters) -> str:
     return f"{error:.3g} of the {change:.3g} by observe() remain after correct()"
 
 
-PROMISES = {
+REQUIREMENTS = {
     "the equation is written in the file": _check_texts,
     "at null it changes nothing, to the last bit": _check_null,
     "at its initial values it changes something": _check_change,

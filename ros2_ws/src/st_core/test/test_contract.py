@@ -1,10 +1,10 @@
-"""Promises of an effect: the library keeps them all, and each way to break one is noticed."""
+"""Requirements on an effect: the library meets them all, and each violation is detected."""
 
 
 import numpy as np
 import pytest
 from effect_registry import restored
-from st_core.contract import PROMISES, check_effect
+from st_core.contract import REQUIREMENTS, check_effect
 from st_core.effects import DYNAMIC, EFFECTS, Effect, Parameter, load_file, register
 from st_core.errors import ConfigurationError
 
@@ -27,7 +27,7 @@ def made(parameter=GAIN, **hooks):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_library_keeps_every_promise(leaf, name):
+def test_the_library_meets_every_requirement(leaf, name):
     assert broken(EFFECTS[name], leaf) == {}
 
 
@@ -35,7 +35,7 @@ def of(acceleration):
     return lambda at, given, theta: (0.0 * at.yaw_rate, 0.0 * at.yaw_rate, acceleration(at, theta))
 
 
-@pytest.mark.parametrize(("acceleration", "promise", "words"), [
+@pytest.mark.parametrize(("acceleration", "requirement", "words"), [
     (lambda at, t: (1e-9 + t.gain) * at.yaw_rate, "at null it changes nothing", "to the last bit"),
     (lambda at, t: 0.0 * at.yaw_rate, "at its initial values it changes something", "nothing changes"),
     (lambda at, t: -t.gain * at.yaw_rate / at.velocity_x, "finite at its bounds", "division by zero"),
@@ -44,13 +44,13 @@ def of(acceleration):
     (lambda at, t: 20.0 * t.gain * at.yaw_rate, "it does not make the car unstable", "grows by"),
     (lambda at, t: -99.0 * t.gain * at.yaw_rate, "it does not make the car unstable", "too fast for steps"),
 ])
-def test_a_broken_promise_is_named(leaf, acceleration, promise, words):
+def test_a_violated_requirement_is_named(leaf, acceleration, requirement, words):
     found = broken(made(acceleration=of(acceleration)), leaf)
-    kept = next(what for what in PROMISES if what.startswith(promise))
+    kept = next(what for what in REQUIREMENTS if what.startswith(requirement))
     assert words in found[kept]
 
 
-def test_a_declared_sign_is_no_broken_promise(leaf):
+def test_a_declared_sign_is_no_violation(leaf):
     push = Parameter("gain", "rad/s^2", null=0.0, initial=0.1, bounds=(-1.0, 1.0), source="theory", meaning="left +",
                      odd=True)
     assert broken(made(push, acceleration=of(lambda at, t: t.gain + 0.0 * at.yaw_rate)), leaf) == {}

@@ -85,12 +85,12 @@ def test_the_file_does_what_the_curve_does(tmp_path, registry, place, quantity, 
     ("front_steer", "lagging_steering", -1.0, ""), ("front_steer", "speed", 0.0, "steering_rate"),
     ("both_grip", "position_y", 0.0, ""), ("front_steer", "speed", 0.0, ""), ("side_force", "north", 0.0, ""),
     ("sensor_yaw_rate", "acceleration_y", -1.0, "")])
-def test_the_file_keeps_the_promises_of_an_effect(tmp_path, registry, place, quantity, parity, by):
+def test_the_file_meets_the_requirements_on_an_effect(tmp_path, registry, place, quantity, parity, by):
     one = proposal(place, quantity, parity, by)
     gentle = replace(one, coefficients=0.3 * one.coefficients)
     (tmp_path / "law.py").write_text(effect_file(gentle, ["lap"], "2026-01-01T00:00:00"))
     load_folder(str(tmp_path))
-    assert [promise for promise in check_effect(EFFECTS[name_of(one)], CAR) if promise.problem] == []
+    assert [each for each in check_effect(EFFECTS[name_of(one)], CAR) if each.problem] == []
 
 
 def test_the_curve_is_drawn_in_the_units_of_an_engineer():

@@ -29,7 +29,7 @@ def effects(
     """List the effects: kind, place, what each looks at, twins, channels it needs; or check effect files of your own.
 
     check: null exactly the base model, finite in its bounds, the same on floats, batches, compiled and in CasADi,
-    mirror images, stable. Exit status: 0 all promises kept, 1 some not, 2 a file cannot be loaded.
+    mirror images, stable. Exit status: 0 all requirements met, 1 some not, 2 a file cannot be loaded.
     """
     from st_core.effects import load_folder
 
@@ -41,10 +41,10 @@ def effects(
             return
         named = resolve_car(car, vehicle).vehicle
         parameters, file = load_vehicle_or_default(named)
-        all_kept = _check_contracts(files or (), parameters, Console())
+        all_met = _check_contracts(files or (), parameters, Console())
         if named is None:
             report_default_car("effects", file)
-    raise typer.Exit(0 if all_kept else 1)
+    raise typer.Exit(0 if all_met else 1)
 
 
 def _print_library(console: Console) -> None:
@@ -73,14 +73,14 @@ def _check_contracts(files: Sequence[Path], car: "VehicleParameters", console: C
         if not file.is_file() or file.suffix != ".py":
             raise ConfigurationError(f"{file}: no effect file (.py)")
     chosen = [e for f in files for e in load_file(str(f.resolve().parent), f.stem)] if files else EFFECTS.values()
-    all_kept = True
+    all_met = True
     for effect in chosen:
-        promises = check_effect(effect, car)
-        broken = [promise for promise in promises if promise.problem]
-        all_kept &= not broken
-        verdict = f"{len(broken)} of {len(promises)} promises broken" if broken else "all promises kept"
+        results = check_effect(effect, car)
+        violated = [one for one in results if one.problem]
+        all_met &= not violated
+        verdict = f"{len(violated)} of {len(results)} requirements violated" if violated else "all requirements met"
         lines = [f"{effect.name}: {verdict}"]
-        lines += [f"  no   {promise.what}: {promise.problem}" for promise in broken]
-        lines += [f"  yes  {promise.what}" for promise in promises if files and not promise.problem]
+        lines += [f"  no   {one.what}: {one.problem}" for one in violated]
+        lines += [f"  yes  {one.what}" for one in results if files and not one.problem]
         console.print("\n".join(lines), markup=False, highlight=False)
-    return all_kept
+    return all_met
