@@ -84,6 +84,9 @@ def test_a_model_that_is_stiffer_than_the_car_raises_the_slip_speed_of_the_file(
     assert one.vehicle.minimum_slip_speed > CAR.minimum_slip_speed and one.vehicle.yaw_inertia == CAR.yaw_inertia
     step = PredictionSettings().step
     assert slip_speed_needed((one.model,), one.vehicle, STABILITY_SPEEDS, step) == one.vehicle.minimum_slip_speed
+    assert one.vehicle.sources["minimum_slip_speed"] == "stable with steps of 50 ms; before 3.0"
+    assert f"for steering ratio; minimum_slip_speed 3 → {one.vehicle.minimum_slip_speed:.4g} m/s" in "".join(
+        to_do(found, one))
 
 
 def test_without_a_new_file_the_slip_speed_of_the_model_is_advised(driven):

@@ -24,7 +24,7 @@ from st_core.vehicle import VEHICLE_QUANTITIES
 
 from ..checking.check_report import describe_effect, group_by_name
 from .quantities import change, channel, decimal, fitted, metres, plain, short_values, size, values
-from .vehicle_update import VehicleUpdate
+from .vehicle_update import SLIP_SPEED, VehicleUpdate
 
 MAX_PARTS = 6
 MAX_INVISIBLE = 4  # effects named in a sentence; the table has all
@@ -312,18 +312,20 @@ def _vehicle_lines(found: Discovery, update: VehicleUpdate | None) -> list[str]:
                      f"{metres(update.error[0])} to {metres(update.error[1])} on held-out drives{where}; "
                      "use model.yaml")
     if update is not None and update.slip_speed:
-        lines.append(f"with model.yaml, set minimum_slip_speed to {update.slip_speed:g} m/s in the vehicle file: below "
-                     "that, steps of 50 ms are too long for it")
+        lines.append(f"set minimum_slip_speed to {update.slip_speed:g} m/s in the vehicle file and run st discover "
+                     "again: below that, steps of 50 ms are too long for model.yaml, which belongs to one vehicle file")
     lines += update.objections if update is not None else ()
     lines += [f"{plain(e.name)} is negative ({short_values(e.name, {name: p})}): the reaction would precede its cause: "
               "a clock or a stated latency is wrong; look at the clocks (st check, st align) before using it"
               for e in found.effects for name, p in e.parameters.items() if p.unit == "s" and p.interval[1] < 0.0]
     if update is not None and update.folded:
-        entries = (keys(update.changes) if len(update.changes) <= MAX_KEYS else
-                   f"{len(update.changes)} entries are corrected")
+        changes = {key: change for key, change in update.changes.items() if key != SLIP_SPEED}
+        slip = {key: change for key, change in update.changes.items() if key == SLIP_SPEED}
+        entries = keys(changes) if len(changes) <= MAX_KEYS else f"{len(changes)} entries are corrected"
+        stable = f"; {keys(slip)}, for stable steps of 50 ms" if slip else ""
         alone = (f"; alone it reduces the position error after 5 s by {1.0 - update.error[1] / update.error[0]:.0%}"
                  if (found.minor or found.effective) and update.error[0] > 0.0 else "")
-        lines.append(f"use vehicle.yaml: {entries}, for {', '.join(map(plain, update.folded))}{alone}")
+        lines.append(f"use vehicle.yaml: {entries}, for {', '.join(map(plain, update.folded))}{stable}{alone}")
         lines += [f"vehicle.yaml contains the first of {by_any_name(found, e)}; these drives do not separate them: "
                   "measure one of them on the car" for e in found.effects if e.name in update.folded and e.alternatives]
     return lines

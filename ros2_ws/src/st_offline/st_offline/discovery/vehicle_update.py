@@ -253,14 +253,17 @@ def updated_text(request: Request, car: VehicleParameters, changes: Mapping[str,
     """
     stated = yaml.safe_load(request.vehicle_text)
     derived = [f"{tyre}.lambda_ky" for tyre in TYRES if "lambda_ky" not in stated[tyre]]
-    entries = {key: _entry(change, source, about) for key, change in changes.items() if key not in derived}
+    stable = f"stable with steps of {1e3 * PredictionSettings().step:g} ms"
+    entries = {key: _entry(change[:2], stable, about) if key == SLIP_SPEED else _entry(change, source, about)
+               for key, change in changes.items() if key not in derived}
     try:
         first = VehicleParameters.from_yaml(edited(request.vehicle_text, entries))
     except (ConfigurationError, yaml.YAMLError):
         first = car
     entries |= {key: _entry((value_of(request.vehicle, key), value_of(car, key)), source, about)
                 for key in derived if not _close(first, car, key, SAME_VALUE)}
-    sources = {key: f"{source}; before {number(change[0])}" for key, change in changes.items()}
+    sources = {key: f"{stable if key == SLIP_SPEED else source}; before {number(change[0])}"
+               for key, change in changes.items()}
     return edited_or_whole(request.vehicle_text, entries,
                            replace(car, sources={**request.vehicle.sources, **sources}), SAME_VALUE)
 
