@@ -78,3 +78,11 @@ def test_what_needs_the_sideslip_is_refused(course: DriveLog) -> None:
 def test_no_check_locates_the_ins_from_it(course: DriveLog) -> None:
     found = check(with_steady_sideslip(course, replace(CAR, cg_to_ins_x=CAR.cg_to_ins_x + 0.5)), CAR)
     assert not {"measuring_point", "heading_misaligned", "yaw_lag"} & {finding.name for finding in found.findings}
+
+
+def test_a_straight_road_without_lateral_velocity_locates_nothing() -> None:
+    time_ns = START_NS + 10_000_000 * np.arange(3000)
+    zero = np.zeros(3000)
+    rate = np.random.default_rng(2).normal(0.0, 0.001, 3000)
+    log = DriveLog("straight", time_ns, 0.1 * np.arange(3000), zero, zero, zero + 10.0, zero, rate, time_ns, zero)
+    assert not {"measuring_point", "heading_misaligned"} & {finding.name for finding in check(log, CAR).findings}

@@ -101,7 +101,11 @@ def test_a_folder_of_everything(tmp_path: Path) -> None:
     [
         ("nowhere.ncom", "the file or folder does not exist; looked for in /"),
         ("note.txt", r"the file or folder does not exist; looked for in .*, did you mean notes\.txt\?"),
-        ("notes.txt", r"the extension \.txt is not one of a recording; known are .*\.ncom"),
+        ("notes.doc", r"the extension \.doc is not one of a recording; known are .*\.ncom"),
+        ("table.txt", r"the extension \.txt is not one of a recording; rename it to \.csv if it is a table"),
+        ("capture.pcap", r"the extension \.pcap is not one of a recording; for NCOM over UDP, rename it to \.ncom"),
+        ("unit.rd", r"the extension \.rd is not one of a recording; .* convert it to NCOM"),
+        ("logger.vbb", r"the extension \.vbb is not one of a recording; export it as \.vbo"),
         ("car.dbc", r"the extension \.dbc is not one of a recording; a DBC belongs to --dbc"),
         ("folder", "no recording is in this folder"),
     ],

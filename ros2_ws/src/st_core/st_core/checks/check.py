@@ -75,18 +75,19 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
     if not any(finding.name == "samples_repeated" and {"x", "y"} & {*finding.channels} for finding in stuck):
         motion, steps = check_position_steps(motion)  # held positions step by nature
         findings += steps
-    speed, by_hand = motion.velocity_x, log.steering_wheel_angle is not None
+    speed, by_hand, sideslip_measured = (
+        motion.velocity_x, log.steering_wheel_angle is not None, CHANNELS["velocity_y"].is_in(log))
     rate, (motion, fine, estimates, panels) = _check_sensors_at_true_rate(motion, time_unit, _removed_factors(gross))
     findings += rate + position.with_sign_alternative(_merge_gross_and_fine(gross, fine, estimates), recorded, motion)
     if vehicle is not None:
         frozen = {channel for finding in stuck if finding.name == "channel_frozen" for channel in finding.channels}
-        unusable = coarse | frozen if log.sideslip_measured else {*coarse, *frozen, "velocity_y"}
+        unusable = coarse | frozen if sideslip_measured else {*coarse, *frozen, "velocity_y"}
         for more, values, panel in _compare_with_vehicle(motion, vehicle, by_hand, broken, unusable):
             findings += more
             estimates |= values
             panels += [panel] if panel else []
     findings += vehicle_relations.check_standstill(motion.with_(velocity_x=speed))
-    if not CHANNELS["velocity_y"].is_in(log):  # yaw may be the course, which differs by the sideslip
+    if not sideslip_measured:  # yaw may be the course, which differs by the sideslip
         findings = [_without_sideslip(finding, motion) for finding in findings]
         estimates = {name: value for name, value in estimates.items() if name not in CHANGED_BY_SIDESLIP}
     if vehicle is not None:

@@ -25,6 +25,10 @@ DOCUMENT_EXTENSIONS = (".md", ".txt", ".rst", ".pdf", ".html", ".png", ".jpg", "
 """Extensions that no recording has: README, LICENSE and the like, ignored among recordings."""
 MAX_SPLIT_GAP = 5.0
 """s, between the end of one file of a bag and the start of the next."""
+TABLE_EXTENSIONS = (".txt", ".tsv", ".dat", ".xls", ".xlsx", ".ods", ".mat", ".parquet", ".feather", ".h5", ".hdf5",
+                    ".tdms", ".json", ".erg", ".ld")
+"""Tables as other programs keep them; those of text are read once they are called .csv."""
+
 
 
 def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
@@ -127,6 +131,14 @@ def _unknown_file(file: Path) -> RunSource:
         advice = "a DBC belongs to --dbc or into the folder of --car"
     elif extension in (".gz", ".zip", ".7z", ".bz2", ".xz", ".zst"):
         advice = "unpack it first"
+    elif extension in (".pcap", ".pcapng"):
+        advice = "for NCOM over UDP, rename it to .ncom: what lies between the packets is skipped"
+    elif extension == ".rd":
+        advice = "this is raw data of an OxTS unit: convert it to NCOM with the software of the unit"
+    elif extension == ".vbb":
+        advice = "export it as .vbo with the software of the logger"
+    elif extension in TABLE_EXTENSIONS:
+        advice = "rename it to .csv if it is a table of text with a line of names; else export it as such a table"
     else:
         known = sorted({*CAN_EXTENSIONS, *(e for reader in READERS.values() for e in reader.extensions)})
         advice = f"known are {', '.join(known)}, folders of bags, and run.yaml"
