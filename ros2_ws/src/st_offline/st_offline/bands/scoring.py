@@ -10,8 +10,8 @@ from st_core.log_evaluation import AXES, Block
 from st_core.log_signals import LogSignals
 
 Sums = dict[str, Any]
-ENOUGH = 200  # minimum starts of a cell; with fewer, its standard error at 90 % is more than two points
-SHOWN = (0.5, 0.9)
+MIN_STARTS = 200  # of a cell; with fewer, its standard error at 90 % is more than two points
+LEVELS = (0.5, 0.9)  # of the reports
 EDGES = {"speed": (SPEED, "m/s"), "lateral_acceleration": (LATERAL_ACCELERATION, "m/s²"),
          "steering_activity": (STEERING_RATE, "rad/s")}
 _PROBABILITIES = np.concatenate([0.5 - 0.5 * np.array(RELIABILITY)[::-1], [0.5], 0.5 + 0.5 * np.array(RELIABILITY)])
@@ -66,16 +66,16 @@ class AdaptiveScorer:
         late = (starts_ns - self._first) * 1e-9 >= self.LATE
         for question, errors in block.errors.items():
             band = None if self._bands is None else self._bands.bands.get(question)
-            one = self._adaptive.setdefault(question, AdaptiveBand(self._time, band, SHOWN))
+            one = self._adaptive.setdefault(question, AdaptiveBand(self._time, band, LEVELS))
             own = to_predicted_frame(errors[domain][:, 1:])
             factors, scales = one.follow(starts_ns[domain], conditions[domain], own)
             scored = np.isfinite(own).all(axis=(1, 2))
             score = np.abs(own[scored] / scales[scored]).max(axis=(1, 2), initial=0.0)
-            kept = {f"{level:g}": score <= factor[scored] for level, factor in factors.items()}
-            then = late[domain][scored]
-            entry = {"starts": len(score), "coverage": {key: int(one.sum()) for key, one in kept.items()},
-                     "late_starts": int(then.sum()),
-                     "late_coverage": {key: int(one[then].sum()) for key, one in kept.items()}}
+            inside = {f"{level:g}": score <= factor[scored] for level, factor in factors.items()}
+            late_rows = late[domain][scored]
+            entry = {"starts": len(score), "coverage": {key: int(one.sum()) for key, one in inside.items()},
+                     "late_starts": int(late_rows.sum()),
+                     "late_coverage": {key: int(one[late_rows].sum()) for key, one in inside.items()}}
             self._sums.append({question[0]: {question[1]: entry}})
 
     def sums(self) -> Sums:
@@ -100,7 +100,7 @@ def question_sums(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sum
     """
     scale, size = band.scale(conditions), np.abs(errors)
     ratio = size / scale
-    time, levels = band.scale.time, [level for level in SHOWN if level in band.factors]
+    time, levels = band.scale.time, [level for level in LEVELS if level in band.factors]
     # Rounded: 20 steps of 0.05 s are 1.0000000000000002 s.
     second = np.ceil(np.round(time, 6)).astype(int)
     whole = [k for k in range(len(time)) if abs(time[k] - round(time[k])) < 1e-6]
@@ -207,9 +207,9 @@ def _divided(value: Any, count: int) -> Any:
 
 
 def worst_cell(cells: Mapping[str, Mapping[str, Any]], level: str = "0.9") -> dict[str, Any] | None:
-    """The cell of at least ENOUGH starts with the least coverage at a level; None without one."""
+    """The cell with the lowest coverage at a level, of those with MIN_STARTS; None without one."""
     known = [(one["coverage"][level] / one["starts"], name, one["starts"]) for name, one in cells.items()
-             if one["starts"] >= ENOUGH and level in one["coverage"]]
+             if one["starts"] >= MIN_STARTS and level in one["coverage"]]
     if not known:
         return None
     share, name, starts = min(known)
