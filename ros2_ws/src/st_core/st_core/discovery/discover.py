@@ -162,10 +162,10 @@ class _Work:
         power = self._certificate(found)
         driven = self._catalogue(found, effects)
         untestable = self._untestable(found, power, names, driven)
-        left = (gap_named["position_5s"].augmented / max(floor.get("position_5s", 0.0), 1e-9)
-                if "position_5s" in gap_named else 1.0)
+        residual = (gap_named["position_5s"].augmented / max(floor.get("position_5s", 0.0), 1e-9)
+                    if "position_5s" in gap_named else 1.0)
         together = known_together(names.combinations, effects)
-        outcome, why = self._outcome(found, effects, untestable, left, len(bound), together)
+        outcome, why = self._outcome(found, effects, untestable, residual, len(bound), together)
         statements = self._where(base, floor) if settings.where else ()
         return Discovery(
             outcome=outcome, effects=effects, minor=names.minor,
@@ -175,7 +175,7 @@ class _Work:
             where=statements, not_testable=untestable,
             next_manoeuvre=following(problem, found.fit, effects, driven, found.scores.design) if driven else None,
             separability=separability(problem, found.fit, effects, found.scores.design), certificate=power,
-            signature=self._residual_signature(left, statements), runs=self._run_table(),
+            signature=self._residual_signature(residual, statements), runs=self._run_table(),
             start="reference" if self.reference else "vehicle file", base=space.at(base.vector),
             model=space.at(fit.vector) if fit.names else None, named=self._named_model(found, names),
             warnings=tuple(self.warnings), left_out=names.left_out, axle_curves=names.curves,
@@ -209,14 +209,14 @@ class _Work:
             return certificate.predicted(self.problem, found.fit, found.scores, self.limits)
         return certificate.measured(self.problem, found.fit, self.limits, self.settings.seed, self._tick("certifying"))
 
-    def _outcome(self, found: Found, effects: Sequence[FoundEffect], untestable: Sequence[NotTestable], left: float,
+    def _outcome(self, found: Found, effects: Sequence[FoundEffect], untestable: Sequence[NotTestable], residual: float,
                  bound: int, together: Sequence[Combination]) -> tuple[Outcome, Reason]:
-        """left [1]: position error over that of the noise. bound: number of effects that vary over the drives.
+        """residual [1]: position error over that of the noise. bound: number of effects that vary over the drives.
         together: combinations that differ from the vehicle file without a named effect."""
         hypotheses = self.space.hypotheses
         seen = 1.0 - sum(n.name in hypotheses for n in untestable) / len(hypotheses)
         return decide(Answer([found.evidence[e.name] for e in effects], found.rivals,
-                             [e for e, *_ in found.refused.values()], left, seen, bound,
+                             [e for e, *_ in found.refused.values()], residual, seen, bound,
                              [c.name for c in together]), self.limits)
 
     def _corrected(self, found: Found, parts: Mapping[str, Level]) -> tuple[Problem, Fit]:
@@ -455,11 +455,11 @@ class _Work:
             result["position_5s"] = max(result.get("position_5s", 0.0), noise)
         return result
 
-    def _residual_signature(self, left: float, statements: Sequence[WhereStatement]) -> tuple[str, ...]:
+    def _residual_signature(self, residual: float, statements: Sequence[WhereStatement]) -> tuple[str, ...]:
         """Description of the residual, empty where it is near the noise."""
-        if left <= self.limits.left:
+        if residual <= self.limits.left:
             return ()
-        return (f"errors are {left:.1f} times the noise", *(f"{w.channel}: {w.condition}" for w in statements[:5]))
+        return (f"errors are {residual:.1f} times the noise", *(f"{w.channel}: {w.condition}" for w in statements[:5]))
 
     def _where(self, fit: Fit, floor: Mapping[str, float]) -> tuple[WhereStatement, ...]:
         self._tick("where")()

@@ -113,11 +113,9 @@ def score(q: Quadratic, problem: Problem, names: tuple[str, ...], effect: str,
     gradient = q.gradient if pull is None else q.gradient - pull / len(q.gradient)
     if not len(indices):
         return gradient[:, new], np.diag(h)[new]
-    a = h[np.ix_(indices, indices)]
-    a = a + 1e-9 * (np.trace(a) / len(a) + 1e-12) * np.eye(len(a))
-    cross = np.linalg.solve(a, h[np.ix_(indices, new)])
-    left = h[np.ix_(new, new)] - h[np.ix_(new, indices)] @ cross
-    return gradient[:, new] - gradient[:, indices] @ cross, np.maximum(np.diag(left), 0.0)
+    cross = np.linalg.solve(_regular(h[np.ix_(indices, indices)]), h[np.ix_(indices, new)])
+    information = np.diag(h[np.ix_(new, new)] - h[np.ix_(new, indices)] @ cross)
+    return gradient[:, new] - gradient[:, indices] @ cross, np.maximum(information, 0.0)
 
 
 def statistic(own: np.ndarray) -> float:
@@ -242,8 +240,8 @@ def error_reductions(fall: np.ndarray, condition: Level | None) -> tuple[float, 
     if condition is None:
         return overall, overall
     parts = [fall[known & (condition[0] == k)] for k in np.unique(condition[0])]
-    sure = [float(p.mean() - 1.645 * p.std(ddof=1) / np.sqrt(len(p))) for p in parts if len(p) > 2]
-    return overall, max(sure, default=overall)
+    bounds = [float(p.mean() - 1.645 * p.std(ddof=1) / np.sqrt(len(p))) for p in parts if len(p) > 2]
+    return overall, max(bounds, default=overall)
 
 
 def distance_to_bound(problem: Problem, fit: Fit, effect: str) -> float:
@@ -307,8 +305,13 @@ def _two_sided(distance: float, spread: float) -> float:
 
 
 def inverse(h: np.ndarray) -> np.ndarray:
-    """Pseudoinverse, with a ridge of 1e-9 of the mean curvature."""
-    return np.linalg.pinv(h + 1e-9 * (np.trace(h) / max(len(h), 1) + 1e-12) * np.eye(len(h)))
+    """Pseudoinverse, regularised."""
+    return np.linalg.pinv(_regular(h))
+
+
+def _regular(h: np.ndarray) -> np.ndarray:
+    """With a ridge of 1e-9 of the mean diagonal."""
+    return h + 1e-9 * (np.trace(h) / max(len(h), 1) + 1e-12) * np.eye(len(h))
 
 
 def deviation(problem: Problem, fit: Fit, effect: str) -> np.ndarray:
@@ -374,7 +377,7 @@ def _raised(curvature: np.ndarray, whole: np.ndarray) -> np.ndarray:
     """The curvature, raised in any direction to MIN_CURVATURE of `whole`, that of the reweighted squares."""
     if not len(curvature):
         return curvature
-    root = np.linalg.cholesky(whole + 1e-9 * (np.trace(whole) / len(whole) + 1e-12) * np.eye(len(whole)))
+    root = np.linalg.cholesky(_regular(whole))
     values, vectors = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, curvature).T))
     axes = root @ vectors
     return (axes * np.maximum(values, MIN_CURVATURE)) @ axes.T

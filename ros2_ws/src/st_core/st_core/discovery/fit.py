@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..regression import ridge
 from .loss import Loss, Quadratic, rho
 from .space import GAIN, Quantities, prior_deviations
 
@@ -234,9 +235,7 @@ class Problem:
         def best_step(h: np.ndarray, g: np.ndarray) -> np.ndarray:
             if not len(indices):
                 return np.zeros(0)
-            h = h + held
-            h = h + (RIDGE * np.trace(h) / len(h) + 1e-9) * np.eye(len(h))
-            return bounded(h, g - pulled, *room)
+            return bounded(ridge(h + held), g - pulled, *room)
         return best_step
 
     def cost(self, names: Iterable[str], vector: np.ndarray, indices: np.ndarray) -> float:

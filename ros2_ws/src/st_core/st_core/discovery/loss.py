@@ -115,14 +115,13 @@ class Loss:
         """(a, n, m) reduction of the errors [SI] per usual size of the parameters `indices`, by difference quotients;
         0 where a prediction diverges."""
         step = DIFFERENCE_STEP * self.space.scale[indices] * self.space.sign[indices]
-        there = vector[indices] + step
-        step = np.where((there < self.space.low[indices]) | (there > self.space.high[indices]), -step, step)
+        value = vector[indices] + step
+        step = np.where((value < self.space.low[indices]) | (value > self.space.high[indices]), -step, step)
         moved = np.tile(vector, (len(indices), 1))
         moved[np.arange(len(indices)), indices] += step
-        here = self.errors.at(vector)
-        size = step / self.space.scale[indices]
-        slopes = [(here - there) / d for there, d in zip(self.errors.many(list(moved)), size, strict=True)]
-        return np.nan_to_num(np.reshape(slopes, (len(indices), *here.shape)), posinf=0.0, neginf=0.0)
+        before, size = self.errors.at(vector), step / self.space.scale[indices]
+        slopes = [(before - after) / d for after, d in zip(self.errors.many(list(moved)), size, strict=True)]
+        return np.nan_to_num(np.reshape(slopes, (len(indices), *before.shape)), posinf=0.0, neginf=0.0)
 
     def quadratic(self, rows: np.ndarray, slopes: np.ndarray) -> Quadratic:
         """About the vector with these errors (n, m) and slopes (p, n, m)."""

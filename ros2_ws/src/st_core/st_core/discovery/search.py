@@ -92,17 +92,17 @@ class Search:
                 continue
             _, vector = found.scores.gains.get(other, (None, found.fit.vector))
             fit = self._refit_with(found.fit, other, vector)
-            there = self._upper_end(fit, other)
-            if np.abs(p.distance(there))[p.space.indices(other)].max() < self.limits.size:
+            vector = self._upper_end(fit, other)
+            if np.abs(p.distance(vector))[p.space.indices(other)].max() < self.limits.size:
                 continue
             own = p.space.indices(*(n for n in names if n in twins_of(other)))
-            nearer = own[np.abs(there - p.start)[own] < np.abs(found.fit.vector - p.start)[own]]
+            nearer = own[np.abs(vector - p.start)[own] < np.abs(found.fit.vector - p.start)[own]]
             for name in {p.space.free[i].effect for i in nearer}:
                 e = self._evidence(found.without.get(name, found.fit), fit, other, found.scores)
                 rival = Rival(other, name, 1.0, no_worse(fit.held_out - found.fit.held_out), 0.0, e,
-                              p.space.values(other, there), shared=True)
+                              p.space.values(other, vector), shared=True)
                 found.rivals[name] = [*(r for r in found.rivals.get(name, ()) if r.name != other), rival]
-                found.near.append((fit.names, there))
+                found.near.append((fit.names, vector))
 
     def _upper_end(self, fit: Fit, name: str) -> np.ndarray:
         """The vector with an effect of one parameter at the upper end of its 95 % interval, the others adjusted."""
@@ -233,14 +233,14 @@ class Search:
                 return fit
         return None
 
-    def _refit_with(self, fit: Fit, effect: str, there: np.ndarray, around: Slopes | None = None) -> Fit:
-        """A fit with a further effect, started at the optimum of the quadratic. around: slopes, default those of
-        `fit`."""
+    def _refit_with(self, fit: Fit, effect: str, start: np.ndarray, around: Slopes | None = None) -> Fit:
+        """A fit with a further effect, started at a vector, or at that of `fit` if better. around: slopes, default
+        those of `fit`."""
         p = self.problem
         self.tick()
-        better = p.loss.total(there) < p.loss.total(fit.vector)
+        better = p.loss.total(start) < p.loss.total(fit.vector)
         slopes = p.everything(fit.vector) if around is None else around
-        return self._remember(p.fit((*fit.names, effect), slopes, there if better else fit.vector, (effect,), 2))
+        return self._remember(p.fit((*fit.names, effect), slopes, start if better else fit.vector, (effect,), 2))
 
     @staticmethod
     def _gain(without: Fit, fit: Fit) -> float:

@@ -44,8 +44,9 @@ class Ends:
     def position_without(self, fit: Fit, name: str) -> float:
         """Increase of the mean position error after 5 s without an effect of a fit, the others unchanged [m]."""
         p = self.problem
-        there = p.vector_without(fit, name)
-        return float(np.nanmean(p.position(p.errors.at(there))) - np.nanmean(p.position(p.errors.at(fit.vector))))
+        without, with_effect = (float(np.nanmean(p.position(p.errors.at(vector))))
+                                for vector in (p.vector_without(fit, name), fit.vector))
+        return without - with_effect
 
     def change(self, channel: str, before: np.ndarray, after: np.ndarray) -> Change:
         """Error before and after, with a 95 % interval of the reduction by bootstrap of whole blocks."""
@@ -196,12 +197,12 @@ def budget(problem: Problem, base: Fit, final: Fit, whole: Fit, bound: Fit | Non
     start, end = size(base), size(final)
     lines = []
     for part in EFFECT_KINDS:
-        mine = tuple(n for n in final.names if get_effect(n).kind == part)
-        if not mine:
+        own = tuple(n for n in final.names if get_effect(n).kind == part)
+        if not own:
             continue
-        rest = tuple(n for n in final.names if n not in mine)
-        without = size(fitted(rest)) if rest else start
-        alone = size(fitted(mine)) if rest else end
+        others = tuple(n for n in final.names if n not in own)
+        without = size(fitted(others)) if others else start
+        alone = size(fitted(own)) if others else end
         lines.append(line(part, tuple(np.subtract(without, end)), tuple(np.subtract(start, alone))))
     for part, fit in zip(PARTS[len(EFFECT_KINDS):], (whole if whole is not final else None, bound), strict=False):
         if fit is not None:

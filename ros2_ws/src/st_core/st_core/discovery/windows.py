@@ -290,8 +290,8 @@ def _starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: float,
         begin = max(int(run.ins_time_ns[0]), int(run.steering_time_ns[0]))
         end = min(int(run.ins_time_ns[-1]), int(run.steering_time_ns[-1]))
         times = np.arange(begin + MARGIN_NS, end - length - MARGIN_NS // 2, spacing, dtype=np.int64)
-        here, there = (np.interp(t - begin, run.ins_time_ns - begin, run.velocity_x) for t in (times, times + length))
-        times = times[(here > MIN_SPEED) & (there > MIN_SPEED)]
+        first, last = (np.interp(t - begin, run.ins_time_ns - begin, run.velocity_x) for t in (times, times + length))
+        times = times[(first > MIN_SPEED) & (last > MIN_SPEED)]
         starts.append(times + offset)
         number.append(np.full(len(times), i))
         seconds.append((times - begin) * NANOSECOND)

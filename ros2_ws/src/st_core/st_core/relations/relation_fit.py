@@ -198,15 +198,15 @@ class RelationFits:
             cost = loss.total(vector) + away @ penalty @ away
             gained = 0.0
             for share in STEP_SHARES:
-                there = vector.copy()
-                there[indices] += share * step * scale[indices]
-                there = loss.space.inside(there)
-                away = ((there - self.start) / scale)[indices]
-                gained = cost - (loss.total(there) + away @ penalty @ away)
+                trial = vector.copy()
+                trial[indices] += share * step * scale[indices]
+                trial = loss.space.inside(trial)
+                away = ((trial - self.start) / scale)[indices]
+                gained = cost - (loss.total(trial) + away @ penalty @ away)
                 if gained > 0.0:
-                    taken = loss.errors.at(vector) - loss.errors.at(there)
-                    slopes = Slopes(vector, indices, slopes).moved(there, scale, taken).values
-                    vector = there
+                    taken = loss.errors.at(vector) - loss.errors.at(trial)
+                    slopes = Slopes(vector, indices, slopes).moved(trial, scale, taken).values
+                    vector = trial
                     break
             if gained < MIN_LOSS_FALL * loss.number:
                 break

@@ -184,9 +184,9 @@ def harmful(fits: RelationFits, name: str, before: np.ndarray, after: np.ndarray
         of_run = blocks[(run == k) & np.isfinite(blocks)]
         # Bonferroni over the runs.
         if len(of_run) > 2 and lower_bound(of_run, limits.doubt / len(names)) > 0.0:
-            here = fits.windows.run == k
+            windows = fits.windows.run == k
             return (f"{name} is significant, but raises the held-out error of {names[k]}: "
-                    f"{np.nanmean(before[here]):.3f} to {np.nanmean(after[here]):.3f} m after 5 s")
+                    f"{np.nanmean(before[windows]):.3f} to {np.nanmean(after[windows]):.3f} m after 5 s")
     return ""
 
 

@@ -160,8 +160,8 @@ def _held_out_error(found: Discovery, vehicle: VehicleParameters, folded: Sequen
         except StCoreError:  # the values without this drive are outside the limits of a vehicle file
             return (0.0, math.inf), (drive.name,)
         before, after = (np.hypot(*_errors(found.base, one, [drive])[0][:, :2].T) for one in (vehicle, car))
-        there = np.isfinite(before) & np.isfinite(after)
-        before, after = before[there], after[there]
+        known = np.isfinite(before) & np.isfinite(after)
+        before, after = before[known], after[known]
         sums += before.sum(), after.sum(), len(before)
         if len(before) > 2 and stats.ttest_rel(after, before, alternative="greater").pvalue < SIGNIFICANT:
             worse.append(drive.name)
