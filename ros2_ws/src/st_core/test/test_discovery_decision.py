@@ -45,12 +45,13 @@ DENIED, EDGE = replace(GOOD, sensors=0.01), replace(GOOD, bound=0.0)
 SLIGHT = replace(GOOD, position=0.01, position_somewhere=0.0)
 HEAVY = replace(GOOD, against_file=AgainstFile("mass", "kg", 2000.0, 1580.0, 47.4, 8.9))
 LOCAL = replace(GOOD, agreement={"run": SAME, "place": DIFFERENT})
-EQUAL = Rival("rear_stiffness", "mass", share=0.9, worse=0.4, less=0.02, evidence=replace(GOOD, name="rear_stiffness"))
+EQUAL = Rival("rear_stiffness", "mass", share=0.9, p_no_worse=0.4, deficit=0.02,
+              evidence=replace(GOOD, name="rear_stiffness"))
 WEAK = replace(GOOD, gain=0.1)
 SHOWN = Evidence("yaw_rate_scale", gain=0.0, chance=1.0, sensors=0.6, sensors_null=0.001)
 SEEN = replace(GOOD, sensors=0.6, sensors_null=0.001)
 TOLD = replace(GOOD, gain=0.02, chance=1e-4)
-WORSE = replace(EQUAL, worse=0.01)
+WORSE = replace(EQUAL, p_no_worse=0.01)
 AMONG = replace(WORSE, evidence=replace(WORSE.evidence, left=5.0))
 NOTHING = Answer([], {}, [], left=1.0, seen=0.9)
 
@@ -186,7 +187,7 @@ def test_every_level_has_words():
     (replace(EQUAL, share=0.4), "explains less"),
     (WORSE, "explains less"),
     (AMONG, "alternative"),  # worse by less than nothing describes
-    (replace(AMONG, less=0.3), "explains less"),
+    (replace(AMONG, deficit=0.3), "explains less"),
     (replace(EQUAL, evidence=CHEAP), "alternative"),  # worth is a matter of the stated one
     (replace(EQUAL, evidence=SMALL), NEGLIGIBLE),
     (replace(EQUAL, evidence=LUCKY), CHANCE),

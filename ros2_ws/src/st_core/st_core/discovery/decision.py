@@ -28,15 +28,15 @@ class Checks:
 
 @dataclass(frozen=True)
 class Rival:
-    """Another effect in the place of one of the answer, `instead`. share [1]: its gain over that of `instead`. worse
-    [1]: p-value of the hypothesis that it is no worse. less [1]: difference of the gains per scored error. evidence,
-    values: in that place. shared: it explains a part of `instead`, and both are in the model."""
+    """Another effect in the place of one of the answer, `instead`. share [1]: its gain over that of `instead`.
+    p_no_worse [1]: p-value of the hypothesis that it is no worse. deficit [1]: difference of the gains per scored
+    error. evidence, values: in that place. shared: it explains a part of `instead`, and both are in the model."""
 
     name: str
     instead: str
     share: float
-    worse: float
-    less: float
+    p_no_worse: float
+    deficit: float
     evidence: Evidence
     values: Mapping[str, float] = field(default_factory=dict)
     shared: bool = False
@@ -69,7 +69,7 @@ def judge(e: Evidence, limits: Limits) -> Reason:
                       f"position error after 5 s by {100 * position_of(e):.1f} cm")
     if e.sensors is not None and e.sensors < limits.doubt:
         return Reason(SENSORS, e.name, {"chance": e.sensors, "doubt": limits.doubt},
-                      f"its value contradicts what the sensors show among themselves (probability {e.sensors:.2g})")
+                      f"its value contradicts what the sensors show among themselves (p = {e.sensors:.2g})")
     known = e.against_file
     if known is not None and known.deviations > limits.file:
         return Reason(FILE, e.name, {"value": known.value, "file": known.file, "deviation": known.deviation,
@@ -81,8 +81,8 @@ def judge(e: Evidence, limits: Limits) -> Reason:
                       "its value is on a bound, beyond the physical range")
     return _varying(e, limits) or Reason(
         STATED, e.name, {"gain": e.gain, "chance": e.chance, "position": e.position},
-        f"it reduces the size of the errors by {e.share:.1%} and {100 * e.position:.1f} cm after 5 s, by chance "
-        f"with probability {e.chance:.2g}, and does not vary between parts of the driving")
+        f"it reduces the size of the errors by {e.share:.1%} and {100 * e.position:.1f} cm after 5 s (p = "
+        f"{e.chance:.2g}), and does not vary between parts of the driving")
 
 
 def predicts(e: Evidence, limits: Limits) -> Reason:
@@ -99,7 +99,7 @@ def _varying(e: Evidence, limits: Limits) -> Reason | None:
     a = e.agreement[level]
     return Reason(VARIES, e.name, {"differ": a.differ, "absent": a.absent, "doubt": limits.doubt,
                                    "false_alarm": limits.false_alarm},
-                  f"it is not the same over {LEVEL_NAMES[level]} (p = {a.differ:.1g} if it were), and another of them "
+                  f"it varies over {LEVEL_NAMES[level]} (p = {a.differ:.1g} if it did not), and another of them "
                   f"would show none of it, or the opposite, with probability {a.absent:.2g}")
 
 
@@ -117,14 +117,14 @@ def _by_chance(e: Evidence, limits: Limits) -> Reason | None:
                       f"{limits.negligible:.1%}")
     if e.chance > limits.false_alarm:
         return Reason(CHANCE, e.name, {"chance": e.chance, "false_alarm": limits.false_alarm},
-                      f"some effect gains as much by chance with probability {e.chance:.2g}")
+                      f"it is not significant: p = {e.chance:.2g}, over the whole library")
     if e.gain < e.healthy:
         return Reason(CHANCE, e.name, {"gain": e.gain, "healthy": e.healthy},
                       f"it reduces the size of the errors by {e.share:.1%}; between drives of the healthy car "
                       f"some effect reduces them by {share_of(e.healthy):.1%}")
     if e.null > limits.doubt:
         return Reason(NULL, e.name, {"chance": e.null, "doubt": limits.doubt},
-                      f"values as far from their null come by chance with probability {e.null:.2g}")
+                      f"its values do not differ significantly from their null: p = {e.null:.2g}")
     if e.gain < limits.relevant and position_of(e) < limits.relevant_position:
         return Reason(IRRELEVANT, e.name, {"gain": e.gain, "position": position_of(e), "relevant": limits.relevant,
                                            "relevant_position": limits.relevant_position},
@@ -195,6 +195,7 @@ def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) ->
 
 
 def _effect_size(e: Evidence, limits: Limits) -> str:
+    """The largest reductions, as a clause."""
     channel, share = most_affected(e, limits)
     of = f"the baseline {CHANNELS[channel].words} error by {share:.1%} and " if channel else ""
     where = " in one driving condition" if e.position_somewhere > e.position else ""
@@ -202,7 +203,7 @@ def _effect_size(e: Evidence, limits: Limits) -> str:
 
 
 LEVEL_NAMES = {"run": "the runs", "site": "the sites", "time": "the time in the runs", "place": "the places",
-         "condition": "the kinds of driving"}
+               "condition": "the kinds of driving"}
 
 
 def varies_over(e: Evidence, limits: Limits) -> str:
@@ -219,18 +220,17 @@ def varies_relevantly(e: Evidence, limits: Limits) -> bool:
 def alternative(rival: Rival, limits: Limits) -> Reason:
     """Whether another name is an alternative to a stated one."""
     verdict = judge(rival.evidence, limits)
-    figures = {"share": rival.share, "no_worse": rival.worse, "less": rival.less, "rival": limits.rival,
+    figures = {"share": rival.share, "no_worse": rival.p_no_worse, "less": rival.deficit, "rival": limits.rival,
                "doubt": limits.doubt, "unexplained_share": limits.unexplained_share}
-    unexplained = rival.evidence.left > limits.left and rival.less < limits.unexplained_share
+    unexplained = rival.evidence.left > limits.left and rival.deficit < limits.unexplained_share
     place = f"in the place of {rival.instead.replace('_', ' ')} it explains {rival.share:.0%} of what that does"
-    if rival.share < limits.rival or (rival.worse < limits.doubt and not unexplained):
-        return Reason("explains less", rival.name, figures, f"{place}, and is no worse with probability "
-                      f"{rival.worse:.2g}")
+    if rival.share < limits.rival or (rival.p_no_worse < limits.doubt and not unexplained):
+        return Reason("explains less", rival.name, figures, f"{place} (p = {rival.p_no_worse:.2g} if it is no worse)")
     if rival.shared:
         place = f"with {rival.instead.replace('_', ' ')} it explains what that does alone"
     elif verdict.rule not in (STATED, IRRELEVANT):
         return verdict
-    return Reason("alternative", rival.name, figures, f"{place}; no worse with probability {rival.worse:.2g}")
+    return Reason("alternative", rival.name, figures, f"{place} (p = {rival.p_no_worse:.2g} if it is no worse)")
 
 
 def decide(a: Answer, limits: Limits) -> tuple[Outcome, Reason]:

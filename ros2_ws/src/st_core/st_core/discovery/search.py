@@ -29,7 +29,7 @@ Near = tuple[tuple[str, ...], np.ndarray]  # names of a set, vector of its fit
 class Found:
     """State of the search. fit: of the current set. order: its names in order of selection. evidence, without: by name,
     the latter the fit without it. refused: by name, effects tried in addition, (evidence, verdict, fit). rivals: by
-    name, effects tried in its place. known: scores of the other effects of the library. near: sets that are hardly
+    name, effects tried in its place. cached_scores: of the other effects of the library. near: sets that are hardly
     worse (`_near_sets`).
     """
 
@@ -39,13 +39,13 @@ class Found:
     without: dict[str, Fit] = field(default_factory=dict)
     refused: dict[str, tuple[Evidence, Reason, Fit]] = field(default_factory=dict)
     rivals: dict[str, list[Rival]] = field(default_factory=dict)
-    known: Scores | None = None
+    cached_scores: Scores | None = None
     near: list[Near] = field(default_factory=list)
 
     @property
     def scores(self) -> Scores:
-        assert self.known is not None, "scores are computed before steps and evidence"
-        return self.known
+        assert self.cached_scores is not None, "scores are computed before steps and evidence"
+        return self.cached_scores
 
 
 class Search:
@@ -146,7 +146,7 @@ class Search:
                 return found
             found.fit = self._rescale(self._backward(added, found.scores))
             found.order = [n for n in dict.fromkeys((*found.order, *added.names)) if n in found.fit.names]
-            found.known = None
+            found.cached_scores = None
 
     def _rescale(self, fit: Fit) -> Fit:
         """The fit with the scale and the design effect of its own errors."""
@@ -157,7 +157,7 @@ class Search:
     def _drop_failing(self, fit: Fit) -> Fit:
         """The fit without the effects that fail the test, removed weakest first."""
         while fit.names:
-            found = Found(fit, list(fit.names), known=self._scores(fit))
+            found = Found(fit, list(fit.names), cached_scores=self._scores(fit))
             weakest = self._weakest_failing(found, self.limits.relevant)
             if not weakest:
                 break
@@ -191,7 +191,7 @@ class Search:
         """The fit with the best further effect that is accepted; None if there is none."""
         p, limits = self.problem, self.limits
         self.tick()
-        found.known = found.known or self._scores(found.fit)
+        found.cached_scores = found.cached_scores or self._scores(found.fit)
         gains = found.scores.gains
         largest = max((gain.sum() for gain, _ in gains.values()), default=0.0)
         least = max(limits.negligible * p.number, CONTENDER_SHARE * largest)
@@ -358,7 +358,7 @@ class Search:
         enough: an effect whose removal raises the loss by three times this per scored error passes without a refit.
         """
         p = self.problem
-        found.known = found.known or self._scores(found.fit)
+        found.cached_scores = found.cached_scores or self._scores(found.fit)
         found.evidence, found.without = {}, {}
         for name in (n for n in found.fit.names if n not in self._required):
             promised = self.promised(found.fit, name) / p.number
@@ -392,7 +392,7 @@ class Search:
                               float(difference.sum()) / p.number, self._evidence(without, fit, other, found.scores),
                               p.space.values(other, fit.vector))
                 found.rivals[name].append(rival)
-                significant = rival.worse > 1.0 - self.limits.doubt and frozenset(fit.names) not in self._visited
+                significant = rival.p_no_worse > 1.0 - self.limits.doubt and frozenset(fit.names) not in self._visited
                 if significant and self._judge(rival.evidence, self.limits).rule == STATED and (
                         better is None or fit.held_out.sum() < better.held_out.sum()):
                     better = fit

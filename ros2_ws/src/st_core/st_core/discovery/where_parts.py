@@ -72,8 +72,7 @@ class Range:
 @dataclass(frozen=True)
 class BinExcess:
     """Error of one channel in one range. excess [1]: over the expected one; interval: 95 %. p: of an error not above
-    the expected. blocks: number of them. covered: whether the reference visited the
-    range; True without one."""
+    the expected. blocks: number of them. covered: whether the reference visited the range; True without one."""
 
     channel: str
     range: Range
