@@ -111,7 +111,8 @@ def test_a_folder_of_everything(tmp_path: Path) -> None:
     ],
 )
 def test_paths_that_are_no_run(tmp_path: Path, path: str, message: str) -> None:
-    touch(tmp_path, "notes.txt", "folder/notes.txt", "car.dbc")
+    touch(tmp_path, "notes.txt", "folder/notes.txt", "notes.doc", "table.txt", "capture.pcap", "unit.rd", "logger.vbb",
+          "car.dbc")
     (run,) = find_runs([tmp_path / path])
     with pytest.raises(RunError, match=message):
         read(run)
