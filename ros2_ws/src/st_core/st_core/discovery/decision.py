@@ -224,14 +224,14 @@ def alternative(rival: Rival, limits: Limits) -> Reason:
                "doubt": limits.doubt, "unexplained_share": limits.unexplained_share}
     unexplained = rival.evidence.left > limits.left and rival.deficit < limits.unexplained_share
     place = f"in the place of {rival.instead.replace('_', ' ')} it explains {rival.share:.0%} of what that does"
-    p_value = f"p = {rival.p_no_worse:.2g}"
+    no_worse = f"p = {rival.p_no_worse:.2g} for the hypothesis that it is no worse"
     if rival.share < limits.rival or (rival.p_no_worse < limits.doubt and not unexplained):
-        return Reason("explains less", rival.name, figures, f"{place}; that it is no worse has {p_value}")
+        return Reason("explains less", rival.name, figures, f"{place}; {no_worse}")
     if rival.shared:
         place = f"with {rival.instead.replace('_', ' ')} it explains what that does alone"
     elif verdict.rule not in (STATED, IRRELEVANT):
         return verdict
-    return Reason("alternative", rival.name, figures, f"{place}; that it is no worse has {p_value}")
+    return Reason("alternative", rival.name, figures, f"{place}; {no_worse}")
 
 
 def decide(a: Answer, limits: Limits) -> tuple[Outcome, Reason]:

@@ -13,26 +13,9 @@ from ..errors import StCoreError
 from ..log import DriveLog
 from ..models import Model
 from ..vehicle import VehicleParameters
-from . import certificate, waterfall
+from . import certificate, decision, waterfall
 from .axles import Axles
-from .decision import (
-    FORCES,
-    LEVEL_NAMES,
-    MINOR,
-    STATED,
-    VARIES,
-    Answer,
-    Checks,
-    alternative,
-    decide,
-    is_relevant,
-    judge,
-    most_affected,
-    naming_verdict,
-    predicts,
-    varies_over,
-    varies_relevantly,
-)
+from .decision import Rival
 from .evidence import Evidence, Joint, chance, joint, share_of
 from .fit import Fit, Problem
 from .following import Catalogue, catalogue, following, separability, shows
@@ -159,7 +142,8 @@ class _Work:
         steps, base = waterfall.steps(problem, found.fit, found.order, ends, parts)
         gap, gap_named = (waterfall.gaps(ends, base, each, floor) for each in (fit, found.fit))
         lines = waterfall.budget(problem, base, found.fit, fit, next((fit for _, fit in bound), None), ends)
-        power = self._certificate(found)
+        power = (certificate.measured(problem, found.fit, self.limits, settings.seed, self._tick("certifying"))
+                 if settings.certify else certificate.predicted(problem, found.fit, found.scores, self.limits))
         driven = self._catalogue(found, effects)
         untestable = self._untestable(found, power, names, driven)
         residual = (gap_named["position_5s"].augmented / max(floor.get("position_5s", 0.0), 1e-9)
@@ -195,7 +179,7 @@ class _Work:
         axles, curves, combinations = self._axles(found, all_free, unexplained)
         verdicts = self._verdicts(found, everything, axles, left_out)
         stated, minor, denied = (tuple(e for e in everything if verdicts[e.name].rule == rule)
-                                 for rule in (STATED, MINOR, FORCES))
+                                 for rule in (decision.STATED, decision.MINOR, decision.FORCES))
         return _Names(stated, minor, denied, verdicts, left_out, curves, combinations)
 
     def _named_model(self, found: Found, names: _Names) -> AugmentedModel | None:
@@ -204,20 +188,16 @@ class _Work:
             return None
         return self.space.at(self.problem.vector_without(found.fit, *(e.name for e in names.denied)))
 
-    def _certificate(self, found: Found) -> Certificate:
-        if not self.settings.certify:
-            return certificate.predicted(self.problem, found.fit, found.scores, self.limits)
-        return certificate.measured(self.problem, found.fit, self.limits, self.settings.seed, self._tick("certifying"))
-
     def _outcome(self, found: Found, effects: Sequence[FoundEffect], untestable: Sequence[NotTestable], residual: float,
                  bound: int, together: Sequence[Combination]) -> tuple[Outcome, Reason]:
         """residual [1]: position error over that of the noise. bound: number of effects that vary over the drives.
         together: combinations that differ from the vehicle file without a named effect."""
         hypotheses = self.space.hypotheses
         seen = 1.0 - sum(n.name in hypotheses for n in untestable) / len(hypotheses)
-        return decide(Answer([found.evidence[e.name] for e in effects], found.rivals,
-                             [e for e, *_ in found.refused.values()], residual, seen, bound,
-                             [c.name for c in together]), self.limits)
+        refused = [evidence for evidence, *_ in found.refused.values()]
+        stated = [found.evidence[e.name] for e in effects]
+        answer = decision.Answer(stated, found.rivals, refused, residual, seen, bound, [c.name for c in together])
+        return decision.decide(answer, self.limits)
 
     def _corrected(self, found: Found, parts: Mapping[str, Level]) -> tuple[Problem, Fit]:
         """The problem and fit that predict best with the answer included, without the priors of the vehicle file. The
@@ -226,7 +206,8 @@ class _Work:
         if problem.prior is not None:
             return problem, found.fit
         free = problem.without_file()
-        search = Search(free, self.limits, parts, self.sensors, self.settings.seed, self._tick("correcting"), predicts)
+        search = Search(free, self.limits, parts, self.sensors, self.settings.seed, self._tick("correcting"),
+                        decision.predicts)
         fit = search.corrections(found.fit)
         problem.loss.scale = scale
         fit = free.about(fit.names, fit.vector, fit.indices, fit.slopes)
@@ -295,13 +276,15 @@ class _Work:
     def _effect(self, name: str, found: Found, parts: Mapping[str, Level], everything: Joint | None,
                 unexplained: float) -> FoundEffect:
         evidence = found.evidence[name]
-        others = sorted((r for r in found.rivals.get(name, ()) if alternative(r, self.limits).rule == "alternative"),
-                        key=lambda r: -r.share)
+        others = sorted(filter(self._is_alternative, found.rivals.get(name, ())), key=lambda r: -r.share)
         values = waterfall.parameters(self.problem, found.fit, name, parts, found.near, everything, unexplained)
         known = {} if self.reference else self.sensors
         parameters = {n: with_sensor_interval(p, known.get(f"{name}.{n}")) for n, p in values.items()}
         return FoundEffect(name, get_effect(name).kind, parameters, tuple(r.name for r in others), evidence.position,
-                           _values(evidence), (), *most_affected(evidence, self.limits))
+                           _values(evidence), (), *decision.most_affected(evidence, self.limits))
+
+    def _is_alternative(self, rival: Rival) -> bool:
+        return decision.alternative(rival, self.limits).rule == "alternative"
 
     def _cancelling(self, search: Search, found: Found, name: str) -> tuple[str, ...]:
         """Effects of the answer that cancel this one: removing both raises the loss much less than removing one."""
@@ -336,7 +319,7 @@ class _Work:
             driven = max(axles.driven_shares().values())
             for axle in axles.contradicting(self.space.at(self.space.null), left_out):
                 worse |= dict.fromkeys(axles.acting(axle, [e.name for e in everything]), axle)
-        return {e.name: naming_verdict(found.evidence[e.name], self.limits, Checks(
+        return {e.name: decision.naming_verdict(found.evidence[e.name], self.limits, decision.Checks(
             bool(self.reference) or null_excluded(e), "" if self.reference else parameter_across_bound(e),
             driven if get_effect(e.name).at_peak_force else 1.0, worse.get(e.name, ""))) for e in everything}
 
@@ -351,23 +334,23 @@ class _Work:
         """The significant effect that varies over the driving: one rejected for that, else the one that varies most."""
         collected: list[tuple[BoundEffect, Fit | None]] = []
         # An effect of the answer, or an alternative to one, is not reported as varying as well.
-        taken = [*found.fit.names, *(r.name for others in found.rivals.values() for r in others
-                                     if alternative(r, self.limits).rule == "alternative")]
+        rivals = [r for others in found.rivals.values() for r in others]
+        taken = [*found.fit.names, *(r.name for r in filter(self._is_alternative, rivals))]
         for name, (evidence, verdict, fit) in found.refused.items():
-            if (verdict.rule == VARIES and not self.space.overlaps(name, taken)
-                    and is_relevant(evidence, self.limits) and not collected):
-                level = varies_over(evidence, self.limits)
+            if (verdict.rule == decision.VARIES and not self.space.overlaps(name, taken)
+                    and decision.is_relevant(evidence, self.limits) and not collected):
+                level = decision.varies_over(evidence, self.limits)
                 collected.append((BoundEffect(name, level, waterfall.parameters(self.problem, fit, name, {}),
                                               _values(evidence)[level], evidence.position), fit))
         if not collected:
             for v in varying(self.problem, found.fit, parts):
                 evidence = evidence_of(self.problem, found.fit, v, parts)
-                if varies_relevantly(evidence, self.limits) and not self.space.overlaps(v.name, taken):
+                if decision.varies_relevantly(evidence, self.limits) and not self.space.overlaps(v.name, taken):
                     collected.append((self._as_bound_effect(v, evidence.position), None))
                     break
         for bound, _ in collected:
             self.warnings.append(f"something that resembles {bound.resembles.replace('_', ' ')} is significant, but "
-                                 f"differs over {LEVEL_NAMES[bound.to]}: it is reported, not named")
+                                 f"differs over {decision.LEVEL_NAMES[bound.to]}: it is reported, not named")
         return collected
 
     def _as_bound_effect(self, v: Varying, position: float) -> BoundEffect:
@@ -380,7 +363,8 @@ class _Work:
         return BoundEffect(v.name, v.level, {v.parameter: found}, shares, position)
 
     def _reasons(self, found: Found, named: Mapping[str, Reason]) -> list[Reason]:
-        return [*named.values(), *(alternative(r, self.limits) for others in found.rivals.values() for r in others),
+        rivals = (r for others in found.rivals.values() for r in others)
+        return [*named.values(), *(decision.alternative(r, self.limits) for r in rivals),
                 *(verdict for _, verdict, _ in found.refused.values())]
 
     def _candidates(self, found: Found, named: Mapping[str, Reason]) -> tuple[Candidate, ...]:
@@ -388,7 +372,7 @@ class _Work:
         problem, space, rows = self.problem, self.space, []
         # An effect that was tried in several places is listed where it explains most.
         rivals = {r.name: r for r in sorted((r for others in found.rivals.values() for r in others),
-                                            key=lambda r: (alternative(r, self.limits).rule == "alternative", r.share))}
+                                            key=lambda r: (self._is_alternative(r), r.share))}
         for name in space.hypotheses:
             values: Mapping[str, float] = space.values(name, found.fit.vector)
             if name in found.evidence:
@@ -398,14 +382,14 @@ class _Work:
                 gain, values = evidence.gain, space.values(name, fit.vector)
             elif name in rivals:
                 rival = rivals[name]
-                verdict, gain, values = alternative(rival, self.limits), rival.evidence.gain, rival.values
+                verdict, gain, values = decision.alternative(rival, self.limits), rival.evidence.gain, rival.values
             elif name in found.scores.own:
                 each, vector = found.scores.gains[name]
                 values = space.values(name, vector)
                 gain = float(each.sum()) / problem.number
-                verdict = judge(Evidence(name, gain, chance(found.scores.own[name], each, found.scores,
-                                                            len(space.hypotheses))), self.limits)
-                if verdict.rule == STATED:
+                p_value = chance(found.scores.own[name], each, found.scores, len(space.hypotheses))
+                verdict = decision.judge(Evidence(name, gain, p_value), self.limits)
+                if verdict.rule == decision.STATED:
                     verdict = Reason("explains less", name, {"gain": gain},
                                      f"it reduces the size of the errors by {share_of(gain):.1%}; others reduce it by "
                                      "more, and were tried first")

@@ -10,28 +10,12 @@ from ..discovery.result import Discovery
 from ..discovery.settings import DiscoverySettings, Limits
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
+from . import selection
 from .candidates import FACTORS, USUAL_SIZES, Candidate, driven
 from .formulas import Formula, simulated_formulas
 from .next_drive import NextDrives, next_drives, thin_ranges
 from .relation_fit import RelationFit, RelationFits, RunWindows
-from .selection import (
-    POINTS,
-    RunShares,
-    Screened,
-    best_of,
-    cosine,
-    equally_good,
-    gain_text,
-    harmful,
-    held_out_positions,
-    p_values,
-    redundant_effects,
-    rejected_curve,
-    run_shares,
-    screen,
-    to_fit,
-    too_small,
-)
+from .selection import RunShares, Screened
 
 MIN_BLOCKS = 10  # for a curve of eight coefficients
 MAX_DETECTABLE = 3.0  # usual sizes; places with a larger smallest detectable relation count as not examined
@@ -134,7 +118,7 @@ def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehiclePa
     fits = RelationFits(windows, model, found.acceleration_gain, names, settings, threads)
     tick()
     without = fits.without()
-    screened = screen(fits, without, vehicle, settings.seed, tick)
+    screened = selection.screen(fits, without, vehicle, settings.seed, tick)
     if not screened:
         return RelationSearch(None, "no candidate relation changes a prediction of these drives: turn to both sides, "
                               "accelerate and brake, at several speeds", {})
@@ -146,7 +130,7 @@ def _selected(screened: Sequence[Screened], fits: RelationFits, without: Relatio
               tick: Callable[[], None]) -> RelationSearch:
     """The best significant candidate, or the reason for none. stated: names of the answer's effects."""
     limits, number = settings.limits, fits.loss.number
-    chances = p_values(screened, fits.blocks)
+    chances = selection.p_values(screened, fits.blocks)
     tried = {s.candidate.name: (s.gain / number, chances[s.candidate.name])
              for s in sorted(screened, key=lambda s: -s.gain)}
     visible = {s.candidate.name: s.detectable(limits.false_alarm / len(screened), fits.blocks) for s in screened}
@@ -165,7 +149,7 @@ def _selected(screened: Sequence[Screened], fits: RelationFits, without: Relatio
     if not accepted:
         first = next(one for one in significant if one in against)
         return RelationSearch(None, against[first], tried, visible)
-    best = best_of(accepted, limits.relevant * number)
+    best = selection.best_of(accepted, limits.relevant * number)
     relation, why = _described(best, fitted, without, fits, chances, settings, vehicle, stated)
     return RelationSearch(relation, why, tried, visible)
 
@@ -180,13 +164,13 @@ def _fitted(significant: Sequence[Screened], fits: RelationFits, without: Relati
     fitted: Fitted = {}
     accepted: Fitted = {}
     against: dict[Screened, str] = {}
-    before = held_out_positions(fits, without)
-    for one in to_fit(significant):
+    before = selection.held_out_positions(fits, without)
+    for one in selection.to_fit(significant):
         tick()
         fit = fits.fit(one.candidate, without, one.smooth)
-        name, after = one.candidate.name, held_out_positions(fits, fit)
-        wrong = rejected_curve(fits, fit, vehicle) or harmful(fits, name, before, after, limits)
-        little = too_small(fits, one.candidate, without.held_out - fit.held_out, before - after, limits)
+        name, after = one.candidate.name, selection.held_out_positions(fits, fit)
+        wrong = selection.rejected_curve(fits, fit, vehicle) or selection.harmful(fits, name, before, after, limits)
+        little = selection.too_small(fits, one.candidate, without.held_out - fit.held_out, before - after, limits)
         if wrong or little:
             against[one] = wrong or little
         else:
@@ -220,12 +204,13 @@ def _described(best: Screened, fitted: Fitted, without: RelationFit, fits: Relat
     """The relation with everything reported of it, and a sentence on its gain."""
     fit, limits, c = fitted[best], settings.limits, best.candidate
     falls = without.held_out - fit.held_out
-    before, after = (held_out_positions(fits, f) for f in (without, fit))
+    before, after = (selection.held_out_positions(fits, f) for f in (without, fit))
     rivals = [one for one in fitted if one is not best]
-    alike = equally_good(np.array([fitted[one].held_out - fit.held_out for one in rivals]), limits.doubt, settings.seed)
+    worse = np.array([fitted[one].held_out - fit.held_out for one in rivals])
+    alike = selection.equally_good(worse, limits.doubt, settings.seed)
     equal = {one.candidate.name: fitted[one] for one, near in zip(rivals, alike, strict=True) if near}
     u = driven(fits.windows, vehicle)[c.quantity]
-    at = np.linspace(c.low, c.high, POINTS)
+    at = np.linspace(c.low, c.high, selection.POINTS)
     splines = c.splines(at)
     deviation = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", splines, fit.covariance(), splines), 0.0))
     edges = np.concatenate([[-np.inf], 0.5 * (at[1:] + at[:-1]), [np.inf]])
@@ -239,7 +224,8 @@ def _described(best: Screened, fitted: Fitted, without: RelationFit, fits: Relat
         c, fit.coefficients, at, fit.coefficients @ splines, deviation, density,
         float(falls.sum()) / fits.loss.number, chances[c.name],
         (float(np.nanmean(before)), float(np.nanmean(after))), runs, answer,
-        {name: cosine(fits, fit, other) for name, other in equal.items()}, simulated_formulas(fits, fit, without),
-        run_shares(fits, fit), redundant_effects(fits, c, fit, without, stated, limits),
+        {name: selection.cosine(fits, fit, other) for name, other in equal.items()},
+        simulated_formulas(fits, fit, without), selection.run_shares(fits, fit),
+        selection.redundant_effects(fits, c, fit, without, stated, limits),
         next_drives(fits, c, fit, equal, best.design, at, deviation, thin_ranges(at, density, c.parity)))
-    return relation, f"it {gain_text(fits, falls, before - after, limits)}"
+    return relation, f"it {selection.gain_text(fits, falls, before - after, limits)}"
