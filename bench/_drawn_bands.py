@@ -22,7 +22,7 @@ def drawn_bands(vehicle: VehicleParameters) -> Bands:
         errors = (0.1 * draw.standard_normal((STARTS, 1, 3)) * TIME[:, None]).astype(np.float32)
         runs.append(RunSamples(f"run {number}", draw.uniform(0.0, MOST, (STARTS, 4)), {question: errors}))
     band, settings = calibrate(runs, question, TIME), SETTINGS.as_dict()
-    seen = CalibrationDomain.of([run.conditions for run in runs])
-    return Bands(vehicle.name, vehicle.hash, settings, {"drawn": "0" * 64}, RUNS, seen,
+    domain = CalibrationDomain.of([run.conditions for run in runs])
+    return Bands(vehicle.name, vehicle.hash, settings, {"drawn": "0" * 64}, RUNS, domain,
                  {(model, mode): band for model in MODELS for mode in MODES},
                  {model: configuration_of(vehicle, settings, "") for model in MODELS})

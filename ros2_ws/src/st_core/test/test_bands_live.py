@@ -77,7 +77,7 @@ def test_live_states_what_the_file_states_of_the_recorded_drive(bands, logs):
         here, = conditions_at(signals, np.array([start_ns]))
         assert conditions_now(history, start_ns) == pytest.approx(here, rel=1e-6, abs=1e-9)
         found = live(here.tolist())
-        assert found == bool(bands.seen(here[None])[0]) == (live.why_not(here) == "")
+        assert found == bool(bands.domain(here[None])[0]) == (live.why_not(here) == "")
         for model, stated in live.stated.items() if found else ():
             for (mode, level), widths in stated.items():
                 assert widths == pytest.approx(bands.half_widths(model, mode, here, level)[0], rel=2e-7)  # float32

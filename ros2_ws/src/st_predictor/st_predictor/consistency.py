@@ -49,7 +49,7 @@ class Consistency:
         self.verdict = _waiting(0.0)
         self.seconds = 0.0
         self._found: frozenset[str] = frozenset()  # faults of the last check
-        self._judged_ns: int | None = None
+        self._checked_ns: int | None = None
         self._began: float | None = None
         self._at = self._not_before = -math.inf
 
@@ -63,18 +63,18 @@ class Consistency:
             self._began = now
         if newest is None or now < self._not_before:
             return False
-        if self._judged_ns is not None and 0 <= newest - self._judged_ns < PERIOD / NANOSECOND:
+        if self._checked_ns is not None and 0 <= newest - self._checked_ns < PERIOD / NANOSECOND:
             if now - self._at > HISTORY_SPAN:
                 self.verdict = _waiting(0.0)
             return False
-        self._judged_ns, self._at = newest, now
+        self._checked_ns, self._at = newest, now
         try:
-            self._judge(recent(history), self._began)
+            self._check(recent(history), self._began)
         except Exception as error:  # must never stop the scoring of predictions
-            self.verdict = Verdict("warning", f"could not be judged: {type(error).__name__}: {error}")
+            self.verdict = Verdict("warning", f"check failed: {type(error).__name__}: {error}")
         return True
 
-    def _judge(self, log: DriveLog | float, began: float) -> None:
+    def _check(self, log: DriveLog | float, began: float) -> None:
         before, self._found = self._found, frozenset()
         if isinstance(log, float):
             self.verdict = _waiting(log)
@@ -114,7 +114,7 @@ def _since(series: TimeSeries, start_ns: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _waiting(driven: float) -> Verdict:
-    return Verdict("", f"not judged: {driven:.0f} s of driving in the last minute or since the position jumped, "
+    return Verdict("", f"not checked: {driven:.0f} s of driving in the last minute or since the position jumped, "
                    f"{MIN_DRIVING:g} s above {MIN_SPEED:g} m/s required")
 
 

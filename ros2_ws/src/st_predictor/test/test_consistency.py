@@ -36,7 +36,7 @@ def road() -> np.ndarray:
 class Live:
     """The check and its history in a node that polls ten times a second.
 
-    said: (s, verdict) of each time it judged; spent [s]: processor time until then. share: by default a check may cost
+    said: (s, verdict) of each check; spent [s]: processor time until then. share: by default a check may cost
     as much as it likes, so that a busy machine changes nothing.
     """
 
@@ -73,8 +73,8 @@ def flipped(rows: np.ndarray) -> np.ndarray:
 
 def test_a_right_minute_is_well(road: np.ndarray) -> None:
     said = Live().drive(road).said
-    judged = [verdict for _, verdict in said if "agree" in verdict.message]
-    assert len(judged) > (LAST - MIN_DRIVING) / (2.0 * PERIOD)
+    agreed = [verdict for _, verdict in said if "agree" in verdict.message]
+    assert len(agreed) > (LAST - MIN_DRIVING) / (2.0 * PERIOD)
     assert {verdict.severity for _, verdict in said} <= {"", "note"}
     assert {"agree" in verdict.message for t, verdict in said if t > MIN_DRIVING + 1.0} == {True}
 
@@ -100,7 +100,7 @@ def test_a_fault_is_told_and_clears(road: np.ndarray, column: int, change: Chang
 
 
 @pytest.mark.parametrize("size", [0.5, 6.4, 640.0])
-def test_a_jump_of_the_position_is_not_judged_again(road: np.ndarray, size: float) -> None:
+def test_a_jump_of_the_position_is_not_used(road: np.ndarray, size: float) -> None:
     """The history finds it; afterwards a fault is told as ever, from what came since."""
     rows = road.copy()
     rows[rows[:, 0] >= BEGIN, 1] += size
@@ -113,12 +113,12 @@ def test_a_jump_of_the_position_is_not_judged_again(road: np.ndarray, size: floa
     assert told and BEGIN + MIN_DRIVING < told[0] <= BEGIN + MIN_DRIVING + 2.0 * PERIOD + 0.2
 
 
-def test_a_car_that_stands_is_not_judged(road: np.ndarray) -> None:
+def test_a_car_that_stands_is_not_checked(road: np.ndarray) -> None:
     parked = np.repeat(road[:1], 3000, axis=0)
     parked[:, 0] = np.arange(3000) / RATE
     parked[:, 4:7] = 0.0
     verdict = Live().drive(parked).said[-1][1]
-    assert verdict == Verdict("", "not judged: 0 s of driving in the last minute or since the position jumped, "
+    assert verdict == Verdict("", "not checked: 0 s of driving in the last minute or since the position jumped, "
                               "20 s above 1 m/s required")
 
 
@@ -137,7 +137,7 @@ def test_time_that_jumps_back_begins_anew(road: np.ndarray) -> None:
     live = Live().drive(road[:4000])
     assert "agree" in live.consistency.verdict.message
     live.drive(road[:100])
-    assert "not judged: 0 s" in live.consistency.verdict.message
+    assert "not checked: 0 s" in live.consistency.verdict.message
 
 
 def test_nothing_new_for_a_minute_is_no_verdict(road: np.ndarray) -> None:
@@ -145,7 +145,7 @@ def test_nothing_new_for_a_minute_is_no_verdict(road: np.ndarray) -> None:
     assert not live.consistency.poll(live.history, live.now + 1.0)
     assert "agree" in live.consistency.verdict.message
     live.consistency.poll(live.history, live.now + 80.0)
-    assert "not judged: 0 s" in live.consistency.verdict.message
+    assert "not checked: 0 s" in live.consistency.verdict.message
 
 
 def test_no_steering_is_no_obstacle(road: np.ndarray) -> None:
@@ -157,7 +157,7 @@ def test_no_steering_is_no_obstacle(road: np.ndarray) -> None:
 def test_a_check_that_fails_is_a_warning(road: np.ndarray) -> None:
     verdict = Live(vehicle="no car").drive(road[:4000]).said[-1][1]
     assert verdict.severity == "warning"
-    assert verdict.message.startswith("could not be judged: AttributeError: ")
+    assert verdict.message.startswith("check failed: AttributeError: ")
 
 
 @pytest.mark.parametrize("share", [CPU_SHARE, 0.5 * CPU_SHARE, 0.002])

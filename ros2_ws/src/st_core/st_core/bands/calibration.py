@@ -137,9 +137,9 @@ def calibrate(runs: Sequence[RunSamples], question: Question, time: np.ndarray,
     scores, ratios = [], []
     for group in np.array_split(np.arange(len(runs)), min(FOLDS, len(runs))):
         others = [run for number, run in enumerate(runs) if number not in group]
-        scale, seen = _scale(others, question, time), CalibrationDomain.of([run.conditions for run in others])
+        scale, domain = _scale(others, question, time), CalibrationDomain.of([run.conditions for run in others])
         for run in (runs[number] for number in group):
-            rows = seen(run.conditions)
+            rows = domain(run.conditions)
             if rows.any():
                 ratio = np.abs(run.errors[question][rows]) / scale(run.conditions[rows])
                 scores.append(ratio.max(axis=(1, 2)))

@@ -42,7 +42,7 @@ ALIKE = ("horizon", "step", "minimum_speed", "maximum_gap", "filter_cutoff", "ac
 class Bands:
     """All bands of a car. bands: by (model, mode). hashes: by model, of `prediction.configuration_hash`.
 
-    settings: as EvaluationSettings.as_dict. recordings: sha256 by name. runs: their number. seen: calibration domain.
+    settings: as EvaluationSettings.as_dict. recordings: sha256 by name. runs: their number. domain: of calibration.
     """
 
     vehicle_name: str
@@ -50,7 +50,7 @@ class Bands:
     settings: Mapping[str, Any]
     recordings: Mapping[str, str]
     runs: int
-    seen: CalibrationDomain
+    domain: CalibrationDomain
     bands: Mapping[Question, Band]
     hashes: Mapping[str, str] = field(default_factory=dict)
 
@@ -72,10 +72,10 @@ class Bands:
         """
         band = self.bands[model, mode]
         conditions = np.atleast_2d(np.asarray(conditions, float))
-        seen = self.seen(conditions)
+        inside = self.domain(conditions)
         result = np.full((len(conditions), len(band.scale.time) + 1, 3), np.nan)
-        result[seen, 0] = 0.0
-        result[seen, 1:] = band.half_widths(conditions[seen], level)
+        result[inside, 0] = 0.0
+        result[inside, 1:] = band.half_widths(conditions[inside], level)
         return result
 
     def check(self, vehicle: VehicleParameters, models: Mapping[str, str], settings: EvaluationSettings) -> None:
@@ -121,7 +121,7 @@ class Bands:
         return {
             "vehicle": {"name": self.vehicle_name, "hash": self.vehicle_hash}, "settings": dict(self.settings),
             "recordings": dict(self.recordings), "runs": self.runs,
-            "seen": {"starts": self.seen.starts.tolist(), "most": list(self.seen.most)}, "bands": entries}
+            "seen": {"starts": self.domain.starts.tolist(), "most": list(self.domain.most)}, "bands": entries}
 
     @classmethod
     def from_yaml(cls, text: str, origin: str = "bands") -> "Bands":
@@ -152,10 +152,10 @@ class Bands:
             hashes[model] = str(entry["configuration_hash"])
             for mode in (m for m in MODES if m in entry):
                 bands[model, mode] = _band(entry[mode], time)
-        slowest, fastest = map(float, document["seen"]["most"])
-        seen = CalibrationDomain(np.array(document["seen"]["starts"], int), (slowest, fastest))
+        acceleration, activity = map(float, document["seen"]["most"])
+        domain = CalibrationDomain(np.array(document["seen"]["starts"], int), (acceleration, activity))
         return cls(document["vehicle"]["name"], document["vehicle"]["hash"], settings, document["recordings"],
-                   int(document["runs"]), seen, bands, hashes)
+                   int(document["runs"]), domain, bands, hashes)
 
 
 def times(horizon: float, step: float) -> np.ndarray:

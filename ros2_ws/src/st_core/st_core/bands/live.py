@@ -55,7 +55,7 @@ class LiveBands:
     """
 
     def __init__(self, bands: Bands, models: Iterable[str]):
-        self._seen = bands.seen
+        self._domain = bands.domain
         questions = [(model, mode) for model in models for mode in MODES if (model, mode) in bands.bands]
         self._row: dict[Question, int] = {question: row for row, question in enumerate(questions)}
         chosen = [bands.bands[question] for question in questions]
@@ -76,11 +76,11 @@ class LiveBands:
 
     def why_not(self, condition: Sequence[float]) -> str:
         """Reason, in one line, why there is no band under these conditions; empty if there is one."""
-        return self._seen.why_not(condition)
+        return self._domain.why_not(condition)
 
     def __call__(self, condition: Sequence[float]) -> bool:
         """Update `stated` for conditions, four numbers. False, without an update, outside the calibration domain."""
-        if not self._seen(np.array([condition]))[0]:
+        if not self._domain(np.array([condition]))[0]:
             return False
         # Limited at the few knots, which limits the interpolated values as well.
         logs = (self._coefficients @ features_of_one(condition)).clip(-60.0, 60.0)

@@ -27,15 +27,15 @@ class Scorer:
     def add(self, starts_ns: np.ndarray, block: Block) -> None:
         """One block of an evaluation; starts without a measured horizon are left out."""
         conditions = conditions_at(self._signals, starts_ns)
-        seen = self._bands.seen(conditions)
+        inside = self._bands.domain(conditions)
         for (model, mode), errors in block.errors.items():
             if (model, mode) not in self._bands.bands:
                 continue
             scored = np.isfinite(errors).all(axis=(1, 2))
-            rows = scored & seen
+            rows = scored & inside
             band = self._bands.bands[model, mode]
             entry = question_sums(band, conditions[rows], to_predicted_frame(errors[rows][:, 1:]))
-            entry["without_band"] = int((scored & ~seen).sum())
+            entry["without_band"] = int((scored & ~inside).sum())
             self._sums.append({"models": {model: {mode: entry}}})
 
     def sums(self, files: Mapping[str, str]) -> Sums:
@@ -62,20 +62,20 @@ class AdaptiveScorer:
             return
         self._first = int(starts_ns[0]) if self._first is None else self._first
         conditions = conditions_at(self._signals, starts_ns)
-        domain = np.isfinite(conditions).all(axis=1) if self._bands is None else self._bands.seen(conditions)
+        inside = np.isfinite(conditions).all(axis=1) if self._bands is None else self._bands.domain(conditions)
         late = (starts_ns - self._first) * 1e-9 >= self.LATE
         for question, errors in block.errors.items():
             band = None if self._bands is None else self._bands.bands.get(question)
-            one = self._adaptive.setdefault(question, AdaptiveBand(self._time, band, LEVELS))
-            own = to_predicted_frame(errors[domain][:, 1:])
-            factors, scales = one.follow(starts_ns[domain], conditions[domain], own)
-            scored = np.isfinite(own).all(axis=(1, 2))
-            score = np.abs(own[scored] / scales[scored]).max(axis=(1, 2), initial=0.0)
-            inside = {f"{level:g}": score <= factor[scored] for level, factor in factors.items()}
-            late_rows = late[domain][scored]
-            entry = {"starts": len(score), "coverage": {key: int(one.sum()) for key, one in inside.items()},
+            adaptive = self._adaptive.setdefault(question, AdaptiveBand(self._time, band, LEVELS))
+            rotated = to_predicted_frame(errors[inside][:, 1:])
+            factors, scales = adaptive.follow(starts_ns[inside], conditions[inside], rotated)
+            scored = np.isfinite(rotated).all(axis=(1, 2))
+            score = np.abs(rotated[scored] / scales[scored]).max(axis=(1, 2), initial=0.0)
+            covered = {f"{level:g}": score <= factor[scored] for level, factor in factors.items()}
+            late_rows = late[inside][scored]
+            entry = {"starts": len(score), "coverage": {key: int(one.sum()) for key, one in covered.items()},
                      "late_starts": int(late_rows.sum()),
-                     "late_coverage": {key: int(one[late_rows].sum()) for key, one in inside.items()}}
+                     "late_coverage": {key: int(one[late_rows].sum()) for key, one in covered.items()}}
             self._sums.append({question[0]: {question[1]: entry}})
 
     def sums(self) -> Sums:

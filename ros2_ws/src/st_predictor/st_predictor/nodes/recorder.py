@@ -165,7 +165,7 @@ class RecorderNode(Node):
 
     def _publishers_check(self) -> Check:
         if DIAGNOSTICS not in self._recorded:
-            return Check("senders", diagnostics.OK, f"not judged: {DIAGNOSTICS} is not recorded")
+            return Check("senders", diagnostics.OK, f"not checked: {DIAGNOSTICS} is not recorded")
         self._work()  # queued messages count as received, in case this node itself was delayed
         silent = self._watchdog.silent_nodes(self._recorded)
         if silent:
