@@ -17,7 +17,7 @@ from st_core.vehicle import VehicleParameters
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
 from ..terminal import line, rows_table
-from .scoring import Sums, finished, finished_adaptive, pooled_sums
+from .scoring import Sums, finished, finished_adaptive, pooled_sums, top_level
 
 MODE_TITLES = {"hindsight": "model (measured inputs)", "forecast": "forecast (inputs held)"}
 
@@ -28,8 +28,9 @@ def band_figures(content: dict[str, Any] | None, place: Place) -> list[Drawn]:
         model: modes for model, modes in content["models"].items() if any(one["starts"] for one in modes.values())}
     if not models:
         return []
-    stated = [(abs(one["coverage"]["0.9"] - 0.9), f"{100 * one['coverage']['0.9']:.0f} %, {model}, {mode}")
-              for model, modes in models.items() for mode, one in modes.items() if one["coverage"].get("0.9")]
+    top = _top_level(content)
+    stated = [(abs(one["coverage"][top] - float(top)), f"{100 * one['coverage'][top]:.0f} %, {model}, {mode}")
+              for model, modes in models.items() for mode, one in modes.items() if one["coverage"].get(top)]
     worst = max(stated)[1] if stated else "not stated"
     with style():
         figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 4.2), sharey=True)
@@ -44,7 +45,8 @@ def band_figures(content: dict[str, Any] | None, place: Place) -> list[Drawn]:
         handles = [Line2D([], [], color=MODEL_COLOUR.get(m, TEXT), ls=MODEL_LINE.get(m, "solid"), label=m)
                    for m in models]
         figure.legend(handles=handles, loc="outside lower left", ncols=6)
-        return [finish(figure, place, "bands_reliability", f"Reliability of the bands; farthest from 90 %: {worst}",
+        return [finish(figure, place, "bands_reliability",
+                       f"Reliability of the bands; farthest from {_percent(top)}: {worst}",
                        "Grey: as stated. Below it the band covers less than stated.")]
 
 
@@ -54,19 +56,31 @@ NO_BANDS = ("[dim]bands: none given; `st calibrate RUN… --vehicle FILE --outpu
 
 def band_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
     """One row for each model and mode from the content of `finished`; columns by their titles."""
-    rows = []
+    rows, top = [], _top_level(content)
     for model, modes in (content or {"models": {}})["models"].items():
         for mode, one in modes.items():
-            worst, widths = one["worst_cell"], list((one["half_width"].get("0.9") or {}).values())
-            scores, crps = one["interval_score"].get("0.9"), one["crps"]
+            worst, widths = one["worst_cell"], list((one["half_width"].get(top) or {}).values())
+            scores, crps = one["interval_score"].get(top), one["crps"]
             rows.append({
                 "model": model, "question": {"hindsight": "model", "forecast": "forecast"}[mode],
                 "starts": str(one["starts"]), "no band": str(one["without_band"]),
-                "50 % covers": _share(one["coverage"].get("0.5")), "90 % covers": _share(one["coverage"].get("0.9")),
+                "50 % covers": _share(one["coverage"].get("0.5")),
+                f"{_percent(top)} covers": _share(one["coverage"].get(top)),
                 "worst cell": f"{worst['coverage']:.0%} ({worst['cell']}, {worst['starts']} starts)" if worst else "-",
-                "interval score 90 %, along | across, m": _pair(scores), "CRPS, along | across, m": _pair(crps),
-                "half-width 90 %, along | across, m": _pair(widths[-1] if widths else None)})
+                f"interval score {_percent(top)}, along | across, m": _pair(scores),
+                "CRPS, along | across, m": _pair(crps),
+                f"half-width {_percent(top)}, along | across, m": _pair(widths[-1] if widths else None)})
     return rows
+
+
+def _top_level(content: dict[str, Any] | None) -> str:
+    """The highest level that was scored: "0.9", or less for bands from too few runs."""
+    scored = [one["coverage"] for modes in (content or {"models": {}})["models"].values() for one in modes.values()]
+    return top_level(scored[0] if scored else {})
+
+
+def _percent(level: str) -> str:
+    return f"{100 * float(level):g} %"
 
 
 def adaptive_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
@@ -78,13 +92,16 @@ def adaptive_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
             for model, modes in (content or {}).items() for mode, one in modes.items()]
 
 
-# One table with all columns of band_rows is wider than a terminal of 80 columns.
-TERMINAL_TABLES = {
-    "Bands: how often the whole path lies inside": ("starts", "no band", "50 % covers", "90 % covers"),
-    "Bands: conditions with the lowest coverage of the 90 % band": ("worst cell",),
-    "Bands: scores and size, along | across": (
-        "interval score 90 %, along | across, m", "CRPS, along | across, m", "half-width 90 %, along | across, m"),
-}
+def _terminal_tables(top: str) -> dict[str, tuple[str, ...]]:
+    """Title -> columns: one table with all columns of band_rows is wider than a terminal of 80 columns."""
+    level = _percent(top)
+    return {
+        "Bands: how often the whole path lies inside": ("starts", "no band", "50 % covers", f"{level} covers"),
+        f"Bands: conditions with the lowest coverage of the {level} band": ("worst cell",),
+        "Bands: scores and size, along | across": (
+            f"interval score {level}, along | across, m", "CRPS, along | across, m",
+            f"half-width {level}, along | across, m"),
+    }
 
 
 def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Console) -> None:
@@ -96,7 +113,7 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
     if tested:
         content = finished(pooled)
         rows = band_rows(content)
-        for title, columns in TERMINAL_TABLES.items():
+        for title, columns in _terminal_tables(_top_level(content)).items():
             shown = [{column: row[column] for column in ("model", "question", *columns)} for row in rows]
             console.print(rows_table(shown, title=title, width=min(console.width, 120)), highlight=False)
         if known := content["known_recordings"]:

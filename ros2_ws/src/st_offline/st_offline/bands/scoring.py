@@ -90,6 +90,12 @@ def finished_adaptive(sums: Sums) -> dict[str, Any]:
                     for mode, one in modes.items()} for model, modes in sums.get("adaptive", {}).items()}
 
 
+def shown_levels(band: Band) -> list[float]:
+    """Levels that are scored: those of LEVELS; of a band from too few runs for the last, its highest below that."""
+    return sorted({*(level for level in LEVELS if level in band.factors),
+                   max(level for level in band.factors if level <= LEVELS[-1])})
+
+
 def question_sums(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sums:
     """Sums over starts with a band. conditions: (n, 4); errors: (n, points, 3) in the predicted frame, without the
     start.
@@ -100,7 +106,7 @@ def question_sums(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sum
     """
     scale, size = band.scale(conditions), np.abs(errors)
     ratio = size / scale
-    time, levels = band.scale.time, [level for level in LEVELS if level in band.factors]
+    time, levels = band.scale.time, shown_levels(band)
     # Rounded: 20 steps of 0.05 s are 1.0000000000000002 s.
     second = np.ceil(np.round(time, 6)).astype(int)
     whole = [k for k in range(len(time)) if abs(time[k] - round(time[k])) < 1e-6]
@@ -197,7 +203,7 @@ def _means(sums: Sums) -> dict[str, Any]:
                    "coverage": _divided(one["coverage"], one["starts"])}
                   for quantity, labels in sums["conditions"].items() for label, one in labels.items()]
     return {"starts": count, "without_band": sums["without_band"], **means, "conditions": conditions,
-            "worst_cell": worst_cell(sums["cells"])}
+            "worst_cell": worst_cell(sums["cells"], top_level(sums["coverage"]))}
 
 
 def _divided(value: Any, count: int) -> Any:
@@ -206,7 +212,12 @@ def _divided(value: Any, count: int) -> Any:
     return value / count if count else None
 
 
-def worst_cell(cells: Mapping[str, Mapping[str, Any]], level: str = "0.9") -> dict[str, Any] | None:
+def top_level(by_level: Mapping[str, Any]) -> str:
+    """The highest level that was scored, "0.9" for none."""
+    return max(by_level, key=float, default="0.9")
+
+
+def worst_cell(cells: Mapping[str, Mapping[str, Any]], level: str) -> dict[str, Any] | None:
     """The cell with the lowest coverage at a level, of those with MIN_STARTS; None without one."""
     known = [(one["coverage"][level] / one["starts"], name, one["starts"]) for name, one in cells.items()
              if one["starts"] >= MIN_STARTS and level in one["coverage"]]

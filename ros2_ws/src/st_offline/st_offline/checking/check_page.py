@@ -74,8 +74,9 @@ def page_summary(good: Sequence[CheckedRun]) -> list[str]:
     """Meaning of the findings, what to do, and the clocks: at most three sentences."""
     findings = [finding for run in good for finding in run.checked.findings]
     gravest = min(findings, key=check_report.gravity, default=None)
+    clocks = check_report.describe_clocks({run.name: run.alignment for run in good})
     if gravest is None or gravest.severity is Severity.NOTE:
-        return ["Nothing has to be corrected: every command can use these runs."]
+        return ["Nothing has to be corrected: every command can use these runs.", *([f"{clocks}."] if clocks else [])]
     sizes = [finding.effect for finding in findings
              if finding.severity is not Severity.NOTE and finding.effect is not None]
     size = f", by up to {max(sizes):.2g} m after 5 s" if sizes and gravest.severity is Severity.WARNING else ""
@@ -88,7 +89,6 @@ def page_summary(good: Sequence[CheckedRun]) -> list[str]:
                "recording.")
     exist = any(finding.advice is not None and finding.advice.kind == "run.yaml" for finding in findings
                 if finding.severity is not Severity.NOTE)
-    clocks = check_report.describe_clocks({run.name: run.alignment for run in good})
     sentences = (f"{meaning[0].upper()}{meaning[1:]}{size}{refused}.",
                  f"{sign[0].upper()}{sign[1:]}." if sign else correct if exist else "", f"{clocks}." if clocks else "")
     return [sentence for sentence in sentences if sentence]
