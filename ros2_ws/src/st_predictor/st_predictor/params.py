@@ -24,11 +24,11 @@ _MODEL_FILE = Parameter("model_file", "", "model.yaml of a further model, named 
 _EFFECTS_DIRECTORY = Parameter("effects_directory", "", "folder of own effects that model_file uses; empty: none")
 _BANDS_FILE = Parameter("bands_file", "", "bands.yaml of st calibrate for this car, models and settings; empty: none")
 _COURSE_FILE = Parameter("course_file", "", "course.yaml of st course build for this place; empty: none")
-_ADAPTIVE = Parameter("adaptive_bands", True, "bands follow the errors of this run; without bands_file there are bands "
-                      "after two minutes of driving; false: only those of bands_file, as calibrated")
+_ADAPTIVE = Parameter("adaptive_bands", True, "bands follow the errors of this run; without bands_file the first "
+                      "appear after two minutes of driving; false: only those of bands_file, as calibrated")
 _MAP_FRAME = Parameter("map_frame", "map", "frame the odometry must be in; odometry in another one is refused")
 _MAXIMUM_GAP = Parameter(
-    "maximum_gap", _DEFAULTS.maximum_gap, "nothing is interpolated between samples further apart", "s", 0.001, 10.0)
+    "maximum_gap", _DEFAULTS.maximum_gap, "longest time between samples that are interpolated", "s", 0.001, 10.0)
 _FILTER_CUTOFF = Parameter(
     "filter_cutoff", _DEFAULTS.filter_cutoff, "of the low-pass before v_x is differentiated", "Hz", 0.01, 1000.0)
 
@@ -82,14 +82,14 @@ RECORDER = (
     _NUMBER,
     Parameter("topics", TOPICS, "topics to record; * and ? stand for any characters; relative to the node's namespace"),
     Parameter("configuration_files", [], "files stored as text in the bag: vehicle, node parameters"),
-    Parameter("metadata_json", "", 'more for the bag: {"record": {"key": "text"}}'),
+    Parameter("metadata_json", "", 'further metadata of the bag: {"record": {"key": "text"}}'),
 )
 
 
 MARKERS = (
     _VEHICLE_FILE,
     Parameter("models", [*MODELS, "augmented"], "models to draw; one that does not predict is not drawn"),
-    Parameter("rate", 10.0, "pictures per second", "Hz", 0.1, 50.0),
+    Parameter("rate", 10.0, "drawings per second", "Hz", 0.1, 50.0),
     _MAP_FRAME,
 )
 

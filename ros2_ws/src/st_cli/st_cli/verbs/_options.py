@@ -55,8 +55,8 @@ CourseFile = Annotated[Path | None, typer.Option(
     "--course", help="Course of `st course build` for this place: also forecasts with its steering and speed. "
     "Replay: default the recorded one.", exists=True, dir_okay=False)]
 Adaptive = Annotated[bool | None, typer.Option(
-    "--adaptive/--no-adaptive", help="Bands follow the errors of the run; without --bands there are some after two "
-    "minutes of driving. Default: as in config/nodes.yaml (yes).")]
+    "--adaptive/--no-adaptive", help="Bands follow the errors of the run; without --bands the first appear after "
+    "two minutes of driving. Default: as in config/nodes.yaml (yes).")]
 View = Annotated[bool, typer.Option("--view", help="Show the path ahead and its error live in the browser.")]
 ViewAddress = Annotated[str | None, typer.Option(
     "--view-address", help="HOST or HOST:PORT of this computer for --view; default 127.0.0.1, this computer only. "

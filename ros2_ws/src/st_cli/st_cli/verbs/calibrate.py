@@ -18,11 +18,10 @@ def calibrate(
     effects: shared.EffectsOfFile = None,
     output: Path = typer.Option(Path("bands.yaml"), help="File of the bands; it must not exist."),
     level: list[float] = typer.Option(
-        [0.5, 0.9], "--level", help="Share of whole paths that shall lie inside; repeatable. n runs allow "
-        "at most n/(n + 1): 9 runs for 0.9."
-    ),
+        [0.5, 0.9], "--level", help="Share of paths to be entirely inside; repeatable. n runs allow at most n/(n + 1): "
+        "9 runs for 0.9."),
     together: bool = typer.Option(
-        False, "--together", help="Recordings of one argument are alike, of one day or place, and count as one run."),
+        False, "--together", help="Recordings of one argument (one day or place) are dependent and count as one run."),
     acceleration: shared.Filtering = "causal",
     inputs: shared.Inputs = "interpolate",
     horizon: shared.Horizon = 5.0,
@@ -31,9 +30,9 @@ def calibrate(
     force: bool = typer.Option(False, "--force", help="Also use runs in which `st check` finds an error."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
-    """Learn how far from its predicted path the car will be: bands that hold on drives that were not among these.
+    """Calibrate bands around the predicted path that contain the measured path of a new drive with a given probability.
 
-    For every model and two questions, the model alone and the forecast with inputs held. Test them on other drives with
+    For every model, without the driver (hindsight) and with held inputs (forecast). Test them on other drives with
     `st evaluate --bands`. Exit status: 0 all runs used, 1 some not, 2 no bands could be made.
     """
     from rich.console import Console

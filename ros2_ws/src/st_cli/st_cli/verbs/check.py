@@ -18,7 +18,7 @@ def check(
         help="Write a run.yaml that corrects the findings; for a single run."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
-    """Find what is wrong with recordings: units, signs, clocks, axes, projections, reference points, sensors.
+    """Find errors in recordings: units, signs, clocks, axes, projections, reference points, sensors.
 
     Nothing is corrected; each finding names its correction. Exit status: 0 no error was found, 1 one was, or a run
     could not be read, 2 nothing could be read.

@@ -26,7 +26,7 @@ def effects(
     own: Path | None = typer.Option(None, "--effects", help="list: folder of own effects to list too.", exists=True,
                                     file_okay=False),
 ) -> None:
-    """List the effects: kind, place, what each looks at, twins, channels it needs; or check effect files of your own.
+    """List the effects: kind, place, hooks, similar effects, channels needed; or check effect files of your own.
 
     check: null exactly the base model, finite in its bounds, the same on floats, batches, compiled and in CasADi,
     mirror images, stable. Exit status: 0 all requirements met, 1 some not, 2 a file cannot be loaded.

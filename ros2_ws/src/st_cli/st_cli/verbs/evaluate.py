@@ -39,12 +39,11 @@ def evaluate(
         "without a calibration."
     ),
     course: Path | None = typer.Option(
-        None, help="Course of `st course build`: also forecast with inputs remembered from its earlier drives.",
+        None, help="Course of `st course build`: also forecast with the inputs of its earlier drives.",
         exists=True, dir_okay=False),
     advise: float | None = typer.Option(
         None, help="Permitted lateral error, m: also name the cheapest model and step within it, by speed and second; "
-        "cost, error and band width of each.", min=0.001
-    ),
+        "cost, error and band width of each.", min=0.001),
     force: bool = typer.Option(False, "--force", help="Also evaluate runs in which `st check` finds an error."),
     workers: int = typer.Option(1, help="Number of runs evaluated in parallel (Dask).", min=1),
     scheduler: str | None = typer.Option(None, help="Address of a Dask scheduler instead."),
@@ -52,8 +51,7 @@ def evaluate(
 ) -> None:
     """Predict every 100 ms of each run with each model, score it against the measurement, write tables and figures.
 
-    A run that cannot be used is named and the others go on. Exit status: 0 all runs evaluated, 1 some not, 2 none
-    could be.
+    Unusable runs are named and skipped. Exit status: 0 all runs evaluated, 1 some not, 2 none could be.
     """
     from rich.console import Console
     from st_offline.evaluation.evaluation_command import run_command

@@ -15,7 +15,7 @@ def align(
     files: list[Path] = typer.Argument(
         ..., help="INS recording (.ncom, .xcom, .vbo; CSV with t, vx, yaw_rate) and CAN logs, a folder, a run.yaml."),
     search: tuple[float, float] | None = typer.Option(
-        None, help="Bounds of the offset in seconds, where the log is known to be nearly right already."),
+        None, help="Bounds of the offset in seconds, if it is known approximately."),
     output: Path | None = typer.Option(None, help="Folder for alignment.json and alignment.png."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
