@@ -67,7 +67,7 @@ def waterfall(scene: Scene) -> Drawn | None:
             ends = [before - edge for edge in step.position_5s.interval]
             axes.plot(ends, [row, row], color=TEXT, lw=1.0)
             change = f"{after - before:+.2f} m".replace("-", "−")
-            small = abs(after - before) < report_text.MIN_CHANGE and report_text.other_channel(step)
+            small = abs(after - before) < report_text.MIN_CHANGE and report_text.most_reduced_channel(step)
             _label(axes, max(before, after, *ends), row, small or change)
             rows.append(f"+ {quantities.plain(step.effect)}  {quantities.short_values(step.effect, step.parameters)}")
         axes.plot([last, last], [len(steps) + 0.31, len(steps) + 0.69], color=TEXT, lw=0.6, alpha=0.5)

@@ -1,4 +1,4 @@
-"""A discovery in sentences and tables: the same on the terminal and on the page."""
+"""A discovery in sentences and rows of tables, for the terminal and the page."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -42,9 +42,9 @@ EFFECT_NOTE = ("All figures are of the complete answer on held-out drives; witho
                f"at least {LIMITS.size:g} times the usual size that the sensors show among themselves")
 
 
-def by_any_name(found: Discovery, effect: FoundEffect, short: str = "") -> str:
-    """Name and value, and those of its alternatives, each with the value it has in that place; of what comes on top of
-    the measured car, the largest that the drives do not exclude. short: instead of name and value."""
+def with_alternatives(found: Discovery, effect: FoundEffect, short: str = "") -> str:
+    """Name and value, and those of its alternatives, each with its value in that place; of a load, the largest that the
+    drives do not exclude. short: instead of name and value."""
     numbers = {c.name: c.parameters for c in found.candidates}
     most = {name: "up to " for name in effect.alternatives
             if any(p.deviation < math.inf for p in get_effect(name).parameters)}
@@ -54,19 +54,19 @@ def by_any_name(found: Discovery, effect: FoundEffect, short: str = "") -> str:
 
 
 def by_size(effects: Sequence[FoundEffect]) -> list[FoundEffect]:
-    """The effect without which the position error grows most first."""
+    """Sorted by the increase of the position error without each, largest first."""
     return sorted(effects, key=lambda e: -e.position_5s)
 
 
 def effect_rows(found: Discovery) -> list[tuple[str, str, str, str, str]]:
     """A row for each named effect, columns as EFFECT_HEAD."""
-    return [(by_any_name(found, e, plain(e.name)), "; ".join(values(e.name, e.parameters)),
+    return [(with_alternatives(found, e, plain(e.name)), "; ".join(values(e.name, e.parameters)),
              f"{'+' if e.position_5s >= 0.0 else '−'}{metres(abs(e.position_5s))}",
              f"{channel(e.channel)} error by {100 * e.share:.0f} %" if e.channel and e.share >= 0.005 else "-",
              agreement(e)) for e in by_size(found.effects)]
 
 
-def other_channel(step: Step) -> str:
+def most_reduced_channel(step: Step) -> str:
     """The channel whose error a step reduces most; empty without any."""
     ratios = {key: one.augmented / one.base for key, one in step.channels.items() if one.base > 0}
     best = min(ratios, key=ratios.__getitem__, default=None)
@@ -77,7 +77,7 @@ def title(found: Discovery) -> str:
     """The answer in a line."""
     if found.outcome == "not_testable":
         return "These drives have too little excitation to show what may be missing"
-    effects = [by_any_name(found, e) for e in by_size(found.effects)]
+    effects = [with_alternatives(found, e) for e in by_size(found.effects)]
     together = map(ratio_to_file, found.known_together)
     named = "; ".join((*effects, *together) if _explains_most(found) else (*together, *effects))
     if found.outcome == "unknown":
@@ -114,7 +114,8 @@ def _errors(found: Discovery) -> str:
 
 def summary(found: Discovery, update: VehicleUpdate | None, findings: Mapping[str, Sequence[Finding]]
             ) -> list[tuple[str, str]]:
-    """Below the title: what is not known, and what to do, recordings first. findings: of the checks, by run."""
+    """(name, text) below the title: residual, inseparable and invisible effects, errors of the recordings, what to do.
+    findings: of the checks, by run."""
     unknown = [residual(found), not_separable(found), not_visible(found)]
     serious = [(one, names) for one, names in group_by_name(findings) if one.severity is not Severity.NOTE]
     recordings = ""
@@ -146,7 +147,7 @@ def drives(found: Discovery) -> list[tuple[str, str]]:
 
 
 def meaning(found: Discovery) -> list[str]:
-    """The equation of each effect, and what its value depends on or is known together with."""
+    """Equation of each effect, and the quantities and effects that its value depends on."""
     lines = []
     for effect in by_size(found.effects):
         kind = EFFECTS.get(effect.name)
@@ -182,7 +183,7 @@ def agreement(effect: FoundEffect) -> str:
 
 
 def certainty(found: Discovery) -> list[str]:
-    """The rule that decided, and how often it errs."""
+    """The rule that decided, and its measured false alarms."""
     lines = [reason.text for reason in found.reasons if reason.subject == "answer"]
     if found.certificate.driven:
         lines.append("with the same inputs and without any effect, something was stated "
@@ -191,7 +192,7 @@ def certainty(found: Discovery) -> list[str]:
 
 
 def residual(found: Discovery) -> str:
-    """The remaining error, against the noise."""
+    """The residual and the noise."""
     gap = found.gap.get("position_5s")
     if gap is None:
         return ""
@@ -209,7 +210,7 @@ def ratio_to_file(one: Combination) -> str:
 
 
 def not_separable(found: Discovery) -> str:
-    """Effects that explain the drives equally well, with the limits of that, or that only act as a pair."""
+    """Effects that explain the drives equally well, with the limits of that, or that cancel each other."""
     names = [" or ".join(map(plain, (e.name, *e.alternatives))) for e in found.effects if e.alternatives]
     pairs = [f"{plain(e.name)} with {', '.join(map(plain, e.joint))} (they cancel)" for e in found.effects if e.joint]
     limits = (f" (each explains {100 * LIMITS.rival:g} % or more of what the first does, and is not worse with p < "
@@ -262,7 +263,7 @@ def rank(name: str) -> tuple[bool, int]:
 
 
 def following(found: Discovery) -> str:
-    """The drive to do next, or nothing."""
+    """The next drive; "" for none."""
     n = found.next_manoeuvre
     if n is None:
         return ""
@@ -274,7 +275,7 @@ def following(found: Discovery) -> str:
 
 
 def assumed(found: Discovery) -> list[str]:
-    """The quantities taken from the vehicle file with their deviations, and what contradicts them."""
+    """Quantities of the vehicle file used as priors with their deviations, and effects that contradict them."""
     known = [f"{a.key} {decimal(a.value, _digits(a.deviation))} ± {decimal(a.deviation, _digits(a.deviation))} "
              f"{a.unit.removesuffix('1')}".rstrip() + ("" if a.stated else " (default)")
              for a in found.assumed if not a.key.startswith("tyre_")]
@@ -304,7 +305,7 @@ def corrections(found: Discovery) -> list[str]:
 
 
 def _vehicle_lines(found: Discovery, update: VehicleUpdate | None) -> list[str]:
-    """What the user may do about the vehicle file."""
+    """Recommendations on the vehicle file."""
     lines = []
     if update is not None and not update.text and not update.improves:
         where = f", and increase it in {', '.join(update.worse)}" if update.worse else ""
@@ -326,13 +327,13 @@ def _vehicle_lines(found: Discovery, update: VehicleUpdate | None) -> list[str]:
         alone = (f"; alone it reduces the position error after 5 s by {1.0 - update.error[1] / update.error[0]:.0%}"
                  if (found.minor or found.effective) and update.error[0] > 0.0 else "")
         lines.append(f"use vehicle.yaml: {entries}, for {', '.join(map(plain, update.folded))}{stable}{alone}")
-        lines += [f"vehicle.yaml contains the first of {by_any_name(found, e)}; these drives do not separate them: "
-                  "measure one of them on the car" for e in found.effects if e.name in update.folded and e.alternatives]
+        lines += [f"vehicle.yaml contains the first of {with_alternatives(found, e)}; these drives do not separate "
+                  "them: measure one of them on the car" for e in found.effects if e.name in update.folded and e.alternatives]
     return lines
 
 
 def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
-    """What the user may do with the answer."""
+    """Recommendations, the most important first."""
     lines = _vehicle_lines(found, update)
     for name, change_of in (update.kept if update is not None else {}).items():
         lines.append(f"{plain(name)} is in model.yaml: these recordings contain the road wheel angle, or play in the "
@@ -360,7 +361,7 @@ def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
         use = "" if found.effects or found.model is None else "predict with model.yaml; "
         lines.append(f"{use}weigh the car and compare its tyres with those of the vehicle file")
     if found.minor and found.effects:
-        kept = ", ".join(by_any_name(found, e) for e in found.minor)
+        kept = ", ".join(with_alternatives(found, e) for e in found.minor)
         lines.append(f"model.yaml also contains {kept}: part of the fit, not named and no property of the car")
     elif found.minor:
         lines.append(f"model.yaml contains {', '.join(plain(e.name) for e in found.minor)}: part of the fit, not named")
@@ -378,7 +379,7 @@ def keys(changes_of: Mapping[str, Sequence[float]]) -> str:
 def details(found: Discovery, update: VehicleUpdate | None) -> list[tuple[str, list[str]]]:
     """(question, lines of the answer) below the summary; empty answers are left out."""
     why = {r.subject: r.text for r in found.reasons if r.rule in (MINOR, FORCES)}
-    minor = [f"{by_any_name(found, e)}: {why[e.name]}" for e in by_size(found.minor) if e.name in why]
+    minor = [f"{with_alternatives(found, e)}: {why[e.name]}" for e in by_size(found.minor) if e.name in why]
     lines = [*((role, [text]) for role, text in drives(found)), ("meaning", meaning(found)),
              ("certainty", certainty(found)), ("not named", minor), ("what to do", to_do(found, update)[1:]),
              ("effective corrections", corrections(found)), ("taken from the vehicle file", assumed(found)),
@@ -387,7 +388,7 @@ def details(found: Discovery, update: VehicleUpdate | None) -> list[tuple[str, l
 
 
 def condition(w: WhereStatement) -> tuple[str, str]:
-    """Where an error is, and how many times the expected one it is (95 %)."""
+    """(condition of an error, ratio to the expected error with its 95 % interval)."""
     before = {"everywhere": "", "within": "", "speed": "at ", "lateral": "at ", "steering": "at ", "forward": "at "}
     where = before.get(w.condition.split()[0], "in ") + w.condition.replace("^2", "²")
     if w.excess > MAX_RATIO:
@@ -396,6 +397,6 @@ def condition(w: WhereStatement) -> tuple[str, str]:
 
 
 def worst_channel(found: Discovery, channels: Sequence[str]) -> str:
-    """The channel of the map: where the error exceeds the expected one most."""
+    """The channel with the largest excess over the expected error."""
     known = [w for w in found.where if w.channel in channels]
     return max(known, key=lambda w: w.interval[0]).channel if known else channels[0]
