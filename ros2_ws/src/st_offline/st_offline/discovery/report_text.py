@@ -328,7 +328,8 @@ def _vehicle_lines(found: Discovery, update: VehicleUpdate | None) -> list[str]:
                  if (found.minor or found.effective) and update.error[0] > 0.0 else "")
         lines.append(f"use vehicle.yaml: {entries}, for {', '.join(map(plain, update.folded))}{stable}{alone}")
         lines += [f"vehicle.yaml contains the first of {with_alternatives(found, e)}; these drives do not separate "
-                  "them: measure one of them on the car" for e in found.effects if e.name in update.folded and e.alternatives]
+                  "them: measure one of them on the car"
+                  for e in found.effects if e.name in update.folded and e.alternatives]
     return lines
 
 
