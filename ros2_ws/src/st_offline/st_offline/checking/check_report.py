@@ -86,10 +86,6 @@ def format_value(value: float | None, interval: Sequence[float] | None = None, o
     return f"{value:.{decimals}f} ± {0.5 * (low + high):.{decimals}f}{ending}"
 
 
-def format_finding_value(finding: Finding) -> str:
-    return format_value(finding.value, finding.interval, finding.unit)
-
-
 def format_quantity(name: str, value: Sequence[float]) -> str:
     """An estimate (value, low, high) as text, by the name of the finding it would be."""
     kind = name.rpartition("_")[2]
