@@ -16,7 +16,7 @@ import numpy as np
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_sim.car import GRAVITY
-from st_sim.dynamics import LEAN, LEAN_RATE, SQUAT, STATES, VX, VY, WIND_ARM, YAW, YAW_RATE, X, Y, Z, air_force
+from st_sim.dynamics import A_X, A_Y, A_Y_RATE, STATES, VX, VY, WIND_ARM, YAW, YAW_RATE, X, Y, Z, air_force
 from st_sim.environment import GUST_TIME, normal_stream, road_at, road_of
 from vehiclemodels.init_mb import init_mb
 
@@ -49,8 +49,8 @@ class Options(NamedTuple):
 
     level: pitch of the car at rest [rad], where the INS was levelled. nominal: steering ratio the programme is made
     for; ratio: of this car. play: half of it, at the hand wheel [rad]. memory: what a step leaves of an error of the
-    rack, for the lag. offset [rad]. to_rear, wheelbase [m]. drag_area [m^2]. calm: no wind. wind: towards north, gust:
-    standard deviation [m/s].
+    rack, for the lag. offset [rad]. to_rear, wheelbase [m]. drag_area [m^2]. still_air: no wind. wind: towards north,
+    gust: standard deviation [m/s].
     """
 
     level: float
@@ -62,7 +62,7 @@ class Options(NamedTuple):
     to_rear: float
     wheelbase: float
     drag_area: float
-    calm: bool
+    still_air: bool
     wind: float
     gust: float
 
@@ -71,9 +71,9 @@ def drive_multibody(car: str, settings: Mapping[str, float], programme: Programm
                     later: tuple[Mapping[str, float], int] | None = None, law: Law = NO_LAW) -> Recording:
     """A car of `multibody_car.CARS` drives one of the `programmes`, made for `nominal_car(car)`.
 
-    settings: what is hidden, others as in HEALTHY. later: other settings from that sample on. The recording is in the
-    columns of the virtual car, with roll [rad] as its lean and pitch [rad] as its squat, so that `sensing.log_of` reads
-    both. Raises Stopped; ValueError for a setting this plant does not have.
+    settings: what is hidden, others as in HEALTHY. later: other settings from that sample on. The recording has the
+    columns of the virtual car, with roll [rad] as A_Y and pitch [rad] as A_X, so that `sensing.log_of` reads both.
+    Raises Stopped; ValueError for a setting this plant does not have.
     """
     count = len(programme.hand)
     parts = [(settings, 0, count)] if later is None else [(settings, 0, later[1]), (later[0], later[1], count)]
@@ -130,7 +130,7 @@ def _run(car: str, s: Mapping[str, float], state: np.ndarray, programme: Program
     options = Options(
         level=rest_pitch(p), nominal=nominal, ratio=nominal * s["steering_ratio_factor"],
         play=s["steering_backlash"] / 2, memory=exp(-STEP / lag) if lag else 0.0, offset=s["steering_offset"],
-        to_rear=p.b, wheelbase=p.a + p.b, drag_area=s["drag_area"], calm=not (s["wind_speed"] or gust),
+        to_rear=p.b, wheelbase=p.a + p.b, drag_area=s["drag_area"], still_air=not (s["wind_speed"] or gust),
         wind=s["wind_speed"], gust=gust)
     delayed = np.full(round(s["steering_delay"] / STEP), state[BODY_STATES])
     if not compiled(_loop)(state, options, p, slippery, road_of(s), law, body, part.start or 0, delayed, gusts,
@@ -155,11 +155,11 @@ def _pushed(f, x, law, body, time, ax):
     f[P_YAW_RATE] += turning
 
 
-def rates(x, steering_rate, acceleration, here, p, drag_area, calm):
+def rates(x, steering_rate, acceleration, here, p, drag_area, still_air):
     """The package's 29 rates, then slope and wind. here: bank, grade [rad], wind towards x and y of the map [m/s]."""
     bank, grade, wind_x, wind_y = here
     f = dynamics(x, (steering_rate, acceleration), p)
-    air_x, air_y = air_force(calm, drag_area, x[P_YAW], x[P_VX], x[P_VY], wind_x, wind_y)
+    air_x, air_y = air_force(still_air, drag_area, x[P_YAW], x[P_VX], x[P_VY], wind_x, wind_y)
     aside = -GRAVITY * sin(bank)
     f[P_VX] += air_x / p.m - GRAVITY * sin(grade)
     f[P_VY] += air_y / p.m_s + aside
@@ -179,7 +179,7 @@ def _loop(state, o, p, slippery, road, law, body, first, delayed, gusts, hand, y
     for k in range(len(hand)):
         friction, bank, grade = road_at(road, x[0], x[P_YAW])
         tyres = p if friction == road.friction else slippery
-        f = rates(x, 0.0, pedal, (bank, grade, gust_x, o.wind + gust_y), tyres, o.drag_area, o.calm)
+        f = rates(x, 0.0, pedal, (bank, grade, gust_x, o.wind + gust_y), tyres, o.drag_area, o.still_air)
         time = (first + k) * DECIDE * STEP
         if law[0]:
             _pushed(f, x, law, body, time, pedal)
@@ -187,7 +187,7 @@ def _loop(state, o, p, slippery, road, law, body, first, delayed, gusts, hand, y
         row[:] = 0.0
         row[X], row[Y], row[Z], row[YAW] = x[0], x[1], -x[P_Z], x[P_YAW]
         row[VX], row[VY], row[YAW_RATE] = x[P_VX], x[P_VY], x[P_YAW_RATE]
-        row[LEAN], row[LEAN_RATE], row[SQUAT] = -x[P_ROLL], -x[P_ROLL_RATE], x[P_PITCH] - o.level
+        row[A_Y], row[A_Y_RATE], row[A_X] = -x[P_ROLL], -x[P_ROLL_RATE], x[P_PITCH] - o.level
         row[STATES], row[STATES + 1], row[STATES + 2], row[STATES + 3] = f[P_VX], f[P_VY], f[P_YAW_RATE], -x[P_VZ]
         row[RECORDED + 1], row[RECORDED + 2] = bank, grade
         if gain[k] and not looked:
@@ -216,12 +216,12 @@ def _loop(state, o, p, slippery, road, law, body, first, delayed, gusts, hand, y
             rack = late / o.ratio + o.memory * (rack - late / o.ratio)
             # The rate that brings the wheels to the rack position within the step.
             turn = (rack + o.offset - x[P_STEER]) / STEP
-            f = rates(x, turn, pedal, here, tyres, o.drag_area, o.calm)
+            f = rates(x, turn, pedal, here, tyres, o.drag_area, o.still_air)
             if law[0]:
                 _pushed(f, x, law, body, time, pedal)
             for i in range(BODY_STATES):
                 middle[i] = x[i] + STEP / 2 * f[i]
-            f = rates(middle, turn, pedal, here, tyres, o.drag_area, o.calm)
+            f = rates(middle, turn, pedal, here, tyres, o.drag_area, o.still_air)
             if law[0]:
                 _pushed(f, middle, law, body, time, pedal)
             for i in range(BODY_STATES):

@@ -12,7 +12,7 @@ from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs.ncom import to_body
 from st_sim.car import GRAVITY, Car
-from st_sim.dynamics import LEAN, LEAN_RATE, SQUAT, STATES, VX, VY, YAW, YAW_RATE, X, Y, Z
+from st_sim.dynamics import A_X, A_Y, A_Y_RATE, STATES, VX, VY, YAW, YAW_RATE, X, Y, Z
 from st_sim.sensors import NOISE, ROUGH_SPEED
 from st_sim.settings import Settings
 
@@ -65,10 +65,10 @@ def readings(recording: Recording, car: Car, settings: Settings, seed: int,
 
 def _clean(rows: np.ndarray, bank: np.ndarray, grade: np.ndarray, car: Car, s: Settings) -> np.ndarray:
     """(15, n), rows as CHANNELS: without noise, with the faults of the settings."""
-    x, y, yaw, vx, vy, r, lean, lean_rate, squat = rows[:, (X, Y, YAW, VX, VY, YAW_RATE, LEAN, LEAN_RATE, SQUAT)].T
+    x, y, yaw, vx, vy, r, a_y, a_y_rate, a_x = rows[:, (X, Y, YAW, VX, VY, YAW_RATE, A_Y, A_Y_RATE, A_X)].T
     vx_dot, vy_dot, r_dot, climb = rows[:, STATES:].T
-    roll, pitch = s["roll_gradient"] * lean + bank, s["pitch_gradient"] * squat + grade
-    roll_rate = s["roll_gradient"] * lean_rate
+    roll, pitch = s["roll_gradient"] * a_y + bank, s["pitch_gradient"] * a_x + grade
+    roll_rate = s["roll_gradient"] * a_y_rate
     dx, dy = car.cg_to_ins_x - s["cg_shift"] + s["ins_lever_error"], car.cg_to_ins_y
     c, sine = np.cos(yaw), np.sin(yaw)
     x, y, u, v = x + c * dx - sine * dy, y + sine * dx + c * dy, vx - r * dy, vy + r * dx

@@ -129,7 +129,7 @@ def test_a_recording_is_drawn_as_it_was_seen_live(circle, tmp_path: Path) -> Non
     done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
     assert int(re.search(r"(\d+) pictures", done.stdout).group(1)) > 5 * DURATION
     shown = subprocess.run(["rerun", "rrd", "print", str(file)], capture_output=True, text=True, check=True).stdout
-    wanted = {f"/{root}/{what}" for root in ("map", "ahead") for what in ("car", "track", "ghosts", "misses")}
+    wanted = {f"/{root}/{what}" for root in ("map", "ahead") for what in ("car", "track", "ghosts", "errors")}
     wanted |= {f"/{what}/{m}" for m in MODELS for what in ("map/paths", "ahead/paths", "ahead/names", "plots/lateral")}
     wanted |= {"/text", "/plots/steering/measured", "/plots/speed/measured", "/plots/lateral_acceleration/measured"}
     assert not {entity for entity in wanted if entity not in shown}

@@ -129,7 +129,7 @@ class Scene:
     """
 
     def __init__(self, recording: rr.RecordingStream, car: VehicleParameters):
-        self._rr, self._car = recording, car
+        self._stream, self._car = recording, car
         self._named: list[str] = []
         self._scored: set[str] = set()
         angle = np.linspace(0.0, 2.0 * math.pi, 73)
@@ -145,15 +145,15 @@ class Scene:
             self._series(f"plots/{name}/measured", unit, MEASURED_COLOUR)
 
     def _series(self, entity: str, name: str, colour: str) -> None:
-        self._rr.log(entity, rr.SeriesLines(colors=[rgb(colour)], names=[name], widths=[2.0]), static=True)
+        self._stream.log(entity, rr.SeriesLines(colors=[rgb(colour)], names=[name], widths=[2.0]), static=True)
 
     def motion(self, time_ns: int, velocity_x: float, yaw_rate: float, road_wheel_angle: float | None) -> None:
         """Points of the plots; road_wheel_angle in rad, None while unknown."""
         self._set_time(time_ns)
-        self._rr.log("plots/speed/measured", rr.Scalars([velocity_x]))
-        self._rr.log("plots/lateral_acceleration/measured", rr.Scalars([velocity_x * yaw_rate]))
+        self._stream.log("plots/speed/measured", rr.Scalars([velocity_x]))
+        self._stream.log("plots/lateral_acceleration/measured", rr.Scalars([velocity_x * yaw_rate]))
         if road_wheel_angle is not None:
-            self._rr.log("plots/steering/measured", rr.Scalars([math.degrees(road_wheel_angle)]))
+            self._stream.log("plots/steering/measured", rr.Scalars([math.degrees(road_wheel_angle)]))
 
     def error(self, end_ns: int, model: str, longitudinal: float, lateral: float) -> None:
         """Horizon means [m] of one forecast, drawn at the end of its horizon."""
@@ -162,12 +162,12 @@ class Scene:
             for quantity in ("lateral", "longitudinal"):
                 self._series(f"plots/{quantity}/{model}", model, colour_of(model))
         self._set_time(end_ns)
-        self._rr.log(f"plots/lateral/{model}", rr.Scalars([lateral]))
-        self._rr.log(f"plots/longitudinal/{model}", rr.Scalars([longitudinal]))
+        self._stream.log(f"plots/lateral/{model}", rr.Scalars([lateral]))
+        self._stream.log(f"plots/longitudinal/{model}", rr.Scalars([longitudinal]))
 
     def text(self, time_ns: int, markdown: str) -> None:
         self._set_time(time_ns)
-        self._rr.log("text", rr.TextDocument(markdown, media_type="text/markdown"))
+        self._stream.log("text", rr.TextDocument(markdown, media_type="text/markdown"))
 
     def paths(self, time_ns: int, pose: Pose, history: History) -> None:
         """Car, track, predictions with bands, and ghosts, in both pictures. pose: x, y [m], yaw [rad]."""
@@ -182,22 +182,22 @@ class Scene:
         colour = rgb(MEASURED_COLOUR, 0.6)
         self._log_lines(f"{root}/track", [project(track[:, 0], track[:, 1])], [colour], TRACK, order=0.0)
         self._log_lines(f"{root}/car", [project(*car_outline(pose, self._car))], [(20, 20, 20)], THICK, order=5.0)
-        ghosts, ghost_colours, misses, miss_colours = [], [], [], []
+        ghosts, ghost_colours, errors, error_colours = [], [], [], []
         for number, model in enumerate(history.models):
             self._log_name(model)
             path = history.newest(model, now_ns)
             self._log_lines(f"{root}/paths/{model}", [project(path.x, path.y)] if path else [], [rgb(colour_of(model))],
-                        MODEL_WIDTHS[min(number, len(MODEL_WIDTHS) - 1)], order=3.0 + 0.1 * number)
+                            MODEL_WIDTHS[min(number, len(MODEL_WIDTHS) - 1)], order=3.0 + 0.1 * number)
             self._ribbons(f"{root}/bands/{model}", project, path.ribbons if path else (), model, number)
             for age, ghost in history.ghosts(model, now_ns):
                 ghosts.append(project(ghost.x[::GHOST_STRIDE], ghost.y[::GHOST_STRIDE]))
                 ghost_colours.append(rgb(colour_of(model), GHOST_STRENGTH * (1.2 - 0.15 * age)))
             # A line from the car to the position predicted for now, a horizon ago.
             if point := history.expected(model, now_ns):
-                misses.append(project(np.array([pose[0], point[0]]), np.array([pose[1], point[1]])))
-                miss_colours.append(rgb(colour_of(model)))
+                errors.append(project(np.array([pose[0], point[0]]), np.array([pose[1], point[1]])))
+                error_colours.append(rgb(colour_of(model)))
         self._log_lines(f"{root}/ghosts", ghosts, ghost_colours, THIN, order=1.0)
-        self._log_lines(f"{root}/misses", misses, miss_colours, THICK, order=4.5)
+        self._log_lines(f"{root}/errors", errors, error_colours, THICK, order=4.5)
 
     def _ribbons(self, entity: str, project: Projection, ribbons: Sequence[Ribbon], model: str, number: int) -> None:
         """Fill the bands with lines from edge to edge, since Rerun cannot fill areas in 2D.
@@ -222,15 +222,15 @@ class Scene:
         if model not in self._named:
             corner = (-SIDEWAYS + 6.0, BEHIND - 7.0 - 5.0 * len(self._named))
             self._named.append(model)
-            self._rr.log(f"ahead/names/{model}", rr.Points2D(
+            self._stream.log(f"ahead/names/{model}", rr.Points2D(
                 [corner], colors=[rgb(colour_of(model))], radii=rr.Radius.ui_points(5.0), labels=[model],
                 show_labels=True), static=True)
 
     def _log_lines(self, entity: str, strips: Any, colours: list, width: Any, order: float) -> None:
-        self._rr.log(entity, rr.LineStrips2D(strips, colors=colours, radii=width, draw_order=order))
+        self._stream.log(entity, rr.LineStrips2D(strips, colors=colours, radii=width, draw_order=order))
 
     def _set_time(self, time_ns: int) -> None:
-        self._rr.set_time(TIMELINE, timestamp=np.datetime64(time_ns, "ns"))
+        self._stream.set_time(TIMELINE, timestamp=np.datetime64(time_ns, "ns"))
 
 
 def draw(path: Path, file: Path, vehicle: Path | None = None) -> int:

@@ -25,18 +25,19 @@ ROLL_FREQUENCY, ROLL_DAMPING = 12.6, 0.4
 PITCH_TIME, COMPLIANCE_TIME = 0.08, 0.01  # s, time constants of pitch with its load transfer, of steering compliance
 ROLLING_ONSET = 0.2  # m/s. Below, the rolling resistance decreases to 0, so that it cannot move a stationary car
 
-# Positions in the state tuple.
-X, Y, Z, YAW, VX, VY, YAW_RATE, RACK, GIVE, S_FL, S_FR, S_RL, S_RR, LEAN, LEAN_RATE, SQUAT = range(16)
-STATES = SQUAT + 1
+# Positions in the state tuple. RACK, COMPLIANCE_ANGLE: road-wheel angles [rad]; S_FL to S_RR: delayed slip; A_Y, A_X:
+# specific force at the CG [m/s^2], filtered by the roll and pitch dynamics.
+X, Y, Z, YAW, VX, VY, YAW_RATE, RACK, COMPLIANCE_ANGLE, S_FL, S_FR, S_RL, S_RR, A_Y, A_Y_RATE, A_X = range(16)
+STATES = A_X + 1
 
 
 class TyreLaw(NamedTuple):
-    """Coefficients of `tyre_force`; stiffness: p_ky1 F_z0 lambda [N/rad]; knee: 1 / (p_ky2 F_z0) [1/N]."""
+    """Coefficients of `tyre_force`; stiffness: p_ky1 F_z0 lambda [N/rad]; inverse_load: 1 / (p_ky2 F_z0) [1/N]."""
 
     nominal: float
     shape: float
     stiffness: float
-    knee: float
+    inverse_load: float
     p_ky4: float
     p_dy1: float
     p_dy2: float
@@ -70,7 +71,7 @@ class Constants(NamedTuple):
     transfer_y: float
     static_front: float
     static_rear: float
-    calm: bool
+    still_air: bool
     front: TyreLaw
     rear: TyreLaw
 
@@ -82,33 +83,20 @@ def constants(car: Car, settings: Settings, step: float) -> Constants:
     to_front = car.cg_to_front_axle - s["cg_shift"]
     to_rear = car.wheelbase - to_front
     return Constants(
-        mass=mass,
-        yaw_inertia=car.yaw_inertia * s["yaw_inertia_factor"],
-        to_front=to_front,
-        to_rear=to_rear,
-        # At least one step, for a stable integration.
-        lag=max(s["steering_lag"], step) if s["steering_lag"] else 0.0,
-        steering_offset=s["steering_offset"],
-        compliance=s["steering_compliance"],
-        roll_steer=s["roll_steer"],
-        rear_roll_steer=s["rear_roll_steer"],
-        roll_gradient=s["roll_gradient"],
-        camber=s["camber_thrust"],
+        mass=mass, yaw_inertia=car.yaw_inertia * s["yaw_inertia_factor"], to_front=to_front, to_rear=to_rear,
+        lag=max(s["steering_lag"], step) if s["steering_lag"] else 0.0,  # at least one step, for a stable integration
+        steering_offset=s["steering_offset"], compliance=s["steering_compliance"], roll_steer=s["roll_steer"],
+        rear_roll_steer=s["rear_roll_steer"], roll_gradient=s["roll_gradient"], camber=s["camber_thrust"],
         ackermann=s["ackermann"] * TRACK_WIDTH / (2 * car.wheelbase),
-        fastest=1.0 / step,
-        relaxation=s["relaxation_length"],
-        combined=s["combined_slip"],
-        rolling=s["rolling_resistance"],
-        drag_area=s["drag_area"],
-        drive_offset=s["drive_offset"],
+        fastest=1.0 / step, relaxation=s["relaxation_length"], combined=s["combined_slip"],
+        rolling=s["rolling_resistance"], drag_area=s["drag_area"], drive_offset=s["drive_offset"],
         transfer_x=s["longitudinal_load_transfer"] * mass * car.cg_height / car.wheelbase / 2,
         transfer_y=s["lateral_load_transfer"] * mass * car.cg_height / TRACK_WIDTH,
         static_front=mass * GRAVITY * to_rear / car.wheelbase / 2,
         static_rear=mass * GRAVITY * to_front / car.wheelbase / 2,
-        calm=not (s["wind_speed"] or s["gust_speed"]),
+        still_air=not (s["wind_speed"] or s["gust_speed"]),
         front=tyre_law(car.tyre_front, s["front_stiffness_factor"]),
-        rear=tyre_law(car.tyre_rear, s["rear_stiffness_factor"]),
-    )
+        rear=tyre_law(car.tyre_rear, s["rear_stiffness_factor"]))
 
 
 def tyre_law(tyre: Tyre, stiffness_factor: float) -> TyreLaw:
@@ -131,7 +119,7 @@ def tyre_force(law: TyreLaw, slip_angle: float, load: float, friction_factor: fl
 
     Source: the paper's appendix. Checked by: test_tyres.py (slope, peak, load dependency, lambda).
     """
-    nominal, shape, stiffness, knee, p_ky4, p_dy1, p_dy2, p_ey1, p_ey2, p_ey3 = law
+    nominal, shape, stiffness, inverse_load, p_ky4, p_dy1, p_dy2, p_ey1, p_ey2, p_ey3 = law
     excess = load / nominal - 1.0
     peak = (p_dy1 + p_dy2 * excess) * friction_factor * load
     curvature = p_ey1 + p_ey2 * excess
@@ -139,7 +127,7 @@ def tyre_force(law: TyreLaw, slip_angle: float, load: float, friction_factor: fl
         curvature *= 1.0 - p_ey3 * ((slip_angle > 0) - (slip_angle < 0))
     # E > 1, at loads below those measured, would bend the curve back beyond the peak.
     curvature = min(curvature, 1.0)
-    b_alpha = stiffness * sin(p_ky4 * atan(load * knee)) / (shape * peak) * slip_angle
+    b_alpha = stiffness * sin(p_ky4 * atan(load * inverse_load)) / (shape * peak) * slip_angle
     return peak * sin(shape * atan(b_alpha - curvature * (b_alpha - atan(b_alpha)))), peak
 
 
@@ -149,36 +137,36 @@ def lateral_share(longitudinal: float, peak: float) -> float:
     return sqrt(1.0 - used * used) if -1.0 < used < 1.0 else 0.0
 
 
-def wheel(contact: tuple[float, float, float], law: TyreLaw, friction: float, load: float, slip: float, slid: float,
-          rolled: float, pull: float) -> tuple[float, float, float]:
+def wheel(contact: tuple[float, float, float], law: TyreLaw, friction: float, load: float, slip: float, across: float,
+          along: float, drive: float) -> tuple[float, float, float]:
     """Lateral and longitudinal force of one wheel [N] and the rate of its delayed slip.
 
-    contact: relaxation length [m], share of combined slip, largest rate of the slip [1/s]. slip: delayed (state); slid,
-    rolled: velocity of the contact patch across and along the wheel [m/s]; pull: requested F_x [N].
+    contact: relaxation length [m], share of combined slip, largest rate of the slip [1/s]. slip: delayed (state).
+    across, along: velocity of the contact patch relative to the wheel plane [m/s]. drive: requested F_x [N].
     """
     relaxation, combined, fastest = contact
-    speed = abs(rolled)
-    steady = slid / (speed if speed > LOWEST_SLIP_SPEED else LOWEST_SLIP_SPEED)
+    speed = abs(along)
+    steady = across / (speed if speed > LOWEST_SLIP_SPEED else LOWEST_SLIP_SPEED)
     if relaxation:
-        pace = (speed if speed > LOWEST_SLIP_SPEED else LOWEST_SLIP_SPEED) / relaxation
-        rate = (pace if pace < fastest else fastest) * (steady - slip)
+        inverse_time = (speed if speed > LOWEST_SLIP_SPEED else LOWEST_SLIP_SPEED) / relaxation
+        rate = (inverse_time if inverse_time < fastest else fastest) * (steady - slip)
         if speed < CREEP_SPEED:
-            slip += CREEP_DAMPING * slid * (1.0 - speed / CREEP_SPEED)
+            slip += CREEP_DAMPING * across * (1.0 - speed / CREEP_SPEED)
     else:
         rate, slip = 0.0, steady
     lateral, peak = tyre_force(law, atan(slip), load, friction)
-    if abs(pull) > 0.98 * peak:
-        pull = 0.98 * peak if pull > 0 else -0.98 * peak
+    if abs(drive) > 0.98 * peak:
+        drive = 0.98 * peak if drive > 0 else -0.98 * peak
     if combined:
-        lateral *= 1.0 - combined + combined * lateral_share(pull, peak)
-    return lateral, pull, rate
+        lateral *= 1.0 - combined + combined * lateral_share(drive, peak)
+    return lateral, drive, rate
 
 
-def air_force(calm: bool, drag_area: float, yaw: float, vx: float, vy: float, wind_x: float,
+def air_force(still_air: bool, drag_area: float, yaw: float, vx: float, vy: float, wind_x: float,
               wind_y: float) -> tuple[float, float]:
     """Drag and side force [N] in body axes; the side force is that of the wind alone, 0 in still air."""
     along, across, own = -vx, -vy, hypot(vx, vy)
-    if calm:
+    if still_air:
         return 0.5 * AIR_DENSITY * own * drag_area * along, 0.0
     cosine, sine = cos(yaw), sin(yaw)
     along, across = along + wind_x * cosine + wind_y * sine, across + wind_y * cosine - wind_x * sine
@@ -197,13 +185,13 @@ def derivative(s: Sequence[float], rack_target: float, drive_force: float, here:
     """
     (mass, yaw_inertia, to_front, to_rear, lag, steering_offset, compliance, roll_steer, rear_roll_steer, roll_gradient,
      camber, ackermann, fastest, relaxation, combined, rolling, drag_area, drive_offset, transfer_x, transfer_y,
-     static_front, static_rear, calm, front, rear) = c
-    (_, _, _, yaw, vx, vy, r, rack, give, s_fl, s_fr, s_rl, s_rr, lean, lean_rate, squat) = s
+     static_front, static_rear, still_air, front, rear) = c
+    (_, _, _, yaw, vx, vy, r, rack, compliance_angle, s_fl, s_fr, s_rl, s_rr, a_y, a_y_rate, a_x) = s
     friction, bank, grade, wind_x, wind_y = here
     half_track = TRACK_WIDTH / 2
-    roll = roll_gradient * lean
+    roll = roll_gradient * a_y
 
-    steer = rack + steering_offset + roll_steer * roll - give
+    steer = rack + steering_offset + roll_steer * roll - compliance_angle
     sine = sin(steer)
     split = ackermann * sine * sine
     steer_l, steer_r = steer + split, steer - split
@@ -212,33 +200,33 @@ def derivative(s: Sequence[float], rack_target: float, drive_force: float, here:
 
     # Loads: static plus transfer by the filtered accelerations.
     normal = cos(bank) * cos(grade)
-    pitch_load = transfer_x * squat
-    sway = transfer_y * lean
-    sway_front, sway_rear = ROLL_SHARE_FRONT * sway, (1.0 - ROLL_SHARE_FRONT) * sway
+    pitch_load = transfer_x * a_x
+    transfer = transfer_y * a_y
+    transfer_front, transfer_rear = ROLL_SHARE_FRONT * transfer, (1.0 - ROLL_SHARE_FRONT) * transfer
     load_front, load_rear = static_front * normal - pitch_load, static_rear * normal + pitch_load
-    load_fl, load_fr = max(load_front - sway_front, MINIMUM_LOAD), max(load_front + sway_front, MINIMUM_LOAD)
-    load_rl, load_rr = max(load_rear - sway_rear, MINIMUM_LOAD), max(load_rear + sway_rear, MINIMUM_LOAD)
+    load_fl, load_fr = max(load_front - transfer_front, MINIMUM_LOAD), max(load_front + transfer_front, MINIMUM_LOAD)
+    load_rl, load_rr = max(load_rear - transfer_rear, MINIMUM_LOAD), max(load_rear + transfer_rear, MINIMUM_LOAD)
 
     # Velocity of each contact patch, turned into its wheel.
     left_x, right_x, front_y, rear_y = vx - r * half_track, vx + r * half_track, vy + r * to_front, vy - r * to_rear
-    rolled_fl, slid_fl = left_x * cos_l + front_y * sin_l, front_y * cos_l - left_x * sin_l
-    rolled_fr, slid_fr = right_x * cos_r + front_y * sin_r, front_y * cos_r - right_x * sin_r
-    slid_rl, slid_rr = rear_y - left_x * steer_rear, rear_y - right_x * steer_rear
+    along_fl, across_fl = left_x * cos_l + front_y * sin_l, front_y * cos_l - left_x * sin_l
+    along_fr, across_fr = right_x * cos_r + front_y * sin_r, front_y * cos_r - right_x * sin_r
+    across_rl, across_rr = rear_y - left_x * steer_rear, rear_y - right_x * steer_rear
 
     if drive_force >= 0.0:
-        pull_front, pull_rear = drive_force / 2, 0.0
+        drive_front, drive_rear = drive_force / 2, 0.0
     else:
-        pull_front, pull_rear = drive_force * BRAKE_SHARE_FRONT / 2, drive_force * (1.0 - BRAKE_SHARE_FRONT) / 2
+        drive_front, drive_rear = drive_force * BRAKE_SHARE_FRONT / 2, drive_force * (1.0 - BRAKE_SHARE_FRONT) / 2
     contact = relaxation, combined, fastest
-    y_fl, x_fl, rate_fl = wheel(contact, front, friction, load_fl, s_fl, slid_fl, rolled_fl, pull_front)
-    y_fr, x_fr, rate_fr = wheel(contact, front, friction, load_fr, s_fr, slid_fr, rolled_fr, pull_front)
-    y_rl, x_rl, rate_rl = wheel(contact, rear, friction, load_rl, s_rl, slid_rl, left_x, pull_rear)
-    y_rr, x_rr, rate_rr = wheel(contact, rear, friction, load_rr, s_rr, slid_rr, right_x, pull_rear)
+    y_fl, x_fl, rate_fl = wheel(contact, front, friction, load_fl, s_fl, across_fl, along_fl, drive_front)
+    y_fr, x_fr, rate_fr = wheel(contact, front, friction, load_fr, s_fr, across_fr, along_fr, drive_front)
+    y_rl, x_rl, rate_rl = wheel(contact, rear, friction, load_rl, s_rl, across_rl, left_x, drive_rear)
+    y_rr, x_rr, rate_rr = wheel(contact, rear, friction, load_rr, s_rr, across_rr, right_x, drive_rear)
     axle_front = y_fl + y_fr
     if camber:
-        lean_out = camber * roll
-        y_fl, y_fr = y_fl - lean_out * load_fl, y_fr - lean_out * load_fr
-        y_rl, y_rr = y_rl - lean_out * load_rl, y_rr - lean_out * load_rr
+        thrust = camber * roll
+        y_fl, y_fr = y_fl - thrust * load_fl, y_fr - thrust * load_fr
+        y_rl, y_rr = y_rl - thrust * load_rl, y_rr - thrust * load_rr
 
     # Into body axes. The rear wheels steer by less than 1 deg: first order is exact to 1e-5.
     bx_fl, by_fl = x_fl * cos_l - y_fl * sin_l, x_fl * sin_l + y_fl * cos_l
@@ -246,7 +234,7 @@ def derivative(s: Sequence[float], rack_target: float, drive_force: float, here:
     bx_rl, by_rl = x_rl - y_rl * steer_rear, y_rl + x_rl * steer_rear
     bx_rr, by_rr = x_rr - y_rr * steer_rear, y_rr + x_rr * steer_rear
 
-    air_x, air_y = air_force(calm, drag_area, yaw, vx, vy, wind_x, wind_y)
+    air_x, air_y = air_force(still_air, drag_area, yaw, vx, vy, wind_x, wind_y)
     resistance = rolling * mass * GRAVITY * normal * min(max(vx / ROLLING_ONSET, -1.0), 1.0)
     force_x = bx_fl + bx_fr + bx_rl + bx_rr + air_x - resistance
     force_y = by_fl + by_fr + by_rl + by_rr + air_y
@@ -263,11 +251,11 @@ def derivative(s: Sequence[float], rack_target: float, drive_force: float, here:
     rates = (
         vx * flat * cos_yaw - vy * sin_yaw, vx * flat * sin_yaw + vy * cos_yaw, climb, r, vx_dot, vy_dot, r_dot,
         (rack_target - rack) / lag if lag else 0.0,
-        (compliance * axle_front - give) / COMPLIANCE_TIME if compliance else 0.0,
+        (compliance * axle_front - compliance_angle) / COMPLIANCE_TIME if compliance else 0.0,
         rate_fl, rate_fr, rate_rl, rate_rr,
-        lean_rate, ROLL_FREQUENCY * (ROLL_FREQUENCY * (specific_y - lean) - 2 * ROLL_DAMPING * lean_rate),
-        (specific_x - squat) / PITCH_TIME,
+        a_y_rate, ROLL_FREQUENCY * (ROLL_FREQUENCY * (specific_y - a_y) - 2 * ROLL_DAMPING * a_y_rate),
+        (specific_x - a_x) / PITCH_TIME,
     )
     wheels = (steer, (y_fl, y_fr, y_rl, y_rr), (x_fl, x_fr, x_rl, x_rr), (load_fl, load_fr, load_rl, load_rr),
-              (slid_fl, slid_fr, slid_rl, slid_rr), (rolled_fl, rolled_fr, left_x, right_x))
+              (across_fl, across_fr, across_rl, across_rr), (along_fl, along_fr, left_x, right_x))
     return rates, wheels

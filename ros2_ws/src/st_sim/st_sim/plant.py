@@ -22,9 +22,10 @@ from typing import NamedTuple
 
 from .car import Car
 from .dynamics import (
-    GIVE,
-    LEAN,
-    LEAN_RATE,
+    A_X,
+    A_Y,
+    A_Y_RATE,
+    COMPLIANCE_ANGLE,
     LOWEST_SLIP_SPEED,
     PITCH_TIME,
     RACK,
@@ -32,7 +33,6 @@ from .dynamics import (
     S_FR,
     S_RL,
     S_RR,
-    SQUAT,
     STATES,
     VX,
     VY,
@@ -151,12 +151,12 @@ class Plant:
     @property
     def body_roll(self) -> float:
         """Roll relative to the road [rad], right side down positive (outwards in a left turn)."""
-        return self.settings["roll_gradient"] * self.state[LEAN]
+        return self.settings["roll_gradient"] * self.state[A_Y]
 
     @property
     def body_pitch(self) -> float:
         """Pitch relative to the road [rad], nose up positive."""
-        return self.settings["pitch_gradient"] * self.state[SQUAT]
+        return self.settings["pitch_gradient"] * self.state[A_X]
 
     def step(self, steering_wheel_angle: float, drive_force: float) -> None:
         """Advance by one time step.
@@ -198,9 +198,9 @@ class Plant:
     def _at_rest(self, s: Sequence[float]) -> tuple[float, ...]:
         """State at rest with brakes applied: no velocity, no slip; roll and pitch decay."""
         values = list(s)
-        for i in (VX, VY, YAW_RATE, GIVE, S_FL, S_FR, S_RL, S_RR):
+        for i in (VX, VY, YAW_RATE, COMPLIANCE_ANGLE, S_FL, S_FR, S_RL, S_RR):
             values[i] = 0.0
-        for i in (LEAN, LEAN_RATE, SQUAT):
+        for i in (A_Y, A_Y_RATE, A_X):
             values[i] *= 1.0 - self.time_step / PITCH_TIME
         return tuple(values)
 

@@ -4,7 +4,7 @@ from math import sin
 
 from .car import Car
 from .driver import FASTEST_HAND, HARDEST_BRAKING, HARDEST_DRIVE, Driver
-from .plant import DRIVE, LEAN_RATE, RACK, VX, VY, YAW, YAW_RATE, Plant, Truth, X, Y, Z
+from .plant import A_Y_RATE, DRIVE, RACK, VX, VY, YAW, YAW_RATE, Plant, Truth, X, Y, Z
 from .scenarios import Plan
 from .settings import Settings
 
@@ -54,7 +54,7 @@ class SimulatedCar:
                      steering_wheel_angle=self.driver.steering_wheel_angle, steering_wheel_rate=self._hand_rate,
                      road_wheel_angle=forces.road_wheel_angle, roll=plant.body_roll + plant.here.bank_angle,
                      pitch=plant.body_pitch + plant.here.grade_angle,
-                     roll_rate=0.0 if plant.parked else plant.settings["roll_gradient"] * s[LEAN_RATE],
+                     roll_rate=0.0 if plant.parked else plant.settings["roll_gradient"] * s[A_Y_RATE],
                      wheel_speed=forces.wheel_speed, gear=DRIVE, forces=forces, surroundings=plant.here._asdict())
 
 

@@ -23,7 +23,7 @@ from ..map_drawing import History, Path, car_outline
 NEWEST = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 SCORES = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)  # those of one instant arrive together
 LIFETIME = Duration(sec=1)  # markers of a suite that has ended disappear
-TEXT_HEIGHT, CAR_WIDTH, MISS_WIDTH, GHOST_WIDTH, TRACK_WIDTH = 1.2, 0.15, 0.25, 0.1, 0.6  # m
+TEXT_HEIGHT, CAR_WIDTH, ERROR_WIDTH, GHOST_WIDTH, TRACK_WIDTH = 1.2, 0.15, 0.25, 0.1, 0.6  # m
 GHOST_ALPHA = 0.4
 RIBBON_ALPHA = {0.9: 0.15, 0.5: 0.3}
 RIBBON_STRIDE = 4  # every RIBBON_STRIDE-th point is drawn
@@ -56,8 +56,8 @@ class MarkersNode(Node):
                 self._publish_error(message)
         sample = None
         for message, _, _ in self._odometry.take():
-            read = convert.ins_sample(message, self._map_frame)
-            sample = sample if isinstance(read, str) else read
+            newest = convert.ins_sample(message, self._map_frame)
+            sample = sample if isinstance(newest, str) else newest
         if sample is not None:
             self._history.add_pose(sample.time_ns, sample.x, sample.y)
             self._markers.publish(MarkerArray(markers=self._picture(sample)))
@@ -74,21 +74,21 @@ class MarkersNode(Node):
     def _picture(self, sample: InsSample) -> list[Marker]:
         now_ns = sample.time_ns
         track = np.array([(x, y) for _, x, y in self._history.track])
-        pictures = [
+        markers = [
             self._line("track", 0, now_ns, track[:, 0], track[:, 1], MEASURED_COLOUR, TRACK_WIDTH, 0.5, z=-0.2),
             self._line("car", 0, now_ns, *car_outline((sample.x, sample.y, sample.yaw), self._car), "#141414",
                        CAR_WIDTH),
         ]
         for number, model in enumerate(self._history.models):
-            pictures += [self._line("ghosts", 10 * number + round(age), now_ns, ghost.x, ghost.y, colour_of(model),
-                                    GHOST_WIDTH, GHOST_ALPHA, z=-0.1)
-                         for age, ghost in self._history.ghosts(model, now_ns)]
+            markers += [self._line("ghosts", 10 * number + round(age), now_ns, ghost.x, ghost.y, colour_of(model),
+                                   GHOST_WIDTH, GHOST_ALPHA, z=-0.1)
+                        for age, ghost in self._history.ghosts(model, now_ns)]
             if point := self._history.expected(model, now_ns):
-                pictures.append(self._line("errors", number, now_ns, [sample.x, point[0]], [sample.y, point[1]],
-                                           colour_of(model), MISS_WIDTH, z=0.1))
+                markers.append(self._line("errors", number, now_ns, [sample.x, point[0]], [sample.y, point[1]],
+                                          colour_of(model), ERROR_WIDTH, z=0.1))
             if path := self._history.newest(model, now_ns):
-                pictures.append(self._name(number, now_ns, model, path))
-        return pictures
+                markers.append(self._name(number, now_ns, model, path))
+        return markers
 
     def _ribbons(self, now_ns: int) -> list[Marker]:
         """The bands of the newest predictions, the 50 % one on the 90 % one; namespace: the model."""
