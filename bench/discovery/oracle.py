@@ -56,7 +56,7 @@ class Judge:
         self.size: np.ndarray | None = None
 
     def errors(self, at: Point) -> np.ndarray:
-        return self._windows.errors(at.model, at.gain).values
+        return self._windows.errors(at.model, at.gain)
 
     def sized_by(self, at: Point) -> None:
         self.size = sizes(self.errors(at))
@@ -148,7 +148,7 @@ class Oracle:
 
     def _z(self, x: np.ndarray) -> np.ndarray:
         at = self._at(x)
-        return scaled(self._windows.errors(at.model, at.gain).values, self._size)
+        return scaled(self._windows.errors(at.model, at.gain), self._size)
 
     def _cost(self, x: np.ndarray) -> float:
         return float(np.log1p(np.square(self._z(x)) / TAIL).sum())
@@ -158,7 +158,7 @@ class Oracle:
         free = np.arange(len(self._x))
         for _ in range(ROUNDS):
             at = self._at(self._x)
-            self._size = sizes(self._windows.errors(at.model, at.gain).values)
+            self._size = sizes(self._windows.errors(at.model, at.gain))
             z = self._z(self._x)
             j = self._slopes = self._differences(z)
             weight = 1.0 / (1.0 + np.square(z) / TAIL)

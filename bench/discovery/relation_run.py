@@ -62,7 +62,7 @@ def proposed_model(search: RelationSearch) -> AugmentedModel | None:
 
 def position(windows: RunWindows, model: AugmentedModel) -> float:
     """Mean position error after 5 s [m]."""
-    last = windows.errors(model).values[:, -1, windows.columns.index("position_lateral"):][:, :2]
+    last = windows.errors(model)[:, -1, windows.columns.index("position_lateral"):][:, :2]
     return float(np.mean(np.minimum(np.nan_to_num(np.hypot(*last.T), nan=FURTHEST, posinf=FURTHEST), FURTHEST)))
 
 

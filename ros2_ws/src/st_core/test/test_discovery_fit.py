@@ -37,7 +37,7 @@ def test_roll_of_the_body_adds_to_what_is_felt_and_not_to_the_bias_of_the_sensor
     logs = [replace(log, acceleration_y=(1.0 + gain) * (log.acceleration_y - bias) + bias)
             for log in recorded(leaf, effects, 1, ("slalom", "lane_change"), noise=0.0)]
     windows = Windows(logs, leaf, DiscoverySettings())
-    left = {g: windows.errors(augment("nonlinear", effects), g).values[..., windows.columns.index("acceleration_y")]
+    left = {g: windows.errors(augment("nonlinear", effects), g)[..., windows.columns.index("acceleration_y")]
             for g in (0.0, gain)}
     size = {g: np.sqrt(np.nanmean(np.square(errors))) for g, errors in left.items()}
     assert size[gain] < 0.2 * size[0.0]

@@ -32,7 +32,7 @@ from .where_parts import (
     membership,
     range_text,
 )
-from .windows import STEP, Errors, Windows
+from .windows import STEP, Windows
 
 SHORT_HORIZON = 1.0  # s, of errors of velocity, rate and acceleration: near the place where they arise
 RESAMPLES = 1000  # of the bootstrap
@@ -70,9 +70,8 @@ def window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: Vehi
                   settings: DiscoverySettings, gain: float = 0.0) -> Samples:
     """Errors and conditions of all windows of the runs, see `windows.Windows`."""
     windows = Windows(runs, vehicle, settings)
-    errors = windows.errors(model, gain)
-    squares = _squares(errors)
-    rows = [_of_run(log, windows.seconds[windows.run == number], float(errors.time[-1]))
+    squares = _squares(windows, np.square(windows.errors(model, gain)))
+    rows = [_of_run(log, windows.seconds[windows.run == number], float(windows.time[-1]))
             for number, log in enumerate(runs)]
     place = {name: np.concatenate([r[name] for r in rows]) for name in rows[0]}
     known = np.isfinite(np.stack([*squares.values(), *place.values()])).all(axis=0)
@@ -82,12 +81,12 @@ def window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: Vehi
                    {channel: values[known] for channel, values in squares.items()})
 
 
-def _squares(errors: Errors) -> dict[str, np.ndarray]:
+def _squares(windows: Windows, squares: np.ndarray) -> dict[str, np.ndarray]:
     """(n,) by channel: mean square error over the first second; where errors add up, at the end of the horizon."""
-    short = errors.time <= max(SHORT_HORIZON, float(errors.time[0]))
+    short = windows.time <= max(SHORT_HORIZON, float(windows.time[0]))
     found: dict[str, np.ndarray] = {}
-    for index, column in enumerate(errors.columns):
-        channel, square = OF_COLUMN[column], np.square(errors.values[..., index])
+    for column, square in zip(windows.columns, np.moveaxis(squares, -1, 0), strict=True):
+        channel = OF_COLUMN[column]
         value = square[:, -1] if channel.adds_up else square[:, short].mean(axis=1)
         found[channel.name] = found.get(channel.name, 0.0) + value
     return found

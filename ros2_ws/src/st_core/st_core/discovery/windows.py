@@ -8,7 +8,7 @@ this assumption has decayed.
 from collections import OrderedDict
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -110,16 +110,6 @@ def _remember(cache: OrderedDict, key: tuple, value: Any, size: int = RECORDING_
     return value
 
 
-@dataclass(frozen=True, eq=False)
-class Errors:
-    """Errors of a model. values: (n, k, c), measured minus predicted, SI, columns as `columns`; NaN where not known.
-    time: (k,) after the start [s]."""
-
-    values: np.ndarray
-    columns: tuple[str, ...]
-    time: np.ndarray
-
-
 def score_points(settings: DiscoverySettings) -> np.ndarray:
     """Multiples of STEP after the start at which predictions are scored."""
     first = 0.0 if "velocity_y" in settings.channels else SIDESLIP_SETTLING_TIME
@@ -135,7 +125,7 @@ def prepared(log: DriveLog, vehicle: VehicleParameters, settings: DiscoverySetti
 
 class Windows:
     """The windows of some runs. starts_ns: (n,) on the common clock; run, block: (n,) numbers; seconds: (n,) from the
-    start of the run."""
+    start of the run; time: (k,) scored points after the start of a window [s]; columns: (c,) names of the errors."""
 
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings):
         self.vehicle, self.settings = vehicle, settings
@@ -188,7 +178,7 @@ class Windows:
     def known(self) -> np.ndarray:
         """(n, m) whether an error has a measurement, and inputs up to it; points and columns of a window in one row."""
         measured = [np.isfinite([self._measured[name] for name in channel.signals]).all(axis=0)
-                 for channel in self.channels for _ in channel.columns]
+                    for channel in self.channels for _ in channel.columns]
         return (np.stack(measured, axis=-1) & self._with_inputs[..., None]).reshape(len(self), -1)
 
     @cached_property
@@ -212,13 +202,16 @@ class Windows:
             return {"x": x[:, 0], "y": y[:, 0], "speed": np.nan_to_num(speed).mean(axis=1),
                     "lateral_acceleration": np.abs(np.nan_to_num(rate * speed)).mean(axis=1)}
 
-    def errors(self, model: AugmentedModel, gain: float = 0.0) -> Errors:
-        """Errors of a model. gain: relative excess of the accelerometer over the motion, as from body roll [1]."""
-        shown, true = self._seen(model, gain)
-        parts = [part for channel in self.channels for part in channel.residuals(self._measured, shown, true)]
-        return Errors(np.stack(parts, axis=-1), self.columns, self.time)
+    def errors(self, model: AugmentedModel, gain: float = 0.0) -> np.ndarray:
+        """(n, k, c) errors of a model, measured minus predicted [SI], by `time` and `columns`; NaN where not known.
 
-    def _seen(self, model: AugmentedModel, gain: float) -> tuple[Measured, Measured]:
+        gain [1]: relative excess of the accelerometer over the motion, as from body roll.
+        """
+        shown, true = self._predicted_readings(model, gain)
+        parts = [part for channel in self.channels for part in channel.residuals(self._measured, shown, true)]
+        return np.stack(parts, axis=-1)
+
+    def _predicted_readings(self, model: AugmentedModel, gain: float) -> tuple[Measured, Measured]:
         """INS readings at the scored points with and without sensor errors; acceleration and yaw rate as means over
         2 STEP, like the measurements. The gain applies to the true specific force, before the sensor errors."""
         states = self._batch.predict(model, self.vehicle).states

@@ -21,7 +21,7 @@ COUNT = 8
 MAX_HEIGHT = 100.0  # usual sizes, bound of the coefficients
 INTERVALS = 5.0
 MOTION = ("steering", "acceleration_y", "acceleration_x", "speed", "yaw_rate", "north", "east", "position_x",
-         "position_y")
+          "position_y")
 INPUTS = ("slip_front", "slip_rear", *MOTION)
 BY = ("steering", "acceleration_y")
 PLACES = {

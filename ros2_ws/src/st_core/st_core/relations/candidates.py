@@ -18,19 +18,18 @@ QUANTITIES = {"slip_front": "rad", "slip_rear": "rad", "steering": "rad", "accel
               "acceleration_x": "m/s^2", "speed": "m/s", "yaw_rate": "rad/s", "steering_rate": "rad/s",
               "lagging_steering": "rad", "lean": "m/s^2", "north": "1", "east": "1", "position_x": "m",
               "position_y": "m", "run_time": "s"}
-"""Unit by quantity. lean: lateral acceleration with the lag of the body roll. north, east: sine, cosine of the
-course."""
+"""Unit by quantity. lean: lateral acceleration with the lag of the body roll. north, east: sine and cosine of yaw."""
 MIN_RANGES = {"slip_front": 0.005, "slip_rear": 0.005, "steering": 0.01, "acceleration_y": 0.5, "acceleration_x": 0.3,
-         "speed": 1.0, "yaw_rate": 0.03, "steering_rate": 0.03, "lagging_steering": 0.01, "lean": 0.5, "north": 0.1,
-         "east": 0.1, "position_x": 20.0, "position_y": 20.0, "run_time": 10.0}
+              "speed": 1.0, "yaw_rate": 0.03, "steering_rate": 0.03, "lagging_steering": 0.01, "lean": 0.5,
+              "north": 0.1, "east": 0.1, "position_x": 20.0, "position_y": 20.0, "run_time": 10.0}
 """Smallest driven range of a quantity with candidates; narrower ones are mostly noise and road unevenness."""
 MEMORY = {"steering_rate": ("steering", "rate", 0.1), "lagging_steering": ("steering", "lagging", 0.2),
           "lean": ("acceleration_y", "lagging", 0.15)}
 """Quantity with memory -> (source, kind, lag [s])."""
 ALL_PLACES = {**PLACES, "both_grip": ("1", "of the lateral force of both axles, as a share of it")}
 USUAL_SIZES = {"front_steer": 0.005, "rear_steer": 0.005, "front_force": 0.02, "rear_force": 0.02, "front_grip": 0.1,
-         "rear_grip": 0.1, "both_grip": 0.1, "yaw_moment": 0.05, "side_force": 0.1, "sensor_yaw_rate": 0.005,
-         "sensor_acceleration_y": 0.2, "sensor_velocity_y": 0.05, "sensor_heading": 0.005}
+               "rear_grip": 0.1, "both_grip": 0.1, "yaw_moment": 0.05, "side_force": 0.1, "sensor_yaw_rate": 0.005,
+               "sensor_acceleration_y": 0.2, "sensor_velocity_y": 0.05, "sensor_heading": 0.005}
 """Usual size of a relation, by place, in its unit."""
 SMOOTHING_NS = 400_000_000  # ns, of the forward speed before its derivative, against the noise of the INS
 FACTORS = {"steering": 0.1, "acceleration_y": 3.0, "steering_rate": 0.3}
