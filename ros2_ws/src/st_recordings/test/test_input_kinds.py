@@ -424,6 +424,18 @@ def test_the_clock_of_a_vbo_is_aligned_with_a_can_log(tmp_path: Path, drive) -> 
     assert aligned.alignment.offset_ns - reference.alignment.offset_ns == pytest.approx(moved, abs=10_000_000)
 
 
+def test_a_vbo_without_steering_takes_that_of_the_can_log(tmp_path: Path, drive) -> None:
+    head, mark, data = vbo(drive[1]).partition("[data]\n")
+    rows = "\n".join(row.rpartition(" ")[0] for row in data.splitlines())
+    (tmp_path / "run.vbo").write_text(head.replace("\nSteer\n", "\n").replace(" Steer\n", "\n") + mark + rows + "\n")
+    (tmp_path / "run.log").write_bytes((drive[0] / "run.log").read_bytes())
+    for given in ([tmp_path], [tmp_path / "run.vbo", tmp_path / "run.log"]):
+        (found,) = find_runs(given)
+        run = read(found, CAR)
+        assert len(found.can) == 1 and run.log.duration == pytest.approx(drive[1].duration, abs=0.1)
+        assert "acceleration_x" not in run.auxiliary.missing  # it was not recorded
+
+
 def test_a_cut_blf_is_read_up_to_the_cut_with_a_warning(tmp_path: Path, drive) -> None:
     (tmp_path / "run.ncom").write_bytes((drive[0] / "run.ncom").read_bytes())
     blf = tmp_path / "run.blf"

@@ -62,7 +62,7 @@ def test_what_has_no_partner_says_so(tmp_path: Path) -> None:
     assert len(runs) == 2
     assert all("give them the same name, or list the files of each run" in str(run.problem) for run in runs)
     alone = find_runs(touch(tmp_path / "alone", "d.log"))
-    assert "no INS recording (.ncom, CSV, bag) belongs to this CAN log" in str(alone[0].problem)
+    assert "no INS recording (.ncom, CSV, VBO, bag) belongs to this CAN log" in str(alone[0].problem)
     lonely = find_runs(touch(tmp_path / "lonely", "e.ncom"))
     assert "no CAN log has the same stem" in str(lonely[0].problem)
 

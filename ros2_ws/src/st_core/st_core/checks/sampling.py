@@ -87,11 +87,11 @@ def _missing_values(channel: str, count: int, motion: Motion, auxiliary: Auxilia
         share = count / max(len(time) + count, 1)
         rate = _slower_rate(time, rows * 1e-9, share)
     if rate:
-        text = (f"{channel}: {100 * share:.2g} % of the rows hold no value, and those that do are evenly spaced: it "
+        text = (f"{channel}: {100 * share:.3g} % of the rows hold no value, and those that do are evenly spaced: it "
                 f"was recorded at {rate:.3g} Hz")
         advice = "nothing, if that is the rate of the sensor"
     else:
-        text = f"{channel}: {count} rows hold no usable value ({100 * share:.2g} %); they were left out"
+        text = f"{channel}: {count} rows hold no usable value ({100 * share:.3g} %); they were left out"
         advice = "look at what the logger writes there"
     severity = Severity.NOTE if rate or share <= NOTE_SHARE else Severity.WARNING
     return Finding("values_missing", severity, (channel,), text, share, advice=Advice("look", advice))
@@ -145,7 +145,7 @@ def _check_stamps(signal: str, stamps: np.ndarray) -> list[Finding]:
         where = tuple((float(t), float(t)) for t in (newest[back] - stamps[0])[:20] * 1e-9)
         if reset:
             text = (f"the stamps of the {signal} go back {int(back.sum())} time{'s' if back.sum() > 1 else ''}, by up "
-                    f"to {largest:.4g} s: {count} of {len(stamps)} rows ({100 * share:.2g} %) are not used")
+                    f"to {largest:.4g} s: {count} of {len(stamps)} rows ({100 * share:.3g} %) are not used")
             advice = "look at the logger: its clock was set back, or it restarted; split the recording there into runs"
         else:
             text = (f"{count} of {len(stamps)} stamps of the {signal} "

@@ -89,7 +89,7 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
     trials = max(round(float(known.sum()) * spacing), 1)  # errors of neighbouring samples are not independent
     ends = binomtest(round(share * trials), trials).proportion_ci(method="wilson")
     interval = min(float(ends.low), share), max(float(ends.high), share)
-    text = (f"at {100 * share:.2g} % of the rows the position falls back to one measured {usual * 1e3:.0f} ms earlier, "
+    text = (f"at {100 * share:.3g} % of the rows the position falls back to one measured {usual * 1e3:.0f} ms earlier, "
             "and catches up later: in between it is one sample of the receiver old")
     severity = Severity.WARNING if share > WARNING_STALE_SHARE else Severity.NOTE
     stale = (back | forward) & (np.abs(age) < 1.6 * usual) & (across < MAX_CROSS_TRACK_SHARE * np.abs(errors))

@@ -101,9 +101,10 @@ def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
     wheel = settings.steering_sign * steering.values[good]
     accelerations = dict(zip(OPTIONAL_INS_SIGNALS, ins.acceleration, strict=False))
     missing = {name: int(np.isnan(values).sum()) for name, values in accelerations.items()}
+    missing = {name: count for name, count in missing.items() if count < len(ins.time_ns)}  # else it was not recorded
     warnings += [f"{source.where}: {name}: {share(count, len(ins.time_ns), 'samples')} have no value; "
                  f"it is not {'known there' if is_mostly_known(accelerations[name]) else 'used'}"
-                 for name, count in missing.items() if 0 < count < len(ins.time_ns)]
+                 for name, count in missing.items() if count]
     missing["road_wheel_angle"] = int((~steering.valid).sum())
     log = drive_log(
         source.where, source.name, ins_time_ns=ins.time_ns, x=ins.position[0], y=ins.position[1], yaw=ins.yaw,

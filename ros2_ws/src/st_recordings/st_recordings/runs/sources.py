@@ -162,7 +162,7 @@ def _unmatched(recordings: Sequence[Path], readers: dict[Path, Reader], logs: Se
         advice = "give both, or list the files of the run in a run.yaml"
         if tables:
             advice += f"; it can name columns that are not recognised in {tables[0]}, as columns: {{x: NAME, ...}}"
-        yield _failed(file, RunError(file, "no INS recording (.ncom, CSV, bag) belongs to this CAN log", advice))
+        yield _failed(file, RunError(file, "no INS recording (.ncom, CSV, VBO, bag) belongs to this CAN log", advice))
 
 
 def _logs_of(file: Path, files: Sequence[Path]) -> list[Path]:

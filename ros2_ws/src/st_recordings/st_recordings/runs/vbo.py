@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .columns import COLUMNS, UNITS, Layout, Place, find_columns, normalised, unit_named, with_units
+from .columns import COLUMNS, UNITS, Layout, Place, doubtful_steering, find_columns, normalised, unit_named, with_units
 from .csv_table import DAY, Table, table_of, text_of, with_seconds
 from .errors import RunError, check_readable
 
@@ -23,6 +23,7 @@ _STANDARD_CHANNELS = {"lat": ("latitude", "min"), "latitude": ("latitude", "min"
                       "heading": ("compass_heading", "deg"), "time": ("t", "s")}
 # Units of the maker's loggers for other channels, where [channel units] gives none.
 _DEFAULT_UNITS = {"angular rate": "deg/s", "acceleration": "g", "angle": "deg", "speed": "km/h", "length": "m"}
+HEADER_SIZE = 65536  # bytes, in which the column names are
 MAX_DAMAGED_TIMES = 0.01  # share of single times that are none, up to which the others are HHMMSS
 TRUE_HEADING_NAMES = ("trueheading", "truehead", "headingtrue", "heading2", "dualantennaheading")
 MIN_HEADING_AGREEMENT = 0.5
@@ -40,12 +41,11 @@ def read_vbo(file: Path, layout: Layout) -> Table:
     """
     check_readable(file)
     text = text_of(file)
-    parts = _SECTION.split(text)
-    sections = {name.strip().lower(): content for name, content in zip(parts[1::2], parts[2::2], strict=True)}
+    sections = _sections(text)
     if not {"column names", "data"} <= sections.keys():
         raise RunError(file, "this is not a VBO file: sections [column names] and [data] are missing",
                        "correct its extension")
-    names = [name.strip('"') for name in re.findall(r'"[^"\n]*"|\S+', sections["column names"])]
+    names = _names(sections)
     places = _places(file, names, sections, layout)
     warnings: list[str] = []
     body = re.sub(r"[ \t]+", " ", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", sections["data"]))
@@ -62,6 +62,25 @@ def read_vbo(file: Path, layout: Layout) -> Table:
         place = replace(place, stated=False)
     table = table_of(file, names, body, " ", layout, warnings, {**places, "t": place})
     return _with_motion(table, names, warnings)
+
+
+def lacks_steering(file: Path) -> bool:
+    """Whether [column names] has no steering angle, of either kind."""
+    try:
+        names = _names(_sections(text_of(file, HEADER_SIZE)))
+        found = find_columns(file, names, Layout())
+    except (RunError, OSError):  # the reader names what is wrong
+        return False
+    return bool(names) and not {"road_wheel_angle", "steering_wheel_angle"} & {*found} and not doubtful_steering(names)
+
+
+def _sections(text: str) -> dict[str, str]:
+    parts = _SECTION.split(text)
+    return {name.strip().lower(): content for name, content in zip(parts[1::2], parts[2::2], strict=True)}
+
+
+def _names(sections: dict[str, str]) -> list[str]:
+    return [name.strip('"') for name in re.findall(r'"[^"\n]*"|\S+', sections.get("column names", ""))]
 
 
 def _places(file: Path, names: list[str], sections: dict[str, str], layout: Layout) -> dict[str, Place]:

@@ -12,7 +12,7 @@ from ..columns import Layout
 from ..csv_table import Table, join_tables, read_table
 from ..ins_log import InsLog
 from ..run_types import LoadedRun, ReadSettings, RunSource
-from ..vbo import read_vbo
+from ..vbo import lacks_steering, read_vbo
 from . import Reader, register
 
 
@@ -35,4 +35,4 @@ def _register(kind: str, table_of: Callable[[Path, Layout], Table], **more: Call
 
 _register("csv", read_table, has_drive=csv.has_drive_columns, is_incomplete=csv.looks_like_a_drive,
           lacks_steering=csv.lacks_steering)
-_register("vbo", read_vbo)
+_register("vbo", read_vbo, lacks_steering=lacks_steering)
