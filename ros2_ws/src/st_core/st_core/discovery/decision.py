@@ -239,14 +239,14 @@ def decide(a: Answer, limits: Limits) -> tuple[Outcome, Reason]:
     def because(outcome: Outcome, text: str, **figures: float) -> tuple[Outcome, Reason]:
         return outcome, Reason(outcome, "answer", figures, text)
 
-    kept = {name: [r for r in others if alternative(r, limits).rule == "alternative"]
+    equal = {name: [r for r in others if alternative(r, limits).rule == "alternative"]
             for name, others in a.rivals.items()}
     if len(a.stated) > 1:
         return because("several", f"{len(a.stated)} effects are significant, relevant and not known to vary",
                        effects=len(a.stated))
     if a.stated:
         name = a.stated[0].name
-        others = kept.get(name, [])
+        others = equal.get(name, [])
         if others:
             return because("ambiguous", f"{1 + len(others)} names explain it equally well", names=1 + len(others))
         return because("named", "one effect is significant, relevant and not known to vary")

@@ -288,9 +288,9 @@ class _Work:
 
     def _cancelling(self, search: Search, found: Found, name: str) -> tuple[str, ...]:
         """Effects of the answer that cancel this one: removing both raises the loss much less than removing one."""
-        fit, alone = found.fit, search.promised(found.fit, name)
-        return tuple(n for n in fit.names if n != name and search.promised(fit, n, name)
-                     < self.limits.rival * max(alone, search.promised(fit, n)))
+        fit, alone = found.fit, search.predicted_rise(found.fit, name)
+        return tuple(n for n in fit.names if n != name and search.predicted_rise(fit, n, name)
+                     < self.limits.rival * max(alone, search.predicted_rise(fit, n)))
 
     def _assumed(self) -> tuple[Assumed, ...]:
         """The quantities of the vehicle file that are priors."""

@@ -396,7 +396,7 @@ def null_p_value(problem: Problem, fit: Fit, effect: str) -> float:
     return float(stats.f.sf(square * freedom / (len(own) * max(problem.blocks - 1, 1)), len(own), freedom))
 
 
-def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, called: list[str]) -> Agreement:
+def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, names: list[str]) -> Agreement:
     """The value of an effect in each part of the driving, compared by a random-effects model.
 
     Along the fitted values d, the share of a part is a = 1 + the step of its own gradient; the other fitted
@@ -416,7 +416,7 @@ def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, called:
     design = max(float((everything @ (blocks.T @ blocks) @ everything)[0, 0] / max(everything[0, 0], 1e-30)), 0.5)
     prior = PART_PRIOR * whole / len(h)
     prior[0, :] = prior[:, 0] = 0.0
-    shares, variances, names = [], [], []
+    shares, variances, informative = [], [], []
     total = 1.0 / max(everything[0, 0], 1e-30)
     for k in range(len(h)):
         own_inverse = inverse(h[k] + prior)
@@ -425,8 +425,8 @@ def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, called:
             continue
         shares.append(1.0 + float((own_inverse @ g[k])[0]))
         variances.append(design / information)
-        names.append(called[k])
-    return pooled(np.array(shares), np.array(variances), names)
+        informative.append(names[k])
+    return pooled(np.array(shares), np.array(variances), informative)
 
 
 def pooled(shares: np.ndarray, variances: np.ndarray, names: list[str]) -> Agreement:

@@ -39,12 +39,13 @@ def bounded(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> 
             x[first], fixed[first] = low[first] if step[first] < 0 else high[first], True
             continue
         x = x + step
-        pull = b - a @ x
-        inwards = np.where(fixed & (x <= low) & (x < high), pull, np.where(fixed & (x >= high) & (x > low), -pull, 0.0))
-        most = int(np.argmax(inwards))
-        if inwards[most] <= 1e-9 * max(1.0, float(np.abs(b).max())):
+        slope = b - a @ x
+        inwards = np.where(fixed & (x <= low) & (x < high), slope,
+                           np.where(fixed & (x >= high) & (x > low), -slope, 0.0))
+        steepest = int(np.argmax(inwards))
+        if inwards[steepest] <= 1e-9 * max(1.0, float(np.abs(b).max())):
             break
-        fixed[most] = False
+        fixed[steepest] = False
     return x
 
 
@@ -66,9 +67,9 @@ class Slopes:
         square = float(step @ step)
         if square == 0.0:
             return self
-        missed = taken - np.tensordot(step, self.values, 1)
-        missed[~np.isfinite(missed)] = 0.0  # of a window that diverges at one of the two vectors
-        return Slopes(vector, self.indices, self.values + (step / square)[:, None, None] * missed)
+        error = taken - np.tensordot(step, self.values, 1)
+        error[~np.isfinite(error)] = 0.0  # of a window that diverges at one of the two vectors
+        return Slopes(vector, self.indices, self.values + (step / square)[:, None, None] * error)
 
     def renewed(self, indices: np.ndarray, values: np.ndarray) -> "Slopes":
         """The slopes with those of some parameters replaced."""
@@ -138,8 +139,8 @@ class Problem:
     def sizes(self, rows: np.ndarray) -> np.ndarray:
         """(c,) root mean square error of each column over the horizon [SI], clipped at MAX_SCALED scales of the
         baseline errors."""
-        most = MAX_SCALED * self._scale_of_start
-        square = np.square(np.clip(np.nan_to_num(rows, nan=np.inf), -most, most))
+        limit = MAX_SCALED * self._scale_of_start
+        square = np.square(np.clip(np.nan_to_num(rows, nan=np.inf), -limit, limit))
         points = np.where(self.loss.known, square, 0.0).sum(axis=0) / np.maximum(self.loss.known.sum(axis=0), 1)
         return np.sqrt(points.reshape(len(self.errors.windows.time), -1).mean(axis=0))
 
@@ -205,12 +206,13 @@ class Problem:
         """
         q = self.quadratic_of_all(vector)
         information = np.diag(q.hessian.sum(axis=0))
-        seen = information > 1e-9 * information.sum()
+        informative = information > 1e-9 * information.sum()
         found = [1.0]
         for part in (self.block, self.errors.windows.run):
-            gradient = q.summed(part).gradient[:, seen]
+            gradient = q.summed(part).gradient[:, informative]
             if len(gradient) > 2:
-                found.append(float(np.median(2.0 * len(gradient) * gradient.var(axis=0, ddof=1) / information[seen])))
+                variance = 2.0 * len(gradient) * gradient.var(axis=0, ddof=1)
+                found.append(float(np.median(variance / information[informative])))
         self.design = max(found)
 
     def distance(self, vector: np.ndarray) -> np.ndarray:
@@ -230,12 +232,12 @@ class Problem:
                 indices: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
         """A function of a Hessian (a, a) and a gradient (a,) that gives the best step (a,) from the vector."""
         held, room = self.prior_curvature(names, indices), self.distance_to_bounds(vector, indices)
-        pulled = held @ self.distance(vector)[indices]
+        prior_gradient = held @ self.distance(vector)[indices]
 
         def best_step(h: np.ndarray, g: np.ndarray) -> np.ndarray:
             if not len(indices):
                 return np.zeros(0)
-            return bounded(ridge(h + held), g - pulled, *room)
+            return bounded(ridge(h + held), g - prior_gradient, *room)
         return best_step
 
     def cost(self, names: Iterable[str], vector: np.ndarray, indices: np.ndarray) -> float:

@@ -55,11 +55,11 @@ def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameter
     recorded = slice(2 * lead, None, 2)
     specific_force = added_acceleration(model, vehicle, states, wheels[recorded], forward[recorded])
     true = true._replace(acceleration_x=0.0 * a_y, acceleration_y=a_y + specific_force)
-    seen = model.observe(true)
+    readings = model.observe(true)
     time_ns = times_ns[recorded] - times_ns[2 * lead]
-    return DriveLog(manoeuvre.name, time_ns, seen.x, seen.y, seen.yaw, seen.velocity_x, seen.velocity_y, seen.yaw_rate,
-                    time_ns, angle[recorded].copy(), acceleration_x=seen.acceleration_x,
-                    acceleration_y=seen.acceleration_y)
+    return DriveLog(manoeuvre.name, time_ns, *readings[:6],  # x, y, yaw, velocities, yaw rate
+                    time_ns, angle[recorded].copy(), acceleration_x=readings.acceleration_x,
+                    acceleration_y=readings.acceleration_y)
 
 
 def simulated(windows: Windows, base: Model) -> Iterator[tuple[Manoeuvre, Windows]]:

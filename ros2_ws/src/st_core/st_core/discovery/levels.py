@@ -22,7 +22,7 @@ def levels(windows: Windows) -> dict[str, Level]:
              "condition": conditions(driven["speed"], driven["lateral_acceleration"])}
     if site.max() + 1 == len(windows.names):
         del parts["site"]  # the same as the runs
-    return {name: (number, called) for name, (number, called) in parts.items() if len(np.unique(number)) > 1}
+    return {name: level for name, level in parts.items() if len(np.unique(level[0])) > 1}
 
 
 def runs(windows: Windows) -> Level:

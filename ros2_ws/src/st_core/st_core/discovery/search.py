@@ -277,9 +277,9 @@ class Search:
         """The fit without the effects that are redundant with the others."""
         p = self.problem
         while len(fit.names) > max(len(self._required), 1):
-            promised = {n: self.promised(fit, n) for n in fit.names if n not in self._required}
-            weakest = min(promised, key=promised.__getitem__)
-            if promised[weakest] > 3.0 * self.limits.relevant * p.number:
+            rise = {n: self.predicted_rise(fit, n) for n in fit.names if n not in self._required}
+            weakest = min(rise, key=rise.__getitem__)
+            if rise[weakest] > 3.0 * self.limits.relevant * p.number:
                 return fit
             without = self._refit_without(fit, weakest)
             if self._judge(self._evidence(without, fit, weakest, scores), self.limits).rule == STATED:
@@ -287,7 +287,7 @@ class Search:
             fit = without
         return fit
 
-    def promised(self, fit: Fit, *names: str) -> float:
+    def predicted_rise(self, fit: Fit, *names: str) -> float:
         """Increase of the loss without some effects of a fit, by its quadratic."""
         p = self.problem
         rest = tuple(n for n in fit.names if n not in names)
@@ -314,8 +314,8 @@ class Search:
         everything = p.everything(vector)
         q = p.quadratic_of_all(vector)
 
-        def cost(kept: list[str]) -> float:
-            free = np.isin(everything.indices, p.free_indices(kept))
+        def cost(selected: list[str]) -> float:
+            free = np.isin(everything.indices, p.free_indices(selected))
             back = np.where(free, 0.0, -p.distance(vector))
             return _constrained_step(p, q, vector, everything.indices, back, free)[0]
 
@@ -361,11 +361,11 @@ class Search:
         found.cached_scores = found.cached_scores or self._scores(found.fit)
         found.evidence, found.without = {}, {}
         for name in (n for n in found.fit.names if n not in self._required):
-            promised = self.promised(found.fit, name) / p.number
-            if promised > 3.0 * enough:
+            rise = self.predicted_rise(found.fit, name) / p.number
+            if rise > 3.0 * enough:
                 without = found.without[name] = found.fit
                 e = self._evidence(found.fit, found.fit, name, found.scores)
-                found.evidence[name] = replace(e, gain=promised, chance=0.0)
+                found.evidence[name] = replace(e, gain=rise, chance=0.0)
                 continue
             without = found.without[name] = self._refit_without(found.fit, name)
             found.evidence[name] = self._evidence(without, found.fit, name, found.scores)

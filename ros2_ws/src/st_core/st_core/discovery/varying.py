@@ -52,7 +52,7 @@ def varying(problem: Problem, fit: Fit, levels: Mapping[str, Level]) -> list[Var
 def _by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, level: Level,
              tests: int) -> Varying | None:
     """One effect on one level; None without two parts that have information. tests: number of them (Bonferroni)."""
-    space, (number, called) = problem.space, level
+    space, (number, names) = problem.space, level
     own = space.indices(effect)
     others = np.setdiff1d(problem.free_indices(fit.names) if problem.prior is None else space.indices(*fit.names), own)
     h = q.hessian.sum(axis=0)
@@ -76,7 +76,7 @@ def _by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, l
     chance = min(tests * float(stats.f.sf(2.0 * gain / design / freedom, freedom, blocks)), 1.0)
     best = int(np.argmax(information))
     value, scale = float(fit.vector[own[best]]), space.scale[own[best]]
-    values = {called[k]: (value + scale * float((inverse(hk) @ gk)[best]),
+    values = {names[k]: (value + scale * float((inverse(hk) @ gk)[best]),
                           scale * float(np.sqrt(0.5 * design * inverse(hk)[best, best]))) for k, gk, hk in parts}
     steps = {int(k): projection @ (inverse(hk) @ gk) for k, gk, hk in parts}
     return Varying(effect, name, gain / problem.number, chance, space.free[own[best]].parameter, values, steps)
