@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from ..augmented import AugmentedModel
 from ..corrections import Correction, apply_corrections
 from ..errors import StCoreError
 from ..log import DriveLog
@@ -179,6 +180,8 @@ def _step_advice(models: Sequence[Model], vehicle: VehicleParameters, speeds: Se
     needed = slip_speed_needed(models, vehicle, speeds, step)
     if needed is not None:
         line = f'minimum_slip_speed: {{value: {needed:g}, unit: m/s, source: "stable with steps of {1e3 * step:g} ms"}}'
+        if any(isinstance(model, AugmentedModel) for model in models):
+            line += "  # a model file belongs to its vehicle file: run st discover again with this one"
         return needed, "m/s", Advice("vehicle", line, {"minimum_slip_speed": needed})
     shorter = next((step / parts for parts in STEP_DIVISORS if stable(models, vehicle, speeds, step / parts)), None)
     if shorter is not None:
