@@ -151,6 +151,7 @@ def test_a_new_car_fails_for_what_is_to_be_filled_in_and_nothing_else(new):
     for key in ("name", *MEASUREMENT_HINTS):
         assert sum(f"vehicle.yaml: {key}:" in line for line in said) == 1
     assert any("signals.yaml: messages: FILL_IN_message" in line for line in said)
+    assert any(line.endswith("drive_front: not filled in, value and source; 0 to 1") for line in said)
 
 
 def test_a_new_car_that_is_filled_in_can_be_used(new):
