@@ -72,7 +72,7 @@ def _frame():
 
 @pytest.fixture
 def until():
-    """until(condition): waits for it, at most ten seconds, and says whether it came."""
+    """until(condition): waits for it, at most ten seconds, and returns whether it became true."""
 
     def wait(condition, limit: float = 10.0) -> bool:
         end = time.monotonic() + limit

@@ -1,4 +1,4 @@
-"""Checksum rules on recorded bytes, and what the counter makes of a sequence."""
+"""Checksum rules on recorded bytes, and verdicts of the counter on sequences."""
 
 import pytest
 from canedge_bridge.checks import RULES, CounterCheck, Field, checksum_of

@@ -1,4 +1,4 @@
-"""Frames to signals and back, by recorded bytes and by numbers; bad frames change nothing."""
+"""Frames to signals and back, with recorded bytes and known values; bad frames change nothing."""
 
 import math
 
@@ -18,7 +18,7 @@ def steering(decoder, count, angle=0.1):
 
 
 def spoiled(frame):
-    """The same frame with a wrong checksum: one payload bit flipped, so that the check sees it."""
+    """The same frame with a wrong checksum: one payload bit flipped, which the check detects."""
     return can.Message(arbitration_id=frame.arbitration_id, is_extended_id=False,
                        data=bytes([frame.data[0] ^ 1]) + bytes(frame.data[1:]))
 
@@ -154,7 +154,7 @@ def test_an_impossible_angle_updates_nothing(decoder):
 
 
 def test_a_swapped_byte_order_is_found_on_a_turning_wheel(decoder, dbc_file, signals_file):
-    """Low byte and high byte exchanged on the wire: what a DBC with the wrong order would see."""
+    """Low byte and high byte exchanged, as decoded by a DBC with the wrong byte order."""
     assert decoder.implausible_signals() == []
     passed = 0
     for count in range(200):

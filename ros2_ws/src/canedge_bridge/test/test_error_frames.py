@@ -1,4 +1,4 @@
-"""Error frames in words, bits as in linux/can/error.h."""
+"""Text of error frames, bits as in linux/can/error.h."""
 
 import can
 import pytest

@@ -66,7 +66,7 @@ class Rig:
             self.node.create_subscription(kind, topic, self.seen[topic].append, 1000)
 
     def spin(self, condition, limit=20.0, feed=None) -> bool:
-        """Until the condition holds; feed() is called every 10 ms."""
+        """Spin until the condition is true; feed() is called every 10 ms."""
         end, due = time.monotonic() + limit, 0.0
         while not condition():
             if time.monotonic() > end:

@@ -1,4 +1,4 @@
-"""Range and rate of a signal, and when it counts as nonsense."""
+"""Range and rate checks of a signal, and when it is withheld."""
 
 import math
 

@@ -192,7 +192,7 @@ def test_an_exception_in_the_report_of_a_state_does_not_end_the_thread(bus, fram
 
 
 def test_stamps_of_a_foreign_clock_are_replaced(start_receiver, until):
-    """Some adapters count from when they were powered."""
+    """Some adapters count from power-on."""
     message = data_frame()
     message.timestamp = 12.5
     before = time.time_ns()
@@ -219,7 +219,7 @@ def test_stop_closes_the_bus_and_may_come_twice_or_early(start_receiver, until):
 
 
 def test_a_vanished_interface_is_seen_where_the_socket_is_quiet(start_receiver, until):
-    """The state of the link comes from the kernel's own files."""
+    """The state of the link is read from the kernel's files."""
     receiver = start_receiver(lambda: ScriptedBus([]), network_interface="lo")
     assert until(lambda: receiver.status().opened == 1)
     assert receiver.status().state is BusState.SILENT

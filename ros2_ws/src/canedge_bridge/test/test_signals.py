@@ -1,4 +1,4 @@
-"""The table against the DBC: what is refused, and that the sentence names file, key and limit."""
+"""The table against the DBC: refusals, with file, key and limit in the message."""
 
 import math
 
@@ -103,7 +103,7 @@ def test_a_dbc_that_makes_nonsense_of_the_wheel_is_refused(layout, message, chan
 
 
 def test_a_sensor_that_counts_the_other_way_is_not_nonsense(changed_dbc, signals_file):
-    """Sign is what steering_sign is for."""
+    """The sign is set by steering_sign."""
     path = changed_dbc(ANGLE, ANGLE.replace("-0.1", "0.1"))
     assert "Leaf_Steering" in load_table(path, signals_file).messages
 

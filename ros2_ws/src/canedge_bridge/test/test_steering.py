@@ -1,4 +1,4 @@
-"""Sign, offset and ratio by numbers."""
+"""Sign, offset and ratio with known values."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Opening buses, and the loopback bus: who hears what, and that nothing leaves the machine."""
+"""Opening buses, and the loopback bus: receivers, and that nothing leaves the machine."""
 
 import os
 import socket
@@ -103,7 +103,7 @@ def test_groups_that_share_a_port_are_separate_buses(channel, frame):
 
 
 def test_nothing_leaves_the_machine(channel):
-    """The kernel's own list of who joined which group, and the sender's options."""
+    """The kernel's list of group members, and the options of the sender."""
     with open_bus("udp_multicast", channel) as bus:
         wanted = socket.inet_aton(GROUP)[::-1].hex().upper()
         device, joined = "", set()

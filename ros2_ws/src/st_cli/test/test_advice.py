@@ -1,4 +1,4 @@
-"""st evaluate --advise: which model and step is the cheapest that is good enough."""
+"""st evaluate --advise: the cheapest model and step within a tolerance."""
 
 import csv
 from dataclasses import replace
@@ -19,7 +19,7 @@ TIME = 0.05 * np.arange(1, 101)
 
 
 def runs(count: int, size: float) -> list[RunSamples]:
-    """Errors across that grow to `size` at 5 s, drawn; half of the starts at 7, half at 13 m/s, there four times so."""
+    """Random errors across that grow to `size` at 5 s; half of the starts at 7 m/s, half at 13, four times larger."""
     found = []
     for k in range(count):
         draw = np.random.default_rng([5, k])

@@ -1,4 +1,4 @@
-"""st calibrate and st evaluate --bands as a user starts them, on drives whose answer is known."""
+"""st calibrate and st evaluate --bands as a user starts them, on drives with known errors."""
 
 import json
 import shutil

@@ -129,7 +129,7 @@ def new(tmp_path):
 
 
 def fill_in(folder):
-    """What an owner would write: values of the Leaf, and its steering message."""
+    """A completed folder: values of the Leaf, and its steering message."""
     file = folder / "vehicle.yaml"
     lines = {line.split(":")[0]: line for line in (config("car/leaf") / "vehicle.yaml").read_text().splitlines()}
     file.write_text("\n".join(lines[key] if "FILL_IN" in line and (key := line.split(":")[0]) in lines else line

@@ -1,4 +1,4 @@
-"""st check as a user starts it, and the same findings in the other verbs: real drives, whole and spoilt."""
+"""st check as a user starts it, and the same findings in the other verbs: real drives, unchanged and corrupted."""
 
 import csv
 import html

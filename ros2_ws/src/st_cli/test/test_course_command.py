@@ -18,7 +18,7 @@ def st(*arguments):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Two drives along the same way, one of them slower; a course of the faster one."""
+    """Two drives along the same road, one of them slower; a course of the faster one."""
     base = tmp_path_factory.mktemp("course")
     write_drive(base / "old.csv", weave(40.0))
     write_drive(base / "new.csv", weave(24.0))

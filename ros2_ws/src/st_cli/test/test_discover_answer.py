@@ -1,4 +1,4 @@
-"""What st discover says of an answer, in words, on the page and in its figures; answers kept; lists of references."""
+"""Answers of st discover in text, page and figures; cached answers; lists of references."""
 
 import html
 import json

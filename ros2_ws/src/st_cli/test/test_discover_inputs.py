@@ -1,4 +1,4 @@
-"""Inputs of st discover: drives, model files, and what it refuses in one line."""
+"""Inputs of st discover: drives, model files, and refusals in one line."""
 
 import json
 from dataclasses import replace
@@ -109,7 +109,7 @@ def test_a_drive_cannot_be_its_own_reference(drive, tmp_path):
 
 
 def test_a_reference_of_another_car_is_refused(drive, tmp_path):
-    """Recordings of the suite carry their vehicle file; its name says which car it is."""
+    """Recordings of the suite contain their vehicle file, whose name identifies the car."""
     def of(car_name, file):
         read = read_drive(find_runs([write_drive(tmp_path / file, weave(9.0))])[0], car(LEAF), ReadSettings())
         digest = {"files": {file: file}, "vehicle": car_name}
@@ -182,7 +182,7 @@ def test_a_run_too_short_says_what_is_needed(tmp_path, monkeypatch):
 
 
 def answer(tmp_path, *rows, change=str):
-    """(discovery.json, what was said) of drives made of rows, with the noise of an INS; no figures."""
+    """(discovery.json, output) of drives made of rows, with the noise of an INS; no figures."""
     rng, files = np.random.default_rng(5), []
     for number, given in enumerate(rows):
         noisy = given.copy()

@@ -1,4 +1,4 @@
-"""st effects as a user starts it, and a proposed effect file wherever a model file is taken."""
+"""st effects as a user starts it, and a proposed effect file in every verb that accepts a model file."""
 
 import json
 import sys
@@ -30,7 +30,7 @@ registry = pytest.fixture(autouse=True)(restored)
 
 @pytest.fixture
 def law(tmp_path):
-    """A folder with a rear axle that steers with the lateral acceleration, as it is proposed."""
+    """A folder with a proposed effect: a rear axle that steers with the lateral acceleration."""
     c = Candidate("rear_steer", "acceleration_y", -1.0, -6.0, 6.0)
     at = np.linspace(-6.0, 6.0, 41)
     heights = np.linalg.lstsq(c.splines(at).T, 0.001 * at, rcond=1e-6)[0]

@@ -1,4 +1,4 @@
-"""st evaluate as a user starts it, on drives whose answer is known, and on files that are none."""
+"""st evaluate as a user starts it, on drives with known errors, and on invalid files."""
 
 import json
 import re

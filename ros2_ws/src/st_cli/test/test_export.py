@@ -1,4 +1,4 @@
-"""`st export`: what is written can be loaded or compiled elsewhere and gives the numbers of the equations."""
+"""`st export`: exported functions can be loaded or compiled and agree with the equations."""
 
 import ctypes
 import json

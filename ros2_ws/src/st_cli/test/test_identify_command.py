@@ -23,7 +23,7 @@ def st(*arguments):
 
 @pytest.fixture(scope="module")
 def chain(tmp_path_factory):
-    """The four tables one after another, each on the vehicle file of the one before."""
+    """The four tables in sequence, each with the vehicle file of the previous one."""
     base = tmp_path_factory.mktemp("identify")
     car = VehicleParameters.from_yaml(LEAF.read_text())
     files = write_tables(car, base / "tables", seed=2)

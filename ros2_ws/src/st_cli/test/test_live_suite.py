@@ -1,4 +1,4 @@
-"""What st demo and st live refuse before anything starts, and how their terminal view reads."""
+"""Arguments that st demo and st live refuse before a start, and the text of their terminal view."""
 
 import math
 import os

@@ -1,4 +1,4 @@
-"""Live equals offline, without ROS: the live classes' words in a bag against the library; and when they differ."""
+"""Live equals offline, without ROS: output of the live classes in a bag against the library; and differences."""
 
 import json
 import os
@@ -73,7 +73,7 @@ class LiveBag:
         self.without_predictions = False
         self.names_its_car = True
         self.velocity_factor = 1.0
-        self.deaf = range(0)  # numbers of the samples the predictor does not hear
+        self.deaf = range(0)  # numbers of the samples the predictor does not receive
         self._predictor, self._evaluator = Predictor(car, MODELS, SETTINGS), Evaluator(car, SETTINGS)
         self._count = 0
 
@@ -225,7 +225,7 @@ def test_a_recording_that_was_cut_says_so(live):
 
 
 def test_a_meaningless_recording_is_compared_when_forced(live):
-    """The nodes got km/h too, so live is offline all the same; neither says anything of the car."""
+    """The nodes received km/h as well, so live equals offline; neither reports the wrong unit."""
     live.velocity_factor = 3.6
     folder = live.write()
     refused = st_verify(folder)

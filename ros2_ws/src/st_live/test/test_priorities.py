@@ -1,4 +1,4 @@
-"""Real-time scheduling for the nodes that matter most: asked of the kernel, for real processes."""
+"""Real-time scheduling of the most important nodes: state of real processes, as the kernel reports it."""
 
 import os
 import sys

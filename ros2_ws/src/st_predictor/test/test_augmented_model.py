@@ -1,6 +1,6 @@
-"""A fourth model from a model file: predicted beside the three and scored, over DDS, on a circle known exactly.
+"""A fourth model from a model file: predicted in addition to the three and scored, over DDS, on a circle known exactly.
 
-The effects are chosen so that the circle is the augmented car's own steady state; the three others miss it.
+The effects are chosen so that the circle is the augmented car's own steady state; the three others have errors.
 """
 
 import sys
@@ -32,7 +32,7 @@ FEWEST = 20  # ticks that a starved machine makes at least
 
 
 def on_the_circle(leaf: VehicleParameters) -> ModelFile:
-    """Rear stiffness and steering offset with which the linear car follows the feeder's circle; a lag besides."""
+    """Rear stiffness and steering offset with which the linear model follows the feeder's circle, and a lag."""
     yaw_rate = SPEED / RADIUS
     state = (0.0, 0.0, SPEED, -leaf.cg_to_ins_x * yaw_rate, 0.0, yaw_rate)
 

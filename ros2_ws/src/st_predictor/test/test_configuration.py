@@ -1,4 +1,4 @@
-"""config/nodes.yaml and the launch files against what the nodes declare and the packages install."""
+"""config/nodes.yaml and the launch files against the declarations of the nodes and the installed packages."""
 
 import ast
 import importlib
@@ -56,7 +56,7 @@ def test_values_of_the_file_are_the_defaults() -> None:
 
 
 def test_every_value_has_a_comment_with_its_range() -> None:
-    """The range of the table is the range a person reads."""
+    """The range in the comment is that of the declaration."""
     text = NODES_YAML.read_text()
     for node, table in declared().items():
         section = re.search(rf"^{node}:\n(.*?)(?=^\w|\Z)", text, re.S | re.M).group(1)
@@ -96,7 +96,7 @@ def test_launched_nodes_are_installed_and_their_parameters_exist() -> None:
 
 
 def test_nothing_that_is_launched_outlives_the_launch() -> None:
-    """launch hands SIGTERM on to nobody; the kernel does where it is asked to."""
+    """launch does not forward SIGTERM; the kernel does, as requested by the prefix."""
     for file in LAUNCH_FILES:
         for call in calls(file, "Node", "ExecuteProcess"):
             given = {k.arg: ast.unparse(k.value) for k in call.keywords}
@@ -168,7 +168,7 @@ def test_two_configuration_files_of_one_name_are_kept_apart(tmp_path: Path) -> N
 
 
 def test_all_nodes_start_from_the_file(processes: Processes) -> None:
-    """rcl reads it: NaN, empty lists and all; each node says it is up and ends with status 0."""
+    """rcl reads the file, also NaN and empty lists; each node starts and ends with status 0."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]

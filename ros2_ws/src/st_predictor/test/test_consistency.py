@@ -1,4 +1,4 @@
-"""Do the measurements agree? A minute of a winding road, right and wrong, as the evaluator hands it on."""
+"""Consistency of the measurements on a minute of a winding road, with and without faults."""
 
 from collections.abc import Callable
 from itertools import pairwise
@@ -101,7 +101,7 @@ def test_a_fault_is_told_and_clears(road: np.ndarray, column: int, change: Chang
 
 @pytest.mark.parametrize("size", [0.5, 6.4, 640.0])
 def test_a_jump_of_the_position_is_not_used(road: np.ndarray, size: float) -> None:
-    """The history finds it; afterwards a fault is told as ever, from what came since."""
+    """The history detects the jump; later faults are reported from the samples after it."""
     rows = road.copy()
     rows[rows[:, 0] >= BEGIN, 1] += size
     live = Live().drive(rows)

@@ -44,7 +44,7 @@ def test_odometry_is_the_ins_sample() -> None:
 
 
 def test_roll_and_pitch_leave_the_yaw() -> None:
-    """Yaw of the z-y-x sequence: a car on a slope points where it points."""
+    """Yaw of the z-y-x sequence: independent of the slope the car is on."""
     yaw, pitch, roll = 1.2, 0.2, -0.3
     message = odometry()
     cy, sy, cp, sp, cr, sr = (f(a / 2) for a in (yaw, pitch, roll) for f in (math.cos, math.sin))

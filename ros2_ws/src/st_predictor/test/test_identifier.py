@@ -1,4 +1,4 @@
-"""The node identifier over DDS: what it tracks, that it says what it does not know, and what resets it."""
+"""The node identifier over DDS: estimates, reasons for missing ones, and resets."""
 
 import math
 import sys
@@ -88,7 +88,7 @@ def test_health_names_the_file_that_does_not_fit(run):
 
 
 def test_nobody_else_listens_to_it(run):
-    """Published, never applied: predictor and bridges have no subscription to what it says."""
+    """Published, never applied: predictor and bridges do not subscribe to the estimates."""
     sources = [path for path in (ROOT / "ros2_ws" / "src").rglob("*.py")
                if not {"test", "documentation"} & set(path.parts)]
     users = {path.relative_to(ROOT / "ros2_ws" / "src").as_posix() for path in sources

@@ -54,7 +54,7 @@ def errors(messages: dict[str, list[Any]], model: str, mode: str) -> np.ndarray:
 @live
 @pytest.mark.slow
 def test_a_plan_of_the_true_inputs_predicts_as_hindsight(driven) -> None:
-    """The drive is that of the linear car: what is left is the quantisation of the measured steering, 0.1 deg."""
+    """The drive is that of the linear model: the remaining error is the 0.1 deg quantisation of the steering."""
     _, messages = driven
     planned, held, hindsight = (errors(messages, "linear", mode) for mode in ("plan", "forecast", "hindsight"))
     assert len(planned) > 80

@@ -52,7 +52,7 @@ def test_a_second_chain_of_near_numbers_is_distinguished(ahead):
 
 
 def test_chains_that_meet_are_both_rejected_until_one_publisher_remains():
-    """The other sends twice as often and catches up."""
+    """The other publisher sends twice as often and reaches the same numbers."""
     one, now = running()
     one.update([OURS, OTHER])
     used = [(number, one.accept(number, now)) for k in range(1, 21) for number in (989 + 2 * k, 990 + 2 * k, 1000 + k)]

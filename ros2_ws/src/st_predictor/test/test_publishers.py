@@ -1,4 +1,4 @@
-"""Two nodes that publish an input: the one that was there is used, the other is named; started again it is taken."""
+"""Two publishers of an input: the first is used, the other is reported; a restarted one is accepted."""
 
 import signal
 import subprocess
@@ -27,7 +27,7 @@ LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
 
 
 class Listener:
-    """What the predictor says: the newest word of its check `publishers`, and where its predictions start [m]."""
+    """Output of the predictor: newest text of its check `publishers`, and starts of its predictions [m]."""
 
     def __init__(self, domain: int):
         self.context = rclpy.Context()

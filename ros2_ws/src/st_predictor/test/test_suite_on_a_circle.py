@@ -84,7 +84,7 @@ def test_all_end_with_status_zero_and_closed_files(run: Run) -> None:
 
 
 def test_each_tick_carries_three_predictions_and_paths(run: Run) -> None:
-    """From the tick on at which the recorder knows all six publishers; that may be after the first."""
+    """From the tick at which the recorder has discovered all six publishers, possibly after the first."""
     ticks, *others = from_where_all_heard(
         *(stamps(run.messages[f"/predictor/{m}/{kind}"]) for m in MODELS for kind in ("prediction", "path")))
     assert all(other == ticks for other in others)
@@ -171,7 +171,7 @@ def test_forecast_errors_are_path_against_circle(run: Run) -> None:
 
 
 def test_every_prediction_is_scored_twice(run: Run) -> None:
-    """From the start on at which evaluator and recorder both know the predictor; that may be after its first ticks."""
+    """From the first start that evaluator and recorder both receive, possibly after the first ticks."""
     predicted = [(m, nanoseconds(p.header.stamp)) for m in MODELS for p in run.messages[f"/predictor/{m}/prediction"]]
     for mode in ("forecast", "hindsight"):
         scored = [(e.model, nanoseconds(e.header.stamp)) for e in run.errors["/evaluator/errors"] if e.mode == mode]
@@ -186,7 +186,7 @@ def test_every_prediction_is_scored_twice(run: Run) -> None:
 
 
 def test_hindsight_equals_forecast_under_constant_inputs(run: Run) -> None:
-    """The car's speed and steering never change, so holding them and measuring them is the same."""
+    """Speed and steering are constant, so held and measured inputs are equal."""
     means = defaultdict(dict)
     for error in run.errors["/evaluator/errors"][30:]:
         if error.complete:

@@ -1,4 +1,4 @@
-"""Loss of power: what was not synced is forgotten, and at most the last second of the recording goes with it."""
+"""Loss of power: unsynced data are lost, at most the last second of the recording."""
 
 import errno
 import os
@@ -37,7 +37,7 @@ class Disk:
         self.safe[status.st_ino] = status.st_size
 
     def lose_power(self, file: Path, target: Path, tail: bytes = b"") -> Path:
-        """The bag as it is found afterwards; the rest of the file is gone, or holds what was on the disk before."""
+        """The bag after the power loss; the rest of the file is missing, or old content of the disk."""
         length, whole = self.safe.get(file.stat().st_ino, 0), file.stat().st_size
         target.mkdir()
         (target / file.name).write_bytes(file.read_bytes()[:length] + (tail * whole)[:whole - length])
@@ -52,7 +52,7 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
 
 
 def record(directory: Path, seconds: float, synced: bool = True, padding: str = "") -> tuple[BagWriter, list[float]]:
-    """A bag still being written, as the recorder does, and when each of its messages was handed over [s, monotonic]."""
+    """A bag being written as by the recorder, and the time each message was passed to it [s, monotonic]."""
     bag = BagWriter(directory, {"configuration": {"hash": "0123"}}, synced=synced)
     topic = bag.add_topic("/a", TYPE, definition=DEFINITION, type_hash=TYPE_HASH)
     written: list[float] = []

@@ -39,7 +39,7 @@ def test_jumps_of_the_clock_are_no_overruns() -> None:
 
 @given(st.lists(st.tuples(st.integers(0, 5), st.sampled_from([None, "stale", "slow"])), min_size=1, max_size=50))
 def test_every_tick_of_the_grid_is_counted_once(ticks: list[tuple[int, str | None]]) -> None:
-    """Ticks that were taken and ticks that fell out between them make up the grid since the first with inputs."""
+    """Executed and dropped ticks together are the time grid since the first tick with inputs."""
     counter, due_ns, first = TickCounter(), 0, None
     for skipped_before, result in ticks:
         due_ns += (1 + skipped_before) * PERIOD

@@ -1,4 +1,4 @@
-"""What a drive throws at the nodes: silence, NaN, a wrong frame, jumping time, overruns, a full disk, wrong files."""
+"""Faults during a drive: silence, NaN, a wrong frame, jumping time, overruns, a full disk, wrong files."""
 
 import os
 import shutil
@@ -52,7 +52,7 @@ def recorder(processes: Processes, **options: Any) -> tuple[subprocess.Popen, Pa
 
 @pytest.fixture(scope="module")
 def troubled(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """One drive of 22 s in which one thing after another goes wrong and comes back."""
+    """One drive of 22 s with several faults in sequence, each temporary."""
     processes = Processes(tmp_path_factory.mktemp("trouble"))
     try:
         nodes = [processes.node("st_predictor", name, f"vehicle_file:={LEAF}") for name in ("predictor", "evaluator")]
@@ -82,7 +82,7 @@ def test_nothing_crashed(troubled: dict[str, Any]) -> None:
 def test_no_prediction_without_an_input_and_the_reason_is_reported(
     troubled: dict[str, Any], begin: float, end: float, words: tuple[str, ...]
 ) -> None:
-    """Nothing is issued between the limit of 0.2 s and the return of the signal; then it goes on by itself."""
+    """Nothing is issued between the limit of 0.2 s and the return of the signal; then predictions resume."""
     zero_ns, messages = troubled["zero_ns"], troubled["messages"]
     issued = [(nanoseconds(m.issued_at) - zero_ns) * 1e-9 for m in messages["/predictor/linear/prediction"]]
     assert not [t for t in issued if begin + 0.35 < t < end]
@@ -123,7 +123,7 @@ def test_scores_across_a_gap_say_so(troubled: dict[str, Any]) -> None:
 
 @pytest.mark.slow
 def test_predictions_waiting_when_time_jumps_back_end_incomplete(troubled: dict[str, Any]) -> None:
-    """And each prediction is scored once a question, from where evaluator and recorder both know the predictor."""
+    """Each prediction is scored once per mode, from the first one that evaluator and recorder both receive."""
     messages = troubled["messages"]
     assert any("jumped back" in e.incomplete_reason for e in messages["/evaluator/errors"])
     predicted = [(m, stamp) for m in MODELS for stamp in stamps(messages[f"/predictor/{m}/prediction"])]
@@ -131,7 +131,7 @@ def test_predictions_waiting_when_time_jumps_back_end_incomplete(troubled: dict[
         scored = [(e.model, nanoseconds(e.header.stamp)) for e in messages["/evaluator/errors"] if e.mode == mode]
         there, here = from_where_both_heard(scored, predicted)
         assert there == here
-        assert here[0][1] < troubled["zero_ns"] + 5 * 10**9  # before anything goes wrong
+        assert here[0][1] < troubled["zero_ns"] + 5 * 10**9  # before the first fault
 
 
 def test_odometry_in_another_frame_is_refused(processes: Processes) -> None:
@@ -162,7 +162,7 @@ def test_recorder_names_the_node_that_it_does_not_hear(processes: Processes) -> 
 
 @pytest.mark.slow
 def test_overrun_skips_ticks_and_queues_none(processes: Processes) -> None:
-    """6000 steps of three models do not fit into 20 ms; the evaluator notices that its vehicle is another one."""
+    """6000 steps of three models do not fit into 20 ms; the evaluator detects that its vehicle file differs."""
     predictor = processes.node("st_predictor", "predictor", f"vehicle_file:={LEAF}", "horizon:=60.0", "step:=0.01",
                                "rate:=50.0")
     evaluator = processes.node("st_predictor", "evaluator", f"vehicle_file:={GENESIS}")
@@ -204,7 +204,7 @@ def test_simulated_time_that_starts_over(processes: Processes) -> None:
 
 @pytest.mark.slow
 def test_recorder_on_a_full_disk_says_so_and_lives_on(processes: Processes) -> None:
-    """The limit of the file size stands for the disk; a second recorder elsewhere shows what was said."""
+    """A file size limit emulates the full disk; a second recorder elsewhere records the diagnostics."""
     bag = processes.folder / "full"
     command = [executable("st_predictor", "recorder"), "--ros-args", "-p", f"output_directory:={bag}"]
     limited = processes.start(["bash", "-c", 'ulimit -f 60; exec "$@"', "bash", *command], "limited")

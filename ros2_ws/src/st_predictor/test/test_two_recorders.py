@@ -1,4 +1,4 @@
-"""Two recorders that want the same directory: one gets it, the other touches nothing."""
+"""Two recorders with the same directory: one uses it, the other changes nothing."""
 
 import threading
 from pathlib import Path

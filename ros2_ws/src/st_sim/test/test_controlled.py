@@ -1,4 +1,4 @@
-"""The virtual car with a controller at the wheel: commands become motion, within what hands and tyres can do."""
+"""The virtual car under an external controller: commands become motion, within the limits of steering and tyres."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""A recorded drive on the wires: played, not re-invented."""
+"""A recorded drive as source: sent as recorded."""
 
 import math
 

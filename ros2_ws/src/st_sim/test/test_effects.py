@@ -1,4 +1,4 @@
-"""Every switch of the plant: nothing at null, something when on, and the right something where a number can be said."""
+"""Every setting of the plant: no effect at null, an effect otherwise, and the known effect where there is one."""
 
 import math
 
@@ -147,7 +147,7 @@ def front_force_after_step(effects, steps):
 
 @pytest.mark.parametrize(("seconds", "share"), [(0.01, 1 - math.exp(-0.2)), (0.03, 1 - math.exp(-0.6))])
 def test_relaxation_delays_the_force_by_its_length(seconds, share):
-    """0.5 m at 10 m/s: the force of a steer step rises with 50 ms, while the heavy car hardly moves yet."""
+    """0.5 m at 10 m/s: the force rises with 50 ms after a steering step, while the heavy car hardly moves."""
     delayed = front_force_after_step(["relaxation_length=0.5"], round(seconds / STEP))
     assert delayed / front_force_after_step([], round(seconds / STEP)) == pytest.approx(share, abs=0.06)
 
@@ -184,7 +184,7 @@ def test_wind_pushes_and_turns_with_the_heading():
 
 
 def test_hillside_is_a_plane():
-    """Height depends on the place alone, whatever way led there."""
+    """Height depends on the position only, not on the path to it."""
     plant = Plant(CAR, resolve("ideal", ["hillside_slope=0.05"]))
     plant.place(0.0, 0.0, 0.0, 8.0)
     for _ in range(4000):

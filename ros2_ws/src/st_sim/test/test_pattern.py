@@ -1,7 +1,7 @@
-"""The realistic car is missed by the paper's three models as the real car was: Table 2 with the paper's protocol.
+"""The paper's models have the same errors on the realistic virtual car as on the real one: Table 2, same protocol.
 
-The models stand here once more, as numpy batches straight from the paper, so that neither the plant nor the models of
-the suite check themselves.
+The models are implemented here again, as numpy batches from the paper, so that neither the plant nor the models of the
+suite are tested against themselves.
 """
 
 import math

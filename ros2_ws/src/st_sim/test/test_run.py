@@ -41,7 +41,7 @@ def test_files_are_the_same_for_the_same_seed(tmp_path, can_format):
     name = f"run.{can_format}"
     first = files(tmp_path / "a", "--can-format", can_format, "--seed", "5")
     assert set(first) == {"run.ncom", "truth.mcap", name}
-    # In a process of its own, later: nothing of the clock or of this process gets in.
+    # In another process, later: independent of the clock and of this process.
     command = [sys.executable, "-m", "st_sim.run", "--vehicle", str(LEAF), "--to-files", str(tmp_path / "b"),
                "--duration", "3", "--can-format", can_format, "--seed", "5"]
     subprocess.run(command, check=True, capture_output=True)
@@ -113,7 +113,7 @@ def test_clock_of_the_logger(tmp_path):
 
 
 class Live:
-    """A virtual_leaf process with our ears on its wires."""
+    """A virtual_leaf process and receivers of its packets and frames."""
 
     def __init__(self, folder, *arguments):
         self.udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -128,7 +128,7 @@ class Live:
         self.packets, self.frames = [], []
 
     def listen(self, until):
-        """Collect until the predicate holds or the process has ended and its wires are empty."""
+        """Collect until the predicate is true, or the process has ended and nothing more is received."""
         deadline = time.monotonic() + 60
         while not until() and time.monotonic() < deadline:
             ready, _, _ = select.select([self.udp, self.bus.fileno()], [], [], 0.3)
@@ -210,7 +210,7 @@ def test_signal_closes_the_files_of_file_mode(tmp_path):
 
 @pytest.mark.parametrize("given", [["--config", str(ROOT / "config")], []])
 def test_another_car_drives_on_the_bus_of_the_leaf(tmp_path, monkeypatch, given):
-    """The folder of a car of one's own, anywhere, has a DBC of its own, which the virtual car cannot send."""
+    """The folder of another car has its own DBC, which the virtual car cannot send."""
     monkeypatch.delenv("ST_ENVIRONMENT", raising=False)
     monkeypatch.chdir(ROOT / "tests")
     (tmp_path / "vehicle.yaml").write_text(LEAF.read_text())

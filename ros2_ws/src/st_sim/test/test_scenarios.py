@@ -1,4 +1,4 @@
-"""Each scenario drives what it says, by numbers: radius, accelerations, speeds, heading changes."""
+"""Each scenario has its stated radius, accelerations, speeds and heading changes."""
 
 import math
 
@@ -31,7 +31,7 @@ class Drive:
 
     @property
     def radius(self):
-        """Of the way of the CG, from position alone: circle through all points, least squares."""
+        """Radius of the path of the CG: least-squares circle through the positions."""
         a = np.column_stack([2 * self.x, 2 * self.y, np.ones_like(self.x)])
         cx, cy, c = np.linalg.lstsq(a, self.x**2 + self.y**2, rcond=None)[0]
         return math.sqrt(c + cx**2 + cy**2)
@@ -49,7 +49,7 @@ def test_circles(name, a_y, plant):
 
 @pytest.mark.parametrize(
     ("name", "road_wheel_deg", "v_y"),
-    # What the paper's error table says about the real car, paper_notes.md.
+    # Values of the real car in the paper's error table, paper_notes.md.
     [("S3", 14.20, 0.63), ("S4", 15.21, 0.68)],
 )
 def test_realistic_car_steers_as_the_real_one_did(name, road_wheel_deg, v_y):
@@ -176,7 +176,7 @@ def test_ramp_goes_beyond_the_limit():
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_hands_are_those_of_a_person(name):
-    """No faster than a hand, no jumps of the pedal, and the same seed drives the same."""
+    """Hand-wheel rate and pedals are limited, and equal seeds give equal drives."""
     d, again, other = Drive(name, 8), Drive(name, 8), Drive(name, 8, seed=1)
     assert np.abs(np.diff(d.hand)).max() * RATE <= FASTEST_HAND + 1e-9
     assert np.abs(np.diff(d.force)).max() <= 10.0 * CAR.mass / RATE * 1.3

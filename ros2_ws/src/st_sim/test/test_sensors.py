@@ -1,4 +1,4 @@
-"""What the sensors feel, and every sensor switch."""
+"""Readings of the sensors, and every setting of them."""
 
 import math
 
@@ -45,7 +45,7 @@ def test_a_tilted_car_feels_gravity():
 
 
 def test_noise_has_the_size_the_unit_reports_and_follows_the_seed():
-    """Over many units: one standard deviation is what the accuracy channels say."""
+    """Over many units, the standard deviation is that in the accuracy channels."""
     settings = resolve("ideal", ["ins_noise=1"])
     readings = [Ins(CAR, settings, 0.01, seed).read(truth()) for seed in range(400)]
     exact = ins()

@@ -1,4 +1,4 @@
-"""Everything the car sends, decoded by the bridges' own codecs and compared with the truth."""
+"""Everything the car sends, decoded by the codecs of the bridges and compared with the truth."""
 
 import math
 
@@ -57,7 +57,7 @@ def truths(seconds, scenario="S6", rate=100):
 
 @pytest.mark.parametrize("rate", [100, 250])
 def test_ncom_tells_the_truth_within_its_resolution(rate):
-    """S7 without noise: fast, slow, both sides."""
+    """S7 without noise: fast and slow, turns to both sides."""
     received, parser = parsed(outputs(12, scenario="S7", rate=rate))
     expected = truths(12, "S7", rate)
     assert len(received) == len(expected) == 12 * rate
@@ -79,7 +79,7 @@ def test_ncom_tells_the_truth_within_its_resolution(rate):
 
 
 def test_ncom_of_a_tilted_car():
-    """Roll and pitch with the body and the road; heading and velocity stay level quantities."""
+    """Roll and pitch include body and road; heading and velocity are horizontal."""
     made = outputs(3, ["bank_angle=0.05", "roll_gradient=0.0075"], scenario="S3")
     received, _ = parsed(made)
     truth = of(Kind.TRUTH, made)[200].payload
@@ -153,7 +153,7 @@ def test_can_tells_the_truth_within_its_resolution():
     for o in of(Kind.CAN, outputs(12)):
         decoded = decoder.decode(o.payload.message, START_NS + round(o.due * 1e9))
         if decoded is None:
-            # 0x421 and 0x601: in the DBC, but nothing of ours.
+            # 0x421 and 0x601: in the DBC, but not used by the suite.
             assert o.payload.message.arbitration_id in (0x421, 0x601)
             continue
         assert decoded.valid, decoded.fault
@@ -229,7 +229,7 @@ def test_time_error_moves_the_stamp_only():
 
 
 def test_minute_of_every_packet_is_its_own():
-    """Channel 0 right after a full minute names the new minute."""
+    """Channel 0 directly after a full minute contains the new minute."""
     received, _ = parsed(outputs(12))
     after = [r for r in received if r.packet.milliseconds < 200 and r.packet.channel == 0]
     assert after

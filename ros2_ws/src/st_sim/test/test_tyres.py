@@ -1,4 +1,4 @@
-"""The tyre law: slope, peak, load, symmetry, and the numbers of the paper's table."""
+"""The tyre law: slope, peak, load, symmetry, and the values of the paper's table."""
 
 import math
 from functools import partial

@@ -1,4 +1,4 @@
-"""The vehicle file that st discover mends: it predicts as the model found does, and all else in it stays."""
+"""The vehicle file that st discover corrects: it predicts as the model found does, and the rest is unchanged."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -55,7 +55,7 @@ def mended(drive: Drive, *effects: tuple[str, dict], text: str = TEXT):
 
 
 def test_file_that_predicts_worse_by_itself_is_not_written(driven):
-    """The drive is of the car as its file describes it; half the mass is not that."""
+    """The drive is of the car as in its file, without the halved mass."""
     found, folded = mended(driven, ("mass", {"factor": 1.5}))
     assert folded.text and folded.error[1] > folded.error[0]
     written = update_vehicle(found, request(driven))
@@ -100,7 +100,7 @@ def test_without_a_new_file_the_slip_speed_of_the_model_is_advised(driven):
 
 
 def test_effective_corrections_stay_in_the_model_and_are_marked(driven):
-    """What predicts best on the original car predicts the same on the updated one; its file says what has a meaning."""
+    """The best model predicts the same with the updated file, which has the values with a physical meaning."""
     found = discovery([driven.log], [("mass", {"factor": 1.1}, 0.5)], 1.0)
     named, best = (augment("nonlinear", {"mass": {"factor": mass}, "friction": {"factor": friction}})
                    for mass, friction in ((1.1, 1.0), (1.2, 0.9)))
@@ -177,7 +177,7 @@ def test_what_a_file_cannot_hold_is_the_model_on_the_mended_car(driven, tmp_path
 
 
 def test_recordings_of_the_road_wheels_keep_the_ratio_in_the_model(driven):
-    """The ratio of a vehicle file does not touch them, so the model has to."""
+    """The ratio of a vehicle file does not affect them, so the model must."""
     bare = replace(driven, log=replace(driven.log, steering_wheel_angle=None))
     found, one = mended(bare, ("steering_ratio", {"factor": 0.9}))
     assert not one.folded and one.text == "" and one.vehicle.hash == CAR.hash
