@@ -137,7 +137,7 @@ def test_what_remains_unexplained_is_told_beside_the_names(logs):
     much = replace(named, signature=("errors are 3.1 times the noise",))
     said = "; more is missing that no known effect explains: errors are 3.1 times the noise"
     assert report_text.title(much) == report_text.title(named) + said
-    assert "something that is not in the library; errors are 3.1 times the noise" in report_text.meaning(much)
+    assert "an effect that is not in the library; errors are 3.1 times the noise" in report_text.meaning(much)
     assert any("a name may be a part of it" in text for text in report_text.to_do(much, None))
     assert not any("more is missing" in text for text in report_text.to_do(named, None))
 

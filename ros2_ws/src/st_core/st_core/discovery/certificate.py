@@ -11,16 +11,7 @@ import numpy as np
 from scipy import stats
 
 from ..effects import twins_of
-from .evidence import (
-    FLIPS,
-    Scores,
-    chance,
-    design_effect,
-    largest_statistics,
-    residual_over_noise,
-    score,
-    variance_ratios,
-)
+from .evidence import FLIPS, Scores, chance, make_scores, residual_over_noise, score
 from .fit import Fit, Problem
 from .loss import Quadratic
 from .result import Certificate, Power
@@ -117,17 +108,16 @@ def _found(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, slo
     simulated = signs[problem.block][:, None] * rows + change
     q = problem.loss.quadratic(simulated, slopes).summed(problem.block, problem.blocks)
     base = _held_out(problem, q, fit.names, fit.vector)
-    gains, own, ratios = {}, {}, []
+    gains, own, information = {}, {}, {}
     for effect in problem.space.hypotheses:
         names = fit.names
         if problem.space.overlaps(effect, names):
             names = tuple(n for n in names if not problem.space.overlaps(effect, (n,)))
-        own[effect], information = score(q, problem, names, effect)
-        ratios += variance_ratios(own[effect], information, q)
+        own[effect], information[effect] = score(q, problem, names, effect)
         gains[effect] = (_held_out(problem, q, names, fit.vector) if names != fit.names else base
                          ) - _held_out(problem, q, (*names, effect), fit.vector)
     best = max(gains, key=lambda e: gains[e].sum())
-    scores = Scores(own, largest_statistics(own, rng, FLIPS // 4, problem.blocks), design_effect(ratios), {})
+    scores = make_scores(q, own, information, {}, rng, FLIPS // 4)
     p_value = chance(own[best], gains[best], scores, len(own))
     if p_value > limits.false_alarm or gains[best].sum() / problem.number < required:
         return []

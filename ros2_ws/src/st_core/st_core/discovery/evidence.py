@@ -127,40 +127,32 @@ def statistic(own: np.ndarray) -> float:
 def screen(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
     """Scores of every effect of the library that is not in the fit, by the slopes about it."""
     q = problem.quadratic_of_all(fit.vector).summed(problem.block, problem.blocks)
-    own, gains, ratios = {}, {}, []
+    own, information, gains = {}, {}, {}
     base = problem.leave_out(q.only(fit.indices), fit.names, fit.vector, fit.indices, problem.fold)[1]
     for effect in problem.space.hypotheses:
         if problem.space.overlaps(effect, fit.names):
             continue
         names = (*fit.names, effect)
-        own[effect], information = score(q, problem, fit.names, effect, problem.prior_gradient(fit.vector))
-        ratios += variance_ratios(own[effect], information, q)
+        own[effect], information[effect] = score(q, problem, fit.names, effect, problem.prior_gradient(fit.vector))
         indices = problem.free_indices(names)
         part = q.only(indices)
         held_out = problem.leave_out(part, names, fit.vector, indices, problem.fold)[1]
         step = problem.solve(part, names, fit.vector, indices)
         gains[effect] = base - held_out, problem.moved(fit.vector, indices, step)
-    return Scores(own, largest_statistics(own, rng, FLIPS, problem.blocks), design_effect(ratios), gains)
+    return make_scores(q, own, information, gains, rng, FLIPS)
 
 
-def variance_ratios(own: np.ndarray, information: np.ndarray, q: Quadratic) -> list[float]:
-    """Variance of the scores (b, k) of an effect over that of independent windows, where it has information (k,)."""
-    known = information > 1e-9 * max(float(np.trace(q.hessian.sum(axis=0))), 1e-30)
-    return list(2.0 * np.square(own).sum(axis=0)[known] / information[known])
-
-
-def design_effect(ratios: list[float]) -> float:
-    """Median of the `variance_ratios` of the library, at least 1."""
-    return max(float(np.median(ratios)) if ratios else 1.0, 1.0)
-
-
-def largest_statistics(own: Mapping[str, np.ndarray], rng: np.random.Generator, draws: int, blocks: int) -> np.ndarray:
-    """(draws,) largest score statistic of all effects under random signs of the blocks. own: (b, k) scores."""
-    signs, largest = rng.choice([-1.0, 1.0], (draws, blocks)), np.zeros(draws)
-    for s in own.values():
+def make_scores(q: Quadratic, own: Mapping[str, np.ndarray], information: Mapping[str, np.ndarray],
+                gains: Mapping[str, tuple[np.ndarray, np.ndarray]], rng: np.random.Generator, draws: int) -> Scores:
+    """`Scores` from those of each effect and their information. q: by block, of all parameters. draws: random signs."""
+    signs, largest, ratios = rng.choice([-1.0, 1.0], (draws, len(q.cost))), np.zeros(draws), []
+    least = 1e-9 * max(float(np.trace(q.hessian.sum(axis=0))), 1e-30)
+    for effect, s in own.items():
+        known = information[effect] > least
+        ratios += list(2.0 * np.square(s).sum(axis=0)[known] / information[effect][known])
         drawn = signs @ s
         largest = np.maximum(largest, np.einsum("fi,ij,fj->f", drawn, np.linalg.pinv(s.T @ s), drawn))
-    return largest
+    return Scores(own, largest, max(float(np.median(ratios)) if ratios else 1.0, 1.0), gains)
 
 
 def chance(own: np.ndarray, gain: np.ndarray, scores: Scores, library: int) -> float:

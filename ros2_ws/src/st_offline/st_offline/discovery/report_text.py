@@ -157,12 +157,12 @@ def meaning(found: Discovery) -> list[str]:
                  f"known together with {', '.join(map(plain, effect.joint))} only: they cancel" if effect.joint else "")
         lines.append(f"{plain(effect.name)}: {'; '.join(filter(None, parts))}" if any(parts) else "")
     if found.outcome == "unknown" or found.signature:
-        lines.append("; ".join(("something that is not in the library", *found.signature)))
+        lines.append("; ".join(("an effect that is not in the library", *found.signature)))
     return lines
 
 
 def varying(one: BoundEffect) -> str:
-    """An effect that is not the same everywhere, with its clearest shares."""
+    """An effect that varies over the driving, with its most significant shares."""
     ranked = sorted(one.values, key=lambda v: -abs(v.share) / max(v.deviation, 1e-9))[:MAX_PARTS]
     shown = "; ".join(f"{v.where}: {v.share:.2f} ± {Z95 * v.deviation:.2f}" for v in one.values if v in ranked)
     more = f" and {len(one.values) - len(ranked)} more" if len(one.values) > len(ranked) else ""
@@ -186,8 +186,8 @@ def certainty(found: Discovery) -> list[str]:
     """The rule that decided, and its measured false alarms."""
     lines = [reason.text for reason in found.reasons if reason.subject == "answer"]
     if found.certificate.driven:
-        lines.append("with the same inputs and without any effect, something was stated "
-                     f"{found.certificate.alarms} of {found.certificate.of} times")
+        lines.append(f"false alarms: an effect was named in {found.certificate.alarms} of {found.certificate.of} "
+                     "simulated drives without any")
     return lines
 
 
