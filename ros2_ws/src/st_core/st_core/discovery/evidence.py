@@ -51,14 +51,14 @@ class Evidence:
 
     gain [1]: reduction of the held-out loss per scored error, about the relative reduction of their size; the smaller
     of two values, with blocks and with whole runs held out. healthy [1]: the largest such gain between drives of the
-    healthy car. chance [1]: probability that some effect of the library gains as much by chance. null [1]: p-value of
-    the values if the null were true. shares: by column of the errors, (reduction over the baseline error, error without
-    the effect over the noise) [1]. position [m]: reduction of the mean held-out position error at the end of the
-    horizon; position_somewhere: the largest in one driving condition (lower 95 % bound). left [1]: error with the
-    effect over the noise, in the column where this is largest. bound [1]: distance to the nearest bound, and size [1]:
-    distance from the null, both in usual sizes. sensors, sensors_null [1]: p-value of the fitted value and of the null
-    under what the sensors measure among themselves; None where they measure nothing. against_file: the quantity of the
-    vehicle file that is furthest from the file's value; None without one. agreement: by level.
+    healthy car. chance [1]: p-value of the gain, over the whole library. null [1]: p-value of the null. shares: by
+    column of the errors, (reduction over the baseline error, error without the effect over the noise) [1]. position
+    [m]: reduction of the mean held-out position error at the end of the horizon; position_somewhere: the largest in one
+    driving condition (lower 95 % bound). left [1]: error with the effect over the noise, in the column where this is
+    largest. bound [1]: distance to the nearest bound, and size [1]: distance from the null, both in usual sizes.
+    sensors, sensors_null [1]: p-value of the fitted value and of the null under what the sensors measure among
+    themselves; None where they measure nothing. against_file: the quantity of the vehicle file that is furthest from
+    the file's value; None without one. agreement: by level.
     """
 
     name: str
