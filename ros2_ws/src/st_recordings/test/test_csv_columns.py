@@ -62,7 +62,8 @@ def test_no_name_means_two_channels() -> None:
     assert len(names) == len(set(names)) and not columns.AMBIGUOUS & set(names)
 
 
-DERIVED = {"latitude", "longitude", "velocity_east", "velocity_north", *(f"orientation_{axis}" for axis in "xyzw")}
+DERIVED = {"latitude", "longitude", "course", "velocity_east", "velocity_north",
+           *(f"orientation_{axis}" for axis in "xyzw")}
 
 
 @pytest.mark.parametrize("channel", [c for c in COLUMNS if c not in DERIVED])
@@ -117,6 +118,31 @@ def test_headers_as_people_write_them(tmp_path: Path, names: dict, units: dict) 
     for channel, unit in units.items():
         assert drive.provenance["columns"][channel].endswith(f"[{unit}]")
     assert drive.provenance["columns"]["velocity_y"] == "vy [m/s, assumed]"
+
+
+def gnss_drive(course_is_yaw: bool) -> tuple[dict[str, str], dict[str, np.ndarray]]:
+    """Names and values of a table with course and speed over ground, without velocity_y and yaw rate."""
+    data = values()
+    slip = np.zeros(N) if course_is_yaw else np.arctan2(data["velocity_y"], data["velocity_x"])
+    data |= {"course": np.pi / 2 - data["yaw"] - slip, "velocity_x": data["velocity_x"] / np.cos(slip)}
+    names = {c: n for c, n in PLAIN.items() if c not in ("velocity_y", "yaw_rate", *(["yaw"] if course_is_yaw else []))}
+    return {**names, "course": "course_over_ground"}, data
+
+
+@pytest.mark.parametrize("course_is_yaw", [True, False])
+def test_course_and_speed_over_ground_of_a_gnss(tmp_path: Path, monkeypatch, course_is_yaw: bool) -> None:
+    names, data = gnss_drive(course_is_yaw)
+    monkeypatch.setattr(f"{__name__}.values", lambda: data)
+    drive = read_csv(write(tmp_path / "d.csv", names))
+    monkeypatch.undo()
+    assert has_drive_columns(tmp_path / "d.csv")
+    assert_whole(drive.log, but=("velocity_y", "yaw_rate"))
+    expected = np.zeros(N) if course_is_yaw else values()["velocity_y"]
+    np.testing.assert_allclose(drive.log.velocity_y, expected, atol=1e-9)
+    np.testing.assert_allclose(drive.log.yaw_rate, 1.0, atol=1e-6)  # of yaw, not of its own column
+    texts = [text.partition(": ")[2] for text in drive.warnings]
+    assert texts == [*(["no column is known as velocity_y; it is taken as 0"] if course_is_yaw else []),
+                     "no column is known as yaw_rate; the derivative of yaw is used"]
 
 
 def test_a_better_name_goes_first_and_velocity_before_speed(tmp_path: Path) -> None:

@@ -69,13 +69,13 @@ def test_what_has_no_partner_says_so(tmp_path: Path) -> None:
 
 def test_a_drive_of_a_folder_that_lacks_a_column_is_reported(tmp_path: Path) -> None:
     header, _, body = DRIVE.partition("\n")
-    column = next(name for name in header.split(",") if name.lower() in ("vy", "velocity_y"))
+    column = next(name for name in header.split(",") if name.lower() in ("vx", "velocity_x"))
     touch(tmp_path, "whole.csv", content=DRIVE)
     touch(tmp_path, "lacks.csv", content=f"{header.replace(column, 'slip', 1)}\n{body}")
     touch(tmp_path, "way.csv", content="x,y,yaw,speed\n0,0,0,1\n1,0,0,1\n")
     runs = by_name(find_runs([tmp_path]))
     assert set(runs) == {"whole", "lacks"}
-    with pytest.raises(RunError, match=r"lacks\.csv: no column of the header is known as velocity_y"):
+    with pytest.raises(RunError, match=r"lacks\.csv: no column of the header is known as velocity_x"):
         read(runs["lacks"])
 
 

@@ -82,6 +82,9 @@ COLUMNS: Mapping[str, Channel] = {
     "compass_heading": Channel("angle", "clockwise from north; read if yaw is missing: yaw = 90° - heading", _words(
         "compass_heading heading heading_angle angle_heading heading_ned heading_north heading_true true_heading "
         "compass azimuth yaw_ned")),
+    "course": Channel("angle", "direction of motion over ground, clockwise from north; gives yaw or velocity_y where "
+                      "that is missing", _words(
+        "course course_over_ground course_angle gps_course course_gps cog track track_angle heading_of_motion")),
     **{f"orientation_{axis}": Channel("ratio", "quaternion of body in map axes, read if yaw is missing", _words(
         f"orientation_{axis} q{axis} quat_{axis} pose_orientation_{axis} pose_pose_orientation_{axis}"))
        for axis in "xyzw"},
@@ -90,7 +93,7 @@ COLUMNS: Mapping[str, Channel] = {
         "velocity_longitudinal longitudinal_velocity v_longitudinal v_long vel_long v_lon vel_lon long_vel "
         "long_velocity speed_forward forward_speed longitudinal_speed twist_linear_x twist_twist_linear_x "
         "linear_velocity_x speed velocity vel v ground_speed speed_over_ground")),
-    "velocity_y": Channel("speed", "to the left, body axes, at the INS point", _words(
+    "velocity_y": Channel("speed", "to the left, body axes, at the INS point; 0 if it is missing", _words(
         "velocity_y vy vel_y velocity_lateral vel_lateral v_lateral lateral_velocity lateral_vel v_lat vel_lat "
         "lat_vel lat_velocity velocity_left vel_left lateral_speed twist_linear_y twist_twist_linear_y "
         "linear_velocity_y")),
@@ -98,7 +101,7 @@ COLUMNS: Mapping[str, Channel] = {
         "velocity_east vel_east v_east east_velocity velocity_e ve")),
     "velocity_north": Channel("speed", "as before", _words(
         "velocity_north vel_north v_north north_velocity velocity_n vn")),
-    "yaw_rate": Channel("angular rate", "left turn +", _words(
+    "yaw_rate": Channel("angular rate", "left turn +; if missing, the derivative of yaw", _words(
         "yaw_rate yaw_rate_iso yaw_velocity yaw_vel yaw_speed yaw_dot psi_dot psi_p d_psi r wz omega_z omega "
         "angular_velocity_z angular_rate_z angular_z rate_z gyro_z gyr_z twist_angular_z twist_twist_angular_z")),
     "acceleration_x": Channel("acceleration", "forward, body axes", _words(

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from st_core.checks import AuxiliaryData
 from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
+from st_core.types import wrap_angle
 from st_core.vehicle import VehicleParameters
 
 from .columns import Layout, doubtful_steering, find_columns
@@ -17,7 +18,7 @@ from .ncom import enu
 from .run_types import LoadedRun, ReadSettings, RunSource, SteeringField, drive_log
 
 MOTION = ("velocity_x", "yaw_rate")
-ROAD, WHEEL, COMPASS = "road_wheel_angle", "steering_wheel_angle", "compass_heading"
+ROAD, WHEEL, COMPASS, COURSE = "road_wheel_angle", "steering_wheel_angle", "compass_heading", "course"
 COLUMN_ADVICE = ("name the columns as in docs/csv_columns.md, or write a {stem}.run.yaml with the lines "
                  "`{kind}: {name}`{can} and `columns: {{{channel}: NAME, ...}}`")
 STEERING_ADVICE = ("name its column, --steering-field NAME --steering-is wheel (or road), with --steering-sign -1 if "
@@ -131,17 +132,20 @@ def _missing_in_header(file: Path) -> list[str]:
 def looks_like_a_drive(file: Path) -> bool:
     """Whether the header names a position and the motion of a car, though columns of a drive may be missing."""
     names = header_of(file)
-    missing = _missing_channels(find_columns(file, names, Layout()), names, INS_SIGNALS)
+    missing = _missing_channels(find_columns(file, names, Layout()), names, INS_SIGNALS, completed=False)
     return len(missing) <= 1 and not {"x", "y"} & set(missing)
 
 
-def _missing_channels(places: Iterable[str], names: Iterable[str], needed: Iterable[str]) -> list[str]:
-    """The needed channels that no column gives, directly or derived."""
+def _missing_channels(places: Iterable[str], names: Iterable[str], needed: Iterable[str],
+                      completed: bool = True) -> list[str]:
+    """The needed channels that no column gives, directly or derived. completed: see `_complete_motion`."""
     found = set(places)
-    if COMPASS in found or found >= QUATERNION:
+    if found & {COMPASS, COURSE} or found >= QUATERNION:
         found.add("yaw")
     if found >= {"yaw", "velocity_east", "velocity_north"}:
         found |= {"velocity_x", "velocity_y"}
+    if completed and found >= {"velocity_x", "yaw"}:
+        found |= {"velocity_y", "yaw_rate"}
     if found >= {"latitude", "longitude"}:
         found |= {"x", "y"}
     if WHEEL in found or doubtful_steering(list(names)):
@@ -166,18 +170,22 @@ def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None
 
 
 def _with_derived(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray], tuple[float, float, float] | None]:
-    """(columns, origin of the map): with yaw from compass heading or quaternion, velocities in body axes from those
-    east and north, x and y from latitude and longitude, and positions at every row.
+    """(columns, origin of the map): with yaw from compass heading, quaternion or course, velocities in body axes from
+    those east and north or from the course, yaw rate from yaw, x and y from latitude and longitude, and positions at
+    every row.
     """
     columns, origin = dict(table.columns), None
     if "yaw" not in columns and COMPASS in columns:
         columns["yaw"] = np.pi / 2 - columns[COMPASS]
     elif "yaw" not in columns and columns.keys() >= QUATERNION:
         columns["yaw"] = yaw_of(*(columns[f"orientation_{axis}"] for axis in "xyzw"))
+    elif "yaw" not in columns and COURSE in columns:
+        columns["yaw"] = np.pi / 2 - columns[COURSE]
     if "velocity_y" not in columns and columns.keys() >= {"yaw", "velocity_east", "velocity_north"}:
         c, s = np.cos(columns["yaw"]), np.sin(columns["yaw"])
         east, north = columns["velocity_east"], columns["velocity_north"]
         columns["velocity_x"], columns["velocity_y"] = c * east + s * north, c * north - s * east
+    _complete_motion(table, columns, notes)
     if not {"x", "y"} <= columns.keys() and columns.keys() >= {"latitude", "longitude"}:
         latitude, longitude = columns["latitude"], columns["longitude"]
         has_fix = (latitude != 0.0) | (longitude != 0.0)  # loggers write zeros before the first fix
@@ -190,6 +198,24 @@ def _with_derived(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray]
         columns["x"], columns["y"], _ = enu(origin or (0.0, 0.0, 0.0), latitude, longitude, np.zeros(len(latitude)))
     _interpolate_held_positions(table, columns, notes)
     return columns, origin
+
+
+def _complete_motion(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
+    """Adds velocity_y, from the course or 0, and the yaw rate as the derivative of yaw, where a GNSS has neither."""
+    if not columns.keys() >= {"velocity_x", "yaw"}:
+        return
+    if "velocity_y" not in columns:
+        course = np.pi / 2 - columns[COURSE] if COURSE in columns else columns["yaw"]
+        slip = wrap_angle(course - columns["yaw"])
+        speed = columns["velocity_x"]
+        columns["velocity_x"], columns["velocity_y"] = speed * np.cos(slip), speed * np.sin(slip)
+        if not np.nan_to_num(slip).any():
+            notes.append(f"{table.file}: no column is known as velocity_y; it is taken as 0")
+    rows = np.flatnonzero(table.used & np.isfinite(columns["yaw"]))
+    if "yaw_rate" not in columns and len(rows) > 2:
+        columns["yaw_rate"] = np.full(len(table.used), np.nan)
+        columns["yaw_rate"][rows] = np.gradient(np.unwrap(columns["yaw"][rows]), table.time_ns[rows] * 1e-9)
+        notes.append(f"{table.file}: no column is known as yaw_rate; the derivative of yaw is used")
 
 
 def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:

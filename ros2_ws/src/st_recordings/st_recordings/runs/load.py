@@ -37,14 +37,12 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     log, implausible = without_implausible(loaded.log, start_ns)
     if vehicle is not None and log.steering_wheel_angle is not None:
         log = log.with_steering(vehicle)
-    warnings = loaded.warnings
-    if vehicle is not None:
-        log = with_steady_sideslip(log, vehicle)
-        if not log.sideslip_measured:
-            warnings = (*warnings, f"{source.where}: yaw is the course over ground; heading and sideslip are computed "
-                        "from it for steady cornering with the vehicle file")
     extras = replace(loaded.auxiliary, implausible=(*loaded.auxiliary.implausible, *implausible), start_ns=start_ns)
-    loaded = apply_run_file(source, replace(loaded, log=log, auxiliary=extras, warnings=warnings), vehicle)
+    loaded = apply_run_file(source, replace(loaded, log=log, auxiliary=extras), vehicle)
+    if vehicle is not None and not (log := with_steady_sideslip(loaded.log, vehicle)).sideslip_measured:
+        text = (f"{source.where}: yaw is the course over ground; heading and sideslip are computed from it for steady "
+                "cornering with the vehicle file")
+        loaded = replace(loaded, log=log, warnings=(*loaded.warnings, text))
     check_common_time(source, loaded.log.ins_time_ns, loaded.log.steering_time_ns)
     log_warnings(loaded.warnings)
     return replace(loaded, provenance={**loaded.provenance, "files": digests.result()})
