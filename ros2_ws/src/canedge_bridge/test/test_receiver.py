@@ -143,7 +143,7 @@ def test_a_network_that_is_down_keeps_the_socket(start_receiver, until):
     assert receiver.status().opened == 1 and not bus.closed
 
 
-def test_a_vanished_device_is_opened_anew(start_receiver, until):
+def test_a_removed_device_is_reopened(start_receiver, until):
     buses = [ScriptedBus([data_frame(), NO_DEVICE]), ScriptedBus([data_frame()])]
     opened = []
 
@@ -218,7 +218,7 @@ def test_stop_closes_the_bus_and_may_come_twice_or_early(start_receiver, until):
     assert not waiting._thread.is_alive()
 
 
-def test_a_vanished_interface_is_seen_where_the_socket_is_quiet(start_receiver, until):
+def test_a_removed_interface_is_detected_without_an_error_of_the_socket(start_receiver, until):
     """The state of the link is read from the kernel's files."""
     receiver = start_receiver(lambda: ScriptedBus([]), network_interface="lo")
     assert until(lambda: receiver.status().opened == 1)

@@ -160,7 +160,7 @@ def test_a_file_that_is_no_table(text, dbc_file, tmp_path):
     assert str(path) in str(refusal.value) and "\n" not in str(refusal.value)
 
 
-def test_the_table_says_for_every_signal_what_unit_it_has(signals_file):
+def test_the_table_has_the_unit_of_every_signal(signals_file):
     messages = yaml.safe_load(signals_file.read_text())["messages"]
     assert all({"name", "unit", "sign"} <= set(s) for m in messages.values() for s in m["signals"].values())
 

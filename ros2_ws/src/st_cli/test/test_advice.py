@@ -95,7 +95,7 @@ def test_evaluate_advises(tmp_path):
     assert all(float(row["error 5 s, m"]) > 0.0 for row in found)
 
 
-def test_a_tolerance_of_nothing_is_refused(tmp_path):
+def test_a_tolerance_of_zero_is_refused(tmp_path):
     write_drive(tmp_path / "long.csv", weave(16.0))
     result = CliRunner().invoke(app, ["evaluate", str(tmp_path / "long.csv"), "--advise", "0"])
     assert result.exit_code == 2 and "--advise" in result.output

@@ -30,7 +30,7 @@ def folder(tmp_path_factory):
     return base, result
 
 
-def test_calibrate_names_what_it_leaves_out_and_says_what_is_promised(folder):
+def test_calibrate_names_excluded_runs_and_states_the_levels(folder):
     base, result = folder
     assert result.exit_code == 1, result.output
     text = " ".join(result.output.split())
@@ -100,7 +100,7 @@ def test_too_few_runs_make_no_file_and_nothing_is_overwritten(folder, tmp_path):
     assert again.exit_code == 2 and "exists already" in again.output
 
 
-def test_without_bands_evaluate_says_how_to_get_them(folder, tmp_path):
+def test_without_bands_evaluate_names_the_command_that_makes_them(folder, tmp_path):
     base, _ = folder
     result = st("evaluate", base / "new" / "weave_10.csv", "--vehicle", base / "car.yaml", "--model", "linear",
                 "--figures", "", "--output", tmp_path / "o")

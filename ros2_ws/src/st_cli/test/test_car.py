@@ -33,7 +33,7 @@ def test_every_car_of_the_configuration_can_be_read(name):
         assert load_table(car.dbc, car.signals).messages
 
 
-def test_a_car_says_how_its_recordings_are_read(folder):
+def test_a_car_defines_how_its_recordings_are_read(folder):
     vehicle, read = ReadOptions(car=str(folder)).resolve()
     assert vehicle == folder / "vehicle.yaml"
     assert (read.dbc, read.signals) == (folder / "can.dbc", folder / "signals.yaml")
@@ -54,7 +54,7 @@ def test_without_a_car_options_stand_alone():
     assert (read.steering_sign, read.steering_latency) == (-1, 0.0)
 
 
-def test_the_leaf_is_not_taken_without_a_word(capsys):
+def test_the_default_leaf_is_reported(capsys):
     report_default_car("discover", LEAF)
     said = capsys.readouterr().err
     assert "no car was named" in said and "hyundai_genesis" in said and said.count("\n") == 1
@@ -66,7 +66,7 @@ def test_the_leaf_is_not_taken_without_a_word(capsys):
     ("steering_sign: 2\n", "neither 1 nor -1"), ("steering_latency: 3\n", "not 0 to 1 s"),
     ("steering_latency: true\n", "not 0 to 1 s"), ("mass: 1500\n", "mass: unknown"), ("- 1\n", "not a table"),
     ("steering_sign: [\n", "not YAML")])
-def test_a_car_that_says_nonsense_is_refused(folder, text, said):
+def test_an_invalid_car_is_refused(folder, text, said):
     (folder / "car.yaml").write_text(text)
     with pytest.raises(RunError, match=said) as error:
         load_car(str(folder))
@@ -110,7 +110,7 @@ def test_every_verb_that_needs_a_car_takes_it_by_name(name):
 
 
 @pytest.mark.parametrize("named", [[], ["--car", "hyundai_genesis"]])
-def test_export_says_so_where_it_takes_the_leaf(tmp_path, named):
+def test_export_reports_the_default_leaf(tmp_path, named):
     pytest.importorskip("casadi")
     done = CliRunner().invoke(app, ["export", "linear", *named, "--output", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
@@ -188,7 +188,7 @@ def test_each_fault_of_a_car_is_one_line_with_file_and_key(new, name, before, af
     assert "\n" not in said and all(word in said for word in words), said
 
 
-def test_faults_of_several_files_are_said_together(new):
+def test_faults_of_several_files_are_reported_together(new):
     fill_in(new)
     (new / "car.yaml").write_text("steering_sign: 0\n")
     (new / "can.dbc").unlink()

@@ -84,7 +84,7 @@ def test_the_schema(checked):
         assert 45.0 < run["channels"]["yaw_rate"]["rate"] < 55.0
 
 
-def test_the_page_says_it_first(checked):
+def test_the_page_begins_with_the_finding(checked):
     text = (checked[0] / "report.html").read_text()
     assert "<b>drive" not in text and "&lt;b&gt;drive" in text
     assert text.index("Errors in 1 of 2 runs") < text.index("<table")
@@ -93,7 +93,7 @@ def test_the_page_says_it_first(checked):
     assert text.count("<figure>") >= 6
 
 
-def test_every_finding_that_can_be_told_is_in_the_manual(checked):
+def test_every_possible_finding_is_in_the_manual(checked):
     manual = (ROOT / "docs" / "manual" / "checks.md").read_text()
     for run in checked[2]["runs"].values():
         for one in run["findings"]:
@@ -150,7 +150,7 @@ def test_evaluate_leaves_a_meaningless_run_out(wrong, tmp_path, checked):
     assert only.exit_code == 2 and "yaw_rate_scale" in only.output
 
 
-def test_evaluate_goes_on_when_forced_and_changes_no_number(wrong, tmp_path):
+def test_evaluate_continues_when_forced_and_changes_no_number(wrong, tmp_path):
     quick = ("--vehicle", CAR, "--model", "kinematic", "--figures", "")
     result = st("evaluate", wrong, *quick, "--output", tmp_path / "o", "--force")
     assert result.exit_code == 0 and "error: yaw_rate" in result.output
@@ -164,7 +164,7 @@ def test_evaluate_goes_on_when_forced_and_changes_no_number(wrong, tmp_path):
     assert numbers[0] == numbers[1]
 
 
-def test_evaluate_says_that_the_step_is_too_long_and_what_cures_it(tmp_path):
+def test_evaluate_reports_a_step_that_is_too_long_and_the_remedy(tmp_path):
     stiff = tmp_path / "stiff.yaml"
     lines = [line if not line.startswith("yaw_inertia:") else
              'yaw_inertia: {value: 1900.0, unit: kg m^2, source: "a test"}' for line in CAR.read_text().splitlines()]

@@ -77,7 +77,7 @@ def test_a_value_on_its_bound_is_reported_as_such_but_not_a_shape():
     assert curvature == "curvature × 0.05 (0.05 to 0.28)"
 
 
-def test_names_not_told_apart_stand_together(logs):
+def test_names_not_distinguishable_are_listed_together(logs):
     found = discovery(logs, STEPS[:1], 1.72, alternatives={"steering_ratio": ("front_stiffness",)}, outcome="ambiguous")
     stiff = Candidate("front_stiffness", "vehicle parameters", {"factor": 1.31}, 0.2, "alternative", "")
     found = replace(found, candidates=(*found.candidates, stiff))
@@ -85,14 +85,14 @@ def test_names_not_told_apart_stand_together(logs):
     assert any("do the next drive" in text for text in report_text.to_do(found, None))
 
 
-def test_what_cannot_be_seen_is_told_with_its_size_parameters_of_the_car_first(logs):
+def test_undetectable_effects_are_listed_with_their_size_parameters_of_the_car_first(logs):
     blind = tuple(NotTestable(name, "") for name in ("drag", "friction", "heading_misalignment", "steering_ratio"))
     text = report_text.not_visible(replace(discovery(logs, (), 1.0), not_testable=blind))
     assert text == ("these drives cannot show: friction of 40 %, steering ratio of 6 %, heading misalignment of "
                     "0.458°, drag")
 
 
-def test_a_file_that_holds_one_of_two_names_says_so(logs):
+def test_a_file_with_one_of_two_alternatives_names_the_other(logs):
     found = discovery(logs, (("yaw_inertia", {"factor": 0.86}, 0.5),), 1.7, alternatives={"yaw_inertia": ("mass",)})
     mended = VehicleUpdate(CAR, "", found.model, ("yaw_inertia",), {"yaw_inertia": (1.0, 0.86, 0.8, 0.9)}, {})
     told = report_text.to_do(found, mended)
@@ -118,7 +118,7 @@ def test_changes_of_the_vehicle_file_have_their_unit():
         "steering_wheel_offset 0 → 0.0208 rad, steering_ratio 16.3 → 15.05"
 
 
-def test_what_is_kept_is_told_by_all_its_names(logs):
+def test_kept_effects_are_listed_with_all_alternatives(logs):
     found = discovery(logs, (("tyre_stiffness", {"factor": 1.2}, 0.5),), 1.7,
                       alternatives={"tyre_stiffness": ("mass",)})
     found = replace(discovery(logs, STEPS, 1.72), minor=found.effects)
@@ -132,7 +132,7 @@ def test_without_a_name(logs, outcome, said):
     assert said in report_text.title(discovery(logs, (), 1.72, outcome=outcome))
 
 
-def test_what_remains_unexplained_is_told_beside_the_names(logs):
+def test_the_unexplained_part_is_reported_with_the_names(logs):
     named = discovery(logs, STEPS, 1.72)
     much = replace(named, signature=("errors are 3.1 times the noise",))
     said = "; more is missing that no known effect explains: errors are 3.1 times the noise"
@@ -142,7 +142,7 @@ def test_what_remains_unexplained_is_told_beside_the_names(logs):
     assert not any("more is missing" in text for text in report_text.to_do(named, None))
 
 
-def test_what_is_bound_is_told_and_not_named(logs):
+def test_bound_effects_are_reported_and_not_named(logs):
     found = discovery(logs, (), 1.72, bound=(tied(logs),), outcome="bound")
     assert report_text.title(found).endswith("something like crosswind (0.090 m), varies with run; nothing is named")
     (text,) = dict(report_text.details(found, None))["varying, not named"]

@@ -162,7 +162,7 @@ def test_a_key_the_file_leaves_out_is_put_in():
     assert found.tyre_front.lambda_muy == 0.8 and replace(found, tyre_front=CAR.tyre_front) == CAR
 
 
-def test_what_a_file_cannot_hold_is_the_model_on_the_mended_car(driven, tmp_path):
+def test_effects_that_a_file_cannot_express_are_a_model_of_the_corrected_car(driven, tmp_path):
     found, one = mended(driven, ("steering_ratio", {"factor": 0.9}), ("yaw_rate_bias", {"bias": 0.004}))
     file = model_file(found, request(driven), one)
     assert set(file.effects) == {"yaw_rate_bias"} and file.vehicle_hash == one.vehicle.hash != CAR.hash
@@ -191,7 +191,7 @@ def test_what_does_not_commute_stays_in_the_model(driven):
     assert set(one.kept) == {"steering_ratio"} and not one.folded
 
 
-def test_identify_starts_from_the_mended_file_and_says_where_it_contradicts(driven, tmp_path):
+def test_identify_starts_from_the_corrected_file_and_reports_contradictions(driven, tmp_path):
     _, one = mended(driven, ("mass", {"factor": 1.1}), ("yaw_inertia", {"factor": 1.2}))
     (tmp_path / "vehicle.yaml").write_text(one.text)
     words = ["identify", "scales", write_tables(CAR, tmp_path / "tables", seed=2)["scales"], "--vehicle",

@@ -75,7 +75,7 @@ def test_no_recording_and_a_broken_one(drive, tmp_path):
         assert result.exit_code == 2 and "no run can be used: " in result.output and said in result.output
 
 
-def test_rows_without_a_number_are_left_out_and_said(drive, tmp_path):
+def test_rows_without_a_number_are_excluded_and_reported(drive, tmp_path):
     first, *rows = drive.read_text().splitlines()
     column = first.split(",").index("yaw_rate")
 
@@ -175,7 +175,7 @@ def test_results_are_never_overwritten(drive, tmp_path):
     assert result.exit_code == 2 and "is not empty" in result.output
 
 
-def test_a_run_too_short_says_what_is_needed(tmp_path, monkeypatch):
+def test_a_run_too_short_is_refused_with_the_required_length(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     result = discover(write_drive(tmp_path / "short.csv", weave(3.0)), "--output", tmp_path / "o")
     assert result.exit_code == 2 and "no run is long enough: a run needs 7 s" in result.output
@@ -201,7 +201,7 @@ NOISE = np.array([0.01, 0.01, 0.0005, 0.02, 0.02, 0.002, 0.05, 0.05, 0.0005])
 
 
 @pytest.mark.slow
-def test_straight_driving_says_what_it_cannot_show(tmp_path):
+def test_straight_driving_is_reported_as_not_sufficient(tmp_path):
     content, said = answer(tmp_path, weave(30.0, curvature=1e-9), weave(30.0, 10.0, 1e-9))
     assert content["outcome"] in ("not_testable", "none") and not content["effects"]
     assert {"friction", "mass", "front_stiffness"} <= {n["name"] for n in content["not_testable"]}
@@ -209,14 +209,14 @@ def test_straight_driving_says_what_it_cannot_show(tmp_path):
 
 
 @pytest.mark.slow
-def test_one_bend_and_one_run_are_said(tmp_path):
+def test_one_bend_and_one_run_are_reported(tmp_path):
     _, said = answer(tmp_path, circle(40.0))
     assert "bends to one side only" in said and "one run: whether runs agree is unknown" in said
     assert "suspect: 1 run, 40 s: 0 40 s" in said and "reference: none" in said
 
 
 @pytest.mark.slow
-def test_a_channel_that_one_run_lacks_is_left_out_and_said(tmp_path):
+def test_a_channel_that_one_run_lacks_is_excluded_and_reported(tmp_path):
     def without_acceleration(text):
         rows = [line.split(",") for line in text.splitlines()]
         return "\n".join(",".join(row[:8] + row[9:]) for row in rows) + "\n"

@@ -87,7 +87,7 @@ def test_c_compiles_and_agrees(tmp_path, augmented):
     assert hasattr(ctypes.CDLL(str(library)), "augmented_dynamics_jacobian")
 
 
-def test_what_the_description_says(tmp_path, augmented):
+def test_content_of_the_description(tmp_path, augmented):
     out = tmp_path / "out"
     assert run(augmented, "--output", out, "--free", "road_bank.angle").exit_code == 0
     said = json.loads((out / "model.json").read_text())
@@ -139,7 +139,7 @@ def test_what_is_refused(tmp_path, arguments, message):
 
 
 @pytest.mark.parametrize("embed", [False, True])
-def test_a_model_file_wants_the_right_car(tmp_path, embed):
+def test_a_model_file_requires_its_car(tmp_path, embed):
     path = tmp_path / "model.yaml"
     path.write_text(ModelFile.of(augment("linear", ["mass"]), vehicle(), Provenance(), embed=embed).to_yaml())
     wrong = run(path, "--vehicle", ROOT / "config/vehicle/hyundai_genesis.yaml", "--output", tmp_path / "out")

@@ -95,7 +95,7 @@ def test_terminal_figures_and_page(chain):
 
 
 @pytest.mark.slow
-def test_a_value_that_contradicts_the_file_is_said(chain, tmp_path):
+def test_a_value_that_contradicts_the_file_is_reported(chain, tmp_path):
     base, car, _, _ = chain
     heavy = write_tables(replace(car, mass=1650.0), tmp_path / "tables", seed=3)
     result = st("identify", "scales", heavy["scales"], "--vehicle", base / "tyre" / "vehicle.yaml",

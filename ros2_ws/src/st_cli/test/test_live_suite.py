@@ -205,7 +205,7 @@ def test_the_running_table_takes_one_line_per_model_and_mode_on_eighty_columns()
     assert "ticks 130, predicted 128, skipped 2" in lines
 
 
-def test_how_often_bands_held_stands_under_the_table() -> None:
+def test_coverage_of_bands_is_printed_below_the_table() -> None:
     rows = [ErrorStatistics(model="linear", mode=mode, n_starts=9, n_bands=count, coverage_50=0.25, coverage_90=0.875)
             for mode, count in (("forecast", 8), ("hindsight", 0))]
     lines = lines_of(SuiteState(ErrorSummary(statistics=rows)))
@@ -213,7 +213,7 @@ def test_how_often_bands_held_stands_under_the_table() -> None:
     assert bands == ["inside the 90 | 50 % band, forecast: linear 88 % | 25 % of 8"]
 
 
-def test_what_is_wrong_stands_under_the_table_worst_first() -> None:
+def test_faults_are_printed_below_the_table_worst_first() -> None:
     now = time.monotonic()
     health = [Status("a: one", 1, "not so good", now), Status("b: two", 2, "[bad]", now),
               Status("c: three", 0, "fine", now)]
@@ -223,7 +223,7 @@ def test_what_is_wrong_stands_under_the_table_worst_first() -> None:
                           "error: b: two: [bad]", "warning: a: one: not so good"]
 
 
-def test_the_motion_line_says_which_way_the_wheels_point() -> None:
+def test_the_motion_line_has_the_side_of_the_steering() -> None:
     turning = Prediction(model="linear", velocity_x=[10.0, 9.0], yaw_rate=[0.2, 0.1],
                          road_wheel_angle=math.radians(3.0), compute_time=0.002)
     line = "10.0 m/s, wheels 3.0 deg left, v_x r +2.0 m/s², linear took 2.0 ms"

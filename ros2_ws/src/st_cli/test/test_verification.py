@@ -173,7 +173,7 @@ def test_two_millimetres_are_found_and_where(live):
 
 
 @pytest.mark.parametrize("deaf", [range(17), range(250, 400)], ids=["found late", "started again"])
-def test_what_depends_on_the_first_sample_a_node_heard_is_left_out_and_said(live, deaf, monkeypatch):
+def test_predictions_that_depend_on_the_first_sample_received_are_excluded_and_counted(live, deaf, monkeypatch):
     live.deaf = deaf
     found = verify(live.write())
     assert found.largest < 1e-6 and all(c.n_settling >= 7 for c in found.comparisons)
@@ -183,7 +183,7 @@ def test_what_depends_on_the_first_sample_a_node_heard_is_left_out_and_said(live
     assert verify(live.folder).largest > 0.001  # it is no other fault
 
 
-def test_a_recording_too_short_to_compare_says_so(live, monkeypatch):
+def test_a_recording_too_short_to_compare_is_reported(live, monkeypatch):
     live.write()
     monkeypatch.setattr(verification, "SETTLING_TIME_CONSTANTS", 1e6)
     result = st_verify(live.folder)
@@ -191,7 +191,7 @@ def test_a_recording_too_short_to_compare_says_so(live, monkeypatch):
 
 
 @pytest.mark.parametrize("period", [0.1, 0.5, 1.0, 2.0])
-def test_a_slow_predictor_is_compared_and_one_started_again_begins_anew(period):
+def test_a_slow_predictor_is_compared_and_a_restart_settles_again(period):
     rng = np.random.default_rng(1)
     starts = np.arange(60) * period + rng.normal(0.0, 2e-3, 60)
     starts[30:] += 10 * period + 2.0
@@ -208,7 +208,7 @@ def test_a_score_of_its_own_is_found(live):
     assert found.comparisons[1].error["forecast"] < 1e-9 and found.largest == pytest.approx(0.005, abs=1e-9)
 
 
-def test_a_recording_that_was_cut_says_so(live):
+def test_a_truncated_recording_is_reported(live):
     assert "is truncated" not in st_verify(live.write()).output and not_played(live.folder, ()) == []
     file = live.folder / f"{live.folder.name}_0.mcap"
     with file.open("rb") as stream:
@@ -268,7 +268,7 @@ def test_a_recording_without_predictions_has_nothing_to_compare(live):
     assert verify(live.write()) is None
 
 
-def test_a_file_that_is_no_recording_says_so(tmp_path):
+def test_a_file_that_is_no_recording_is_refused(tmp_path):
     file = tmp_path / "x.mcap"
     file.write_bytes(b"nothing of the kind")
     result = st_verify(file)
@@ -288,7 +288,7 @@ def test_the_leaf_is_not_taken_silently_for_a_recording_without_a_car(live, tmp_
         assert said.count("no car was named") == 1 and "car/leaf/vehicle.yaml" in said and "--car" in said
 
 
-def test_nothing_is_said_of_the_leaf_where_the_recording_carries_its_car(live, tmp_path):
+def test_the_leaf_is_not_mentioned_if_the_recording_contains_its_car(live, tmp_path):
     bag = live.write()
     assert "no car was named" not in st_verify(bag).stderr
     checked = CliRunner().invoke(app, ["check", str(bag), "--output", str(tmp_path / "checked")])

@@ -92,7 +92,7 @@ def test_ghosts_are_the_predictions_of_one_to_five_seconds_ago() -> None:
     assert straight(0).at(5_100_000_000) is None and straight(10**9).at(0) is None
 
 
-def test_a_gap_in_the_predictions_has_no_ghosts_and_a_step_back_in_time_begins_anew() -> None:
+def test_a_gap_in_the_predictions_has_no_ghosts_and_a_step_back_in_time_clears_all() -> None:
     history = History()
     for k in (0, 1, 60, 61):
         history.add_path("linear", straight(k * 100_000_000))
@@ -134,7 +134,7 @@ def test_the_table_on_the_page_has_a_row_per_model_and_mode_and_names_what_is_wr
     assert "Waiting" in error_text([], "", []) and "All nodes OK." in error_text([], "", [(0, "a", "fine")])
 
 
-def test_the_page_of_rerun_may_request_nothing_from_elsewhere() -> None:
+def test_the_page_of_rerun_may_request_nothing_external() -> None:
     for directive in POLICY.split("; "):
         for source in directive.split()[1:]:
             assert source.startswith("'") or source in ("data:", "blob:"), directive

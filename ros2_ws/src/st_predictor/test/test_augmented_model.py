@@ -107,7 +107,7 @@ def test_both_modes_are_scored_and_the_gap_is_gone(run: Run) -> None:
         assert abs(rows["linear", mode].lateral_mean) > 0.2
 
 
-def test_configurations_are_told_apart(run: Run) -> None:
+def test_configurations_are_distinguished(run: Run) -> None:
     hashes = {m: {p.configuration_hash for p in run.messages[f"/predictor/{m}/prediction"]} for m in MODELS}
     assert hashes["kinematic"] == hashes["linear"] == hashes["nonlinear"]
     assert all(len(h) == 1 for h in hashes.values()) and hashes["augmented"] != hashes["linear"]
@@ -124,7 +124,7 @@ def test_errors_are_recorded_with_the_model_they_belong_to(run: Run) -> None:
     assert records["configuration"]["model_hash"] == run.file.hash
 
 
-def test_health_is_told(run: Run) -> None:
+def test_health_is_reported(run: Run) -> None:
     said = {name: {(level, text) for _, level, text in lines} for name, lines in health(run.messages).items()}
     assert (0, "predicting") in said["predictor: prediction"]
     assert (0, "scoring") in said["evaluator: scoring"]

@@ -34,7 +34,7 @@ def declared() -> dict[str, tuple[Parameter, ...]]:
             "canedge_bridge": importlib.import_module("canedge_bridge.node").PARAMETERS}
 
 
-def test_every_parameter_stands_in_the_file_and_no_other() -> None:
+def test_the_file_has_every_parameter_and_no_other() -> None:
     document = yaml.safe_load(NODES_YAML.read_text())
     assert document.keys() == declared().keys()
     for node, table in declared().items():
@@ -95,7 +95,7 @@ def test_launched_nodes_are_installed_and_their_parameters_exist() -> None:
     assert "configuration_files" in {p.name for p in params.RECORDER}
 
 
-def test_nothing_that_is_launched_outlives_the_launch() -> None:
+def test_no_process_outlives_the_launch() -> None:
     """launch does not forward SIGTERM; the kernel does, as requested by the prefix."""
     for file in LAUNCH_FILES:
         for call in calls(file, "Node", "ExecuteProcess"):

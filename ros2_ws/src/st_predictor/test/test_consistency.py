@@ -84,7 +84,7 @@ def test_a_right_minute_is_well(road: np.ndarray) -> None:
     (YAW_RATE, late, "yaw_rate_lag", "warning", "yaw_rate lags yaw by 0.3"),
     (STEERING, flipped, "steering_sign", "error", "it counts the other way"),
 ])
-def test_a_fault_is_told_and_clears(road: np.ndarray, column: int, change: Change, name: str, severity: str,
+def test_a_fault_is_reported_and_clears(road: np.ndarray, column: int, change: Change, name: str, severity: str,
                                     words: str) -> None:
     rows = road.copy()
     inside = (rows[:, 0] >= BEGIN) & (rows[:, 0] < END)
@@ -113,7 +113,7 @@ def test_a_jump_of_the_position_is_not_used(road: np.ndarray, size: float) -> No
     assert told and BEGIN + MIN_DRIVING < told[0] <= BEGIN + MIN_DRIVING + 2.0 * PERIOD + 0.2
 
 
-def test_a_car_that_stands_is_not_checked(road: np.ndarray) -> None:
+def test_a_stationary_car_is_not_checked(road: np.ndarray) -> None:
     parked = np.repeat(road[:1], 3000, axis=0)
     parked[:, 0] = np.arange(3000) / RATE
     parked[:, 4:7] = 0.0
@@ -133,7 +133,7 @@ def test_halts_reach_further_back(road: np.ndarray) -> None:
     assert "agree in the newest 4" in said[-1][1].message
 
 
-def test_time_that_jumps_back_begins_anew(road: np.ndarray) -> None:
+def test_a_jump_back_in_time_restarts_the_check(road: np.ndarray) -> None:
     live = Live().drive(road[:4000])
     assert "agree" in live.consistency.verdict.message
     live.drive(road[:100])

@@ -54,7 +54,7 @@ def test_roll_and_pitch_leave_the_yaw() -> None:
     assert convert.ins_sample(message, "map").yaw == pytest.approx(yaw)
 
 
-def test_odometry_that_cannot_be_used_says_why() -> None:
+def test_unusable_odometry_has_a_reason() -> None:
     assert "'odom'" in convert.ins_sample(odometry(frame="odom"), "map")
     message = odometry()
     message.twist.twist.linear.y = math.nan
@@ -84,7 +84,7 @@ def test_prediction_survives_the_wire() -> None:
     assert (again.model, again.configuration_hash, again.header.frame_id) == ("nonlinear", "ab" * 32, "map")
 
 
-def test_prediction_that_cannot_be_used_says_why() -> None:
+def test_unusable_predictions_have_a_reason() -> None:
     start, trajectory = start_and_trajectory()
 
     def broken(**changes) -> str:
@@ -114,7 +114,7 @@ def test_path_is_reused_and_complete() -> None:
         assert pose.header.stamp == from_nanoseconds(TIME_NS + k * 50_000_000)
 
 
-def test_qos_in_the_words_of_a_bag() -> None:
+def test_qos_as_in_a_bag() -> None:
     plain = convert.recorded_qos(QoSProfile(depth=50))
     assert (plain.reliability, plain.durability) == ("reliable", "volatile")
     assert (plain.history, plain.depth) == ("keep_last", 50)
@@ -124,7 +124,7 @@ def test_qos_in_the_words_of_a_bag() -> None:
     assert convert.recorded_qos(latched).to_entry()["deadline"] == {"sec": 2, "nsec": 0}
 
 
-def test_a_band_message_says_what_was_stated_last() -> None:
+def test_a_band_message_has_the_newest_half_widths() -> None:
     widths = np.zeros((3, 5), np.float32)
     messages = BandMessages({"linear": {("forecast", 0.9): widths.T}})
     for scale in (1.0, 2.0):

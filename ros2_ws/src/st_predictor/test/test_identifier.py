@@ -55,7 +55,7 @@ def estimates(message) -> dict:
     return {one.parameter: one for one in message.parameters}
 
 
-def test_the_last_word_before_the_change_is_the_truth(run):
+def test_the_last_estimates_before_the_change_are_correct(run):
     messages = [m for m in run[1]["/identifier/parameters"] if not m.resets]
     last = estimates(messages[-1])
     assert messages[-1].seconds_used > 130.0
@@ -66,13 +66,13 @@ def test_the_last_word_before_the_change_is_the_truth(run):
     assert messages[-1].vehicle_hash == VehicleParameters.from_yaml(LEAF.read_text()).hash
 
 
-def test_the_first_word_is_that_nothing_is_known(run):
+def test_the_first_message_has_no_estimates(run):
     first = estimates(run[1]["/identifier/parameters"][0])
     assert {one.status for one in first.values()} == {UNESTIMATED}
     assert all(one.reason for one in first.values())
 
 
-def test_a_changed_file_starts_anew_and_a_broken_one_does_not(run):
+def test_a_changed_file_resets_and_a_broken_one_does_not(run):
     messages = run[1]["/identifier/parameters"]
     assert sorted({m.resets for m in messages}) == [0, 1]
     last = messages[-1]

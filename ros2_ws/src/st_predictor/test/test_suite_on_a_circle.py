@@ -245,7 +245,7 @@ def test_latched_topics_are_recorded_as_latched(run: Run) -> None:
     assert topics["/ins/odometry"]["type_description_hash"].startswith("RIHS01_")
 
 
-def test_health_is_told(run: Run) -> None:
+def test_health_is_reported(run: Run) -> None:
     said = {name: {(level, text) for _, level, text in lines} for name, lines in health(run.messages).items()}
     assert (0, "predicting") in said["predictor: prediction"]
     assert (0, "scoring") in said["evaluator: scoring"]

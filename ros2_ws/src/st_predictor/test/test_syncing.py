@@ -82,7 +82,7 @@ def test_a_loss_of_power_costs_at_most_the_last_second(disk: Disk, tmp_path: Pat
     assert threading.current_thread() not in disk.threads
 
 
-def test_without_it_everything_may_be_lost(disk: Disk, tmp_path: Path) -> None:
+def test_without_syncing_everything_may_be_lost(disk: Disk, tmp_path: Path) -> None:
     bag, _ = record(tmp_path / "bag", 1.2, synced=False)
     assert not disk.safe and bag.syncer is None
     bag.close()
@@ -108,7 +108,7 @@ def test_a_disk_that_does_not_follow_does_not_hold_up_the_writer(disk: Disk, tmp
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO])
-def test_a_disk_that_refuses_is_told_and_recording_goes_on(disk: Disk, tmp_path: Path, number: int) -> None:
+def test_a_failing_disk_is_reported_and_recording_continues(disk: Disk, tmp_path: Path, number: int) -> None:
     disk.error = number
     bag, before = record(tmp_path / "bag", 0.8)
     assert bag.syncer is not None and bag.syncer.error == os.strerror(number)

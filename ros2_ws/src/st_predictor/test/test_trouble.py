@@ -203,7 +203,7 @@ def test_simulated_time_that_starts_over(processes: Processes) -> None:
 
 
 @pytest.mark.slow
-def test_recorder_on_a_full_disk_says_so_and_lives_on(processes: Processes) -> None:
+def test_recorder_reports_a_full_disk_and_continues(processes: Processes) -> None:
     """A file size limit emulates the full disk; a second recorder elsewhere records the diagnostics."""
     bag = processes.folder / "full"
     command = [executable("st_predictor", "recorder"), "--ros-args", "-p", f"output_directory:={bag}"]

@@ -17,7 +17,7 @@ def placed(preset="ideal", speed=8.0, curvature=0.0):
     return car
 
 
-def test_it_starts_where_it_is_placed_and_goes_straight_on():
+def test_it_starts_where_it_is_placed_and_drives_straight():
     car = placed()
     assert car.time == 0.0 and car.state[:3] == (10.0, -5.0, 8.0) and car.state[4] == 0.5
     car.advance(1.5, 0.0, 0.0)
@@ -28,7 +28,7 @@ def test_it_starts_where_it_is_placed_and_goes_straight_on():
 
 @pytest.mark.parametrize("acceleration", [-3.0, 1.5])
 @pytest.mark.parametrize("angle", [0.0, 0.1])
-def test_acceleration_is_what_was_asked_for_also_in_a_bend(acceleration, angle):
+def test_acceleration_is_as_commanded_also_in_a_bend(acceleration, angle):
     car = placed(curvature=math.tan(angle) / CAR.wheelbase)
     car.advance(1.0, angle, 0.0)
     before = car.state[2]

@@ -56,7 +56,7 @@ def test_the_table_above_is_complete():
 
 
 @pytest.mark.parametrize("name", ON)
-def test_acts_when_on_and_fades_to_nothing_at_null(name):
+def test_acts_when_on_and_vanishes_at_null(name):
     value, others = ON[name]
     null = SETTINGS[name].null
     on = difference(name, value, others)
@@ -200,7 +200,7 @@ def test_patches_lie_still_on_the_ground():
     )
 
 
-def test_gusts_have_the_size_asked_for_and_follow_the_seed():
+def test_gusts_have_the_set_size_and_follow_the_seed():
     settings = resolve("ideal", ["gust_speed=4", "wind_speed=3"])
     blown = [Environment(settings, STEP, seed) for seed in (1, 1, 2)]
     winds = [np.array([e.at(0.0, 0.0, 0.0).wind_y for _ in range(200_000)]) for e in blown]

@@ -134,7 +134,7 @@ def test_pulls_away_again():
     assert car.state[VX] > 2.0
 
 
-def test_climbs_what_the_grade_says():
+def test_climbs_by_the_grade():
     car = driven(resolve("ideal", ["grade_angle=0.05"]), lambda t: 0.0, keep(10.0), 5.0, speed=10.0)
     assert car.state[Z] / car.state[X] == pytest.approx(math.tan(0.05), rel=1e-6)
 

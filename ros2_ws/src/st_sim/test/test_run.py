@@ -221,7 +221,7 @@ def test_another_car_drives_on_the_bus_of_the_leaf(tmp_path, monkeypatch, given)
     assert (tmp_path / "run" / "run.log").stat().st_size > 10_000
 
 
-def test_without_the_bus_of_the_leaf_it_says_where_that_is(tmp_path, monkeypatch, capsys):
+def test_missing_tables_of_the_leaf_are_located_in_the_message(tmp_path, monkeypatch, capsys):
     monkeypatch.delenv("ST_ENVIRONMENT", raising=False)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "vehicle.yaml").write_text(LEAF.read_text())

@@ -164,7 +164,7 @@ def test_there_and_back_comes_back():
     assert np.abs(d.ay).max() == pytest.approx(3.0, abs=0.25)
 
 
-def test_ramp_goes_beyond_the_limit():
+def test_ramp_exceeds_the_limit():
     d = Drive("ramp_to_limit", 26)
     peak = np.abs(d.ay).max()
     assert peak > 8.0

@@ -68,7 +68,7 @@ def test_most_noise_wanders_slowly_and_rates_do_not():
     assert abs(np.corrcoef(rate[:-1], rate[1:])[0, 1]) < 0.1 and np.std(rate) == pytest.approx(0.002, rel=0.15)
 
 
-def test_at_rest_the_unit_is_quiet():
+def test_at_rest_the_noise_is_small():
     def jitter(speed):
         unit = Ins(CAR, resolve("ideal", ["ins_noise=1"]), 0.01, 5)
         return np.std([unit.read(truth(velocity_x=speed)).specific_force[2] for _ in range(500)])

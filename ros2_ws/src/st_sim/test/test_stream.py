@@ -56,7 +56,7 @@ def truths(seconds, scenario="S6", rate=100):
 
 
 @pytest.mark.parametrize("rate", [100, 250])
-def test_ncom_tells_the_truth_within_its_resolution(rate):
+def test_ncom_equals_the_truth_within_its_resolution(rate):
     """S7 without noise: fast and slow, turns to both sides."""
     received, parser = parsed(outputs(12, scenario="S7", rate=rate))
     expected = truths(12, "S7", rate)
@@ -102,7 +102,7 @@ def test_status_channels_come_as_from_a_real_unit():
         assert all(np.diff(places[channel]) == 100)
 
 
-def test_status_says_what_the_drive_is():
+def test_status_matches_the_drive():
     received, _ = parsed(outputs(4))
     fields = {}
     for r in received:
@@ -146,7 +146,7 @@ def test_unit_that_starts_up():
     assert parser.counters.skipped_bytes == 0
 
 
-def test_can_tells_the_truth_within_its_resolution():
+def test_can_equals_the_truth_within_its_resolution():
     decoder = codec()
     expected = {round(t.time * 500): t for t in truths(12, "S6", 500)}
     seen = {}
@@ -199,7 +199,7 @@ def test_bus_traffic():
     assert {0x002, 0x284, 0x285, 0x421} <= set(car) and len(set(ids) - known) >= 20
 
 
-def test_sorted_and_late_by_what_is_asked():
+def test_sorted_and_delayed_as_set():
     made = outputs(2, ["ins_latency=0.02", "steering_sensor_latency=0.03"])
     assert [o.due for o in made] == sorted(o.due for o in made)
     received, _ = parsed(made)
