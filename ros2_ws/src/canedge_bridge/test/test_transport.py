@@ -105,12 +105,12 @@ def test_groups_that_share_a_port_are_separate_buses(channel, frame):
 def test_nothing_leaves_the_machine(channel):
     """The kernel's list of group members, and the options of the sender."""
     with open_bus("udp_multicast", channel) as bus:
-        wanted = socket.inet_aton(GROUP)[::-1].hex().upper()
+        expected = socket.inet_aton(GROUP)[::-1].hex().upper()
         device, joined = "", set()
         for line in Path("/proc/net/igmp").read_text().splitlines()[1:]:
             if not line.startswith("\t"):
                 device = line.split()[1]
-            elif line.split()[0] == wanted:
+            elif line.split()[0] == expected:
                 joined.add(device)
         assert joined == {"lo"}
         sender = bus._sender

@@ -56,19 +56,19 @@ def test_without_a_car_options_stand_alone():
 
 def test_the_default_leaf_is_reported(capsys):
     report_default_car("discover", LEAF)
-    said = capsys.readouterr().err
-    assert "no car was named" in said and "hyundai_genesis" in said and said.count("\n") == 1
+    message = capsys.readouterr().err
+    assert "no car was named" in message and "hyundai_genesis" in message and message.count("\n") == 1
     report_default_car("discover", config("car/hyundai_genesis/vehicle.yaml"))
     assert not capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("text", "said"), [
+@pytest.mark.parametrize(("text", "message"), [
     ("steering_sign: 2\n", "neither 1 nor -1"), ("steering_latency: 3\n", "not 0 to 1 s"),
     ("steering_latency: true\n", "not 0 to 1 s"), ("mass: 1500\n", "mass: unknown"), ("- 1\n", "not a table"),
     ("steering_sign: [\n", "not YAML")])
-def test_an_invalid_car_is_refused(folder, text, said):
+def test_an_invalid_car_is_refused(folder, text, message):
     (folder / "car.yaml").write_text(text)
-    with pytest.raises(RunError, match=said) as error:
+    with pytest.raises(RunError, match=message) as error:
         load_car(str(folder))
     assert str(folder / "car.yaml") in str(error.value)
 
@@ -145,13 +145,13 @@ def fill_in(folder):
 
 def test_a_new_car_fails_for_what_is_to_be_filled_in_and_nothing_else(new):
     done = st_car("check", new)
-    said = done.stderr.splitlines()
-    assert done.exit_code == 1 and len(said) == len(MEASUREMENT_HINTS) + 2
-    assert all("filled in" in line and str(new) in line for line in said)
+    message = done.stderr.splitlines()
+    assert done.exit_code == 1 and len(message) == len(MEASUREMENT_HINTS) + 2
+    assert all("filled in" in line and str(new) in line for line in message)
     for key in ("name", *MEASUREMENT_HINTS):
-        assert sum(f"vehicle.yaml: {key}:" in line for line in said) == 1
-    assert any("signals.yaml: messages: FILL_IN_message" in line for line in said)
-    assert any(line.endswith("drive_front: not filled in, value and source; 0 to 1") for line in said)
+        assert sum(f"vehicle.yaml: {key}:" in line for line in message) == 1
+    assert any("signals.yaml: messages: FILL_IN_message" in line for line in message)
+    assert any(line.endswith("drive_front: not filled in, value and source; 0 to 1") for line in message)
 
 
 def test_a_new_car_that_is_filled_in_can_be_used(new):
@@ -184,16 +184,16 @@ def test_each_fault_of_a_car_is_one_line_with_file_and_key(new, name, before, af
     text = (new / name).read_text()
     assert before in text
     (new / name).write_text(text.replace(before, after, 1))
-    (said,) = problems(str(new))
-    assert "\n" not in said and all(word in said for word in words), said
+    (message,) = problems(str(new))
+    assert "\n" not in message and all(word in message for word in words), message
 
 
 def test_faults_of_several_files_are_reported_together(new):
     fill_in(new)
     (new / "car.yaml").write_text("steering_sign: 0\n")
     (new / "can.dbc").unlink()
-    said = problems(str(new))
-    assert len(said) == 2 and "car.yaml" in said[0] and "can.dbc: the file does not exist" in said[1]
+    message = problems(str(new))
+    assert len(message) == 2 and "car.yaml" in message[0] and "can.dbc: the file does not exist" in message[1]
 
 
 def test_a_table_without_steering_is_refused(new):

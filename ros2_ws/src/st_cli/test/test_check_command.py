@@ -179,10 +179,10 @@ def test_evaluate_reports_a_step_that_is_too_long_and_the_remedy(tmp_path):
     (one,) = found(stiff, tmp_path / "a")
     assert one["cure"]["kind"] == "vehicle"
     assert one["cure"]["line"] in html.unescape((tmp_path / "a" / "report.html").read_text())
-    mended = tmp_path / "mended.yaml"
-    mended.write_text("\n".join(line if not line.startswith("minimum_slip_speed:") else one["cure"]["line"]
-                                for line in lines) + "\n")
-    assert found(mended, tmp_path / "b") == []
+    corrected = tmp_path / "corrected.yaml"
+    corrected.write_text("\n".join(line if not line.startswith("minimum_slip_speed:") else one["cure"]["line"]
+                                   for line in lines) + "\n")
+    assert found(corrected, tmp_path / "b") == []
 
 
 def test_identify_leaves_a_meaningless_drive_out(wrong, tmp_path):

@@ -94,12 +94,12 @@ def test_undetectable_effects_are_listed_with_their_size_parameters_of_the_car_f
 
 def test_a_file_with_one_of_two_alternatives_names_the_other(logs):
     found = discovery(logs, (("yaw_inertia", {"factor": 0.86}, 0.5),), 1.7, alternatives={"yaw_inertia": ("mass",)})
-    mended = VehicleUpdate(CAR, "", found.model, ("yaw_inertia",), {"yaw_inertia": (1.0, 0.86, 0.8, 0.9)}, {})
-    told = report_text.to_do(found, mended)
-    assert any("the first of yaw inertia × 0.8600 or mass × 1.020; these drives do not separ" in t for t in told)
+    corrected = VehicleUpdate(CAR, "", found.model, ("yaw_inertia",), {"yaw_inertia": (1.0, 0.86, 0.8, 0.9)}, {})
+    reported = report_text.to_do(found, corrected)
+    assert any("the first of yaw inertia × 0.8600 or mass × 1.020; these drives do not separ" in t for t in reported)
     more = replace(found, minor=found.effects)
-    told = report_text.to_do(more, replace(mended, text="name: x", error=(0.33, 0.31)))
-    assert any("alone it reduces the position error after 5 s by 6%" in t for t in told)
+    reported = report_text.to_do(more, replace(corrected, text="name: x", error=(0.33, 0.31)))
+    assert any("alone it reduces the position error after 5 s by 6%" in t for t in reported)
 
 
 def test_recordings_are_to_be_corrected_only_if_a_correction_exists(logs):
@@ -125,18 +125,18 @@ def test_kept_effects_are_listed_with_all_alternatives(logs):
     assert any("contains tyre stiffness × 1.2000 or mass × 1.020" in text for text in report_text.to_do(found, None))
 
 
-@pytest.mark.parametrize(("outcome", "said"), [
+@pytest.mark.parametrize(("outcome", "message"), [
     ("none", "nothing is missing with certainty"), ("not_testable", "too little excitation"),
     ("unknown", "something is missing that no known effect explains")])
-def test_without_a_name(logs, outcome, said):
-    assert said in report_text.title(discovery(logs, (), 1.72, outcome=outcome))
+def test_without_a_name(logs, outcome, message):
+    assert message in report_text.title(discovery(logs, (), 1.72, outcome=outcome))
 
 
 def test_the_unexplained_part_is_reported_with_the_names(logs):
     named = discovery(logs, STEPS, 1.72)
     much = replace(named, signature=("errors are 3.1 times the noise",))
-    said = "; more is missing that no known effect explains: errors are 3.1 times the noise"
-    assert report_text.title(much) == report_text.title(named) + said
+    message = "; more is missing that no known effect explains: errors are 3.1 times the noise"
+    assert report_text.title(much) == report_text.title(named) + message
     assert "an effect that is not in the library; errors are 3.1 times the noise" in report_text.meaning(much)
     assert any("a name may be a part of it" in text for text in report_text.to_do(much, None))
     assert not any("more is missing" in text for text in report_text.to_do(named, None))
@@ -232,22 +232,22 @@ def test_page_and_terminal_hold_the_answer_and_no_markup_of_a_name(logs, drive, 
 
     found = discovery(logs, STEPS, 1.72, bound=(tied(logs),))
     question = Request("nonlinear", CAR, "leaf.yaml", LEAF.read_text(), DiscoverySettings(), drives=[drive])
-    mended = update_vehicle(found, question)
-    content = document(found, question, mended, {})
+    corrected = update_vehicle(found, question)
+    content = document(found, question, corrected, {})
     assert content["schema"] == 2 and content["mended"]["vehicle.yaml"]["kept"]["steering_ratio"]
     json.dumps(content, allow_nan=False)
     page = tmp_path / "report.html"
-    write_page(page, found, mended, content, [waterfall(scene(found, logs))])
+    write_page(page, found, corrected, content, [waterfall(scene(found, logs))])
     text = page.read_text()
     assert report_text.title(found) in text and "&lt;b&gt;weave" in text and "<b>weave 20" not in text
     assert "2.5 % are asked for" in text and not re.findall(r'(?:src|href)="(?!#|data:)[^"]+"', text)
-    show(found, mended, [], {"report.html": page}, True, Console(width=300))
-    said = capsys.readouterr().out
-    order = [said.index(text) for text in ("suspect: 2 runs", "5 s position error 1.72 m", "effect", "to do")]
+    show(found, corrected, [], {"report.html": page}, True, Console(width=300))
+    message = capsys.readouterr().out
+    order = [message.index(text) for text in ("suspect: 2 runs", "5 s position error 1.72 m", "effect", "to do")]
     assert order == sorted(order)
-    assert len(said.splitlines()) <= 25 and "--fresh repeats the search" in said
+    assert len(message.splitlines()) <= 25 and "--fresh repeats the search" in message
     for effect in found.effects:
-        assert all(quantities.value(p) in said for p in effect.parameters.values())
+        assert all(quantities.value(p) in message for p in effect.parameters.values())
 
 
 def test_page_and_terminal_hold_the_same_of_a_proposal(logs, drive, tmp_path, capsys):
@@ -256,14 +256,14 @@ def test_page_and_terminal_hold_the_same_of_a_proposal(logs, drive, tmp_path, ca
     found = discovery(logs, STEPS, 1.72)
     question = Request("nonlinear", CAR, "leaf.yaml", LEAF.read_text(), DiscoverySettings(), drives=[drive])
     table = Table("By run", "Note.", ("run", "m"), [("[weave]", "0.1")])
-    told = RelationReport([("proposal", ["a law, <b>bold"])], [table], "PROPOSAL: a law")
+    reported = RelationReport([("proposal", ["a law, <b>bold"])], [table], "PROPOSAL: a law")
     page = tmp_path / "report.html"
-    write_page(page, found, None, document(found, question, None, {}), [waterfall(scene(found, logs))], told)
+    write_page(page, found, None, document(found, question, None, {}), [waterfall(scene(found, logs))], reported)
     text = html.unescape(page.read_text())
-    show(found, None, [], {"report.html": page}, False, Console(width=60), told)
-    said = capsys.readouterr().out
+    show(found, None, [], {"report.html": page}, False, Console(width=60), reported)
+    message = capsys.readouterr().out
     for shown, parts in ((text, ("PROPOSAL: a law", "a law, <b>bold", "By run", "[weave]")),
-                         (said, ("PROPOSAL: a law",))):
+                         (message, ("PROPOSAL: a law",))):
         order = [shown.index(part) for part in parts]
         assert order == sorted(order)
     assert "<b>bold" not in page.read_text()

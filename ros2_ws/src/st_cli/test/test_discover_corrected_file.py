@@ -49,14 +49,14 @@ def request(drive: Drive, text: str = TEXT) -> Request:
                    drives=[drive])
 
 
-def mended(drive: Drive, *effects: tuple[str, dict], text: str = TEXT):
+def corrected(drive: Drive, *effects: tuple[str, dict], text: str = TEXT):
     found = discovery([drive.log], [(name, values, 0.5) for name, values in effects], 1.0)
     return found, folded_update(found, request(drive, text))
 
 
 def test_file_that_predicts_worse_by_itself_is_not_written(driven):
     """The drive is of the car as in its file, without the halved mass."""
-    found, folded = mended(driven, ("mass", {"factor": 1.5}))
+    found, folded = corrected(driven, ("mass", {"factor": 1.5}))
     assert folded.text and folded.error[1] > folded.error[0]
     written = update_vehicle(found, request(driven))
     assert not written.text and written.vehicle == CAR and written.model.values["mass"]["factor"] == 1.5
@@ -65,13 +65,13 @@ def test_file_that_predicts_worse_by_itself_is_not_written(driven):
 
 def test_file_that_improves_the_mean_but_one_drive_not_is_not_written(tmp_path):
     long = recorded(tmp_path, 90.0)
-    _, folded = mended(long, ("mass", {"factor": 1.5}))
+    _, folded = corrected(long, ("mass", {"factor": 1.5}))
     assert folded.worse == (long.log.name,)
     assert not replace(folded, error=(1.0, 0.5)).improves and replace(folded, error=(1.0, 0.5), worse=()).improves
 
 
 def test_stiffer_tyres_raise_the_slip_speed_their_models_need(driven):
-    _, one = mended(driven, ("tyre_stiffness", {"factor": 2.0}))
+    _, one = corrected(driven, ("tyre_stiffness", {"factor": 2.0}))
     assert one.vehicle.minimum_slip_speed > CAR.minimum_slip_speed
     needed = slip_speed_needed(("linear", "nonlinear"), one.vehicle, STABILITY_SPEEDS, PredictionSettings().step)
     assert needed == one.vehicle.minimum_slip_speed
@@ -116,7 +116,7 @@ def test_effective_corrections_stay_in_the_model_and_are_marked(driven):
 @pytest.mark.parametrize("name", FOLDED)
 def test_the_file_holds_what_its_effect_would_do(driven, name):
     values = values_of(name, 0.8)
-    found, one = mended(driven, (name, values))
+    found, one = corrected(driven, (name, values))
     assert one.folded == (name,) and not one.kept
     expected = EFFECTS[name].fold(CAR, EFFECTS[name].Theta(**values, car=()))
     for key in KEYS:
@@ -127,7 +127,7 @@ def test_the_file_holds_what_its_effect_would_do(driven, name):
 
 
 def test_only_the_lines_of_its_keys_change(driven):
-    _, one = mended(driven, ("steering_ratio", {"factor": 0.9}), ("mass", {"factor": 1.1}))
+    _, one = corrected(driven, ("steering_ratio", {"factor": 0.9}), ("mass", {"factor": 1.1}))
     lines = TEXT.splitlines()
     gone, new = set(lines) - set(one.text.splitlines()), [n for n in one.text.splitlines() if n not in lines]
     assert {line.partition(":")[0] for line in gone} == {"mass", "steering_ratio"}
@@ -141,7 +141,7 @@ def test_only_the_lines_of_its_keys_change(driven):
 
 
 def test_the_unit_of_the_file_stays(driven):
-    _, one = mended(driven, ("steering_offset", {"angle": 0.005}))
+    _, one = corrected(driven, ("steering_offset", {"angle": 0.005}))
     line = next(line for line in one.text.splitlines() if line.startswith("steering_wheel_offset"))
     assert 'unit: "deg"' in line
     assert one.vehicle.steering_wheel_offset == pytest.approx(CAR.steering_wheel_offset - 0.005 * 17.3, abs=1e-6)
@@ -151,7 +151,7 @@ def test_blocks_and_comments_of_the_user_stay(driven):
     line = next(line for line in TEXT.splitlines(True) if line.startswith("mass"))
     block = "mass:  # weighed\n  value: 1590.0  # by me\n  unit: kg\n  source: scales\n# the next one is a guess\n"
     text = TEXT.replace(line, block)
-    _, one = mended(driven, ("mass", {"factor": 1.1}), text=text)
+    _, one = corrected(driven, ("mass", {"factor": 1.1}), text=text)
     assert one.vehicle.mass == pytest.approx(1749.0) and "# weighed" in one.text
     assert "# the next one is a guess\nyaw_inertia" in one.text
 
@@ -163,7 +163,7 @@ def test_a_key_the_file_leaves_out_is_put_in():
 
 
 def test_effects_that_a_file_cannot_express_are_a_model_of_the_corrected_car(driven, tmp_path):
-    found, one = mended(driven, ("steering_ratio", {"factor": 0.9}), ("yaw_rate_bias", {"bias": 0.004}))
+    found, one = corrected(driven, ("steering_ratio", {"factor": 0.9}), ("yaw_rate_bias", {"bias": 0.004}))
     file = model_file(found, request(driven), one)
     assert set(file.effects) == {"yaw_rate_bias"} and file.vehicle_hash == one.vehicle.hash != CAR.hash
     assert file.effects["yaw_rate_bias"]["bias"].interval == pytest.approx((0.00392, 0.00408))
@@ -179,7 +179,7 @@ def test_effects_that_a_file_cannot_express_are_a_model_of_the_corrected_car(dri
 def test_recordings_of_the_road_wheels_keep_the_ratio_in_the_model(driven):
     """The ratio of a vehicle file does not affect them, so the model must."""
     bare = replace(driven, log=replace(driven.log, steering_wheel_angle=None))
-    found, one = mended(bare, ("steering_ratio", {"factor": 0.9}))
+    found, one = corrected(bare, ("steering_ratio", {"factor": 0.9}))
     assert not one.folded and one.text == "" and one.vehicle.hash == CAR.hash
     assert one.kept["steering_ratio"]["steering_ratio"] == pytest.approx((17.3, 15.57))
     assert set(model_file(found, request(bare), one).effects) == {"steering_ratio"}
@@ -187,12 +187,12 @@ def test_recordings_of_the_road_wheels_keep_the_ratio_in_the_model(driven):
 
 def test_what_does_not_commute_stays_in_the_model(driven):
     """Play is measured after the ratio of the file: with another ratio the same play is another effect."""
-    _, one = mended(driven, ("steering_backlash", {"play": 0.02}), ("steering_ratio", {"factor": 0.6}))
+    _, one = corrected(driven, ("steering_backlash", {"play": 0.02}), ("steering_ratio", {"factor": 0.6}))
     assert set(one.kept) == {"steering_ratio"} and not one.folded
 
 
 def test_identify_starts_from_the_corrected_file_and_reports_contradictions(driven, tmp_path):
-    _, one = mended(driven, ("mass", {"factor": 1.1}), ("yaw_inertia", {"factor": 1.2}))
+    _, one = corrected(driven, ("mass", {"factor": 1.1}), ("yaw_inertia", {"factor": 1.2}))
     (tmp_path / "vehicle.yaml").write_text(one.text)
     words = ["identify", "scales", write_tables(CAR, tmp_path / "tables", seed=2)["scales"], "--vehicle",
              tmp_path / "vehicle.yaml", "--output", tmp_path / "out"]

@@ -54,7 +54,7 @@ def test_side_by_side_is_the_same(drive, tmp_path):
         assert (a.log is None and b.log is None) or same(a.log, b.log)
 
 
-@pytest.mark.parametrize(("arguments", "said"), [
+@pytest.mark.parametrize(("arguments", "message"), [
     (["--base", "wrong"], "--base wrong: there are kinematic, linear, nonlinear, or a model file"),
     (["--base", "none.yaml"], "--base none.yaml: cannot be read: No such file"),
     (["--channels", "speed"], "channels: 'speed' is none of velocity_y, yaw_rate"),
@@ -62,17 +62,17 @@ def test_side_by_side_is_the_same(drive, tmp_path):
     (["--figures", "gif"], "--figures: gif is not one of"),
     (["--reference", "nowhere"], "no --reference run can be used: "),
 ])
-def test_wrong_options_are_one_line(drive, tmp_path, arguments, said):
+def test_wrong_options_are_one_line(drive, tmp_path, arguments, message):
     result = discover(drive, "--output", tmp_path / "o", *arguments)
-    assert result.exit_code == 2 and said in result.output and "Traceback" not in result.output
+    assert result.exit_code == 2 and message in result.output and "Traceback" not in result.output
 
 
 def test_no_recording_and_a_broken_one(drive, tmp_path):
     broken = tmp_path / "broken.csv"
     broken.write_text(drive.read_text().replace("yaw_rate", "something"))
-    for path, said in ((tmp_path / "none.csv", "the file or folder does not exist"), (broken, "broken.csv")):
+    for path, message in ((tmp_path / "none.csv", "the file or folder does not exist"), (broken, "broken.csv")):
         result = discover(path, "--output", tmp_path / "o")
-        assert result.exit_code == 2 and "no run can be used: " in result.output and said in result.output
+        assert result.exit_code == 2 and "no run can be used: " in result.output and message in result.output
 
 
 def test_rows_without_a_number_are_excluded_and_reported(drive, tmp_path):
@@ -202,17 +202,17 @@ NOISE = np.array([0.01, 0.01, 0.0005, 0.02, 0.02, 0.002, 0.05, 0.05, 0.0005])
 
 @pytest.mark.slow
 def test_straight_driving_is_reported_as_not_sufficient(tmp_path):
-    content, said = answer(tmp_path, weave(30.0, curvature=1e-9), weave(30.0, 10.0, 1e-9))
+    content, message = answer(tmp_path, weave(30.0, curvature=1e-9), weave(30.0, 10.0, 1e-9))
     assert content["outcome"] in ("not_testable", "none") and not content["effects"]
     assert {"friction", "mass", "front_stiffness"} <= {n["name"] for n in content["not_testable"]}
-    assert "straight driving" in said and "two runs: whether runs agree is unknown" in said
+    assert "straight driving" in message and "two runs: whether runs agree is unknown" in message
 
 
 @pytest.mark.slow
 def test_one_bend_and_one_run_are_reported(tmp_path):
-    _, said = answer(tmp_path, circle(40.0))
-    assert "bends to one side only" in said and "one run: whether runs agree is unknown" in said
-    assert "suspect: 1 run, 40 s: 0 40 s" in said and "reference: none" in said
+    _, message = answer(tmp_path, circle(40.0))
+    assert "bends to one side only" in message and "one run: whether runs agree is unknown" in message
+    assert "suspect: 1 run, 40 s: 0 40 s" in message and "reference: none" in message
 
 
 @pytest.mark.slow
@@ -220,6 +220,6 @@ def test_a_channel_that_one_run_lacks_is_excluded_and_reported(tmp_path):
     def without_acceleration(text):
         rows = [line.split(",") for line in text.splitlines()]
         return "\n".join(",".join(row[:8] + row[9:]) for row in rows) + "\n"
-    content, said = answer(tmp_path, weave(20.0), weave(20.0, 10.0), change=without_acceleration)
+    content, message = answer(tmp_path, weave(20.0), weave(20.0, 10.0), change=without_acceleration)
     assert "acceleration_y" not in content["gap"] and "velocity_y" in content["gap"]
-    assert "acceleration_y" in said and "0" in said
+    assert "acceleration_y" in message and "0" in message

@@ -86,8 +86,8 @@ def test_model_file_with_a_proposed_effect_is_evaluated_and_exported(law, tmp_pa
     assert refused.exit_code == 2 and "proposed_rear_steer" in refused.output
     result = st("evaluate", drive, *words, tmp_path / "out", "--effects", law / "effects")
     assert result.exit_code == 0, result.output
-    said = json.loads((tmp_path / "out" / "evaluation.json").read_text())["runs"]["weave"]
-    errors = {m: said[m]["hindsight"]["lateral"]["rmse"] for m in ("nonlinear", "augmented")}
+    message = json.loads((tmp_path / "out" / "evaluation.json").read_text())["runs"]["weave"]
+    errors = {m: message[m]["hindsight"]["lateral"]["rmse"] for m in ("nonlinear", "augmented")}
     assert errors["nonlinear"] != errors["augmented"]
     result = st("export", law / "proposed.yaml", "--effects", law / "effects", "--output", tmp_path / "exported")
     assert result.exit_code == 0, result.output
@@ -100,8 +100,8 @@ def test_drives_are_identified_with_a_proposed_effect(law, tmp_path):
     words = ("identify", "stiffness", drive, "--model", law / "proposed.yaml", "--vehicle", LEAF, "--output")
     result = st(*words, tmp_path / "out", "--effects", law / "effects")
     assert result.exit_code == 0, result.output
-    said = json.loads((tmp_path / "out" / "identification.json").read_text())
-    assert "proposed_rear_steer" in json.dumps(said)
+    message = json.loads((tmp_path / "out" / "identification.json").read_text())
+    assert "proposed_rear_steer" in json.dumps(message)
     refused = st("identify", "steering-offset", drive, "--model", law / "proposed.yaml", "--effects", law / "effects",
                  "--output", tmp_path / "no")
     assert refused.exit_code == 2 and "steering-offset predicts nothing" in refused.output

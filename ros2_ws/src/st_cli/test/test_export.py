@@ -90,17 +90,17 @@ def test_c_compiles_and_agrees(tmp_path, augmented):
 def test_content_of_the_description(tmp_path, augmented):
     out = tmp_path / "out"
     assert run(augmented, "--output", out, "--free", "road_bank.angle").exit_code == 0
-    said = json.loads((out / "model.json").read_text())
-    assert (said["model"], said["base"], said["substeps"]) == ("augmented", "nonlinear", 1)
-    assert said["vehicle"]["hash"] == vehicle().hash
-    assert [(s["name"], s["unit"]) for s in said["states"]][-2:] == [
+    printed = json.loads((out / "model.json").read_text())
+    assert (printed["model"], printed["base"], printed["substeps"]) == ("augmented", "nonlinear", 1)
+    assert printed["vehicle"]["hash"] == vehicle().hash
+    assert [(s["name"], s["unit"]) for s in printed["states"]][-2:] == [
         ("tyre_relaxation.slip_front", "rad"), ("tyre_relaxation.slip_rear", "rad")]
-    assert [i["name"] for i in said["inputs"]] == ["road_wheel_angle", "velocity_x_dot"]
-    assert said["parameters"] == [{"name": "road_bank.angle", "unit": "rad", "lower": -0.3, "upper": 0.3,
-                                   "value": 0.05}]
-    assert said["effects_not_in_the_equations"] == ["steering_delay"]
-    assert said["functions"]["augmented_step"]["arguments"] == {"x": [8, 1], "u": [2, 1], "h": [1, 1], "p": [1, 1]}
-    assert sorted(said["files"]) == sorted(f.name for f in out.iterdir() if f.suffix == ".casadi")
+    assert [i["name"] for i in printed["inputs"]] == ["road_wheel_angle", "velocity_x_dot"]
+    assert printed["parameters"] == [{"name": "road_bank.angle", "unit": "rad", "lower": -0.3, "upper": 0.3,
+                                      "value": 0.05}]
+    assert printed["effects_not_in_the_equations"] == ["steering_delay"]
+    assert printed["functions"]["augmented_step"]["arguments"] == {"x": [8, 1], "u": [2, 1], "h": [1, 1], "p": [1, 1]}
+    assert sorted(printed["files"]) == sorted(f.name for f in out.iterdir() if f.suffix == ".casadi")
     readme = (out / "README.md").read_text()
     assert "augmented_step.casadi" in readme and "Not in the equations: steering_delay" in readme
 

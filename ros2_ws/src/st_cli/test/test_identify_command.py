@@ -160,12 +160,12 @@ BAD = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_tables_that_cannot_be_used_are_refused_in_one_line(tmp_path, name):
-    what, text, said = BAD[name]
+    what, text, message = BAD[name]
     file = tmp_path / "[bold]table.csv"
     file.write_text(text)
     result = st("identify", what, file, "--vehicle", LEAF, "--output", tmp_path / "out")
     assert result.exit_code == 2
-    assert said in result.output and str(file) in result.output and result.output.count("\n") == 1
+    assert message in result.output and str(file) in result.output and result.output.count("\n") == 1
     assert not (tmp_path / "out").exists()
 
 

@@ -88,8 +88,8 @@ def test_the_steering_of_the_nodes_file_holds_unless_it_is_given(tmp_path: Path,
         raise SuiteError("not now")
     monkeypatch.setattr(session, "run", not_now)
     for number, options in enumerate(([], ["--steering-latency", "0", "--steering-sign", "1"])):
-        said = run(live.live, "--output", tmp_path / str(number), *options).stderr.splitlines()
-        assert len(said) == 2 and "no car was named" in said[0] and said[1] == "st live: not now"
+        message = run(live.live, "--output", tmp_path / str(number), *options).stderr.splitlines()
+        assert len(message) == 2 and "no car was named" in message[0] and message[1] == "st live: not now"
     assert [(bus["steering_sign"], bus["steering_latency"]) for bus in buses] == [(-1, 0.05), (1, 0.0)]
 
 

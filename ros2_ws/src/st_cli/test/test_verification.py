@@ -73,7 +73,7 @@ class LiveBag:
         self.without_predictions = False
         self.names_its_car = True
         self.velocity_factor = 1.0
-        self.deaf = range(0)  # numbers of the samples the predictor does not receive
+        self.unreceived = range(0)  # numbers of the samples the predictor does not receive
         self._predictor, self._evaluator = Predictor(car, MODELS, SETTINGS), Evaluator(car, SETTINGS)
         self._count = 0
 
@@ -93,9 +93,9 @@ class LiveBag:
             sample = InsSample(time_ns, *path(time), 0.3 * np.sin(time), *velocity.tolist(), 0.3 * np.cos(time))
             angle = 0.1 * np.cos(time - 0.003)
             steering_ns = time_ns + 3_000_000
-            if k == self.deaf.stop:
+            if k == self.unreceived.stop:
                 self._predictor = Predictor(self.car, MODELS, SETTINGS)
-            for core in (self._evaluator,) if k in self.deaf else (self._predictor, self._evaluator):
+            for core in (self._evaluator,) if k in self.unreceived else (self._predictor, self._evaluator):
                 core.add_ins(sample)
                 core.add_steering(steering_ns, angle)
             writer.write(topics[ODOMETRY], odometry(sample), time_ns)
@@ -172,9 +172,9 @@ def test_two_millimetres_are_found_and_where(live):
     assert st_verify(live.folder, "--tolerance", "0.003").exit_code == 0
 
 
-@pytest.mark.parametrize("deaf", [range(17), range(250, 400)], ids=["found late", "started again"])
-def test_predictions_that_depend_on_the_first_sample_received_are_excluded_and_counted(live, deaf, monkeypatch):
-    live.deaf = deaf
+@pytest.mark.parametrize("unreceived", [range(17), range(250, 400)], ids=["found late", "started again"])
+def test_predictions_that_depend_on_the_first_sample_received_are_excluded_and_counted(live, unreceived, monkeypatch):
+    live.unreceived = unreceived
     found = verify(live.write())
     assert found.largest < 1e-6 and all(c.n_settling >= 7 for c in found.comparisons)
     result = st_verify(live.folder)
@@ -219,8 +219,8 @@ def test_a_truncated_recording_is_reported(live):
     recover(live.folder)
     done = st_verify(live.folder)
     assert f"{live.folder} is truncated" in done.output.replace("\n", "")
-    (said,) = not_played(live.folder, ())
-    assert said.startswith(f"{live.folder} is truncated") and said.endswith("are not played")
+    (text,) = not_played(live.folder, ())
+    assert text.startswith(f"{live.folder} is truncated") and text.endswith("are not played")
     assert not_played(live.folder, ["/a (b)"])[0] == "of unknown type and not played: /a (b)"
 
 
@@ -284,8 +284,8 @@ def test_the_leaf_is_not_taken_silently_for_a_recording_without_a_car(live, tmp_
         silent = CliRunner().invoke(app, [verb, str(recording), "--car", "leaf", *(f"{o}-named" if "/" in o else o
                                                                                  for o in output)])
         assert "no car was named" not in silent.stderr and silent.exit_code in (0, 1), silent.output
-        said = CliRunner().invoke(app, [verb, str(recording), *output]).stderr
-        assert said.count("no car was named") == 1 and "car/leaf/vehicle.yaml" in said and "--car" in said
+        text = CliRunner().invoke(app, [verb, str(recording), *output]).stderr
+        assert text.count("no car was named") == 1 and "car/leaf/vehicle.yaml" in text and "--car" in text
 
 
 def test_the_leaf_is_not_mentioned_if_the_recording_contains_its_car(live, tmp_path):

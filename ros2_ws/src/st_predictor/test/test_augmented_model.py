@@ -68,10 +68,10 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
         nodes = [processes.node("st_predictor", "predictor", *chosen),
                  processes.node("st_predictor", "evaluator", *chosen, f"output_directory:={folder / 'errors'}"),
                  processes.node("st_predictor", "recorder", f"output_directory:={folder / 'bag'}")]
-        heard = [f"--wait-for=predictor/{m}/{kind}" for m in MODELS for kind in ("path:1", "prediction:2")]
+        received = [f"--wait-for=predictor/{m}/{kind}" for m in MODELS for kind in ("path:1", "prediction:2")]
         feeder = processes.start([
             sys.executable, str(ROOT / "tests" / "circle_feeder.py"), "--subscribers", "3", "--duration", str(DURATION),
-            "--radius", str(RADIUS), "--speed", str(SPEED), "--angle", str(ANGLE), *heard], "feeder")
+            "--radius", str(RADIUS), "--speed", str(SPEED), "--angle", str(ANGLE), *received], "feeder")
         assert feeder.wait(60) == 0, processes.log("feeder")
         assert [processes.stop(node) for node in nodes] == [0, 0, 0]
     finally:
@@ -125,9 +125,9 @@ def test_errors_are_recorded_with_the_model_they_belong_to(run: Run) -> None:
 
 
 def test_health_is_reported(run: Run) -> None:
-    said = {name: {(level, text) for _, level, text in lines} for name, lines in health(run.messages).items()}
-    assert (0, "predicting") in said["predictor: prediction"]
-    assert (0, "scoring") in said["evaluator: scoring"]
+    message = {name: {(level, text) for _, level, text in lines} for name, lines in health(run.messages).items()}
+    assert (0, "predicting") in message["predictor: prediction"]
+    assert (0, "scoring") in message["evaluator: scoring"]
 
 
 OWN_EFFECT = '''
@@ -163,20 +163,21 @@ ANOTHER_CAR = MASS + 'vehicle: {name: "Truck", hash: "abcdef"}\n'
 
 
 @pytest.mark.parametrize("node", ["predictor", "evaluator"])
-@pytest.mark.parametrize(("text", "said"), [
+@pytest.mark.parametrize(("text", "message"), [
     (None, "model.yaml: No such file"),
     (MASS.replace("1.1", "9.0"), "effects.mass.factor: 9.0 is outside 0.6 to 2 1"),
     (TOW_HOOK, "unknown effect 'tow_hook'"),
     (ANOTHER_CAR, "the values hold for 'Truck' abcdef"),
 ])
-def test_a_wrong_model_file_stops_the_start_with_one_line(processes: Processes, node: str, text: str | None, said: str):
+def test_a_wrong_model_file_stops_the_start_with_one_line(
+        processes: Processes, node: str, text: str | None, message: str):
     path = processes.folder / "model.yaml"
     if text:
         path.write_text(text)
     process = processes.node("st_predictor", node, f"vehicle_file:={VEHICLE}", f"model_file:={path}")
     assert process.wait(30) == 2
     lines = [line for line in processes.log(node).splitlines() if line.strip()]
-    assert len(lines) == 1 and "model_file: " in lines[0] and said in lines[0]
+    assert len(lines) == 1 and "model_file: " in lines[0] and message in lines[0]
 
 
 def test_own_effects_come_from_their_folder(processes: Processes) -> None:

@@ -44,7 +44,7 @@ class Live:
         self.consistency = Consistency(vehicle, share)
         self.history = MeasurementHistory(65.0, 0.1, 5.0)
         self.now = 0.0
-        self.said: list[tuple[float, Verdict]] = []
+        self.verdicts: list[tuple[float, Verdict]] = []
         self.spent: list[float] = []
 
     def drive(self, rows: np.ndarray) -> "Live":
@@ -54,7 +54,7 @@ class Live:
             self.history.add_steering(time_ns, steering)
             self.now += 1.0 / RATE
             if k % 10 == 0 and self.consistency.poll(self.history, self.now):
-                self.said.append((t, self.consistency.verdict))
+                self.verdicts.append((t, self.consistency.verdict))
                 self.spent.append(self.consistency.seconds)
         return self
 
@@ -72,11 +72,11 @@ def flipped(rows: np.ndarray) -> np.ndarray:
 
 
 def test_a_right_minute_is_well(road: np.ndarray) -> None:
-    said = Live().drive(road).said
-    agreed = [verdict for _, verdict in said if "agree" in verdict.message]
+    verdicts = Live().drive(road).verdicts
+    agreed = [verdict for _, verdict in verdicts if "agree" in verdict.message]
     assert len(agreed) > (LAST - MIN_DRIVING) / (2.0 * PERIOD)
-    assert {verdict.severity for _, verdict in said} <= {"", "note"}
-    assert {"agree" in verdict.message for t, verdict in said if t > MIN_DRIVING + 1.0} == {True}
+    assert {verdict.severity for _, verdict in verdicts} <= {"", "note"}
+    assert {"agree" in verdict.message for t, verdict in verdicts if t > MIN_DRIVING + 1.0} == {True}
 
 
 @pytest.mark.parametrize(("column", "change", "name", "severity", "words"), [
@@ -89,13 +89,13 @@ def test_a_fault_is_reported_and_clears(road: np.ndarray, column: int, change: C
     rows = road.copy()
     inside = (rows[:, 0] >= BEGIN) & (rows[:, 0] < END)
     rows[inside, column] = change(road)[inside]
-    said = Live().drive(rows).said
-    told = [t for t, verdict in said if name in verdict.values and words in verdict.message]
-    assert told and BEGIN < told[0] <= BEGIN + TWICE
-    assert {verdict.severity for t, verdict in said if t in told} == {severity}
-    after = [verdict for t, verdict in said if t > END + SLOWEST]
-    first = next(k for k, (_, verdict) in enumerate(said) if name in verdict.values)
-    assert said[first][1].severity in ("", "note") and name in said[first][1].message  # once may mislead
+    verdicts = Live().drive(rows).verdicts
+    reported = [t for t, verdict in verdicts if name in verdict.values and words in verdict.message]
+    assert reported and BEGIN < reported[0] <= BEGIN + TWICE
+    assert {verdict.severity for t, verdict in verdicts if t in reported} == {severity}
+    after = [verdict for t, verdict in verdicts if t > END + SLOWEST]
+    first = next(k for k, (_, verdict) in enumerate(verdicts) if name in verdict.values)
+    assert verdicts[first][1].severity in ("", "note") and name in verdicts[first][1].message  # once may mislead
     assert after and all("agree" in verdict.message for verdict in after)
 
 
@@ -106,18 +106,18 @@ def test_a_jump_of_the_position_is_not_used(road: np.ndarray, size: float) -> No
     rows[rows[:, 0] >= BEGIN, 1] += size
     live = Live().drive(rows)
     assert live.history.jumps == 1
-    assert {verdict.severity for _, verdict in live.said} <= {"", "note"}
-    assert "agree" in live.said[-1][1].message
+    assert {verdict.severity for _, verdict in live.verdicts} <= {"", "note"}
+    assert "agree" in live.verdicts[-1][1].message
     rows[rows[:, 0] >= BEGIN, YAW_RATE] *= 57.3
-    told = [t for t, verdict in Live().drive(rows).said if verdict.severity == "error"]
-    assert told and BEGIN + MIN_DRIVING < told[0] <= BEGIN + MIN_DRIVING + 2.0 * PERIOD + 0.2
+    reported = [t for t, verdict in Live().drive(rows).verdicts if verdict.severity == "error"]
+    assert reported and BEGIN + MIN_DRIVING < reported[0] <= BEGIN + MIN_DRIVING + 2.0 * PERIOD + 0.2
 
 
 def test_a_stationary_car_is_not_checked(road: np.ndarray) -> None:
     parked = np.repeat(road[:1], 3000, axis=0)
     parked[:, 0] = np.arange(3000) / RATE
     parked[:, 4:7] = 0.0
-    verdict = Live().drive(parked).said[-1][1]
+    verdict = Live().drive(parked).verdicts[-1][1]
     assert verdict == Verdict("", "not checked: 0 s of driving in the last minute or since the position jumped, "
                               "20 s above 1 m/s required")
 
@@ -129,8 +129,8 @@ def test_halts_reach_further_back(road: np.ndarray) -> None:
     halt[:, 4:7] = 0.0
     later = road[1200:2600].copy()
     later[:, 0] += 2500 / RATE
-    said = Live().drive(np.concatenate((road[:1200], halt, later))).said
-    assert "agree in the newest 4" in said[-1][1].message
+    verdicts = Live().drive(np.concatenate((road[:1200], halt, later))).verdicts
+    assert "agree in the newest 4" in verdicts[-1][1].message
 
 
 def test_a_jump_back_in_time_restarts_the_check(road: np.ndarray) -> None:
@@ -151,11 +151,11 @@ def test_nothing_new_for_a_minute_is_no_verdict(road: np.ndarray) -> None:
 def test_no_steering_is_no_obstacle(road: np.ndarray) -> None:
     rows = road[:4000].copy()
     rows[:, STEERING] = np.nan  # refused by the history
-    assert "agree" in Live().drive(rows).said[-1][1].message
+    assert "agree" in Live().drive(rows).verdicts[-1][1].message
 
 
 def test_a_check_that_fails_is_a_warning(road: np.ndarray) -> None:
-    verdict = Live(vehicle="no car").drive(road[:4000]).said[-1][1]
+    verdict = Live(vehicle="no car").drive(road[:4000]).verdicts[-1][1]
     assert verdict.severity == "warning"
     assert verdict.message.startswith("check failed: AttributeError: ")
 
@@ -163,6 +163,6 @@ def test_a_check_that_fails_is_a_warning(road: np.ndarray) -> None:
 @pytest.mark.parametrize("share", [CPU_SHARE, 0.5 * CPU_SHARE, 0.002])
 def test_it_takes_no_more_than_its_share_of_a_core(road: np.ndarray, share: float) -> None:
     live = Live(share=share).drive(road)
-    times = [t for t, _ in live.said]
+    times = [t for t, _ in live.verdicts]
     assert min(b - a for a, b in pairwise(times)) > PERIOD - 0.2
     assert 0.0 < live.spent[-2] <= 1.01 * share * times[-1]  # the last is paid for later

@@ -81,10 +81,10 @@ def test_a_changed_file_resets_and_a_broken_one_does_not(run):
 
 
 def test_health_names_the_file_that_does_not_fit(run):
-    said = {name: {(level, text) for _, level, text in lines} for name, lines in health(run[1]).items()}
+    output = {name: {(level, text) for _, level, text in lines} for name, lines in health(run[1]).items()}
     assert any(level == 1 and "the file does not fit the driving" in text
-               for level, text in said["identifier: steering_ratio"])
-    assert any(level == 1 and "170.3" in text for level, text in said["identifier: vehicle file"])
+               for level, text in output["identifier: steering_ratio"])
+    assert any(level == 1 and "170.3" in text for level, text in output["identifier: vehicle file"])
 
 
 def test_nobody_else_listens_to_it(run):

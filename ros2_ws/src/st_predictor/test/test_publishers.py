@@ -47,16 +47,16 @@ class Listener:
         self.starts.append(message.x[0])
 
     def until(self, condition: Callable[[], object], what: str) -> None:
-        def heard() -> object:
+        def received() -> object:
             for _ in range(20):
                 self._executor.spin_once(timeout_sec=0.01)
             return condition()
 
-        wait_for(heard, 60.0, what)
+        wait_for(received, 60.0, what)
 
     def more_predictions(self, count: int = 10) -> None:
-        wanted = len(self.starts) + count
-        self.until(lambda: len(self.starts) >= wanted, f"{count} more predictions, {self.said}")
+        expected = len(self.starts) + count
+        self.until(lambda: len(self.starts) >= expected, f"{count} more predictions, {self.said}")
 
     def close(self) -> None:
         self._executor.shutdown()

@@ -62,11 +62,11 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
             "recorder": processes.node("st_predictor", "recorder", f"output_directory:={folder / 'bag'}",
                                        f"configuration_files:=[{VEHICLE}]", metadata),
         }
-        heard = {f"predictor/{m}/{kind}": count for m in MODELS for kind, count in (("path", 1), ("prediction", 2))}
+        received = {f"predictor/{m}/{kind}": count for m in MODELS for kind, count in (("path", 1), ("prediction", 2))}
         feeder = processes.start([
             sys.executable, str(ROOT / "tests" / "circle_feeder.py"), "--subscribers", "3", "--duration", str(DURATION),
             "--radius", str(RADIUS), "--speed", str(SPEED), "--angle", str(ANGLE),
-            *(f"--wait-for={topic}:{count}" for topic, count in heard.items())], "feeder")
+            *(f"--wait-for={topic}:{count}" for topic, count in received.items())], "feeder")
         assert feeder.wait(60) == 0, processes.log("feeder")
         statuses = {name: processes.stop(process) for name, process in nodes.items()}
     finally:
@@ -246,11 +246,11 @@ def test_latched_topics_are_recorded_as_latched(run: Run) -> None:
 
 
 def test_health_is_reported(run: Run) -> None:
-    said = {name: {(level, text) for _, level, text in lines} for name, lines in health(run.messages).items()}
-    assert (0, "predicting") in said["predictor: prediction"]
-    assert (0, "scoring") in said["evaluator: scoring"]
-    assert {level for level, _ in said["recorder: recording"]} == {0}
-    assert {level for level, _ in said["evaluator: recording"]} == {0}
+    output = {name: {(level, text) for _, level, text in lines} for name, lines in health(run.messages).items()}
+    assert (0, "predicting") in output["predictor: prediction"]
+    assert (0, "scoring") in output["evaluator: scoring"]
+    assert {level for level, _ in output["recorder: recording"]} == {0}
+    assert {level for level, _ in output["evaluator: recording"]} == {0}
 
 
 def test_sigterm_is_as_good_as_sigint(processes: Processes) -> None:

@@ -88,9 +88,9 @@ def test_no_prediction_without_an_input_and_the_reason_is_reported(
     assert not [t for t in issued if begin + 0.35 < t < end]
     assert [t for t in issued if begin - 0.6 < t <= begin + 0.1]
     assert [t for t in issued if end < t < end + 0.7]
-    said = [(level, text) for stamp, level, text in health(messages)["predictor: prediction"]
-            if begin + 0.3 < (stamp - zero_ns) * 1e-9 < end]
-    assert any(level == ERROR and all(word in text for word in words) for level, text in said), said
+    output = [(level, text) for stamp, level, text in health(messages)["predictor: prediction"]
+              if begin + 0.3 < (stamp - zero_ns) * 1e-9 < end]
+    assert any(level == ERROR and all(word in text for word in words) for level, text in output), output
 
 
 @pytest.mark.slow
@@ -98,8 +98,8 @@ def test_skipped_ticks_are_counted(troubled: dict[str, Any]) -> None:
     last = troubled["messages"]["/predictor/status"][-1]
     assert last.skipped_stale > 30
     assert last.due == last.predicted + last.skipped_stale + last.skipped_overrun + last.skipped_slow
-    heard = stamps(troubled["messages"]["/predictor/nonlinear/prediction"])
-    assert 0 <= last.predicted - len(heard) <= ticks_before(heard[0], troubled["zero_ns"])
+    got = stamps(troubled["messages"]["/predictor/nonlinear/prediction"])
+    assert 0 <= last.predicted - len(got) <= ticks_before(got[0], troubled["zero_ns"])
     reasons = {m.reason for m in troubled["messages"]["/predictor/status"]}
     assert any("steering" in reason for reason in reasons)
 
@@ -141,8 +141,8 @@ def test_odometry_in_another_frame_is_refused(processes: Processes) -> None:
     assert [processes.stop(p) for p in (predictor, recording)] == [0, 0]
     messages = read_messages(bag)
     assert "/predictor/linear/prediction" not in messages
-    said = [text for _, level, text in health(messages)["predictor: prediction"] if level == ERROR]
-    assert any("'odom'" in text and "expected 'map'" in text for text in said)
+    output = [text for _, level, text in health(messages)["predictor: prediction"] if level == ERROR]
+    assert any("'odom'" in text and "expected 'map'" in text for text in output)
 
 
 @pytest.mark.slow
@@ -155,9 +155,9 @@ def test_recorder_names_the_node_that_it_does_not_hear(processes: Processes) -> 
     predictor.send_signal(signal.SIGCONT)
     wait_for(lambda: "messages of all publishers arrive" in processes.log("recorder"), what="and its end")
     assert [processes.stop(p) for p in (predictor, recording)] == [0, 0]
-    said = health(read_messages(bag))["recorder: senders"]
-    assert {level for _, level, _ in said} == {OK, WARN}
-    assert not [text for _, level, text in said if level == WARN and "predictor" not in text]
+    output = health(read_messages(bag))["recorder: senders"]
+    assert {level for _, level, _ in output} == {OK, WARN}
+    assert not [text for _, level, text in output if level == WARN and "predictor" not in text]
 
 
 @pytest.mark.slow
@@ -176,7 +176,7 @@ def test_overrun_skips_ticks_and_queues_none(processes: Processes) -> None:
     ticks, others = from_where_all_heard(
         *(stamps(messages[f"/predictor/{model}/prediction"]) for model in ("nonlinear", "kinematic")))
     assert ticks == sorted(set(ticks)) == others
-    warnings = {name: [text for _, level, text in said if level == WARN] for name, said in health(messages).items()}
+    warnings = {name: [text for _, level, text in output if level == WARN] for name, output in health(messages).items()}
     assert any("skipped by overrun" in text for text in warnings["predictor: timing"])
     assert any("another vehicle" in text for text in warnings["evaluator: scoring"])
 
@@ -213,9 +213,9 @@ def test_recorder_reports_a_full_disk_and_continues(processes: Processes) -> Non
     assert limited.poll() is None
     assert processes.stop(limited) == 1
     assert processes.stop(watching) == 0
-    said = [text for _, level, text in health(read_messages(seen))["recorder: recording"] if level == ERROR]
-    assert said
-    assert all("File too large" in text for text in said)
+    output = [text for _, level, text in health(read_messages(seen))["recorder: recording"] if level == ERROR]
+    assert output
+    assert all("File too large" in text for text in output)
     kept = read_messages(bag)
     assert len(kept["/ins/odometry"]) > 200
     assert (bag / "full_0.mcap").stat().st_size <= 60 * 1024

@@ -21,12 +21,12 @@ def test_of_many_that_begin_at_once_one_gets_the_directory(tmp_path: Path) -> No
     for attempt in range(20):
         directory, together, bags, refused = tmp_path / str(attempt), threading.Barrier(RECORDERS), [], []
 
-        def begin(where: Path = directory, at_once=together, made=bags, told=refused) -> None:
+        def begin(where: Path = directory, at_once=together, made=bags, reported=refused) -> None:
             at_once.wait()
             try:
                 made.append(BagWriter(where))
             except FileExistsError as error:
-                told.append(error)
+                reported.append(error)
 
         threads = [threading.Thread(target=begin) for _ in range(RECORDERS)]
         for thread in threads:

@@ -70,7 +70,7 @@ GOOD = "0,0,0,0,5,0,0,0,0,0\n0.02,0.1,0,0,5,0,0,0,0,0\n"
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("t,x,y\n0,0,0\n", "column yaw is missing"),
         (f"{HEAD}\n{GOOD}0.04,a,0,0,5,0,0,0,0,0\n", "line 4"),
@@ -82,9 +82,9 @@ GOOD = "0,0,0,0,5,0,0,0,0,0\n0.02,0.1,0,0,5,0,0,0,0,0\n"
         ("\udcff\udcfe", "not a CSV file"),
     ],
 )
-def test_bad_drive_is_named(tmp_path, text, said):
+def test_bad_drive_is_named(tmp_path, text, message):
     file = tmp_path / "drive.csv"
     file.write_bytes(text.encode("utf-8", "surrogateescape"))
     with pytest.raises(SimulationError, match=r"^[^\n]*drive\.csv[^\n]*$") as caught:
         RecordedDrive(file, CAR)
-    assert said in str(caught.value)
+    assert message in str(caught.value)

@@ -241,7 +241,7 @@ def test_presets_and_files(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("wind: 3", "wind: no such setting"),
         ("wind_speed: 99", "wind_speed: 99 is not within -40 to 40 m/s"),
@@ -251,12 +251,12 @@ def test_presets_and_files(tmp_path):
         ("a: [", "not valid YAML"),
     ],
 )
-def test_bad_plant_file_is_named(tmp_path, text, said):
+def test_bad_plant_file_is_named(tmp_path, text, message):
     file = tmp_path / "plant.yaml"
     file.write_text(text)
     with pytest.raises(SimulationError, match=r"^[^\n]*plant\.yaml[^\n]*$") as caught:
         resolve(str(file))
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 @pytest.mark.parametrize("effect",

@@ -149,20 +149,20 @@ class Live:
 def test_live_on_real_sockets(tmp_path):
     live = Live(tmp_path, "--duration", "2", "--ncom-rate", "250", "--can-rate", "full")
     live.listen(lambda: False)
-    said, err = live.finish()
+    output, err = live.finish()
     assert live.process.returncode == 0 and err == ""
-    assert [s["state"] for s in said] == ["sending", "done"] and said[0]["duration"] == 2.0
+    assert [s["state"] for s in output] == ["sending", "done"] and output[0]["duration"] == 2.0
     parser = NcomParser()
     received = [r for at, data in live.packets for r in parser.feed(data, at)]
-    assert len(received) == 500 == said[1]["ncom_packets"] and parser.counters.skipped_bytes == 0
+    assert len(received) == 500 == output[1]["ncom_packets"] and parser.counters.skipped_bytes == 0
     stamps = np.array([r.utc_ns for r in received])
-    assert set(np.diff(stamps)) == {4_000_000} and stamps[0] == said[0]["start_ns"]
+    assert set(np.diff(stamps)) == {4_000_000} and stamps[0] == output[0]["start_ns"]
     # The stamps are those of this host's clock, and nothing is sent before it was measured.
     age = np.array([r.received_ns for r in received]) - stamps
     assert (age > 0).all()
     decoder = Decoder(DBC, SIGNALS)
     decoded = [d for f in live.frames if (d := decoder.decode(f))]
-    assert len(live.frames) == said[1]["can_frames"] == pytest.approx(2 * (1750 + 2000), rel=0.02)
+    assert len(live.frames) == output[1]["can_frames"] == pytest.approx(2 * (1750 + 2000), rel=0.02)
     assert all(d.valid for d in decoded)
     assert len([d for d in decoded if d.message == "Leaf_Steering"]) == 200
     messages, _ = truth_of(tmp_path)
@@ -175,9 +175,9 @@ def test_signal_closes_the_files(tmp_path, number):
     live.listen(lambda: len(live.packets) > 60)
     live.process.send_signal(number)
     live.listen(lambda: False)
-    said, err = live.finish()
+    output, err = live.finish()
     assert live.process.returncode == 0 and err == ""
-    assert said[-1]["state"] == "done"
+    assert output[-1]["state"] == "done"
     messages, metadata = truth_of(tmp_path)
     assert len(messages) >= 60 and "settings" in metadata
 
@@ -234,7 +234,7 @@ def test_missing_tables_of_the_leaf_are_located_in_the_message(tmp_path, monkeyp
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "output"),
     [
         ([], "--vehicle is missing"),
         (["--vehicle", "none.yaml"], "none.yaml: cannot be read"),
@@ -261,7 +261,7 @@ def test_missing_tables_of_the_leaf_are_located_in_the_message(tmp_path, monkeyp
         (["--wheels", "5"], "--wheels"),
     ],
 )
-def test_bad_argument_is_one_line(arguments, said, capsys):
+def test_bad_argument_is_one_line(arguments, output, capsys):
     if arguments and "--vehicle" not in arguments:
         arguments = ["--vehicle", str(LEAF), *arguments]
     try:
@@ -271,7 +271,7 @@ def test_bad_argument_is_one_line(arguments, said, capsys):
     assert status == 2
     out, err = capsys.readouterr()
     assert out == "" and err.startswith("virtual_leaf: ") and err.count("\n") == 1
-    assert said in err
+    assert output in err
 
 
 def test_full_disk_ends_the_truth_and_not_the_drive(tmp_path):
@@ -280,9 +280,9 @@ def test_full_disk_ends_the_truth_and_not_the_drive(tmp_path):
     (tmp_path / "truth.mcap").symlink_to("/dev/full")
     live = Live(tmp_path, "--duration", "3")
     live.listen(lambda: False)
-    said, _ = live.finish()
-    assert live.process.returncode == 0 and said[-1]["ncom_packets"] == 300
-    assert "truth.mcap: No space left" in said[-1]["fault"]
+    output, _ = live.finish()
+    assert live.process.returncode == 0 and output[-1]["ncom_packets"] == 300
+    assert "truth.mcap: No space left" in output[-1]["fault"]
 
 
 def test_lists(capsys):

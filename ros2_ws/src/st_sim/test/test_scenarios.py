@@ -220,7 +220,7 @@ def test_pedals_on_straights_and_in_bends_to_both_sides():
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("road: [{straight: 10}]", "speed"),
         ("road: [{straight: 10, speed: 0}]", "not above 0"),
@@ -235,12 +235,12 @@ def test_pedals_on_straights_and_in_bends_to_both_sides():
         ("[", "not valid YAML"),
     ],
 )
-def test_bad_road_is_named(tmp_path, text, said):
+def test_bad_road_is_named(tmp_path, text, message):
     file = tmp_path / "road.yaml"
     file.write_text(text)
     with pytest.raises(SimulationError, match=r"^[^\n]*road\.yaml[^\n]*$") as caught:
         load(str(file))
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     with pytest.raises(SimulationError, match="--scenario S9"):
         load("S9")
     with pytest.raises(SimulationError, match="cannot be read"):
