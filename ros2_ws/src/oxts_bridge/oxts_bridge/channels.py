@@ -1,5 +1,4 @@
-"""Status channels (byte 62 and batch S): position, format, unit and validity of every field; 8 bytes to named values
-and back.
+"""Status channels (byte 62, batch S): table of all fields, decoder and encoder of the 8 bytes.
 
 Field names are the vendor's, as in tests/golden/data/ncom; angles are in degrees as the vendor's tools show them.
 Source: NCOM manual 260702 and the behaviour of the vendor's public decoder. Checked by:
@@ -23,8 +22,8 @@ LONG_RANGE_CHANNEL = 57
 TRIGGER_CHANNELS = {24: "TrigTime", 43: "Trig2Time", 65: "DigitalOutTime", 79: "Trig3Time", 80: "Trig4Time",
                     81: "DigitalOut2Time"}
 
-# The 8 bytes given to a validity rule while a value is encoded: every flag byte is "valid".
-_FLAGS_SET = bytes(6) + b"\0\x01"
+# Batch S with every flag byte valid, for the validity rules while encoding.
+_VALID_FLAGS = bytes(6) + b"\0\x01"
 _F32 = struct.Struct("<f")
 _ALIASES = {"shifted": "i8", "digits6": "i24", "lo4": "bits0+4", "hi4": "bits4+4"}
 
@@ -33,7 +32,7 @@ _ALIASES = {"shifted": "i8", "digits6": "i24", "lo4": "bits0+4", "hi4": "bits4+4
 class Validity:
     """Condition under which a field is valid.
 
-    accepts(raw, data): raw is the number of the field, data the 8 bytes. mark: number written for "invalid".
+    accepts(raw, data): raw number of the field, the 8 bytes. mark: raw number that encodes an invalid value.
     flag: index of the validity byte of a group of fields, written as flag_valid or 0xFF.
     """
 
@@ -49,9 +48,9 @@ ALWAYS = Validity("always", lambda raw, data: True, mark=0)
 
 @dataclass(frozen=True)
 class Field:
-    """One value of a status channel: physical = number on the wire * scale + offset.
+    """One value of a status channel: physical value = raw number * scale + offset.
 
-    name: the vendor's, or the project's where the vendor has none.  at: first byte.  unit: of the physical value.
+    name: the vendor's, else the project's.  at: first byte.  unit: of the physical value.
     kind: u8 ... u64, i8 ... i32; bits<first>+<count> of the byte (ibits: inverted), lo4, hi4: its halves; f32; shifted:
     7-bit number above a validity bit; digits6: i24 as text of six digits; text<n>; constant: implied by the channel,
     value in offset.
@@ -67,22 +66,22 @@ class Field:
     validity: Validity = ALWAYS
     cyclic: int = 0
 
-    def _bits(self) -> tuple[int, int, int, int]:
+    def _bit_layout(self) -> tuple[int, int, int, int]:
         """(shift, mask, flip, sign): the number is ((word >> shift & mask ^ flip) ^ sign) - sign.
 
         word: the 8 bytes as one little-endian integer. sign: weight of the sign bit, 0 for unsigned numbers.
         """
         kind = _ALIASES.get(self.kind, self.kind)
-        before, _, bits = kind.partition("bits")
+        prefix, _, bits = kind.partition("bits")
         if bits:
             first, count = bits.split("+")
             mask = (1 << int(count)) - 1
-            return 8 * self.at + int(first), mask, mask if before == "i" else 0, 0
+            return 8 * self.at + int(first), mask, mask if prefix == "i" else 0, 0
         width = int(kind[1:])
         return 8 * self.at, (1 << width) - 1, 0, 1 << width - 1 if kind[0] == "i" else 0
 
     def decoder(self) -> Callable[[int, bytes], Value]:
-        """A function from the 8 bytes, as one integer and as bytes, to the physical value, None where it is invalid."""
+        """Function (8 bytes as little-endian integer, 8 bytes) -> physical value, None if invalid."""
         at, scale, offset, accepts = self.at, self.scale, self.offset, self.validity.accepts
         if self.kind == "constant":
             return lambda word, data: int(offset)
@@ -91,7 +90,7 @@ class Field:
             return lambda word, data: _text(data[at:end])
         if self.kind == "f32":  # negative = invalid; so is NaN
             return lambda word, data: value if (value := _F32.unpack_from(data, at)[0]) >= 0 else None
-        shift, mask, flip, sign = self._bits()
+        shift, mask, flip, sign = self._bit_layout()
         if self.kind == "digits6":
             return lambda word, data: f"{raw:06d}" if (raw := (word >> shift & mask ^ sign) - sign) >= 0 else None
         if self.kind == "shifted":
@@ -103,9 +102,9 @@ class Field:
             raw * scale + offset if accepts(raw := ((word >> shift & mask ^ flip) ^ sign) - sign, data) else None)
 
     def encode(self, buffer: bytearray, value: Value) -> None:
-        """Write a value (None: the invalid mark) into the 8 bytes; encode_channel() writes the flags of groups.
+        """Write a value (None: invalid) into the 8 bytes; encode_channel() writes the flags of groups.
 
-        A scaled quantity is limited to the range of the format; a count or code that does not fit raises NcomError.
+        A scaled quantity is clipped to the range of its format; a count or code out of range raises NcomError.
         """
         if self.kind == "constant":
             return
@@ -117,37 +116,37 @@ class Field:
         if self.kind == "f32":
             _F32.pack_into(buffer, self.at, -1.0 if value is None else value)
             return
-        shift, mask, flip, _ = self._bits()
-        number = self.validity.mark if value is None else self._number(value)
+        shift, mask, flip, _ = self._bit_layout()
+        number = self.validity.mark if value is None else self._raw_number(value)
         others = int.from_bytes(buffer, "little") & ~(mask << shift)
         buffer[:] = (others | (number & mask ^ flip) << shift).to_bytes(8, "little")
 
-    def _number(self, value: float | int | str) -> int:
-        """The valid number on the wire nearest to a value."""
-        plain = self.scale == 1 and not self.offset
-        _, mask, _, sign = self._bits()
+    def _raw_number(self, value: float | int | str) -> int:
+        """Raw number that the validity rule accepts, closest to a value."""
+        unscaled = self.scale == 1 and not self.offset
+        _, mask, _, sign = self._bit_layout()
         low, high = -sign, mask - sign
-        number = int(value) if plain else round(max(low, min(high, (float(value) - self.offset) / self.scale)))
+        number = int(value) if unscaled else round(max(low, min(high, (float(value) - self.offset) / self.scale)))
         if self.kind == "shifted":
             return max(-64, min(63, number)) << 1 | 1
         accepts = self.validity.accepts
-        if low <= number <= high and accepts(number, _FLAGS_SET):
+        if low <= number <= high and accepts(number, _VALID_FLAGS):
             return number
-        if plain:
+        if unscaled:
             raise NcomError(f"{self.name}: {value} does not fit ({low} to {high}, {self.validity.text})")
-        while not accepts(number, _FLAGS_SET):
+        while not accepts(number, _VALID_FLAGS):
             number += 1 if number <= 0 else -1
         return number
 
 
 def _text(data: bytes) -> str | None:
-    """Text up to the first zero byte; unprintable bytes are written as \\xNN so that a CSV row stays one line."""
+    """Text up to the first zero byte; unprintable bytes as \\xNN, so that a CSV row stays one line."""
     return "".join(chr(c) if 32 <= c < 127 else f"\\x{c:02x}" for c in data.split(b"\0")[0]) or None
 
 
 F = Field  # short for the table
-_AGE_IS_LOW = "b6 < 150"
-FRESH = Validity(_AGE_IS_LOW, lambda raw, data: data[6] < 150, flag=6)
+_FRESH_TEXT = "b6 < 150"
+FRESH = Validity(_FRESH_TEXT, lambda raw, data: data[6] < 150, flag=6)
 B6_ZERO = Validity("b6 = 0", lambda raw, data: data[6] == 0, flag=6)
 B6_NOT_255 = Validity("b6 < 255", lambda raw, data: data[6] < 255, flag=6)
 HIGH_BIT = Validity("bit 7 = 0", lambda raw, data: raw < 0x80, mark=0xFF)
@@ -159,7 +158,7 @@ GPS_MINUTE = Validity(">= 1000", lambda raw, data: raw >= 1000, mark=0)
 OMNISTAR_STATUS = Validity("b4 < 255", lambda raw, data: data[4] < 255, flag=4)
 INVERTED_B6 = Validity("bit 7 of b6 = 0", lambda raw, data: data[6] < 0x80, flag=6, flag_valid=0x7F)
 INVERTED_B7 = Validity("bit 7 of b7 = 0", lambda raw, data: data[7] < 0x80, flag=7, flag_valid=0x7F)
-LONG_RANGE = Validity(f"{_AGE_IS_LOW} and b7 > 0", lambda raw, data: data[6] < 150 and data[7] != 0, flag=6)
+LONG_RANGE = Validity(f"{_FRESH_TEXT} and b7 > 0", lambda raw, data: data[6] < 150 and data[7] != 0, flag=6)
 
 
 def unless(*marks: int) -> Validity:
@@ -168,8 +167,8 @@ def unless(*marks: int) -> Validity:
 
 
 def fresh_unless(*marks: int) -> Validity:
-    """As unless(), and the age in byte 6 must be below 150."""
-    return Validity(f"{_AGE_IS_LOW} and not {', '.join(map(str, marks))}",
+    """As unless(), and valid only while the age in byte 6 is below 150."""
+    return Validity(f"{_FRESH_TEXT} and not {', '.join(map(str, marks))}",
                     lambda raw, data: data[6] < 150 and raw not in marks, marks[0])
 
 
@@ -209,7 +208,7 @@ def _angles(prefix: str) -> list[Field]:
 
 
 def _innovations(*names: str, first: int = 0) -> list[Field]:
-    """Filter innovations in units of their current standard deviation; |value| < 1 is good."""
+    """Kalman filter innovations over their standard deviation; |value| < 1 is consistent."""
     return [F(name, "shifted", first + i, "sigma", 0.1, 0, BIT0) for i, name in enumerate(names)]
 
 
@@ -294,13 +293,11 @@ TABLE: dict[int, list[Field]] = {
     28: [_byte("HeadSearchMaster", 0, "PRN", 1, 1), _byte("HeadSearchSlave1", 1, "PRN", 1, 1),
          _byte("HeadSearchSlave2", 2, "PRN", 1, 1), _byte("HeadSearchSlave3", 3, "PRN", 1, 1),
          F("HeadSearchTime", "u16", 4, "s"), F("HeadSearchConstr", "u16", 6)],
-    29: [*(F(name, "u8", i, validity=HIGH_BIT) for i, name in enumerate(
-        ("OptionLevel", "OptionVibration", "OptionGpsAcc", "OptionUdp", "OptionSer1", "OptionSer2", "OptionHeading"))),
-        F("OptionHeave", "u8", 7, validity=HIGH_BIT)],
+    29: [F(f"Option{name}", "u8", i, validity=HIGH_BIT) for i, name in enumerate(
+        ("Level", "Vibration", "GpsAcc", "Udp", "Ser1", "Ser2", "Heading", "Heave"))],
     30: [_byte("OsVersion1", 0), _byte("OsVersion2", 1), _byte("OsVersion3", 2),
          F("OsScriptId", "digits6", 3, validity=NOT_NEGATIVE), _word("SerialNumber", 6)],
-    31: [_byte("ImuType", 0), _byte("GpsPrimary.Type", 1),
-         _byte("GpsSecondary.Type", 2), _byte("InterPcbType", 3),
+    31: [_byte("ImuType", 0), _byte("GpsPrimary.Type", 1), _byte("GpsSecondary.Type", 2), _byte("InterPcbType", 3),
          _byte("FrontPcbType", 4), _byte("InterSwId", 5), _byte("HwConfig", 6),
          *(F(name, f"ibits{bit}+1", 7, validity=INVERTED_B7) for name, bit in (
              ("PsrDiffEnabled", 0), ("SBASEnabled", 1), ("OmniVBSEnabled", 3), ("OmniHPEnabled", 4),
@@ -357,10 +354,9 @@ TABLE: dict[int, list[Field]] = {
     61: _receiver_counters("GpsExternal"),
     62: _receiver_status("GpsExternal"),
     63: [F("AngAccFiltFreq", "f32", 0, "Hz"), F("AngAccFiltZeta", "f32", 4)],
-    64: [_byte("CpuPcbType", 0), _byte("GpsExternal.Type", 1),
-         _byte("GpsExternal.Format", 2), _byte("DualPortRamStatus", 3),
-         F("GpsPrimary.PosRate", "lo4", 4, validity=NIBBLE), F("GpsPrimary.VelRate", "hi4", 4, validity=NIBBLE),
-         F("GpsPrimary.RawRate", "lo4", 5, validity=NIBBLE), F("GpsSecondary.RawRate", "hi4", 5, validity=NIBBLE),
+    64: [_byte("CpuPcbType", 0), _byte("GpsExternal.Type", 1), _byte("GpsExternal.Format", 2),
+         _byte("DualPortRamStatus", 3), *_nibbles(4, "GpsPrimary.PosRate", "GpsPrimary.VelRate"),
+         *_nibbles(5, "GpsPrimary.RawRate", "GpsSecondary.RawRate"),
          # By the vendor's convention, a unit that sends this channel has GPS but not BeiDou; neither has a bit.
          F("GnssGpsEnabled", "constant", 6, offset=1), F("GnssBeiDouEnabled", "constant", 6, offset=0),
          *(F(name, f"ibits{bit}+1", 6, validity=INVERTED_B6) for bit, name in enumerate(
@@ -377,9 +373,7 @@ TABLE: dict[int, list[Field]] = {
          *_nibbles(7, "DiffNumGloL1", "DiffNumGloL2")],
     74: [F("LinAccFiltFreq", "f32", 0, "Hz"), F("LinAccFiltZeta", "f32", 4)],
     75: [_word("FirmwareExpiryDay", 0, "day"), _byte("SupplyVoltage", 2, "V", 0.2), _word("ImuRate", 3, "Hz", 0.02)],
-    76: [*(F(name, "u16", 2 * i, cyclic=16)
-           for i, name in enumerate(("DiffChars", "DiffPkts", "DiffCharsSkipped"))),
-         _byte("NtripStatus", 6), _byte("WifiStatus", 7)],
+    76: [*_counters("DiffChars", "DiffPkts", "DiffCharsSkipped"), _byte("NtripStatus", 6), _byte("WifiStatus", 7)],
     77: [_byte("DiffFormat", 0), _byte("DiffType", 1), _byte("DiffNumStations", 2)],
     78: [F("CanTx", "u16", 0, cyclic=16), F("CanRx", "u16", 2, cyclic=16), _byte("CanTxOkPercent", 4, "%"),
          _byte("CanRxOkPercent", 5, "%"), F("CanErrors", "u8", 6, cyclic=8), F("CanLastError", "u8", 7)],
@@ -418,14 +412,13 @@ _READ_UTC_OFFSET = FIELDS[UTC_CHANNEL]["TimeUtcOffset"].decoder()
 
 
 def decode_channel(channel: int, data: bytes) -> dict[str, Value]:
-    """All fields of a channel by name: physical value in the unit of the table, None = invalid. Unknown channel: empty.
+    """Fields of a channel by name, in the units of the table; None: invalid. Empty for an unknown channel.
 
-    Cyclic counters are returned as sent; status.StatusTracker unwraps them and adds values that depend on several
-    channels or on the time.
+    Cyclic counters are as sent: status.StatusTracker unwraps them and adds derived values.
     """
     word = int.from_bytes(data, "little")
     values = {name: decode(word, data) for name, decode in _DECODERS.get(channel, ())}
-    # A factor of 0xFF marks saturated numbers, which are not multiplied.
+    # Factor 0xFF: the numbers are saturated and have no factor.
     if channel == LONG_RANGE_CHANNEL and values["GAPx"] is not None and data[7] != 0xFF:
         values = {name: value * data[7] for name, value in values.items()}
     return values
@@ -449,7 +442,7 @@ def utc_offset(data: bytes) -> int | None:
 
 
 def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
-    """The 8 bytes of a channel; a missing field, None or NaN becomes invalid (0 where the field cannot express that).
+    """The 8 bytes of a channel; a missing field, None or NaN becomes invalid (0 where the field has no such code).
 
     decode_channel(n, encode_channel(n, v)) equals v within the resolution of each field. Raises NcomError for an
     unknown channel or field, a value out of range, and an incomplete group of values that share a validity byte.
@@ -473,7 +466,7 @@ def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
         if any(given) and not all(given):
             raise NcomError(f"channel {channel}: {', '.join(f.name for f in group)} are valid together or not at all")
         buffer[flag] = group[0].validity.flag_valid if any(given) else 0xFF
-    if any(f.validity.text.startswith(_AGE_IS_LOW) and values.get(f.name) is not None for f in fields.values()):
+    if any(f.validity.text.startswith(_FRESH_TEXT) and values.get(f.name) is not None for f in fields.values()):
         buffer[6] = 0
     for name, field in fields.items():
         value = values.get(name)

@@ -1,6 +1,6 @@
 """Quantities that the vendor's tools derive from the packets: level-frame values, speed, slip, distance, ISO axes.
 
-Conventions (ncom.md section 10): level frame = forward, right, down; Iso = forward, left, up. Only packets with valid
+Conventions: level frame = forward, right, down; Iso = forward, left, up. Only packets with valid
 navigation (status 3, 4, 21, 22) have values; NaN where an input is missing.
 Checked by: tests/golden/test_ncom_vectors.py.
 """
@@ -180,7 +180,7 @@ def low_pass(seconds: np.ndarray, values: np.ndarray,
     settings: (index of its first sample, cutoff fc [Hz], damping ratio z); both 0: off (output = input), None:
     unchanged. NaN until there are a setting with fc < fs / 2 and three evenly spaced samples; the filter starts in
     steady state at the first of these.
-    Source: ncom.md section 10. Checked by: tests/golden/test_ncom_vectors.py (case filters).
+    Source: NCOM manual 260702. Checked by: tests/golden/test_ncom_vectors.py (case filters).
     """
     output = np.full(len(values), np.nan)
     changes: list[tuple[int, tuple[float, float]]] = []

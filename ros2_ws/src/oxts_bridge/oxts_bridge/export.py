@@ -12,7 +12,7 @@ from .derived import Settings, derive, float_seconds
 from .file_decoder import EMPTY, KINDS, STATUS, TRIGGER, UNKNOWN_TIME, Columns, decode_file
 from .ncom import NcomError
 from .packet_time import WEEK_MS
-from .status import PARTS, StatusTracker
+from .status import RAW_FIELDS, StatusTracker
 
 Change: TypeAlias = tuple[int, int, str, Value]
 """Change of a status field: packet, channel, field, value (None: invalid)."""
@@ -109,7 +109,7 @@ def _read_status(columns: Columns) -> tuple[list[Change], Settings]:
         fields = tracker.update(channel, columns.batch_s(i), seconds, position)
         for name, sent in fields.items():
             value = min(sent, _LARGEST_UMAC_STATUS) if name == "UmacStatus" and sent is not None else sent
-            if name not in PARTS and (value is not None or name not in _RETAINED) and known.get(name) != value:
+            if name not in RAW_FIELDS and (value is not None or name not in _RETAINED) and known.get(name) != value:
                 known[name] = value
                 changes.append((i, channel, name, value))
         # Status applies from the next packet on; to an event packet, its own status applies.

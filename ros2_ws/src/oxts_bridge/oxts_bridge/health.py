@@ -41,7 +41,7 @@ class Health:
         self._parser, self._status, self._origin, self._statistics = parser, status, origin, statistics
         self._source, self._live, self._ellipsoidal, self._silence_after = source, live, ellipsoidal, silence_after
         self._previous_faults: dict[str, int] = {}
-        self._previous_rivals = 0
+        self._previous_ignored = 0
 
     def checks(self) -> list[Check]:
         """The checks for /diagnostics; some of them count since the previous call."""
@@ -55,22 +55,22 @@ class Health:
         values: dict[str, Any] = {"datagrams": source.datagrams}
         if source.sender:
             values["sender"] = source.sender
-        values.update({f"ignored from {address}": count for address, count in source.others.items()})
+        values.update({f"ignored from {address}": count for address, count in source.ignored.items()})
         if source.name.startswith("file"):
             values = {"packets": source.datagrams, "progress %": 100.0 * source.progress, "loops": source.loops}
         if self.failures:
             values["failed packets"] = self.failures
             return Check("source", ERROR, f"{self.failures} packets could not be published, see the log", values)
-        if source.trouble:
-            return Check("source", ERROR, source.trouble, values)
+        if source.problem:
+            return Check("source", ERROR, source.problem, values)
         if source.done:
             return Check("source", OK, f"{source.name}: replay finished", values)
-        rivals, self._previous_rivals = source.rivals - self._previous_rivals, source.rivals
-        if rivals > 0:
-            text = f"a second sender on {source.sender}: {rivals} datagrams ignored since the last report"
+        ignored, self._previous_ignored = source.ignored_ports - self._previous_ignored, source.ignored_ports
+        if ignored > 0:
+            text = f"a second sender on {source.sender}: {ignored} datagrams ignored since the last report"
             return Check("source", WARN, f"{source.name}: {text}", values)
-        if source.others and not source.sender:
-            return Check("source", WARN, f"{source.name}: only ignored senders: {', '.join(source.others)}", values)
+        if source.ignored and not source.sender:
+            return Check("source", WARN, f"{source.name}: only ignored senders: {', '.join(source.ignored)}", values)
         return Check("source", OK, f"{source.name}" + (f" from {source.sender}" if source.sender else ""), values)
 
     def _check_stream(self, source: SourceStatus) -> Check:

@@ -7,7 +7,7 @@ become coordinates of a local east-north-up frame:
     R_enu_flu = T R_no F,  T = [[0,1,0],[1,0,0],[0,0,-1]],  F = diag(1,-1,-1),  R_no = Rz(heading) Ry(pitch) Rx(roll)
     as fixed-axis angles: roll = roll, pitch = -pitch, yaw = pi/2 - heading
 
-Plain floats, because numpy is ten times slower for single vectors. Source: ncom.md sections 9 to 11 (REP-103).
+Plain floats, because numpy is ten times slower for single vectors. Source: NCOM manual 260702, REP-103.
 Checked by: test_geometry.py (worked examples; short distances against the ellipsoid radii), and the inverse in st_sim.
 """
 

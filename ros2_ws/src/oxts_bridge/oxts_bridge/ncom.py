@@ -45,7 +45,6 @@ ECCENTRICITY_SQUARED = FLATTENING * (2 - FLATTENING)
 INVALID_I24 = -0x800000
 LARGEST_I24 = 0x7FFFFF
 
-# An i24 is read as its low 16 bits (unsigned) and its high 8 bits (signed).
 _LAYOUT = struct.Struct("<xH HbHbHb HbHbHb B x ddf HbHbHb HbHbHb x B 8s x")
 
 
@@ -91,36 +90,36 @@ BY_STATUS: tuple[Rule, ...] = tuple(RULES.get(n, Rule(f"reserved ({n})", known=F
 # status 1 (raw IMU), because the unit's clock is not set yet.
 MINUTE_STATUSES = frozenset((INITIALISING, LOCKING, LOCKED, STATUS_ONLY))
 
-# Position, velocity and orientation modes of GNSS. Source: ncom.md section 8.
-_POST = ("Doppler", "SPS", "differential", "float", "integer")
+# Position, velocity and orientation modes of GNSS.
+_SOLUTIONS = ("Doppler", "SPS", "differential", "float", "integer")
 MODES = dict(enumerate((
     "none", "search", "Doppler", "SPS", "differential", "RTK float", "RTK integer", "SBAS", "OmniSTAR VBS",
-    "OmniSTAR HP", "no data", "blanked", *(f"post-processed {name}" for name in _POST), "OmniSTAR XP", "CDGPS",
-    "not recognised", *(f"gx {name}" for name in _POST), *(f"ix {name}" for name in _POST), "PPP converging", "PPP",
-    "unknown")))
+    "OmniSTAR HP", "no data", "blanked", *(f"post-processed {name}" for name in _SOLUTIONS), "OmniSTAR XP", "CDGPS",
+    "not recognised", *(f"gx {name}" for name in _SOLUTIONS), *(f"ix {name}" for name in _SOLUTIONS),
+    "PPP converging", "PPP", "unknown")))
 
 NO_FIX, FIX, SBAS_FIX, GBAS_FIX = -1, 0, 1, 2
-_STATUS = {
+_FIX_STATUS = {
     **dict.fromkeys((3, 13, 21, 26), FIX),
     **dict.fromkeys((7, 8, 9, 17, 18, 30, 31), SBAS_FIX),
     **dict.fromkeys((4, 5, 6, 14, 15, 16, 22, 23, 24, 27, 28, 29), GBAS_FIX),
 }
-_RANKS = {mode: rank for rank, mode in enumerate((0, 1, 2, 3, 7, 4, 5, 6))}
+_MODE_RANKS = {mode: rank for rank, mode in enumerate((0, 1, 2, 3, 7, 4, 5, 6))}
 
 
 def mode_text(mode: int | None) -> str:
-    """Name of a position, velocity or orientation mode; empty before the first, "unknown (n)" without a name."""
+    """Name of a position, velocity or orientation mode; "" for None, "unknown (n)" for an undefined number."""
     return "" if mode is None else MODES.get(mode, f"unknown ({mode})")
 
 
 def mode_rank(mode: int | None) -> int:
     """Rank of a live GNSS mode, from none (0) to RTK integer (7); -1 for other modes, which have no order."""
-    return -1 if mode is None else _RANKS.get(mode, -1)
+    return -1 if mode is None else _MODE_RANKS.get(mode, -1)
 
 
 def fix_status(mode: int | None) -> int:
-    """NavSatStatus.status of a position mode. NO_FIX for unknown numbers and before the first."""
-    return NO_FIX if mode is None else _STATUS.get(mode, NO_FIX)
+    """NavSatStatus.status of a position mode. NO_FIX for None and undefined numbers."""
+    return NO_FIX if mode is None else _FIX_STATUS.get(mode, NO_FIX)
 
 
 @dataclass(slots=True)
@@ -154,7 +153,7 @@ class Packet:
 
 
 def decode(data: bytes) -> Packet:
-    """The physical values of 72 bytes; checksums are not verified here, see next_packet().
+    """Physical values of a packet; next_packet() verifies the checksums.
 
     Raises NcomError for another length, a wrong sync byte, or structure B (navigation status 11, vendor-internal).
     """
@@ -166,7 +165,7 @@ def decode(data: bytes) -> Packet:
 
 
 def decode_unchecked(data: bytes) -> Packet:
-    """As decode(), for 72 bytes already known to be a structure A packet."""
+    """As decode(), without its checks."""
     (ms, x0, x1, y0, y1, z0, z1, p0, p1, q0, q1, r0, r1, status, latitude, longitude, altitude,
      n0, n1, e0, e1, d0, d1, h0, h1, t0, t1, l0, l1, channel, batch_s) = _LAYOUT.unpack(data)
     # Written out because this runs for every packet: a call per component would double its time.
@@ -200,7 +199,7 @@ def decode_unchecked(data: bytes) -> Packet:
 
 
 def encode(packet: Packet) -> bytes:
-    """The 72 bytes of a packet, checksums filled. encode(decode(p)) == p for every packet with right checksums.
+    """The 72 bytes of a packet, checksums filled. encode(decode(p)) == p if the checksums are correct.
 
     Values are rounded to the wire's unit (half to even) and limited to +/- 8388607 units; NaN becomes the invalid mark.
     Angles are written as given: keep the heading within +/- pi, which is what units send. Raises NcomError for a
@@ -211,12 +210,12 @@ def encode(packet: Packet) -> bytes:
     if packet.navigation_status == STRUCTURE_B:
         raise NcomError("structure B packets (navigation status 11) cannot be encoded")
     angles = (packet.heading, packet.pitch, packet.roll)
-    early = *_i24_parts(packet.acceleration, ACCELERATION_UNIT), *_i24_parts(packet.angular_rate, ANGULAR_RATE_UNIT)
-    late = *_i24_parts(packet.velocity_ned, VELOCITY_UNIT), *_i24_parts(angles, ANGLE_UNIT)
+    imu = *_i24_parts(packet.acceleration, ACCELERATION_UNIT), *_i24_parts(packet.angular_rate, ANGULAR_RATE_UNIT)
+    navigation = *_i24_parts(packet.velocity_ned, VELOCITY_UNIT), *_i24_parts(angles, ANGLE_UNIT)
     try:
         data = bytearray(_LAYOUT.pack(
-            packet.milliseconds, *early, packet.navigation_status, packet.latitude, packet.longitude, packet.altitude,
-            *late, packet.channel, packet.batch_s))
+            packet.milliseconds, *imu, packet.navigation_status, packet.latitude, packet.longitude, packet.altitude,
+            *navigation, packet.channel, packet.batch_s))
     except (struct.error, OverflowError) as error:
         raise NcomError(f"packet does not fit the wire: {error}") from None
     data[0] = SYNC
@@ -238,7 +237,7 @@ def radii(latitude: float) -> tuple[float, float]:
 
 
 def inner_checksums_match(data: bytes) -> bool:
-    """Whether checksums 1 and 2 of a structure A packet are right; the parser counts wrong ones but accepts them."""
+    """Whether checksums 1 and 2 are correct; the parser counts wrong ones but accepts the packet."""
     first = sum(data[1:CHECKSUM_1_AT])
     second = first + sum(data[CHECKSUM_1_AT:CHECKSUM_2_AT])
     return first & 0xFF == data[CHECKSUM_1_AT] and second & 0xFF == data[CHECKSUM_2_AT]
@@ -262,26 +261,25 @@ class Counters:
     impossible_positions: int = 0  # NaN or out of range although the navigation status declares a position: masked
 
 
-def next_packet(data: bytes, at: int, in_step: bool, counters: Counters) -> tuple[int, bool]:
-    """Position of the first packet from `at` on, and whether a packet is expected there.
+def next_packet(data: bytes, at: int, in_sync: bool, counters: Counters) -> tuple[int, bool]:
+    """(position of the next whole packet, else of the first byte to keep; whether a packet is expected there).
 
-    in_step: a packet is expected at `at`. Without a whole packet the position is that of the bytes to keep until more
-    arrive. Counts checksum_errors and skipped_bytes. After other bytes the search proceeds byte by byte and
-    requires all three checksums and a known navigation status: one in 256 false syncs passes the final checksum.
+    in_sync: a packet is expected at `at`. Counts checksum_errors and skipped_bytes. Out of sync, a packet needs all
+    three checksums and a known navigation status: one in 256 false sync bytes passes the final checksum.
     """
     while at < len(data):
         if data[at] == SYNC:
             raw = data[at : at + PACKET_SIZE]
             if len(raw) < PACKET_SIZE:
                 break
-            if sum(raw[1:CHECKSUM_3_AT]) & 0xFF == raw[CHECKSUM_3_AT] and (in_step or _plausible(raw)):
+            if sum(raw[1:CHECKSUM_3_AT]) & 0xFF == raw[CHECKSUM_3_AT] and (in_sync or _plausible(raw)):
                 return at, True
-            counters.checksum_errors += in_step
+            counters.checksum_errors += in_sync
         following = data.find(_SYNC, at + 1)
         following = len(data) if following < 0 else following
         counters.skipped_bytes += following - at
-        at, in_step = following, False
-    return at, in_step
+        at, in_sync = following, False
+    return at, in_sync
 
 
 def _plausible(raw: bytes) -> bool:
@@ -290,7 +288,7 @@ def _plausible(raw: bytes) -> bool:
 
 
 def _i24_parts(values: tuple[float, float, float], unit: float) -> Iterator[int]:
-    """Low 16 bits and high 8 bits (signed) of each value in its unit."""
+    """Low 16 bits (unsigned) and high 8 bits (signed) of each value / unit, limited; NaN is INVALID_I24."""
     for value in values:
         if math.isnan(value):
             raw = INVALID_I24

@@ -1,7 +1,7 @@
 """GPS and UTC time of NCOM packets in integers, from the milliseconds of the minute and an occasional minute number.
 
 GPS time counts from 1980-01-06T00:00:00 without leap seconds: gps = minutes * 60 s + ms.  UTC = gps - leap seconds.
-Source: ncom.md section 5. Checked by: test_packet_time.py, tests/golden/test_ncom_vectors.py.
+Source: NCOM manual 260702. Checked by: test_packet_time.py, tests/golden/test_ncom_vectors.py.
 """
 
 from st_core.leap_seconds import GPS_EPOCH_UNIX, at_gps

@@ -27,7 +27,7 @@ RETRY_PERIOD = 1.0
 # Another sender is accepted when the one in use has been silent this long [s].
 SENDER_TIMEOUT = 2.0
 _MAX_SENDERS_COUNTED = 16
-# The replay skips a longer step of the file's time: files were joined or the clock was set [ns].
+# A longer step of the recorded time is skipped in a replay: joined files, or a clock that was set [ns].
 LONGEST_PAUSE_NS = 60_000_000_000
 # A datagram from another port continues the stream only within this time [ms].
 LONGEST_CONTINUATION_MS = 1_000
@@ -48,8 +48,8 @@ class Continuity:
         self._newest = packet
 
     def continues(self, data: bytes) -> bool:
-        """Whether the first packet of a datagram is at most 1 s later than the newest one, at a position that driving
-        explains. False if either position is unknown."""
+        """Whether the first packet of a datagram is at most 1 s later than the newest one, at a position consistent
+        with the velocity. False if either position is unknown."""
         before = self._newest
         try:
             packet = decode(data[:PACKET_SIZE])
@@ -72,19 +72,19 @@ class Continuity:
 class SourceStatus:
     """State of a source for the diagnostics.
 
-    trouble: why no data can arrive, or empty.  done: a replay has reached its end.  sender: address in use.
-    others: ignored datagrams per address, or per address and port if only the port differs from the sender in use.
-    rivals: ignored datagrams from other ports of the sender in use.  progress: fraction of the file replayed.
+    problem: why no data can arrive, or empty.  done: a replay has reached its end.  sender: address in use.
+    ignored: ignored datagrams per address, or per address and port if only the port differs from the sender in use.
+    ignored_ports: their number from other ports of the sender in use.  progress: fraction of the file replayed.
     loops: completed replays.
     """
 
     name: str
-    trouble: str = ""
+    problem: str = ""
     done: bool = False
     sender: str = ""
     datagrams: int = 0
-    others: dict[str, int] = field(default_factory=dict)
-    rivals: int = 0
+    ignored: dict[str, int] = field(default_factory=dict)
+    ignored_ports: int = 0
     progress: float = 0.0
     loops: int = 0
 
@@ -99,7 +99,7 @@ class UdpSource:
 
     def __init__(self, address: str, port: int, sender_filter: str, on_data: OnData, on_change: Callable[[], None],
                  continues: Callable[[bytes], bool] = lambda data: False):
-        """sender_filter: IP address, or empty for any. on_change: called from the thread when `trouble` changes.
+        """sender_filter: IP address, or empty for any. on_change: called from the thread when `problem` changes.
         continues: whether a datagram from another port continues the stream, see Continuity."""
         self.status = SourceStatus(f"udp {address}:{port}")
         self._address, self._port, self._filter = address, port, sender_filter
@@ -125,10 +125,10 @@ class UdpSource:
         while not self._stop.is_set():
             try:
                 with self._open() as sock:
-                    self._set_trouble("")
+                    self._set_problem("")
                     self._receive(sock)
             except OSError as error:
-                self._set_trouble(f"cannot listen on {self._address} port {self._port}: {error.strerror or error}; "
+                self._set_problem(f"cannot listen on {self._address} port {self._port}: {error.strerror or error}; "
                                   "retrying every second")
                 self._stop.wait(RETRY_PERIOD)
 
@@ -158,11 +158,11 @@ class UdpSource:
     def _process(self, data: bytes, received_ns: int, sender: tuple[str, int]) -> None:
         self.status.datagrams += 1
         if sender != self._in_use and not self._accepts(sender[0], data):
-            rival = self._in_use is not None and sender[0] == self._in_use[0]
-            self.status.rivals += rival
-            name, others = f"{sender[0]} port {sender[1]}" if rival else sender[0], self.status.others
-            if name in others or len(others) < _MAX_SENDERS_COUNTED:
-                others[name] = others.get(name, 0) + 1
+            same_address = self._in_use is not None and sender[0] == self._in_use[0]
+            self.status.ignored_ports += same_address
+            name, ignored = f"{sender[0]} port {sender[1]}" if same_address else sender[0], self.status.ignored
+            if name in ignored or len(ignored) < _MAX_SENDERS_COUNTED:
+                ignored[name] = ignored.get(name, 0) + 1
         elif self._on_data(data, received_ns, True):
             self._last_packet_at = time.monotonic()
             self._in_use, self.status.sender = sender, sender[0]
@@ -175,15 +175,15 @@ class UdpSource:
             return True
         return self._in_use is not None and address == self._in_use[0] and self._continues(data)
 
-    def _set_trouble(self, trouble: str) -> None:
-        changed, self.status.trouble = trouble != self.status.trouble, trouble
+    def _set_problem(self, problem: str) -> None:
+        changed, self.status.problem = problem != self.status.problem, problem
         self._open_attempted.set()
         if changed:
             self._on_change()
 
 
 def _kernel_time(control: list[tuple[int, int, bytes]]) -> int:
-    """When the kernel received a datagram [ns since 1970]; without its stamp, now."""
+    """Kernel receive time of a datagram [ns since 1970]; the current time if the kernel gives none."""
     for level, kind, data in control:
         if level == socket.SOL_SOCKET and kind == _SO_TIMESTAMPNS and len(data) >= _TIMESPEC.size:
             seconds, nanoseconds = _TIMESPEC.unpack_from(data)

@@ -8,8 +8,8 @@ from .channels import FIELDS, TRIGGER_CHANNELS, Value, decode_channel, trigger_n
 from .ncom import radii
 from .stream import Received
 
-# Fields that StatusTracker replaces by a value derived from several of them.
-PARTS = frozenset(
+# Raw fields that StatusTracker replaces by values derived from them.
+RAW_FIELDS = frozenset(
     {"GpsMinutes", "UpTimeCode", "WSpeedMilliseconds", "OldRefX", "OldRefY", "OldRefHeading"}
     | {name for channel in TRIGGER_CHANNELS for name in FIELDS[channel]}
 )
@@ -28,7 +28,7 @@ _CYCLIC = {
 class StatusTracker:
     """Newest value of every field of every channel.
 
-    values: by field name, units as in the channel table; None = invalid, absent = never sent. seen: channels so far.
+    values: by field name, units as in the channel table; None = invalid, absent = never sent. seen: channels received.
     """
 
     def __init__(self) -> None:
@@ -36,12 +36,12 @@ class StatusTracker:
         self.seen: set[int] = set()
         self._raw: dict[int, bytes] = {}
         self._local_frame: dict[str, Value] = {}
-        self._wheel: tuple[float, int] | None = None
+        self._last_pulses: tuple[float, int] | None = None
 
     def update(self, channel: int, data: bytes, gps_seconds: float | None = None,
                position: tuple[float, float, float] | None = None,
                decoded: Mapping[str, Value] | None = None) -> dict[str, Value]:
-        """Fields that the 8 bytes of a channel set; empty if the channel sent the same bytes before.
+        """Values that the 8 bytes of a channel set; empty if they repeat the previous ones.
 
         gps_seconds: time of the packet, for wheel speed. position: its latitude, longitude [rad], altitude [m], for
         channel 25. decoded: decode_channel() of the bytes, if the caller has it.
@@ -65,7 +65,7 @@ class StatusTracker:
                 fields["BnsLagFilt"] = lag if before is None else before * (1 - _LAG_WEIGHT) + lag * _LAG_WEIGHT
             fields["UpTime"] = None if code is None else up_time(code)
         elif channel == 25:
-            self._set_old_origin(fields, data, position)
+            self._set_legacy_origin(fields, data, position)
         elif channel == 45:
             self._set_wheel_speed(fields, gps_seconds)
         elif channel == 48:
@@ -81,7 +81,7 @@ class StatusTracker:
         return fields
 
     def update_from(self, received: Received) -> dict[str, Value]:
-        """Fields that a packet sets; empty if its status channel is not valid or unchanged."""
+        """Values that a packet sets; empty if its status channel is invalid or unchanged."""
         if not received.rule.status:
             return {}
         packet = received.packet
@@ -114,13 +114,13 @@ class StatusTracker:
         if milliseconds is None or gps_seconds is None:
             return  # without a new time the last frequency stays valid
         time = 60.0 * round((gps_seconds - milliseconds * 1e-3) / 60.0) + milliseconds * 1e-3
-        count, before = fields["WSpeedCount"], self._wheel
-        forward = before is not None and time > before[0]
-        fields["WSpeedFreq"] = (count - before[1]) % (1 << 32) / (time - before[0]) if before and forward else None
-        self._wheel = time, count
+        count, before = fields["WSpeedCount"], self._last_pulses
+        fields["WSpeedFreq"] = (
+            (count - before[1]) % (1 << 32) / (time - before[0]) if before and time > before[0] else None)
+        self._last_pulses = time, count
         fields["WSpeedTime"] = time
 
-    def _set_old_origin(self, fields: dict, data: bytes, position: tuple[float, float, float] | None) -> None:
+    def _set_legacy_origin(self, fields: dict, data: bytes, position: tuple[float, float, float] | None) -> None:
         x, y, heading = (fields.pop(name) for name in ("OldRefX", "OldRefY", "OldRefHeading"))
         is_invalid = None in (x, y, heading) or data == b"\x80\0\0\0\x80\0\0\0"
         if self._has_local_frame() or is_invalid or position is None or not all(map(isfinite, position)):
@@ -133,8 +133,8 @@ def origin_from_channel_25(x: float, y: float, heading: float, latitude: float, 
                            altitude: float) -> tuple[float, float, float, float]:
     """Local frame of old firmware: latitude, longitude [deg], altitude [m] of its origin, heading [deg] of its x axis.
 
-    x, y: present position in the local frame [m], heading: of its x axis from north [deg]. latitude, longitude [rad],
-    altitude [m]: present position. The latitude is iterated because the radii are those at the origin.
+    x, y: current position in the local frame [m], heading: of its x axis from north [deg]. latitude, longitude [rad],
+    altitude [m]: current position. The latitude is iterated because the radii are those at the origin.
     """
     s, c = sin(radians(heading)), cos(radians(heading))
     north, east = x * c + y * s, x * s - y * c
@@ -173,16 +173,16 @@ class Event:
 
 
 class EventLog:
-    """One event per change of the unit's counter, however often the unit repeats it.
+    """Removes repetitions: one event per change of the unit's counter.
 
-    A count first received in a regular packet is an old event and only initialises the counter.
+    A first count in a regular packet belongs to an old event and only initialises the counter.
     """
 
     def __init__(self) -> None:
         self._last: dict[int, tuple[int, int]] = {}  # by channel: count and time of the newest event
 
     def event(self, received: Received) -> Event | None:
-        """The event that this packet reports first, None without one."""
+        """The event if this packet is the first to report it, else None."""
         packet = received.packet
         channel = packet.channel
         if channel not in TRIGGER_CHANNELS or not received.rule.status:

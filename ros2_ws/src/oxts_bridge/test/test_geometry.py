@@ -1,4 +1,4 @@
-"""Axes and signs (worked examples of ncom.md section 10, and R_enu_flu = T R_no F as matrix product), and earth to
+"""Axes and signs (worked examples, and R_enu_flu = T R_no F as matrix product), and earth to
 local frame against closed forms and the radii of the ellipsoid.
 """
 

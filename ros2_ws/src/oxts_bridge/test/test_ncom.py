@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from oxts_bridge import ncom
 from oxts_bridge.channels import decode_channel, encode_channel
 
-# The worked example of ncom.md section 12.
+# A worked example.
 EXAMPLE = bytes.fromhex(
     "e7 00 87 d2 04 00 d2 e9 ff cc 80 fe ce ff ff 19 00 00 39 30 00 04 b3 7d 3f c6 c7 d2 0a ed 3f 87 44 e7 4a 18"
     "57 96 bf 00 00 c9 42 a0 86 01 50 c3 00 78 ec ff 4f fd 07 e2 54 01 3b 56 fd 37 00 f0 72 6e 01 0e 06 06 06 5f"

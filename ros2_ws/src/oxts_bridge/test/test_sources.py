@@ -112,7 +112,7 @@ def test_only_the_wanted_sender_is_heard(udp, sink, port, drive):
         send_until(unit, port, ours, sink, lambda: sink.data)
         for _ in range(5):
             other.sendto(foreign, ("127.0.0.1", port))
-        send_until(unit, port, ours, sink, lambda: source.status.others.get("127.0.0.3", 0) == 5)
+        send_until(unit, port, ours, sink, lambda: source.status.ignored.get("127.0.0.3", 0) == 5)
     assert set(sink.data) == {ours}
     assert source.status.sender == "127.0.0.2"
 
@@ -125,7 +125,7 @@ def test_without_a_filter_the_first_unit_is_kept(udp, sink, port, drive):
         send_until(unit, port, ours, sink, lambda: source.status.sender == "127.0.0.2")
         for _ in range(5):
             other.sendto(foreign, ("127.0.0.1", port))
-        send_until(unit, port, ours, sink, lambda: source.status.others.get("127.0.0.3", 0) == 5)
+        send_until(unit, port, ours, sink, lambda: source.status.ignored.get("127.0.0.3", 0) == 5)
     assert foreign not in sink.data
 
 
@@ -152,9 +152,9 @@ class TestTwoOnOneAddress:
             for k in range(1, 21):
                 other.sendto(packet(START + 4 * k, latitude=elsewhere(6.4)), ("127.0.0.1", port))
                 unit.sendto(packet(START + 4 * k), ("127.0.0.1", port))
-            send_until(unit, port, packet(START + 84), sink, lambda: source.status.rivals >= 20)
+            send_until(unit, port, packet(START + 84), sink, lambda: source.status.ignored_ports >= 20)
             name = f"127.0.0.1 port {other.getsockname()[1]}"
-        assert source.status.others == {name: 20}
+        assert source.status.ignored == {name: 20}
         assert {data[23:31] for data in sink.data} == {packet(START)[23:31]}
 
     def test_a_port_for_every_datagram_is_one_stream(self, source, sink, port, packet):
@@ -165,7 +165,7 @@ class TestTwoOnOneAddress:
             with sender() as sock:
                 sock.sendto(data, ("127.0.0.1", port))
         assert sink.wait(lambda: sink.data[-20:] == sent)
-        assert source.status.rivals == 0
+        assert source.status.ignored_ports == 0
 
 
 @pytest.mark.parametrize(("changes", "follows"), [
@@ -190,9 +190,9 @@ def test_a_busy_port_is_told_and_taken_when_it_is_free(udp, sink, port, drive):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as holder:
         holder.bind(("127.0.0.1", port))  # without address reuse
         source = udp()
-        assert sink.wait(lambda: source.status.trouble)
-        assert f"127.0.0.1 port {port}: Address already in use" in source.status.trouble
-    assert sink.wait(lambda: source.status.trouble == "" and sink.changes == 2)
+        assert sink.wait(lambda: source.status.problem)
+        assert f"127.0.0.1 port {port}: Address already in use" in source.status.problem
+    assert sink.wait(lambda: source.status.problem == "" and sink.changes == 2)
     with sender() as sock:
         send_until(sock, port, drive(1)[0], sink, lambda: sink.data)
 
@@ -200,7 +200,7 @@ def test_a_busy_port_is_told_and_taken_when_it_is_free(udp, sink, port, drive):
 def test_two_programs_can_listen(udp, sink, port):
     first, second = udp(), udp()
     assert sink.wait(lambda: False, 0.3) is False
-    assert (first.status.trouble, second.status.trouble) == ("", "")
+    assert (first.status.problem, second.status.problem) == ("", "")
 
 
 @pytest.mark.parametrize(
