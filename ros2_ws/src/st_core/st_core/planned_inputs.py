@@ -1,7 +1,7 @@
 """Planned inputs over the horizon: from steering and acceleration or from speed and curvature, checked before use.
 
-A plan states what the car is going to do at instants of the measurement clock. It replaces the held inputs of a
-forecast only where `plan_problem` finds nothing; otherwise the inputs stay constant and the reason is reported.
+A plan gives future inputs of the car over the measurement clock. It replaces the constant inputs of a forecast only
+if `plan_problem` finds none; otherwise the reason is reported.
 Checked by: test_planned_inputs.py, against hindsight.
 """
 
@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from .errors import StCoreError
 from .handling import understeer_coefficient
@@ -20,17 +21,17 @@ from .types import ControlInput, InputSequence, VehicleState
 from .vehicle import VehicleParameters
 
 MAX_AGE = 0.5
-"""s. Planners of cars replan at 10 Hz and more; an older plan means that the planner has stopped."""
+"""s. Planners replan at 10 Hz and more; an older plan means that the planner has stopped."""
 MAX_SPACING = 0.5
-"""s between points: a driver's fastest correction lasts about so long (steering frequencies up to 1 Hz)."""
+"""s between points: half a period of the fastest steering of a driver, 1 Hz."""
 MAX_ROAD_WHEEL_ANGLE = 0.8
 """rad. Passenger cars lock at 0.55 to 0.75 rad."""
 MAX_STEERING_RATE = 1.5
-"""rad/s at the road wheel: a hand wheel at 24 rad/s, beyond what steering robots reach (about 20 rad/s)."""
+"""rad/s at the road wheel: a steering wheel at 24 rad/s, beyond what steering robots reach (about 20 rad/s)."""
 MAX_ACCELERATION = 12.0
 """m/s^2, along and across together: a friction coefficient of 1.2, dry road and sports tyres."""
 ANGLE_TOLERANCE = 0.05
-"""rad between planned and measured road wheel angle at the start: 45 deg of the hand wheel."""
+"""rad between planned and measured road wheel angle at the start: 45 deg at the steering wheel."""
 ACCELERATION_TOLERANCE = 3.0
 """m/s^2 between planned and measured at the start: a brake that is being applied needs 0.3 s to build up."""
 SLIP_FREE = "slip_free_angle"
@@ -42,8 +43,8 @@ SPEED_TOLERANCE = 2.0
 @dataclass(frozen=True, eq=False)
 class PlannedInputs:
     """One plan. issued_ns, time_ns (n,): instants on the measurement clock [ns]. road_wheel_angle (n,): left + [rad],
-    as the steering sensor will show it. velocity_x_dot (n,) [m/s^2]. speed [m/s] and slip_free_angle [rad], (n,): of a
-    plan `from_path`.
+    as the steering sensor will measure it. velocity_x_dot (n,) [m/s^2]. speed [m/s] and slip_free_angle [rad], (n,): of
+    a plan `from_path`.
 
     Between its points a plan is linear. Raises StCoreError, one line, for arrays of unequal length.
     """
@@ -70,8 +71,8 @@ class PlannedInputs:
 
             delta = L (1 + K v^2) k,    velocity_x_dot = dv/dt
 
-        K: `handling.understeer_coefficient`, the linear car in a steady turn, 0 for models without tyres; the steering
-        of a fast change of curvature lags behind by the car's own response, about 0.1 s.
+        K: `handling.understeer_coefficient`, the linear car in a steady turn, 0 for models without tyres. Quasi-static:
+        in a fast change of curvature the path is late by the response time of the car, about 0.1 s.
         """
         speed, curvature = np.asarray(speed, float), np.asarray(curvature, float)
         seconds = (np.asarray(time_ns, np.int64) - np.int64(issued_ns)) * NANOSECOND
@@ -84,8 +85,8 @@ class PlannedInputs:
     def sequence(self, start_ns: int, steps: int, step: float) -> InputSequence:
         """Inputs on the half-step grid from a start [ns]; NaN outside the plan."""
         grid = half_step_grid(start_ns, steps, step)
-        others = {} if self.slip_free_angle is None else {SLIP_FREE: self._at(self.slip_free_angle, grid)}
-        return InputSequence(self._at(self.road_wheel_angle, grid), self._at(self.velocity_x_dot, grid), others)
+        signals = {} if self.slip_free_angle is None else {SLIP_FREE: self._at(self.slip_free_angle, grid)}
+        return InputSequence(self._at(self.road_wheel_angle, grid), self._at(self.velocity_x_dot, grid), signals)
 
     def _at(self, values: np.ndarray, grid_ns: np.ndarray) -> np.ndarray:
         return np.interp(grid_ns - grid_ns[0], self.time_ns - grid_ns[0], values, left=np.nan, right=np.nan)
@@ -129,11 +130,11 @@ def plan_problem(plan: PlannedInputs, start_ns: int, state: VehicleState, inputs
     state, inputs: measured at the start. In this order: empty, not finite, time not rising, stale, in the past, late,
     short, coarse, infeasible, contradicting the measurement.
     """
-    return _malformed(plan) or _mistimed(plan, start_ns, horizon) or _infeasible(plan, state, vehicle) \
-        or _contradiction(plan, start_ns, state, inputs)
+    return (_format_problem(plan) or _timing_problem(plan, start_ns, horizon) or _demand_problem(plan, state, vehicle)
+            or _consistency_problem(plan, start_ns, state, inputs))
 
 
-def _malformed(plan: PlannedInputs) -> str:
+def _format_problem(plan: PlannedInputs) -> str:
     if len(plan.time_ns) < 2:
         return f"plan: {len(plan.time_ns)} points; at least two are needed"
     if (np.diff(plan.time_ns) <= 0).any():
@@ -145,7 +146,7 @@ def _malformed(plan: PlannedInputs) -> str:
     return ""
 
 
-def _mistimed(plan: PlannedInputs, start_ns: int, horizon: float) -> str:
+def _timing_problem(plan: PlannedInputs, start_ns: int, horizon: float) -> str:
     age = (start_ns - plan.issued_ns) * NANOSECOND
     if age > MAX_AGE:
         return f"plan: issued {age:.2f} s before the start (limit {MAX_AGE:g} s)"
@@ -162,7 +163,7 @@ def _mistimed(plan: PlannedInputs, start_ns: int, horizon: float) -> str:
     return f"plan: points are up to {widest:.2f} s apart (limit {MAX_SPACING:g} s)" if widest > MAX_SPACING else ""
 
 
-def _infeasible(plan: PlannedInputs, state: VehicleState, vehicle: VehicleParameters) -> str:
+def _demand_problem(plan: PlannedInputs, state: VehicleState, vehicle: VehicleParameters) -> str:
     angle, seconds = plan.road_wheel_angle, np.diff(plan.time_ns) * NANOSECOND
     if (largest := float(np.abs(angle).max())) > MAX_ROAD_WHEEL_ANGLE:
         return f"plan: road wheel angle of {largest:.2f} rad (limit {MAX_ROAD_WHEEL_ANGLE:g})"
@@ -170,14 +171,14 @@ def _infeasible(plan: PlannedInputs, state: VehicleState, vehicle: VehicleParame
         return f"plan: steering rate of {rate:.2f} rad/s at the road wheel (limit {MAX_STEERING_RATE:g})"
     speed = plan.speed
     if speed is None:
-        gained = np.diff(plan.velocity_x_dot) * 0.5 + plan.velocity_x_dot[:-1]
-        speed = state.velocity_x + np.concatenate([[0.0], np.cumsum(gained * seconds)])
+        time = (plan.time_ns - plan.time_ns[0]) * NANOSECOND
+        speed = state.velocity_x + cumulative_trapezoid(plan.velocity_x_dot, time, initial=0.0)
     across = speed * speed * angle / steady_state_steering(speed, np.ones_like(speed), vehicle)
     demand = float(np.hypot(plan.velocity_x_dot, across).max())
     return f"plan: acceleration of {demand:.1f} m/s^2 (limit {MAX_ACCELERATION:g})" if demand > MAX_ACCELERATION else ""
 
 
-def _contradiction(plan: PlannedInputs, start_ns: int, state: VehicleState, inputs: ControlInput) -> str:
+def _consistency_problem(plan: PlannedInputs, start_ns: int, state: VehicleState, inputs: ControlInput) -> str:
     here = np.array([start_ns])
     for name, measured, tolerance, unit in (
             ("road_wheel_angle", inputs.road_wheel_angle, ANGLE_TOLERANCE, "rad"),
@@ -192,7 +193,7 @@ def _contradiction(plan: PlannedInputs, start_ns: int, state: VehicleState, inpu
 
 
 def model_inputs(model: Model, planned: InputSequence) -> InputSequence:
-    """Planned inputs that a model takes: without tyres the slip-free angle of a path, else the road wheel angle."""
+    """Planned inputs for a model: the slip-free angle of a path if it has no tyres, else the road wheel angle."""
     if model.axles is None and SLIP_FREE in planned.signals:
         return InputSequence(planned.signals[SLIP_FREE], planned.velocity_x_dot)
     return planned
@@ -200,8 +201,7 @@ def model_inputs(model: Model, planned: InputSequence) -> InputSequence:
 
 def wheel_sequence(model: Model, planned: InputSequence, start_ns: int, step: float, steering_time_ns: np.ndarray,
                    road_wheel_angle: np.ndarray, maximum_gap: float) -> InputSequence:
-    """Planned inputs on the half-step grid from start_ns as the wheels of a model follow them, see `followed_steering`;
-    a model without tyres takes the slip-free angle of a path."""
+    """`model_inputs` on the half-step grid from start_ns, after the delay, play and lag of the model's steering."""
     planned = model_inputs(model, planned)
     if not has_memory(model):
         return planned

@@ -20,14 +20,14 @@ from .yaml_text import check_keys, load, number, quoted
 class Quantity:
     """One key of a vehicle file: permitted units with their factor to SI, and limits in SI (inclusive).
 
-    required: the file must state it. usual: default of an optional quantity, SI.
+    required: the file must give it. default: of an optional quantity, SI.
     """
 
     units: Mapping[str, float]
     minimum: float
     maximum: float
     required: bool = True
-    usual: float = math.nan
+    default: float = math.nan
 
     @property
     def si_unit(self) -> str:
@@ -37,18 +37,18 @@ class Quantity:
         return f"{self.minimum:g} to {self.maximum:g} {self.si_unit}".removesuffix(" 1")
 
 
-def _quantity(unit: str, minimum: float, maximum: float, required: bool = True, usual: float = math.nan) -> Quantity:
-    return Quantity({unit: 1.0}, minimum, maximum, required and math.isnan(usual), usual)
+def _quantity(unit: str, minimum: float, maximum: float, required: bool = True, default: float = math.nan) -> Quantity:
+    return Quantity({unit: 1.0}, minimum, maximum, required and math.isnan(default), default)
 
 
 # Limits are wide on purpose: they catch a wrong unit or a slipped digit, from a go-kart to a loaded truck.
-FOR_EFFECTS = {
-    "track_width": _quantity("m", 0.3, 4.0, usual=1.54),
-    "drive_front": _quantity("1", 0.0, 1.0, usual=1.0),
-    "brake_front": _quantity("1", 0.0, 1.0, usual=0.65),
-    "load_transfer_front": _quantity("1", 0.0, 1.0, usual=0.55),
-    "side_area": _quantity("m^2", 0.1, 60.0, usual=2.5),
-    "side_force_arm": _quantity("m", -5.0, 5.0, usual=0.25),
+OPTIONAL_QUANTITIES = {
+    "track_width": _quantity("m", 0.3, 4.0, default=1.54),
+    "drive_front": _quantity("1", 0.0, 1.0, default=1.0),
+    "brake_front": _quantity("1", 0.0, 1.0, default=0.65),
+    "load_transfer_front": _quantity("1", 0.0, 1.0, default=0.55),
+    "side_area": _quantity("m^2", 0.1, 60.0, default=2.5),
+    "side_force_arm": _quantity("m", -5.0, 5.0, default=0.25),
 }
 """Optional quantities, for some effects only. The defaults are those of a front-wheel drive passenger car."""
 VEHICLE_QUANTITIES = {
@@ -66,7 +66,7 @@ VEHICLE_QUANTITIES = {
     "minimum_slip_speed": _quantity("m/s", 0.1, 20.0),
     "length": _quantity("m", 0.5, 30.0),
     "width": _quantity("m", 0.3, 4.0),
-    **FOR_EFFECTS,
+    **OPTIONAL_QUANTITIES,
 }
 TYRE_QUANTITIES = {
     "nominal_load": _quantity("N", 100.0, 1.0e5),
@@ -88,7 +88,7 @@ TYRES = ("tyre_front", "tyre_rear")
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Standard deviation of a quantity without a stated one. relative: `size` is a fraction of the value, else SI."""
+    """Default standard deviation. relative: `size` is a fraction of the value, else SI."""
 
     size: float
     relative: bool
@@ -99,11 +99,11 @@ class Uncertainty:
         return self.size * abs(value) if self.relative else self.size
 
 
-_CURVES = "published passenger tyres: one size differs by this between makes"
-_OF_TYRE = {
+_TYRE_CURVES = "published passenger tyres: one size differs by this between makes"
+_TYRE_UNCERTAINTIES = {
     "lambda_muy": Uncertainty(0.2, True, "dry asphalt against a drum 1.0 to 1.3, between makes 0.85 to 1.15"),
-    "p_ey1": Uncertainty(3.0, False, f"{_CURVES}, E -8 to 0.5"),
-    "p_ky2": Uncertainty(0.5, True, f"{_CURVES}, 1.0 to 2.8"),
+    "p_ey1": Uncertainty(3.0, False, f"{_TYRE_CURVES}, E -8 to 0.5"),
+    "p_ky2": Uncertainty(0.5, True, f"{_TYRE_CURVES}, 1.0 to 2.8"),
 }
 DEFAULT_UNCERTAINTIES: Mapping[str, Uncertainty] = {
     "mass": Uncertainty(0.03, True, "a weighed car, half a tank and one person more or less"),
@@ -112,10 +112,10 @@ DEFAULT_UNCERTAINTIES: Mapping[str, Uncertainty] = {
     "yaw_inertia": Uncertainty(0.15, True, "estimates from mass and lengths against measured cars (the same)"),
     "cornering_stiffness_front": Uncertainty(0.3, True, "tyres of one size differ by a factor of 2"),
     "cornering_stiffness_rear": Uncertainty(0.3, True, "tyres of one size differ by a factor of 2"),
-    **{f"{tyre}.{key}": uncertainty for tyre in TYRES for key, uncertainty in _OF_TYRE.items()},
+    **{f"{tyre}.{key}": uncertainty for tyre in TYRES for key, uncertainty in _TYRE_UNCERTAINTIES.items()},
 }
-"""Standard deviations of entries of a vehicle file without `uncertainty`. Keys that are not listed, like the steering
-ratio and the position of the INS, are often guessed: they constrain a fit only with an `uncertainty` of their own."""
+"""Of entries of a vehicle file without `uncertainty`. Other keys, like the steering ratio and the position of the INS,
+are often guesses: they constrain a fit only with an `uncertainty` of their own."""
 DERIVED = "derived: C / (2 abs(K)) at the static load of one tyre"
 
 
@@ -133,8 +133,8 @@ class VehicleParameters:
     steering_wheel_offset [rad]: reading of the steering wheel sensor when driving straight, left +.
     cornering_stiffness_front/_rear: per axle, > 0 [N/rad]. minimum_slip_speed: v_eps [m/s]. tyre_front, tyre_rear: one
     tyre each, lambda_ky filled in. length, width [m]: of the body, for drawing. track_width [m]: both axles.
-    drive_front, brake_front: share of the drive and of the brake force on the front axle [1], drive 0 for rear-wheel
-    drive. load_transfer_front: share of the lateral load transfer the front axle takes [1]. side_area [m^2]: side force
+    drive_front, brake_front: share of drive and brake force on the front axle [1]; rear-wheel drive: drive_front 0.
+    load_transfer_front: share of the lateral load transfer on the front axle [1]. side_area [m^2]: side force
     coefficient times area; side_force_arm [m]: its centre ahead of the CG. sources: where each value comes from, by key
     ("tyre_front.p_cy1" for the tyres). provenance: of the values that were identified, by key.
 
@@ -158,12 +158,12 @@ class VehicleParameters:
     width: float
     tyre_front: MagicFormula
     tyre_rear: MagicFormula
-    track_width: float = FOR_EFFECTS["track_width"].usual
-    drive_front: float = FOR_EFFECTS["drive_front"].usual
-    brake_front: float = FOR_EFFECTS["brake_front"].usual
-    load_transfer_front: float = FOR_EFFECTS["load_transfer_front"].usual
-    side_area: float = FOR_EFFECTS["side_area"].usual
-    side_force_arm: float = FOR_EFFECTS["side_force_arm"].usual
+    track_width: float = OPTIONAL_QUANTITIES["track_width"].default
+    drive_front: float = OPTIONAL_QUANTITIES["drive_front"].default
+    brake_front: float = OPTIONAL_QUANTITIES["brake_front"].default
+    load_transfer_front: float = OPTIONAL_QUANTITIES["load_transfer_front"].default
+    side_area: float = OPTIONAL_QUANTITIES["side_area"].default
+    side_force_arm: float = OPTIONAL_QUANTITIES["side_force_arm"].default
     sources: Mapping[str, str] = field(default_factory=dict, compare=False, repr=False)
     provenance: Mapping[str, Provenance] = field(default_factory=dict, compare=False, repr=False)
 
@@ -224,16 +224,16 @@ class VehicleParameters:
 
     @classmethod
     def from_document(cls, document: Any) -> "VehicleParameters":
-        """Parameters from a vehicle file that is parsed already; raises ConfigurationError naming the key."""
+        """Parameters from a parsed vehicle file. Raises ConfigurationError naming the key."""
         if not isinstance(document, dict):
             raise ConfigurationError("not a list of `key: {value, unit, source}`; see config/vehicle/leaf.yaml")
         keys = ["name", *VEHICLE_QUANTITIES, *TYRES]
-        check_keys("", document, keys, required=[key for key in keys if key not in FOR_EFFECTS])
+        check_keys("", document, keys, required=[key for key in keys if key not in OPTIONAL_QUANTITIES])
         name = document["name"]
         if not isinstance(name, str) or not name.strip():
             raise ConfigurationError(f"name: {name!r} is not a text; write the name of the car")
-        notes = _Notes()
-        values: dict[str, Any] = _read("", document, VEHICLE_QUANTITIES, notes)
+        origins = _Origins()
+        values: dict[str, Any] = _read("", document, VEHICLE_QUANTITIES, origins)
         tyres: dict[str, Any] = {}
         for tyre in TYRES:
             section = document[tyre]
@@ -241,8 +241,8 @@ class VehicleParameters:
                 raise ConfigurationError(f"{tyre}: not a section of `key: {{value, unit, source}}`")
             required = [key for key, quantity in TYRE_QUANTITIES.items() if quantity.required]
             check_keys(f"{tyre}.", section, list(TYRE_QUANTITIES), required)
-            tyres[tyre] = MagicFormula(**_read(f"{tyre}.", section, TYRE_QUANTITIES, notes))
-        vehicle = cls(name=name, **values, **tyres, sources=notes.sources, provenance=notes.provenance)
+            tyres[tyre] = MagicFormula(**_read(f"{tyre}.", section, TYRE_QUANTITIES, origins))
+        vehicle = cls(name=name, **values, **tyres, sources=origins.sources, provenance=origins.provenance)
         given = {tyre for tyre in TYRES if "lambda_ky" in document[tyre]}
         return vehicle.with_derived_scales([tyre for tyre in TYRES if tyre not in given])
 
@@ -257,7 +257,7 @@ class VehicleParameters:
     def with_values(self, values: Mapping[str, float]) -> "VehicleParameters":
         """The car with other values (SI), by their keys in the file ("mass", "tyre_rear.p_cy1").
 
-        A derived lambda_ky is derived again. Raises ConfigurationError for an invalid car.
+        A derived lambda_ky is recomputed. Raises ConfigurationError for an invalid car.
         """
         own: dict[str, Any] = {key: value for key, value in values.items() if "." not in key}
         for tyre in TYRES:
@@ -270,7 +270,7 @@ class VehicleParameters:
     def to_yaml(self) -> str:
         """A vehicle file, SI units, that `from_yaml` reads back to the same parameters (and hash).
 
-        A derived lambda_ky is left out, so that it follows when someone changes the stiffness in the file.
+        A derived lambda_ky is left out, so that it follows a stiffness edited in the file.
         """
         rederived = self.with_derived_scales()
         derived = [tyre for tyre in TYRES if self.sources.get(f"{tyre}.lambda_ky") == DERIVED
@@ -292,7 +292,7 @@ class VehicleParameters:
     def hash(self) -> str:
         """sha256 (hex) of all values in SI, without name, sources, and optional quantities at their default."""
         values = {key: getattr(self, key) for key, quantity in VEHICLE_QUANTITIES.items()
-                  if getattr(self, key) != quantity.usual}
+                  if getattr(self, key) != quantity.default}
         values |= {f"{tyre}.{key}": getattr(getattr(self, tyre), key) for tyre in TYRES for key in TYRE_QUANTITIES}
         text = json.dumps({key: float(value).hex() for key, value in sorted(values.items())})
         return hashlib.sha256(text.encode()).hexdigest()
@@ -311,20 +311,20 @@ def value_of(vehicle: VehicleParameters, key: str) -> float:
 
 
 @dataclass
-class _Notes:
-    """Provenance of the values of a file, by key."""
+class _Origins:
+    """Source and provenance of the values of a file, by key."""
 
     sources: dict[str, str] = field(default_factory=dict)
     provenance: dict[str, Provenance] = field(default_factory=dict)
 
 
 def _read(prefix: str, section: Mapping[str, Any], quantities: Mapping[str, Quantity],
-          notes: _Notes) -> dict[str, float]:
-    return {key: _read_one(prefix + key, section[key], quantity, notes)
+          origins: _Origins) -> dict[str, float]:
+    return {key: _read_one(prefix + key, section[key], quantity, origins)
             for key, quantity in quantities.items() if key in section}
 
 
-def _read_one(key: str, entry: Any, quantity: Quantity, notes: _Notes) -> float:
+def _read_one(key: str, entry: Any, quantity: Quantity, origins: _Origins) -> float:
     units = " or ".join(quantity.units)
     example = f"write `{key.rpartition('.')[2]}: {{value: ..., unit: \"{quantity.si_unit}\", source: \"...\"}}`"
     if not isinstance(entry, dict):
@@ -344,10 +344,10 @@ def _read_one(key: str, entry: Any, quantity: Quantity, notes: _Notes) -> float:
         raise ConfigurationError(f"{key}: {value!r} is not a number (1.0e+3, not 1e3); limit {quantity.limit()}")
     if not isinstance(entry["source"], str) or not entry["source"].strip():
         raise ConfigurationError(f"{key}: source {entry['source']!r} is not a text; state where the value comes from")
-    notes.sources[key] = entry["source"]
+    origins.sources[key] = entry["source"]
     provenance = read_provenance(key, entry, quantity.units[unit])
     if provenance is not None:
-        notes.provenance[key] = provenance
+        origins.provenance[key] = provenance
     return float(value) * quantity.units[unit]
 
 

@@ -53,5 +53,5 @@ def test_a_value_beyond_the_bounds_is_named(logs, leaf):
 
 
 def test_an_unknown_name_is_refused(logs, leaf):
-    with pytest.raises(IdentificationError, match="cg_height: not found from driving"):
+    with pytest.raises(IdentificationError, match="cg_height: not identifiable from driving"):
         fit_driving(logs, leaf, ("cg_height",))

@@ -62,5 +62,5 @@ def test_a_fast_drive_is_too_thin_for_the_mounting(log, leaf):
 
 
 def test_unknown_parameter(log, leaf):
-    with pytest.raises(IdentificationError, match="cg_height: not found from driving; there are cornering_stiffness"):
+    with pytest.raises(IdentificationError, match="cg_height: not identifiable from driving; known are cornering"):
         predict_stiffness([log, drive(leaf, 13.0, weave(0.04), 20.0)], leaf, also=("cg_height",))

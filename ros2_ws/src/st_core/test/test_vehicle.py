@@ -8,7 +8,7 @@ import pytest
 import yaml
 from st_core.errors import ConfigurationError
 from st_core.provenance import Provenance
-from st_core.vehicle import FOR_EFFECTS, TYRE_QUANTITIES, VEHICLE_QUANTITIES, VehicleParameters
+from st_core.vehicle import OPTIONAL_QUANTITIES, TYRE_QUANTITIES, VEHICLE_QUANTITIES, VehicleParameters
 from support import KEPT, ROOT
 
 LEAF = (ROOT / "config" / "vehicle" / "leaf.yaml").read_text()
@@ -80,7 +80,7 @@ def test_hash_depends_on_every_value_and_on_no_text(leaf):
 
 
 def test_what_only_effects_need_may_be_left_out(leaf):
-    text = "".join(line for line in LEAF.splitlines(keepends=True) if line.partition(":")[0] not in FOR_EFFECTS)
+    text = "".join(line for line in LEAF.splitlines(keepends=True) if line.partition(":")[0] not in OPTIONAL_QUANTITIES)
     short = VehicleParameters.from_yaml(text)
     assert short == leaf and short.hash == leaf.hash  # the Leaf is as usual
     assert VehicleParameters.from_yaml(short.to_yaml()).hash == leaf.hash

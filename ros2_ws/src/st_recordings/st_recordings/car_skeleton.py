@@ -13,7 +13,7 @@ from st_core.prediction import PredictionSettings
 from st_core.stability import slip_speed_needed
 from st_core.vehicle import (
     DEFAULT_UNCERTAINTIES,
-    FOR_EFFECTS,
+    OPTIONAL_QUANTITIES,
     TYRE_QUANTITIES,
     TYRES,
     VEHICLE_QUANTITIES,
@@ -45,7 +45,7 @@ ASSUMED_UNCERTAINTIES = {"cg_height": 0.1}
 STABILITY_SPEEDS = tuple(0.5 * k for k in range(1, 81))
 """m/s, at which the models have to be stable with the integration step."""
 ASSUMED_ZERO = ("cg_to_ins_y", "steering_wheel_offset")
-NOT_FITTED = ("minimum_slip_speed", "length", "width", *FOR_EFFECTS)
+NOT_FITTED = ("minimum_slip_speed", "length", "width", *OPTIONAL_QUANTITIES)
 _VEHICLE_ROW = re.compile(r'^(?P<indent> *)(?P<key>\w+): \{value: (?P<value>\S+), unit: (?P<unit>.+?), source: ".*"\}$')
 
 SIGNALS_TEMPLATE = """\

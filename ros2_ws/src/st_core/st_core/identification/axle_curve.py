@@ -3,8 +3,8 @@
     F(alpha) = (F_model(-alpha) - F_model(alpha)) / 2,   alpha >= 0
 
 F_model is the axle force in the model's equations of motion at equal slip of both axles, straight wheels and no
-forward acceleration: every effect that acts at that state is included, offsets cancel. The slip angle is the geometric
-one of the measured steering, as in a regression, so compliance makes the axle softer. Roll steer does not act at this
+forward acceleration: every effect that acts at that state is included, offsets cancel. The slip angle is that of the
+measured steering, as in a regression, so compliance makes the axle softer. Roll steer does not act at this
 state. No curve is given beyond the driven slip. Checked by: test_axle_curve.py.
 """
 
@@ -42,7 +42,7 @@ class AxleCurve:
 
 
 def axle_force(model: str | Model, vehicle: VehicleParameters, axle: str, slip: np.ndarray) -> np.ndarray:
-    """Force of the axle ("front" or "rear") that opposes the slip angles >= 0 [rad]: (n,) [N]; see the module.
+    """Force of the axle ("front" or "rear") opposing slip angles >= 0 [rad], (n,) [N]; equation: see the module.
 
     Raises StCoreError for a model without tyres.
     """
@@ -55,11 +55,11 @@ def axle_force(model: str | Model, vehicle: VehicleParameters, axle: str, slip: 
     zero = np.zeros_like(slip)
     p = model.parameters(vehicle)
     w = model.inputs(zero, zero, p, *(zero for _ in model.signals))
-    lever, turn = (car.cg_to_rear_axle, 1.0) if axle == "front" else (car.cg_to_front_axle, -1.0)
+    other_axle, sign = (car.cg_to_rear_axle, 1.0) if axle == "front" else (car.cg_to_front_axle, -1.0)
     starts = ((zero, zero, zero + SPEED, SPEED * np.tan(side * slip), zero, zero) for side in (-1.0, 1.0))
     left, right = (model.rhs(model.start_state(start, w, p), w, p) for start in starts)
-    # By the force and moment balance.
-    return (lever * car.mass * (left[3] - right[3]) + turn * car.yaw_inertia * (left[5] - right[5])) / (
+    # F = (l_other m a_y +- I_z r_dot) / L, by the force and moment balance.
+    return (other_axle * car.mass * (left[3] - right[3]) + sign * car.yaw_inertia * (left[5] - right[5])) / (
         2.0 * car.wheelbase)
 
 
@@ -68,9 +68,9 @@ def axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven
                points: int = 41) -> AxleCurve:
     """The force curve of one axle with its band over the driven slip.
 
-    driven_slip: (n,) slip angles of the axle while driving [rad], either sign. draws: models with other values, as
-    `drawn_models` gives them; the band is the middle `level` of them point by point. original: what the file
-    predicts, the base model without effects if not given. Raises StCoreError for fewer than two driven slip angles.
+    driven_slip: (n,) slip angles of the axle while driving [rad], either sign. draws: models with other values, from
+    `draw_models`; the band is their central `level` at each slip. original: model of the
+    vehicle file, by default the base model without effects. Raises StCoreError for fewer than two driven slip angles.
     """
     size = np.abs(np.asarray(driven_slip, float))
     size = size[np.isfinite(size)]
@@ -89,26 +89,25 @@ def axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven
 
 
 def draw_models(model: AugmentedModel, covariance: np.ndarray, vehicle: VehicleParameters, count: int = 200,
-                 seed: int = 0) -> list[AugmentedModel]:
+                seed: int = 0) -> list[AugmentedModel]:
     """Models with values drawn from a normal distribution about those of `model`, within the bounds of each parameter.
 
     covariance: (p, p) of `model.vector` [SI]; rows of zeros for what is constant. vehicle: draws outside the limits of
-    a vehicle file are left out. Raises StCoreError where fewer than MIN_DRAWS are left: the uncertainty is as wide
-    as the bounds.
+    a vehicle file are dropped. Raises StCoreError for fewer than MIN_DRAWS: the uncertainty is as wide as the bounds.
     """
     low, high = np.array([p.bounds for _, p in model.free]).T.reshape(2, -1)
     values = np.random.default_rng(seed).multivariate_normal(model.vector, covariance, count, method="eigh")
-    found = []
+    models = []
     for row in np.clip(values, low, high):
         candidate = model.with_vector(row.tolist())
         try:
             candidate.parameters(vehicle)
         except ConfigurationError:
             continue
-        found.append(candidate)
-    if len(found) < MIN_DRAWS:
-        raise StCoreError(f"{len(found)} of {count} drawn parameter sets are a car; {MIN_DRAWS} are needed")
-    return found
+        models.append(candidate)
+    if len(models) < MIN_DRAWS:
+        raise StCoreError(f"{len(models)} of {count} drawn parameter sets are valid cars; {MIN_DRAWS} are needed")
+    return models
 
 
 def force_error(model: str | Model, vehicle: VehicleParameters, samples: AxleSamples, bins: int = 12) -> float:
@@ -116,8 +115,7 @@ def force_error(model: str | Model, vehicle: VehicleParameters, samples: AxleSam
 
         sqrt(mean over bins of (F_model(alpha) - mean F)^2) / max |mean F|
 
-    The bins divide the driven |slip| evenly, so that straights do not outweigh bends; bins with fewer than 1 % of an
-    even share are left out. The measured slip and force are centred (`AxleSamples.centred`).
+    The bins of `AxleSamples.binned` divide the driven |slip| evenly, so that straights do not outweigh bends.
     """
     slip, force = samples.binned(bins)
     return float(np.sqrt(np.mean((axle_force(model, vehicle, samples.axle, slip) - force) ** 2)) / force.max())

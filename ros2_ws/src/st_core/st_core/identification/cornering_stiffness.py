@@ -1,4 +1,4 @@
-"""Measured axle forces and slip angles, and the paper's regression of the axle cornering stiffnesses on them.
+"""Measured axle forces and slip angles, and the regression of the axle cornering stiffnesses on them.
 
     F_f cos(delta) = (l_r m a_y + I_z r_dot) / L,    F_r = (l_f m a_y - I_z r_dot) / L
 
@@ -6,10 +6,11 @@ from the force and moment balance of the single-track car, a_y at the CG; slip a
 The stiffness is the slope of force over slip. Samples that are slow, near-straight or beyond |a_y| = 4 m/s^2 are left
 out, and those with |alpha| > 2 deg in the regression of their axle. An intercept absorbs offsets of steering and INS.
 The slope is the secant over that range: a tyre that begins to saturate within it gives less than its stiffness at zero
-slip, and noise of the slip angle draws the slope towards zero as well. `AxleRegression.model_error` is the standard
+slip, and noise of the slip angle attenuates the slope as well. `AxleRegression.model_error` is the standard
 uncertainty of the secant as stiffness at zero slip, by `regression.extrapolation_uncertainty` from the lower half of
-the slip; its range a: mean |alpha| weighted by alpha^2. Source: paper, section on parameter identification. Checked by:
-test_identification_driving.py, test_axle_curve.py, test_stiffness_model_error.py.
+the slip; its range a: mean |alpha| weighted by alpha^2. Source: Aertssen et al., Short-Horizon Position Accuracy
+of Single-Track Models, section on parameter identification. Checked by: test_identification_driving.py,
+test_axle_curve.py, test_stiffness_model_error.py.
 """
 
 from collections.abc import Sequence
@@ -36,13 +37,12 @@ AXLES = ("front", "rear")
 METHOD = "regression of axle force on slip angle (paper)"
 MINIMUM_SPEED, MAXIMUM_RADIUS, MAXIMUM_ACCELERATION = 3.0, 300.0, 4.0  # m/s, m, m/s^2
 MAXIMUM_SLIP = np.deg2rad(2.0)
-MIN_AXLE_SAMPLES = 500
-"""Samples of an axle that a regression needs."""
+MIN_AXLE_SAMPLES = 500  # of a regression
 MAX_RANGE_RATIO = 0.8
-"""Largest mean slip or acceleration of the lower range over that of all driving; beyond it the extrapolation to zero
-would multiply their difference by more than 5."""
+"""Largest mean slip or acceleration of the lower range over that of all driving: extrapolation to zero multiplies their
+difference by up to 5."""
 MAX_RELATIVE_UNCERTAINTY = 0.1
-"""Standard uncertainty over stiffness, from which on the stiffness is doubtful."""
+"""Standard uncertainty over stiffness, above which the stiffness is doubtful."""
 DRIVEN_QUANTILE = 0.995  # quantile of the slip angles up to which driving counts as covered
 
 Slope = tuple[float, Spread, np.ndarray, np.ndarray]
@@ -51,7 +51,7 @@ Slope = tuple[float, Spread, np.ndarray, np.ndarray]
 @dataclass(frozen=True, eq=False)
 class AxleSamples:
     """Slip angle [rad] and force [N] of an axle, (n,), with the run and the time [s] of each sample; force and slip
-    have opposite signs. used: (n,) which samples are in the range of the regression."""
+    have opposite signs. used: (n,) whether a sample enters the regression."""
 
     axle: str
     slip: np.ndarray
@@ -87,8 +87,8 @@ class AxleRegression:
     """Result of the regression of one axle. stiffness, standard_error [N/rad], interval95: NaN where it failed.
 
     samples: all slip and force pairs above the minimum speed. coverage: excitation by signal. reasons: why the value is
-    refused, whole sentences, empty for one that may be used. basis: samples and blocks it is based on, in words.
-    model_error [N/rad]: as stiffness at zero slip, see the module; NaN where the samples do not show it.
+    refused, sentences; empty for a usable value. basis: text, number of samples and blocks. model_error [N/rad]: of
+    the stiffness at zero slip, see the module; NaN where the samples do not determine it.
     """
 
     axle: str
@@ -107,7 +107,7 @@ class AxleRegression:
 
     @property
     def uncertainty(self) -> float:
-        """Standard uncertainty as stiffness at zero slip [N/rad], as far as the samples show it."""
+        """Standard uncertainty of the stiffness at zero slip [N/rad]; without model error where that is unknown."""
         return float(np.hypot(self.standard_error, np.nan_to_num(self.model_error)))
 
     def estimate(self, runs: tuple[str, ...]) -> Estimate:
@@ -130,28 +130,27 @@ class AxleRegression:
 
 def axle_forces(samples: RunSamples, vehicle: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
     """Lateral force of (front, rear) axle [N], left +, in the lateral axis of the wheels; see the module."""
-    pull = vehicle.mass * samples.lateral_acceleration / vehicle.wheelbase
-    turn = vehicle.yaw_inertia * samples.yaw_acceleration / vehicle.wheelbase
-    return ((vehicle.cg_to_rear_axle * pull + turn) / np.cos(samples.road_wheel_angle),
-            vehicle.cg_to_front_axle * pull - turn)
+    lateral = vehicle.mass * samples.lateral_acceleration / vehicle.wheelbase
+    yaw = vehicle.yaw_inertia * samples.yaw_acceleration / vehicle.wheelbase
+    return ((vehicle.cg_to_rear_axle * lateral + yaw) / np.cos(samples.road_wheel_angle),
+            vehicle.cg_to_front_axle * lateral - yaw)
 
 
 def slip_angles(samples: RunSamples, vehicle: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
-    """Slip angle of (front, rear) axle [rad], + when the wheels slide to their left (`models.axle_slip_angles`)."""
+    """Slip angle of (front, rear) axle [rad], + when the wheels travel to their left (`models.axle_slip_angles`)."""
     angle = samples.road_wheel_angle
     return axle_slip_angles(samples.velocity_x, samples.velocity_y, samples.yaw_rate, np.sin(angle), np.cos(angle),
                             vehicle)
 
 
 def axle_regressions(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[AxleRegression, AxleRegression]:
-    """The paper's regression of both axles (front, rear) for drives with measured sideslip; too little excitation and
-    contradicting driving do not raise: the reasons are in the result.
+    """Regressions of (front, rear) axle on drives with measured sideslip; reasons against a value are in the result.
 
-    vehicle: mass, inertia, lengths, lever arm, steering; its stiffnesses do not enter. Offset and ratio must be right.
-    Raises IdentificationError only for no drive, one named twice, or one too short.
+    vehicle: mass, inertia, lengths, lever arm, steering; its stiffnesses do not enter. Offset and ratio must be
+    correct. Raises IdentificationError for no drive, a repeated name, or a drive that is too short.
     """
-    own, _ = prepare_drives(logs, vehicle)
-    return _regressions([run_samples(log, vehicle) for log in own], vehicle)[0]
+    drives, _ = prepare_drives(logs, vehicle)
+    return _regressions([run_samples(log, vehicle) for log in drives], vehicle)[0]
 
 
 def _regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> tuple[
@@ -164,10 +163,10 @@ def _regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> tupl
                         [run.velocity_x[m] for run, m in zip(runs, masks, strict=True)], times, 2.0, 1),
         signal_coverage("lateral acceleration", "m/s^2", ACCELERATION_EDGES,
                         [run.lateral_acceleration[m] for run, m in zip(runs, masks, strict=True)], times, 1.0, 3))
-    thin = "; ".join(c.describe() for c in covered if not c.sufficient)
+    insufficient = "; ".join(c.describe() for c in covered if not c.sufficient)
     samples = [_axle_samples(runs, masks, vehicle, index) for index in range(2)]
     slopes = [_slope(axle) if axle.used.sum() >= 10 else None for axle in samples]
-    front, rear = (_make_regression(*pair, covered, [f"too little excitation: {thin}"] if thin else [])
+    front, rear = (_make_regression(*pair, covered, [f"too little excitation: {insufficient}"] if insufficient else [])
                    for pair in zip(samples, slopes, strict=True))
     return (front, rear), _correlation(*slopes), tuple(r for rows in rejected for r in rows)
 
@@ -182,7 +181,7 @@ def _slope(samples: AxleSamples) -> Slope:
 
 
 def _model_error(samples: AxleSamples, slope: Slope) -> float:
-    """See the module; NaN for too few samples or one size of slip."""
+    """Standard uncertainty of the secant as stiffness at zero slip [N/rad], see the module; NaN if not determined."""
     size = np.abs(samples.slip - samples.zero_force_slip())
     low = replace(samples, used=samples.used & (size <= 0.5 * np.quantile(size[samples.used], DRIVEN_QUANTILE)))
     mean, mean_low = (float(np.average(used, weights=used**2)) if used.any() else np.inf
@@ -195,16 +194,16 @@ def _model_error(samples: AxleSamples, slope: Slope) -> float:
 
 
 def _correlation(front: Slope | None, rear: Slope | None) -> np.ndarray:
-    """Of the two stiffnesses, by the influence of common blocks; the identity where one is missing."""
+    """Correlation (2, 2) of the stiffnesses, from the influence of common blocks; identity where one is missing."""
     if front is None or rear is None:
         return np.eye(2)
     _, front_rows, rear_rows = np.intersect1d(front[2], rear[2], return_indices=True)
-    pulls = np.stack([front[3][front_rows], rear[3][rear_rows]])
-    return np.corrcoef(pulls) if len(front_rows) > 2 and (pulls.std(axis=1) > 0.0).all() else np.eye(2)
+    influences = np.stack([front[3][front_rows], rear[3][rear_rows]])
+    return np.corrcoef(influences) if len(front_rows) > 2 and (influences.std(axis=1) > 0.0).all() else np.eye(2)
 
 
 def _make_regression(samples: AxleSamples, slope: Slope | None, covered: tuple[Coverage, ...],
-            reasons: Sequence[str]) -> AxleRegression:
+                     reasons: Sequence[str]) -> AxleRegression:
     nan, count = float("nan"), int(samples.used.sum())
     reasons = [*reasons, *([] if count >= MIN_AXLE_SAMPLES else [
         f"too few samples: {count} of the {samples.axle} axle pass (speed, bend, |a_y|, slip angle below "
@@ -226,10 +225,10 @@ def _make_regression(samples: AxleSamples, slope: Slope | None, covered: tuple[C
 
 
 def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
-    """Both stiffnesses by the paper's regression, with a covariance over runs (or blocks of few runs).
+    """Both stiffnesses by regression, with a covariance over runs (or blocks of few runs).
 
-    vehicle: mass, inertia, lengths, lever arm, steering; its stiffnesses do not enter. Offset and ratio must be right.
-    A slope with zero inside its interval is not given: value NaN, unidentifiable, with the reason as its verdict.
+    vehicle: as for `axle_regressions`. A slope with zero inside its interval becomes NaN, unidentifiable, with the
+    reason as its verdict.
     Raises IdentificationError, with the numbers, for too little excitation.
     """
     logs, noticed = prepare_drives(logs, vehicle, "velocity_y")
@@ -249,7 +248,7 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
 
 
 def _select_samples(run: RunSamples) -> tuple[np.ndarray, list[tuple[str, str]]]:
-    """(which samples enter, (run, reason why others are left out))."""
+    """(whether each sample enters (n,), [(run, reason why others do not)])."""
     slow = np.abs(run.velocity_x) < MINIMUM_SPEED
     straight = ~slow & (np.abs(run.yaw_rate) * MAXIMUM_RADIUS < np.abs(run.velocity_x))
     hard = ~slow & ~straight & (np.abs(run.lateral_acceleration) > MAXIMUM_ACCELERATION)
@@ -260,7 +259,7 @@ def _select_samples(run: RunSamples) -> tuple[np.ndarray, list[tuple[str, str]]]
 
 
 def _axle_samples(runs: Sequence[RunSamples], masks: Sequence[np.ndarray], vehicle: VehicleParameters,
-          index: int) -> AxleSamples:
+                  index: int) -> AxleSamples:
     rows = []
     for number, (run, mask) in enumerate(zip(runs, masks, strict=True)):
         slip, force = slip_angles(run, vehicle)[index], axle_forces(run, vehicle)[index]

@@ -1,9 +1,9 @@
 """Fit of vehicle and recording parameters to predictions of several drives at once.
 
-Problem, loss and fit are those of `discovery`: windows all over the drives are predicted with the measured inputs,
+Problem, loss and fit are those of `discovery`: windows of the drives are predicted with the measured inputs,
 errors of yaw rate and lateral velocity at the INS have Student's distribution, and the effects that represent the
-parameters are fitted together. Nothing else is free, and the vehicle file is no prior. Noise of the slip angle does not
-draw the estimate towards zero, as it does in a regression of force on slip. Checked by: test_driving_fit.py.
+parameters are fitted together. Nothing else is free, and the vehicle file is no prior. Unlike a
+regression of force on slip, the estimate is not attenuated by noise of the slip angle. Checked by: test_driving_fit.py.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -38,9 +38,9 @@ from .result import IdentificationError
 
 MISALIGNMENT, DELAY, RELAXATION = "ins_misalignment", SteeringDelay.name, TyreRelaxation.name
 MAX_ROUNDS, SCALE_TOLERANCE = 6, 0.02
-"""Number of fits, each with the scale of the errors of the previous one, and the relative change at which they end."""
+"""Number of fits, each with the error scale of the previous one, and relative change of that scale at convergence."""
 BOUND_TOLERANCE = 1e-3
-"""Distance from a bound over the width between both, within which a value is at the bound."""
+"""Distance to a bound, over the range between both, below which a value counts as at the bound."""
 MAX_CONDITION = 1e12
 MIN_CURVATURE_RATIO = 0.2
 """Second derivative of the loss over its weighted squares; 0.7 for errors distributed as the loss assumes."""
@@ -53,14 +53,14 @@ class FreeParameter:
     """A quantity [unit, SI] that can be identified from driving, and the effect that represents it in the fit.
 
     of: value of the quantity from the vehicle and the values of the effects by "effect.parameter". relative: judged by
-    its relative uncertainty; else `usual` is the uncertainty up to which it counts as identified [SI].
+    its relative uncertainty; else it counts as identified up to max_uncertainty [SI].
     """
 
     effect: str
     unit: str
     of: Callable[[VehicleParameters, Values], float]
     relative: bool = False
-    usual: float = 0.0
+    max_uncertainty: float = 0.0
 
 
 def _scaled(effect: str, key: str, unit: str) -> FreeParameter:
@@ -78,16 +78,16 @@ FREE_PARAMETERS: Mapping[str, FreeParameter] = {
     "cornering_stiffness_rear": _scaled(RearStiffness.name, "cornering_stiffness_rear", "N/rad"),
     "yaw_inertia": _scaled(YawInertia.name, "yaw_inertia", "kg m^2"),
     "steering_ratio": _scaled(SteeringRatio.name, "steering_ratio", "1"),
-    "steering_wheel_offset": FreeParameter(SteeringOffset.name, "rad", _offset, usual=0.02),
-    "cg_to_ins_x": FreeParameter(
-        SensorLeverArm.name, "m", lambda car, values: car.cg_to_ins_x + values[f"{SensorLeverArm.name}.x"], usual=0.1),
+    "steering_wheel_offset": FreeParameter(SteeringOffset.name, "rad", _offset, max_uncertainty=0.02),
+    "cg_to_ins_x": FreeParameter(SensorLeverArm.name, "m", max_uncertainty=0.1, of=lambda car, values: (
+        car.cg_to_ins_x + values[f"{SensorLeverArm.name}.x"])),
     # Angle by which the reported heading is too far left.
     MISALIGNMENT: FreeParameter(HeadingMisalignment.name, "rad",
-                                lambda car, values: values[f"{HeadingMisalignment.name}.angle"], usual=0.005),
+                                lambda car, values: values[f"{HeadingMisalignment.name}.angle"], max_uncertainty=0.005),
     # Delay of the wheels after the measured angle.
-    DELAY: FreeParameter(DELAY, "s", lambda car, values: values[f"{DELAY}.time"], usual=0.02),
+    DELAY: FreeParameter(DELAY, "s", lambda car, values: values[f"{DELAY}.time"], max_uncertainty=0.02),
     # Distance rolled until 63 % of a slip step is force.
-    RELAXATION: FreeParameter(RELAXATION, "m", lambda car, values: values[f"{RELAXATION}.length"], usual=0.1),
+    RELAXATION: FreeParameter(RELAXATION, "m", lambda car, values: values[f"{RELAXATION}.length"], max_uncertainty=0.1),
 }
 
 
@@ -95,7 +95,7 @@ FREE_PARAMETERS: Mapping[str, FreeParameter] = {
 class DrivingFitSettings:
     """horizon [s] of the predictions, 1 or more; interval [s] between their starts. Windows are used when over the
     whole horizon the speed is at least minimum_speed [m/s] and |v_x r| at most maximum_acceleration [m/s^2]; fewer
-    than fewest_windows are refused. channels: what predictions are compared with; without velocity_y a prediction
+    than min_windows are refused. channels: what predictions are compared with; without velocity_y a prediction
     starts from steady sideslip.
     """
 
@@ -103,12 +103,12 @@ class DrivingFitSettings:
     interval: float = 0.5
     minimum_speed: float = 5.0
     maximum_acceleration: float = 4.0
-    fewest_windows: int = 60
+    min_windows: int = 60
     channels: tuple[str, ...] = ("yaw_rate", "velocity_y")
 
 
 class _GatedWindows(Windows):
-    """Windows limited to the speed and acceleration of the settings. used: (n,) which ones count."""
+    """Windows limited to the speed and acceleration of the settings. used: (n,) whether a window is within them."""
 
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DrivingFitSettings):
         super().__init__(runs, vehicle, DiscoverySettings(
@@ -173,15 +173,15 @@ class DrivingFit:
 
 def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Sequence[str],
                 base: str | Model = "nonlinear", settings: DrivingFitSettings | None = None) -> DrivingFit:
-    """The values of `names` (of FREE_PARAMETERS, each once) that predict the drives best, all others unchanged.
+    """Values of `names` (of FREE_PARAMETERS, each once) that predict the drives best; all others stay fixed.
 
-    logs: as `run_samples.prepare_drives` returns them. base: linear, nonlinear, or either with effects that are known.
-    Raises IdentificationError for an unknown name, for too few windows, and where the drives do not fix the values.
+    logs: as `run_samples.prepare_drives` returns them. base: linear, nonlinear, or either with known effects.
+    Raises IdentificationError for an unknown name, too few windows, and values that the drives do not determine.
     """
     settings = settings or DrivingFitSettings()
     for name in names:
         if name not in FREE_PARAMETERS:
-            raise IdentificationError(f"{name}: not found from driving; there are {', '.join(FREE_PARAMETERS)}")
+            raise IdentificationError(f"{name}: not identifiable from driving; known are {', '.join(FREE_PARAMETERS)}")
     effects = tuple(dict.fromkeys(FREE_PARAMETERS[name].effect for name in names))
     model = get_model(base)
     library = {*effects, *(model.values if isinstance(model, AugmentedModel) else ())}
@@ -192,11 +192,11 @@ def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Seq
     counts = {name: (int(windows.used[windows.run == k].sum()), int((windows.run == k).sum()))
               for k, name in enumerate(windows.names)}
     total = sum(used for used, _ in counts.values())
-    if total < settings.fewest_windows:
+    if total < settings.min_windows:
         raise IdentificationError(
             f"too few samples: {total} of {len(windows)} predictions are faster than {settings.minimum_speed:g} m/s "
             f"and below {settings.maximum_acceleration:g} m/s^2 over {settings.horizon:g} s; "
-            f"{settings.fewest_windows} are needed")
+            f"{settings.min_windows} are needed")
     space = Space(model, windows.settings, library=library)
     loss = Loss(Errors(windows, space), space.null)
     problem = Problem(loss, space.null, windows.block)
@@ -205,7 +205,7 @@ def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Seq
 
 
 def _fit_with_scale(problem: Problem, effects: tuple[str, ...]) -> np.ndarray:
-    """The vector at which scale and values have converged."""
+    """Vector of the converged fit: error scale and values are estimated in turn."""
     vector, indices, loss = problem.start.copy(), problem.free_indices(effects), problem.loss
     for _ in range(MAX_ROUNDS):
         before = loss.scale.copy()
@@ -218,7 +218,7 @@ def _fit_with_scale(problem: Problem, effects: tuple[str, ...]) -> np.ndarray:
 
 
 def _make_fit(problem: Problem, windows: _GatedWindows, vector: np.ndarray, effects: tuple[str, ...],
-            names: Sequence[str], counts: Mapping[str, tuple[int, int]]) -> DrivingFit:
+              names: Sequence[str], counts: Mapping[str, tuple[int, int]]) -> DrivingFit:
     space, indices = problem.space, problem.free_indices(effects)
     rows = problem.errors.at(vector)
     slopes = problem.loss.slopes(vector, indices)
@@ -229,18 +229,17 @@ def _make_fit(problem: Problem, windows: _GatedWindows, vector: np.ndarray, effe
     whole = hessian.sum(axis=0)
     size = np.sqrt(np.diag(whole).clip(1e-300))
     if np.linalg.cond(whole / np.outer(size, size)) > MAX_CONDITION:
-        raise IdentificationError(f"{', '.join(names)}: not fixed by the data; drive with more variety of speed and "
-                                  "bends, or free fewer parameters")
-    # The loss is less curved than its weighted squares, so each block has that much more influence.
-    bend = np.clip((np.diag(problem.loss.curvature(rows, slopes)) / np.diag(whole)).mean(), MIN_CURVATURE_RATIO, 1.0)
-    own = group.leave_out(bend * hessian, gradient)
+        raise IdentificationError(f"{', '.join(names)}: not determined by the data; drive with more variety of speed "
+                                  "and bends, or free fewer parameters")
+    # The loss is less curved than its weighted squares, so each block has more influence by that ratio.
+    ratio = np.clip((np.diag(problem.loss.curvature(rows, slopes)) / np.diag(whole)).mean(), MIN_CURVATURE_RATIO, 1.0)
+    influence = group.leave_out(ratio * hessian, gradient)
 
-    def quantities(there: np.ndarray) -> np.ndarray:
-        known = {f"{e}.{p}": value for e in effects for p, value in space.values(e, there).items()}
+    def quantities(at: np.ndarray) -> np.ndarray:
+        known = {f"{e}.{p}": value for e in effects for p, value in space.values(e, at).items()}
         return np.array([FREE_PARAMETERS[name].of(windows.vehicle, known) for name in names])
 
-    values = quantities(vector)
-    step = 1e-4
+    values, step = quantities(vector), 1e-4
     change = np.stack([(quantities(vector + step * space.scale * unit) - values) / step
                        for unit in np.eye(len(space))[indices]], axis=1)
     margin = BOUND_TOLERANCE * (space.high - space.low)
@@ -249,7 +248,7 @@ def _make_fit(problem: Problem, windows: _GatedWindows, vector: np.ndarray, effe
     points, columns = len(windows.time), len(windows.columns)
     residuals = -rows.reshape(len(rows), points, columns)[used].reshape(-1, columns)
     return DrivingFit(
-        tuple(names), values, group.spread(own @ change.T),
+        tuple(names), values, group.spread(influence @ change.T),
         tuple(name for name in names if FREE_PARAMETERS[name].effect in stopped), change, whole, residuals,
         windows.columns, np.repeat(windows.run[used], points), np.repeat(windows.seconds[used], points), counts,
         windows.curvature_square, windows.acceleration, windows.peaks)

@@ -105,7 +105,7 @@ def slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     """
     try:
         low = fit_driving(logs, vehicle, fit.names, base, replace(
-            settings, maximum_acceleration=float(np.median(fit.peaks)), fewest_windows=settings.fewest_windows // 2))
+            settings, maximum_acceleration=float(np.median(fit.peaks)), min_windows=settings.min_windows // 2))
     except IdentificationError:
         return {}
     if low.acceleration > MAX_RANGE_RATIO * fit.acceleration:
@@ -215,7 +215,7 @@ def _judge_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[st
                 "file."), "unidentifiable"
     if not FREE_PARAMETERS[name].relative:
         return (f"{value:.4g} +/- {uncertainty:.2g} {FREE_PARAMETERS[name].unit}, from {basis}.",
-                "identified" if uncertainty < FREE_PARAMETERS[name].usual else "doubtful")
+                "identified" if uncertainty < FREE_PARAMETERS[name].max_uncertainty else "doubtful")
     share = uncertainty / abs(value)
     head, status = next((head, status) for limit, head, status in UNCERTAINTY_GRADES if not share > limit)
     return f"{head} to +/- {100.0 * share:.1f} %, from {basis}.", status

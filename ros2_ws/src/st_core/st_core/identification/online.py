@@ -5,7 +5,7 @@ usable driving both stiffnesses, ratio, offset, INS misalignment, dead time of t
 are fitted together, so that delay and transients are not taken for a ratio. The deviation adds two parts in quadrature:
 the variation between blocks of driving, as a normal deviation with the same 95 % interval, and SYSTEMATIC, the error of
 the single-track model. A value is estimated when there is enough excitation (`_missing_driving`) and its deviation is
-below MAX_DEVIATIONS; invalid when it is implausible for the car, or the model leaves too much unexplained. Valid for
+below MAX_DEVIATIONS; invalid when it is implausible for the car or the residual of the model is too large. Valid for
 |a_y| <= 4 m/s^2 on dry, level roads. Nothing is applied to the vehicle. Checked by: test_online.py.
 """
 
@@ -31,21 +31,21 @@ UNITS = ("rad", "1", "1")
 STIFFNESSES = ("cornering_stiffness_front", "cornering_stiffness_rear")
 FITTED = ("steering_wheel_offset", "steering_ratio", *STIFFNESSES, MISALIGNMENT, DELAY, RELAXATION)
 
-SETTINGS = DrivingFitSettings(interval=1.0, fewest_windows=20)
-BUFFER, SPACING_NS = 400.0, 19_000_000  # s of driving kept; least ns between kept samples: 50 Hz
+SETTINGS = DrivingFitSettings(interval=1.0, min_windows=20)
+BUFFER, SPACING_NS = 400.0, 19_000_000  # s of driving kept; ns between samples kept, 20 ms with jitter
 FIT_INTERVAL = 15.0  # s of usable driving
-MOVING = 2.0  # m/s, below which samples are not kept
+MIN_SPEED = 2.0  # m/s of samples kept
 MAXIMUM_GAP = 0.1  # s; a longer pause between samples is not driving time
 SYSTEMATIC = (math.radians(0.05), 0.005, 0.03)
-"""Of offset [rad], and relative of ratio and scale: largest errors on the realistic virtual Leaf, bends and slaloms."""
+"""Of offset [rad], and relative of ratio and scale: largest errors on the simulated Leaf, bends and slaloms."""
 UNKNOWN_DEVIATIONS = (math.radians(30.0), 0.2, 0.5)  # deviations without a fit; ratio and scale relative
 MAX_DEVIATIONS = (math.radians(0.5), 0.015, 0.06)  # of an estimated value; ratio and scale relative
 MAX_OFFSET = math.radians(45.0)
 PLAUSIBLE_RANGES = ((0.6, 1.6), (0.3, 3.0))  # ratio over the file's, scale
-MAX_UNEXPLAINED = 0.2  # of the root mean square yaw rate; 0.02 to 0.04 on the virtual Leaf, 0.1 with a noisy INS
-MIN_YAW_RATE = 0.02  # rad/s, with which the residual is compared on straights
+MAX_UNEXPLAINED = 0.2  # of the root mean square yaw rate; 0.02 to 0.04 on the simulated Leaf, 0.1 with a noisy INS
+MIN_YAW_RATE = 0.02  # rad/s, least reference of the residual, for straights
 SPEED_BINS = (5.0, 7.0, 10.0, 14.0, 20.0)  # m/s
-MIN_BEND_ANGLE = 0.02  # rad, l r / v of a bend
+MIN_BEND_ANGLE = 0.02  # rad, |l r / v| of a bend
 MIN_LOADED_ACCELERATION = 1.5  # m/s^2, |v r| that loads the tyres
 
 
@@ -63,22 +63,22 @@ class Tracked:
 
 @dataclass
 class DrivingTime:
-    """Driving used so far [s], by kind."""
+    """Time of driving used so far [s], by kind; loaded: bends above MIN_LOADED_ACCELERATION. rejected: by reason."""
 
     used: float = 0.0
     straight: float = 0.0
     left: float = 0.0
     right: float = 0.0
-    pull_left: float = 0.0
-    pull_right: float = 0.0
+    loaded_left: float = 0.0
+    loaded_right: float = 0.0
     speeds: list[float] = field(default_factory=lambda: [0.0] * len(SPEED_BINS))
     rejected: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class OnlineFit:
-    """Result of one fit: values and deviations (3,) in the order of NAMES. unexplained: residual over the yaw rate.
-    stopped: names at a bound. problem: why there is no fit, else empty."""
+    """Result of one fit: values and deviations (3,) in the order of NAMES. unexplained: root mean square residual over
+    that of the yaw rate. stopped: names at a bound. problem: why there is no fit, else empty."""
 
     values: tuple[float, ...]
     deviations: tuple[float, ...]
@@ -95,7 +95,7 @@ def fit_recent(log: DriveLog, vehicle: VehicleParameters) -> OnlineFit:
     except (StCoreError, np.linalg.LinAlgError) as error:
         return _missing_fit(vehicle, str(error))
     files = [getattr(vehicle, name) for name in STIFFNESSES]
-    # Half of each stiffness over the file's: one scale of both.
+    # Offset, ratio, and the mean over both axles of stiffness over the file's.
     rows = np.zeros((3, len(FITTED)))
     rows[0, 0] = rows[1, 1] = 1.0
     rows[2, 2:4] = 0.5 / np.array(files)
@@ -103,8 +103,8 @@ def fit_recent(log: DriveLog, vehicle: VehicleParameters) -> OnlineFit:
     half = np.array([fit.spread.interval(k, 0.0)[1] for k in range(len(FITTED))])
     normal = half / 1.96 / np.maximum(fit.spread.deviations, 1e-300)
     covariance = rows @ (fit.spread.covariance * np.outer(normal, normal)) @ rows.T
-    own = np.array([SYSTEMATIC[0], SYSTEMATIC[1] * values[1], SYSTEMATIC[2] * values[2]])
-    deviations = np.sqrt(np.diag(covariance) + own**2)
+    systematic = np.array([SYSTEMATIC[0], SYSTEMATIC[1] * values[1], SYSTEMATIC[2] * values[2]])
+    deviations = np.sqrt(np.diag(covariance) + systematic**2)
     rate = max(float(np.sqrt(np.mean(np.square(log.yaw_rate)))), MIN_YAW_RATE)
     residual = float(np.sqrt(np.mean(np.square(fit.residuals[:, 0]))))
     return OnlineFit(tuple(values.tolist()), tuple(deviations.tolist()), residual / rate, fit.at_bound)
@@ -117,7 +117,7 @@ def _missing_fit(vehicle: VehicleParameters, problem: str) -> OnlineFit:
 
 
 class OnlineIdentifier:
-    """Consumes samples in order of time and reports estimates. `snapshot` and `take` allow the fit to run elsewhere."""
+    """Estimates from samples in order of time. The fit between `snapshot` and `take` may run in another thread."""
 
     def __init__(self, vehicle: VehicleParameters):
         self.reset(vehicle)
@@ -133,7 +133,7 @@ class OnlineIdentifier:
         self._fit = _missing_fit(vehicle, "the first fit is not done")
 
     def add_ins(self, sample: InsSample) -> bool:
-        """An INS sample at the INS point; False if it is not finite or not newer. A jump back of time forgets all."""
+        """Add a sample at the INS point; False if it is not finite or not newer. Time going back by 1 s resets all."""
         if not all(map(math.isfinite, sample[1:7])):
             return False
         step = (sample.time_ns - self._newest_ns) * NANOSECOND
@@ -143,12 +143,12 @@ class OnlineIdentifier:
             return False
         self._newest_ns = sample.time_ns
         self._count(sample, step if step <= MAXIMUM_GAP else 0.0)
-        if sample.velocity_x > MOVING and (not self._ins or sample.time_ns - self._ins[-1].time_ns >= SPACING_NS):
+        if sample.velocity_x > MIN_SPEED and (not self._ins or sample.time_ns - self._ins[-1].time_ns >= SPACING_NS):
             self._ins.append(sample)
         return True
 
     def add_steering(self, time_ns: int, angle: float) -> bool:
-        """A hand-wheel angle as the sensor reads it [rad]; False if it is not finite or not newer."""
+        """Add a reading of the steering wheel sensor [rad]; False if it is not finite or not newer."""
         if not math.isfinite(angle) or (self._steering and time_ns <= self._steering[-1][0]):
             return False
         if not self._steering or time_ns - self._steering[-1][0] >= SPACING_NS:
@@ -161,7 +161,7 @@ class OnlineIdentifier:
         return self.seconds.used - self._fitted_at >= FIT_INTERVAL and len(self._steering) > 1
 
     def snapshot(self) -> tuple[DriveLog, VehicleParameters]:
-        """The driving that is kept, for `fit_recent`; the next fit is due FIT_INTERVAL later."""
+        """Stored driving, for `fit_recent`; the next fit is due FIT_INTERVAL later."""
         self._fitted_at = self.seconds.used
         columns = np.array([sample[1:7] for sample in self._ins]).T
         times = np.array([sample.time_ns for sample in self._ins], np.int64)
@@ -177,7 +177,7 @@ class OnlineIdentifier:
 
     def tracked(self) -> tuple[Tracked, ...]:
         """Current estimate of each parameter, with the reason where it is not estimated."""
-        missing, trouble = self._missing_driving(), self._implausible_values()
+        missing, implausible = self._missing_driving(), self._implausible_values()
         estimates = []
         for k, name in enumerate(NAMES):
             value, deviation = self._fit.values[k], self._fit.deviations[k]
@@ -185,29 +185,29 @@ class OnlineIdentifier:
             if not reason and not deviation / (value if k else 1.0) <= MAX_DEVIATIONS[k]:
                 reason = "the driving so far leaves the deviation too large"
             status: Status = "unestimated" if reason else "estimated"
-            if not missing[name] and trouble.get(name):
-                status, reason = "invalid", trouble[name]
+            if not missing[name] and implausible.get(name):
+                status, reason = "invalid", implausible[name]
             estimates.append(Tracked(name, value, UNITS[k], deviation, status, reason))
         return tuple(estimates)
 
     def _count(self, sample: InsSample, time: float) -> None:
         speed, rate, seconds = sample.velocity_x, sample.yaw_rate, self.seconds
-        why = "too slow" if speed < SETTINGS.minimum_speed else (
+        rejected = "too slow" if speed < SETTINGS.minimum_speed else (
             "a_y" if abs(speed * rate) > SETTINGS.maximum_acceleration else "")
-        if why:
-            seconds.rejected[why] = seconds.rejected.get(why, 0.0) + time
+        if rejected:
+            seconds.rejected[rejected] = seconds.rejected.get(rejected, 0.0) + time
             return
-        bend, pull = self.vehicle.wheelbase * rate / speed, speed * rate
+        bend, acceleration = self.vehicle.wheelbase * rate / speed, speed * rate
         seconds.used += time
         seconds.straight += time * (abs(bend) < 0.25 * MIN_BEND_ANGLE)
         seconds.left += time * (bend > MIN_BEND_ANGLE)
         seconds.right += time * (bend < -MIN_BEND_ANGLE)
-        seconds.pull_left += time * (pull > MIN_LOADED_ACCELERATION)
-        seconds.pull_right += time * (pull < -MIN_LOADED_ACCELERATION)
+        seconds.loaded_left += time * (acceleration > MIN_LOADED_ACCELERATION)
+        seconds.loaded_right += time * (acceleration < -MIN_LOADED_ACCELERATION)
         seconds.speeds[sum(speed >= edge for edge in SPEED_BINS[1:])] += time
 
     def _missing_driving(self) -> Mapping[str, str]:
-        """Driving that is still missing, by parameter; an empty text where none is."""
+        """Missing driving in words, by parameter; "" where there is enough."""
         s = self.seconds
         bends = min(s.left, s.right)
         filled = sum(time >= 5.0 for time in s.speeds)
@@ -216,8 +216,8 @@ class OnlineIdentifier:
             # At one speed a ratio is a change of front stiffness.
             "steering_ratio": [(s.left, 5.0, "left bends"), (s.right, 5.0, "right bends"),
                                (filled, 2, "speeds, 5 s each")],
-            "stiffness_scale": [(s.pull_left, 3.0, "left bends above 1.5 m/s^2"),
-                                (s.pull_right, 3.0, "right bends above 1.5 m/s^2"), (filled, 2, "speeds, 5 s each")],
+            "stiffness_scale": [(s.loaded_left, 3.0, "left bends above 1.5 m/s^2"),
+                                (s.loaded_right, 3.0, "right bends above 1.5 m/s^2"), (filled, 2, "speeds, 5 s each")],
         }
         return {name: "; ".join(f"{have:.0f} of {needed:g}{'' if isinstance(needed, int) else ' s'} {what}"
                                 for have, needed, what in rows if have < needed) for name, rows in needs.items()}
@@ -228,14 +228,14 @@ class OnlineIdentifier:
         if fit.unexplained > MAX_UNEXPLAINED:
             return dict.fromkeys(NAMES, f"the model leaves {100 * fit.unexplained:.0f} % of the yaw rate unexplained: "
                                         "another road, load or sensor than the equations describe")
-        troubles = {}
+        reasons = {}
         if abs(offset) > MAX_OFFSET:
-            troubles[NAMES[0]] = f"{math.degrees(offset):.0f} deg is beyond 45 deg"
+            reasons[NAMES[0]] = f"{math.degrees(offset):.0f} deg is beyond 45 deg"
         relative = ratio / self.vehicle.steering_ratio
         for name, value, (low, high) in zip(NAMES[1:], (relative, scale), PLAUSIBLE_RANGES, strict=True):
             if not low < value < high:
-                troubles[name] = f"{value:.2f} times the vehicle file's is outside {low:g} to {high:g}"
+                reasons[name] = f"{value:.2f} times the vehicle file's is outside {low:g} to {high:g}"
         for name in fit.stopped:
             if name in NAMES or name in STIFFNESSES:
-                troubles[name if name in NAMES else NAMES[2]] = f"{name} stopped at the bound of the fit"
-        return troubles
+                reasons[name if name in NAMES else NAMES[2]] = f"{name} stopped at the bound of the fit"
+        return reasons

@@ -24,7 +24,7 @@ from .result import Estimate, Identification, IdentificationError, describe_cont
 from .run_samples import RunSamples, prepare_drives, run_samples
 
 PAPER, DIRECT = "steering_wheel_offset", "steering_wheel_offset_direct"
-SETTINGS = DrivingFitSettings(horizon=2.0, maximum_acceleration=0.5, fewest_windows=40, channels=("yaw_rate",))
+SETTINGS = DrivingFitSettings(horizon=2.0, maximum_acceleration=0.5, min_windows=40, channels=("yaw_rate",))
 WINDOW = 2.0  # s
 MIN_RADIUS = 500.0  # m, radius
 MAX_HAND_DEVIATION = np.deg2rad(3.0)  # at the hand wheel, standard deviation in a window

@@ -8,7 +8,7 @@ MODELS: dict[str, Model] = {m.name: m for m in (kinematic.MODEL, linear_tyre.MOD
 
 
 def get_model(model: str | Model) -> Model:
-    """The model of a name (a Model is returned unchanged). Raises ConfigurationError listing the known names."""
+    """The model with this name (a Model is returned unchanged). Raises ConfigurationError listing the known names."""
     if isinstance(model, Model):
         return model
     if model not in MODELS:
