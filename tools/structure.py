@@ -1,7 +1,8 @@
-"""The figure of the packages and their imports, read from the syntax trees of the sources."""
+"""Figure of the packages and their imports, from the syntax trees of the sources."""
 
 import ast
 from collections.abc import Iterator, Mapping, Sequence
+from graphlib import TopologicalSorter
 from itertools import permutations
 from pathlib import Path
 
@@ -14,8 +15,8 @@ from matplotlib.patches import FancyArrowPatch
 FIGURE = "images/architecture.png"  # in docs/
 BOX = {"boxstyle": "round,pad=0.5", "facecolor": "#eef3f8", "edgecolor": "#2f4b66", "linewidth": 1.2}
 DIRECT, IMPLIED = "#2f4b66", "#b4c0cc"
-BOX_HALF_WIDTH = 0.13  # of the width of the figure, with some air
-WIDTH = 0.85  # of a row before it is shifted, of the width of the figure
+BOX_HALF_WIDTH = 0.13  # of the width of the figure, margin included
+ROW_WIDTH = 0.85  # over the width of the figure
 SHIFTS = (0.0, -0.05, 0.05, -0.1, 0.1, -0.15, 0.15)
 SWEEPS = 3
 
@@ -45,17 +46,15 @@ def _imported(file: Path) -> Iterator[str]:
 
 
 def layers(names: list[str], arrows: set[Edge]) -> list[list[str]]:
-    """Packages by the longest chain of imports below them; the first layer imports none.
-
-    Raises ValueError for packages that import each other.
-    """
-    height: dict[str, int] = {}
-    while len(height) < len(names):
-        ready = [n for n in names if n not in height and all(b in height for a, b in arrows if a == n)]
-        if not ready:
-            raise ValueError(f"these packages import each other: {', '.join(n for n in names if n not in height)}")
-        height |= {n: 1 + max((height[b] for a, b in arrows if a == n), default=-1) for n in ready}
-    return [[n for n in names if height[n] == level] for level in range(1 + max(height.values()))]
+    """Packages by the longest chain of imports below them; the first layer imports none. CycleError for a cycle."""
+    sorter = TopologicalSorter({name: {b for a, b in arrows if a == name} for name in names})
+    sorter.prepare()
+    rows = []
+    while sorter.is_active():
+        ready = sorter.get_ready()
+        rows.append(sorted(ready, key=names.index))
+        sorter.done(*ready)
+    return rows
 
 
 def implied(arrows: set[Edge]) -> set[Edge]:
@@ -69,9 +68,9 @@ def implied(arrows: set[Edge]) -> set[Edge]:
 
 
 def draw(sources: Path, file: Path) -> None:
-    """Write the figure as PNG. Its Description lists the arrows, as lines `a -> b`: see `drawn`."""
+    """Write the figure as PNG. Its Description lists the arrows, as lines `a -> b`: see `edges_in`."""
     names, arrows = packages(sources), edges(sources)
-    places, longer = _places(layers(names, arrows), arrows), implied(arrows)
+    places, indirect = _places(layers(names, arrows), arrows), implied(arrows)
     figure, axes = plt.subplots(figsize=(9.0, 7.0), dpi=110)
     axes.set(xlim=(0.0, 1.0), ylim=(-0.4, max(y for _, y in places.values()) + 0.4))
     axes.set_axis_off()
@@ -79,9 +78,9 @@ def draw(sources: Path, file: Path) -> None:
     boxes = {name: axes.text(*place, name, ha="center", va="center", fontsize=11, family="monospace", zorder=3,
                              bbox=BOX) for name, place in places.items()}
     figure.canvas.draw()  # sizes of the boxes, at whose edges the arrows end
-    for arrow in sorted(arrows, key=lambda a: (a not in longer, a)):
+    for arrow in sorted(arrows, key=lambda a: (a not in indirect, a)):
         start, end = arrow
-        grey = arrow in longer
+        grey = arrow in indirect
         axes.add_patch(FancyArrowPatch(
             places[start], places[end], patchA=boxes[start].get_bbox_patch(), patchB=boxes[end].get_bbox_patch(),
             arrowstyle="-|>", mutation_scale=11, shrinkA=1, shrinkB=1, linewidth=0.9 if grey else 1.5,
@@ -92,7 +91,7 @@ def draw(sources: Path, file: Path) -> None:
     plt.close(figure)
 
 
-def drawn(metadata: Mapping[str, str]) -> set[Edge]:
+def edges_in(metadata: Mapping[str, str]) -> set[Edge]:
     """The arrows of a picture made by `draw`, from its metadata."""
     return {(a, b) for a, _, b in (line.partition(" -> ") for line in metadata["Description"].splitlines())}
 
@@ -109,7 +108,7 @@ def _places(rows: list[list[str]], arrows: set[Edge]) -> dict[str, tuple[float, 
 
 
 def _row(order: Sequence[str], level: int, shift: float) -> dict[str, tuple[float, float]]:
-    return {name: (0.5 + WIDTH * ((number + 0.5) / len(order) - 0.5) + shift, float(level))
+    return {name: (0.5 + ROW_WIDTH * ((number + 0.5) / len(order) - 0.5) + shift, float(level))
             for number, name in enumerate(order)}
 
 
@@ -118,7 +117,7 @@ def _merged(rows: list[dict[str, tuple[float, float]]]) -> dict[str, tuple[float
 
 
 def _clutter(places: dict[str, tuple[float, float]], arrows: set[Edge]) -> float:
-    """Penalty of a layout: arrows through or near boxes count most, then their length."""
+    """Penalty of a layout: arrows through or near boxes, then horizontal length of the arrows."""
     total = 0.0
     for start, end in sorted(arrows):
         (x0, y0), (x1, y1) = places[start], places[end]

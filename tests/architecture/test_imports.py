@@ -107,7 +107,7 @@ def test_the_figure_of_the_structure_shows_these_imports():
             if (top := module.partition(".")[0]) in known - {path.parts[0]}}
     assert known == {*PACKAGES, "st_msgs"}
     assert structure.edges(SOURCES) == seen
-    assert structure.drawn(Image.open(ROOT / "docs" / structure.FIGURE).text) == seen, "run ./st docs"
+    assert structure.edges_in(Image.open(ROOT / "docs" / structure.FIGURE).text) == seen, "run ./st docs"
     assert f"]({structure.FIGURE})" in (ROOT / "docs" / "architecture.md").read_text()
 
 
@@ -115,7 +115,7 @@ def test_layers_and_implied_arrows_of_a_structure():
     arrows = {("a", "b"), ("b", "c"), ("a", "c")}
     assert structure.layers(["a", "b", "c", "d"], arrows) == [["c", "d"], ["b"], ["a"]]
     assert structure.implied(arrows) == {("a", "c")}
-    with pytest.raises(ValueError, match="import each other: a, b"):
+    with pytest.raises(ValueError, match="cycle"):
         structure.layers(["a", "b"], {("a", "b"), ("b", "a")})
 
 

@@ -192,7 +192,6 @@ def _kernel_time(control: list[tuple[int, int, bytes]]) -> int:
 
 
 def is_address(text: str) -> bool:
-    """Whether a text is an IP address."""
     try:
         ipaddress.ip_address(text)
     except ValueError:

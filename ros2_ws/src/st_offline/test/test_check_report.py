@@ -234,7 +234,7 @@ def test_of_two_values_for_one_correction_the_graver_finding_has_its_way(tmp_pat
     other = Finding("yaw_rate_bias", Severity.WARNING, (), "too high", advice=correction)
     text = run_yaml(source(tmp_path), [DEGREES, other], tmp_path / "run.yaml", ReadSettings())
     assert yaml.safe_load(text)["correct"] == {"yaw_rate": {"scale": 0.01745}}
-    assert "#   not taken, a graver finding has another value: in its run.yaml: correct:" in text
+    assert "#   not applied, a more severe finding has another value: in its run.yaml: correct:" in text
 
 
 def test_what_only_a_csv_has_is_proposed_for_a_csv_only(tmp_path):
@@ -244,7 +244,7 @@ def test_what_only_a_csv_has_is_proposed_for_a_csv_only(tmp_path):
         run_of = replace(source(tmp_path), kind=kind)
         text = run_yaml(run_of, [exchanged], tmp_path / "run.yaml", ReadSettings())
         assert ("columns" in yaml.safe_load(text)) is taken
-        assert ("#   not taken, only a csv or vbo has columns and units: in its run.yaml: " in text) is not taken
+        assert ("#   not applied, only a csv or vbo has columns and units: in its run.yaml: " in text) is not taken
 
 
 def test_a_stretch_that_several_findings_leave_out_stands_there_once(tmp_path):

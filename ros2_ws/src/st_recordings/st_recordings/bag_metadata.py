@@ -50,13 +50,12 @@ class Qos:
 
 
 def _duration_entry(nanoseconds: int) -> dict[str, int]:
-    if nanoseconds >= INFINITE_NS:
-        return {"sec": 9223372036, "nsec": 854775807}
-    return {"sec": nanoseconds // 1_000_000_000, "nsec": nanoseconds % 1_000_000_000}
+    seconds, rest = divmod(min(nanoseconds, INFINITE_NS), 1_000_000_000)
+    return {"sec": seconds, "nsec": rest}
 
 
 def qos_text(qos: Sequence[Qos]) -> str:
-    """The QoS entries as the text that rosbag2 keeps in the metadata of an MCAP channel."""
+    """The QoS entries as the YAML text in the metadata of an MCAP channel (rosbag2)."""
     return yaml.safe_dump([q.to_entry() for q in qos], sort_keys=False).strip() if qos else ""
 
 
@@ -116,14 +115,14 @@ class BagInformation:
 
 
 class _NoAliases(yaml.SafeDumper):
-    """Writes every topic out in full, as rosbag2 does, even where two share their QoS."""
+    """YAML without anchors, as rosbag2 writes it, also where topics share their QoS."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
 
 
 def read_information(directory: Path) -> dict[str, Any]:
-    """Content of metadata.yaml in a bag directory; empty where the file is missing or cannot be read."""
+    """Content of metadata.yaml in a bag directory; empty if the file is missing or unreadable."""
     try:
         content = yaml.safe_load((directory / FILE_NAME).read_text())["rosbag2_bagfile_information"]
     except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
@@ -149,7 +148,7 @@ def _interface_file(type_name: str, suffix: str) -> Path:
 
 @cache
 def definition(type_name: str) -> str:
-    """The .msg text of a type ("pkg/msg/Type"), then those of all types it uses, in the `ros2msg` layout.
+    """The .msg text of a type ("pkg/msg/Type") and of all types it uses, in the `ros2msg` layout.
 
     Raises UnknownTypeError.
     """
@@ -182,7 +181,7 @@ def _types_used(owner: str, text: str) -> list[str]:
 
 @cache
 def type_hash(type_name: str) -> str:
-    """The hash (RIHS01_...) with which the interface was built. Raises UnknownTypeError."""
+    """Hash (RIHS01_...) of the installed interface. Raises UnknownTypeError."""
     document = json.loads(_interface_file(type_name, ".json").read_text())
     for entry in document["type_hashes"]:
         if entry["type_name"] == type_name:

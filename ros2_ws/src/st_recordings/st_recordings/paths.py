@@ -1,4 +1,4 @@
-"""Where the project's files are (configuration, message definitions), its version, and output folders and JSON."""
+"""Paths of the project (configuration, message definitions), its version, output folders, and JSON."""
 
 import json
 import math
@@ -18,7 +18,7 @@ MIN_FREE_SPACE = 10_000_000  # bytes; less does not hold the output of the short
 
 
 def project_root() -> Path:
-    """The checkout that ./st names, else the installed wheel's files, else the checkout around the current folder."""
+    """The checkout set by ./st, else the files of the installed wheel, else the checkout around the current folder."""
     if "ST_ENVIRONMENT" in os.environ:
         return Path(os.environ["ST_ENVIRONMENT"])
     for folder in (INSTALLED_FILES, Path.cwd(), *Path.cwd().parents):
@@ -35,13 +35,8 @@ def config(relative: str) -> Path:
 def source_version() -> str:
     """`git describe` of the checkout, or the version of the installed wheel."""
     try:
-        return subprocess.run(
-            ["git", "-C", str(project_root()), "describe", "--always", "--dirty", "--tags"],
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=5,
-        ).stdout.strip()
+        command = ["git", "-C", str(project_root()), "describe", "--always", "--dirty", "--tags"]
+        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=5).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         try:
             return metadata.version(DISTRIBUTION)
@@ -50,11 +45,11 @@ def source_version() -> str:
 
 
 class OutputError(OSError):
-    """An output folder cannot be used; the text is one line for the user."""
+    """An output folder cannot be used, in one line."""
 
 
 def new_folder(given: Path | None, name: str, create: bool = True) -> Path:
-    """The folder given, or runs/<name>-<time>; never one with files in it. Raises OutputError."""
+    """The given folder, or runs/<name>-<time>. Raises OutputError for one that is not empty or cannot be written."""
     folder = given or Path("runs") / f"{name}-{datetime.now(UTC):%Y%m%d-%H%M%S}"
     try:
         if folder.exists() and (folder.is_file() or any(folder.iterdir())):
@@ -73,7 +68,7 @@ def new_folder(given: Path | None, name: str, create: bool = True) -> Path:
 
 
 def replace_file(path: Path, text: str) -> None:
-    """Writes a file in one step: a reader sees the old or the new one, never half. An OSError keeps the old."""
+    """Replaces a file atomically: a reader sees the old or the new text. After an OSError the old one is unchanged."""
     temporary = path.with_name(f"{path.name}.new")
     try:
         with temporary.open("w") as stream:
@@ -93,7 +88,7 @@ def natural_order(path: Path) -> tuple[list[tuple[bool, int, str]], str]:
 
 
 def json_ready(value: Any) -> Any:
-    """The value with plain Python containers and numbers, as JSON holds them; NaN and infinity become None."""
+    """The value in Python types for JSON; NaN and infinity become None."""
     if isinstance(value, Mapping):
         return {str(k): json_ready(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -105,5 +100,4 @@ def json_ready(value: Any) -> Any:
 
 
 def json_text(content: Mapping[str, Any]) -> str:
-    """The text of a JSON file, indented for people."""
     return json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"

@@ -20,7 +20,7 @@ from .runs.cdr import field_of, typestore
 PREDICTION, ERROR = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
 PLANNED = "st_msgs/msg/PlannedPrediction"
 STATE_FIELDS = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
-# Parts of the evaluator's reason for an incomplete score (st_core: MeasurementHistory, TimeSeries.why_unknown).
+# Phrases in the evaluator's reason for an incomplete score (st_core: MeasurementHistory, TimeSeries.why_unknown).
 JUMP_REASON = "position jumps"
 END_REASON = ": ends "  # a signal has no later sample
 Progress = Callable[[int, int], None]
@@ -28,8 +28,8 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class Predictions:
-    """Predictions of one model: start times (n,) rising, states (n, points, 6) at the CG, step [s], hashes of the
-    configurations."""
+    """Predictions of one model: start times (n,) rising, states (n, points, 6) at the CG [SI] in the order of
+    STATE_FIELDS, step [s], hashes of the configurations."""
 
     starts_ns: np.ndarray
     states: np.ndarray
@@ -55,10 +55,11 @@ class PlannedPredictions(Predictions):
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Scores of one model and mode: start times (n,), errors (n, points, 3), complete (n,).
+    """Scores of one model and mode: start times (n,), complete (n,), errors (n, points, 3): longitudinal, lateral [m],
+    yaw [rad].
 
-    cut: (n,) incomplete because the evaluator was stopped before the horizon was over. jumped: (n,) incomplete because
-    the position jumps within it.
+    cut: (n,) incomplete because the evaluator stopped within the horizon. jumped: (n,) incomplete because the position
+    jumps within it.
     """
 
     starts_ns: np.ndarray
@@ -126,7 +127,7 @@ def _read_by_model(bag: Path, type_name: str, input_fields: Sequence[str], progr
     by_model = {}
     for model, entries in rows.items():
         if len(steps[model]) > 1 or len({len(arrays[0]) for arrays in entries.values()}) > 1:
-            raise RunError(bag, f"predictions of {model} with different horizons or steps are in it")
+            raise RunError(bag, f"predictions of {model} have different horizons or steps")
         starts = sorted(entries)
         states, *inputs = (np.stack(column) for column in zip(*(entries[s] for s in starts), strict=True))
         by_model[model] = [np.array(starts, np.int64), states, steps[model].pop(), frozenset(hashes[model]), *inputs]
@@ -151,7 +152,7 @@ def read_scores(bags: Sequence[Path], progress: Progress | None = None) -> dict[
 
 def read_messages(bags: Sequence[Path], type_name: str, progress: Progress | None = None,
                   topic_end: str = "") -> Iterator[Any]:
-    """Yields the messages of a type, of the topics whose name ends with `topic_end`.
+    """Yields the messages of a type in topics whose name ends with `topic_end`.
 
     progress: called with the number of messages read in a bag, and their total.
     """

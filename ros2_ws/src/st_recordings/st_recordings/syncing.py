@@ -1,4 +1,4 @@
-"""Brings a growing file to the disk in a separate thread, so that a loss of power costs no more than its end."""
+"""Writes a growing file to the disk in a separate thread, so that a power failure costs its last data only."""
 
 import os
 import threading
@@ -7,23 +7,23 @@ from collections.abc import Sequence
 from pathlib import Path
 
 SHORTEST_PERIOD = 0.25
-"""s, between two synchronisations: a writer that wakes more often must not keep the disk busy all the time."""
+"""s between two synchronisations, so that frequent writes do not occupy the disk."""
 
 
 class Syncer:
     """Calls fdatasync on one file in a separate thread, after each `wake`.
 
-    error: what the disk reported, empty without an error. It is never cleared: data refused once may be missing,
-    whatever the system reports afterwards. count: synchronisations so far. longest: the slowest of them [s].
+    error: text of the last error, else empty. It is never cleared: data that failed once may be missing, even if later
+    calls succeed. count: number of synchronisations. longest: duration of the slowest one [s].
     """
 
     def __init__(self, descriptor: int, folders: Sequence[Path]):
-        """folders: synchronised once, with the first data: a file without its directory entry is lost too."""
+        """folders: synchronised once, with the first data: a file without directory entry is lost."""
         # A duplicate: the writer may close its descriptor at any moment, and the number is then given to another file.
         self._descriptor = os.dup(descriptor)
         self._folders = tuple(folders)
         self._condition = threading.Condition()
-        # When the oldest data was handed over [s, monotonic]: of what waits, and of what is being synchronised.
+        # Write time of the oldest data [s, monotonic]: not yet synchronised, and in synchronisation.
         self._waiting_since: float | None = None
         self._syncing_since: float | None = None
         self._stopped = False
@@ -33,7 +33,7 @@ class Syncer:
         self._thread.start()
 
     def wake(self) -> None:
-        """Reports that something was written. Returns at once."""
+        """Requests a synchronisation after a write. Returns at once."""
         with self._condition:
             if self._waiting_since is None:
                 self._waiting_since = time.monotonic()
@@ -41,13 +41,13 @@ class Syncer:
 
     @property
     def behind(self) -> float:
-        """How long the oldest data that is not on the disk has been waiting [s]."""
+        """Age of the oldest data that is not on the disk [s]."""
         with self._condition:
             since = [t for t in (self._waiting_since, self._syncing_since) if t is not None]
         return time.monotonic() - min(since) if since else 0.0
 
     def stop(self) -> None:
-        """Ends the thread and waits for it; what was not synchronised stays so."""
+        """Ends the thread and waits for it; remaining data is not synchronised."""
         with self._condition:
             self._stopped = True
             self._condition.notify()

@@ -174,7 +174,7 @@ TABLES: list[tuple[str, Callable[[DriveLog], str], str, str]] = [
                                   ",".join(("Date", "Time", *NAMES[1:]))), "utf-8", ""),
     ("minutes.csv", lambda log: stamped(log, lambda s: clock((3590 + s) % 3600)[3:]), "utf-8", ""),
     ("twice.csv", lambda log: csv([[*row, "9"] for row in rows(log)], ",".join((*NAMES, "vx"))), "utf-8",
-     "column vx is there 2 times; the first is used"),
+     "column vx occurs 2 times; the first is used"),
     ("units.csv", lambda log: degrees(log, ",".join(NAMES) + "\ns,m,m,deg,m/s,m/s,deg/s,deg"), "utf-8", ""),
 ]
 

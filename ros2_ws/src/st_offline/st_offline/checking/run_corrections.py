@@ -1,4 +1,4 @@
-"""The run.yaml with the corrections of a check, as `st check --propose-correction` writes it."""
+"""Text of the run.yaml that `st check --propose-correction` writes."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -19,21 +19,21 @@ from st_recordings.runs.sources import RUN_FILE, RUN_SUFFIX
 from . import check_report
 
 CSV_KEYS = {"columns", "units"}
-HEADER = "# Proposed by st check. Every verb that reads it lists the corrections.\n"
+HEADER = "# Proposed by st check. Every command that reads it lists the corrections.\n"
 
 
 def check_file_name(file: Path) -> None:
-    """Raises OutputError for a file that no verb would read, or that exists."""
+    """Raises OutputError for a file name that no command reads, or a file that exists."""
     if file.name != RUN_FILE and not file.name.endswith(RUN_SUFFIX):
-        raise OutputError(f"--propose-correction {file}: name it run.yaml or NAME.run.yaml, else no verb reads it")
+        raise OutputError(f"--propose-correction {file}: name it run.yaml or NAME.run.yaml, else no command reads it")
     if file.exists():
         raise OutputError(f"--propose-correction {file}: exists; choose another name (no file is overwritten)")
 
 
 def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: ReadSettings) -> str:
-    """Text of a run.yaml at `file`: the run as it was read, and its corrections, each with its finding.
+    """Text of a run.yaml: the run as it was read, and its corrections, each below its finding.
 
-    Corrections of notes, which are harmless, and other advice become comments. Paths are relative to the file.
+    Corrections of notes, which are harmless, and other advice become comments. Paths are relative to `file`.
     """
     corrections: dict[str, Any] = {}
     lines = [HEADER]
@@ -44,8 +44,9 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
         applicable = finding.advice.kind == "run.yaml" and finding.severity is not Severity.NOTE
         readable = applicable and (source.kind in TABLE_KEYS or not CSV_KEYS & finding.advice.entry.keys())
         if not (readable and merge(corrections, finding.advice.entry)):
-            reason = ("" if not applicable else "not taken, a graver finding has another value: " if readable else
-                      "not taken, only a csv or vbo has columns and units: ")
+            reason = ("" if not applicable else
+                      "not applied, a more severe finding has another value: " if readable else
+                      "not applied, only a csv or vbo has columns and units: ")
             lines.append(f"#   {reason}{printable(check_report.describe_correction(finding.advice))}\n")
     if read.steering_sign != 1 or read.steering_latency:
         lines.append(f"# it was read with --steering-sign {read.steering_sign} --steering-latency "
@@ -59,7 +60,7 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
 
 
 def merge(corrections: dict[str, Any], entry: Mapping[str, Any]) -> bool:
-    """Adds an entry in place, concatenating lists; False, and nothing added, where it contradicts."""
+    """Adds an entry in place, concatenating lists. Returns False, and adds nothing, if it contradicts."""
     if not _is_consistent(corrections, entry):
         return False
     _merge_into(corrections, as_yaml_values(entry))
@@ -67,33 +68,33 @@ def merge(corrections: dict[str, Any], entry: Mapping[str, Any]) -> bool:
 
 
 def with_corrections(settings: Mapping[str, Any], corrections: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings of a run.yaml with further corrections, applied after those it already has:
+    """Settings of a run.yaml with further corrections (2), applied after its own (1):
 
         scale = scale2 scale1,  add = scale2 add1 + add2,  earlier = earlier1 + earlier2,  ahead = ahead1 + ahead2
     """
-    found = {**settings}
+    result = {**settings}
     for key, value in corrections.items():
-        before = found.get(key)
+        present = result.get(key)
         if key == "correct":
-            found[key] = {channel: _combine((before or {}).get(channel, {}), value.get(channel, {}))
-                          for channel in {**(before or {}), **value}}
+            result[key] = {channel: _combine((present or {}).get(channel, {}), value.get(channel, {}))
+                          for channel in {**(present or {}), **value}}
         elif isinstance(value, list):
-            found[key] = [*(before or ()), *value]
+            result[key] = [*(present or ()), *value]
         else:
-            found[key] = {**(before or {}), **value} if isinstance(value, Mapping) else value
-    return found
+            result[key] = {**(present or {}), **value} if isinstance(value, Mapping) else value
+    return result
 
 
 def _combine(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:
-    found = {**first, **second}
+    result = {**first, **second}
     if "scale" in first and "scale" in second:
-        found["scale"] = first["scale"] * second["scale"]
+        result["scale"] = first["scale"] * second["scale"]
     if "add" in first:
-        found["add"] = second.get("scale", 1.0) * first["add"] + second.get("add", 0.0)
+        result["add"] = second.get("scale", 1.0) * first["add"] + second.get("add", 0.0)
     for key in ("earlier", "ahead"):
         if key in first and key in second:
-            found[key] = first[key] + second[key]
-    return found
+            result[key] = first[key] + second[key]
+    return result
 
 
 def _is_consistent(known: Mapping[str, Any], entry: Mapping[str, Any]) -> bool:
@@ -107,25 +108,25 @@ def _merge_into(known: dict[str, Any], entry: Mapping[str, Any]) -> None:
         if isinstance(value, Mapping):
             _merge_into(known.setdefault(key, {}), value)
         elif isinstance(value, list):
-            before = known.get(key, [])
-            known[key] = [*before, *(item for item in value if item not in before)]
+            present = known.get(key, [])
+            known[key] = [*present, *(item for item in value if item not in present)]
         else:
             known[key] = value
 
 
 def _settings(source: RunSource, file: Path, read: ReadSettings) -> dict[str, Any]:
-    """Settings of the run.yaml it was read by, overridden by the options of the command line."""
+    """Settings of the run's own run.yaml, overridden by the options of the command line."""
     given = {"dbc": read.dbc, "signals": read.signals, "offset": read.offset,
              "ins_can_latency": list(read.ins_can_latency) if read.ins_can_latency else None}
     settings = {**source.settings, **{key: value for key, value in given.items() if value is not None}}
     layout = settings.pop("layout", None)
-    found = {key: _relative(value, file) if isinstance(value, Path) else as_yaml_values(value)
+    result = {key: _relative(value, file) if isinstance(value, Path) else as_yaml_values(value)
              for key, value in settings.items()}
     if layout is not None:
-        found |= {key: as_yaml_values(value) for key in ("columns", "units") if (value := getattr(layout, key))}
+        result |= {key: as_yaml_values(value) for key in ("columns", "units") if (value := getattr(layout, key))}
     if source.labels:
-        found["labels"] = [{"name": label.name, "start": label.start, "end": label.end} for label in source.labels]
-    return found
+        result["labels"] = [{"name": label.name, "start": label.start, "end": label.end} for label in source.labels]
+    return result
 
 
 def as_yaml_values(value: Any) -> Any:

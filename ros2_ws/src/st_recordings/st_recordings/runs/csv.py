@@ -23,11 +23,11 @@ COLUMN_ADVICE = ("name the columns as in docs/csv_columns.md, or write a {stem}.
                  "`{kind}: {name}`{can} and `columns: {{{channel}: NAME, ...}}`")
 STEERING_ADVICE = ("name its column, --steering-field NAME --steering-is wheel (or road), with --steering-sign -1 if "
                    "right is positive; or give the CAN log that has the steering as well")
-QUATERNION = {f"orientation_{axis}" for axis in "xyzw"}
+QUATERNION = [f"orientation_{axis}" for axis in "xyzw"]
 MAX_HELD_SHARE = 0.3
-"""Share of the rows of a moving car with an unchanged position, above which positions are slower than the rows."""
+"""Share of rows of a moving car with an unchanged position, above which positions have a lower rate than the rows."""
 MIN_LOST_INTERVAL = 2.5
-"""Usual intervals between two rows, above which rows are lost between them."""
+"""Time between two rows over the usual one, above which rows are lost between them."""
 MAX_LATE_SHARE = 0.1
 """Share of the new positions that follow lost rows, above which the stamps jitter and no row is lost."""
 MIN_REGULAR_SHARE = 0.9
@@ -55,9 +55,9 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
     """The drive in a table. Raises RunError.
 
     A row without a number in an INS channel is left out of the INS samples but not of the steering, and vice versa;
-    an acceleration becomes NaN. vehicle: for a file with the hand wheel alone. yaw_scale: factor on the recorded yaw,
-    applied before unwrapping, which expects radians. steering: its sign is applied. Provenance: columns (channel ->
-    column and unit, as they were used), and the origin of the map for a table with latitude and longitude.
+    an acceleration becomes NaN. vehicle: for a file with the steering wheel angle alone. yaw_scale: correction
+    of yaw, applied before it is unwrapped. steering: its sign is applied. Provenance: columns (channel ->
+    column and unit), and the origin of the map for a table with latitude and longitude.
     """
     file = table.file
     _require_columns(table, (*INS_SIGNALS, ROAD))
@@ -115,7 +115,7 @@ def read_motion(source: RunSource, settings: ReadSettings) -> InsLog:
 
 
 def has_drive_columns(file: Path) -> bool:
-    """Whether the header names all columns of a drive (not whether the rows are good)."""
+    """Whether the header names all columns of a drive."""
     return not _missing_in_header(file)
 
 
@@ -130,7 +130,7 @@ def _missing_in_header(file: Path) -> list[str]:
 
 
 def looks_like_a_drive(file: Path) -> bool:
-    """Whether the header names a position and the motion of a car, though columns of a drive may be missing."""
+    """Whether the header names at least a position and all but one of the INS channels."""
     names = header_of(file)
     missing = _missing_channels(find_columns(file, names, Layout()), names, INS_SIGNALS, completed=False)
     return len(missing) <= 1 and not {"x", "y"} & set(missing)
@@ -140,7 +140,7 @@ def _missing_channels(places: Iterable[str], names: Iterable[str], needed: Itera
                       completed: bool = True) -> list[str]:
     """The needed channels that no column gives, directly or derived. completed: see `_complete_motion`."""
     found = set(places)
-    if found & {COMPASS, COURSE} or found >= QUATERNION:
+    if found & {COMPASS, COURSE} or found.issuperset(QUATERNION):
         found.add("yaw")
     if found >= {"yaw", "velocity_east", "velocity_north"}:
         found |= {"velocity_x", "velocity_y"}
@@ -170,15 +170,14 @@ def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None
 
 
 def _with_derived(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray], tuple[float, float, float] | None]:
-    """(columns, origin of the map): with yaw from compass heading, quaternion or course, velocities in body axes from
-    those east and north or from the course, yaw rate from yaw, x and y from latitude and longitude, and positions at
-    every row.
-    """
+    """(columns, origin of the map): yaw also from compass heading, quaternion or course, velocities from those east and
+    north or from the course, yaw rate from yaw, x and y from latitude and longitude, positions interpolated at every
+    row."""
     columns, origin = dict(table.columns), None
     if "yaw" not in columns and COMPASS in columns:
         columns["yaw"] = np.pi / 2 - columns[COMPASS]
-    elif "yaw" not in columns and columns.keys() >= QUATERNION:
-        columns["yaw"] = yaw_of(*(columns[f"orientation_{axis}"] for axis in "xyzw"))
+    elif "yaw" not in columns and columns.keys() >= {*QUATERNION}:
+        columns["yaw"] = yaw_of(*map(columns.__getitem__, QUATERNION))
     elif "yaw" not in columns and COURSE in columns:
         columns["yaw"] = np.pi / 2 - columns[COURSE]
     if "velocity_y" not in columns and columns.keys() >= {"yaw", "velocity_east", "velocity_north"}:
@@ -219,7 +218,7 @@ def _complete_motion(table: Table, columns: dict[str, np.ndarray], notes: list[s
 
 
 def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
-    """Interpolates positions of a lower rate than the rows, which are repeated until the next new one."""
+    """Interpolates positions of a lower rate than the rows, where each is repeated until the next."""
     if not columns.keys() >= {"x", "y", "velocity_x"}:
         return
     rows = np.flatnonzero(table.used & all_known(columns, ("x", "y", "velocity_x")))
@@ -236,7 +235,7 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], no
     if (moving & ~new).sum() <= MAX_HELD_SHARE * max(moving.sum(), 1):
         return
     fresh = np.concatenate(([True], new))
-    # After lost rows a new position may be as old as they are, so its time is not known.
+    # The first new position after lost rows may belong to one of them: its time is unknown.
     after_gap = np.concatenate(([False], np.diff(seconds) > MIN_LOST_INTERVAL * np.median(np.diff(seconds))))
     if (fresh & after_gap).sum() <= MAX_LATE_SHARE * fresh.sum() and (fresh & ~after_gap).sum() > 2:
         fresh &= ~after_gap
@@ -253,8 +252,8 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], no
 
 
 def _use_steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehicleParameters | None,
-              steering: SteeringField | None, notes: list[str]) -> tuple[str, ...]:
-    """The steering channels to use; the road wheel angle is computed where the table has only the hand wheel."""
+                  steering: SteeringField | None, notes: list[str]) -> tuple[str, ...]:
+    """Steering channels to use; the road wheel angle is added where the table has only the steering wheel angle."""
     if steering is not None and not steering.topic:
         named, other = (ROAD, WHEEL) if steering.quantity == "road" else (WHEEL, ROAD)
         columns[named] = steering.sign * columns[named]
@@ -267,13 +266,13 @@ def _use_steering(table: Table, columns: dict[str, np.ndarray], vehicle: Vehicle
         return (WHEEL,)
     if WHEEL in columns and _lost_samples(columns[WHEEL]) > 0.5 * len(columns[WHEEL]):
         notes.append(f"{table.file}: {WHEEL} (column {table.places[WHEEL].name}) has no number in more than half of "
-                     "the rows; it is not used, the road wheel angle is")
+                     "the rows; it is not used, but the road wheel angle is")
         return (ROAD,)
     return (ROAD, WHEEL) if WHEEL in columns else (ROAD,)
 
 
 def _count_missing(table: Table, columns: Mapping[str, np.ndarray], steering: tuple[str, ...],
-             notes: list[str]) -> dict[str, int]:
+                   notes: list[str]) -> dict[str, int]:
     """Channel -> rows without a usable number, with a note on each."""
     lost = {"time": table.timeless, **{
         name: _lost_samples(columns[name]) for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, *steering)

@@ -20,15 +20,14 @@ MISSING = frozenset(("", "-", "--", "nan", "na", "n/a", "#n/a", "#na", "null", "
 _GROUPED = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+") for mark in ",."}
 _GROUPED_CELL = re.compile(r"(?:^|[;\t])\s*[+-]?[1-9]\d{0,2}(?:,\d{3})+\s*(?=[;\t\r\n]|$)", re.MULTILINE)
 _NUMERIC = re.compile(r'[\s"]*[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?[\s"]*')
-# 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.2026 10:11:12,5, 10:11:12.5; 05/04/2026 may be in April or May.
-# 10:11:12:500 of some loggers.
-# 11:12.5 PM of a clock with twelve hours; 11:12.5 is what a spreadsheet writes of a time: minutes and seconds.
+# 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.2026 10:11:12,5, 10:11:12.5, 10:11:12:500, 11:12.5 PM; 11:12.5 of
+# a spreadsheet is minutes and seconds, 05/04/2026 may be in April or May.
 _STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4})|\d\d?/\d\d?/\d{4})[T ] *)?"
                     r"(?:(\d{1,2}):)?(\d\d?):(\d\d(?:[.,:]\d+)?) *(?:([AaPp])\.?[Mm]\.?)? *"
                     r"(?:Z|UTC|([+-])(\d\d):?(\d\d))?")
 _SLASHED = re.compile(r"(?<!\d)(\d\d?)/(\d\d?)/(\d{4})(?!\d)")
 DAY, HOUR = 86400.0, 3600.0  # s
-_DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # 1970-01-01 as they count days
+_DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # day number of 1970-01-01, and the program
 _EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
 _SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # how a spreadsheet marks its delimiter
 _THOUSANDS_SPACES = re.compile(r"(?<=\d)[\u00a0\u202f\u2009'](?=\d{3}(?!\d))")
@@ -36,11 +35,11 @@ _THOUSANDS_SPACES = re.compile(r"(?<=\d)[\u00a0\u202f\u2009'](?=\d{3}(?!\d))")
 
 @dataclass(frozen=True)
 class Table:
-    """A table of channels. names: of all columns. places: of the channels. columns: channel -> values in SI, NaN for
-    a missing number.
+    """A table of channels. names: of all columns. places: column and unit by channel. columns: values in SI by channel,
+    NaN for a missing number.
 
     time_ns: of all rows that have a time, in the order of the file; rows without one are left out and counted in
-    `timeless`. used: whether each of these rows has a rising time (ins_log.usable_rows). warnings name the file.
+    `timeless`. used: (n,) whether a row has a time later than all before (ins_log.usable_rows). warnings name the file.
     """
 
     file: Path
@@ -59,7 +58,7 @@ class Table:
 
 
 def text_of(file: Path, size: int = -1) -> str:
-    """The text of a file in UTF-8, UTF-16 (as spreadsheets write it) or Windows-1252, with \\n at the end of lines.
+    """Text of a UTF-8, UTF-16 (of spreadsheets) or Windows-1252 file, lines ended by \\n.
 
     Raises RunError for a binary file.
     """
@@ -71,7 +70,7 @@ def _decoded(file: Path, size: int) -> str:
         raw = stream.read(size)
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return raw.decode("utf-16", "replace")
-    if len(raw) > 1 and not any(raw[1:200:2]) and all(raw[:200:2]):  # UTF-16 without its mark, of some loggers
+    if len(raw) > 1 and not any(raw[1:200:2]) and all(raw[:200:2]):  # UTF-16 without byte order mark
         return raw.decode("utf-16-le", "replace")
     try:
         return raw.decode("utf-8-sig", "strict" if size < 0 else "ignore")
@@ -132,7 +131,7 @@ def join_tables(tables: Sequence[Table]) -> Table:
 
 def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: Layout, warnings: list[str],
              places: dict[str, Place] | None = None) -> Table:
-    """The table of rows of text. places: of the channels; default those that the names mean. Raises RunError."""
+    """The table of rows of text. places: by channel, default from the names. Raises RunError."""
     if places is None:
         places = find_columns(file, names, layout)
         places, body = _read_unit_row(file, places, body, delimiter, layout)
@@ -146,7 +145,7 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
                 body = _with_ordered_dates(file, body, warnings)
             body = with_seconds(body, delimiter, time.column, _parse_stamp)
     rows = _numbers(file, body, delimiter, len(names), warnings)
-    warnings += [f"{file}: column {place.name} is there {names.count(place.name)} times; the first is used"
+    warnings += [f"{file}: column {place.name} occurs {names.count(place.name)} times; the first is used"
                  for place in places.values() if place.name and names.count(place.name) > 1]
     with np.errstate(over="ignore"):
         columns = {channel: rows[:, place.column] * place.factor for channel, place in places.items() if channel != "t"}
@@ -170,7 +169,7 @@ def _usable_times(file: Path, seconds: np.ndarray, place: Place, first_time: str
         largest = np.abs(seconds[np.isfinite(seconds)]).max()
         raise RunError(file, f"times like {largest:.3g} in column {place.name} are not in {place.unit}",
                        "declare their unit in a run.yaml, as units: {t: us}")
-    # Seconds since 1970 as a float are exact to a microsecond.
+    # A float of seconds since 1970 resolves microseconds.
     time_ns = np.round(seconds[timed] * 1e6).astype(np.int64) * 1000
     usable, notes = usable_rows(time_ns, "rows") if len(time_ns) else (np.empty(0, np.int64), [])
     used = np.zeros(len(time_ns), dtype=bool)
@@ -235,7 +234,7 @@ def _read_unit_row(file: Path, places: dict[str, Place], body: str, delimiter: s
 
 
 def with_seconds(body: str, delimiter: str, column: int, clock: Callable[[str], tuple[float, float] | None]) -> str:
-    """The rows with seconds in place of times in another form; a time of day continues over midnight.
+    """The rows with their times as seconds; a time of day continues over midnight.
 
     clock: reads a cell as (seconds, period after which they restart, 0 for never); None for a cell that is no time.
     """
@@ -257,7 +256,7 @@ def with_seconds(body: str, delimiter: str, column: int, clock: Callable[[str], 
 
 
 def _with_ordered_dates(file: Path, body: str, warnings: list[str]) -> str:
-    """The body with dates like 25/04/2026 as 2026-04-25, if one date of the file shows which number is the day."""
+    """The body with dates like 25/04/2026 as 2026-04-25, if any date determines which number is the day."""
     pairs = {(int(a), int(b)) for a, b, _ in _SLASHED.findall(body) if int(a) <= 31 and int(b) <= 31}
     day_first, month_first = any(a > 12 for a, _ in pairs), any(b > 12 for _, b in pairs)
     if day_first != month_first:
@@ -292,7 +291,7 @@ def _parse_stamp(text: str) -> tuple[float, float] | None:
 
 
 def _seconds(file: Path, times: np.ndarray, place: Place, warnings: list[str]) -> np.ndarray:
-    """Times [s] by their stated unit; else since 1970, where they look like such times in ms, us, ns or days."""
+    """Times [s] by their stated unit; else inferred: HHMMSS, or ms, us, ns or days since 1970."""
     finite = times[np.isfinite(times)]
     median, steps = np.median(np.abs(finite)) if len(finite) else 0.0, np.abs(np.diff(finite))
     steps = steps[steps > 0.0]  # a coarse clock repeats its times
@@ -315,7 +314,7 @@ def _seconds(file: Path, times: np.ndarray, place: Place, warnings: list[str]) -
 
 
 def _is_clock(times: np.ndarray) -> bool:
-    """Whether numbers are HHMMSS.ss: minutes and seconds below 60, and 41 s from each full minute to the one before."""
+    """Whether numbers are HHMMSS.ss: minutes and seconds below 60, and a step of 40 more over each full minute."""
     if len(times) < 3 or times.min() < 0.0 or times.max() >= 240000.0 or (times % 100 >= 60.0).any() or (
             times // 100 % 100 >= 60).any():
         return False
@@ -340,7 +339,7 @@ def _with_decimal_points(file: Path, body: str, delimiter: str) -> str:
     cells = {cell.strip(' \r"') for row in table for cell in row}
     commas = {cell for cell in cells if "," in cell}
     points = {cell for cell in cells if "." in cell}
-    # Decimal marks that the cells show: the last of two different marks, ...
+    # Decimal mark by the cells: the last of two different marks, ...
     marks = {"," if cell.rfind(",") > cell.rfind(".") else "." for cell in commas & points}
     for mark, cells_with_mark, other in ((",", commas, "."), (".", points, ",")):
         single = {cell for cell in cells_with_mark if other not in cell}

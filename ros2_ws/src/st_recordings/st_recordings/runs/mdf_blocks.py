@@ -1,6 +1,6 @@
-"""Checks the blocks of an MDF 4 file on the way to its frames, and finds where the last whole frame ends.
+"""Validates the blocks that lead to the frames of an MDF 4 file, and finds the end of the last complete frame.
 
-Source: ASAM MDF 4.1; checked on a real CANedge2 file cut at every byte of a stretch.
+Source: ASAM MDF 4.1. Checked with a CANedge2 file, cut at every byte of a section.
 """
 
 import math
@@ -25,7 +25,7 @@ _LINEAR_CONVERSIONS = (0, 1)  # conversions: none, offset and factor
 
 
 class DamageError(ValueError):
-    """A file is cut or damaged. The text describes the damage for the user, without the file's name."""
+    """A file is truncated or damaged. The text describes the damage, without the name of the file."""
 
 
 class _Block(NamedTuple):
@@ -40,8 +40,8 @@ class _Block(NamedTuple):
 class Layout:
     """Records of an unsorted data group.
 
-    start: of the first record. id_size: bytes of an identifier. fixed: identifier -> (size, whether the payload is
-    elsewhere). variable: identifiers of such payloads.
+    start: byte of the first record. id_size: bytes of an identifier. fixed: identifier -> (size [bytes], whether the
+    payload is a record of its own). variable: identifiers of these payloads.
     """
 
     start: int
@@ -52,11 +52,11 @@ class Layout:
 
 def check_blocks(data: Buffer) -> Layout | None:
     """The layout of the records of an unsorted file; None for a sorted one. Raises DamageError for a missing or invalid
-    block on the way to the frames.
+    block that leads to the frames.
 
-    asammdf does not validate these, in C either: a channel outside its record ends the process, a record of a gigabyte
-    is allocated, circular links are followed forever. Names, comments and sources are not needed and may be cut off.
-    The data block of a file that was never finalised has no length, so its end is not checked.
+    asammdf does not validate these: a channel outside its record crashes the process, a record of a gigabyte is
+    allocated, circular links are followed forever. Names, comments and sources are not needed and may be missing. The
+    data block of an unfinalised file has no length, so its end is not checked.
     """
     if len(data) < 64 + 104:
         raise DamageError(f"it ends after {len(data)} bytes, inside its header")
@@ -81,9 +81,9 @@ class _BlockWalk:
             at = self._data_group(at)
 
     def _block(self, at: int, names: tuple[bytes, ...], links: int = 0, content: int = 0) -> _Block:
-        """The block at a byte; it has one of the names, and at least so many links and bytes of content."""
+        """The block at a byte, which has one of the names and at least these numbers of links and bytes of content."""
         if at + _HEADER > self._size:
-            raise DamageError(f"its index points to byte {at}, it has {self._size}")
+            raise DamageError(f"its index points to byte {at}, beyond its end at {self._size}")
         self._mark_visited(at)
         name = bytes(self._data[at : at + 4])
         if name not in names:
@@ -105,7 +105,7 @@ class _BlockWalk:
         self._visited.add(at)
 
     def _chain(self, at: int, name: bytes) -> None:
-        """Visits blocks of which only matters that their chain ends."""
+        """Visits a chain of blocks that are not read, to refuse a circular one."""
         while at and at + _HEADER + 8 <= self._size and self._data[at : at + 4] == name:
             self._mark_visited(at)
             at = struct.unpack_from("<Q", self._data, at + _HEADER)[0]
@@ -135,7 +135,7 @@ class _BlockWalk:
         if record in layout.fixed or record in layout.variable:
             raise DamageError(f"two kinds of records of the block before byte {at} have the identifier {record}")
         if flags & _REMOTE_MASTER or len(block.links) != 6 or block.end != block.content + 32:
-            raise DamageError(f"the block at byte {at} describes records unlike any CAN logger")
+            raise DamageError(f"the block at byte {at} describes records that no CAN logger writes")
         if flags & _VARIABLE_LENGTH_GROUP:
             if block.links[1]:
                 raise DamageError(f"the records of the block at byte {at} have channels and no fixed length")
@@ -233,9 +233,9 @@ class _BlockWalk:
 
 
 def end_of_last_frame(data: Buffer, layout: Layout) -> int | None:
-    """End of the last record of an unfinalised file whose payload is whole too; None without one.
+    """End [bytes] of the last record of an unfinalised file with a complete payload; None if there is none.
 
-    A record is an identifier, then a fixed number of bytes, or a length and as many bytes.
+    A record is an identifier and a fixed number of bytes, or an identifier, a length and that many bytes.
     """
     position, end, open_payloads = layout.start, None, 0
     while position + layout.id_size <= len(data):
@@ -247,7 +247,7 @@ def end_of_last_frame(data: Buffer, layout: Layout) -> int | None:
             change = -1
         elif record in layout.fixed:
             size, owns_payload = layout.fixed[record]
-            change = 1 if owns_payload else 0
+            change = int(owns_payload)
         else:
             break
         position += layout.id_size + size

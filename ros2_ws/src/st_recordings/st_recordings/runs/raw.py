@@ -1,4 +1,4 @@
-"""Decodes an INS recording and CAN logs as the instruments wrote them, and aligns their two clocks (`st align`)."""
+"""Decodes the INS recording and CAN logs of a run, and aligns their clocks."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -29,10 +29,10 @@ from .sources import find_runs
 
 @dataclass(frozen=True)
 class RawRun:
-    """Decoded and aligned INS and CAN files, with everything in them: what `st import` writes.
+    """Complete content of aligned INS and CAN files, as `st import` writes it.
 
-    dbc: with which the CAN frames were decoded. steering: None for `st align`. shared: the signals the alignment rests
-    on, or can be judged by. latency: text on the delay of INS frames.
+    dbc: of the CAN frames. steering: None for `st align`. shared: signals in both, for the alignment and its check.
+    latency: text on the delay of INS frames.
     """
 
     name: str
@@ -79,7 +79,7 @@ def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns, keep_
 
 def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings,
                  read_ins: ReadIns) -> LoadedRun:
-    """The drive of INS recording and CAN logs, as `load.read`."""
+    """The drive in an INS recording and CAN logs. Raises RunError."""
     if vehicle is None:
         raise RunError(source.where, "the steering of a CAN log needs the steering ratio and offset of the car",
                        "give its vehicle file")
@@ -87,7 +87,7 @@ def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings:
 
 
 def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, run: RawRun) -> LoadedRun:
-    """The decoded run as a drive on the INS clock. Raises RunError, also for an alignment that must not be used."""
+    """The decoded run as a drive on the INS clock. Raises RunError, also for a refused alignment."""
     warnings, verdict, reasons = list(run.warnings), run.alignment.verdict, "; ".join(run.alignment.reasons)
     if verdict is Verdict.REFUSED or (verdict is Verdict.DOUBTFUL and not settings.doubtful):
         raise RunError(source.where, f"its clock cannot be aligned with that of the CAN log: {reasons}",
@@ -112,19 +112,19 @@ def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
         **{name: values for name, values in accelerations.items() if is_mostly_known(values)},
         steering_time_ns=steering_ns[good], steering_wheel_angle=wheel,
         road_wheel_angle=vehicle.road_wheel_angle(wheel))
-    about = {"reader": f"{source.kind} and CAN log", **({"origin": list(ins.origin)} if ins.origin else {}),
+    provenance = {"reader": f"{source.kind} and CAN log", **({"origin": list(ins.origin)} if ins.origin else {}),
              "alignment": about_alignment(run.alignment),
              "settings": {"steering_sign": settings.steering_sign, "steering_latency": settings.steering_latency,
                           "ins_can_latency": run.latency}}
-    extras = AuxiliaryData({"INS": ins.stamps_ns, "steering": steering_ns},
+    auxiliary = AuxiliaryData({"INS": ins.stamps_ns, "steering": steering_ns},
                            {name: count for name, count in missing.items() if count},
                            *speeds_of(run.signals, run.alignment.to_reference_ns), ins.quality,
                            implausible=_refused_steering(run, settings))
-    return LoadedRun(log, about, source.labels, tuple(warnings), run.alignment, extras)
+    return LoadedRun(log, provenance, source.labels, tuple(warnings), run.alignment, auxiliary)
 
 
 def _refused_steering(run: RawRun, settings: ReadSettings) -> tuple[Finding, ...]:
-    """Finding of the steering frames that the decoder refused, none without such."""
+    """Finding of the steering frames that the decoder refused; empty without any."""
     assert run.steering is not None
     message = run.steering.message
     if message not in run.signals.refused or not len(run.ins.time_ns):
@@ -145,7 +145,7 @@ def _steering_clock(run: RawRun, settings: ReadSettings, time_ns: np.ndarray) ->
 
 
 def about_alignment(alignment: Alignment) -> dict[str, Any]:
-    """The alignment as plain values for reports and metadata."""
+    """The alignment in Python types for reports and metadata; units in the keys."""
     return {
         "method": alignment.method, "verdict": str(alignment.verdict), "reasons": list(alignment.reasons),
         "at_ns": alignment.at_ns, "offset_s": alignment.offset_ns * 1e-9, "drift_ppm": alignment.drift_ppm,
@@ -170,7 +170,7 @@ def read_pair(files: Sequence[Path], settings: ReadSettings) -> RawRun:
     """
     source = _pair_source(files)
     read_ins = csv.read_motion if source.kind == "csv" else READERS[source.kind].read_ins
-    assert read_ins is not None  # only such kinds have CAN logs
+    assert read_ins is not None  # every kind with CAN logs has it
     return read_raw(source, settings, read_ins, keep_frames=False, needs_steering=False)
 
 
@@ -186,6 +186,6 @@ def _pair_source(files: Sequence[Path]) -> RunSource:
     raw = [run for run in runs if run.can]
     if len(raw) != 1:
         what = "no pair" if not raw else f"more than one pair ({', '.join(run.name for run in raw)})"
-        raise RunError(", ".join(map(str, files)), f"{what} of an INS recording and CAN logs is in there",
+        raise RunError(", ".join(map(str, files)), f"{what} of an INS recording and CAN logs in these files",
                        "give one .ncom (or CSV, VBO) and its CAN logs")
     return raw[0]

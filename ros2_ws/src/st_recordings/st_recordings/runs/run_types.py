@@ -17,11 +17,11 @@ from .errors import RunError
 
 @dataclass(frozen=True)
 class SteeringField:
-    """Where the steering angle is in a recording of another make, its unit and sign.
+    """Place, unit and sign of the steering angle in a recording of other software.
 
     topic: of a bag, "" for a table. field: path in its messages, as "drive.steering_angle"; column of a table.
-    quantity: road (mean of the front wheels) or wheel (the hand wheel, offset not removed). unit: None for that in the
-    header of a table, and rad in a bag. sign: 1 where the number is positive to the left, -1 where to the right.
+    quantity: road (mean of the front wheels) or wheel (steering wheel, offset included). unit: None for the unit in the
+    header of a table, rad in a bag. sign: 1 if left is positive in the recording, else -1.
     """
 
     topic: str
@@ -64,12 +64,12 @@ class RunSource:
 
     @property
     def arguments(self) -> str:
-        """What to type to read this run again."""
+        """Command line arguments that read this run."""
         return str(self.run_file) if self.run_file else " ".join(map(str, (*self.files, *self.can)))
 
     @property
     def where(self) -> Path:
-        """The file or folder to name to the user."""
+        """The file or folder for messages."""
         return self.files[0] if self.files else Path(self.name)
 
 
@@ -77,10 +77,10 @@ class RunSource:
 class ReadSettings:
     """How raw files are read.
 
-    dbc, signals: of the CAN bus; default those of the Leaf. steering_sign: +1 where the decoded sensor is left
-    positive. steering_latency: from the turn of the wheel to the frame in the log [s]. offset: INS minus CAN clock [s],
-    given by hand. search: bounds of that offset [s] otherwise. ins_can_latency: from the instant an INS value is true
-    to its CAN frame in the log, and its standard deviation [s]; None: assumed (clocks.py). doubtful: whether a doubtful
+    dbc, signals: files of the CAN bus, default the Leaf's. steering_sign: +1 where the decoded sensor is left
+    positive. steering_latency: from the motion of the wheel to the frame in the log [s]. offset: INS minus CAN
+    clock [s], None to estimate it within the bounds `search` [s]. ins_can_latency: from the validity of an INS value to
+    its CAN frame in the log, and its standard deviation [s]; None: assumed (clocks.py). doubtful: whether a doubtful
     alignment may be used (with a warning); a refused one never is. steering: where the angle is in bags without
     st_msgs/Steering, or in tables. odometry: the topic to read from a bag that has several.
     """

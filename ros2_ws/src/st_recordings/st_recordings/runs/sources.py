@@ -20,15 +20,26 @@ from .run_types import RunSource
 __all__ = ["RUN_FILE", "RUN_SUFFIX", "find_runs"]
 
 GENERIC_NAMES = ("run", "bag")
-"""File names without meaning (run.ncom with run.mf4, bag/ of st live): the run has the name of the folder."""
+"""File names without meaning (run.ncom with run.mf4, bag/ of st live): the run is named after the folder."""
 DOCUMENT_EXTENSIONS = (".md", ".txt", ".rst", ".pdf", ".html", ".png", ".jpg", ".json", ".yaml", ".yml", "")
 """Extensions that no recording has: README, LICENSE and the like, ignored among recordings."""
 MAX_SPLIT_GAP = 5.0
 """s, between the end of one file of a bag and the start of the next."""
 TABLE_EXTENSIONS = (".txt", ".tsv", ".dat", ".xls", ".xlsx", ".ods", ".mat", ".parquet", ".feather", ".h5", ".hdf5",
                     ".tdms", ".json", ".erg", ".ld")
-"""Tables as other programs keep them; those of text are read once they are called .csv."""
-
+"""Tables of other programs; a text table is read if it is renamed to .csv."""
+UNKNOWN_ADVICE = {
+    ".bag": "convert the ROS 1 bag with rosbags-convert",
+    ".dbc": "a DBC belongs to --dbc or into the folder of --car",
+    ".rd": "this is raw data of an OxTS unit: convert it to NCOM with the software of the unit",
+    ".vbb": "export it as .vbo with the software of the logger",
+    **dict.fromkeys((".gz", ".zip", ".7z", ".bz2", ".xz", ".zst"), "unpack it first"),
+    **dict.fromkeys((".pcap", ".pcapng"),
+                    "for NCOM over UDP, rename it to .ncom: bytes between the packets are skipped"),
+    **dict.fromkeys(TABLE_EXTENSIONS, "rename it to .csv if it is a table of text with a line of names; else export it "
+                    "as such a table"),
+}
+"""What to do with a file that no reader knows, by extension."""
 
 
 def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
@@ -63,9 +74,8 @@ def _in_folder(folder: Path) -> list[RunSource]:
     taken: set[Path] = set()
     files: list[Path] = []
     for path in sorted(folder.rglob("*")):
-        if any(part.startswith(".") for part in path.relative_to(folder).parts):
-            continue
-        if any(parent in taken for parent in path.parents):
+        is_hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
+        if is_hidden or any(parent in taken for parent in path.parents):
             continue
         if path.is_dir():
             if reader_of(path) is not None:
@@ -95,7 +105,7 @@ def _may_be_in_a_run(path: Path, files: Sequence[Path]) -> bool:
 
 
 def _from_files(files: Sequence[Path], given: bool) -> list[RunSource]:
-    """Runs of single files. given: the user named each of them, so any other file is a problem."""
+    """Runs of single files. given: by the user, so that a file of unknown type is a problem."""
     readers = {f: reader for f in files if (reader := reader_of(f)) is not None}
     logs = [f for f in files if f not in readers and f.suffix.lower() in CAN_EXTENSIONS and (given or is_can_log(f))]
     runs = [_unknown_file(f) for f in files if given and f not in readers and f not in logs]
@@ -105,7 +115,7 @@ def _from_files(files: Sequence[Path], given: bool) -> list[RunSource]:
     without_logs = []
     for file, reader in readers.items():
         own_logs = _logs_of(file, logs)
-        # A table with a CAN log of the same name and columns that are not recognised is an INS recording as well.
+        # A table with a CAN log of the same stem and unknown columns is an INS recording, too.
         if not reader.needs_can and not (logs and reader.is_ins_only(file)) and (
                 reader.kind != "csv" or not own_logs or reader.has_drive(file)):
             runs.append(_single_run(file, reader))
@@ -124,24 +134,8 @@ def _from_files(files: Sequence[Path], given: bool) -> list[RunSource]:
 
 
 def _unknown_file(file: Path) -> RunSource:
-    extension = file.suffix.lower()
-    if extension == ".bag":
-        advice = "convert the ROS 1 bag with rosbags-convert"
-    elif extension == ".dbc":
-        advice = "a DBC belongs to --dbc or into the folder of --car"
-    elif extension in (".gz", ".zip", ".7z", ".bz2", ".xz", ".zst"):
-        advice = "unpack it first"
-    elif extension in (".pcap", ".pcapng"):
-        advice = "for NCOM over UDP, rename it to .ncom: what lies between the packets is skipped"
-    elif extension == ".rd":
-        advice = "this is raw data of an OxTS unit: convert it to NCOM with the software of the unit"
-    elif extension == ".vbb":
-        advice = "export it as .vbo with the software of the logger"
-    elif extension in TABLE_EXTENSIONS:
-        advice = "rename it to .csv if it is a table of text with a line of names; else export it as such a table"
-    else:
-        known = sorted({*CAN_EXTENSIONS, *(e for reader in READERS.values() for e in reader.extensions)})
-        advice = f"known are {', '.join(known)}, folders of bags, and run.yaml"
+    known = sorted({*CAN_EXTENSIONS, *(e for reader in READERS.values() for e in reader.extensions)})
+    advice = UNKNOWN_ADVICE.get(file.suffix.lower(), f"known are {', '.join(known)}, folders of bags, and run.yaml")
     return _failed(file, RunError(file, f"the extension {file.suffix or '(none)'} is not one of a recording", advice))
 
 
@@ -149,9 +143,9 @@ def _unmatched(recordings: Sequence[Path], readers: dict[Path, Reader], logs: Se
     """INS recordings without CAN logs, and CAN logs without an INS recording."""
     for file in recordings:
         if not readers[file].needs_can:
-            yield _single_run(file, readers[file])  # the error of its reader names what is missing in it
+            yield _single_run(file, readers[file])  # its reader reports what is missing
             continue
-        why = "several INS recordings and CAN logs are here" if logs else "no CAN log has the same stem"
+        why = "there are several INS recordings and CAN logs" if logs else "no CAN log has the same stem"
         yield _failed(file, RunError(file, f"no CAN log belongs to it: {why}",
                                      "give them the same name, or list the files of each run in a run.yaml"))
     for session in dict.fromkeys(session_of(f)[0] for f in logs) if not recordings else ():
@@ -171,7 +165,7 @@ def _logs_of(file: Path, files: Sequence[Path]) -> list[Path]:
 
 
 def _split_bags(files: Sequence[Path]) -> list[list[Path]]:
-    """Groups of bag files drive_0, drive_1, ..., each of which begins where the one before ended."""
+    """Groups of bag files drive_0, drive_1, ..., each of which begins where the previous one ends."""
     groups: list[list[Path]] = []
     for file in sorted(files, key=lambda f: (f.parent, natural_order(f))):
         if groups and _follows(groups[-1][-1], file):
@@ -206,7 +200,7 @@ def _failed(path: Path, problem: RunError) -> RunSource:
 
 
 def _with_distinct_names(runs: Sequence[RunSource]) -> list[RunSource]:
-    """The runs with distinct names, prefixed by their folder if necessary: results are stored under them."""
+    """The runs with distinct names, prefixed by their folder if necessary: results are stored by name."""
     taken: set[str] = set()
     named = []
     for run in sorted(runs, key=lambda r: (r.name, str(r.where))):
