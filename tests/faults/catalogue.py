@@ -296,6 +296,6 @@ DRIVING = (
     Fault("steering angle frozen, counter runs", 60.0, on_can(lambda: changes.Steering().frozen), WITHIN, STEERING,
           "constant at", settles=90.0),
     Fault("steering counts the other way", 60.0, on_can(lambda: changes.Steering().flipped), WITHIN, CONSISTENCY,
-          "it counts the other way", settles=90.0),
+          "it has the opposite sign", settles=90.0),
 )
 FAULTS = (*INS, *CAN, *KILLED, *HANGING, *MACHINE)

@@ -21,8 +21,8 @@ Values = Mapping[str, Mapping[str, float]]
 class AugmentedModel(Model):
     """A base model with effects and the values of their parameters, created by `augment`.
 
-    In addition to a Model: `effective_vehicle`, the vehicle with its effects; `steering`, effects with memory on a
-    recorded road wheel angle; `observe` and `correct`, from true to measured values and back. `st_core.readings`
+    In addition to a Model: `effective_vehicle`, the vehicle with its effects; `steering`, delay, play and lag applied
+    to a recorded road wheel angle; `observe` and `correct`, from true to measured values and back. `st_core.readings`
     applies them to logs and trajectories. Models that differ only in values share their compiled functions.
 
     base: model without effects. effects: in the order they act. values: by effect and parameter.
@@ -79,8 +79,7 @@ class AugmentedModel(Model):
         return (p.base, *(t for e, t in zip(own, p.effects, strict=True) if e.inputs or e.prepare)) if own else p
 
     def effective_vehicle(self, vehicle: VehicleParameters) -> VehicleParameters:
-        """The vehicle as changed by effects on its parameters. Raises ConfigurationError beyond the limits of a
-        vehicle."""
+        """The vehicle with the active effects on its parameters. Raises ConfigurationError beyond its limits."""
         cached = self._vehicles.get(id(vehicle))
         if cached is None or cached[0] is not vehicle:
             changed = vehicle
@@ -139,7 +138,7 @@ class AugmentedModel(Model):
 
     @cached_property
     def active(self) -> tuple[type[Effect], ...]:
-        """Effects that are not at null; those at null change no bit of a prediction."""
+        """Effects that are not at null; those at null leave predictions bit-identical."""
         return tuple(e for e in self.effects
                      if any(p.fit and self.values[e.name][p.name] != p.null for p in e.parameters))
 
@@ -173,7 +172,7 @@ def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedMode
 
 def _check_applicable(base: Model, effects: Sequence[type[Effect]]) -> None:
     kinds = {base.name}
-    # An effect may turn the model into another kind that a second one extends: as many passes as such effects.
+    # An effect may lift the model to a kind that another effect lifts again: one pass per such effect.
     lifts = [effect.lifts for effect in effects if effect.lifts]
     for _ in lifts:
         kinds |= {to for start, to in lifts if start in kinds}
@@ -183,9 +182,9 @@ def _check_applicable(base: Model, effects: Sequence[type[Effect]]) -> None:
             raise ConfigurationError(f"effect {effect.name}: does not apply to a {base.name} model, only to {allowed}")
 
 
-def _compose(base: Model, effects: tuple[type[Effect], ...], checked: Values) -> AugmentedModel:
-    """The model of checked values, without those of other effects."""
-    values = MappingProxyType({e.name: checked[e.name] for e in effects})
+def _compose(base: Model, effects: tuple[type[Effect], ...], values: Values) -> AugmentedModel:
+    """The model; values: already checked, those of other effects are ignored."""
+    values = MappingProxyType({e.name: values[e.name] for e in effects})
     composed = compose(base, effects)
 
     def parameters(vehicle: VehicleParameters) -> Any:
@@ -220,7 +219,7 @@ def _check_values(effect: type[Effect], values: Mapping[str, float]) -> dict[str
 
 
 def fold(vehicle: VehicleParameters, effects: Iterable[type[Effect]], values: Values) -> VehicleParameters:
-    """The vehicle with effects in its parameters, which must have `fold`.
+    """The vehicle with effects folded into its parameters; each effect must have `fold`.
 
     Predictions from the same readings are the same; if steering ratio or offset changed, the road wheel angle must be
     recomputed (`DriveLog.with_steering`), and the play of steering_backlash divided by the factor of steering_ratio.

@@ -1,6 +1,6 @@
 """Single predictions by compiled code: the result of `prediction.predict`, six times faster.
 
-A tick of three models over 5 s takes 0.2 ms instead of 1.3 ms; with a discovered model of three effects 0.6 instead of
+Three models over 5 s take 0.2 ms instead of 1.3 ms; with a discovered model of three effects 0.6 instead of
 4.1 ms. The compiled lanes compute many columns in parallel, of which only the first is used here.
 Checked by: test_compiled.py, and at every start by `compile_model`.
 """
@@ -34,8 +34,8 @@ class CompiledModel:
         self._model, self._parameters = model, model.parameters(vehicle)
         self._step = settings.step
         self._points = np.arange(settings.steps + 1)
-        self._held_at = np.zeros(2 * settings.steps + 1, np.int64)
-        self._sequence_at = np.arange(2 * settings.steps + 1)
+        self._constant_rows = np.zeros(2 * settings.steps + 1, np.int64)
+        self._sequence_rows = np.arange(2 * settings.steps + 1)
         w = model.inputs(0.0, 0.0, self._parameters)
         start = model.start_state((0.0,) * len(STATE_NAMES), w, self._parameters)
         if not self._lanes.compiles(model, self._parameters, len(w), len(start)):
@@ -44,19 +44,19 @@ class CompiledModel:
     def __call__(self, state: VehicleState, inputs: ControlInput | InputSequence) -> Trajectory:
         """The trajectory from a state, as `prediction.predict` with one step at a time.
 
-        inputs: held, or 2 * steps + 1 values on the half-step grid; no further signals. NaN in gives NaN out.
+        inputs: constant, or 2 * steps + 1 values on the half-step grid; no further signals. NaN in gives NaN out.
         """
         model, p, lanes = self._model, self._parameters, self._lanes.LANES
         angle, acceleration = inputs.road_wheel_angle, inputs.velocity_x_dot
         # Only the first column is used; the others need any numbers.
         if isinstance(inputs, ControlInput):
             first = model.inputs(float(angle), float(acceleration), p)
-            table, offsets = np.repeat(np.array(first, float)[:, None], lanes, axis=1), self._held_at
+            table, offsets = np.repeat(np.array(first, float)[:, None], lanes, axis=1), self._constant_rows
         else:
             angle, acceleration = np.asarray(angle, float), np.asarray(acceleration, float)
             with np.errstate(all="ignore"):
                 fields = [np.broadcast_to(f, angle.shape) for f in model.inputs(angle, acceleration, p)]
-            table, offsets = np.pad(np.array(fields), ((0, 0), (0, lanes - 1)), mode="edge"), self._sequence_at
+            table, offsets = np.pad(np.array(fields), ((0, 0), (0, lanes - 1)), mode="edge"), self._sequence_rows
             first = tuple(table[:, 0].tolist())
         start = np.array(model.start_state(state.as_tuple(), first, p), float)
         columns = np.repeat(start[:, None], lanes, axis=1)
@@ -76,34 +76,33 @@ def compile_model(model: Model, vehicle: VehicleParameters, settings: Prediction
         result = CompiledModel(model, vehicle, settings)
     except ConfigurationError:
         raise
-    except Exception as error:  # compilers raise many kinds of errors; floats are the fallback
+    except Exception as error:  # numba raises many kinds of errors; floats are the fallback
         raise ConfigurationError(f"{type(error).__name__}: {error}") from None
     for held in (True, False):
         for sample in _SAMPLES:
-            state, inputs = _case(sample, settings, held)
+            state, inputs = _test_case(sample, settings, held)
             exact = predict(model, vehicle, state, inputs, settings.horizon, settings.step).states
-            _compare(model.name, result(state, inputs).states, exact)
+            _check_agreement(model.name, result(state, inputs).states, exact)
     return result
 
 
 def compile_models(models: Sequence[Model], vehicle: VehicleParameters,
                    settings: PredictionSettings) -> tuple[dict[str, CompiledModel], str]:
-    """The models that could be compiled, by name, and one line of text about the choice for all models."""
+    """(compiled models by name, one line on which models are compiled and why others are not)."""
     compiled: dict[str, CompiledModel] = {}
-    floats: dict[str, str] = {}
+    reasons: dict[str, str] = {}
     for model in models:
         try:
             compiled[model.name] = compile_model(model, vehicle, settings)
         except ConfigurationError as error:
-            floats[model.name] = " ".join(str(error).split())
+            reasons[model.name] = " ".join(str(error).split())
     parts = [f"compiled and checked: {', '.join(compiled)}"] if compiled else []
-    if floats:
-        reasons = "; ".join(dict.fromkeys(floats.values()))
-        parts.append(f"on Python floats: {', '.join(floats)} ({reasons:.200})")
+    if reasons:
+        parts.append(f"on Python floats: {', '.join(reasons)} ({'; '.join(dict.fromkeys(reasons.values())):.200})")
     return compiled, "; ".join(parts)
 
 
-def _case(sample: tuple[float, ...], settings: PredictionSettings,
+def _test_case(sample: tuple[float, ...], settings: PredictionSettings,
           held: bool) -> tuple[VehicleState, ControlInput | InputSequence]:
     v_x, v_y, yaw_rate, angle, acceleration = sample
     state = VehicleState(3.0, -2.0, v_x, v_y, 0.7, yaw_rate)
@@ -113,11 +112,11 @@ def _case(sample: tuple[float, ...], settings: PredictionSettings,
     return state, InputSequence(angle * share, acceleration * share)
 
 
-def _compare(name: str, ours: np.ndarray, exact: np.ndarray) -> None:
+def _check_agreement(name: str, compiled: np.ndarray, exact: np.ndarray) -> None:
     # Values must be finite where they are on floats (a spin at a long step is not), and agree there.
     with np.errstate(all="ignore"):
-        difference = np.abs(ours - exact) / np.maximum(1.0, np.abs(exact))
+        difference = np.abs(compiled - exact) / np.maximum(1.0, np.abs(exact))
     finite = np.isfinite(exact)
-    if not np.array_equal(finite, np.isfinite(ours)) or (difference[finite] > TOLERANCE).any():
+    if not np.array_equal(finite, np.isfinite(compiled)) or (difference[finite] > TOLERANCE).any():
         worst = float(np.nanmax(np.where(finite, difference, 0.0)))
         raise ConfigurationError(f"machine code of {name} differs from floats by {worst:.1e}")

@@ -35,8 +35,8 @@ def linear_system(speed: float, car: VehicleParameters) -> tuple[np.ndarray, np.
 
 
 @dataclass(frozen=True)
-class Plausible:
-    """Range of a quantity among road cars, wider than the range published in `source`.
+class Range:
+    """Plausible range of a quantity among road cars, wider than the range published in `source`.
 
     key: entry of the vehicle file that mainly determines the quantity. value: the quantity of a car, in `unit`.
     """
@@ -50,7 +50,7 @@ class Plausible:
     source: str
 
     def objection(self, car: VehicleParameters) -> str:
-        """A sentence with value, range and source if the car is outside the range, else ""."""
+        """Value, range and source in a sentence if the car is outside the range, else ""."""
         value = self.value(car)
         if self.low <= value <= self.high:
             return ""
@@ -66,27 +66,27 @@ def _stiffness_per_load(axle: str, car: VehicleParameters) -> float:
 
 _INERTIA, _TYPICAL = "NHTSA inertia measurements, SAE 1999-01-1336", "typical vehicle parameters, SAE 840561"
 PLAUSIBLE = (
-    Plausible("cg_to_front_axle", "share of the weight on the front axle", "1", 0.35, 0.68,
-              lambda car: car.cg_to_rear_axle / car.wheelbase, _INERTIA),
-    Plausible("yaw_inertia", "k^2 / (l_f l_r)", "1", 0.6, 1.4,
-              lambda car: car.yaw_inertia / (car.mass * car.cg_to_front_axle * car.cg_to_rear_axle), _INERTIA),
-    Plausible("cg_height", "CG height over the wheelbase", "1", 0.1, 0.33, lambda car: car.cg_height / car.wheelbase,
-              f"{_INERTIA}; racing cars from 0.1"),
-    Plausible("cornering_stiffness_front, cornering_stiffness_rear", "understeer gradient", "deg/g", -1.0, 8.0,
-              lambda car: float(np.rad2deg(understeer_coefficient(car) * car.wheelbase * GRAVITY)), _TYPICAL),
-    Plausible("steering_ratio", "steering ratio", "1", 9.0, 26.0, lambda car: car.steering_ratio,
-              "steering systems of passenger cars 11 to 22, vans to 25"),
-    *(Plausible(f"cornering_stiffness_{axle}", f"cornering stiffness of the {axle} axle over its load", "1/rad", 4.0,
-                30.0, partial(_stiffness_per_load, axle), f"{_TYPICAL}; compliance halves, racing tyres double it")
+    Range("cg_to_front_axle", "share of the weight on the front axle", "1", 0.35, 0.68,
+          lambda car: car.cg_to_rear_axle / car.wheelbase, _INERTIA),
+    Range("yaw_inertia", "k^2 / (l_f l_r)", "1", 0.6, 1.4,
+          lambda car: car.yaw_inertia / (car.mass * car.cg_to_front_axle * car.cg_to_rear_axle), _INERTIA),
+    Range("cg_height", "CG height over the wheelbase", "1", 0.1, 0.33, lambda car: car.cg_height / car.wheelbase,
+          f"{_INERTIA}; racing cars from 0.1"),
+    Range("cornering_stiffness_front, cornering_stiffness_rear", "understeer gradient", "deg/g", -1.0, 8.0,
+          lambda car: float(np.rad2deg(understeer_coefficient(car) * car.wheelbase * GRAVITY)), _TYPICAL),
+    Range("steering_ratio", "steering ratio", "1", 9.0, 26.0, lambda car: car.steering_ratio,
+          "steering systems of passenger cars 11 to 22, vans to 25"),
+    *(Range(f"cornering_stiffness_{axle}", f"cornering stiffness of the {axle} axle over its load", "1/rad", 4.0,
+            30.0, partial(_stiffness_per_load, axle), f"{_TYPICAL}; compliance halves, racing tyres double it")
       for axle in ("front", "rear")),
 )
 
 
 def objections(car: VehicleParameters, file: VehicleParameters | None = None) -> tuple[str, ...]:
-    """A sentence for each quantity of the car that is outside its range in PLAUSIBLE.
+    """A sentence for each quantity of the car outside its range.
 
     file: the original car; quantities that are outside their range there too are left out. An unusual car may be
-    correct, so a vehicle file is never refused for an objection, but an identified or discovered value is doubtful.
+    correct, so no vehicle file is refused for an objection; an identified or discovered value is reported as doubtful.
     """
     known = {quantity.name for quantity in PLAUSIBLE if file is not None and quantity.objection(file)}
     texts = (quantity.objection(car) for quantity in PLAUSIBLE if quantity.name not in known)

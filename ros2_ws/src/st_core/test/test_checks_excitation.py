@@ -89,4 +89,4 @@ def test_on_a_steady_circle_the_sign_of_velocity_y_is_one_of_two_explanations(le
     log = DriveLog("circle", STAMPS, x, y, yaw, v_x, v_y, rate, STAMPS, 2.7 / radius * ones, None)
     found = [one for one in check(log).findings if one.name in ("position_reference", "yaw_offset")]
     assert found and {one.advice.kind for one in found} == {"look"}
-    assert all("or velocity_y counts the other way" in one.text for one in found)
+    assert all("or velocity_y has the opposite sign" in one.text for one in found)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from st_core.checks.agreement import agreement
 from st_core.checks.finding import SYSTEMATIC
-from st_core.checks.regression import Estimate, Regression, agreement, with_systematic
+from st_core.checks.regression import Estimate, Regression, with_systematic
 
 RUNS, FEW_RUNS = 200, 50
 

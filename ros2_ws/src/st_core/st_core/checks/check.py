@@ -8,10 +8,11 @@ from ..channels import CHANNELS
 from ..log import INS_SIGNALS, STEERING, DriveLog
 from ..vehicle import VehicleParameters
 from . import inertial, position, sampling, vehicle_relations
+from .agreement import Agreement
 from .finding import HORIZON, LIMITS, Advice, AuxiliaryData, Checked, Finding, Identity, Severity
 from .motion import MOVING, Motion, is_driven
 from .plausibility import broken_channels, without_implausible
-from .regression import Agreement, Estimate, with_systematic
+from .regression import Estimate, with_systematic
 from .steps import check_position_steps
 from .trial import try_corrections
 from .units_and_axes import check_nominal_rate, check_time_unit, correct_units, yaw_is_late
@@ -145,7 +146,7 @@ def _check_sensors(motion: Motion, removed: dict[str, float]) -> SensorResult:
     motion, causes, estimates = position.check_positions(motion)
     if "wheel_speed" in motion.speeds and (wheel := inertial.compare_speed(recorded, "wheel_speed")):
         motion, causes = position.attribute_scale_to_positions(motion, causes, estimates, wheel.scale)
-    if found and found.carries_lag:
+    if found and found.determines_lag:
         estimates["yaw_lag"] = with_systematic("yaw_lag", found.lag.scaled(-1.0))
     findings += late + causes
     if late or any(finding.name == "yaw_offset" for finding in causes):
@@ -203,7 +204,7 @@ def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 def _check_yaw_lag(motion: Motion, found: Agreement | None) -> tuple[Motion, list[Finding]]:
     """Correction and finding of a yaw that lags or leads the yaw rate, if positions confirm that yaw is wrong."""
-    if found is None or not (found.lag.significant and found.late) or abs(found.lag.value) < LIMITS.lag or (
+    if found is None or not (found.lag.significant and found.is_late) or abs(found.lag.value) < LIMITS.lag or (
             abs(found.correlation) < LIMITS.correlation):
         return motion, []
     late = with_systematic("yaw_lag", found.lag.scaled(-1.0))

@@ -12,9 +12,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .agreement import Agreement, agreement
 from .finding import HORIZON, LIMITS, WHEEL_SCALE, Advice, Finding, Identity, Severity
 from .motion import MOVING, Motion, moves_sideways
-from .regression import Agreement, Estimate, agreement, with_systematic
+from .regression import Estimate, with_systematic
 
 
 @dataclass(frozen=True)
@@ -49,10 +50,10 @@ def judge_agreement(found: Agreement | None, expected: Expected, removed_scale: 
         return [], {}
     name = expected.channel
     scale, lag, bias = (with_systematic(f"{name}_{kind}", getattr(found, kind)) for kind in ("scale", "lag", "bias"))
-    is_late = (lag.significant and found.late and abs(lag.value) >= expected.lag
+    is_late = (lag.significant and found.is_late and abs(lag.value) >= expected.lag
                and found.spread >= expected.least_spread)
     late = [_lag_finding(found, lag, expected)] if is_late else []
-    estimates = {f"{name}_lag": lag} if found.carries_lag else {}
+    estimates = {f"{name}_lag": lag} if found.determines_lag else {}
     if abs(found.correlation) < expected.correlation:  # noise of either falsifies the scale and the bias, not the lag
         return late, estimates
     estimates |= {f"{name}_scale": scale.scaled(removed_scale)}
@@ -104,7 +105,7 @@ def format_magnitude(estimate: Estimate) -> str:
 
 def format_alternative_lags(found: Agreement, response: float = 0.0) -> str:
     """Other lags that fit equally well, as text; response: lag of the car, added to them [s]."""
-    others = sorted(lag + response for lag in found.alike)
+    others = sorted(lag + response for lag in found.others)
     text = " or ".join(f"{'lags' if lag > 0.0 else 'leads'} by {abs(lag):.2f} s" for lag in others)
     return f" (or {text}: the drive repeats itself, and that fits as well)" if text else ""
 
@@ -119,7 +120,7 @@ def _unit_factor(scale: float, expected: Expected) -> float | None:
 
 
 def _unit_finding(scale: Estimate, factor: float, expected: Expected) -> Finding:
-    opposite = "it counts the other way" if factor < 0.0 else ""
+    opposite = "it has the opposite sign" if factor < 0.0 else ""
     reason = " and ".join(filter(None, (expected.factors.get(abs(factor), ""), opposite)))
     text = (f"{expected.channel} is {format_estimate(scale)} times its value from {expected.against}"
             + (f": {reason}?" if reason else ""))
@@ -182,7 +183,7 @@ def compare_yaw_rate(motion: Motion) -> tuple[Agreement | None, Expected]:
 def yaw_rate_lag(motion: Motion) -> float:
     """Lag of the yaw rate behind yaw [s] that hides their agreement; 0 where they agree without it."""
     found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, ACCELERATION_CUTOFF, True)
-    if found is None or not (found.late and found.lag.significant) or abs(found.lag.value) < LIMITS.grave_lag:
+    if found is None or not (found.is_late and found.lag.significant) or abs(found.lag.value) < LIMITS.grave_lag:
         return 0.0
     # A yaw rate of the opposite sign also fits half a period later.
     hidden = abs(found.correlation_now) < found.correlation - 0.05
@@ -193,7 +194,7 @@ def correct_yaw_rate(motion: Motion, found: Agreement) -> Motion:
     """The motion without the lag, scale and bias of its yaw rate, where they are known."""
     if found.correlation < LIMITS.correlation:
         return motion
-    late = found.lag.value if found.lag.significant and found.late else 0.0
+    late = found.lag.value if found.lag.significant and found.is_late else 0.0
     known = found.correlation >= GYRO_CORRELATION
     rate = (motion.yaw_rate - found.bias.value) / found.scale.value if known else motion.yaw_rate
     return motion.with_(yaw_rate=np.interp(motion.time + late, motion.time, rate))

@@ -1,8 +1,8 @@
-"""Samples that no car and no working sensor produces: spikes, sentinels, values out of range, wrap-arounds.
+"""Samples that neither a car nor a working sensor produces: spikes, sentinels, values out of range, wrap-arounds.
 
-Each channel is judged alone, before any comparison, so that a broken sample is not taken for a wrong unit of the whole
-run. Implausible samples are reported and left out of the drive that every verb uses. A step from one sample to the next
-is large where it exceeds both what a car can do and what the channel usually does, whatever its unit:
+Each channel is examined alone, before any comparison, so that a broken sample is not taken for a wrong unit of the run.
+Implausible samples are reported, and no command uses them. A step from one sample to the next is large where it exceeds
+both the physical limit and the usual steps of the channel, whatever its unit:
 
     |v_k - v_{k-1}| > max(limit, 20 median |v_k - v_{k-1}|),   median over the steps that are not 0
 
@@ -19,18 +19,18 @@ from ..log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
 from .finding import Advice, Finding, Severity, merge_findings
 from .motion import LONGEST_GAP, spans, stretches
 
-STEP_MEDIANS = 20.0  # median steps; noise and quantisation stay below
-HALF_WINDOW = 0.1  # s to both sides of a sample in which a spike is judged; at least two updates of the channel
+STEP_MEDIAN_RATIO = 20.0  # times the median step; noise and quantisation stay below
+HALF_WINDOW = 0.1  # s before and after a sample, for the median of its neighbours; at least two updates
 MIN_SENTINEL_SAMPLES = 3  # of one value between two large steps
 MIN_ZERO_TIME = 0.2  # s for the value 0
-SENTINEL_PAUSE_RATIO = 3.0  # times the usual pause of a channel; a shorter one is its update rate
-MOVING = 1.0  # m/s
+SENTINEL_HOLD_RATIO = 3.0  # times the usual hold of a channel; shorter ones are its update interval
+MIN_MOVING_SPEED = 1.0  # m/s
 MAX_BAD_SHARE = 0.5  # of the samples; beyond it the channel is unusable and nothing is left out
 NOTE_SHARE = 0.01  # of the samples, up to which spikes are a note
 WRAP_LIMIT = 0.3  # of the largest plausible step; smaller wraps are within what a channel can do anyway
 WRAP_SPREAD, WRAP_SYMMETRY = 0.1, 0.2  # of the wrap's size: largest difference of its steps, asymmetry of its ends
 MAX_WRAPPED_SHARE = 0.2  # of the samples; beyond it the true range is uncertain
-MAX_NET_CHANGE = 0.5  # of a stretch over the sum of its steps: 1 for a turn in another unit, 0 for noise
+MAX_NET_CHANGE = 0.5  # net change of a stretch over the sum of its |steps|: 1 for a turn in another unit, 0 for noise
 JUMP_RATIO = 30.0  # times the 90th percentile of all steps; the largest of seventeen real drives is 15
 MIN_SAMPLES = 20
 MAX_LISTED = 200  # stretches of a finding
@@ -38,42 +38,42 @@ STEP_TIME = 0.05  # s
 
 
 @dataclass(frozen=True)
-class Plausible:
-    """Limits of one channel of a road car. step: largest change within STEP_TIME [unit], in proportion to longer times.
-    largest: magnitude [unit] beyond which a value is out of range."""
+class ChannelLimits:
+    """Plausible range of a channel of a road car. step: largest change within STEP_TIME [unit], proportionally more in
+    longer times. largest: magnitude beyond which a value is out of range [unit]."""
 
     unit: str
     step: float
     largest: float = np.inf
 
 
-CHANNELS: Mapping[str, Plausible] = {
-    "x": Plausible("m", 5.0), "y": Plausible("m", 5.0),  # 100 m/s for 50 ms
-    "yaw": Plausible("rad", 0.2),  # 4 rad/s for 50 ms
-    "velocity_x": Plausible("m/s", 1.0, 120.0),  # 20 m/s^2 for 50 ms; no road car is faster
-    "velocity_y": Plausible("m/s", 1.0, 40.0),
-    "yaw_rate": Plausible("rad/s", 0.3, 5.0),  # 6 rad/s^2 for 50 ms, twice a step steer; a spin has 3 rad/s
-    "acceleration_x": Plausible("m/s^2", 15.0, 80.0),  # kerbs and potholes reach 10 m/s^2 in one sample
-    "acceleration_y": Plausible("m/s^2", 15.0, 80.0),
-    "road_wheel_angle": Plausible("rad", 0.1, 1.3),  # 2 rad/s; 75 degrees, beyond any steering lock
-    "steering_wheel_angle": Plausible("rad", 1.5, 25.0),  # 30 rad/s, twice an emergency; four turns
+CHANNELS: Mapping[str, ChannelLimits] = {
+    "x": ChannelLimits("m", 5.0), "y": ChannelLimits("m", 5.0),  # 100 m/s for 50 ms
+    "yaw": ChannelLimits("rad", 0.2),  # 4 rad/s for 50 ms
+    "velocity_x": ChannelLimits("m/s", 1.0, 120.0),  # 20 m/s^2 for 50 ms; no road car is faster
+    "velocity_y": ChannelLimits("m/s", 1.0, 40.0),
+    "yaw_rate": ChannelLimits("rad/s", 0.3, 5.0),  # 6 rad/s^2 for 50 ms, twice a step steer; a spin has 3 rad/s
+    "acceleration_x": ChannelLimits("m/s^2", 15.0, 80.0),  # kerbs and potholes reach 10 m/s^2 in one sample
+    "acceleration_y": ChannelLimits("m/s^2", 15.0, 80.0),
+    "road_wheel_angle": ChannelLimits("rad", 0.1, 1.3),  # 2 rad/s; 75 degrees, beyond any steering lock
+    "steering_wheel_angle": ChannelLimits("rad", 1.5, 25.0),  # 30 rad/s, twice an emergency; four turns
 }
 
 
 @dataclass(frozen=True)
 class _Channel:
     """One channel without NaN samples. rows: their indices in the log. step: |change| from each sample to the next;
-    usual: median of those that are not 0. split: whether a gap lies between. update: median time between changes [s].
+    usual: their median without zeros. gap: whether one lies between the two. update: median time between changes [s].
     """
 
     name: str
-    plausible: Plausible
+    limits: ChannelLimits
     rows: np.ndarray
     time: np.ndarray
     values: np.ndarray
     step: np.ndarray
     usual: float
-    split: np.ndarray
+    gap: np.ndarray
     update: float
 
     @property
@@ -84,8 +84,8 @@ class _Channel:
     @property
     def limit(self) -> float:
         """Largest plausible change from one sample to the next [unit]."""
-        physical = self.plausible.step * max(1.0, self.spacing / STEP_TIME, self.update / STEP_TIME)
-        return max(physical, STEP_MEDIANS * self.usual)
+        physical = self.limits.step * max(1.0, self.spacing / STEP_TIME, self.update / STEP_TIME)
+        return max(physical, STEP_MEDIAN_RATIO * self.usual)
 
 
 def without_implausible(log: DriveLog, start_ns: int | None = None) -> tuple[DriveLog, list[Finding]]:
@@ -167,36 +167,36 @@ def _channel(name: str, time: np.ndarray, values: np.ndarray) -> _Channel | None
     changes = np.flatnonzero(step > 0.0)
     if len(changes) < 2:
         return None
-    split = spacing > max(LONGEST_GAP, 1.5 * float(np.median(spacing)))
+    gap = spacing > max(LONGEST_GAP, 1.5 * float(np.median(spacing)))
     update = float(np.median(np.diff(time[changes + 1])))
-    return _Channel(name, CHANNELS[name], rows, time, values, step, float(np.median(step[changes])), split, update)
+    return _Channel(name, CHANNELS[name], rows, time, values, step, float(np.median(step[changes])), gap, update)
 
 
 def _is_moving(log: DriveLog) -> np.ndarray:
-    """Whether the car moves by velocity or by positions, for each INS sample, so that a dropout of one is no stop."""
+    """Whether the car moves at each INS sample, by velocity or by positions: a dropout of one of them is not a stop."""
     if len(log.ins_time_ns) < 2:
         return np.zeros(len(log.ins_time_ns), bool)
     time = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
     begin, end = (np.clip(time + side, time[0], time[-1]) for side in (-0.5, 0.5))
-    way = np.hypot(*(np.interp(end, time, p) - np.interp(begin, time, p) for p in (log.x, log.y)))
-    return (way / (end - begin) > MOVING) | (np.abs(log.velocity_x) > MOVING)
+    distance = np.hypot(*(np.interp(end, time, p) - np.interp(begin, time, p) for p in (log.x, log.y)))
+    return (distance / (end - begin) > MIN_MOVING_SPEED) | (np.abs(log.velocity_x) > MIN_MOVING_SPEED)
 
 
 def _find_jumps(channel: _Channel, large: np.ndarray, taken: np.ndarray) -> np.ndarray:
-    """Samples after a step that neither wraps nor returns and is far beyond all others, whatever the unit. Steps at the
-    end of a pause belong to a frozen channel."""
+    """Samples after a step that neither wraps nor returns and far exceeds all others, in any unit. Steps after a hold
+    belong to a frozen channel."""
     same = channel.step == 0.0
-    held = np.append(same[:1], same) | np.append(same, same[-1:])
-    aside = taken | (held & (channel.update <= 1.5 * channel.spacing))
-    far = large & (channel.step > JUMP_RATIO * float(np.percentile(channel.step[channel.step > 0.0], 90)))
-    return 1 + np.flatnonzero(far & ~channel.split & ~aside[1:] & ~aside[:-1])
+    on_hold = np.append(same[:1], same) | np.append(same, same[-1:])
+    excluded = taken | (on_hold & (channel.update <= 1.5 * channel.spacing))
+    extreme = large & (channel.step > JUMP_RATIO * float(np.percentile(channel.step[channel.step > 0.0], 90)))
+    return 1 + np.flatnonzero(extreme & ~channel.gap & ~excluded[1:] & ~excluded[:-1])
 
 
 def _find_wraps(channel: _Channel) -> np.ndarray:
     """Samples on the far side of a wrap-around: steps of one size R, from about R/2 to about -R/2 and back. The true
     range is the one in which the channel is nearest to 0."""
-    least = max(WRAP_LIMIT * channel.plausible.step, STEP_MEDIANS * channel.usual)
-    places = np.flatnonzero((channel.step > least) & ~channel.split)
+    smallest = max(WRAP_LIMIT * channel.limits.step, STEP_MEDIAN_RATIO * channel.usual)
+    places = np.flatnonzero((channel.step > smallest) & ~channel.gap)
     if len(places) < 2:
         return places[:0]
     change = np.diff(channel.values)[places]
@@ -209,14 +209,14 @@ def _find_wraps(channel: _Channel) -> np.ndarray:
     level = np.zeros(len(channel.values), np.int64)
     level[places[wraps] + 1] = -np.sign(change[wraps]).astype(np.int64)
     level = np.cumsum(level)
-    true = min(np.unique(level), key=lambda turn: float(np.median(np.abs(channel.values + size * (level - turn)))))
-    return np.flatnonzero(level != true)
+    nearest = min(np.unique(level), key=lambda k: float(np.median(np.abs(channel.values + size * (level - k)))))
+    return np.flatnonzero(level != nearest)
 
 
 def _find_out_of_range(channel: _Channel, large: np.ndarray) -> np.ndarray:
     """Samples out of range, in stretches that begin or end with a large step, of a channel that is mostly within range:
-    a channel in another unit is beyond it throughout, and gets there without a step."""
-    beyond = np.abs(channel.values) > channel.plausible.largest
+    one in another unit exceeds it throughout, and without a step."""
+    beyond = np.abs(channel.values) > channel.limits.largest
     if not beyond.any() or beyond.mean() > MAX_BAD_SHARE:
         return np.zeros(0, np.int64)
     found = [np.arange(first, last + 1) for first, last in spans(beyond)
@@ -225,42 +225,42 @@ def _find_out_of_range(channel: _Channel, large: np.ndarray) -> np.ndarray:
 
 
 def _find_sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) -> np.ndarray:
-    """Stretches of one value to and from which the channel jumps: a fixed far value, or 0 while the car moves."""
+    """Stretches of one value, entered and left by large steps: a code for no measurement, or 0 while the car moves."""
     same = np.concatenate((channel.step == 0.0, [False]))
     edges = np.flatnonzero(~same)
     first, last = np.concatenate(([0], edges[:-1] + 1)), edges
     duration = channel.time[last] - channel.time[first]
     count = last - first + 1
-    usual = float(np.percentile(count, 98))
+    usual_count = float(np.percentile(count, 98))
     found = []
-    zero_step = max(8.0 * channel.usual, 0.0 if usual < 2.0 else 0.3 * channel.limit)
+    zero_step = max(8.0 * channel.usual, 0.0 if usual_count < 2.0 else 0.3 * channel.limit)
     for k in np.flatnonzero(count >= MIN_SENTINEL_SAMPLES):
         begin, end = int(first[k]), int(last[k])
         zero = channel.values[begin] == 0.0
-        # A far value is reached by steps that no channel makes; a 0 may be the usual pause of a slow one.
-        if zero and not (count[k] > SENTINEL_PAUSE_RATIO * usual and duration[k] >= MIN_ZERO_TIME
+        # A code is entered by implausible steps; a 0 may be the usual hold of a slow channel.
+        if zero and not (count[k] > SENTINEL_HOLD_RATIO * usual_count and duration[k] >= MIN_ZERO_TIME
                          and moving[begin:end + 1].mean() > 0.5):
             continue
-        enough = channel.step > zero_step if zero and channel.name != "velocity_x" else large
-        entered = begin == 0 or channel.split[begin - 1] or enough[begin - 1]
-        left = end == len(channel.values) - 1 or channel.split[end] or enough[end]
-        leaps = (begin > 0 and enough[begin - 1]) or (end < len(enough) and enough[end])
-        if entered and left and leaps:
+        is_large = channel.step > zero_step if zero and channel.name != "velocity_x" else large
+        entered = begin == 0 or channel.gap[begin - 1] or is_large[begin - 1]
+        left = end == len(channel.values) - 1 or channel.gap[end] or is_large[end]
+        has_step = (begin > 0 and is_large[begin - 1]) or (end < len(is_large) and is_large[end])
+        if entered and left and has_step:
             found.append(np.arange(begin, end + 1))
     return np.concatenate(found or [np.zeros(0, np.int64)])
 
 
 def _find_spikes(channel: _Channel, large: np.ndarray) -> np.ndarray:
-    """Samples further than the limit from the median of their surroundings (Hampel 1974, with a physical limit), and
-    stretches in which most steps are large and unlike their neighbours: equal large steps are a turn in another unit.
+    """Samples further than the limit from the median of their neighbours (Hampel 1974, with a physical limit), and
+    stretches in which most steps are large and unlike the next ones: equal large steps are a turn in another unit.
 
-    Only samples next to a large step are examined. Surroundings end at gaps.
+    Only samples next to a large step are examined. Neighbours across a gap do not count.
     """
     if not large.any():
         return np.zeros(0, np.int64)
     half = max(round(max(HALF_WINDOW, 2.5 * channel.update) / channel.spacing), 2)
     near = np.flatnonzero(np.convolve(large, np.ones(2 * half + 1), "same") > 0.5)
-    stretch = np.concatenate(([0], np.cumsum(channel.split)))
+    stretch = np.concatenate(([0], np.cumsum(channel.gap)))
     near = np.unique(np.clip(np.concatenate((near, near + 1)), 0, len(channel.values) - 1))
     offsets = np.arange(-half, half + 1)
     found = []
@@ -272,7 +272,7 @@ def _find_spikes(channel: _Channel, large: np.ndarray) -> np.ndarray:
         found.append(part[np.abs(channel.values[part] - middle) > channel.limit])
     uneven = np.abs(np.diff(channel.values, 2)) > channel.limit
     rough = np.concatenate(([False], uneven)) | np.concatenate((uneven, [False]))
-    dense = np.convolve(large & rough & ~channel.split, np.ones(2 * half + 1), "same") > half
+    dense = np.convolve(large & rough & ~channel.gap, np.ones(2 * half + 1), "same") > half
     for first, last in spans(dense):
         places = first + np.flatnonzero(large[first:last + 1])
         if len(places) and abs(channel.values[last + 1] - channel.values[first]) < MAX_NET_CHANGE * channel.step[
@@ -286,7 +286,7 @@ def _finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
     values, times = channel.values[samples], channel.time[samples]
     value = float(values[np.argmax(np.abs(values))])
     where = stretches(times, 1.5 * channel.spacing)
-    unit = channel.plausible.unit
+    unit = channel.limits.unit
     # Codes for a missing measurement are round numbers in the unit of the file, which may be degrees.
     degrees = f" ({np.rad2deg(value):.6g} {unit.replace('rad', 'deg')})" if unit.startswith("rad") else ""
     shown = f"{value:.6g} {unit}{degrees}" + (" plus full turns" if channel.name == "yaw" else "")
@@ -303,14 +303,14 @@ def _finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
                          f"{when} ({count}): its signal is too short for the values of this drive",
         "channel_jumps": f"{channel.name} jumps {len(samples)} time{'s' if len(samples) > 1 else ''} by up to "
                          f"{float(channel.step[samples - 1].max()):.4g} {unit} from one sample to the next "
-                         f"{when}, and does not return: it is compared with nothing",
+                         f"{when}, and does not return: it is left out of all comparisons",
     }[kind]
     severity = (Severity.ERROR if share > (MAX_WRAPPED_SHARE if kind == "channel_wraps" else MAX_BAD_SHARE) else
                 Severity.NOTE if kind == "sample_spikes" and share <= NOTE_SHARE else Severity.WARNING)
     text += "" if severity is Severity.ERROR or kind == "channel_jumps" else "; left out"
-    advice = ("look at the definition of the signal: more bits, or a larger factor" if kind == "channel_wraps" else
-              "look at the sensor and the logger" if kind == "channel_jumps" else
-              "look at the sensor and the logger; no command uses the samples named")
+    advice = {"channel_wraps": "look at the definition of the signal: more bits, or a larger factor",
+              "channel_jumps": "look at the sensor and the logger",
+              }.get(kind, "look at the sensor and the logger; no command uses these samples")
     return Finding(kind, severity, (channel.name,), text, value, unit, None, where[:MAX_LISTED],
                    advice=Advice("look", advice))
 

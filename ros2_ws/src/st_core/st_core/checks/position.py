@@ -2,11 +2,11 @@
 
     p(t2) - p(t1) = integral of R(yaw) v dt
 
-over windows of a second. Its residual is explained by at most a few causes, each linear in its size:
+over windows of a second. The residual of a wrong recording has a few possible causes, each linear in its size:
 
-    x or y scale s        p = s p_true                           s - 1 times the derived way along that axis
-    map shear h           x = x_true + h y_true                  h times the way north, in x
-    yaw offset a          yaw = yaw_true + a                     -a times the way, turned to the left
+    x or y scale s        p = s p_true                           s - 1 times the derived displacement along that axis
+    map shear h           x = x_true + h y_true                  h times the displacement north, in x
+    yaw offset a          yaw = yaw_true + a                     -a times the displacement, turned 90 deg to the left
     position lag T        p(t) = p_true(t - T)                   -T (V2 - V1),  V = R(yaw) v
     velocity lag T        v(t) = v_true(t - T), body axes        +T integral of R(yaw) dv/dt dt
     reference a           p is of a point a ahead                (R(yaw2) - R(yaw1)) (a, 0)
@@ -36,7 +36,7 @@ AXES = {"x_scale", "y_scale"}
 # Causes that are confounded at one speed; one of them is fitted, a bias only where it explains clearly more.
 BIASES = {"velocity_x_bias": {*AXES, "velocity_scale"}, "velocity_y_bias": {"yaw_offset"}}
 CONFOUNDED = {"velocity_scale": {*AXES, "velocity_x_bias"}, "yaw_offset": {"velocity_y_bias"}, **BIASES,
-         **{axis: {"velocity_scale", "velocity_x_bias"} for axis in AXES}}
+              **{axis: {"velocity_scale", "velocity_x_bias"} for axis in AXES}}
 TEXT = {
     "x_scale": "x is {value:.4f} ± {half:.4f} times the integrated velocity: scaled by the cosine of another latitude?",
     "y_scale": "y is {value:.4f} ± {half:.4f} times the integrated velocity: another earth radius or scale?",
@@ -63,20 +63,21 @@ def residual_regression(motion: Motion) -> Regression:
     over = windows(motion.time, WINDOW)
     east, north = motion.velocity_map
     cosine, sine, rate = np.cos(motion.yaw), np.sin(motion.yaw), motion.yaw_rate
-    way = [over.change(integral(motion.time, v)) for v in (east, north)]
-    faster = [over.change(v) for v in (east, north)]
+    displacement = [over.change(integral(motion.time, v)) for v in (east, north)]
+    velocity_change = [over.change(v) for v in (east, north)]
     turning = [over.change(integral(motion.time, v)) for v in (-north * rate, east * rate)]
-    along = [over.change(integral(motion.time, v)) for v in (cosine, sine)]
+    heading = [over.change(integral(motion.time, v)) for v in (cosine, sine)]
     zero = np.zeros(len(over))
     columns = {
-        "x_scale": (way[0], zero), "y_scale": (zero, way[1]), "map_shear": (way[1], zero), "velocity_scale": way,
-        "yaw_offset": (way[1], -way[0]),
-        "position_lag": (-faster[0], -faster[1]),
-        "velocity_lag": (faster[0] - turning[0], faster[1] - turning[1]),
+        "x_scale": (displacement[0], zero), "y_scale": (zero, displacement[1]), "map_shear": (displacement[1], zero),
+        "velocity_scale": displacement,
+        "yaw_offset": (displacement[1], -displacement[0]),
+        "position_lag": (-velocity_change[0], -velocity_change[1]),
+        "velocity_lag": (velocity_change[0] - turning[0], velocity_change[1] - turning[1]),
         "position_reference": (over.change(cosine), over.change(sine)),
-        "velocity_x_bias": (-along[0], -along[1]), "velocity_y_bias": (along[1], -along[0]),
+        "velocity_x_bias": (-heading[0], -heading[1]), "velocity_y_bias": (heading[1], -heading[0]),
     }
-    measured = np.stack([over.change(motion.x) - way[0], over.change(motion.y) - way[1]], axis=1)
+    measured = np.stack([over.change(motion.x) - displacement[0], over.change(motion.y) - displacement[1]], axis=1)
     return Regression(over.time, measured, {name: np.stack(c, axis=1) for name, c in columns.items()})
 
 
@@ -101,7 +102,7 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
 
 
 def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estimates: dict[str, Estimate],
-                       wheel: Estimate) -> tuple[Motion, list[Finding]]:
+                                 wheel: Estimate) -> tuple[Motion, list[Finding]]:
     """(motion, findings) with a scale of the velocity replaced by one of the positions, where the wheel speed agrees
     with the velocity as recorded. wheel: scale of the wheel speed against that velocity."""
     wrong = next((finding for finding in findings if finding.name == "velocity_scale"), None)
@@ -147,22 +148,23 @@ def check_lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
     problem = residual_regression(motion)
     if len(problem.time) < MIN_WINDOWS:
         return motion, []
-    twice = -2.0 * float(motion.velocity_y @ motion.yaw_rate) / max(float(motion.yaw_rate @ motion.yaw_rate), 1e-12)
-    rivals = []
+    reference = -2.0 * float(motion.velocity_y @ motion.yaw_rate) / max(float(motion.yaw_rate @ motion.yaw_rate), 1e-12)
+    misfits = []
     for name in problem.columns.keys() - {*AXES, *BIASES, "velocity_scale"}:
         theta, scale, _ = problem.fit(("x_scale", "y_scale", name))
-        # Lateral velocity is mostly distance times yaw rate: a wrong sign resembles a point twice that far off.
-        if name != "position_reference" or not 0.75 * abs(twice) < theta[name] * np.sign(twice) < 1.33 * abs(twice):
-            rivals.append(scale)
-    if not scaled_misfit(mirrored) < min(0.8 * min(rivals), min(rivals) - MIN_SIGN_GAIN):
+        # As v_y is mostly d times yaw rate, a wrong sign resembles a reference point 2 d away.
+        size, along = abs(reference), theta[name] * np.sign(reference)
+        if name != "position_reference" or not 0.75 * size < along < 1.33 * size:
+            misfits.append(scale)
+    if not scaled_misfit(mirrored) < min(0.8 * min(misfits), min(misfits) - MIN_SIGN_GAIN):
         return motion, []
-    text = "velocity_y counts the other way (left is positive)"
+    text = "velocity_y has the opposite sign (left is positive)"
     return mirrored, [Finding("velocity_y_scale", Severity.ERROR, ("velocity_y",), text, -1.0,
                               advice=Advice.correct("velocity_y", scale=-1.0))]
 
 
 def with_sign_alternative(findings: list[Finding], recorded: Motion, corrected: Motion) -> list[Finding]:
-    """The findings; those that the other sign of velocity_y explains as well say so and propose no correction.
+    """The findings; those that the opposite sign of velocity_y explains equally well name it and propose no correction.
 
     On a steady circle velocity_y is constant, so a wrong sign is also an offset of yaw or a displaced measuring point.
     """
@@ -174,12 +176,12 @@ def with_sign_alternative(findings: list[Finding], recorded: Motion, corrected: 
         return findings
     look = Advice("look", "drive bends of different speed and radius, which separate the two")
     return [replace(finding, advice=look, channels=(*finding.channels, "velocity_y"),
-                    text=f"{finding.text}, or velocity_y counts the other way (left is positive): both fit this drive")
+                    text=f"{finding.text}, or velocity_y has the opposite sign (left is positive): both fit this drive")
             if finding.name in names else finding for finding in findings]
 
 
 def _refine_causes(problem: Regression, found: dict[str, Estimate], least: dict[str, float],
-             speed_varies: bool) -> dict[str, Estimate]:
+                   speed_varies: bool) -> dict[str, Estimate]:
     """Refined values of the causes found before, and further causes."""
     excluded = {*found, *(twin for name in found for twin in CONFOUNDED.get(name, ()))}
     free = {name: value for name, value in least.items() if name not in excluded}
@@ -199,7 +201,7 @@ def _refine_causes(problem: Regression, found: dict[str, Estimate], least: dict[
 
 
 def _find_causes(problem: Regression, free: dict[str, float], always: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of further significant causes; free: smallest value reported, by name."""
+    """Names of further significant causes; free: smallest reported value of each candidate."""
     causes = problem.causes({name: value for name, value in free.items() if name != "velocity_scale"}, always,
                             () if "velocity_scale" in always else ("x_scale", "y_scale"))
     return _combine_scales(problem, causes, always) if "velocity_scale" in free else tuple(causes)
@@ -215,23 +217,23 @@ def _combine_scales(problem: Regression, causes: dict[str, Estimate], always: tu
         return tuple(causes)
     others = [name for name in causes if name not in axes]
     if len(axes) == 2:
-        of_velocity = abs(causes["x_scale"].value - causes["y_scale"].value) < SPHERICAL_EARTH_SCALE
+        is_velocity = abs(causes["x_scale"].value - causes["y_scale"].value) < SPHERICAL_EARTH_SCALE
     else:
         _, scale, _ = problem.fit([*always, *causes])
         # On a drive along one axis, the motion along the other decides between them.
-        of_velocity = (problem.loss([*always, *others, "velocity_scale"], scale)
+        is_velocity = (problem.loss([*always, *others, "velocity_scale"], scale)
                        <= MIN_LOSS_RATIO * problem.loss([*always, *causes], scale))
-    return (*others, "velocity_scale") if of_velocity else tuple(causes)
+    return (*others, "velocity_scale") if is_velocity else tuple(causes)
 
 
 def _estimate_all(problem: Regression, found: dict[str, Estimate]) -> dict[str, Estimate]:
-    """Estimate of each cause, fitted with those found, as value of its finding."""
+    """Estimate of each cause, fitted together with those found, in the terms of its finding."""
     estimates = {}
     for name in problem.columns:
         alongside = tuple(other for other in found if other != name and other not in CONFOUNDED.get(name, ()))
         estimate = problem.estimates((*alongside, name))[name]
         estimates[name] = _as_reported(name, estimate.shifted(found[name].value) if name in found else estimate)
-    # The scale positions would have if velocity is right.
+    # Scale of the positions if the velocity is right.
     estimates["position_scale"] = estimates["velocity_scale"].inverse()
     return estimates
 
@@ -256,7 +258,7 @@ def _make_finding(name: str, cause: Estimate, problem: Regression) -> Finding:
 
 
 def _as_reported(name: str, cause: Estimate) -> Estimate:
-    """Value of the finding of a cause, systematic uncertainty included; the scale of a faultless channel is 1."""
+    """Estimate of a cause in the terms of its finding (a faultless scale is 1), systematic uncertainty included."""
     if name == "velocity_scale":
         return with_systematic(name, cause.shifted(1.0).inverse())
     return with_systematic(name, cause.shifted(1.0) if name.endswith("_scale") else cause)
@@ -277,20 +279,20 @@ def _advice(name: str, value: float) -> Advice:
 
 def _without_causes(motion: Motion, found: dict[str, Estimate]) -> Motion:
     value = {name: found[name].value if name in found else 0.0 for name in CHANNELS}
-    ahead, faster, time = value["position_reference"], 1.0 + value["velocity_scale"], motion.time
+    ahead, scale, time = value["position_reference"], 1.0 + value["velocity_scale"], motion.time
     y = motion.y / (1.0 + value["y_scale"])
     x = motion.x / (1.0 + value["x_scale"]) - value["map_shear"] * y
     fields = {"x": x - ahead * np.cos(motion.yaw), "y": y - ahead * np.sin(motion.yaw),
               "yaw": motion.yaw - value["yaw_offset"],
-              "velocity_x": motion.velocity_x * faster - value["velocity_x_bias"],
-              "velocity_y": motion.velocity_y * faster - value["velocity_y_bias"]}
+              "velocity_x": motion.velocity_x * scale - value["velocity_x_bias"],
+              "velocity_y": motion.velocity_y * scale - value["velocity_y_bias"]}
     for cause in {"position_lag", "velocity_lag"} & found.keys():
         fields |= {name: np.interp(time + value[cause], time, fields[name]) for name in CHANNELS[cause]}
     return motion.with_(**fields)
 
 
 def distance_panel(motion: Motion, removed: Mapping[str, float]) -> Identity:
-    """Distance per second, for a figure. removed: units that were divided out; the figure shows values as recorded."""
+    """Distance per second, for a figure of values as recorded. removed: scales already corrected, by finding."""
     over = windows(motion.time, WINDOW)
     east, north = motion.velocity_map
     derived = np.hypot(*(over.change(integral(motion.time, v)) for v in (east, north)))

@@ -1,4 +1,4 @@
-"""Trial of corrections: each is applied to the run it was found in, and proposed unless predictions get worse.
+"""Trial of corrections: each is applied to its run, and proposed unless predictions get worse.
 
 The error is the distance between the measured position and that of the linear single-track model, 5 s after starts that
 lie 5 s apart, both from the corrected drive. A wrong steering ratio or offset of the vehicle file would favour
@@ -31,21 +31,22 @@ from ..vehicle import VehicleParameters
 from .finding import HORIZON, LIMITS, Advice, Finding, Severity
 from .motion import stretches
 
-# Factor and m; below is noise of positions, and the change by correct ones on seventeen real drives (7 % at most).
+# A correction is refused from 1.1 e_before + 0.02 m on: noise of positions, and correct ones on seventeen real drives
+# (at most 7 % worse), stay below.
 MAX_ERROR_RATIO, ERROR_NOISE = 1.1, 0.02
 GAIN_STEP, OFFSET_STEP = 0.03, 0.003  # 1, rad; of the derivatives
 MAX_GAIN, MAX_OFFSET = LIMITS.steering_unit - 1.0, 0.1  # 1, rad at the road wheels; no car has more
 MIN_STARTS = 4
-MAX_STARTS = 100  # spread over the run; more change an average by less than a per cent
+MAX_STARTS = 100  # spread over the run; more change the error by less than 1 %
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
 SPEED_COUNT = 40  # at which steps are examined, between the lowest and the highest speed of the run
-STEP_DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MOST_SUBSTEPS)  # which keep a step a plain number
+STEP_DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MOST_SUBSTEPS)  # of a step, for a short decimal number
 MERGE_GAP = 1.0  # s; stretches closer than that are merged
 State = tuple[DriveLog, VehicleParameters]
 
 
 def try_corrections(findings: list[Finding], log: DriveLog, vehicle: VehicleParameters) -> list[Finding]:
-    """The findings with the error [m] before and after their correction, without the corrections that do harm.
+    """The findings with the prediction error [m] before and after their correction; harmful corrections are removed.
 
     Corrections of errors are applied together, since one wrong unit hides another; then each warning separately. A
     warning refuted by its correction becomes a note. Corrections on which no prediction depends are not tried.
@@ -151,7 +152,7 @@ def _relabel_columns(log: DriveLog, entry: Mapping[str, Any]) -> DriveLog:
 
 def step_too_long(models: Sequence[str | Model], vehicle: VehicleParameters, log: DriveLog,
                   step: float) -> Finding | None:
-    """The finding `step_too_long`, for all of the models together; None where the step [s] is short enough.
+    """The finding `step_too_long` for all models together; None where the step [s] is short enough.
 
     Its value is the minimum_slip_speed [m/s] that corrects it, as printed; where none does, the step [s].
     Checked by: test_checks_step.py.
@@ -162,21 +163,21 @@ def step_too_long(models: Sequence[str | Model], vehicle: VehicleParameters, log
         return None
     speeds = np.linspace(speed.min(), speed.max(), SPEED_COUNT)
     factors = {model.name: np.array([growth(model, vehicle, v, step) for v in speeds]) for model in chosen}
-    guilty = [name for name, factor in factors.items() if factor.max() > 1.0]
-    if not guilty:
+    unstable_models = [name for name, factor in factors.items() if factor.max() > 1.0]
+    if not unstable_models:
         return None
     unstable = np.interp(speed, speeds, np.max(list(factors.values()), axis=0)) > 1.0
-    touched = speed[unstable] if unstable.any() else speed[:1]
+    affected = speed[unstable] if unstable.any() else speed[:1]
     value, unit, advice = _step_advice(chosen, vehicle, speeds.tolist(), step)
-    text = (f"integration steps of {1e3 * step:g} ms are too long for the {' and '.join(guilty)} model of "
-            f"{vehicle.name} at {touched.min():.1f} to {touched.max():.1f} m/s: the lateral motion comes out wrong")
+    text = (f"integration steps of {1e3 * step:g} ms are too long for the {' and '.join(unstable_models)} model of "
+            f"{vehicle.name} at {affected.min():.1f} to {affected.max():.1f} m/s: the lateral motion is wrong")
     seconds = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
     where = () if unstable.all() else stretches(seconds[unstable], MERGE_GAP)
     return Finding("step_too_long", Severity.WARNING, ("velocity_x",), text, value, unit, where=where, advice=advice)
 
 
 def _step_advice(models: Sequence[Model], vehicle: VehicleParameters, speeds: Sequence[float],
-          step: float) -> tuple[float | None, str, Advice]:
+                 step: float) -> tuple[float | None, str, Advice]:
     needed = slip_speed_needed(models, vehicle, speeds, step)
     if needed is not None:
         line = f'minimum_slip_speed: {{value: {needed:g}, unit: m/s, source: "stable with steps of {1e3 * step:g} ms"}}'

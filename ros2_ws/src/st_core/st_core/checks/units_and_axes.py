@@ -200,7 +200,7 @@ def _scale_yaw_rate(motion: Motion, factor: float, against: str = "yaw", size: f
     size = size or _angle_unit(factor)
     exact = float(np.copysign(size, factor))
     reason = (f": {ANGLES[size].replace('degrees', 'deg')}/s?" if size in ANGLES else
-              ": it counts the other way (left is positive)" if exact == -1.0 else "")
+              ": it has the opposite sign (left is positive)" if exact == -1.0 else "")
     text = f"yaw_rate is {factor:.3g} times the rate of change of {against}{reason}"
     return (motion.with_(yaw_rate=motion.yaw_rate / exact),
             _error("yaw_rate_scale", ("yaw_rate",), text, factor, Advice.correct("yaw_rate", scale=1.0 / exact)))
@@ -338,7 +338,7 @@ def _correct_yaw_offset(motion: Motion) -> Corrected:
     quarter = np.round(angle / (np.pi / 2)) * np.pi / 2
     if abs(quarter) == np.pi and np.median(motion.velocity_x) < 0.0:  # a whole drive in reverse is rarer than a sign
         return motion.with_(velocity_x=-motion.velocity_x), _error(
-            "velocity_x_scale", ("velocity_x",), "velocity_x counts the other way (forward is positive)", -1.0,
+            "velocity_x_scale", ("velocity_x",), "velocity_x has the opposite sign (forward is positive)", -1.0,
             Advice.correct("velocity_x", scale=-1.0))
     exact = quarter if abs(angle - quarter) < 0.1 else angle
     turns: dict[float, str] = {

@@ -13,10 +13,11 @@ import numpy as np
 
 from ..handling import linear_system, understeer_coefficient
 from ..vehicle import VehicleParameters
+from .agreement import ZERO, Agreement, agreement
 from .finding import HORIZON, LIMITS, Advice, Finding, Identity, Severity
 from .inertial import Comparison, format_alternative_lags, format_magnitude
 from .motion import MOVING, Motion, has_varying_speed, windows
-from .regression import ZERO, Agreement, Estimate, Regression, agreement, with_systematic
+from .regression import Estimate, Regression, with_systematic
 
 CUTOFF = 1.5  # Hz
 MIN_SPEED, MAX_LATERAL_ACCELERATION = 2.0, 4.0  # m/s, m/s^2; between them an axle's slip is linear
@@ -25,7 +26,7 @@ WINDOW = 0.5  # s
 MAX_COSINE = 0.9  # between speed and yaw rate over the drive: 1 on a circle
 MIN_STEERING_ANGLE = 0.01  # rad, root mean square
 MIN_ANGLE_FOR_SIGN = 0.003  # rad, root mean square; fast wide bends show the sign, if not the size
-MAX_OPPOSITE_CORRELATION = -0.8  # of steering and curvature, up to which the sensor counts the other way
+MAX_OPPOSITE_CORRELATION = -0.8  # of steering and curvature, up to which the sensor has the opposite sign
 MIN_GAIN = 1e-6  # of steering over curvature; a smaller one is a constant angle, reported as frozen
 
 
@@ -53,7 +54,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, hand_wheel: bool)
     # Steering that falls where curvature rises is the driver's reaction to another yaw moment: it has no lag.
     if found.correlation * gain.value >= 0.0:
         findings.insert(1, _lag_finding(late, found, speed, vehicle, format_alternative_lags(found, response)))
-        estimates |= {"steering_lag": late} if found.carries_lag else {}
+        estimates |= {"steering_lag": late} if found.determines_lag else {}
     estimates["steering_offset"] = with_systematic("steering_offset", found.bias)
     panel = Identity("steering", "road wheel angle: steering sensor against curvature", "rad", "road_wheel_angle",
                      "from yaw rate and speed", found.time, found.measured, found.derived,
@@ -116,7 +117,7 @@ def _unit_finding(gain: Estimate, understeer: float, vehicle: VehicleParameters)
     size = abs(value) / understeer
     factor = min(reasons, key=lambda f: abs(np.log(size / f)))
     exact = factor if 1.0 / limit < size / factor < limit else size
-    opposite = "it counts the other way (left is positive)" if value < 0.0 else ""
+    opposite = "it has the opposite sign (left is positive)" if value < 0.0 else ""
     reason = " and ".join(filter(None, (reasons.get(exact, ""), opposite)))
     text = (f"road_wheel_angle is {value:.3g} times the angle from yaw rate and speed"
             + (f": {reason}?" if reason else ""))
@@ -130,7 +131,7 @@ def _unit_finding(gain: Estimate, understeer: float, vehicle: VehicleParameters)
 
 def _lag_finding(late: Estimate, found: Agreement, speed: float, vehicle: VehicleParameters,
                  alternatives: str) -> Finding | None:
-    if not late.significant or not found.late or abs(late.value) < LIMITS.steering_lag:
+    if not late.significant or not found.is_late or abs(late.value) < LIMITS.steering_lag:
         return None
     # A late input turns the path by the angle missed during the lag.
     missed = abs(late.value) * float(np.std(found.derived)) * np.sqrt(2.0)

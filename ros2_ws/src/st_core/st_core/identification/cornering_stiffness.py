@@ -35,8 +35,8 @@ from .run_samples import (
 
 AXLES = ("front", "rear")
 METHOD = "regression of axle force on slip angle (paper)"
-MINIMUM_SPEED, MAXIMUM_RADIUS, MAXIMUM_ACCELERATION = 3.0, 300.0, 4.0  # m/s, m, m/s^2
-MAXIMUM_SLIP = np.deg2rad(2.0)
+MIN_SPEED, MAX_RADIUS, MAX_ACCELERATION = 3.0, 300.0, 4.0  # m/s, m, m/s^2
+MAX_SLIP = np.deg2rad(2.0)
 MIN_AXLE_SAMPLES = 500  # of a regression
 MAX_RANGE_RATIO = 0.8
 """Largest mean slip or acceleration of the lower range over that of all driving: extrapolation to zero multiplies their
@@ -207,7 +207,7 @@ def _make_regression(samples: AxleSamples, slope: Slope | None, covered: tuple[C
     nan, count = float("nan"), int(samples.used.sum())
     reasons = [*reasons, *([] if count >= MIN_AXLE_SAMPLES else [
         f"too few samples: {count} of the {samples.axle} axle pass (speed, bend, |a_y|, slip angle below "
-        f"{np.rad2deg(MAXIMUM_SLIP):g} deg), {MIN_AXLE_SAMPLES} are needed; check offset and lever arm too"])]
+        f"{np.rad2deg(MAX_SLIP):g} deg), {MIN_AXLE_SAMPLES} are needed; check offset and lever arm too"])]
     failed = (samples.axle, nan, nan, (nan, nan), samples, covered)
     if slope is None:
         return AxleRegression(*failed, tuple(reasons), f"{count} samples")
@@ -249,11 +249,11 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
 
 def _select_samples(run: RunSamples) -> tuple[np.ndarray, list[tuple[str, str]]]:
     """(whether each sample enters (n,), [(run, reason why others do not)])."""
-    slow = np.abs(run.velocity_x) < MINIMUM_SPEED
-    straight = ~slow & (np.abs(run.yaw_rate) * MAXIMUM_RADIUS < np.abs(run.velocity_x))
-    hard = ~slow & ~straight & (np.abs(run.lateral_acceleration) > MAXIMUM_ACCELERATION)
-    reasons = {f"slower than {MINIMUM_SPEED:g} m/s": slow, f"straighter than R = {MAXIMUM_RADIUS:g} m": straight,
-               f"beyond {MAXIMUM_ACCELERATION:g} m/s^2": hard}
+    slow = np.abs(run.velocity_x) < MIN_SPEED
+    straight = ~slow & (np.abs(run.yaw_rate) * MAX_RADIUS < np.abs(run.velocity_x))
+    hard = ~slow & ~straight & (np.abs(run.lateral_acceleration) > MAX_ACCELERATION)
+    reasons = {f"slower than {MIN_SPEED:g} m/s": slow, f"straighter than R = {MAX_RADIUS:g} m": straight,
+               f"beyond {MAX_ACCELERATION:g} m/s^2": hard}
     return ~(slow | straight | hard), [(run.name, f"{int(b.sum())} of {len(run)} samples {why}")
                                        for why, b in reasons.items() if b.any()]
 
@@ -263,7 +263,7 @@ def _axle_samples(runs: Sequence[RunSamples], masks: Sequence[np.ndarray], vehic
     rows = []
     for number, (run, mask) in enumerate(zip(runs, masks, strict=True)):
         slip, force = slip_angles(run, vehicle)[index], axle_forces(run, vehicle)[index]
-        fast = np.abs(run.velocity_x) >= MINIMUM_SPEED
+        fast = np.abs(run.velocity_x) >= MIN_SPEED
         rows.append([v[fast] for v in (slip, force, np.full(len(run), number), run.time,
-                                       mask & (np.abs(slip) <= MAXIMUM_SLIP))])
+                                       mask & (np.abs(slip) <= MAX_SLIP))])
     return AxleSamples(AXLES[index], *(np.concatenate(column) for column in zip(*rows, strict=True)))

@@ -35,7 +35,7 @@ SETTINGS = DrivingFitSettings(interval=1.0, min_windows=20)
 BUFFER, SPACING_NS = 400.0, 19_000_000  # s of driving kept; ns between samples kept, 20 ms with jitter
 FIT_INTERVAL = 15.0  # s of usable driving
 MIN_SPEED = 2.0  # m/s of samples kept
-MAXIMUM_GAP = 0.1  # s; a longer pause between samples is not driving time
+MAX_GAP = 0.1  # s; a longer pause between samples is not driving time
 SYSTEMATIC = (math.radians(0.05), 0.005, 0.03)
 """Of offset [rad], and relative of ratio and scale: largest errors on the simulated Leaf, bends and slaloms."""
 UNKNOWN_DEVIATIONS = (math.radians(30.0), 0.2, 0.5)  # deviations without a fit; ratio and scale relative
@@ -142,7 +142,7 @@ class OnlineIdentifier:
                 self.reset(self.vehicle)
             return False
         self._newest_ns = sample.time_ns
-        self._count(sample, step if step <= MAXIMUM_GAP else 0.0)
+        self._count(sample, step if step <= MAX_GAP else 0.0)
         if sample.velocity_x > MIN_SPEED and (not self._ins or sample.time_ns - self._ins[-1].time_ns >= SPACING_NS):
             self._ins.append(sample)
         return True

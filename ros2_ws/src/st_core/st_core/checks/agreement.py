@@ -1,0 +1,167 @@
+"""Lag, scale and bias between two estimates of one quantity."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import f as fisher
+
+from ..clock_fit import STEP, Fit, Pair, fit, mean_correlation, resample
+from ..clock_types import LONGEST_SPAN
+from ..regression import symmetric_interval
+from .regression import Estimate, Regression
+
+MAX_LAG = 1.5  # s; the search goes that far to both sides
+MIN_COMMON_TIME = 15.0  # s
+ZERO, ONE = Estimate(0.0, 0.0, (0.0, 0.0)), Estimate(1.0, 0.0, (1.0, 1.0))
+LAG_TEST_LEVEL = 0.95
+LAG_TEST_SHIFT = 0.3  # s; the fit this far to both sides of a lag must be worse, else the drive determines no lag
+BIAS_RESIDUAL_RATIO = 1.25  # residual with a scale over that with a bias, from which on a bias is reported instead
+MIN_CERTAIN_CORRELATION = 0.98  # from which on noise changes a scale by less than 4 %
+MIN_RESIDUAL_SHARE = 1e-4  # of the variance; interpolation and filters alone leave 1 % of a signal
+GRID_LOSS = 0.1  # of the variance, by which a maximum half a grid step away is lower, at the cut-offs in use
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """Lag [s], scale [1] and bias [unit] of a measured quantity against a derived one.
+
+    correlation: at that lag; correlation_now: without a lag. spread: standard deviation of the derived quantity. time,
+    measured, derived: the filtered series at that lag, for a figure. others: further lags [s] that fit no worse, within
+    chance, as the drive repeats itself. is_late: whether the usual lag fits significantly worse. determines_lag:
+    whether lags LAG_TEST_SHIFT away fit significantly worse; a drive that changes slowly determines none.
+    """
+
+    lag: Estimate
+    scale: Estimate
+    bias: Estimate
+    correlation: float
+    spread: float
+    time: np.ndarray
+    measured: np.ndarray
+    derived: np.ndarray
+    others: tuple[float, ...] = ()
+    is_late: bool = True
+    correlation_now: float = 0.0
+    determines_lag: bool = True
+
+
+def agreement(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, measured: np.ndarray, cutoff: float,
+              derived_is_angle: bool = False, biased: bool = True, usual: float = 0.0) -> Agreement | None:
+    """Agreement of two estimates of a quantity; None where they share less than MIN_COMMON_TIME or are constant.
+
+    time, measured_time: rising [s]; values NaN where unknown. cutoff [Hz]: of the low-pass on both. derived_is_angle:
+    the rate of `derived` is compared. biased: whether a bias is possible. usual: lag of a faultless channel [s].
+    """
+    if max(float(np.ptp(t)) if len(t) else 0.0 for t in (time, measured_time)) > LONGEST_SPAN:
+        return None
+    reference = resample(time, derived, cutoff, derived_is_angle)
+    other = resample(measured_time, measured, cutoff)
+    if min(side.known.sum() for side in (reference, other)) * STEP < MIN_COMMON_TIME:
+        return None
+    pair = Pair("", reference, other)
+    try:
+        solution, *others = _best_offsets(pair, cutoff)
+    except (ValueError, np.linalg.LinAlgError):
+        return None
+    if not abs(solution.offset) <= MAX_LAG:
+        return None
+    freedom = max(len(reference.time) * STEP / 10.0 - 1.0, 1.0)
+    lag = Estimate(-solution.offset, solution.offset_deviation,
+                   symmetric_interval(-solution.offset, solution.offset_deviation, freedom))
+    rows, x = _common_samples(pair, solution.offset)
+    if len(rows) * STEP < MIN_COMMON_TIME or not float(np.std(x)) > 0.0:
+        return None
+    at, y = other.time[rows], other.values[rows]
+    problem = Regression(at, y[:, None], {"scale": x[:, None], "bias": np.ones((len(at), 1))})
+    correlation = float(np.corrcoef(x, y)[0, 1]) if float(np.std(y)) > 0.0 else 0.0
+    scale, bias = _fit_line(problem, x, correlation, biased)
+    neighbours = solution.offset - LAG_TEST_SHIFT, solution.offset + LAG_TEST_SHIFT
+    return Agreement(lag, scale, bias, correlation, float(np.std(x)), at, y, x,
+                     tuple(-alternative.offset for alternative in others),
+                     _fits_worse(pair, -usual, solution.offset, cutoff), _correlation(pair, 0.0),
+                     all(_fits_worse(pair, offset, solution.offset, cutoff) for offset in neighbours))
+
+
+def _fits_worse(pair: Pair, offset: float, best: float, cutoff: float) -> bool:
+    """Whether an offset leaves a significantly larger residual than the best one (F test, 95 %)."""
+    if abs(offset - best) < 1e-6:
+        return False
+    (least, residual), common = _residual_shares(pair, [best, offset])
+    return residual > _f_limit(common, cutoff, LAG_TEST_LEVEL) * least
+
+
+def _correlation(pair: Pair, offset: float) -> float:
+    rows, derived = _common_samples(pair, offset)
+    values = pair.other.values[rows]
+    return float(np.corrcoef(derived, values)[0, 1]) if len(rows) > 2 and np.std(derived) * np.std(values) > 0 else 0.0
+
+
+def _best_offsets(pair: Pair, cutoff: float) -> list[Fit]:
+    """The best offset and all that are as good within chance, the smallest first.
+
+        (1 - r^2) / (1 - r_best^2) <= F(0.975; n, n),   n = 2 cutoff T   independent samples of the residual in T
+    """
+    curve = mean_correlation([pair], MIN_COMMON_TIME, (-MAX_LAG, MAX_LAG))
+    if curve is None or not curve[1].max() > 0.0:
+        return [fit([pair], 0.0, 0.0, free_drift=False)]
+    lags, residual = curve[0], 1.0 - np.maximum(curve[1], 0.0) ** 2
+    best = int(np.argmin(residual))
+    peaks = 1 + np.flatnonzero((residual[1:-1] < residual[:-2]) & (residual[1:-1] <= residual[2:]))
+    known = min(float(side.known.sum()) for side in (pair.reference, pair.other))
+    fits: list[Fit] = []
+    for start in (best, *peaks[residual[peaks] <= _f_limit(known, cutoff) * residual[best] + GRID_LOSS]):
+        solution = fit([pair], float(lags[start]), 0.0, free_drift=False)
+        if all(abs(solution.offset - other.offset) > STEP for other in fits):
+            fits.append(solution)
+    if len(fits) == 1:
+        return fits
+    shares, common = _residual_shares(pair, [solution.offset for solution in fits])
+    limit = _f_limit(common, cutoff) * min(shares)
+    return sorted((solution for solution, share in zip(fits, shares, strict=True) if share <= limit),
+                  key=lambda solution: abs(solution.offset))
+
+
+def _f_limit(samples: float, cutoff: float, level: float = 0.975) -> float:
+    """Largest ratio of two equal variances at this probability."""
+    freedom = max(2.0 * cutoff * STEP * samples, 1.0)
+    return float(fisher.ppf(level, freedom, freedom))
+
+
+def _residual_shares(pair: Pair, offsets: Sequence[float]) -> tuple[list[float], int]:
+    """(1 - r^2 at each offset, number of samples), over the samples common to all: the ends of a filtered derivative
+    are its least accurate part."""
+    series = [_common_samples(pair, offset) for offset in offsets]
+    common = np.flatnonzero(np.bincount(np.concatenate([rows for rows, _ in series])) == len(series))
+    values = pair.other.values[common]
+    with np.errstate(invalid="ignore", divide="ignore"):  # a constant series, as at standstill, explains nothing
+        r = [float(np.nan_to_num(np.corrcoef(derived[np.isin(rows, common)], values)[0, 1]))
+             for rows, derived in series]
+    return [max(1.0 - correlation**2, MIN_RESIDUAL_SHARE) for correlation in r], len(common)
+
+
+def _fit_line(problem: Regression, derived: np.ndarray, correlation: float, biased: bool) -> tuple[Estimate, Estimate]:
+    """(scale, bias). On one long bend the two are confounded, and noise turns one into the other: then the one that
+    explains more is estimated, and the other is assumed faultless."""
+    confounded = abs(float(derived.mean())) > float(derived.std()) and abs(correlation) < MIN_CERTAIN_CORRELATION
+    if biased and not confounded:
+        both = problem.estimates(("scale", "bias"))
+        return both["scale"], both["bias"]
+    scale = problem.estimates(("scale",))["scale"]
+    if not biased:
+        return scale, ZERO
+    shifted = Regression(problem.time, problem.y - derived[:, None], problem.columns)
+    if problem.fit(("scale",))[1] <= BIAS_RESIDUAL_RATIO * shifted.fit(("bias",))[1]:
+        return scale, ZERO
+    return ONE, shifted.estimates(("bias",))["bias"]
+
+
+def _common_samples(pair: Pair, offset: float) -> tuple[np.ndarray, np.ndarray]:
+    """(rows of `other` known on both sides at this offset [s], the reference there)."""
+    reference, other = pair.reference, pair.other
+    place = (other.time + offset - reference.origin) / STEP
+    index = np.clip(np.floor(place).astype(np.int64), 0, max(len(reference.values) - 2, 0))
+    inside = (place >= 0) & (place <= len(reference.values) - 1) & other.known
+    inside &= reference.known[index] & reference.known[np.minimum(index + 1, len(reference.known) - 1)]
+    rows = np.flatnonzero(inside)
+    return rows, np.interp(other.time[rows] + offset, reference.time, reference.values)
