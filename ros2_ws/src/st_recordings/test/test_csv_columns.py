@@ -145,6 +145,14 @@ def test_course_and_speed_over_ground_of_a_gnss(tmp_path: Path, monkeypatch, cou
                      "no column is known as yaw_rate; the derivative of yaw is used"]
 
 
+@pytest.mark.parametrize("rows", [0, 1, 2])
+def test_a_table_of_a_gnss_with_too_few_rows_is_refused(tmp_path: Path, monkeypatch, rows: int) -> None:
+    names, data = gnss_drive(True)
+    monkeypatch.setattr(f"{__name__}.values", lambda: {channel: column[:rows] for channel, column in data.items()})
+    with pytest.raises(RunError):
+        read_csv(write(tmp_path / "d.csv", names))
+
+
 def test_a_better_name_goes_first_and_velocity_before_speed(tmp_path: Path) -> None:
     file = write(tmp_path / "d.csv", {"vehicle_speed": "speed", **PLAIN})
     assert_whole(read_csv(file).log)

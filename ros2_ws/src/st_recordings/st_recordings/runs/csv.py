@@ -162,7 +162,7 @@ def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None
                        f"{', '.join(table.names)[:200]}", STEERING_ADVICE if missing == [ROAD] else
                        COLUMN_ADVICE.format(stem=table.file.stem, kind=table.file.suffix[1:].lower(),
                                             name=table.file.name, can=can, channel=missing[0]))
-    doubtful = doubtful_steering(table.names)
+    doubtful = (doubtful_steering(table.names) or "")[:60]
     if ROAD in needed and ROAD not in table.places and WHEEL not in table.places:
         raise RunError(table.file, f"column {doubtful} may be of the steering wheel or of the road wheels",
                        f"declare it: --steering-field '{doubtful}' --steering-is wheel (or road); or in a run.yaml, as "
@@ -210,10 +210,11 @@ def _complete_motion(table: Table, columns: dict[str, np.ndarray], notes: list[s
         columns["velocity_x"], columns["velocity_y"] = speed * np.cos(slip), speed * np.sin(slip)
         if not np.nan_to_num(slip).any():
             notes.append(f"{table.file}: no column is known as velocity_y; it is taken as 0")
-    rows = np.flatnonzero(table.used & np.isfinite(columns["yaw"]))
-    if "yaw_rate" not in columns and len(rows) > 2:
+    if "yaw_rate" not in columns:
         columns["yaw_rate"] = np.full(len(table.used), np.nan)
-        columns["yaw_rate"][rows] = np.gradient(np.unwrap(columns["yaw"][rows]), table.time_ns[rows] * 1e-9)
+        rows = np.flatnonzero(table.used & np.isfinite(columns["yaw"]))
+        if len(rows) > 2:
+            columns["yaw_rate"][rows] = np.gradient(np.unwrap(columns["yaw"][rows]), table.time_ns[rows] * 1e-9)
         notes.append(f"{table.file}: no column is known as yaw_rate; the derivative of yaw is used")
 
 

@@ -130,7 +130,7 @@ def _midnight(text: str) -> float:
 def _is_clock(body: str, column: int) -> bool:
     """Whether the times are HHMMSS, with minutes and seconds below 60; single damaged ones do not count."""
     cells = [line.split(" ")[column] for line in body.split("\n") if line.count(" ") >= column][:-1]
-    clock = np.array([float(cell) for cell in cells if re.fullmatch(r"\d+(\.\d+)?", cell)])
+    clock = np.array([float(cell) for cell in cells if re.fullmatch(r"\d{1,15}(\.\d+)?", cell)])
     other = (clock % 100 >= 60) | (clock // 100 % 100 >= 60)
     return bool(other.sum() <= MAX_DAMAGED_TIMES * len(clock) and not (other[:-2] & other[1:-1] & other[2:]).any())
 
