@@ -272,6 +272,7 @@ def make_status(stamp_ns: int, ins_frame: str, navigation_status: int, status: S
         satellites=_integer(get("GpsNumObs")),
         position_accuracy_north=accuracy.north,
         position_accuracy_east=accuracy.east,
+        # Standard deviations have no direction: the same up and down.
         position_accuracy_down=accuracy.up,
         velocity_accuracy_north=accuracy.velocity_north,
         velocity_accuracy_east=accuracy.velocity_east,

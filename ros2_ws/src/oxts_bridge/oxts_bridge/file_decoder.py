@@ -51,7 +51,7 @@ _HAS_NAVIGATION = np.array([rule.navigation != "none" for rule in BY_STATUS])
 _IS_APPROXIMATE = np.array([rule.navigation == "approximate" for rule in BY_STATUS])
 _SETS_CLOCK = np.isin(np.arange(256), list(ncom.MINUTE_STATUSES))
 _IS_KNOWN_CHANNEL = np.isin(np.arange(256), list(FIELDS))
-_NO_OFFSET = 1
+_NO_OFFSET = 1  # marks an invalid UTC offset: UTC - GPS is never positive
 _UTC_OFFSET = np.array([_NO_OFFSET if (offset := utc_offset(bytes([*[0] * 7, byte]))) is None else offset
                         for byte in range(256)])
 
@@ -62,8 +62,9 @@ class Columns:
 
     offset: byte position.  raw: (n, 72) uint8.  kind: index into KINDS.  order: as stream.Received.order.
     gps_ns: since 1980-01-06, utc_ns: since 1970, UNKNOWN_TIME where unknown.  milliseconds, navigation_status,
-    channel: as sent. acceleration [m/s^2], angular_rate [rad/s]: (3, n), vehicle FRD.  latitude, longitude [rad],
-    altitude [m] as sent.  velocity_ned: (3, n) [m/s].  heading, pitch, roll [rad].  NaN = invalid.
+    channel: as sent. acceleration: specific force, gravity included (z about -9.81 at rest) [m/s^2], angular_rate
+    [rad/s]: (3, n), vehicle FRD.  latitude, longitude [rad], altitude [m] as sent.  velocity_ned: (3, n) [m/s].
+    heading: clockwise from true north, pitch: nose up +, roll: right side down + [rad].  NaN = invalid.
     approximate: navigation before the first fix.  has_status: batch S is valid.
     """
 
@@ -221,8 +222,9 @@ def packet_times(ms: np.ndarray, minutes: np.ndarray,
                  hints: list[tuple[int, int]]) -> tuple[np.ndarray, np.ndarray, int]:
     """GPS time [ms] (-1 unknown) and order (NEW, SAME, LATE) of the timed packets of a file, and the number of jumps.
 
-    The same as stepping a GpsClock through all of them. Once it has settled, the time of each packet is the counted one
-    up to the next late packet or the next minute that differs from the count; from there the clock is stepped again.
+    The same as stepping a GpsClock through all of them. Once the clock has settled, packet times follow from counting
+    minute rollovers, up to the next late packet or a transmitted minute that disagrees with the count; from there the
+    clock is stepped again.
 
     ms, minutes: of each packet, minutes -1 where it has no channel 0. hints: (index of the packet before which it
     was sent, minute) of status-only packets.

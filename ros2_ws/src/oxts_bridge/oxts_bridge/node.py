@@ -150,7 +150,7 @@ class OxtsBridge(LifecycleNode):
     # Packets; everything below runs in the thread of the source.
 
     def _on_data(self, data: bytes, received_ns: int, publish: bool) -> int:
-        # A replay has its own pace, so that its times of receipt do not show gaps.
+        # A replay sets its own pace, so its receive times do not indicate gaps in the recording.
         packets = self._parser.feed(data, received_ns if self._live else None)
         for received in packets:
             received.received_ns = received_ns

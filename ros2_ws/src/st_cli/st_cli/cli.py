@@ -49,7 +49,7 @@ DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
 
 def main() -> None:
-    if os.environ.get(suite.RANGE, "LOCALHOST") == "LOCALHOST":  # another range was chosen by the user
+    if os.environ.get(suite.RANGE, "LOCALHOST") == "LOCALHOST":  # unless the user set another ROS discovery range
         os.environ.update(suite.loopback(os.environ))
     _ensure_log_directory()
     try:

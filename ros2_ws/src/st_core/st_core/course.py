@@ -26,7 +26,8 @@ from .yaml_text import check_keys, load
 SPACING = 1.0
 """m along the path; the sharpest right-angle turn of a car (radius 5 m) then has 8 points."""
 SMOOTHING = 3.0
-"""m, moving average of curvature and direction: one wheelbase, below which a car does not follow the steering."""
+"""Length of the moving average of curvature and direction [m]: about one wheelbase, as the curvature of a path hardly
+changes over shorter distances."""
 REACH = 4.0
 """m, largest distance of a pass from the car: one lane and its neighbour."""
 MAX_HEADING_DIFFERENCE = 0.5
@@ -46,8 +47,8 @@ COLUMNS = ("x", "y", "direction", "curvature", "speed")
 class Pass:
     """Path of a recording. recording: its name; digests: sha256 of its files.
 
-    points: (n, 5), every SPACING m, columns as COLUMNS: INS point in the map frame [m], direction of its motion from
-    east [rad], curvature yaw_rate/v_x [1/m], left +, v_x [m/s].
+    points: (n, 5), every SPACING m, columns as COLUMNS: INS point in the map frame [m], course angle of the INS point
+    from east, counter-clockwise + [rad], curvature yaw_rate/v_x [1/m], left +, v_x [m/s].
     """
 
     recording: str
@@ -81,7 +82,10 @@ class Course:
         return cKDTree(np.concatenate([pass_.points[:, :2] for pass_ in self.passes]))
 
     def near(self, x: float, y: float, direction: float) -> list[Visit]:
-        """The passes within REACH in the direction of the car, one visit for each lap, the nearest first."""
+        """The passes within REACH in the direction of the car, one visit for each lap, the nearest first.
+
+        x, y: INS point in the map frame [m]. direction: course angle from east, counter-clockwise + [rad].
+        """
         if not self.passes:
             return []
         found = np.array(sorted(self._tree.query_ball_point((x, y), REACH)), int)

@@ -77,9 +77,9 @@ def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState,
 
     inputs: held over the horizon (ControlInput), or on the half-step grid (InputSequence of 2 * steps + 1 values).
     horizon, step [s]: horizon a whole number of steps. Returns steps + 1 states, the start first. substeps: >= 1, into
-    which each step is divided, inputs straight between those given; see `stability` for when one is not enough.
-    NaN in the state or an input gives NaN from there on; a step too long for the stiffness at hand gives large or
-    non-finite numbers, never an exception. Raises StCoreError for inputs of the wrong length.
+    which each step is divided, inputs interpolated linearly between the given ones; see `stability` for when one is not
+    enough. NaN in the state or an input gives NaN from there on; a step too long for the stiffness at hand gives large
+    or non-finite numbers, never an exception. Raises StCoreError for inputs of the wrong length.
     """
     model = get_model(model)
     p = model.parameters(vehicle)
@@ -168,7 +168,7 @@ class Predictor:
 
     @property
     def frozen_steering(self) -> FrozenAngle | None:
-        """The steering angle that is constant while the car turns differently; None without such a fault."""
+        """The frozen steering angle: constant although the yaw motion changes; None without this fault."""
         return self._frozen.frozen
 
     @property

@@ -131,12 +131,13 @@ class VehicleParameters:
     mass [kg], yaw_inertia [kg m^2] about the CG; wheelbase, cg_to_front_axle, cg_height [m]. cg_to_ins_x, cg_to_ins_y:
     the INS point seen from the CG, forward and left [m]; behind the CG is negative. steering_ratio [1];
     steering_wheel_offset [rad]: reading of the steering wheel sensor when driving straight, left +.
-    cornering_stiffness_front/_rear: per axle, > 0 [N/rad]. minimum_slip_speed: v_eps [m/s]. tyre_front, tyre_rear: one
-    tyre each, lambda_ky filled in. length, width [m]: of the body, for drawing. track_width [m]: both axles.
-    drive_front, brake_front: share of drive and brake force on the front axle [1]; rear-wheel drive: drive_front 0.
-    load_transfer_front: share of the lateral load transfer on the front axle [1]. side_area [m^2]: side force
-    coefficient times area; side_force_arm [m]: its centre ahead of the CG. sources: where each value comes from, by key
-    ("tyre_front.p_cy1" for the tyres). provenance: of the values that were identified, by key.
+    cornering_stiffness_front/_rear: per axle, > 0 [N/rad]. minimum_slip_speed: v_eps, lower limit of the speed in the
+    denominator of the slip angle [m/s]. tyre_front, tyre_rear: one tyre each, lambda_ky filled in. length, width [m]:
+    of the body, for drawing. track_width [m]: both axles. drive_front, brake_front: share of drive and brake force on
+    the front axle [1]; rear-wheel drive: drive_front 0. load_transfer_front: share of the lateral load transfer on the
+    front axle [1]. side_area: side force coefficient times its reference area, C_y A [m^2]; side_force_arm [m]: its
+    centre ahead of the CG. sources: where each value comes from, by key ("tyre_front.p_cy1" for the tyres). provenance:
+    of the values that were identified, by key.
 
     Raises ConfigurationError, naming the key and the limit, for a value out of bounds or lengths that contradict.
     """

@@ -18,8 +18,8 @@ class Car:
     """Paths and steering of one car.
 
     vehicle, dbc, signals: files of the folder; dbc and signals do not exist for a car without a described bus.
-    steering_sign: +1 where the decoded sensor is left positive. steering_latency: from the turn of the wheel to the
-    frame [s].
+    steering_sign: +1 where the decoded sensor is left positive. steering_latency: delay from the motion of the steering
+    wheel to the time stamp of its CAN frame [s].
     """
 
     folder: Path
@@ -80,7 +80,7 @@ def read_vehicle(file: Path) -> VehicleParameters:
 
 
 def read_table(file: Path) -> dict:
-    """Keys and values of a YAML file. Raises RunError."""
+    """The mapping in a YAML file, {} for an empty one. Raises RunError."""
     check_readable(file)
     try:
         table = yaml.safe_load(file.read_text(encoding="utf-8"))

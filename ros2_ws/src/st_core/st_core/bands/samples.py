@@ -88,7 +88,7 @@ def run_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: Lo
 
 
 def together(runs: Sequence[RunSamples]) -> RunSamples:
-    """Similar runs, for example of one day or place, joined to one."""
+    """Joins similar runs, for example of one day or place, into one."""
     errors = {question: np.concatenate([run.errors[question] for run in runs]) for question in runs[0].errors}
     return RunSamples(", ".join(run.name for run in runs), np.concatenate([run.conditions for run in runs]), errors)
 

@@ -31,15 +31,16 @@ from ..vehicle import VehicleParameters
 from .finding import HORIZON, LIMITS, Advice, Finding, Severity
 from .motion import stretches
 
-# A correction is refused from 1.1 e_before + 0.02 m on: noise of positions, and correct ones on seventeen real drives
-# (at most 7 % worse), stay below.
+# A correction is rejected if the error exceeds 1.1 e_before + 0.02 m. Position noise and valid corrections on seventeen
+# real drives (at most 7 % worse) stay below this.
 MAX_ERROR_RATIO, ERROR_NOISE = 1.1, 0.02
 GAIN_STEP, OFFSET_STEP = 0.03, 0.003  # 1, rad; of the derivatives
 MAX_GAIN, MAX_OFFSET = LIMITS.steering_unit - 1.0, 0.1  # 1, rad at the road wheels; no car has more
 MIN_STARTS = 4
 MAX_STARTS = 100  # spread over the run; more change the error by less than 1 %
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
-SPEED_COUNT = 40  # at which steps are examined, between the lowest and the highest speed of the run
+# Number of speeds, from the lowest to the highest of the run, at which the step size is checked for stability.
+SPEED_COUNT = 40
 STEP_DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MOST_SUBSTEPS)  # of a step, for a short decimal number
 MERGE_GAP = 1.0  # s; stretches closer than that are merged
 State = tuple[DriveLog, VehicleParameters]
@@ -154,7 +155,8 @@ def step_too_long(models: Sequence[str | Model], vehicle: VehicleParameters, log
                   step: float) -> Finding | None:
     """The finding `step_too_long` for all models together; None where the step [s] is short enough.
 
-    Its value is the minimum_slip_speed [m/s] that corrects it, as printed; where none does, the step [s].
+    Its value is the minimum_slip_speed [m/s] that makes the step stable, as printed; else the longest stable step tried
+    [s]; None if there is neither.
     Checked by: test_checks_step.py.
     """
     chosen = [get_model(model) for model in models]

@@ -12,7 +12,7 @@ from ..effects import EFFECT_KINDS
 from .settings import Limits
 
 Outcome = Literal["none", "named", "ambiguous", "several", "bound", "unknown", "not_testable"]
-# A 95 % interval is widened by this to that of the limit `false_alarm`, for a normal distribution.
+# Factor from the half-width of a 95 % interval to that at significance level `false_alarm`, for a normal distribution.
 WIDENING = float(stats.norm.isf(0.5 * Limits().false_alarm) / stats.norm.isf(0.025))
 OUTCOMES: tuple[Outcome, ...] = ("none", "named", "ambiguous", "several", "bound", "unknown", "not_testable")
 EFFECTIVE = "effective corrections"
@@ -45,9 +45,9 @@ class Change:
 
 @dataclass(frozen=True)
 class Step:
-    """One step of the waterfall: an effect added. parameters: of it after the step. position_5s: mean error after 5 s
-    [m]; channels: root mean square error at the end of the horizon; runs: mean position error after 5 s [m] of each
-    run, before and after. All on held-out folds."""
+    """One step of the waterfall: an effect added. parameters: of this effect after the step. position_5s: change of the
+    mean position error after 5 s [m]; channels: change of the root mean square error at the end of the horizon; runs:
+    mean position error after 5 s [m] of each run, before and after. All on held-out folds."""
 
     effect: str
     kind: str
@@ -59,8 +59,9 @@ class Step:
 
 @dataclass(frozen=True)
 class Value:
-    """An effect in one run, site, time, place or condition: its value there over the stated value, and the standard
-    deviation of that."""
+    """Local estimate of an effect in one run, site, time, place or condition. share [1]: ratio of the local to the
+    overall estimate, which can be negative or above 1; in a `BoundEffect`, to the local estimate that differs most from
+    null. deviation: standard deviation of share."""
 
     where: str
     share: float
@@ -119,8 +120,9 @@ class Combination:
 
 @dataclass(frozen=True)
 class ForceCurve:
-    """Lateral force of an axle over the driven slip, opposing it: slip [rad], force, 90 % band low to high, and the
-    vehicle file's [N]; density: share of the driving between two values of slip."""
+    """Lateral force of an axle versus slip angle, within the driven range. slip [rad], >= 0; force, 90 % band low to
+    high, and force by the vehicle file [N]: positive when it opposes positive slip. density: share of the driving
+    between two values of slip."""
 
     axle: str
     slip: tuple[float, ...]
@@ -134,8 +136,8 @@ class ForceCurve:
 @dataclass(frozen=True)
 class BoundEffect:
     """A significant effect that varies over the driving. resembles: the effect of the library that describes it best.
-    to: the level it varies over: run, site, time, place or condition. values: in each part. position_5s [m]: reduction
-    of the mean error after 5 s."""
+    to: the level it varies with: run, site, time, place or condition. values: in each part. position_5s [m]: reduction
+    of the mean position error after 5 s."""
 
     resembles: str
     to: str
@@ -170,8 +172,8 @@ class Candidate:
 @dataclass(frozen=True)
 class BudgetLine:
     """One part of the gap, of PARTS. last, first [m]: reduction of the held-out mean position error after 5 s when this
-    part is added last, or first. share_last, share_first [1]: over that error of the base; loss_last, loss_first [1]:
-    the same of the loss."""
+    part is added last, or first. share_last, share_first [1]: the reduction divided by the baseline error; loss_last,
+    loss_first [1]: the same for the loss."""
 
     part: str
     last: float
@@ -184,8 +186,8 @@ class BudgetLine:
 
 @dataclass(frozen=True)
 class Power:
-    """Detection of an effect of a given size [unit] in these drives. found [1]: probability, of `of` simulated drives;
-    of 0: predicted."""
+    """Detection of an effect of a given size [unit] in these drives. found [1]: detection probability. of: number of
+    simulated drives; 0: predicted without simulation."""
 
     effect: str
     parameter: str
@@ -197,9 +199,9 @@ class Power:
 
 @dataclass(frozen=True)
 class Certificate:
-    """Power of these drives. powers: three sizes of each effect. alarms: effects named in `of` simulated drives without
-    any. driven: whether measured by a step of the search on simulated drives (--certify), or predicted from the
-    curvature of the loss; `of` is then 0."""
+    """Power of these drives. powers: three sizes of each effect. alarms: number of false alarms, an effect named in one
+    of `of` simulated drives without any. driven: True if measured by a step of the search on simulated drives
+    (--certify); False if predicted from the curvature of the loss, `of` is then 0."""
 
     powers: tuple[Power, ...]
     alarms: int
@@ -209,8 +211,8 @@ class Certificate:
 
 @dataclass(frozen=True)
 class WhereStatement:
-    """A condition, time or place with an error above the floor. channel: one of CHANNELS. excess [1]: root mean square
-    error over that of the floor; interval: 95 %."""
+    """Condition, time or place in which the error exceeds the floor, that of the reference drives or of noise alone.
+    channel: one of CHANNELS. excess [1]: ratio of the root mean square error to that of the floor; interval: 95 %."""
 
     channel: str
     condition: str
@@ -247,7 +249,8 @@ class NotTestable:
 class NextManoeuvre:
     """The manoeuvre that separates the names of an answer best. name: in the catalogue, and of the scenario of the
     virtual car. separates: the pair with the smallest separation. strength: of that pair [standard deviations], with
-    the manoeuvre driven `times` times and added to the runs. options: strength of every manoeuvre."""
+    the manoeuvre driven `times` times and added to the runs. options: strength of every manoeuvre. duration [s] and
+    speed [m/s]: of each time it is driven."""
 
     name: str
     separates: tuple[str, str]
@@ -272,8 +275,8 @@ class Separability:
 
 @dataclass(frozen=True)
 class Run:
-    """A drive of the discovery. site: number of its site; runs with common places are at one. windows: number of scored
-    predictions."""
+    """A drive of the discovery. site: index of its site; runs with overlapping tracks share a site. windows: number of
+    scored predictions."""
 
     name: str
     role: Literal["suspect", "reference"]
@@ -295,10 +298,10 @@ class Discovery:
 
     base: the model at the start; model: the best prediction, with all effects, None without any; named: with named and
     minor effects only, at the stated values. steps: from the base to the named effects. gap: by channel, and
-    position_5s; gap_named: without the effective corrections. reasons: every rule that decided. left_out: values of
-    named and minor effects by run, fitted without that run. acceleration_gain [1]: relative excess of the accelerometer
-    over the motion, by body roll. noise: by channel, at the end of the horizon [SI]. signature: description of the
-    residual.
+    position_5s; gap_named: without the effective corrections. reasons: every rule that decided. left_out:
+    leave-one-run-out values of named and minor effects, by the run that was left out of the fit. acceleration_gain [1]:
+    relative excess of the measured lateral specific force over that of the motion, due to body roll. noise: by channel,
+    at the end of the horizon [SI]. signature: description of the residual.
     """
 
     outcome: Outcome
@@ -346,8 +349,8 @@ class Discovery:
 
 
 def known_together(combinations: Sequence[Combination], named: Sequence[FoundEffect]) -> tuple[Combination, ...]:
-    """Axle stiffnesses over the mass that differ from the vehicle file although no effect that changes them is named;
-    without one, the understeer gradient or yaw gain of which this is true."""
+    """Stiffness-to-mass ratios that differ significantly from the vehicle file while no named effect accounts for it;
+    if there are none, the first other combination (understeer gradient, yaw gain) with this property."""
     names = {name for e in named for name in (e.name, *e.alternatives)}
     found = [c for c in combinations if c.differs and c.file > 0.0 and not names.intersection(c.effects)]
     stiffness = tuple(c for c in found if "stiffness" in c.name)

@@ -11,28 +11,31 @@ from ..errors import ConfigurationError
 
 @dataclass(frozen=True)
 class Limits:
-    """Raises ConfigurationError naming the limit that is not a positive number.
+    """Thresholds of the decisions of a discovery.
 
     false_alarm [1]: significance level, over the whole library, of an effect; of the improvement of the path by a
     proposed relation; and, at its default, of a combination (`known_together`) that differs from the vehicle file.
-    doubt [1]: p-value above which a comparison is undecided: two names, a value between runs, an interval.
-    relevant [1]: relative reduction of the errors from which an effect is relevant: over all channels, of the errors
-    without it, to be kept; in one channel, of the baseline errors, to be named ...
-    relevant_position [m]: ... or this reduction of the mean position error after 5 s, overall or in one driving
-    condition.
-    size [1]: ... or, for an effect that the sensors measure among themselves, this share of its usual size; also the
-    share that a load not excluded by the drives must reach to be an alternative to softer tyres.
+    doubt [1]: p-value above which a difference is undecided: between two effects, between the values in parts of the
+    driving, or from the null; also the error probability of a one-sided confidence bound.
+    relevant [1]: relative reduction of the errors that an effect must reach: over all channels, relative to the errors
+    without it, to be kept; in one channel, relative to the baseline error, to be named.
+    relevant_position [m]: reduction of the mean position error after 5 s, overall or in one driving condition, that is
+    sufficient instead of `relevant`.
+    size [1]: fraction of its usual size that is sufficient instead, if the sensors measure the effect among themselves;
+    also the fraction that a load not excluded by the drives must reach to be an alternative to lower tyre stiffness.
     negligible [1]: relative reduction of the errors below which an effect is ignored, however significant.
-    rival [1]: share of an effect's gain that another must reach in its place to be an alternative.
-    file [1]: standard deviations from the value of the vehicle file beyond which a value is refused.
-    peak [1]: share of the peak force of an axle that must have been driven for a peak to be named.
-    bound [1]: distance to a bound, over the usual size of an effect, below which a value counts as on it.
-    left [1]: residual over the noise beyond which it is reported as unexplained.
-    unexplained_share [1]: share of a residual beyond `left` by which an effect must reduce it to be named, by which a
-    name must explain more than another to be the only one, and by which a set must be worse than the answer for its
-    values to be left out of the intervals; smaller differences may be due to unmodelled effects.
-    shown [1]: power above which a size counts as visible in these drives.
-    most [1]: largest number of effects in one answer.
+    rival [1]: fraction of an effect's gain that another must reach in its place to be an alternative.
+    file [1]: largest accepted deviation of a value from that of the vehicle file, in standard deviations.
+    peak [1]: fraction of the peak force of an axle that the drives must reach for a peak to be named.
+    bound [1]: distance to a bound, divided by the usual size of an effect, below which a value counts as at the bound.
+    left [1]: ratio of residual to noise above which the residual is reported as unexplained.
+    unexplained_share [1]: fraction of a residual above `left` below which a difference may be due to unmodelled
+    effects. An effect must reduce the residual by this to be named; a name must explain more than another by this to be
+    the only one; a set of effects must be worse than the answer by this for its values to be left out of the intervals.
+    shown [1]: detection power above which a size counts as detectable in these drives.
+    most [1]: maximum number of effects in one answer.
+
+    Raises ConfigurationError naming the limit that is not a positive number.
     """
 
     false_alarm: float = 0.01
@@ -58,7 +61,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class DiscoverySettings:
-    """Raises ConfigurationError naming the key and the limit.
+    """Options of a discovery.
 
     channels: measurements that are used. Without velocity_y the sideslip is used neither as a measurement nor as the
     start of a prediction. seed: of all random numbers. horizon [s]: of the predictions. windows: approximate number of
@@ -66,6 +69,8 @@ class DiscoverySettings:
     driving further apart counts as independent. effects: names to choose from; None: all that apply. limits: of the
     decisions. certify: measure the power by one step of the search on simulated drives, instead of predicting it.
     where: report the conditions, times and places of the largest errors.
+
+    Raises ConfigurationError naming the key and the limit.
     """
 
     channels: tuple[str, ...] = tuple(CHANNELS)

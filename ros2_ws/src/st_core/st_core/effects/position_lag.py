@@ -1,7 +1,7 @@
 """Late position, to first order: (x, y)_measured = (x, y) - time R(yaw) (v_x, v_y), of the INS point.
 
-It is the first effect on the true values and the last one corrected, when yaw and velocity are the true ones: so
-`correct` is the exact inverse of `observe`.
+time > 0: the measured position is late. `observe` applies this effect first and `correct` undoes it last, when yaw and
+velocity are already true, so `correct` is the exact inverse of `observe`.
 """
 
 from ..ops import cos, sin

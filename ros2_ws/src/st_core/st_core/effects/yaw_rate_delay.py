@@ -1,6 +1,6 @@
-"""Late yaw rate, to first order: r_measured(t) = r(t - time) = r - time r_dot.
+"""Late yaw rate, to first order: r_measured(t) = r(t - time) ~ r - time r_dot; time > 0: the measured one is late.
 
-The derivative is part of the readings; of a single live sample it is unknown, and the yaw rate is not corrected.
+Needs the yaw acceleration of the recording. A single live sample has none; its yaw rate is left uncorrected.
 """
 
 from ._base import Effect, Parameter, register

@@ -4,9 +4,10 @@
 
     (u(lambda) / lambda)^2 = (u(C) / C)^2 + (u(K) / K)^2 + (d ln K / d ln F_z)^2 (u(F_z) / F_z)^2
 
-The static load decides, not F_z0: at F_z0 the Leaf's front would come out as 0.426 instead of 0.423. u(K) is known when
-the tyre's table is given: the errors of p_ky1, p_ky2 and p_ky4 cancel in it almost, so it cannot be had from theirs.
-Source: paper, equation of lambda_Ky. Checked by: test_identification_result.py.
+K is evaluated at the static load, not at F_z0 (Leaf, front: 0.423; at F_z0 it would be 0.426). u(K) is known when the
+tyre's table is given: errors of p_ky1, p_ky2 and p_ky4 are strongly correlated and nearly cancel in K, so u(K) cannot
+be computed from their separate uncertainties. Source: paper, equation of lambda_Ky. Checked by:
+test_identification_result.py.
 """
 
 import math
@@ -21,8 +22,8 @@ from .result import Estimate, Identification, IdentificationError, Status
 
 @dataclass(frozen=True)
 class TableStiffness:
-    """Relative standard uncertainty of K at the static load [1], as the tyre's flat-plank table gives it, and its
-    name."""
+    """Uncertainty of the stiffness from a flat-plank table. uncertainty: relative standard uncertainty of K at the
+    static load [1]. name: of the table."""
 
     uncertainty: float
     name: str

@@ -5,14 +5,15 @@ more parameter, a shift s of the slip angle common to all loads, absorbs conicit
 
     F_y(F_z, alpha) = D sin(C atan(B x - E (B x - atan(B x)))),   x = alpha + s
 
-First the load nearest to nominal_load: p_cy1, p_dy1, p_ey1 and the stiffness K there. Then, these held, how they
-depend on the load: p_dy2, p_ey2, p_ky2, p_ky4 (p_ky1 follows from K). That is the paper's order; its result starts a
-fit of all at once, which gives the values and intervals, since those of the second stage alone would take the first
-stage for exact. Both are compared. With two loads p_ky4 stays as the vehicle file has it; with one, every load
-dependency does.
+Stage 1, at the load nearest to nominal_load: p_cy1, p_dy1, p_ey1 and the stiffness K there. Stage 2 fixes these and
+fits their load dependence: p_dy2, p_ey2, p_ky2, p_ky4 (p_ky1 follows from K). That is the paper's order. The result is
+the initial guess of a simultaneous fit, which yields the values and intervals; stage 2 alone would treat the stage 1
+values as exact. Both are compared. With two loads p_ky4 stays as in the vehicle file; with one, every load dependence
+does.
 
-Slip angle in rad, force in N, of one tyre, steady state; signs either way (see tyres.py for ours). Source: paper,
-parameter identification and appendix. Checked by: test_identification_experiments.py.
+Slip angle in rad, force in N, of one tyre, steady state, in either sign convention; `check_table` converts to a force
+that opposes the slip angle (sign: tyres.py). Source: paper, parameter identification and appendix. Checked by:
+test_identification_experiments.py.
 """
 
 import math
@@ -38,7 +39,8 @@ MIN_FILLED_BINS = 3
 
 @dataclass(frozen=True)
 class FlatPlank:
-    """load [N], slip [rad], force [N]: (n,) each. tyre: tyre_front or tyre_rear. name: of the data."""
+    """load [N], slip angle [rad], lateral force [N]: (n,) each, in either sign convention. tyre: tyre_front or
+    tyre_rear. name: of the data."""
 
     tyre: str
     load: np.ndarray
@@ -130,7 +132,7 @@ MEANING = {"p_cy1": "shape", "p_dy1": "peak friction", "p_dy2": "peak friction o
 
 @dataclass(frozen=True)
 class TyreFit:
-    """tyre: with the fitted values. names: of what was free, SHIFT last. fit: of all at once, in the order of names.
+    """tyre: with the fitted values. names: free parameters, SHIFT last. fit: simultaneous, parameters in this order.
 
     staged: the tyre after the paper's two stages. levels: mean load of each level [N]; level: which a row belongs to.
     flipped: whether the table had the other sign of the slip angle.
@@ -157,7 +159,7 @@ class TyreFit:
 
 
 def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
-    """The fit in two stages, then of all at once. start: nominal_load, and what is not fitted.
+    """Fit in two stages, then simultaneous. start: has nominal_load and all parameters that are not fitted.
 
     Raises IdentificationError for a table that cannot give a tyre.
     """
@@ -193,7 +195,7 @@ def magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
     for k, name in enumerate(found.names[:-1]):
         interval = profile_interval(function, fit, k)
         key = f"{data.tyre}.{name}"
-        # Of the interval, not of the curvature at the estimate, which ignores bounds.
+        # Uncertainty: width of the 95 % profile interval / 3.92; the covariance at the estimate ignores bounds.
         value, spread = float(fit.values[k]), (interval.high - interval.low) / 3.92
         open_ends = interval.lower_open + interval.upper_open
         words = [f"{MEANING[name][0].upper()}{MEANING[name][1:]}."]
@@ -207,7 +209,7 @@ def magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
         if open_ends == 2:
             words.append(f"The data do not bound it within {interval.low:g} to {interval.high:g}; with the others it "
                          "makes up the stiffness at the tested loads, and is written for that.")
-            # Any value of the range is as likely.
+            # Uniform over the range: all values are equally likely.
             spread = (interval.high - interval.low) / math.sqrt(12.0)
         estimates.append(Estimate(key, value, "1", spread, (interval.low, interval.high), method, (data.name,),
                                   " ".join(words), status))

@@ -14,11 +14,11 @@ from ..vehicle import VehicleParameters
 from .result import Coverage, IdentificationError
 
 EDGE = 0.2
-"""s at both ends of a stretch without gaps in which the output of the filter, which starts at rest, is not used."""
+"""Settling time of the filter, discarded at both ends of each gap-free stretch [s]."""
 MAXIMUM_GAP = 0.1
-"""s between samples that are interpolated."""
+"""Longest gap between samples that is interpolated [s]."""
 MIN_COMMON_TIME, MIN_SAMPLES = 5.0, 50
-"""s of common measurement, and INS samples, of a drive that is used."""
+"""Least overlap of INS and steering [s], and least number of INS samples, of a usable drive."""
 MIN_REPORTED_BIAS = 5.0e-4
 """rad/s, 0.03 deg/s: above the drift of a faultless INS; it acts as 0.1 deg at the hand wheel at 15 m/s."""
 SPEED_EDGES = np.array([0.0, 3.0, 6.0, 9.0, 12.0, 15.0, 20.0, 30.0, 60.0])  # m/s
@@ -53,9 +53,10 @@ def run_samples(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) 
     """Samples of a drive at the instants of the INS at which everything is known.
 
     Filter of velocity, yaw rate and steering alike, forward and backward: first-order Butterworth of `cutoff` [Hz], see
-    `filtering.filtered_derivative`; derivatives are central differences behind it. No delay, and the same attenuation
-    on both sides of every equation. The lateral acceleration is v_y_dot + v_x r, free of gravity, moved to the CG
-    (`types.ins_to_cg_acceleration`). Raises IdentificationError for a drive without common measurements.
+    `timeseries.filtered_derivative`; derivatives are central differences of the filtered signals. The filter is
+    zero-phase and attenuates both sides of each equation equally. The lateral acceleration is v_y_dot + v_x r, free of
+    gravity, moved to the CG (`types.ins_to_cg_acceleration`). Raises IdentificationError for a drive without common
+    measurements.
     """
     def smooth(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return filtered_derivative(time_ns, values, cutoff, MAXIMUM_GAP, "zero_phase")

@@ -12,7 +12,8 @@ from ._base import Axles, Model, axle_slip_angles, motion
 
 
 class Parameters(NamedTuple):
-    """kg, kg m^2, m, N/rad per axle, m/s."""
+    """mass [kg], yaw_inertia [kg m^2], distances [m], cornering stiffness per axle [N/rad, > 0], minimum_slip_speed
+    [m/s]."""
 
     mass: float
     yaw_inertia: float

@@ -1,4 +1,4 @@
-"""Search for one empirical relation that an answer of `discover` lacks, at one place of the model."""
+"""Search for one empirical relation that a result of `discover` lacks: a curve added to one term of the model."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,8 +18,8 @@ from .relation_fit import RelationFit, RelationFits, RunWindows
 from .selection import RunShares, Screened
 
 MIN_BLOCKS = 10  # for a curve of eight coefficients
-MAX_DETECTABLE = 3.0  # usual sizes; places with a larger smallest detectable relation count as not examined
-MUCH_WORSE = 1.25  # held-out error of a run with the relation over without it, from which the headline has it
+MAX_DETECTABLE = 3.0  # usual sizes; model terms with a larger detection limit are reported as not examined
+MUCH_WORSE = 1.25  # ratio of a run's held-out error with and without the relation, from which the headline reports it
 MEASURED_BY = {"sensor_yaw_rate": ("yaw_rate",), "sensor_acceleration_y": ("acceleration_y",),
                "sensor_velocity_y": ("velocity_y",), "sensor_heading": ("yaw",)}
 STEERING_TIMING = ("steering_rate", "lagging_steering")
@@ -30,14 +30,15 @@ STEERING_TIMING = ("steering_rate", "lagging_steering")
 class Relation:
     """An empirical relation that lowers the held-out loss.
 
-    candidate: where it acts, and on which quantity it depends. coefficients: (8,) of the splines. at: (k,) values of
-    the quantity; value, deviation: (k,) the curve there and its standard deviation [unit of the place]; density: (k,)
-    share of the driving near each. gain [1]: reduction of the held-out loss per scored error. chance [1]: p-value that
-    any candidate gains as much without a real effect. position_5s [m]: held-out (without, with); runs: the same by run.
-    model: everything else, at the values fitted with the relation. others: equally good relations, with the cosine
-    similarity of their effects [1]. formulas: that keep the gain of the curve in simulation, preferred first. shares:
-    its size by run. redundant: effects of the answer that it makes redundant, with the residual [1] that returns
-    without each. drives: sparsely driven ranges, and manoeuvres to drive next.
+    candidate: the model term that it modifies (steering, axle force or grip, yaw moment, side force, a sensor), and the
+    quantity it depends on. coefficients: (8,) of the splines. at: (k,) values of the quantity; value, deviation: (k,)
+    the curve there and its standard deviation [unit of the term]; density: (k,) share of the driving near each. gain
+    [1]: reduction of the held-out loss per scored error. chance [1]: p-value, the probability that any candidate gains
+    as much without a real effect. position_5s [m]: held-out (without, with); runs: the same by run. model: everything
+    else, at the values fitted with the relation. others: equally good relations, with the cosine similarity of their
+    effects [1]. formulas: closed forms that retain the curve's gain in simulation, best first. shares: its size by run.
+    redundant: effects of the result that the relation replaces, with the share of the residual [1] that returns if the
+    effect is dropped. drives: sparsely driven ranges, and manoeuvres to drive next.
     """
 
     candidate: Candidate
@@ -65,8 +66,8 @@ class Relation:
 @dataclass(frozen=True)
 class RelationSearch:
     """Result of a search. relation: None if none is significant and large enough; why: the reason, or its gain in
-    figures. tried: held-out gain [1] and p-value [1] of every candidate, best first. visible: by candidate the smallest
-    detectable size at the end of the range of a straight line [unit of the curve]."""
+    figures. tried: held-out gain [1] and p-value [1] of every candidate, best first. visible: detection limit of each
+    candidate, the smallest detectable value of a linear relation at the end of its range [unit of the curve]."""
 
     relation: Relation | None
     why: str
@@ -74,7 +75,7 @@ class RelationSearch:
     visible: Mapping[str, float] = field(default_factory=dict)
 
     def not_examined(self) -> list[str]:
-        """Places whose smallest detectable relation exceeds MAX_DETECTABLE usual sizes."""
+        """Model terms whose detection limit exceeds MAX_DETECTABLE usual sizes."""
         size: dict[str, float] = {}
         for name, visible in self.visible.items():
             place, _, rest = name.partition(" over ")

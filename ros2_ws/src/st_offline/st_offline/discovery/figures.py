@@ -1,4 +1,4 @@
-"""Figures of a discovery: error by step, axle forces, shares by part of the driving, errors on the map, relation."""
+"""Figures of a discovery: error by step, axle forces, effects by part of the driving, errors on the map, relation."""
 
 import textwrap
 from collections import Counter
@@ -93,7 +93,8 @@ def _label(axes: plt.Axes, x: float, row: int, text: str) -> None:
 
 
 def axle_curves(scene: Scene) -> Drawn | None:
-    """Force of each axle over the driven slip, with its band, and how often each slip was driven."""
+    """Force of each axle versus slip angle, within the driven range, with its band, and the share of samples at each
+    slip angle."""
     curves = scene.found.axle_curves
     if not curves or not scene.found.model:
         return None
@@ -179,7 +180,7 @@ MAX_SHARE = 3.0  # end of the axis, where intervals are cut off
 
 
 def agreement(scene: Scene) -> Drawn | None:
-    """Value of each effect in each part of the driving, over the stated value."""
+    """Ratio of the local to the overall estimate of each effect, by part of the driving."""
     effects = [e for e in scene.found.effects if any(e.agreement.values())]
     if not effects:
         return None

@@ -43,8 +43,8 @@ EFFECT_NOTE = ("All figures are of the complete answer on held-out drives; witho
 
 
 def with_alternatives(found: Discovery, effect: FoundEffect, short: str = "") -> str:
-    """Name and value, and those of its alternatives, each with its value in that place; of a load, the largest that the
-    drives do not exclude. short: instead of name and value."""
+    """Name and value of an effect and of its alternatives, each with the value it takes if it replaces the effect; for
+    an added load, the upper limit. short: instead of name and value."""
     numbers = {c.name: c.parameters for c in found.candidates}
     most = {name: "up to " for name in effect.alternatives
             if any(p.deviation < math.inf for p in get_effect(name).parameters)}
@@ -162,7 +162,7 @@ def meaning(found: Discovery) -> list[str]:
 
 
 def varying(one: BoundEffect) -> str:
-    """An effect that varies over the driving, with its most significant shares."""
+    """An effect that varies over the driving, with its most significant local values relative to the largest."""
     ranked = sorted(one.values, key=lambda v: -abs(v.share) / max(v.deviation, 1e-9))[:MAX_PARTS]
     shown = "; ".join(f"{v.where}: {v.share:.2f} ± {Z95 * v.deviation:.2f}" for v in one.values if v in ranked)
     more = f" and {len(one.values) - len(ranked)} more" if len(one.values) > len(ranked) else ""
@@ -204,7 +204,7 @@ def residual(found: Discovery) -> str:
 
 
 def ratio_to_file(one: Combination) -> str:
-    """A combination over that of the vehicle file, with its 95 % interval."""
+    """Ratio of a combination to that of the vehicle file, with its 95 % interval."""
     low, high = (edge / one.file for edge in one.interval)
     return f"{one.name} × {one.value / one.file:.2f} ({low:.2f} to {high:.2f})"
 
@@ -236,7 +236,8 @@ def pair_rows(found: Discovery) -> list[tuple[str, ...]]:
 
 
 def not_visible(found: Discovery) -> str:
-    """The first effects that these drives cannot show, each with a size that was tried, vehicle parameters first."""
+    """The first effects that are not detectable in these drives, each with a size that was tried, vehicle parameters
+    first."""
     largest = {p.effect: p for p in sorted(found.certificate.powers, key=lambda p: abs(p.size))}
     ranked = sorted((n.name for n in found.not_testable), key=rank)
     names = ", ".join(plain(name) + (f" of {change(largest[name].size, largest[name].unit)}" if name in largest else "")
@@ -246,7 +247,7 @@ def not_visible(found: Discovery) -> str:
 
 
 def visible(found: Discovery) -> str:
-    """The smallest sizes these drives would show, vehicle parameters first."""
+    """The smallest detectable size of each effect in these drives, vehicle parameters first."""
     best: dict[str, Power] = {}
     for power in sorted(found.certificate.powers, key=lambda p: abs(p.size)):
         if power.found >= LIMITS.shown:
@@ -289,7 +290,7 @@ def _digits(deviation: float) -> int:
 
 
 def force_ratio(curve: ForceCurve) -> str:
-    """Force at the largest driven slip over the file's, with its 90 % band."""
+    """Ratio of the force at the largest driven slip to that of the vehicle file, with its 90 % band."""
     force, low, high = (newton[-1] / curve.file[-1] for newton in (curve.force, curve.low, curve.high))
     return f"× {force:.2f} (90 %: {low:.2f} to {high:.2f}) of the file's at {math.degrees(curve.slip[-1]):.1f}°"
 

@@ -28,7 +28,7 @@ from ._bag import is_whole, open_bag, recording_check
 from ._bands import add_coverage, coverage_check, read_bands
 from ._inputs import Inputs
 
-NICE = 5  # behind bridges and predictor: a third of an equal share
+NICE = 5  # lower priority than bridges and predictor: a third of their CPU share under contention
 WORK_PERIOD, SUMMARY_PERIOD = 0.05, 1.0  # s
 MODES = ("forecast", "hindsight")
 LEVELS = {"warning": diagnostics.WARN, "error": diagnostics.ERROR}

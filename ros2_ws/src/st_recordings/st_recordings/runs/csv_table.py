@@ -1,4 +1,4 @@
-"""Reads a CSV file as numbers: header, units and rows, of any delimiter, decimal mark, encoding and missing values."""
+"""Reads a CSV file with any delimiter, decimal mark, encoding or missing-value marker: header, units, numeric rows."""
 
 import csv
 import io
@@ -60,7 +60,7 @@ class Table:
 def text_of(file: Path, size: int = -1) -> str:
     """Text of a UTF-8, UTF-16 (of spreadsheets) or Windows-1252 file, lines ended by \\n.
 
-    Raises RunError for a binary file.
+    size: bytes to read, -1 for all. Raises RunError for a binary file.
     """
     return _decoded(file, size).replace("\r\n", "\n").replace("\r", "\n")
 

@@ -13,7 +13,7 @@ COMPRESSED_MARKS = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip, or a spreadsheet",
 _LOGGER = logging.getLogger("st_recordings")
 _logged: set[str] = set()
 MAX_ALIKE = 3
-"""Warnings logged in full of those that differ in their file and numbers only, while they are grouped."""
+"""While warnings are grouped: number logged in full of each set that differs only in file name and numbers."""
 # Warnings by their text without file and numbers, while they are grouped.
 _groups: ContextVar[dict[str, list[str]] | None] = ContextVar("_groups", default=None)
 
@@ -59,9 +59,8 @@ def log_warnings(warnings: Iterable[str]) -> None:
 
 @contextmanager
 def grouped_warnings() -> Iterator[None]:
-    """Within it, only the first of the warnings that differ in file and numbers are logged; at its end, the files of
-    the others.
-    """
+    """Context in which repeated warnings, which differ only in file and numbers, are abbreviated: the first MAX_ALIKE
+    are logged in full, on exit only the file names of the others."""
     groups: dict[str, list[str]] = {}
     token = _groups.set(groups)
     try:
@@ -76,7 +75,7 @@ def grouped_warnings() -> Iterator[None]:
 
 
 def join_problems(problems: Iterable[str]) -> str:
-    """Error messages as one text; of those that differ in the names of their files only, the first with all files."""
+    """Joins error messages; messages that differ only in the file name are merged into one that lists the files."""
     groups: dict[str, list[str]] = {}
     for problem in problems:
         file, _, message = problem.partition(": ")

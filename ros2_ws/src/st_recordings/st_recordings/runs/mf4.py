@@ -1,4 +1,8 @@
-"""Reads CANedge2 logs (MDF 4.11) with asammdf: both layouts, finalised or not, cut or not."""
+"""Reads CANedge2 logs (MDF 4.11) with asammdf: both record layouts, finalised or not, complete or truncated.
+
+Layout 1 (seen in firmware 01.04): one group for all buses, the bus is in each record, the payload in a hidden group
+(VLSD). Layout 2 (from firmware 01.07): one group per bus and kind of frame, classic payloads are in the record.
+"""
 
 import io
 import logging
@@ -56,7 +60,7 @@ def session_of(path: Path) -> tuple[str, int]:
 
 
 def refuse_makers_container(path: Path) -> None:
-    """Raises RunError for a compressed or encrypted container of the logger's maker, known by name or content."""
+    """Raises RunError for a compressed or encrypted container of the logger vendor, known by name or content."""
     if path.suffix.lower() in MAKERS_CONTAINERS or _head(path).startswith(b"Generic File"):
         kinds = {".mfc": "compressed", ".mfe": "encrypted", ".mfm": "compressed and encrypted"}
         kind = kinds.get(path.suffix.lower(), "compressed or encrypted")
@@ -67,8 +71,8 @@ def refuse_makers_container(path: Path) -> None:
 def read_mf4(path: Path) -> CanLog:
     """All CAN frames of one file, in order of time; the warnings do not name the file.
 
-    A file that ends in the middle of a record (usual when the ignition is switched off) is read up to there,
-    with a warning. Raises RunError for a file that is not MF4, has no CAN frames, or is cut in its index.
+    A file that ends in the middle of a record (usual when the ignition is switched off) is read up to there, with a
+    warning. Raises RunError for a file that is not MF4, has no CAN frames, or is truncated in its block structure.
     """
     check_readable(path)
     refuse_makers_container(path)
@@ -215,8 +219,8 @@ def _group_frames(log: Any, group: int, start_ns: int) -> Iterator[Frames]:
 def _frames(name: str, signal: Any, bus: int, start_ns: int, channels: Mapping[str, Any]) -> Frames:
     """Columns of some frames of a group; every column is checked, because a file can describe any layout.
 
-    channels: by short name. A virtual channel takes no bytes of the record, its value is its conversion; firmware
-    01.07 and later stores bus, IDE and direction so. Lengths of CAN FD frames come from a table of their code.
+    channels: by short name. A virtual channel takes no bytes of the record, its value is its conversion; firmware 01.07
+    and later stores bus, IDE and direction in this way. Lengths of CAN FD frames come from a table of their code.
     """
     rows, n = signal.samples, len(signal.samples)
     members = {m.rsplit(".", 1)[-1]: m for m in rows.dtype.names or ()}
