@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
 from .errors import StCoreError
 from .handling import understeer_coefficient
@@ -171,8 +170,9 @@ def _demand_problem(plan: PlannedInputs, state: VehicleState, vehicle: VehiclePa
         return f"plan: steering rate of {rate:.2f} rad/s at the road wheel (limit {MAX_STEERING_RATE:g})"
     speed = plan.speed
     if speed is None:
-        time = (plan.time_ns - plan.time_ns[0]) * NANOSECOND
-        speed = state.velocity_x + cumulative_trapezoid(plan.velocity_x_dot, time, initial=0.0)
+        # The trapezoidal rule by hand: scipy is not imported in the live path.
+        mean = 0.5 * (plan.velocity_x_dot[1:] + plan.velocity_x_dot[:-1])
+        speed = state.velocity_x + np.cumsum([0.0, *(mean * np.diff(plan.time_ns) * NANOSECOND)])
     across = speed * speed * angle / steady_state_steering(speed, np.ones_like(speed), vehicle)
     demand = float(np.hypot(plan.velocity_x_dot, across).max())
     return f"plan: acceleration of {demand:.1f} m/s^2 (limit {MAX_ACCELERATION:g})" if demand > MAX_ACCELERATION else ""
