@@ -19,6 +19,11 @@ def understeer_coefficient(car: VehicleParameters) -> float:
     return car.mass * (car.cg_to_rear_axle * rear - car.cg_to_front_axle * front) / (car.wheelbase**2 * front * rear)
 
 
+def rear_slip_coefficient(car: VehicleParameters) -> float:
+    """Slip angle of the rear axle per lateral acceleration in steady cornering, m l_f / (l C_r) [s^2/m]."""
+    return car.mass * car.cg_to_front_axle / (car.wheelbase * car.cornering_stiffness_rear)
+
+
 def linear_system(speed: float, car: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
     """(A, B) of d/dt (v_y, r) = A (v_y, r) + B delta, linearised about straight driving at `speed` [m/s].
 

@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from .handling import rear_slip_coefficient
 from .log import DriveLog
 from .timeseries import NANOSECOND, smoothed
 from .types import wrap_angle
@@ -30,7 +31,7 @@ Genesis drives with the heading of the INS: 0.003 (INS above the rear axle) to 0
 
 def steady_velocity_y(log: DriveLog, vehicle: VehicleParameters) -> np.ndarray:
     """v_y at the INS point in steady cornering [m/s], see the module."""
-    slip = vehicle.mass * vehicle.cg_to_front_axle / (vehicle.wheelbase * vehicle.cornering_stiffness_rear)
+    slip = rear_slip_coefficient(vehicle)
     return log.yaw_rate * (vehicle.cg_to_rear_axle - slip * log.velocity_x**2 + vehicle.cg_to_ins_x)
 
 

@@ -7,6 +7,7 @@ import pytest
 from exact_drive import Noise, Sines, exact_drive, late
 from st_core.checks import Severity, check, compare_runs
 from st_core.checks.agreement import agreement
+from st_core.sideslip import with_steady_sideslip
 
 SLALOM = {  # cornering brakes the car twice in each weave of 2 s: 0.06 m/s^2
     "speed": Sines(10.0, ((0.01, 1.0, 0.3),)), "turning": Sines(0.0, ((0.3, 2.0, 0.0),)),
@@ -86,13 +87,17 @@ def test_a_yaw_that_is_the_course_does_not_make_the_yaw_rate_late(leaf, speed):
     log = exact_drive(leaf, 60.0, speed=Sines(speed, ()), turning=Sines(0.0, parts))
     course = replace(log, yaw=log.yaw + np.arctan2(log.velocity_y, log.velocity_x), acceleration_y=None,
                      velocity_x=np.hypot(log.velocity_x, log.velocity_y), velocity_y=np.zeros(len(log.x)))
-    found = check(course, leaf)
-    assert [one.name for one in found.findings if one.advice.kind == "run.yaml"] == []
-    assert {one.name for one in found.findings if one.severity is not Severity.NOTE} <= {"channel_frozen",
-                                                                                         "steering_lag"}
-    lag = lags(course, leaf)["yaw_rate_lag"]  # l/v - K v: positive in slow driving, negative in fast
-    assert lag.advice.kind == "look" and (lag.value > 0.0) == (speed < 10.0)
-    # Discovery takes none of them for the sensor's.
-    assert not {"yaw_rate_lag", "yaw_rate_scale", "steering_lag"} & {*found.estimates}
+    unknown = lags(course, leaf)["yaw_rate_lag"]  # l/v - K v: positive in slow driving, negative in fast
+    assert unknown.severity is Severity.NOTE and unknown.advice.kind == "look"
+    assert (unknown.value > 0.0) == (speed < 10.0)
+    assert not {"yaw_rate_lag", "steering_lag"} & {*check(course, leaf).estimates}  # nor does discovery use it
+    read = with_steady_sideslip(course, leaf)  # as the recordings are read
+    assert not read.sideslip_measured
+    found = check(read, leaf)
+    assert {one.name for one in found.findings if one.severity is not Severity.NOTE} <= {"steering_lag"}
+    assert found.estimates["yaw_rate_scale"][0] == pytest.approx(1.0, abs=0.01)
+    scaled = {one.name: one for one in check(replace(read, yaw_rate=0.9 * read.yaw_rate), leaf).findings}
+    assert scaled["yaw_rate_scale"].severity is not Severity.NOTE
+    assert scaled["yaw_rate_scale"].value == pytest.approx(0.9, abs=0.01)
     worse = lags(late(course, 0.8, "yaw_rate"), leaf)["yaw_rate_lag"]
     assert worse.severity is Severity.WARNING and worse.advice.kind == "run.yaml"

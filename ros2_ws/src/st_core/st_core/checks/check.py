@@ -17,10 +17,9 @@ from .steps import check_position_steps
 from .trial import try_corrections
 from .units_and_axes import check_nominal_rate, check_time_unit, correct_units, yaw_is_late
 
-CHANGED_BY_SIDESLIP = ("steering_lag", "yaw_rate_lag", "yaw_lag", "yaw_rate_scale")
+CHANGED_BY_SIDESLIP = ("steering_lag", "yaw_rate_lag", "yaw_lag")
 MAX_INS_DISTANCE = 3.0  # m, from the rear axle forward to the INS of a road car
 MAX_REAR_COMPLIANCE = 0.01  # s^2/m, sideslip of the rear axle per lateral acceleration; road cars 0.003 to 0.008
-MIN_SCALE_BY_SIDESLIP = 0.7  # of the yaw rate against the rate of the course, where w tau = 1
 MIN_INS_SAMPLES = 50  # with fewer only the time stamps can be checked
 SensorResult = tuple[Motion, list[Finding], dict[str, Estimate], list[Identity]]
 """(corrected motion, findings, estimates by name of the finding, panels of the figure)."""
@@ -102,7 +101,7 @@ def _without_sideslip(finding: Finding, motion: Motion) -> Finding:
     explains it.
 
     The sideslip at a point l ahead of the rear axle is tau r, tau = l/v - K v, so the yaw rate r lags the course by
-    tau, and at the angular frequency w its size is 1/sqrt(1 + (w tau)^2) of the course's rate.
+    tau. `sideslip.with_steady_sideslip` removes it from a course as far as l and K of the vehicle file are right.
     """
     if finding.name not in CHANGED_BY_SIDESLIP:
         return finding
@@ -110,8 +109,7 @@ def _without_sideslip(finding: Finding, motion: Motion) -> Finding:
     if finding.name != "steering_lag":
         speed = max(float(np.average(motion.speed, weights=np.square(motion.yaw_rate) + 1e-12)), MOVING)
         low, high = {"yaw_rate_lag": (-MAX_REAR_COMPLIANCE * speed, MAX_INS_DISTANCE / speed),
-                     "yaw_lag": (-MAX_INS_DISTANCE / speed, MAX_REAR_COMPLIANCE * speed),
-                     "yaw_rate_scale": (MIN_SCALE_BY_SIDESLIP, 1.0)}[finding.name]
+                     "yaw_lag": (-MAX_INS_DISTANCE / speed, MAX_REAR_COMPLIANCE * speed)}[finding.name]
         if finding.value is None or not low <= finding.value <= high:
             return finding
         severity = Severity.NOTE

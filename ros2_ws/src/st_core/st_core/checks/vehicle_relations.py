@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..handling import linear_system, understeer_coefficient
+from ..handling import linear_system, rear_slip_coefficient, understeer_coefficient
 from ..vehicle import VehicleParameters
 from .agreement import ZERO, Agreement, agreement
 from .finding import HORIZON, LIMITS, Advice, Finding, Identity, Severity
@@ -206,7 +206,7 @@ def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, separable: b
     separable: whether the speed varies. Where slip and point are confounded, the slip is that of the vehicle file,
     within half of its value.
     """
-    expected = vehicle.mass * vehicle.cg_to_front_axle / (vehicle.wheelbase * vehicle.cornering_stiffness_rear)
+    expected = rear_slip_coefficient(vehicle)
     if separable:
         free = problem.estimates(("heading", "point", "slip"))
         if free["slip"].deviation < 0.25 * expected:

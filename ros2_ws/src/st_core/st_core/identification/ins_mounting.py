@@ -19,6 +19,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..handling import rear_slip_coefficient
 from ..log import DriveLog
 from ..regression import Blocks, Spread, blocks, correlation_of
 from ..vehicle import VehicleParameters
@@ -126,7 +127,7 @@ def _estimate(name: str, value: float, spread: Spread, index: int, factor: float
 
 def _compare_rear_slip(slip: float, variance: float, vehicle: VehicleParameters) -> str:
     """A sentence where the slip s contradicts the rear stiffness of the vehicle file, else an empty text."""
-    expected = vehicle.mass * vehicle.cg_to_front_axle / (vehicle.wheelbase * vehicle.cornering_stiffness_rear)
+    expected = rear_slip_coefficient(vehicle)
     found, uncertainty = -slip, float(np.sqrt(variance))
     if uncertainty > 0.5 * expected or abs(found - expected) < 2.0 * uncertainty:
         return ""

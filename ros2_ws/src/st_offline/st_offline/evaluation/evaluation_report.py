@@ -223,6 +223,6 @@ def summary(reports: Sequence[RunReport], over: str, horizon: float) -> list[str
     steering = describe_clocks({report.name: report.about["alignment"] for report in reports})
     return [f"{minutes:.1f} minutes, predictions of {horizon:g} s. With the measured inputs (hindsight) the error is "
             f"the model's; with the inputs of the start held (forecast) it includes the driver: "
-            f"{best} {', '.join([held, *ahead])}.",
+            f"lateral RMSE of {best} {', '.join([held, *ahead])}.",
             f"The recordings bias this: {biased}." if biased else "The checks found no error and no warning.",
             *([f"{steering}."] if steering else [])]

@@ -11,7 +11,7 @@ from st_core.types import wrap_angle
 from st_core.vehicle import VehicleParameters
 
 from .columns import Layout, doubtful_steering, find_columns
-from .csv_table import Table, all_known, header_of, join_tables, read_table
+from .csv_table import Table, all_known, header_of, join_tables, rate_of, read_table
 from .errors import RunError, share
 from .ins_log import SPEEDS, InsLog, car_speed, is_mostly_known, planar, yaw_of
 from .ncom import enu
@@ -209,12 +209,9 @@ def _complete_motion(table: Table, columns: dict[str, np.ndarray], notes: list[s
         speed = columns["velocity_x"]
         columns["velocity_x"], columns["velocity_y"] = speed * np.cos(slip), speed * np.sin(slip)
         if not np.nan_to_num(slip).any():
-            notes.append(f"{table.file}: no column is known as velocity_y; it is taken as 0")
+            notes.append(f"{table.file}: no column is known as velocity_y: the sideslip is not measured")
     if "yaw_rate" not in columns:
-        columns["yaw_rate"] = np.full(len(table.used), np.nan)
-        rows = np.flatnonzero(table.used & np.isfinite(columns["yaw"]))
-        if len(rows) > 2:
-            columns["yaw_rate"][rows] = np.gradient(np.unwrap(columns["yaw"][rows]), table.time_ns[rows] * 1e-9)
+        columns["yaw_rate"] = rate_of(table, columns["yaw"])
         notes.append(f"{table.file}: no column is known as yaw_rate; the derivative of yaw is used")
 
 

@@ -421,3 +421,12 @@ def _number(text: str) -> float:
 def all_known(columns: Mapping[str, np.ndarray], names: Iterable[str]) -> np.ndarray:
     """Whether each row has a number in all of the named channels."""
     return np.isfinite(np.stack([columns[name] for name in names])).all(axis=0)
+
+
+def rate_of(table: Table, angle: np.ndarray) -> np.ndarray:
+    """Derivative of an angle [rad/s] at the used rows that have it; NaN elsewhere, and with fewer than three."""
+    rate = np.full(len(angle), np.nan)
+    rows = np.flatnonzero(table.used & np.isfinite(angle))
+    if len(rows) > 2:
+        rate[rows] = np.gradient(np.unwrap(angle[rows]), table.time_ns[rows] * 1e-9)
+    return rate

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .columns import COLUMNS, UNITS, Layout, Place, doubtful_steering, find_columns, normalised, unit_named, with_units
-from .csv_table import DAY, Table, table_of, text_of, with_seconds
+from .columns import COLUMNS, Layout, Place, doubtful_steering, find_columns, normalised, unit_named, with_units
+from .csv_table import DAY, Table, rate_of, table_of, text_of, with_seconds
 from .errors import RunError, check_readable
 
 _SECTION = re.compile(r"^\[([^\]]*)\][ \t]*\n", re.MULTILINE)
@@ -20,7 +20,7 @@ _CREATED = re.compile(r"created on (\d{1,2})/(\d{1,2})/(\d{4})", re.IGNORECASE)
 # Standard channels: name in [column names] -> (channel, unit).
 _STANDARD_CHANNELS = {"lat": ("latitude", "min"), "latitude": ("latitude", "min"), "long": ("longitude", "min"),
                       "longitude": ("longitude", "min"), "velocity": ("velocity_x", "km/h"),
-                      "heading": ("compass_heading", "deg"), "time": ("t", "s")}
+                      "heading": ("course", "deg"), "time": ("t", "s")}
 # Units of the maker's loggers for other channels, where [channel units] gives none.
 _DEFAULT_UNITS = {"angular rate": "deg/s", "acceleration": "g", "angle": "deg", "speed": "km/h", "length": "m"}
 HEADER_SIZE = 65536  # bytes, in which the column names are
@@ -35,9 +35,7 @@ MIN_TURN_RATE = 0.01
 def read_vbo(file: Path, layout: Layout) -> Table:
     """The table of a drive's channels (csv.drive_of). Raises RunError.
 
-    GNSS gives the course over ground. Where the file has no heading of two antennas, yaw is that course, the lateral
-    velocity is zero (`st_core.sideslip` estimates both) and the yaw rate, if it has no channel, is the derivative of
-    the course, with a warning.
+    The heading of a VBO is the course over ground; only a receiver with two antennas also gives the heading of the car.
     """
     check_readable(file)
     text = text_of(file)
@@ -61,7 +59,7 @@ def read_vbo(file: Path, layout: Layout) -> Table:
         warnings.append(f"{file}: its times are not HHMMSS; they are taken as seconds")
         place = replace(place, stated=False)
     table = table_of(file, names, body, " ", layout, warnings, {**places, "t": place})
-    return _with_motion(table, names, warnings)
+    return _with_signs(table)
 
 
 def lacks_steering(file: Path) -> bool:
@@ -99,8 +97,8 @@ def _places(file: Path, names: list[str], sections: dict[str, str], layout: Layo
             places[channel] = Place(number, name, kind, unit_named(kind, units.get(name, "")) or unit, True)
         if normalised(name) in TRUE_HEADING_NAMES:
             unit = unit_named("angle", units.get(name, "")) or "deg"
-            places["true_heading"] = Place(number, name, "angle", unit, True)
-    if "yaw" in places and "compass_heading" in places and "yaw" not in layout.columns:
+            places["compass_heading"] = Place(number, name, "angle", unit, True)
+    if "yaw" in places and "course" in places and "yaw" not in layout.columns:
         places.pop("yaw")
     return with_units(file, places, layout)
 
@@ -146,36 +144,19 @@ def _seconds(text: str, midnight: float) -> tuple[float, float] | None:
     return (midnight + seconds, DAY) if is_time else None
 
 
-def _with_motion(table: Table, names: list[str], warnings: list[str]) -> Table:
-    """The table with longitude east positive, yaw, yaw rate and lateral velocity."""
-    columns = dict(table.columns)
+def _with_signs(table: Table) -> Table:
+    """The table with longitude east positive, and a yaw rate with the sign of the heading."""
+    columns, notes = dict(table.columns), list(table.warnings)
     if "longitude" in columns:
         columns["longitude"] = -columns["longitude"]
-    notes = list(table.warnings)
-    if "compass_heading" in columns and "velocity_x" in columns:
-        course = np.pi / 2 - columns.pop("compass_heading")
-        if "yaw" not in columns:
-            columns["yaw"] = np.pi / 2 - columns.pop("true_heading") if "true_heading" in columns else course
-        if "velocity_y" not in columns:
-            speed, slip = columns["velocity_x"], _wrapped(course - columns["yaw"])
-            columns["velocity_x"], columns["velocity_y"] = speed * np.cos(slip), speed * np.sin(slip)
-        _set_yaw_rate(table, columns, notes)
-    derived = {name: Place(-1, "heading", COLUMNS[name].kind, next(iter(UNITS[COLUMNS[name].kind])), False)
-               for name in ("yaw", "velocity_y", "yaw_rate") if name in columns}
-    places = derived | {name: place for name, place in table.places.items() if name != "true_heading"}
-    return Table(table.file, table.names, places, columns, table.time_ns, table.timeless, table.used, tuple(notes))
+    heading = next((columns[name] for name in ("compass_heading", "course") if name in columns), None)
+    if heading is not None and columns.keys() >= {"velocity_x", "yaw_rate"}:
+        _compare_yaw_rate(table, columns, rate_of(table, -heading), notes)
+    return replace(table, columns=columns, warnings=tuple(notes))
 
 
-def _set_yaw_rate(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
-    """Gives the yaw rate channel the sign of the heading, or replaces it by the derivative of the heading."""
-    rows = np.flatnonzero(table.used & np.isfinite(columns["yaw"]))
-    derived = np.full(len(columns["yaw"]), np.nan)
-    if len(rows) > 2:
-        derived[rows] = np.gradient(np.unwrap(columns["yaw"][rows]), table.time_ns[rows] * 1e-9)
-    if "yaw_rate" not in columns:
-        notes.append(f"{table.file}: no yaw rate channel; the derivative of the heading is used")
-        columns["yaw_rate"] = derived
-        return
+def _compare_yaw_rate(table: Table, columns: dict[str, np.ndarray], derived: np.ndarray, notes: list[str]) -> None:
+    """Gives the yaw rate channel the sign of the heading's derivative, or replaces it by that."""
     both = np.isfinite(columns["yaw_rate"]) & np.isfinite(derived) & (np.abs(columns["velocity_x"]) > 3.0)
     measured, expected = columns["yaw_rate"][both], derived[both]
     if both.sum() <= 10 or np.median(np.abs(expected)) < MIN_TURN_RATE:
@@ -189,7 +170,3 @@ def _set_yaw_rate(table: Table, columns: dict[str, np.ndarray], notes: list[str]
         notes.append(f"{table.file}: the yaw rate channel does not agree with the heading (correlation "
                      f"{agreement:.2f}); the derivative of the heading is used")
         columns["yaw_rate"] = derived
-
-
-def _wrapped(angle: np.ndarray) -> np.ndarray:
-    return (angle + np.pi) % (2 * np.pi) - np.pi
