@@ -1,10 +1,9 @@
-"""Scores of bands against those of the package scoringrules, which the offline package does not need."""
+"""Scores of bands that have few levels."""
 
 import numpy as np
-import pytest
 from st_core.bands.calibration import RELIABILITY, Band
 from st_offline.bands.bands_report import band_rows
-from st_offline.bands.scoring import _PROBABILITIES, finished, question_sums
+from st_offline.bands.scoring import finished, question_sums
 
 TIME = np.array([0.5, 1.0])
 
@@ -16,24 +15,6 @@ class Constant:
 
     def __call__(self, conditions):
         return np.broadcast_to([0.2, 0.3, 0.01], (len(conditions), len(TIME), 3))
-
-
-def test_interval_score_and_crps_are_those_of_scoringrules():
-    scoringrules = pytest.importorskip("scoringrules", reason="scoringrules is not installed")
-    random = np.random.default_rng(1)
-    ratios = np.sort(random.exponential(1.0, (3, len(RELIABILITY))), axis=1)
-    scale = Constant()(np.zeros((40, 4)))
-    errors = scale * random.standard_t(4, scale.shape)
-    conditions = np.column_stack([random.uniform(2.0, 20.0, 40), np.zeros((40, 3))])
-    sums = question_sums(Band(Constant(), {0.5: 1.0, 0.9: 2.0}, ratios), conditions, errors)
-    for level, c in ((0.5, 1.0), (0.9, 2.0)):
-        score = scoringrules.interval_score(errors, -c * scale, c * scale, 1.0 - level, backend="numpy")
-        assert [*sums["interval_score"][f"{level:g}"].values()] == pytest.approx(score.mean(axis=1).sum(axis=0))
-    for axis, value in enumerate(sums["crps"].values()):
-        quantiles = np.concatenate([-ratios[axis, ::-1], [0.0], ratios[axis]])
-        score = scoringrules.crps_quantile(errors[:, 1:, axis], scale[:, 1:, axis, None] * quantiles, _PROBABILITIES,
-                                           backend="numpy")
-        assert value == pytest.approx(float(score.sum()))
 
 
 def test_bands_from_too_few_runs_are_scored_at_the_highest_level_they_have():

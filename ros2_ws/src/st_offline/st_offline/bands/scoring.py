@@ -104,6 +104,8 @@ def question_sums(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sum
     speed, lateral acceleration and second ahead. interval_score [m, m, rad]: mean over the horizon, by level and axis.
     crps [m, m, rad]: mean over the whole seconds. half_width: by level, second and axis, at that second.
     """
+    import scoringrules  # loaded only where bands are scored
+
     scale, size = band.scale(conditions), np.abs(errors)
     ratio = size / scale
     time, levels = band.scale.time, shown_levels(band)
@@ -121,7 +123,7 @@ def question_sums(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sum
         within[key] = highest <= c
         sums["coverage"][key] = int(within[key].sum())
         sums["axes"][key] = _by_axis((by_axis <= c).sum(axis=0))
-        score = 2.0 * c * scale + 2.0 / (1.0 - level) * np.maximum(size - c * scale, 0.0)
+        score = scoringrules.interval_score(errors, -c * scale, c * scale, 1.0 - level, backend="numpy")
         sums["interval_score"][key] = _by_axis(score.mean(axis=1).sum(axis=0))
         sums["half_width"][key] = {f"{time[k]:g}": _by_axis(c * scale[:, k].sum(axis=0)) for k in whole}
     inside = {f"{level:g}": np.stack([(by_point[:, second == s] <= band.factors[level]).all(axis=1)
@@ -142,15 +144,14 @@ def question_sums(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sum
 
 
 def _crps(band: Band, scale: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """(3,) sums over starts of the mean over points: of the symmetric distribution with the band's quantiles.
+    """(3,) sums over starts of the mean over points: of the symmetric distribution with the band's quantiles."""
+    import scoringrules
 
-        CRPS = 2 mean_k (1{e <= q_k} - p_k) (q_k - e),  q_k the quantile of probability p_k
-    """
     found = np.zeros(errors.shape[2])
     for axis, ratios in enumerate(band.ratios):
         quantiles = np.concatenate([-ratios[::-1], [0.0], ratios])
-        below = scale[:, :, axis, None] * quantiles - errors[:, :, axis, None]
-        score = 2.0 * (((below >= 0.0) - _PROBABILITIES) * below).mean(axis=-1)
+        score = scoringrules.crps_quantile(errors[:, :, axis], scale[:, :, axis, None] * quantiles, _PROBABILITIES,
+                                           backend="numpy")
         found[axis] = score.mean(axis=1).sum() if score.size else 0.0
     return found
 
