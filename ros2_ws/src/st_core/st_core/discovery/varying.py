@@ -11,12 +11,10 @@ import numpy as np
 from scipy import stats
 
 from ..effects import get_effect
-from .evidence import Evidence, error_reductions, inverse, shares
+from .evidence import MIN_INFORMATION_SHARE, Evidence, error_reductions, inverse, shares
 from .fit import Fit, Problem
 from .levels import Level
 from .loss import Quadratic
-
-MIN_INFORMATION_SHARE = 0.02  # of all driving; a part with less information is ignored
 
 Part = tuple[int, np.ndarray, np.ndarray]  # number of a part, half gradient (k,) and curvature (k, k) of the loss there
 
