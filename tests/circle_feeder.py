@@ -75,7 +75,7 @@ def main() -> None:
             angle.valid = not within(t, options.invalid_steering)
             angle.header.stamp = from_nanoseconds(stamp_ns)
             steering.publish(angle)
-    spin.settle(node)
+    spin.flush(node)
     node.destroy_node()
     rclpy.shutdown()
 

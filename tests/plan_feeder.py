@@ -86,7 +86,7 @@ def main() -> None:
         fault = faults[int((t - options.good) / options.faulty)] if t >= options.good else ""
         if k % 10 == 0 and fault != "none":
             plans.publish(plan_message(drive, angle, k, stamp_ns, fault, options.path, car))
-    spin.settle(node)
+    spin.flush(node)
     node.destroy_node()
     rclpy.shutdown()
 

@@ -53,7 +53,7 @@ def main() -> None:
         angle.header.stamp = message.header.stamp
         steering.publish(angle)
     heard.wait_for(options.seconds - 1.0)
-    spin.settle(node)
+    spin.flush(node)
     node.destroy_node()
     rclpy.shutdown()
 

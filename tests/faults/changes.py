@@ -222,7 +222,7 @@ class Steering:
         if identifier(data) != STEERING:
             return (data,)
         frame, field = frame_data(data), self._spec.checksum.field
-        return (datagram(STEERING, field.written(frame, field.read(frame) ^ 1)),)
+        return (datagram(STEERING, field.with_value(frame, field.read(frame) ^ 1)),)
 
     def stuck_counter(self, data: bytes) -> Sequence[bytes]:
         if identifier(data) != STEERING:

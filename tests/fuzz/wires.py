@@ -10,7 +10,7 @@ from pathlib import Path
 
 import can
 from canedge_bridge.decode import Decoder, FrameStatistics, _row
-from canedge_bridge.receiver import Receiver, describe
+from canedge_bridge.receiver import Receiver, describe_error_frame
 from canedge_bridge.transport import LoopbackMulticastBus, pack_message, parse_channel
 from oxts_bridge import ncom
 from oxts_bridge.channels import FIELDS, encode_channel
@@ -175,7 +175,7 @@ def _can_frames(data: bytes, folder: Path) -> str:
                             is_remote_frame=bool(identifier & 0x40000000), data=payload, is_fd=len(payload) > 8,
                             is_error_frame=bool(identifier & 0x20000000), timestamp=0.01 * count)
         if frame.is_error_frame:
-            assert describe(frame)[0].isprintable()
+            assert describe_error_frame(frame)[0].isprintable()
         found = decoder.decode(frame, round((count + more) * 1e7))
         if found is not None:
             decoded += 1

@@ -6,7 +6,7 @@ import time
 
 import can
 import pytest
-from canedge_bridge.receiver import BusState, describe
+from canedge_bridge.receiver import BusState, describe_error_frame
 from canedge_bridge.transport import id_filters, open_bus
 from ros_processes import wait_for
 from vcan import EXTENDED_FLAG, REMOTE_FLAG
@@ -68,7 +68,7 @@ def test_error_frames_pass_the_filters_and_are_told_in_words(error_class, data, 
         interface.send_error(error_class, bytes.fromhex(data))
         arrived = bus.recv(5.0)
         assert arrived.is_error_frame
-        assert describe(arrived)[0] == text
+        assert describe_error_frame(arrived)[0] == text
 
 
 def test_the_state_of_the_bus_follows_its_error_frames(interface, start_receiver):

@@ -61,14 +61,14 @@ class Field:
     def read(self, data: bytes) -> int:
         return (data[self.byte] >> self.shift) & self.mask
 
-    def written(self, data: bytes, value: int) -> bytes:
+    def with_value(self, data: bytes, value: int) -> bytes:
         changed = bytearray(data)
         changed[self.byte] = changed[self.byte] & ~(self.mask << self.shift) & 0xFF | (value & self.mask) << self.shift
         return bytes(changed)
 
 
 def checksum_of(rule: Rule, field: Field, data: bytes, arbitration_id: int) -> int:
-    return rule.value(field.written(data, 0), arbitration_id)
+    return rule.value(field.with_value(data, 0), arbitration_id)
 
 
 class CounterCheck:

@@ -17,10 +17,9 @@ from .ins_time import to_parts, with_unix_time
 from .signals import ANGLES, MessageSpec, SignalSpec, SignalTable, load_table
 from .table_reader import TableError
 
-# A signal with more than TOLERATED implausible values among the last WINDOW frames (one second at 100 Hz) is withheld
-# until TOLERATED plausible ones in a row: the plausible values of a wrong DBC are isolated.
-WINDOW = 100
-TOLERATED = 10
+# A signal with more than MAX_IMPLAUSIBLE implausible values in PLAUSIBILITY_FRAMES frames (1 s at 100 Hz) is withheld
+# until MAX_IMPLAUSIBLE plausible ones in a row: with a wrong DBC, plausible values are isolated.
+PLAUSIBILITY_FRAMES, MAX_IMPLAUSIBLE = 100, 10
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,7 @@ class Plausibility:
         self._remember_ns = int(timeout * 1e9)
         self._previous: tuple[int, float] | None = None  # of the frame before, None if it was out of range
         self._accepted: tuple[int, float] | None = None
-        self._recent: deque[bool] = deque(maxlen=WINDOW)
+        self._recent: deque[bool] = deque(maxlen=PLAUSIBILITY_FRAMES)
         self._accepted_in_a_row = 0
         self.implausible = 0
 
@@ -106,7 +105,7 @@ class Plausibility:
     def implausible_signal(self) -> str:
         """Reason why the signal is withheld at present, empty if it is plausible; good frames end it."""
         bad = self._recent.count(False)
-        if bad <= TOLERATED or self._accepted_in_a_row >= TOLERATED:
+        if bad <= MAX_IMPLAUSIBLE or self._accepted_in_a_row >= MAX_IMPLAUSIBLE:
             return ""
         spec = self._spec
         return (f"{spec.dbc.name} decodes to implausible values: {bad} of the last {len(self._recent)} frames are "
@@ -123,7 +122,7 @@ class _Row:
 
 
 class Decoder:
-    """Decodes the messages of one signal table; files and refusals: see `load_table`.
+    """Decodes the messages of one signal table; files and errors: see `load_table`.
 
     A bad frame (wrong length, counter or checksum wrong and set to drop, not finite, not plausible) updates nothing,
     also not the time of the last message. `decode` never raises.
@@ -212,9 +211,9 @@ class Decoder:
                     row.counter.pass_over(time_ns)
                 return f"{spec.checksum.signal} is {found:#x}, {expected:#x} expected", checksum_mode is Mode.DROP
         if row.counter is not None and spec.counter is not None and counter_mode is not Mode.OFF:
-            right = row.counter.accepts(data, time_ns)
+            correct = row.counter.accepts(data, time_ns)
             statistics.lost = row.counter.lost
-            if not right:
+            if not correct:
                 statistics.wrong_counter += 1
                 return f"{spec.counter.signal} did not rise by 1", counter_mode is Mode.DROP
         return "", False
@@ -236,15 +235,15 @@ class Decoder:
             names = frozenset(s.name for s in spec.signals)
             if "ins_unix_time" in given and "ins_unix_time" not in names:
                 given.update(to_parts(given.pop("ins_unix_time"), names))
-        ours = {s.name: s for s in spec.signals} if spec is not None else {}
+        canonical = {s.name: s for s in spec.signals} if spec is not None else {}
         by_name = {s.name: s for s in dbc.signals}
         for name, value in given.items():
             if not math.isfinite(value):
                 raise ValueError(f"{message}.{name}: {value} cannot be sent")
-            if name in ours:
-                raw[ours[name].dbc.name] = _raw_of(ours[name], value)
-                if (sign_signal := ours[name].sign_signal) is not None:
-                    raw[sign_signal.name] = int(ours[name].to_physical(value) < 0)
+            if name in canonical:
+                raw[canonical[name].dbc.name] = _raw_of(canonical[name], value)
+                if (sign_signal := canonical[name].sign_signal) is not None:
+                    raw[sign_signal.name] = int(canonical[name].to_physical(value) < 0)
             elif name in by_name:
                 raw[name] = _to_raw(by_name[name], value)
             else:
@@ -254,14 +253,14 @@ class Decoder:
         data = dbc.encode(raw, scaling=False, strict=False)
         check = spec.checksum if spec is not None else None
         if check is not None and check.rule is not None:
-            data = check.field.written(data, checksum_of(check.rule, check.field, data, dbc.frame_id))
+            data = check.field.with_value(data, checksum_of(check.rule, check.field, data, dbc.frame_id))
         return can.Message(arbitration_id=dbc.frame_id, is_extended_id=dbc.is_extended_frame, data=data)
 
 
 def _row(spec: MessageSpec) -> _Row:
     counter = CounterCheck(spec.counter.field, int(spec.timeout * 1e9)) if spec.counter else None
-    judged = [s for s in spec.signals if math.isfinite(s.maximum) or math.isfinite(s.max_rate)]
-    return _Row(spec, counter, tuple((s.name, Plausibility(s, spec.period, spec.timeout)) for s in judged))
+    limited = [s for s in spec.signals if math.isfinite(s.maximum) or math.isfinite(s.max_rate)]
+    return _Row(spec, counter, tuple((s.name, Plausibility(s, spec.period, spec.timeout)) for s in limited))
 
 
 def _raw_of(spec: SignalSpec, si: float) -> float:

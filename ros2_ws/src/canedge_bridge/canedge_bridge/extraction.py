@@ -46,7 +46,7 @@ def decode_frame(message: DbcMessage, data: bytes) -> Mapping[str, float]:
         return {name: float(values[0]) for name, values in columns.items() if not np.isnan(values[0])}
 
 
-def gates(message: DbcMessage, signal: DbcSignal) -> list[tuple[DbcSignal, frozenset[int]]]:
+def multiplexer_conditions(message: DbcMessage, signal: DbcSignal) -> list[tuple[DbcSignal, frozenset[int]]]:
     """Conditions for a multiplexed signal to be in a frame: (selector, raw values it may have), from the inside out.
 
     All must hold; empty for a signal that is not multiplexed.
@@ -119,7 +119,7 @@ def _physical_columns(message: DbcMessage, payload: np.ndarray) -> dict[str, np.
     columns = {}
     for signal in message.signals:
         values = _physical(signal, raw_column(signal, payload))
-        for selector, ids in gates(message, signal):
+        for selector, ids in multiplexer_conditions(message, signal):
             values = np.where(np.isin(raw_column(selector, payload), list(ids)), values, np.nan)
         columns[signal.name] = values
     return columns

@@ -48,7 +48,7 @@ class Health:
         values = {
             "state": status.state, "rate [frames/s]": self._rate, "frames": status.frames,
             "error frames": status.error_frames, "last error frame": status.last_error, "times opened": status.opened,
-            "failures": status.failures, "frames not handled": status.callback_errors,
+            "failures": status.failures, "frames not processed": status.callback_errors,
             "receive delay median [ms]": 1e3 * status.delay, "receive delay maximum [ms]": 1e3 * status.delay_maximum,
         }
         text = f"{self._bus_name} {status.state}" + (f": {status.reason}" if status.reason else "")

@@ -15,8 +15,8 @@ MILLI_TIME_PARTS = ("gps_time", "gps_utc_offset")
 def with_unix_time(values: Mapping[str, Any]) -> dict[str, Any]:
     """The signals of a time frame with `ins_unix_time`, UTC [s since 1970], in place of the parts of GPS time.
 
-    values: name -> number or array. NaN where the parts make no time (the unit has none yet). Frames without parts of
-    GPS time are returned as they are.
+    values: name -> number or array. NaN where the parts form no valid time (the unit has none yet). Frames without
+    parts of GPS time are returned as they are.
     """
     if "gps_time" in values:
         unix = _from_milli_time(np.asarray(values["gps_time"]), np.abs(np.asarray(values["gps_utc_offset"])))
@@ -42,9 +42,9 @@ def _from_date_time(parts: Mapping[str, np.ndarray]) -> np.ndarray:
     """UTC [s] of a date and time in GPS time; NaN for an invalid date."""
     whole = {name: np.nan_to_num(part, nan=-1).astype(np.int64) for name, part in parts.items()}
     day = _day_number(whole["gps_century"] * 100 + whole["gps_year_of_century"], whole["gps_month"], whole["gps_day"])
-    clock = (whole["gps_hour"] < 24) & (whole["gps_minute"] < 60)
+    is_time = (whole["gps_hour"] < 24) & (whole["gps_minute"] < 60)
     seconds = day * 86400.0 + whole["gps_hour"] * 3600 + whole["gps_minute"] * 60
-    return _to_utc(np.where(clock, seconds + (parts["gps_second"] + parts["gps_second_fraction"]), np.nan))
+    return _to_utc(np.where(is_time, seconds + (parts["gps_second"] + parts["gps_second_fraction"]), np.nan))
 
 
 def _to_utc(gps_as_unix: np.ndarray) -> np.ndarray:

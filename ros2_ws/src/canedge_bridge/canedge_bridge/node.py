@@ -56,14 +56,14 @@ PARAMETERS = (
     Parameter("steering_ratio", math.nan, "steering wheel to road wheel; NaN: from vehicle_file", "1", 1.0, 60.0),
     Parameter("steering_wheel_offset", math.nan, "signed sensor reading when driving straight, left +; NaN: from "
               "vehicle_file", "rad", -math.pi, math.pi),
-    Parameter("steering_latency", 0.0, "from the turn of the wheel to the frame on this host", "s", 0.0, 1.0),
+    Parameter("steering_latency", 0.0, "delay from steering wheel motion to the stamp of its frame", "s", 0.0, 1.0),
     Parameter("silence_after", 1.0, "an open bus without a frame for this long counts as silent", "s", 0.05, 60.0),
     Parameter("publish_frames", False, "publish every raw frame on can/frames"),
 )
 
 
 class CanedgeBridge(Node):
-    """Publishes from the receive thread: one frame in, at most one message out, without a turn through the executor."""
+    """Publishes from the receive thread: one frame in, at most one message out, bypassing the executor."""
 
     def __init__(self) -> None:
         super().__init__("canedge_bridge")
@@ -80,7 +80,7 @@ class CanedgeBridge(Node):
             self._can_frames = self.create_publisher(CanFrames, "can/frames", QOS)
             self._frames_timer = self.create_timer(FRAMES_PERIOD, self._publish_frames)
         self._receiver = Receiver(
-            self._open, self._on_frame, on_state=self._on_state, on_trouble=self._on_trouble,
+            self._open, self._on_frame, on_state=self._on_state, on_error=self._on_trouble,
             silence=settings.silence_after,
             network_interface=settings.channel if settings.interface == "socketcan" else "")
         bus_name = f"{settings.interface}:{settings.channel}"
@@ -107,7 +107,7 @@ class CanedgeBridge(Node):
             offset = offset if math.isfinite(offset) else vehicle.steering_wheel_offset
         for name, value in (("steering_ratio", ratio), ("steering_wheel_offset", offset)):
             if not math.isfinite(value):
-                raise ConfigurationError(f"canedge_bridge.{name}: not given; set it, or vehicle_file that has it")
+                raise ConfigurationError(f"canedge_bridge.{name}: not set; set it or vehicle_file")
         return SteeringCalibration(settings.steering_sign, offset, ratio)
 
     def _open(self) -> can.BusABC:
@@ -151,7 +151,7 @@ class CanedgeBridge(Node):
     def _on_trouble(self, error: Exception) -> None:
         # At shutdown the context is destroyed before the thread ends; failures then are expected.
         if rclpy.ok():
-            self.get_logger().error(f"a frame could not be handled: {error!r}", throttle_duration_sec=5.0)
+            self.get_logger().error(f"a frame could not be processed: {error!r}", throttle_duration_sec=5.0)
 
     def _report_start(self, bus_name: str) -> None:
         logger, table = self.get_logger(), self._decoder.table
@@ -166,7 +166,7 @@ class CanedgeBridge(Node):
 def _make_decoder(settings: SimpleNamespace) -> Decoder:
     for name in ("dbc_file", "signals_file"):
         if not getattr(settings, name):
-            raise ConfigurationError(f"canedge_bridge.{name}: not given")
+            raise ConfigurationError(f"canedge_bridge.{name}: not set; name a file of config/can/")
     try:
         check_channel(settings.interface, settings.channel)
         checks = {}

@@ -65,15 +65,15 @@ class Receiver:
     silence: seconds without a frame after which an open bus counts as silent.
     network_interface: name of the interface, to detect that it is down or removed, which not every socket reports; ""
     for a bus without one.
-    on_trouble: called with every exception of a callback or of closing the bus; none ends the thread.
+    on_error: called with every exception of a callback or of closing the bus; none ends the thread.
     """
 
     def __init__(self, open_bus: Callable[[], can.BusABC], on_frame: Callable[[can.Message, int], None], *,
                  on_state: Callable[[BusState, str], None] = lambda state, reason: None,
-                 on_trouble: Callable[[Exception], None] = lambda error: None,
+                 on_error: Callable[[Exception], None] = lambda error: None,
                  silence: float = 1.0, network_interface: str = ""):
         self._open_bus, self._on_frame, self._on_state = open_bus, on_frame, on_state
-        self._on_trouble, self._silence, self._network_interface = on_trouble, silence, network_interface
+        self._on_trouble, self._silence, self._network_interface = on_error, silence, network_interface
         self._status = ReceiverStatus()
         self._delays: deque[int] = deque(maxlen=512)
         self._lock = threading.Lock()
@@ -154,7 +154,7 @@ class Receiver:
             self._set_state(BusState.OK, "")
 
     def _count_error_frame(self, frame: can.Message) -> None:
-        text, state = describe(frame)
+        text, state = describe_error_frame(frame)
         self._last_error_frame_at = time.monotonic()
         with self._lock:
             self._status.error_frames += 1
@@ -202,7 +202,7 @@ class Receiver:
         if changed:
             try:
                 self._on_state(state, reason)
-            except Exception as error:  # nor of a callback
+            except Exception as error:  # a failing callback must not end the thread either
                 self._on_trouble(error)
 
 
@@ -241,7 +241,7 @@ _PROTOCOL = {
 _PASSIVE = 0x30
 
 
-def describe(frame: can.Message) -> tuple[str, BusState | None]:
+def describe_error_frame(frame: can.Message) -> tuple[str, BusState | None]:
     """Text of an error frame's classes, and the bus state it reports; None if it reports none.
 
     Never raises; a frame without a known class bit gives "unknown error class" with its identifier.

@@ -14,7 +14,7 @@ from cantools.database.can import Signal as DbcSignal
 from .checks import RULES, Field, Mode, Rule
 from .extraction import EXTENDED
 from .ins_time import DATE_TIME_PARTS, MILLI_TIME_PARTS
-from .table_reader import Entry, TableError, read_document, words
+from .table_reader import Entry, TableError, one_line, read_document
 
 # Canonical signal names and their SI unit. Angles named in ANGLES are wrapped to [-pi, pi).
 CANONICAL_SIGNALS = {
@@ -147,7 +147,7 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Iterable[
     """
     dbc_path, table_path = Path(dbc_file), Path(signals_file)
     root = Entry(str(table_path), "", read_document(table_path))
-    root.only("messages")
+    root.allow_only("messages")
     rows = root.entry("messages")
     database = load_dbc(dbc_path, rows)
     required = tuple(needed)
@@ -190,7 +190,7 @@ def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
             return cantools.database.load_string(reduced, "dbc", strict=False)
     except Exception as error:
         reason = error
-    raise TableError(f"{path}: is not a valid DBC: {words(reason)}")
+    raise TableError(f"{path}: is not a valid DBC: {one_line(reason)}")
 
 
 def _reduced(text: str, names: frozenset[str]) -> str:
@@ -217,7 +217,7 @@ def _corrected(text: str) -> str:
 
 
 def _message(row: Entry, dbc: DbcMessage, dbc_path: Path) -> MessageSpec:
-    row.only("needed", "period", "timeout", "counter", "checksum", "fill", "samples", "signals")
+    row.allow_only("needed", "period", "timeout", "counter", "checksum", "fill", "samples", "signals")
     if dbc.is_container:
         raise TableError(f"{dbc_path}: {dbc.name} is a container of other messages, which is not supported")
     _check_layout(dbc, dbc_path)
@@ -246,7 +246,7 @@ def _check_layout(dbc: DbcMessage, dbc_path: Path) -> None:
     try:
         dbc.refresh(strict=True)
     except Exception as error:  # as for load_dbc
-        raise TableError(f"{dbc_path}: {dbc.name}: {words(error)}") from None
+        raise TableError(f"{dbc_path}: {dbc.name}: {one_line(error)}") from None
     for signal in dbc.signals:
         if signal.start < 0:
             raise TableError(f"{dbc_path}: {dbc.name}.{signal.name}: start bit {signal.start}; expected 0 or more")
@@ -263,7 +263,7 @@ def _find(dbc: DbcMessage, name: str, dbc_path: Path, row: Entry) -> DbcSignal:
 
 
 def _signal(entry: Entry, message: DbcMessage, dbc: DbcSignal, dbc_path: Path) -> SignalSpec:
-    entry.only("name", "unit", "sign", "sign_signal", "scale", "offset", "range", "max_rate")
+    entry.allow_only("name", "unit", "sign", "sign_signal", "scale", "offset", "range", "max_rate")
     name = entry.choice("name", CANONICAL_SIGNALS)
     unit = _unit(entry, name, dbc, dbc_path)
     factor = UNITS[unit][1]
@@ -322,7 +322,7 @@ def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
 
 
 def _check(entry: Entry, dbc: DbcMessage, dbc_path: Path, row: Entry, with_rule: bool = False) -> CheckSpec:
-    entry.only(*(("signal", "rule", "check") if with_rule else ("signal", "check")))
+    entry.allow_only(*(("signal", "rule", "check") if with_rule else ("signal", "check")))
     signal = _find(dbc, entry.text("signal"), dbc_path, row)
     rule = RULES[entry.choice("rule", RULES)] if with_rule else None
     shift = signal.start % 8 - (signal.length - 1 if signal.byte_order == "big_endian" else 0)
@@ -338,7 +338,7 @@ def _check(entry: Entry, dbc: DbcMessage, dbc_path: Path, row: Entry, with_rule:
 
 def _check_sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...], dbc_path: Path) -> None:
     """Raises TableError if the recorded frame of a sample does not decode to its value, apart from the sign."""
-    entry.only("data", "signal", "value", "unit")
+    entry.allow_only("data", "signal", "value", "unit")
     try:
         data = bytes.fromhex(entry.text("data"))
     except ValueError:

@@ -24,7 +24,7 @@ def read_document(path: Path) -> Any:
         raise TableError(f"{path}: invalid YAML: {error}") from None
 
 
-def words(error: object, limit: int = 300) -> str:
+def one_line(error: object, limit: int = 300) -> str:
     """The message of a parser's error as one printable line of at most `limit` characters."""
     text = "".join(c if c.isprintable() else " " for c in str(error))
     return textwrap.shorten(text, limit, placeholder=" ...") or type(error).__name__
@@ -57,7 +57,7 @@ class Entry:
     def __iter__(self) -> Iterator[str]:
         return iter(self._value)
 
-    def only(self, *known: str) -> None:
+    def allow_only(self, *known: str) -> None:
         for key in self._value:
             if key not in known:
                 raise self._fail(key, f"unknown key; known are {', '.join(known)}")
@@ -77,7 +77,7 @@ class Entry:
     def text(self, key: str) -> str:
         value = self._get(key)
         if not isinstance(value, str):
-            raise self._fail(key, f"{value!r} is not text")
+            raise self._fail(key, f"{value!r} is not a string")
         return value
 
     def boolean(self, key: str) -> bool:
@@ -109,7 +109,7 @@ class Entry:
     def quantity(self, key: str, unit: str, minimum: float, maximum: float) -> float:
         """`key: {value: 1.0, unit: s}`"""
         entry = self.entry(key)
-        entry.only("value", "unit")
+        entry.allow_only("value", "unit")
         entry.choice("unit", (unit,))
         return entry.number("value", minimum, maximum)
 

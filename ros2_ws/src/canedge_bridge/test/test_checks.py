@@ -24,7 +24,7 @@ def test_sum_by_hand():
 
 @given(data=st.binary(min_size=5, max_size=5), bit=st.integers(0, 39))
 def test_the_nibble_sees_every_single_bit_error(data, bit):
-    data = HIGH_NIBBLE.written(data, checksum_of(RULES["xor_nibble"], HIGH_NIBBLE, data, 2))
+    data = HIGH_NIBBLE.with_value(data, checksum_of(RULES["xor_nibble"], HIGH_NIBBLE, data, 2))
     hit = bytearray(data)
     hit[bit // 8] ^= 1 << bit % 8
     assert checksum_of(RULES["xor_nibble"], HIGH_NIBBLE, bytes(hit), 2) != HIGH_NIBBLE.read(bytes(hit))
@@ -34,9 +34,9 @@ def test_the_nibble_sees_every_single_bit_error(data, bit):
        shift=st.integers(0, 4))
 def test_a_field_touches_only_its_own_bits(data, value, byte, shift):
     field = Field(byte, shift, 4)
-    written = field.written(data, value)
+    written = field.with_value(data, value)
     assert field.read(written) == value
-    assert field.written(written, field.read(data)) == data
+    assert field.with_value(written, field.read(data)) == data
 
 
 def counts(values, step_ns=10_000_000, bits=4):

@@ -2,7 +2,7 @@
 
 import can
 import pytest
-from canedge_bridge.receiver import BusState, describe
+from canedge_bridge.receiver import BusState, describe_error_frame
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -26,9 +26,9 @@ def error_frame(identifier, data=bytes(8)):
     (0x044, "00", "controller, bus-off", BusState.BUS_OFF),
 ])
 def test_describe(identifier, data, text, state):
-    assert describe(error_frame(identifier, bytes.fromhex(data))) == (text, state)
+    assert describe_error_frame(error_frame(identifier, bytes.fromhex(data))) == (text, state)
 
 
 @given(st.integers(0, 0x7FF), st.binary(max_size=8))
 def test_no_error_frame_raises(identifier, data):
-    assert describe(error_frame(identifier, data))[0]
+    assert describe_error_frame(error_frame(identifier, data))[0]

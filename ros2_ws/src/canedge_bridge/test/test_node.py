@@ -263,7 +263,7 @@ def test_random_frames_on_the_bus_have_no_effect(rig, frame):
                     feed=lambda: run.bus.send(good))
     run.received("vehicle/steering", run.steer)
     assert run.spin(lambda: run.check("plausibility")[0] == OK, feed=run.steer)
-    assert run.values("bus")["frames not handled"] == "0"
+    assert run.values("bus")["frames not processed"] == "0"
     status, output = run.stop()
     assert status == 0 and "Traceback" not in output
 
@@ -282,7 +282,7 @@ def test_an_absent_bus_is_reported_once_and_does_not_end_the_node(rig, tmp_path)
     ({"steering_rato": 17.3}, "unknown parameter steering_rato"),
     ({"steering_sign": 0}, "steering_sign: 0 is not one of 1, -1"),
     ({"steering_ratio": 0.5}, "steering_ratio: 0.5 is outside 1 to 60"),
-    ({"steering_ratio": ".nan"}, "steering_ratio: not given; set it, or vehicle_file"),
+    ({"steering_ratio": ".nan"}, "steering_ratio: not set; set it or vehicle_file"),
     ({"vehicle_file": "/none.yaml"}, "vehicle_file: /none.yaml: cannot be read: No such file"),
     ({"dbc_file": "/none.dbc"}, "/none.dbc: cannot be read: No such file"),
     ({"interface": "sockcan"}, "interface 'sockcan' is not one of"),

@@ -172,7 +172,7 @@ def test_an_exception_in_the_callback_is_counted(bus, frame, start_receiver, unt
     def refuse(message, time_ns):
         raise LookupError(message.arbitration_id)
 
-    receiver = start_receiver(opener(bus), refuse, on_trouble=troubles.append)
+    receiver = start_receiver(opener(bus), refuse, on_error=troubles.append)
     assert until(lambda: receiver.status().opened == 1)
     bus.send(frame(1, ""))
     bus.send(frame(2, ""))
@@ -183,7 +183,7 @@ def test_an_exception_in_the_callback_is_counted(bus, frame, start_receiver, unt
 
 def test_an_exception_in_the_report_of_a_state_does_not_end_the_thread(bus, frame, start_receiver, until):
     troubles = []
-    receiver = start_receiver(opener(bus), on_trouble=troubles.append)
+    receiver = start_receiver(opener(bus), on_error=troubles.append)
     receiver._on_state = lambda state, reason: 1 / 0
     assert until(lambda: receiver.status().opened == 1)
     bus.send(frame(1, ""))

@@ -169,8 +169,7 @@ class Publishers:
         self._out["imu"].publish(self._imu)
 
     def trigger(self, message: Trigger) -> None:
-        if "trigger" in self._settings.topics:
-            self._out["trigger"].publish(message)
+        self._out["trigger"].publish(message)
 
     def status(self, message: InsStatus) -> None:
         if self._status is not None:
@@ -272,11 +271,10 @@ def make_status(stamp_ns: int, ins_frame: str, navigation_status: int, status: S
         satellites=_integer(get("GpsNumObs")),
         position_accuracy_north=accuracy.north,
         position_accuracy_east=accuracy.east,
-        # Standard deviations have no direction: the same up and down.
-        position_accuracy_down=accuracy.up,
+        position_accuracy_down=accuracy.vertical,
         velocity_accuracy_north=accuracy.velocity_north,
         velocity_accuracy_east=accuracy.velocity_east,
-        velocity_accuracy_down=accuracy.velocity_up,
+        velocity_accuracy_down=accuracy.velocity_vertical,
         heading_accuracy=accuracy.heading,
         pitch_accuracy=accuracy.pitch,
         roll_accuracy=accuracy.roll,

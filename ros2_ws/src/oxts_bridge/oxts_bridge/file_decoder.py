@@ -51,9 +51,9 @@ _HAS_NAVIGATION = np.array([rule.navigation != "none" for rule in BY_STATUS])
 _IS_APPROXIMATE = np.array([rule.navigation == "approximate" for rule in BY_STATUS])
 _SETS_CLOCK = np.isin(np.arange(256), list(ncom.MINUTE_STATUSES))
 _IS_KNOWN_CHANNEL = np.isin(np.arange(256), list(FIELDS))
-_NO_OFFSET = 1  # marks an invalid UTC offset: UTC - GPS is never positive
-_UTC_OFFSET = np.array([_NO_OFFSET if (offset := utc_offset(bytes([*[0] * 7, byte]))) is None else offset
-                        for byte in range(256)])
+_INVALID_UTC_OFFSET = 1  # s; UTC - GPS is never positive
+_UTC_OFFSET = np.array([
+    _INVALID_UTC_OFFSET if (offset := utc_offset(bytes([*[0] * 7, byte]))) is None else offset for byte in range(256)])
 
 
 @dataclass
@@ -267,7 +267,7 @@ def _utc_times(raw: np.ndarray, status: np.ndarray, channel: np.ndarray, gps_ns:
     offset = -at_all_gps(np.where(known, gps_ns // 1_000_000_000, 0))
     carriers = np.flatnonzero((channel == UTC_CHANNEL) & _SETS_CLOCK[status])
     sent = _UTC_OFFSET[raw[carriers, BATCH_S.stop - 1]]
-    carriers, sent = carriers[sent != _NO_OFFSET], sent[sent != _NO_OFFSET]
+    carriers, sent = carriers[sent != _INVALID_UTC_OFFSET], sent[sent != _INVALID_UTC_OFFSET]
     if len(carriers):
         offset[carriers[0]:] = np.repeat(sent, np.diff(carriers, append=len(gps_ns)))
     return np.where(known, gps_ns + (GPS_EPOCH_UNIX + offset) * 1_000_000_000, UNKNOWN_TIME)
@@ -315,12 +315,12 @@ def _no_packet_message(name: str, data: bytes) -> str:
         return f"{name}: empty file, contains no NCOM packet"
     head = data[:4]
     content = {
-        b"OggS": "an Ogg container (.xcom files are one; export NCOM from it first)",
-        b"\x7fELF": "a program",
+        b"OggS": "an Ogg container (an .xcom file? export NCOM from it first)",
+        b"\x7fELF": "an executable",
         b"PK\x03\x04": "a zip archive",
         b"MDF ": "an MDF log",
     }.get(head)
     if content is None:
         printable = sum(32 <= c < 127 or c in b"\t\r\n" for c in data[:512])
-        content = "text" if printable > 0.95 * len(data[:512]) else f"bytes {head.hex(' ')} ..."
-    return f"{name}: no NCOM packet in {len(data)} bytes (a packet has {PACKET_SIZE}); the file starts with {content}"
+        content = "text" if printable > 0.95 * len(data[:512]) else f"of unknown format (first bytes {head.hex(' ')})"
+    return f"{name}: no NCOM packet in {len(data)} bytes (one packet is {PACKET_SIZE} bytes); the file is {content}"

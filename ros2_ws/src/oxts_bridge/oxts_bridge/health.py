@@ -132,8 +132,8 @@ class Health:
             mode = get("GpsPosMode")
             self._best_mode = max(self._best_mode, mode, key=mode_rank)
             if mode_rank(mode) < mode_rank(self._best_mode):
-                was = mode_text(self._best_mode)
-                return Check("solution", WARN, f"{text}: position mode {mode_text(mode)}, was {was}", values)
+                change = f"position mode fell from {mode_text(self._best_mode)} to {mode_text(mode)}"
+                return Check("solution", WARN, f"{text}: {change}", values)
             return Check("solution", OK, text, values)
         if self.navigation_status in (EXPIRED, BLOCKED):
             return Check("solution", ERROR, text, values)

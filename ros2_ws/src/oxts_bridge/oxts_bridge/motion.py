@@ -133,15 +133,15 @@ class LocalFrame:
 class Accuracy:
     """Standard deviations reported by the unit; NaN: unknown (never sent, or marked as outdated).
 
-    east, north, up [m]; velocity_east, velocity_north, velocity_up [m/s]; roll, pitch, heading [rad].
+    east, north, vertical [m]; velocity_east, velocity_north, velocity_vertical [m/s]; roll, pitch, heading [rad].
     """
 
     east: float
     north: float
-    up: float
+    vertical: float
     velocity_east: float
     velocity_north: float
-    velocity_up: float
+    velocity_vertical: float
     roll: float
     pitch: float
     heading: float
@@ -154,12 +154,12 @@ class Accuracy:
     @property
     def position_variances(self) -> Vector | None:
         """East, north, up [m^2]; None while unknown."""
-        return _squares(self.east, self.north, self.up)
+        return _squares(self.east, self.north, self.vertical)
 
     @property
     def velocity_variances(self) -> Vector | None:
         """East, north, up [m^2/s^2]; None while unknown."""
-        return _squares(self.velocity_east, self.velocity_north, self.velocity_up)
+        return _squares(self.velocity_east, self.velocity_north, self.velocity_vertical)
 
     @property
     def attitude_variances(self) -> Vector | None:
@@ -212,8 +212,8 @@ def motion_of(received: Received) -> Motion | None:
 class Origin:
     """Origin of the map frame: the first fix, a given point, or the unit's own local frame; constant once chosen.
 
-    frame: None until chosen. degrees: latitude, longitude [deg], altitude [m], which reproduce the frame exactly.
-    With source "unit" the first fix is used if the unit sends no local frame within 10 s.
+    frame: None until chosen. geodetic: its latitude, longitude [deg], altitude [m]. source: as configured. used: the
+    source of the frame, "" until chosen; the first fix if the unit sends no local frame within 10 s.
     """
 
     def __init__(self, source: str, given: tuple[float, float, float] | None = None) -> None:
@@ -221,7 +221,7 @@ class Origin:
         self.source = source
         self.used = ""
         self.frame: LocalFrame | None = None
-        self.degrees: tuple[float, float, float] | None = None
+        self.geodetic: tuple[float, float, float] | None = None
         self._waiting_since_ns: int | None = None  # for the unit's local frame
         if given is not None:
             self._set(GIVEN, *given)
@@ -245,7 +245,7 @@ class Origin:
 
     def _set(self, used: str, latitude: float, longitude: float, altitude: float) -> LocalFrame:
         self.used = used
-        self.degrees = latitude, longitude, altitude
+        self.geodetic = latitude, longitude, altitude
         self.frame = LocalFrame(radians(latitude), radians(longitude), altitude)
         return self.frame
 

@@ -16,7 +16,7 @@ from .health import Health
 from .motion import FIRST_FIX, GIVEN, UNIT, Accuracy, Motion, Origin, Vector, motion_of
 from .ncom import NcomError
 from .packet_time import DUPLICATE, NEW, SAME, unix_nanoseconds
-from .sources import Continuity, ReplaySource, UdpSource, is_address
+from .sources import Continuity, ReplaySource, Source, UdpSource, is_address
 from .status import EventLog, StatusTracker
 from .stream import HostMinute, NcomParser, Received, StreamStatistics
 
@@ -68,8 +68,8 @@ class OxtsBridge(LifecycleNode):
         self._settings = parameters.declare(self, PARAMETERS)
         check(self._settings, self.get_name())
         self._live = not self._settings.replay_file
-        self._source: UdpSource | ReplaySource | None = None
-        self._topics: Publishers | None = None
+        self._source: Source | None = None
+        self._outputs: Publishers | None = None
         self._problem = ""
         self._reset()
         self._diagnostics = Diagnostics(self, "oxts", lambda: self._health.checks())  # noqa: PLW0108 - _reset() replaces it
@@ -78,7 +78,7 @@ class OxtsBridge(LifecycleNode):
         if self._settings.autostart:
             for transition in (self.trigger_configure, self.trigger_activate):
                 if transition() != _SUCCESS:
-                    raise ConfigurationError(f"{self.get_name()}.{self._problem or 'start refused'}")
+                    raise ConfigurationError(f"{self.get_name()}.{self._problem or 'cannot be activated'}")
 
     def _reset(self) -> None:
         s = self._settings
@@ -105,14 +105,14 @@ class OxtsBridge(LifecycleNode):
             self._problem = f"replay_file: {error}"
             self.get_logger().error(self._problem)
             return _FAILURE
-        self._topics = Publishers(self, self._settings)
+        self._outputs = Publishers(self, self._settings)
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         if self._source is None:
             self._source = self._make_source()
-        assert self._topics is not None, "created by on_configure()"
-        self._topics.static_transforms(time.time_ns())
+        assert self._outputs is not None, "created by on_configure()"
+        self._outputs.static_transforms(time.time_ns())
         self._source.start()
         self.get_logger().info(f"reading {self._source.status.name}")
         return super().on_activate(state)
@@ -123,9 +123,9 @@ class OxtsBridge(LifecycleNode):
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._stop_source()
-        if self._topics is not None:
-            self._topics.destroy()
-            self._topics = None
+        if self._outputs is not None:
+            self._outputs.destroy()
+            self._outputs = None
         return super().on_cleanup(state)
 
     on_shutdown = on_cleanup
@@ -134,7 +134,7 @@ class OxtsBridge(LifecycleNode):
         """Stop the thread, which must not publish after the node is destroyed."""
         self._stop_source()
 
-    def _make_source(self) -> UdpSource | ReplaySource:
+    def _make_source(self) -> Source:
         s = self._settings
         if self._live:
             return UdpSource(s.bind_address, s.udp_port, s.sender_filter, self._on_data, self._changed.trigger,
@@ -155,8 +155,8 @@ class OxtsBridge(LifecycleNode):
         for received in packets:
             received.received_ns = received_ns
             try:
-                if self._topics is not None:
-                    self._process(received, received_ns, self._topics, publish)
+                if self._outputs is not None:
+                    self._process(received, received_ns, self._outputs, publish)
             except Exception as error:  # an unforeseen packet must not end the thread
                 self._health.failures += 1
                 self.get_logger().error(f"packet at byte {received.offset} failed: {error!r}",
@@ -199,8 +199,8 @@ class OxtsBridge(LifecycleNode):
             return None
         before = self._origin.frame
         frame = self._origin.update(motion, self._status, received_ns)
-        if frame is not before and self._origin.degrees is not None:
-            publishers.origin(received_ns, self._origin.degrees)
+        if frame is not before and self._origin.geodetic is not None:
+            publishers.origin(received_ns, self._origin.geodetic)
         return None if frame is None else motion.position(frame)
 
     def _publish_motion(self, publishers: Publishers, received: Received, motion: Motion | None,
@@ -230,28 +230,28 @@ class OxtsBridge(LifecycleNode):
 def check(settings: SimpleNamespace, node_name: str) -> None:
     """Check what a single range cannot express. Raises ConfigurationError with the key and the required value."""
 
-    def refuse(key: str, reason: str) -> None:
+    def reject(key: str, reason: str) -> None:
         raise ConfigurationError(f"{node_name}.{key}: {reason}")
 
     for topic in settings.topics:
         if topic not in TOPICS:
-            refuse("topics", f"{topic!r} is none of {', '.join(TOPICS)}")
+            reject("topics", f"{topic!r} is none of {', '.join(TOPICS)}")
     if not is_address(settings.bind_address):
-        refuse("bind_address", f"{settings.bind_address!r} is not an IP address")
+        reject("bind_address", f"{settings.bind_address!r} is not an IP address")
     if settings.sender_filter and not is_address(settings.sender_filter):
-        refuse("sender_filter", f"{settings.sender_filter!r} is not an IP address")
+        reject("sender_filter", f"{settings.sender_filter!r} is not an IP address")
     lever = settings.base_to_ins
     if len(lever) != 3 or not all(isinstance(v, int | float) and math.isfinite(v) and abs(v) <= 100 for v in lever):
-        refuse("base_to_ins", f"{list(lever)} is not three lengths in m, each within 100 m")
+        reject("base_to_ins", f"{list(lever)} is not three lengths in m, each within 100 m")
     if settings.origin_source == GIVEN:
         for key in ("origin_latitude", "origin_longitude", "origin_altitude"):
             if math.isnan(getattr(settings, key)):
-                refuse(key, "needed because origin_source is given")
+                reject(key, "required when origin_source is 'given'")
     frames = [settings.map_frame, settings.odom_frame, settings.base_frame, settings.ins_frame]
     if settings.publish_tf and len(set(frames)) != len(frames):
-        refuse("map_frame", f"the four frames {', '.join(frames)} must differ while publish_tf is true")
+        reject("map_frame", f"the four frames {', '.join(frames)} must differ while publish_tf is true")
     if settings.replay_file and not Path(settings.replay_file).is_file():
-        refuse("replay_file", f"{settings.replay_file} is not a file")
+        reject("replay_file", f"{settings.replay_file} is not a file")
 
 
 def main() -> None:

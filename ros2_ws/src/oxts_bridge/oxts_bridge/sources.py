@@ -5,6 +5,7 @@ import socket
 import struct
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import cos, isfinite
@@ -89,7 +90,28 @@ class SourceStatus:
     loops: int = 0
 
 
-class UdpSource:
+class Source(ABC):
+    """NCOM bytes read in a thread of its own."""
+
+    def __init__(self, name: str):
+        self.status = SourceStatus(name)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Stop the thread if it runs; returns within about 0.2 s."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    @abstractmethod
+    def _run(self) -> None: ...
+
+
+class UdpSource(Source):
     """Receives the datagrams of a UDP port; a port that cannot be opened is retried every second.
 
     Without a filter, only the first address that sends NCOM is used, so that two units on one network do not mix.
@@ -101,25 +123,17 @@ class UdpSource:
                  continues: Callable[[bytes], bool] = lambda data: False):
         """sender_filter: IP address, or empty for any. on_change: called from the thread when `problem` changes.
         continues: whether a datagram from another port continues the stream, see Continuity."""
-        self.status = SourceStatus(f"udp {address}:{port}")
+        super().__init__(f"udp {address}:{port}")
         self._address, self._port, self._filter = address, port, sender_filter
         self._on_data, self._on_change, self._continues = on_data, on_change, continues
         self._in_use: tuple[str, int] | None = None
         self._last_packet_at = float("-inf")
-        self._stop = threading.Event()
         self._open_attempted = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="ncom-udp", daemon=True)
 
     def start(self) -> None:
         """Start the thread; returns after the first attempt to open the port."""
-        self._thread.start()
+        super().start()
         self._open_attempted.wait()
-
-    def stop(self) -> None:
-        """Stop the thread if it runs; returns within about 0.2 s."""
-        self._stop.set()
-        if self._thread.is_alive():
-            self._thread.join()
 
     def _run(self) -> None:
         while not self._stop.is_set():
@@ -199,7 +213,7 @@ def is_address(text: str) -> bool:
     return True
 
 
-class ReplaySource:
+class ReplaySource(Source):
     """Replays a file packet by packet with its recorded timing.
 
     The constructor raises NcomError for a file without packets and OSError for one that cannot be read.
@@ -209,23 +223,13 @@ class ReplaySource:
                  loop: bool = False, start_offset: float = 0.0):
         """start_offset: [s] after the first time in the file; earlier packets only set the status. on_restart: called
         before each repetition."""
-        self.status = SourceStatus(f"file {path}")
+        super().__init__(f"file {path}")
         columns = decode_file(path)
         self._data = path.read_bytes()
         self._offsets = columns.offset
         self._due = _due_times(columns.gps_ns, start_offset)
         self._on_data, self._on_restart = on_data, on_restart
         self._speed, self._loop = speed_factor, loop
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="ncom-replay", daemon=True)
-
-    def start(self) -> None:
-        self._thread.start()
-
-    def stop(self) -> None:
-        self._stop.set()
-        if self._thread.is_alive():
-            self._thread.join()
 
     def _run(self) -> None:
         while not self._stop.is_set():

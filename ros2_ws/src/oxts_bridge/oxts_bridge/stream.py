@@ -31,7 +31,7 @@ _NO_FIELDS: Mapping[str, Value] = {}
 HOST_MINUTE_DELAY_NS = 2_000_000_000
 # A step longer than this many typical ones is a gap.
 GAP_STEPS = 1.75
-_OFFSETS = 1000  # four seconds at 250 Hz
+_CLOCK_SAMPLES = 1000  # four seconds at 250 Hz
 
 
 @dataclass(slots=True)
@@ -67,7 +67,7 @@ class NcomParser:
         self.utc_offset: int | None = None
         self._tail = b""
         self._consumed = 0  # bytes of the stream before the tail
-        self._in_step = True  # a packet is expected at the beginning of the tail
+        self._in_sync = True  # a packet is expected at the beginning of the tail
         self._last_raw = b""
         self._last_trigger = b""
         self._decoded: dict[int, tuple[bytes, Mapping[str, Value]]] = {}
@@ -77,10 +77,10 @@ class NcomParser:
         return self.clock.jumps
 
     def restart(self) -> None:
-        """Start another stream: discard the time and the beginning of a cut packet, keep the counters."""
+        """Start another stream: discard the time and an incomplete packet, keep the counters."""
         jumps, self.clock = self.clock.jumps, GpsClock()
         self.clock.jumps = jumps
-        self._tail, self._in_step = b"", True
+        self._tail, self._in_sync = b"", True
 
     def feed(self, data: bytes, received_ns: int | None = None) -> list[Received]:
         """All packets completed by these bytes, in order; received_ns: host time of their receipt [ns since 1970]."""
@@ -89,7 +89,7 @@ class NcomParser:
         packets: list[Received] = []
         at = 0
         while True:
-            at, self._in_step = next_packet(buffer, at, self._in_step, self.counters)
+            at, self._in_sync = next_packet(buffer, at, self._in_sync, self.counters)
             if size - at < PACKET_SIZE:
                 break
             received = self._accept(buffer[at : at + PACKET_SIZE], self._consumed + at, received_ns)
@@ -197,7 +197,7 @@ class StreamStatistics:
         self.gaps = 0
         self._typical_ns = 0
         self._last_gps_ns: int | None = None
-        self._offsets: deque[int] = deque(maxlen=_OFFSETS)  # packet time minus receive time [ns]
+        self._offsets: deque[int] = deque(maxlen=_CLOCK_SAMPLES)  # packet time minus receive time [ns]
         self._steps, self._covered_ns, self._longest_ns = 0, 0, 0  # since take()
 
     def add(self, received: Received) -> None:

@@ -75,7 +75,7 @@ def test_heading_is_shown_from_0_to_360(tmp_path, packet):
     [
         (b"", "empty file"),
         (b"\xe7" * 50, "no NCOM packet in 50 bytes"),
-        (b"time,x,y\n1,2,3\n" * 40, "starts with text"),
+        (b"time,x,y\n1,2,3\n" * 40, "the file is text"),
         (b"OggS" + bytes(500), "Ogg container"),
         (bytes(range(256)) * 4, "no NCOM packet in 1024 bytes"),
     ],

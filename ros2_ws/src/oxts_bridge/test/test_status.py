@@ -25,7 +25,7 @@ def test_old_accuracy_is_unknown_not_zero():
     status.update(3, encode_channel(3, {"NorthAcc": 0.1, "EastAcc": 0.2, "AltAcc": 0.3}))
     accuracy = Accuracy.from_status(status)
     assert accuracy.position_variances and not accuracy.velocity_variances and not accuracy.attitude_variances
-    assert (accuracy.east, accuracy.north, accuracy.up) == pytest.approx((0.2, 0.1, 0.3))
+    assert (accuracy.east, accuracy.north, accuracy.vertical) == pytest.approx((0.2, 0.1, 0.3))
     status.update(3, encode_channel(3, {}))
     assert not Accuracy.from_status(status).position_variances
 

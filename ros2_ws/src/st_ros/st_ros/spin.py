@@ -37,7 +37,7 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice:
         # rclpy's own handlers shut the context down at once: `close` could not publish.
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy has no public base class; a parameter file that does not parse ends here
-        print(f"start refused: {_one_line(error)}", file=sys.stderr, flush=True)
+        print(f"cannot start: {_one_line(error)}", file=sys.stderr, flush=True)
         return 2
     try:
         node = make_node()
@@ -61,7 +61,7 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice:
             if hasattr(node, "close"):
                 node.close()
             if rclpy.ok():
-                settle(node)
+                flush(node)
             status = status or getattr(node, "exit_status", 0)
             if executor is not None:
                 # At the interpreter's exit its destructor may find the context destroyed and report an error.
@@ -71,7 +71,7 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice:
     return status
 
 
-def settle(node: Node) -> None:
+def flush(node: Node) -> None:
     """Wait until the reliable subscribers acknowledged all messages, at most `FLUSH_TIMEOUT`."""
     end = time.monotonic() + FLUSH_TIMEOUT
     for publisher in node.publishers:

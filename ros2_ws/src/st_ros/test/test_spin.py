@@ -160,7 +160,7 @@ def test_parameter_file_that_does_not_parse_is_status_two(processes: Processes) 
     node = script(processes, TALKER, "talker", "--ros-args", "--params-file", str(processes.folder / "broken.yaml"))
     assert node.wait(30) == 2
     assert "Traceback" not in processes.log("talker")
-    assert "start refused" in processes.log("talker")
+    assert "cannot start" in processes.log("talker")
     assert "broken.yaml" in processes.log("talker")
 
 

@@ -140,7 +140,7 @@ class Player:
         return 0
 
     def close(self) -> None:
-        spin.settle(self._node)
+        spin.flush(self._node)
         self._node.destroy_node()
 
     def _publishers(self, connections: Sequence[Any]) -> dict[str, Publisher]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from canedge_bridge.checks import RULES, Field, Mode, checksum_of
-from canedge_bridge.decode import TOLERATED, WINDOW
+from canedge_bridge.decode import MAX_IMPLAUSIBLE, PLAUSIBILITY_FRAMES
 from canedge_bridge.extraction import decode_log
 from canedge_bridge.ins_time import with_unix_time
 from canedge_bridge.signals import CheckSpec, MessageSpec, SignalSpec, SignalTable, load_table
@@ -208,11 +208,11 @@ def plausible(signal: SignalSpec, spec: MessageSpec, time_ns: np.ndarray, values
         if is_close or not (is_comparable or comparable[frame]):
             possible[frame], accepted = True, frame
     bad = np.concatenate(([0], np.cumsum(~possible)))
-    recent = bad[1:] - bad[np.maximum(frames + 1 - WINDOW, 0)]
+    recent = bad[1:] - bad[np.maximum(frames + 1 - PLAUSIBILITY_FRAMES, 0)]
     _, run, lengths = np.unique(bad[1:][possible], return_inverse=True, return_counts=True)
     isolated = np.zeros(len(values), dtype=bool)
-    isolated[possible] = lengths[run] < TOLERATED
-    return possible & ~((recent > TOLERATED) & isolated)
+    isolated[possible] = lengths[run] < MAX_IMPLAUSIBLE
+    return possible & ~((recent > MAX_IMPLAUSIBLE) & isolated)
 
 
 def checksum_matches(check: CheckSpec, payload: np.ndarray, arbitration_id: int) -> np.ndarray:
