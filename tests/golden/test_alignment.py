@@ -120,7 +120,7 @@ def test_a_steering_sensor_that_is_right_positive_aligns_as_well(pair: Pair) -> 
     assert result.verdict is Verdict.DOUBTFUL
     assert abs(pair.error(result, result.at_ns)) < 2 * result.offset_deviation
     wrong, _ = align_clocks(pair.ins, turned)
-    assert wrong.verdict is Verdict.REFUSED and "with the other steering_sign of the car they fit" in wrong.reasons[-1]
+    assert wrong.verdict is Verdict.REFUSED and "with the opposite steering_sign they agree" in wrong.reasons[-1]
 
 
 @pytest.mark.parametrize(("kept", "signal", "value"), [
@@ -184,5 +184,5 @@ def test_slip_of_braked_wheels_is_within_the_uncertainty_of_wheel_speeds(pair: P
 
     slipping = {k: with_slip(s) if s.name.startswith("wheel_speed") else s for k, s in kept.items()}
     result, _ = align_clocks(pair.ins, CanSignals(slipping, {}))
-    assert result.verdict is Verdict.DOUBTFUL and "delay and slip are not known" in result.reasons[-1]
+    assert result.verdict is Verdict.DOUBTFUL and "delay and slip are unknown" in result.reasons[-1]
     assert abs(pair.error(result, result.at_ns)) < 2 * result.offset_deviation

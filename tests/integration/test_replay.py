@@ -88,11 +88,11 @@ def foreign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same drive as another recorder has it: odometry in a frame `odom`, the angle as a bare Float64, a text."""
     from rosbags.highlevel import AnyReader
     from rosbags.rosbag2 import StoragePlugin, Writer
-    from st_recordings.runs.bag import definitions
+    from st_recordings.runs.bag import definitions_folder
     from st_recordings.runs.cdr import typestore
     from st_sim.run import main
 
-    base, store = tmp_path_factory.mktemp("foreign"), typestore(definitions())
+    base, store = tmp_path_factory.mktemp("foreign"), typestore(definitions_folder())
     vehicle = ROOT / "config/vehicle/leaf.yaml"
     assert main(["--scenario", "S6", "--vehicle", str(vehicle), "--duration", str(SECONDS), "--to-files",
                  str(base / "S6")]) == 0

@@ -64,7 +64,7 @@ def test_the_default_leaf_is_reported(capsys):
 
 @pytest.mark.parametrize(("text", "message"), [
     ("steering_sign: 2\n", "neither 1 nor -1"), ("steering_latency: 3\n", "not 0 to 1 s"),
-    ("steering_latency: true\n", "not 0 to 1 s"), ("mass: 1500\n", "mass: unknown"), ("- 1\n", "not a table"),
+    ("steering_latency: true\n", "not 0 to 1 s"), ("mass: 1500\n", "mass: unknown"), ("- 1\n", "not a YAML mapping"),
     ("steering_sign: [\n", "not YAML")])
 def test_an_invalid_car_is_refused(folder, text, message):
     (folder / "car.yaml").write_text(text)
@@ -74,12 +74,12 @@ def test_an_invalid_car_is_refused(folder, text, message):
 
 
 def test_a_car_nobody_knows_is_refused_with_those_that_are_known():
-    with pytest.raises(RunError, match=r"vehicle\.yaml is missing.*hyundai_genesis, leaf"):
+    with pytest.raises(RunError, match=r"contains no vehicle\.yaml.*hyundai_genesis, leaf"):
         load_car("unknown_car")
 
 
 def test_a_file_in_place_of_the_folder_of_a_car(folder):
-    with pytest.raises(RunError, match=f"this is a file, a car is a folder; give --car {folder}, or --vehicle"):
+    with pytest.raises(RunError, match=f"this is a file; a car is a folder; give --car {folder}, or --vehicle"):
         load_car(str(folder / "vehicle.yaml"))
 
 

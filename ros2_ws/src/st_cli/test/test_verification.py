@@ -17,12 +17,12 @@ from st_live import verification
 from st_live.replaying import not_played
 from st_live.verification import verify
 from st_recordings.mcap import BagWriter, recover
-from st_recordings.runs.bag import ODOMETRY, STEERING, definitions
+from st_recordings.runs.bag import ODOMETRY, STEERING, definitions_folder
 from st_recordings.runs.cdr import typestore
 from support import ROOT
 from typer.testing import CliRunner
 
-STORE = typestore(definitions())
+STORE = typestore(definitions_folder())
 PREDICTION, ERROR = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
 MODELS = ("kinematic", "linear")
 T0 = 1_756_900_800_000_000_000

@@ -16,7 +16,7 @@ from st_predictor import convert
 from st_predictor.map_drawing import History, Ribbon, car_outline
 from st_recordings.recorded import configuration_of
 from st_recordings.results import band_lines
-from st_recordings.runs.bag import definitions, open_bag, read_bag
+from st_recordings.runs.bag import definitions_folder, open_bag, read_bag
 from st_recordings.runs.cdr import typestore
 from st_ros.polling import to_nanoseconds
 
@@ -244,7 +244,7 @@ def draw(path: Path, file: Path, vehicle: Path | None = None) -> int:
     stream = recording(path.name, FLUSH, rr.FileSink(str(file)))
     feed = Feed(Scene(stream, car), recorded.nodes.get("predictor", {}).get("map_frame", "map"))
     pictures, due_ns = 0, 0
-    with AnyReader([bag], default_typestore=typestore(definitions())) as reader:
+    with AnyReader([bag], default_typestore=typestore(definitions_folder())) as reader:
         connections = [c for c in reader.connections if _suite_topic(c.topic)]
         for connection, log_ns, data in reader.messages(connections=connections):
             if log_ns >= due_ns:

@@ -14,8 +14,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from st_core.vehicle import VehicleParameters
 from st_recordings.recorded import configuration_of
 from st_recordings.runs import ReadSettings
-from st_recordings.runs.bag import read_bag, was_cut
-from st_recordings.runs.bag_storage import text_of
+from st_recordings.runs.bag import read_bag, was_interrupted
+from st_recordings.runs.bag_storage import recorded_text
 from st_recordings.runs.cdr import ODOMETRY, STEERING
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.reconstruct import RECONSTRUCTED
@@ -51,7 +51,7 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
     car, recorded, _ = configuration_of(drive.records, vehicle)
     file = folder / "vehicle.yaml"
     file.write_text(car.to_yaml())
-    text = text_of(drive.records, str(recorded.nodes.get("predictor", {}).get("course_file", "")))
+    text = recorded_text(drive.records, str(recorded.nodes.get("predictor", {}).get("course_file", "")))
     if course is None and text is not None:
         course = folder / "course.yaml"
         course.write_text(text)
@@ -66,7 +66,7 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
 def not_played(bag: Path, unknown: Sequence[str]) -> list[str]:
     """Lines that name what a replay leaves out: topics of unknown type, and the end of a truncated recording."""
     topics = [f"of unknown type and not played: {', '.join(unknown)}"] if unknown else []
-    return topics + ([TRUNCATED.format(bag, "played")] if was_cut(bag) else [])
+    return topics + ([TRUNCATED.format(bag, "played")] if was_interrupted(bag) else [])
 
 
 def player_options(steering: SteeringField | None, car: VehicleParameters) -> list[str]:

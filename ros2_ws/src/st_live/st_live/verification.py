@@ -32,7 +32,7 @@ from st_recordings.recorded import (
     read_scores,
 )
 from st_recordings.runs import ReadSettings
-from st_recordings.runs.bag import read_bag, was_cut
+from st_recordings.runs.bag import read_bag, was_interrupted
 
 from .configuration import TRUNCATED, recordings_of
 from .suite import SuiteError
@@ -103,7 +103,8 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     scores = read_scores(score_bags, progress)
     others = {mode: read_planned(bag, mode, progress) for mode in OTHER_MODES}
     signals = LogSignals(drive.log, settings.maximum_gap, settings.filter_cutoff)
-    truncated = [TRUNCATED.format(file, "compared") for file in dict.fromkeys((bag, *score_bags)) if was_cut(file)]
+    truncated = [TRUNCATED.format(file, "compared") for file in dict.fromkeys((bag, *score_bags))
+                 if was_interrupted(file)]
     comparisons, warnings = [], [*drive.warnings, *truncated]
     for name, live in predictions.items():
         try:

@@ -11,12 +11,12 @@ from st_core.vehicle import VehicleParameters
 from st_offline.checking.gate import check_bag
 from st_recordings.paths import config
 from st_recordings.runs import ReadSettings, find_runs, read
-from st_recordings.runs.bag import definitions, read_bag
+from st_recordings.runs.bag import definitions_folder, read_bag
 from st_recordings.runs.cdr import ODOMETRY, typestore
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.run_types import SteeringField
 
-STORE = typestore(definitions())
+STORE = typestore(definitions_folder())
 START_NS = 1_700_000_000_000_000_000
 N, STEP_NS = 400, 10_000_000
 FLOAT, STAMPED, TEXT = "std_msgs/msg/Float64", "geometry_msgs/msg/Vector3Stamped", "std_msgs/msg/String"
@@ -94,12 +94,12 @@ def test_the_hand_wheel_becomes_the_road_wheels_by_the_vehicle_file(tmp_path):
 
 
 @pytest.mark.parametrize(("topic", "field", "said"), [
-    ("/angle", "data", "no message of /angle is in it; it has /joints, /notes, /odom, /rack, /steering_angle"),
+    ("/angle", "data", "it contains no message of /angle, but /joints, /notes, /odom, /rack, /steering_angle"),
     ("/rack", "data", "no 'data'; it has header, vector"),
     ("/rack", "vector.y.z", "no 'z'; nothing is below it"),
     ("/rack", "vector", "is not a number"),
     ("/notes", "data", "is not a number"),
-    ("/joints", "position", "'position' of /joints is a list of 2; add the place in it, as position.0"),
+    ("/joints", "position", "'position' of /joints is a list of 2; add the index, as position.0"),
     ("/joints", "position.2", "no '2'; nothing is below it"),
 ])
 def test_what_is_no_angle_is_refused_by_name(tmp_path, topic, field, said):

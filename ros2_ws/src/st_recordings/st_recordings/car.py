@@ -47,13 +47,13 @@ def load_car(text: str) -> Car:
     """
     folder = Path(text) if "/" in text or Path(text).is_dir() else config("car") / text
     if folder.is_file():
-        raise RunError(folder, "this is a file, a car is a folder", f"give --car {folder.absolute().parent}, or "
+        raise RunError(folder, "this is a file; a car is a folder", f"give --car {folder.absolute().parent}, or "
                        "--vehicle for a vehicle file alone")
     if not (folder / "vehicle.yaml").is_file():
-        raise RunError(folder, "no car: vehicle.yaml is missing in it", f"known cars are {', '.join(car_names())}; or "
-                       "name the folder of a car")
+        raise RunError(folder, "not a car folder: it contains no vehicle.yaml",
+                       f"known cars are {', '.join(car_names())}; or name the folder of a car")
     file = folder / "car.yaml"
-    table = read_table(file) if file.exists() else {}
+    table = read_yaml_mapping(file) if file.exists() else {}
     unknown = set(table) - set(STEERING_DEFAULTS)
     if unknown:
         raise RunError(file, f"{', '.join(sorted(unknown))}: unknown", f"known keys are {', '.join(STEERING_DEFAULTS)}")
@@ -79,7 +79,7 @@ def read_vehicle(file: Path) -> VehicleParameters:
         raise RunError(file, f"cannot be read: {error}") from None
 
 
-def read_table(file: Path) -> dict:
+def read_yaml_mapping(file: Path) -> dict:
     """The mapping in a YAML file, {} for an empty one. Raises RunError."""
     check_readable(file)
     try:
@@ -87,5 +87,5 @@ def read_table(file: Path) -> dict:
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise RunError(file, f"not YAML: {short(error)}") from None
     if not isinstance(table, dict | None):
-        raise RunError(file, "not a table of keys and values")
+        raise RunError(file, "not a YAML mapping")
     return table or {}

@@ -20,7 +20,7 @@ from st_core.vehicle import (
     VehicleParameters,
 )
 
-from .car import Car, load_car, read_table, read_vehicle
+from .car import Car, load_car, read_vehicle, read_yaml_mapping
 from .paths import config
 from .runs.columns import unit_named
 from .runs.errors import RunError
@@ -79,7 +79,7 @@ BU_: CAR RT LOGGER
 // The messages of your car. You need one with the steering wheel angle, for example:
 // BO_ 37 MyCar_Steering: 8 CAR
 //  SG_ SteerAngle : 0|16@1- (0.1,0) [-3276.8|3276.7] "deg" LOGGER
-// start bit | length @ 1: low byte first, 0: high byte first; - signed, + unsigned; (factor,offset) [least|greatest].
+// start bit | length @ 1: low byte first, 0: high byte first; - signed, + unsigned; (factor,offset) [minimum|maximum].
 // A multiplexed signal (m0 with a selector M) is read from the frames that carry it.
 // If the OxTS RT sends on the same bus, append its messages: cat rt.dbc >> can.dbc
 """
@@ -87,7 +87,7 @@ CAR_TEMPLATE = """\
 # road_wheel_angle = (steering_sign * sensor - steering_wheel_offset) / steering_ratio, left positive.
 # steering_wheel_offset and steering_ratio are values of vehicle.yaml.
 steering_sign: 1         # 1: the sensor, as can.dbc and signals.yaml decode it, is positive to the left; -1: right
-steering_latency: 0.0    # s, from the motion of the wheel to the frame in the log (0 to 1)
+steering_latency: 0.0    # s, delay from steering wheel motion to the stamp of its frame (0 to 1)
 """
 VEHICLE_TEMPLATE = """\
 # Every value has a unit and a source. FILL_IN marks the values and sources that only you know.
@@ -170,14 +170,14 @@ def uncertainties(vehicle: VehicleParameters) -> list[str]:
             size = f"{100 * default.size:g} %" if default.relative else f"{spread:.3g}{unit}"
             lines.append(f"{key} taken as +/- {size} ({default.source}); state `uncertainty` to change that")
     free = [key for key in without if "." not in key and key not in NOT_FITTED]
-    return [*lines, f"not held to the file without a stated `uncertainty`: {', '.join(free)}"] if free else lines
+    return [*lines, f"free in st discover unless `uncertainty` is stated: {', '.join(free)}"] if free else lines
 
 
 def _vehicle_problems(file: Path) -> list[str]:
     try:
-        document = read_table(file)
+        document = read_yaml_mapping(file)
         if empty := set(_unfilled_keys(document)):
-            return [f"{file}: {key}: not filled in{_what_to_fill_in(key)}" for key in document if str(key) in empty]
+            return [f"{file}: {key}: not filled in{_fill_in_hint(key)}" for key in document if str(key) in empty]
         vehicle = read_vehicle(file)
     except (RunError, StCoreError) as error:
         return [str(error)]
@@ -192,7 +192,7 @@ def _vehicle_problems(file: Path) -> list[str]:
             f"{1e3 * step:g} ms; {needed:g} m/s or more is stable"]
 
 
-def _what_to_fill_in(key: str) -> str:
+def _fill_in_hint(key: str) -> str:
     if key not in VEHICLE_QUANTITIES:
         return ""
     entries = "value, source and uncertainty" if key in DEFAULT_UNCERTAINTIES else "value and source"
@@ -208,7 +208,7 @@ def _bus_problems(car: Car) -> list[str]:
         return [f"{missing}: the file does not exist, and {existing[0].name} cannot be used without it; write it, or "
                 "delete both"]
     try:
-        if any(_unfilled_keys(read_table(car.signals))):
+        if any(_unfilled_keys(read_yaml_mapping(car.signals))):
             return [f"{car.signals}: messages: {FILL_IN}_message and {FILL_IN}_signal are not filled in: names in "
                     f"{car.dbc.name} of the message and the signal with the steering wheel angle; if all recordings "
                     "are CSV or bags, delete both files"]

@@ -30,11 +30,11 @@ __all__ = ["BagWriter", "Qos", "RecoveryError", "RecoveryReport", "recover"]
 CHUNK_SIZE = 1024 * 1024
 """Bytes that are compressed together; at high rates a chunk is full before FLUSH_PERIOD is over."""
 FLUSH_PERIOD = 0.5
-"""s. A kill may cost one second: half of it here, the other half is left for the caller's own delays."""
+"""s. A killed process loses at most the last second: half of it here, half by delays of the caller."""
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """After these, chunks are given up, newest first, until the index fits. After others everything written is kept."""
 _MESSAGE_RECORD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
-_MESSAGE_HEAD_LENGTH = 22  # of which inside the record
+_MESSAGE_HEAD_LENGTH = 22  # bytes of it after opcode and length
 
 
 class BagWriter:
@@ -53,8 +53,8 @@ class BagWriter:
             directory: must not exist, or be empty; nothing is ever overwritten.
             records: MCAP metadata records, name -> {key: text}; short one-line texts also go to `custom_data` of
                 metadata.yaml as "name.key".
-            synced: each chunk is brought to the disk at once, by a separate thread: a loss of power
-                costs the last second. For live recordings.
+            synced: a separate thread synchronises each chunk with the disk at once, so that a power failure costs
+                only the last second. For live recordings.
 
         Raises:
             OSError: cannot be created, or (FileExistsError) is not empty.

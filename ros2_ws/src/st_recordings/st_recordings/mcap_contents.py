@@ -56,7 +56,7 @@ class WritableStream(Protocol):
 
 
 class DamagedError(ValueError):
-    """A record is whole in length but not in content."""
+    """A record of full length has invalid content."""
 
 
 def _serialised(*records: McapRecord) -> bytes:

@@ -13,8 +13,8 @@ from st_core.vehicle import VehicleParameters
 from .car import read_vehicle
 from .paths import config
 from .runs import RunError
-from .runs.bag import definitions, open_bag
-from .runs.bag_storage import parameters, text_of
+from .runs.bag import definitions_folder, open_bag
+from .runs.bag_storage import recorded_parameters, recorded_text
 from .runs.cdr import field_of, typestore
 
 PREDICTION, ERROR = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
@@ -47,10 +47,10 @@ class PlannedPredictions(Predictions):
 
     def inputs_at(self, starts_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The two inputs for given start times (n,) [ns]; NaN for a start without a prediction."""
-        place = np.searchsorted(self.starts_ns, starts_ns).clip(max=len(self.starts_ns) - 1)
-        found = (self.starts_ns[place] == starts_ns)[:, None]
-        return (np.where(found, self.road_wheel_angle[place], np.nan),
-                np.where(found, self.velocity_x_dot[place], np.nan))
+        index = np.searchsorted(self.starts_ns, starts_ns).clip(max=len(self.starts_ns) - 1)
+        found = (self.starts_ns[index] == starts_ns)[:, None]
+        return (np.where(found, self.road_wheel_angle[index], np.nan),
+                np.where(found, self.velocity_x_dot[index], np.nan))
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +84,8 @@ class RecordedConfiguration:
 
 def recorded_configuration(records: Mapping[str, Mapping[str, str]]) -> RecordedConfiguration:
     """The configuration in the metadata records of a recording (runs.bag.BagDrive.records)."""
-    nodes = parameters(records)
-    vehicle = text_of(records, str(nodes.get("predictor", {}).get("vehicle_file", "")))
+    nodes = recorded_parameters(records)
+    vehicle = recorded_text(records, str(nodes.get("predictor", {}).get("vehicle_file", "")))
     return RecordedConfiguration(vehicle or records.get("configuration", {}).get("vehicle"), nodes)
 
 
@@ -156,7 +156,7 @@ def read_messages(bags: Sequence[Path], type_name: str, progress: Progress | Non
 
     progress: called with the number of messages read in a bag, and their total.
     """
-    store = typestore(definitions())
+    store = typestore(definitions_folder())
     for bag in bags:
         storage = open_bag(bag)
         topics = [t for t in storage.topics() if t.type_name == type_name and t.count and t.name.endswith(topic_end)]

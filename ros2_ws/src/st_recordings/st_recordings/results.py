@@ -14,16 +14,16 @@ from st_core.evaluation import Statistic
 
 from .paths import json_ready, replace_file, source_version
 from .recorded import ERROR, read_messages
-from .runs.bag import definitions, open_bag, read_fields
+from .runs.bag import definitions_folder, open_bag, read_fields
 from .runs.bag_storage import Storage
 from .runs.cdr import field_of, typestore
 from .runs.ins_log import yaw_of
 
 MODES = ("forecast", "hindsight")
-DRAWN_STARTS = 6  # whose predictions are drawn on the map
+DRAWN_STARTS = 6  # number of starts whose predictions are drawn on the map
 ODOMETRY_TOPIC, STATUS_TOPIC, SUMMARY_TOPIC = "/ins/odometry", "/predictor/status", "/evaluator/summary"
 BAND_LABELS = {"forecast": "forecast", "hindsight": "model", "course": "course", "plan": "plan"}
-"""Mode of a score -> what the user reads, in the order of the report."""
+"""Mode of a score -> its name for the user, in the order of the report."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def _read_track(path: Path, bag: Storage) -> Track:
         return Track(np.empty(0, np.int64), *(np.empty(0),) * 3)
     position = [f"pose.pose.position.{axis}" for axis in "xy"]
     quaternion = [f"pose.pose.orientation.{axis}" for axis in "xyzw"]
-    values = read_fields(path, bag, topic, ["header.stamp", *position, *quaternion], typestore(definitions()))
+    values = read_fields(path, bag, topic, ["header.stamp", *position, *quaternion], typestore(definitions_folder()))
     x, y = (values[name] for name in position)
     return Track(values["header.stamp"], x, y, np.unwrap(yaw_of(*(values[name] for name in quaternion))))
 
@@ -105,7 +105,7 @@ def _read_track(path: Path, bag: Storage) -> Track:
 def _last_message(bag: Storage, topic: str, type_name: str) -> Any:
     """The last message of a topic; None without one."""
     last = deque(bag.messages(topic), maxlen=1)
-    return typestore(definitions()).deserialize_cdr(last[0], type_name) if last else None
+    return typestore(definitions_folder()).deserialize_cdr(last[0], type_name) if last else None
 
 
 def _read_ticks(bag: Storage) -> dict[str, Any]:

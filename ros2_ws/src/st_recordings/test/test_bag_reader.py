@@ -13,12 +13,12 @@ from oxts_bridge.ncom import Packet, encode
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from st_recordings.mcap import BagWriter
 from st_recordings.runs import bag
-from st_recordings.runs.bag import ODOMETRY, STEERING, definitions, read_bag
-from st_recordings.runs.bag_storage import Mcap, Sqlite
+from st_recordings.runs.bag import ODOMETRY, STEERING, definitions_folder, read_bag
+from st_recordings.runs.bag_storage import McapStorage, SqliteStorage
 from st_recordings.runs.cdr import INS_ON_CAN, INS_STATUS, NCOM, WHEEL_SPEEDS, Layout, typestore
 from st_recordings.runs.errors import RunError
 
-STORE = typestore(definitions())
+STORE = typestore(definitions_folder())
 START_NS = 1_700_000_000_123_456_789
 N = 500
 
@@ -113,10 +113,10 @@ def test_a_bag_of_any_recorder(tmp_path: Path, storage: str) -> None:
     check(alone)
 
 
-@pytest.mark.parametrize("kind", [Mcap, Sqlite])
+@pytest.mark.parametrize("kind", [McapStorage, SqliteStorage])
 def test_the_quick_way_is_the_way_taken_and_equal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: type) -> None:
     folder = tmp_path / "drive"
-    if kind is Mcap:
+    if kind is McapStorage:
         write_ours(folder, OURS)
     else:
         write_rosbags(folder, OURS, StoragePlugin.SQLITE3)
@@ -229,7 +229,7 @@ def test_a_bag_is_no_worse_for_other_topics_that_are_damaged(tmp_path: Path) -> 
 
 def test_missing_topics_and_doubles_are_named(tmp_path: Path) -> None:
     odometry_only = {key: m for key, m in OURS.items() if key[1] != STEERING}
-    with pytest.raises(RunError, match=r"no message of type st_msgs/msg/Steering is in it; it has /ins/odometry"):
+    with pytest.raises(RunError, match=r"it contains no message of type st_msgs/msg/Steering, but /ins/odometry"):
         read_bag(write_ours(tmp_path / "one", odometry_only))
     doubled = {**{key: m for key, m in OURS.items() if key[1] == STEERING},
                ("/a", ODOMETRY): OURS["/ins/odometry", ODOMETRY], ("/b", ODOMETRY): OURS["/ins/odometry", ODOMETRY]}
@@ -286,7 +286,7 @@ def test_a_topic_of_two_publishers_is_read_in_the_order_of_the_file(tmp_path: Pa
             for k, (time_ns, data) in enumerate(messages):
                 writer.add_message(channels[k % 2], time_ns, data, time_ns)
         writer.finish()
-    times = [time_ns for time_ns, _ in bag.open_bag(tmp_path / "two.mcap").timed("/ins/odometry")]
+    times = [time_ns for time_ns, _ in bag.open_bag(tmp_path / "two.mcap").timed_messages("/ins/odometry")]
     assert times == [time_ns for time_ns, _ in OURS["/ins/odometry", ODOMETRY]]
     check(tmp_path / "two.mcap")
 

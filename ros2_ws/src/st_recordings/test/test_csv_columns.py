@@ -271,7 +271,7 @@ def test_a_channel_that_is_mostly_bad_is_said(tmp_path: Path) -> None:
     assert "steering_wheel_angle (column swa) has no number in more than half of the rows; it is not used" in said
     assert drive.log.acceleration_x is None and drive.log.steering_wheel_angle is None
     assert (len(drive.log.x), len(drive.log.road_wheel_angle)) == (20, N)
-    with pytest.raises(RunError, match="fewer than two usable rows are in it: y has no number in 59 of 60"):
+    with pytest.raises(RunError, match="it contains fewer than two usable rows: y has no number in 59 of 60"):
         read_csv(spoilt(file, {(k, 2): "n/a" for k in range(59)}))
 
 

@@ -61,7 +61,7 @@ def test_rows_that_cannot_be_used_are_left_out_and_counted(tmp_path: Path) -> No
     log, warnings = drive.log, drive.warnings
     assert len(log.ins_time_ns) == 98
     assert [w.split(": ", 1)[1] for w in warnings] == [
-        "the last row is cut; it was left out",
+        "the last row is truncated; it was left out",
         "1 of 100 rows (1 %) are not newer than all before; they were left out",
         "velocity_x (column vx): 1 of 100 rows (1 %) have no number; these samples of the INS were left out",
     ]
@@ -83,9 +83,9 @@ def test_semicolons_and_other_column_orders(tmp_path: Path) -> None:
         ([""], "no column of the header is known as t, x"),
         (["t,x,y,yaw", "0,0,0,0"],
          "no column of the header is known as velocity_x, .*; it has t, x, y, yaw; .*columns: {velocity_x: NAME"),
-        ([HEADER], "fewer than two usable rows"),
+        ([HEADER], "it contains fewer than two usable rows"),
         ([HEADER, *rows(3), *["1,2,3"] * 7, *rows(3)], "a row cannot be read"),
-        ([HEADER, *rows(1), *["a,b,c,d,e,f,g,h,i,j"] * 3], "fewer than two usable rows"),
+        ([HEADER, *rows(1), *["a,b,c,d,e,f,g,h,i,j"] * 3], "it contains fewer than two usable rows"),
     ],
 )
 def test_files_that_cannot_be_used(tmp_path: Path, lines: list[str], message: str) -> None:

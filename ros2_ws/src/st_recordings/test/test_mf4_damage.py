@@ -59,10 +59,10 @@ def damaged(tmp_path: Path, place: str, layout: str, value: object) -> Path:
         ("flags", "<H", 7, "have channels and no fixed length"),
         ("size of identifiers", "<B", 3, "has record identifiers of 3 bytes"),
         ("next data group", "<Q", 64, "its index leads to byte 64 twice"),
-        ("next channel", "<Q", 0, "no CAN frames are in the log"),
+        ("next channel", "<Q", 0, "the log contains no CAN frames"),
         ("next channel", "<Q", 2**63, "its index points to byte 9223372036854775808"),
-        ("kind", "<B", 0, "its frames have no time"),
-        ("type of time", "<B", 15, "is the time and not a real number"),
+        ("kind", "<B", 0, "its records have no time channel"),
+        ("type of time", "<B", 15, "the time channel at byte"),
         ("factor", "<d", math.nan, "gives invalid times"),
         ("factor", "<d", 1e307, "the times of its frames are invalid"),
         ("factor", "<d", 1e200, "the times of its frames are invalid"),
@@ -106,5 +106,5 @@ def test_a_frame_whose_payload_is_nowhere(tmp_path, offset):
     struct.pack_into("<Q", content, records + 1 + 14, offset)
     file = tmp_path / "log.MF4"
     file.write_bytes(content)
-    with pytest.raises(RunError, match="payloads are not at the places given in its frames"):
+    with pytest.raises(RunError, match="the payload offsets in its frames are invalid"):
         read_mf4(file)

@@ -176,7 +176,7 @@ def test_run_yaml(tmp_path: Path) -> None:
     ("content", "message"),
     [
         ("[", "invalid YAML"),
-        ("- a", "does not hold keys and values"),
+        ("- a", "is not a YAML mapping"),
         ("ins: x.ncom\ncan: 1.log\nspeed: 3", "key speed is not known; known keys are name, ins"),
         ("can: 1.log", "one of the keys ins, bag, csv and vbo"),
         ("ins: y.ncom\ncan: 1.log", "ins: there is no 'y.ncom' in its folder"),
@@ -211,7 +211,8 @@ def test_warnings_that_differ_in_file_and_numbers_only_are_logged_once_with_thei
         errors.log_warnings([f"grouped/{k}.csv: {k} of 3000 rows are not used" for k in range(40)])
         errors.log_warnings(["grouped/1.csv: another reason"])
     lines = [record.getMessage() for record in caplog.records]
-    assert len(lines) == errors.MAX_ALIKE + 2 and lines[0] == "warning: grouped/0.csv: 0 of 3000 rows are not used"
+    assert len(lines) == errors.MAX_SIMILAR_WARNINGS + 2
+    assert lines[0] == "warning: grouped/0.csv: 0 of 3000 rows are not used"
     assert "37 more like" in lines[-1] and "grouped/3.csv" in lines[-1] and "and 27 more" in lines[-1]
 
 

@@ -27,7 +27,7 @@ def align(
     from st_offline.alignment_figure import alignment_figure
     from st_offline.terminal import line
     from st_recordings.paths import new_folder
-    from st_recordings.runs.raw import about_alignment, read_pair
+    from st_recordings.runs.raw import alignment_summary, read_pair
 
     console = Console()
     with shared.refusals("align"):
@@ -41,7 +41,7 @@ def align(
         shared.report_default_car("align", pair.dbc)
     alignment = pair.alignment
     report(pair, console)
-    about = {**about_alignment(alignment), "ins_can_latency": pair.latency}
+    about = {**alignment_summary(alignment), "ins_can_latency": pair.latency}
     (folder / "alignment.json").write_text(json.dumps(about, indent=2, allow_nan=False) + "\n")
     line(f"  {folder / 'alignment.json'}", console)
     if pair.shared and alignment.offset_ns:
@@ -131,7 +131,7 @@ def import_(
 
     console = Console()
     with shared.refusals("import"):
-        vehicle, settings = read_options.resolve(search=search, doubtful=not strict)
+        vehicle, settings = read_options.resolve(search=search, accept_doubtful=not strict)
         parameters, file = shared.load_vehicle_or_default(vehicle)
     found = [run for run in find_runs(paths) if run.kind == "ncom" or run.problem is not None]
     if not found:

@@ -26,7 +26,7 @@ from rclpy.signals import SignalHandlerOptions
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
 from st_msgs.msg import Prediction, PredictionError, PredictorStatus, Steering
-from st_recordings.runs.bag import definitions
+from st_recordings.runs.bag import definitions_folder
 from st_recordings.runs.cdr import typestore
 from st_recordings.runs.reconstruct import stamp_of as instant_of
 from st_recordings.runs.reconstruct import steering_value
@@ -116,7 +116,7 @@ class Player:
 
     def play(self) -> int:
         """Play the recording; returns 0 after its end or a stop signal, 1 without subscribers."""
-        with AnyReader([self._bag], default_typestore=typestore(definitions())) as reader:
+        with AnyReader([self._bag], default_typestore=typestore(definitions_folder())) as reader:
             publishers = self._publishers(reader.connections)
             if not self._wait_for_subscribers(list(publishers.values())):
                 print("predictor and evaluator have not subscribed", file=sys.stderr)

@@ -14,7 +14,7 @@ from st_recordings.recorded import configuration_of
 from st_recordings.runs import ReadSettings, RunSource, find_runs, read
 from st_recordings.runs.bag import records_of
 from st_recordings.runs.errors import join_problems
-from st_recordings.runs.raw import about_alignment
+from st_recordings.runs.raw import alignment_summary
 
 from ..terminal import line, list_files, progress_bars, report_problem
 from .check_page import write_page
@@ -86,7 +86,7 @@ def check_run(source: RunSource, job: Job) -> CheckedRun:
     run = read(source, car, job.read)
     checked = check_log(run.log, car, run.auxiliary, MODELS)
     return CheckedRun(source.name, checked, car, car_from, run.log.duration, run.warnings, run.provenance["files"],
-                      about_alignment(run.alignment), source.arguments)
+                      alignment_summary(run.alignment), source.arguments)
 
 
 def write(good: Sequence[CheckedRun], failed: Mapping[str, str], folder: Path, json: Path | None,

@@ -15,7 +15,7 @@ from st_core.clock_types import alignment_not_needed
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import json_ready
 from st_recordings.results import versions
-from st_recordings.runs.raw import about_alignment
+from st_recordings.runs.raw import alignment_summary
 
 from ..terminal import line
 
@@ -150,7 +150,7 @@ def describe_clocks(alignments: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def describe_clock(alignment: Mapping[str, Any]) -> str:
-    """Sentence on the clock of the steering, from `about_alignment`; empty where there is only one clock."""
+    """Sentence on the clock of the steering, from `alignment_summary`; empty where there is only one clock."""
     if alignment["method"] == "none":
         return ""
     origin = "set by hand" if alignment["method"] == "by hand" else (
@@ -170,7 +170,7 @@ def _zone_note(offset: float) -> str:
 @dataclass(frozen=True)
 class CheckedRun:
     """One run of `st check`. vehicle_from: file or recording. warnings: of the reader, corrections included.
-    alignment: of `about_alignment`. where: files, folder or run.yaml, as they are typed.
+    alignment: of `alignment_summary`. where: files, folder or run.yaml, as they are typed.
     """
 
     name: str
@@ -180,7 +180,7 @@ class CheckedRun:
     duration: float
     warnings: tuple[str, ...]
     files: Mapping[str, str]
-    alignment: Mapping[str, Any] = field(default_factory=lambda: about_alignment(alignment_not_needed()))
+    alignment: Mapping[str, Any] = field(default_factory=lambda: alignment_summary(alignment_not_needed()))
     where: str = "RUN"
 
 

@@ -29,7 +29,7 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
 from st_recordings.runs.csv_table import header_of
 from st_recordings.runs.ncom import origin_offset
-from st_recordings.runs.raw import about_alignment
+from st_recordings.runs.raw import alignment_summary
 
 from ..bands.bands_report import intervals_of, share_sums
 from ..bands.scoring import AdaptiveScorer, Scorer
@@ -130,7 +130,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     about = {
         "duration": run.log.duration, "overlap": run.log.overlap, "n_predictions": len(evaluation.starts_ns),
         "skipped": evaluation.skipped, "incomplete": evaluation.incomplete,
-        "labels": "given" if run.labels else "detected", "alignment": about_alignment(run.alignment),
+        "labels": "given" if run.labels else "detected", "alignment": alignment_summary(run.alignment),
         "warnings": list(run.warnings), "provenance": dict(run.provenance), "inputs_ahead": list(ahead),
         "findings": findings}
     sums: dict[str, Any] = adaptive.sums() if adaptive else {}

@@ -61,7 +61,7 @@ class BagDrive:
     origin: tuple[float, float, float] | None = None
 
 
-def definitions() -> Path:
+def definitions_folder() -> Path:
     """The folder with the .msg files of the suite's own messages."""
     return project_root() / "ros2_ws" / "src" / "st_msgs" / "msg"
 
@@ -108,7 +108,7 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     store = _store_of(storage, all_topics, steering)
     reconstruction = Reconstruction(path, storage, records, store)
     required: dict[Topic, tuple[str, ...]] = {}
-    if has_odometry := bool(odometry) or reconstruction.has(ODOMETRY) or not reconstruction.has(NCOM):
+    if reads_odometry := bool(odometry) or reconstruction.has(ODOMETRY) or not reconstruction.has(NCOM):
         required[_find_topic(path, all_topics, ODOMETRY, odometry)] = _ODOMETRY_FIELDS
     if steering is None and (reconstruction.has(STEERING) or not reconstruction.has(CAN_FRAMES)):
         required[_find_topic(path, all_topics, STEERING)] = _STEERING_FIELDS
@@ -117,7 +117,7 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     columns = {topic.type_name: uniform.get(topic.name) or _read_one_by_one(path, storage, topic, fields, store)
                for topic, fields in required.items()}
     topics = {topic.type_name: topic.name for topic in required}
-    if not has_odometry:
+    if not reads_odometry:
         columns[ODOMETRY] = reconstruction.odometry(_ODOMETRY_FIELDS)
         topics[ODOMETRY] = reconstruction.topic(NCOM).name + RECONSTRUCTED
     if steering is not None:
@@ -135,7 +135,7 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     unknown = tuple(f"{t.name} ({t.type_name})" for t in all_topics if t.count and not (
         t.name in topics.values() or t.type_name.startswith("st_msgs/") or t.name.startswith(KNOWN_TOPICS)))
     frame = reconstruction.map_frame()
-    if has_odometry:
+    if reads_odometry:
         first: Any = store.deserialize_cdr(next(storage.messages(topics[ODOMETRY])), ODOMETRY)
         frame = first.header.frame_id
     origin = reconstruction.origin()
@@ -158,7 +158,7 @@ def read_odometry(path: Path, odometry: str | None = None) -> InsLog:
 
 def _store_of(storage: Storage, topics: Sequence[Topic], steering: SteeringField | None) -> Typestore:
     names = {ODOMETRY} | {t.type_name for t in topics if steering and t.name.lstrip("/") == steering.topic.lstrip("/")}
-    return with_definitions(typestore(definitions()), storage.definitions(), names)
+    return with_definitions(typestore(definitions_folder()), storage.definitions(), names)
 
 
 def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
@@ -190,7 +190,7 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
 
 def _log_times(storage: Storage, topic: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:
     """When each message was received; the stamps where not every message was read."""
-    times = np.array([log_ns for log_ns, _ in storage.timed(topic)], np.int64)
+    times = np.array([log_ns for log_ns, _ in storage.timed_messages(topic)], np.int64)
     return times if len(times) == len(columns["header.stamp"]) else columns["header.stamp"]
 
 
@@ -199,7 +199,7 @@ def open_bag(path: Path, splits: Sequence[Path] = ()) -> Storage:
     files = splits or ([path] if path.is_file() else storage_files(path))
     for file in files:
         check_readable(file)
-    return open_storage(path, files, typestore(definitions()))
+    return open_storage(path, files, typestore(definitions_folder()))
 
 
 def read_fields(path: Path, storage: Storage, topic: Topic, fields: Sequence[str],
@@ -216,7 +216,7 @@ def records_of(path: Path) -> dict[str, dict[str, str]]:
     return records
 
 
-def was_cut(path: Path) -> bool:
+def was_interrupted(path: Path) -> bool:
     """Whether a recorder of the suite did not end this recording itself: full disk, kill, `st recover` afterwards."""
     records = _read_records(path)
     return bool(SUITE_RECORDS & records.keys()) and CLOSING_RECORD not in records
@@ -248,14 +248,14 @@ def _find_topic(path: Path, topics: Sequence[Topic], type_name: str, name: str |
     if not found:
         what = ", ".join(sorted(f"{t.name} ({t.type_name})" for t in topics if t.count))[:300] or "no messages"
         other = ", or name the topic with the angle by --steering-topic" if type_name == STEERING else ""
-        raise RunError(path, f"no message of type {type_name} is in it; it has {what}",
+        raise RunError(path, f"it contains no message of type {type_name}, but {what}",
                        f"record the topic {PREFERRED_TOPICS[type_name]} too{other}")
     preferred = [t for t in found if t.name.endswith(PREFERRED_TOPICS[type_name])] or found
     if len(preferred) > 1:
         names = ", ".join(sorted(t.name for t in preferred))
         raise RunError(path, f"several topics are of type {type_name}: {names}",
                        "name one of them with --odometry-topic" if type_name == ODOMETRY else
-                       f"leave one of them, or name one .../{PREFERRED_TOPICS[type_name]}")
+                       f"record only one of them, or name one .../{PREFERRED_TOPICS[type_name]}")
     return preferred[0]
 
 

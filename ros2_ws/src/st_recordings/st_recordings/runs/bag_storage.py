@@ -29,7 +29,7 @@ from .cdr import DAMAGE, Block, Layout, blocks, summary_of
 from .errors import RunError, share, short
 
 EXTENSIONS = (".mcap", ".db3")
-RECOVERY_ADVICE = "if it was cut off while recording, repair it with `st recover`"
+RECOVERY_ADVICE = "if the recording was interrupted, repair it with `st recover`"
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Storage(ABC):
     def topics(self) -> list[Topic]: ...
 
     @abstractmethod
-    def timed(self, topic: str) -> Iterator[tuple[int, bytes]]:
+    def timed_messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
         """Yields (log time [ns], serialised message), in the order of the file."""
 
     @abstractmethod
@@ -55,7 +55,7 @@ class Storage(ABC):
 
     def messages(self, topic: str) -> Iterator[bytes]:
         """Yields the serialised messages, in the order of the file."""
-        return (data for _, data in self.timed(topic))
+        return (data for _, data in self.timed_messages(topic))
 
     def columns(self, fields: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
         """Numeric fields (cdr.Layout) of all messages, by topic and field; without topics of varying layout."""
@@ -74,14 +74,14 @@ class Storage(ABC):
 def open_storage(path: Path, files: Sequence[Path], store: Typestore) -> Storage:
     """The storage of a bag. Raises RunError for other files and for a file that was not closed."""
     if path.is_dir() and read_information(path).get("compression_mode"):
-        return Rosbags(path, store)
+        return RosbagsStorage(path, store)
     suffixes = {f.suffix.lower() for f in files}
     if suffixes == {".mcap"}:
-        return Mcap(files)
+        return McapStorage(files)
     if suffixes == {".db3"}:
-        return Sqlite(files)
-    raise RunError(path, "no storage file (.mcap, .db3) is in this bag, or several kinds are",
-                   "give the folder that ros2 bag or the recorder made")
+        return SqliteStorage(files)
+    raise RunError(path, "this bag contains no storage file (.mcap, .db3), or both kinds",
+                   "give the folder written by `ros2 bag record` or by the recorder")
 
 
 def _listed_files(directory: Path) -> list[str]:
@@ -109,18 +109,18 @@ def time_span(file: Path) -> tuple[int, int] | None:
     """Log times of the first and last message of a storage file [ns]; None for a file that cannot be read."""
     try:
         if file.suffix.lower() == ".db3":
-            ((first, last),) = Sqlite([file]).query(file, "SELECT MIN(timestamp), MAX(timestamp) FROM messages")
+            ((first, last),) = SqliteStorage([file]).query(file, "SELECT MIN(timestamp), MAX(timestamp) FROM messages")
             return None if first is None else (first, last)
         summary = summary_of(file)
         if summary is not None and summary.statistics is not None:
             return summary.statistics.message_start_time, summary.statistics.message_end_time
-        times = [message.log_time for _, _, message in Mcap([file]).stream(file)]
+        times = [message.log_time for _, _, message in McapStorage([file]).stream(file)]
         return (min(times), max(times)) if times else None
     except (RunError, OSError):
         return None
 
 
-class Mcap(Storage):
+class McapStorage(Storage):
     def __init__(self, files: Sequence[Path]):
         self._files: list[tuple[Path, Summary | None]] = []
         encodings: set[str] = set()
@@ -161,7 +161,7 @@ class Mcap(Storage):
                     summary.statistics.channel_message_counts.get(channel.id, 0)
         return [Topic(name, type_name, count) for (name, type_name), count in counts.items()]
 
-    def timed(self, topic: str) -> Iterator[tuple[int, bytes]]:
+    def timed_messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
         for file, summary in self._files:
             channels = [n for n, c in summary.channels.items() if c.topic == topic] if summary else []
             if summary is None or len(channels) > 1:  # the channels of several publishers alternate in the file
@@ -196,19 +196,19 @@ class Mcap(Storage):
             assert summary is not None and summary.statistics is not None  # summary_of
             channels = {number: by_topic[channel.topic] for number, channel in summary.channels.items()
                         if channel.topic in by_topic and channel.message_encoding == "cdr"}
-            left = {number: summary.statistics.channel_message_counts.get(number, 0) for number in channels}
-            publishers = Counter(summary.channels[number].topic for number, count in left.items() if count)
+            remaining = {number: summary.statistics.channel_message_counts.get(number, 0) for number in channels}
+            publishers = Counter(summary.channels[number].topic for number, count in remaining.items() if count)
             for topic, count in publishers.items():
                 by_topic[topic].is_uniform &= count == 1  # the messages of several publishers alternate in the file
             for number, block in self._blocks(file, summary, channels):
-                left[number] -= len(block.starts)
+                remaining[number] -= len(block.starts)
                 channels[number].add(block.buffer, block.starts, block.sizes)
-            for number, count in left.items():
+            for number, count in remaining.items():
                 channels[number].is_uniform &= count == 0
         return {name: fields.columns() for name, fields in by_topic.items() if fields.is_uniform and fields.parts}
 
 
-class Sqlite(Storage):
+class SqliteStorage(Storage):
     def __init__(self, files: Sequence[Path]):
         self._files = list(files)
         self.topics()
@@ -229,7 +229,7 @@ class Sqlite(Storage):
                 counts[name, type_name] += count
         return [Topic(name, type_name, count) for (name, type_name), count in counts.items()]
 
-    def timed(self, topic: str) -> Iterator[tuple[int, bytes]]:
+    def timed_messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
         text = ("SELECT messages.timestamp, messages.data FROM messages JOIN topics ON messages.topic_id = topics.id "
                 "WHERE topics.name = ? ORDER BY messages.timestamp")
         for file in self._files:
@@ -245,7 +245,7 @@ class Sqlite(Storage):
         return found
 
 
-class Rosbags(Storage):
+class RosbagsStorage(Storage):
     def __init__(self, path: Path, store: Typestore):
         self._path = path
         try:
@@ -257,7 +257,7 @@ class Rosbags(Storage):
     def topics(self) -> list[Topic]:
         return [Topic(c.topic, c.msgtype, c.msgcount) for c in self._reader.connections]
 
-    def timed(self, topic: str) -> Iterator[tuple[int, bytes]]:
+    def timed_messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
         connections = [c for c in self._reader.connections if c.topic == topic]
         return ((log_ns, bytes(data)) for _, log_ns, data in self._reader.messages(connections=connections))
 
@@ -295,7 +295,7 @@ class _GatheredFields:
         return {field: np.concatenate([part[field] for part in self.parts]) for field in self._fields}
 
 
-def parameters(records: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, Any]]:
+def recorded_parameters(records: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, Any]]:
     """Parameters by node, from the metadata records of a recording; empty where it has none."""
     try:
         document = yaml.safe_load(records.get("configuration", {}).get("parameters.yaml", "")) or {}
@@ -304,7 +304,7 @@ def parameters(records: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, 
         return {}
 
 
-def text_of(records: Mapping[str, Mapping[str, str]], file: str) -> str | None:
+def recorded_text(records: Mapping[str, Mapping[str, str]], file: str) -> str | None:
     """The text of a configuration file named in the parameters; None where the recording does not include it."""
     parts = Path("/", file).parts
     # The records name files with the end of their path that tells them apart.

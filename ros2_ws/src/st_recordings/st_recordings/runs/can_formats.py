@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from .errors import COMPRESSED_MARKS, share, short
-from .mf4 import MAKERS_CONTAINERS
+from .mf4 import VENDOR_SUFFIXES
 
 MF4_EXTENSIONS = (".mf4", ".mdf")
 _BLF_HEAD_LENGTH = 16  # bytes: "LOBJ", length of the head, version, length of the object, kind
@@ -26,7 +26,7 @@ _ENGLISH_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep"
 _SCREEN_LINE = re.compile(
     r"\s*\((?:(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+)|(\d+\.\d+))\)\s+(\S+)\s+(?:(RX|TX)\s+\S+\s+\S+\s+)?"
     r"([0-9A-F]{3}|[0-9A-F]{8})\s+\[(\d+)\]\s*((?:[0-9A-F]{2}\s*)*|remote request\s*)(?:'.*')?\s*$")
-TIMELESS = re.compile(rb"^\s+\S+\s+[0-9A-F]{3,8}\s+\[\d+\]\s", re.MULTILINE)
+UNSTAMPED_LINE = re.compile(rb"^\s+\S+\s+[0-9A-F]{3,8}\s+\[\d+\]\s", re.MULTILINE)
 """A line of candump without -l and without -t."""
 _ASC_STAMP = re.compile(r"\s*(\d+)[.,](\d+)(?=\s)")
 # Bytes of a Windows code page in a text that is UTF-8 otherwise.
@@ -244,7 +244,7 @@ FORMATS = (
     Format("PEAK trace", (".trc",), lambda head: b";$FILEVERSION" in head or (
         head.lstrip().startswith(b";") and (b"Start time:" in head or b"Message Number" in head)), _text_reader(_trc)),
 )
-EXTENSIONS = frozenset(e for f in FORMATS for e in f.extensions) | {*MF4_EXTENSIONS, *MAKERS_CONTAINERS}
+EXTENSIONS = frozenset(e for f in FORMATS for e in f.extensions) | {*MF4_EXTENSIONS, *VENDOR_SUFFIXES}
 
 
 def is_can_log(file: Path) -> bool:

@@ -10,12 +10,13 @@ import can
 import numpy as np
 from scipy.ndimage import median_filter
 
-from .can_formats import FORMATS, MF4_EXTENSIONS, TIMELESS, Format
+from .can_formats import FORMATS, MF4_EXTENSIONS, UNSTAMPED_LINE, Format
 from .errors import RunError, check_readable, short
 from .frames import (
     ERROR,
     EXTENDED,
     FD,
+    MAX_DATA_LENGTH,
     REMOTE,
     SENT,
     CanLog,
@@ -28,10 +29,9 @@ from .frames import (
     without_duplicates,
 )
 from .ins_log import LATEST_TIME
-from .mf4 import read_mf4, refuse_makers_container, session_of
+from .mf4 import read_mf4, reject_vendor_container, session_of
 
 BLOCK_SIZE = 65536  # messages converted to columns at a time
-MAX_DATA_LENGTH = 64  # bytes of a frame of CAN FD
 MAX_TIME_JUMP_NS = 86400 * 10**9  # a frame further from both of its neighbours has a damaged time
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times count from the start of the log
 MIN_FALLING_SHARE = 0.2
@@ -54,7 +54,8 @@ def read_can_logs(files: Sequence[Path]) -> CanLog:
         raise errors[0] if errors else RunError("CAN log", "no file given")
     used = tuple(log.files[0] for log in logs)
     if len({log.absolute for log in logs}) > 1:
-        raise RunError(used[0], "one log counts in UTC, another from its own start", "give them one by one")
+        raise RunError(used[0], "its times and those of another log differ: UTC, and time since the start of the log",
+                       "give them one by one")
     warnings = [f"{log.files[0]}: {note}" for log in logs for note in log.warnings]
     frames, repeated = without_duplicates(merged([log.frames for log in logs]))
     if repeated:
@@ -66,7 +67,7 @@ def read_can_logs(files: Sequence[Path]) -> CanLog:
 def _read_log(file: Path) -> CanLog:
     """The log in one file. Its warnings do not name the file."""
     check_readable(file)
-    refuse_makers_container(file)
+    reject_vendor_container(file)
     with file.open("rb") as stream:
         head = stream.read(4096)
     if head[:4] in (b"MDF ", b"UnFi"):
@@ -75,14 +76,14 @@ def _read_log(file: Path) -> CanLog:
     if kind is None:
         if file.suffix.lower() in MF4_EXTENSIONS:
             read_mf4(file)  # raises the reason why it is not a valid MF4
-        if TIMELESS.search(head):
+        if UNSTAMPED_LINE.search(head):
             raise RunError(file, "this output of candump has no time stamps", "record with candump -l")
         known = ", ".join(["MF4", *(f.name for f in FORMATS)])
         raise RunError(file, f"this is not a CAN log of a known format ({known})",
                        "remove it from the command, or convert it")
     notes: list[str] = []
     if file.suffix.lower() not in kind.extensions:
-        notes.append(f"is a {kind.name} log under the extension {file.suffix or '(none)'}; read as what it is")
+        notes.append(f"is a {kind.name} log with the extension {file.suffix or '(none)'}; it was read as such")
     frames = _read_with_python_can(file, kind, notes)
     start_ns = int(frames.time_ns[0])
     return CanLog(frames, (file,), start_ns, start_ns >= FIRST_ABSOLUTE_TIME * 10**9, tuple(notes))
@@ -111,7 +112,7 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> Frames:
     if too_long:
         format_notes.append(f"frames with more than {MAX_DATA_LENGTH} bytes: {too_long}; they were skipped")
     if not len(frames):
-        what = f"no whole frame is in it ({'; '.join(format_notes)})" if format_notes else "no frames are in the log"
+        what = f"it contains no usable frame ({'; '.join(format_notes)})" if format_notes else "it contains no frames"
         raise RunError(file, what, "copy or export it again")
     steps = np.diff(frames.time_ns[1:])  # a coarse clock repeats its times; times since the frame before also fall
     if kind.name == "candump" and frames.time_ns[0] == 0 and len(steps) and (
@@ -124,7 +125,7 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> Frames:
 
 
 def _columns(messages: Sequence[can.Message]) -> Frames:
-    width = 64 if any(len(m.data) > 8 for m in messages) else 8
+    width = MAX_DATA_LENGTH if any(len(m.data) > 8 for m in messages) else 8
     ids = [m.arbitration_id | (EXTENDED if m.is_extended_id else 0) for m in messages]
     flags = [(SENT if not m.is_rx else 0) | (REMOTE if m.is_remote_frame else 0) | (ERROR if m.is_error_frame else 0)
              | (FD if m.is_fd else 0) for m in messages]

@@ -37,12 +37,12 @@ class Signal:
 class CanSignals:
     """Decoded signals by (signal, message). faults: message -> what was wrong and how often.
 
-    refused: message -> when its frames were logged that are not used, because of an implausible value or a check [ns].
+    rejected: message -> when its frames were logged that are not used, because of an implausible value or a check [ns].
     """
 
     signals: Mapping[tuple[str, str], Signal]
     faults: Mapping[str, str]
-    refused: Mapping[str, np.ndarray] = field(default_factory=dict)
+    rejected: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def all_of(self, name: str) -> list[Signal]:
         return [signal for signal in self.signals.values() if signal.name == name]
@@ -52,14 +52,14 @@ class CanSignals:
 
 
 def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
-    """Decodes and checks every message of the table; frames refused by a check set to `drop` are left out.
+    """Decodes and checks every message of the table; frames rejected by a check set to `drop` are left out.
 
     The rules are those of the live decoder: length, checksum, counter, range and rate (canedge_bridge.decode). Where
     time does not rise (two buses with the same message), the first frame of each instant is kept.
     """
     signals: dict[tuple[str, str], Signal] = {}
     faults: dict[str, str] = {}
-    refused: dict[str, np.ndarray] = {}
+    rejected: dict[str, np.ndarray] = {}
     # One message at a time: all signals at once would take more memory than anything else.
     order = np.argsort(frames.id, kind="stable")
     sorted_ids = frames.id[order]
@@ -88,13 +88,13 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
         if fault or length_fault:
             faults[message] = "; ".join(filter(None, (length_fault, fault)))
         if not keep.all():
-            refused[message] = time_ns[~keep]
+            rejected[message] = time_ns[~keep]
         keep &= np.diff(time_ns, prepend=time_ns[0] - 1) > 0
         for name, values in with_unix_time(columns).items():
             good = keep & np.isfinite(values)
             if good.any():
                 signals[name, message] = Signal(name, message, time_ns[good], values[good], valid[good], rows[good])
-    return CanSignals(signals, faults, refused)
+    return CanSignals(signals, faults, rejected)
 
 
 def _length_fault(spec: MessageSpec, lengths: np.ndarray, n_decoded: int) -> str:
@@ -120,7 +120,7 @@ def steering_of(signals: CanSignals, file: Path | str, table: SignalTable) -> Si
     found = sorted({message for _, message in signals.signals})
     raise RunError(file, f"the steering message {expected} is not in the log; "
                    + (f"it has {', '.join(found)}" if found else "none of the known messages is"),
-                   "name the car of this log, --car DIR, or log the bus that carries the message")
+                   "name the car of this log with --car DIR, or log the bus that carries the message")
 
 
 def speeds_of(signals: CanSignals, to_reference: Callable[[np.ndarray], np.ndarray] = np.asarray

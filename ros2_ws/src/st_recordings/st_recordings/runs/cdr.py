@@ -1,7 +1,7 @@
 """ROS messages as columns: to serialised bytes (CDR) and back without a Python object per message, and straight out of
 the chunks of an MCAP file.
 
-Messages of one type with the same texts and sequence lengths are rows of bytes of one layout. The place of each number
+Messages of one type with the same texts and sequence lengths are rows of bytes of one layout. The offset of each number
 follows from the definition and one example.
 """
 
@@ -103,7 +103,7 @@ class Field:
 class Layout:
     """The bytes of a message of one type, with the texts and sequence lengths of an example.
 
-    template: the example, serialised. fields: path, as "pose.pose.position.x", -> place of the number; a time is one
+    template: the example, serialised. fields: path, as "pose.pose.position.x", -> bytes of the number; a time is one
     field under its own path ("header.stamp"): ns in columns, sec and nanosec in the message.
     """
 

@@ -99,7 +99,7 @@ def substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1) -> 
         slip = WHEEL_SLIP * float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
         latency = delay, float(np.hypot(deviation, slip))
         return ([_pair(f"speed ({speed.message})", "speed", ins.time_ns, values, speed, speed, latency)],
-                f"{NO_INS_FRAMES}: aligned by the wheel speed, of which delay and slip are not known; assumed are "
+                f"{NO_INS_FRAMES}: aligned by the wheel speed, whose delay and slip are unknown; assumed: "
                 f"{1e3 * latency[0]:.0f} ± {1e3 * latency[1]:.0f} ms")
     steering = can.first_of("steering_wheel_angle")
     if steering is None:
@@ -159,7 +159,7 @@ def _opposite_sign_note(pairs: list[SharedSignal], result: Alignment, search: tu
         return ""
     opposite = align([replace(pairs[0], other=-pairs[0].other)], search=search)
     return "" if opposite.verdict is Verdict.REFUSED else (
-        f"with the other steering_sign of the car they fit with a correlation of {opposite.signals[0].correlation:.2f}")
+        f"with the opposite steering_sign they agree with a correlation of {opposite.signals[0].correlation:.2f}")
 
 
 def _nearest_to_logger_clock(pairs: list[SharedSignal], result: Alignment) -> Alignment:
@@ -168,8 +168,8 @@ def _nearest_to_logger_clock(pairs: list[SharedSignal], result: Alignment) -> Al
     if near.verdict is Verdict.REFUSED or not near.peak or not result.peak or (
             near.peak[1] < MIN_RELATIVE_PEAK * result.peak[1]):
         return result
-    return near.doubted("several offsets fit equally well (repeated laps or manoeuvres); used is the one that agrees "
-                        f"with the logger's own clock to {MAX_CLOCK_ERROR:.0f} s")
+    return near.doubted("several offsets fit equally well (repeated laps or manoeuvres); the one within "
+                        f"{MAX_CLOCK_ERROR:.0f} s of the logger's own clock is used")
 
 
 def _align_by_checked_time_frame(frames: Signal, pairs: list[SharedSignal], latency: tuple[float, float]) -> Alignment:
@@ -188,7 +188,7 @@ def _align_by_checked_time_frame(frames: Signal, pairs: list[SharedSignal], late
     difference = (check.offset_at_ns(check.at_ns) - result.offset_at_ns(check.at_ns)) * 1e-9
     result = replace(result, signals=check.signals, peak=check.peak, second_peak=check.second_peak)
     if abs(difference) > MAX_METHOD_DIFFERENCE:
-        return result.doubted(f"the shared signals put the offset {difference * 1e3:+.0f} ms away")
+        return result.doubted(f"the offset from the shared signals differs by {difference * 1e3:+.0f} ms")
     return result
 
 

@@ -1,4 +1,4 @@
-"""Finds the channels among the columns of a table, by the names that people give them, and their units."""
+"""Finds the channels among the columns of a table by their usual names, and their units."""
 
 import math
 import re
@@ -153,7 +153,7 @@ class Layout:
 
 
 @dataclass(frozen=True)
-class Place:
+class ColumnSource:
     """The column of a channel: its number and name, its unit, and whether header or run.yaml state that unit."""
 
     column: int
@@ -167,15 +167,15 @@ class Place:
         return UNITS[self.kind][self.unit][0]
 
 
-def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, Place]:
+def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, ColumnSource]:
     """The channels that a header names. Raises RunError for a column or unit of the layout without such a column."""
-    found: dict[str, tuple[int, Place]] = {}
+    found: dict[str, tuple[int, ColumnSource]] = {}
     for number, name in enumerate(names):
         if meaning := _meaning(name):
             channel, rank, unit = meaning
             if channel not in found or rank < found[channel][0]:
-                found[channel] = rank, _place(number, name, channel, unit)
-    places = {channel: place for channel, (_, place) in found.items()}
+                found[channel] = rank, _source(number, name, channel, unit)
+    sources = {channel: source for channel, (_, source) in found.items()}
     for channel, named in layout.columns.items():
         if named not in names and named in found:  # a channel, not a column: {x: y, y: x} exchanges the axes
             column: int | None = found[named][1].column
@@ -186,10 +186,10 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
                            f"it has {', '.join(names)[:300]}")
         stated = (unit_named(COLUMNS[channel].kind, unit) for text in (names[column], named)
                   for base, unit in _splits(text) if unit and base)
-        places[channel] = _place(column, names[column], channel, next(filter(None, stated), None))
+        sources[channel] = _source(column, names[column], channel, next(filter(None, stated), None))
     if "compass_heading" in layout.columns and "yaw" not in layout.columns:
-        places.pop("yaw", None)
-    return with_units(file, places, layout)
+        sources.pop("yaw", None)
+    return with_units(file, sources, layout)
 
 
 def _column_number(names: Sequence[str], named: str) -> int | None:
@@ -201,14 +201,14 @@ def _column_number(names: Sequence[str], named: str) -> int | None:
     return None
 
 
-def with_units(file: Path, places: dict[str, Place], layout: Layout) -> dict[str, Place]:
-    """Places with the units of the layout. Raises RunError for a unit of a channel without a column."""
+def with_units(file: Path, sources: dict[str, ColumnSource], layout: Layout) -> dict[str, ColumnSource]:
+    """Sources with the units of the layout. Raises RunError for a unit of a channel without a column."""
     for channel, unit in layout.units.items():
-        if channel not in places:
+        if channel not in sources:
             raise RunError(layout.source or file, f"units: {channel}: {file.name} has no column for it",
-                           f"it has one for {', '.join(places)}")
-        places[channel] = replace(places[channel], unit=unit, stated=True)
-    return places
+                           f"it has one for {', '.join(sources)}")
+        sources[channel] = replace(sources[channel], unit=unit, stated=True)
+    return sources
 
 
 def doubtful_steering(names: Sequence[str]) -> str | None:
@@ -216,9 +216,9 @@ def doubtful_steering(names: Sequence[str]) -> str | None:
     return next((name for name in names for base, _ in _splits(name) if normalised(base) in AMBIGUOUS), None)
 
 
-def _place(number: int, name: str, channel: str, unit: str | None) -> Place:
+def _source(number: int, name: str, channel: str, unit: str | None) -> ColumnSource:
     kind = COLUMNS[channel].kind
-    return Place(number, name, kind, unit or next(iter(UNITS[kind])), unit is not None)
+    return ColumnSource(number, name, kind, unit or next(iter(UNITS[kind])), unit is not None)
 
 
 def _meaning(name: str) -> tuple[str, int, str | None] | None:

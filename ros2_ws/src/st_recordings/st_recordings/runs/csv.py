@@ -27,9 +27,9 @@ QUATERNION = [f"orientation_{axis}" for axis in "xyzw"]
 MAX_HELD_SHARE = 0.3
 """Share of rows of a moving car with an unchanged position, above which positions have a lower rate than the rows."""
 MIN_LOST_INTERVAL = 2.5
-"""Time between two rows over the usual one, above which rows are lost between them."""
+"""Ratio of the time between two rows to the median one, above which rows between them are missing."""
 MAX_LATE_SHARE = 0.1
-"""Share of the new positions that follow lost rows, above which the stamps jitter and no row is lost."""
+"""Share of the new positions that follow missing rows, above which the stamps jitter and no row is missing."""
 MIN_REGULAR_SHARE = 0.9
 """Share of the distances between known samples of a channel [rows] that are multiples of the usual distance, above
 which the blanks are due to its lower rate."""
@@ -71,10 +71,10 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
         reason = ""
         if missing:
             worst = max(missing, key=lambda name: missing[name])
-            reason = f": {worst} has no number in {missing[worst]} of {len(table.time_ns) + table.timeless}"
+            reason = f": {worst} has no number in {missing[worst]} of {len(table.time_ns) + table.rows_without_time}"
         elif len(table.used) > 1:
             reason = f": {share(int(table.used.sum()), len(table.used), 'rows')} have a time later than all before"
-        raise RunError(file, f"fewer than two usable rows are in it{reason}", "remove it from the command")
+        raise RunError(file, f"it contains fewer than two usable rows{reason}", "remove it from the command")
     values = {name: columns[name][ins] for name in INS_SIGNALS}
     values["yaw"] = np.unwrap(yaw_scale * values["yaw"])
     values |= {name: columns[name][ins] for name in OPTIONAL_INS_SIGNALS if is_mostly_known(columns.get(name))}
@@ -83,9 +83,9 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
     speeds = {name: (table.time_ns[table.used], columns[name][table.used]) for name in SPEEDS if name in columns}
     first, last = np.flatnonzero(table.used)[[0, -1]]
     extras = AuxiliaryData({"INS": table.time_ns[first : last + 1]}, missing, car_speed(speeds))
-    places = {channel: f"{place.name} [{place.unit}{'' if place.stated else ', assumed'}]"
-              for channel, place in table.places.items()}
-    provenance = {"columns": places, **({"origin": list(origin)} if origin else {})}
+    sources = {channel: f"{source.name} [{source.unit}{'' if source.stated else ', assumed'}]"
+              for channel, source in table.sources.items()}
+    provenance = {"columns": sources, **({"origin": list(origin)} if origin else {})}
     return LoadedRun(log, provenance, warnings=tuple(notes), auxiliary=extras)
 
 
@@ -99,7 +99,7 @@ def ins_of(table: Table, needed: Sequence[str] = INS_SIGNALS) -> InsLog:
             and (name in needed or (name == "yaw" and np.isfinite(columns[name]).any()))]
     rows = table.used & all_known(columns, used)
     if rows.sum() < 2:
-        raise RunError(table.file, "fewer than two usable rows are in it", "remove it from the command")
+        raise RunError(table.file, "it contains fewer than two usable rows", "remove it from the command")
     reported = {name: columns[name] for name in (*used, *OPTIONAL_INS_SIGNALS) if name in columns}
     _count_missing(table, reported, (), notes)
     values = {name: columns[name][rows] for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS) if name in columns}
@@ -136,10 +136,10 @@ def looks_like_a_drive(file: Path) -> bool:
     return len(missing) <= 1 and not {"x", "y"} & set(missing)
 
 
-def _missing_channels(places: Iterable[str], names: Iterable[str], needed: Iterable[str],
+def _missing_channels(sources: Iterable[str], names: Iterable[str], needed: Iterable[str],
                       completed: bool = True) -> list[str]:
     """The needed channels that no column gives, directly or derived. completed: see `_complete_motion`."""
-    found = set(places)
+    found = set(sources)
     if found & {COMPASS, COURSE} or found.issuperset(QUATERNION):
         found.add("yaw")
     if found >= {"yaw", "velocity_east", "velocity_north"}:
@@ -155,7 +155,7 @@ def _missing_channels(places: Iterable[str], names: Iterable[str], needed: Itera
 
 def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None:
     """Raises RunError for missing columns. can: line of a run.yaml with the CAN logs that belong to the table."""
-    missing = _missing_channels(table.places, table.names, ("t", *needed))
+    missing = _missing_channels(table.sources, table.names, ("t", *needed))
     if missing:
         texts = [f"{name} (or {WHEEL})" if name == ROAD else name for name in missing]
         raise RunError(table.file, f"no column of the header is known as {', '.join(texts)}; it has "
@@ -163,7 +163,7 @@ def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None
                        COLUMN_ADVICE.format(stem=table.file.stem, kind=table.file.suffix[1:].lower(),
                                             name=table.file.name, can=can, channel=missing[0]))
     doubtful = (doubtful_steering(table.names) or "")[:60]
-    if ROAD in needed and ROAD not in table.places and WHEEL not in table.places:
+    if ROAD in needed and ROAD not in table.sources and WHEEL not in table.sources:
         raise RunError(table.file, f"column {doubtful} may be of the steering wheel or of the road wheels",
                        f"declare it: --steering-field '{doubtful}' --steering-is wheel (or road); or in a run.yaml, as "
                        f"columns: {{{WHEEL}: {doubtful}}} or {{{ROAD}: {doubtful}}}")
@@ -258,12 +258,12 @@ def _use_steering(table: Table, columns: dict[str, np.ndarray], vehicle: Vehicle
         columns.pop(other, None)
     if ROAD not in columns:
         if vehicle is None:
-            raise RunError(table.file, f"it has the steering wheel angle only (column {table.places[WHEEL].name}): the "
-                           "road wheel angle needs ratio and offset of the car", "give its vehicle file")
+            raise RunError(table.file, f"it has the steering wheel angle only (column {table.sources[WHEEL].name}); "
+                           "the road wheel angle needs ratio and offset of the car", "give its vehicle file")
         columns[ROAD] = vehicle.road_wheel_angle(columns[WHEEL])
         return (WHEEL,)
     if WHEEL in columns and _lost_samples(columns[WHEEL]) > 0.5 * len(columns[WHEEL]):
-        notes.append(f"{table.file}: {WHEEL} (column {table.places[WHEEL].name}) has no number in more than half of "
+        notes.append(f"{table.file}: {WHEEL} (column {table.sources[WHEEL].name}) has no number in more than half of "
                      "the rows; it is not used, but the road wheel angle is")
         return (ROAD,)
     return (ROAD, WHEEL) if WHEEL in columns else (ROAD,)
@@ -272,14 +272,14 @@ def _use_steering(table: Table, columns: dict[str, np.ndarray], vehicle: Vehicle
 def _count_missing(table: Table, columns: Mapping[str, np.ndarray], steering: tuple[str, ...],
                    notes: list[str]) -> dict[str, int]:
     """Channel -> rows without a usable number, with a note on each."""
-    lost = {"time": table.timeless, **{
+    lost = {"time": table.rows_without_time, **{
         name: _lost_samples(columns[name]) for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, *steering)
         if name in columns}}
     lost = {name: count for name, count in lost.items() if count}
-    total = len(table.time_ns) + table.timeless
-    sources = {"time": "t", "x": "longitude", "y": "latitude", "yaw": COMPASS}
+    total = len(table.time_ns) + table.rows_without_time
+    related = {"time": "t", "x": "longitude", "y": "latitude", "yaw": COMPASS}
     for name, count in lost.items():
-        place = table.places.get(name) or table.places.get(sources.get(name, ""))
+        source = table.sources.get(name) or table.sources.get(related.get(name, ""))
         half = count > total / 2
         if name == "time":
             consequence = "these rows were left out"
@@ -287,7 +287,7 @@ def _count_missing(table: Table, columns: Mapping[str, np.ndarray], steering: tu
             consequence = "it is not used" if half else "it is not known there"
         else:
             consequence = f"these samples of the {'steering' if name in steering else 'INS'} were left out"
-        column = f" (column {place.name})" if place else ""
+        column = f" (column {source.name})" if source else ""
         notes.append(f"{table.file}: {name}{column}: {share(count, total, 'rows')} have no number"
                      f"{', more than half' if half else ''}; {consequence}")
     return lost if ROAD in steering else {ROAD if name == WHEEL else name: count for name, count in lost.items()}

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .columns import COLUMNS, UNITS, Layout, Place, find_columns, unit_named
+from .columns import COLUMNS, UNITS, ColumnSource, Layout, find_columns, unit_named
 from .errors import RunError, check_readable, share, short
 from .ins_log import LATEST_TIME, usable_rows
 
@@ -35,19 +35,19 @@ _THOUSANDS_SPACES = re.compile(r"(?<=\d)[\u00a0\u202f\u2009'](?=\d{3}(?!\d))")
 
 @dataclass(frozen=True)
 class Table:
-    """A table of channels. names: of all columns. places: column and unit by channel. columns: values in SI by channel,
-    NaN for a missing number.
+    """A table of channels. names: of all columns. sources: column and unit by channel.
 
-    time_ns: of all rows that have a time, in the order of the file; rows without one are left out and counted in
-    `timeless`. used: (n,) whether a row has a time later than all before (ins_log.usable_rows). warnings name the file.
+    columns: values in SI by channel, NaN for a missing number. time_ns: of all rows that have a time, in the order of
+    the file; rows_without_time: number of the others, which are left out. used: (n,) whether a row has a time later
+    than all before (ins_log.usable_rows). warnings name the file.
     """
 
     file: Path
     names: tuple[str, ...]
-    places: Mapping[str, Place]
+    sources: Mapping[str, ColumnSource]
     columns: Mapping[str, np.ndarray]
     time_ns: np.ndarray
-    timeless: int
+    rows_without_time: int
     used: np.ndarray
     warnings: tuple[str, ...]
 
@@ -57,7 +57,7 @@ class Table:
         return len(self.time_ns) > 0 and int(self.time_ns[0]) > 10**18
 
 
-def text_of(file: Path, size: int = -1) -> str:
+def read_text(file: Path, size: int = -1) -> str:
     """Text of a UTF-8, UTF-16 (of spreadsheets) or Windows-1252 file, lines ended by \\n.
 
     size: bytes to read, -1 for all. Raises RunError for a binary file.
@@ -83,7 +83,7 @@ def _decoded(file: Path, size: int) -> str:
 def header_of(file: Path) -> list[str]:
     """Names of the columns; empty for a binary file."""
     try:
-        lines = text_of(file, 1 << 16).splitlines()
+        lines = read_text(file, 1 << 16).splitlines()
         return _split_header(lines[_header_line(lines)])[0] if lines else []
     except (OSError, RunError):
         return []
@@ -92,7 +92,7 @@ def header_of(file: Path) -> list[str]:
 def read_table(file: Path, layout: Layout) -> Table:
     """The table in a CSV file. Raises RunError for a binary file, unreadable times, or a row unlike the header."""
     check_readable(file)
-    text = text_of(file)
+    text = read_text(file)
     warnings: list[str] = []
     at = _header_line(text.split("\n", MAX_HEADER_LINES + 1)[:MAX_HEADER_LINES], layout)
     if at:
@@ -116,27 +116,27 @@ def join_tables(tables: Sequence[Table]) -> Table:
         return parts[0] if parts else tables[0]
     for before, part in pairwise(parts):
         if part.time_ns[part.used][0] <= before.time_ns[before.used][-1]:
-            raise RunError(part.file, f"it begins before the end of {before.file.name}: parts of one recording follow "
-                           "each other on one clock", "list it as a run of its own")
+            raise RunError(part.file, f"it begins before the end of {before.file.name}: parts of one recording must "
+                           "follow each other on one clock", "list it as a run of its own")
     first = parts[0]
     columns = {channel: np.concatenate([part.columns[channel] for part in parts]) for channel in first.columns
                if all(channel in part.columns for part in parts)}
     lost = sorted({*first.columns} - {*columns})
     notes = [note for part in parts for note in part.warnings]
     notes += [f"{first.file}: {', '.join(lost)}: not in all parts, and not used"] if lost else []
-    return Table(first.file, first.names, {c: p for c, p in first.places.items() if c in columns or c == "t"}, columns,
-                 np.concatenate([part.time_ns for part in parts]), sum(part.timeless for part in parts),
+    return Table(first.file, first.names, {c: p for c, p in first.sources.items() if c in columns or c == "t"}, columns,
+                 np.concatenate([part.time_ns for part in parts]), sum(part.rows_without_time for part in parts),
                  np.concatenate([part.used for part in parts]), tuple(notes))
 
 
 def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: Layout, warnings: list[str],
-             places: dict[str, Place] | None = None) -> Table:
-    """The table of rows of text. places: by channel, default from the names. Raises RunError."""
-    if places is None:
-        places = find_columns(file, names, layout)
-        places, body = _read_unit_row(file, places, body, delimiter, layout)
+             sources: dict[str, ColumnSource] | None = None) -> Table:
+    """The table of rows of text. sources: by channel, default from the names. Raises RunError."""
+    if sources is None:
+        sources = find_columns(file, names, layout)
+        sources, body = _read_unit_row(file, sources, body, delimiter, layout)
     body = _with_decimal_points(file, body, delimiter)
-    time, first_time = places.get("t"), None
+    time, first_time = sources.get("t"), None
     if time is not None:
         cells = next((line.split(delimiter) for line in body.split("\n", 20) if line.strip()), [])
         first_time = cells[time.column].strip() if time.column < len(cells) else None
@@ -145,29 +145,30 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
                 body = _with_ordered_dates(file, body, warnings)
             body = with_seconds(body, delimiter, time.column, _parse_stamp)
     rows = _numbers(file, body, delimiter, len(names), warnings)
-    warnings += [f"{file}: column {place.name} occurs {names.count(place.name)} times; the first is used"
-                 for place in places.values() if place.name and names.count(place.name) > 1]
+    warnings += [f"{file}: column {source.name} occurs {names.count(source.name)} times; the first is used"
+                 for source in sources.values() if source.name and names.count(source.name) > 1]
     with np.errstate(over="ignore"):
-        columns = {channel: rows[:, place.column] * place.factor for channel, place in places.items() if channel != "t"}
+        columns = {channel: rows[:, source.column] * source.factor
+                   for channel, source in sources.items() if channel != "t"}
     columns = {channel: np.where(np.isfinite(values), values, np.nan) for channel, values in columns.items()}
     if time is None:
-        return Table(file, tuple(names), places, columns, np.empty(0, np.int64), 0, np.empty(0, bool), tuple(warnings))
+        return Table(file, tuple(names), sources, columns, np.empty(0, np.int64), 0, np.empty(0, bool), tuple(warnings))
     seconds = _seconds(file, rows[:, time.column], time, warnings)
     timed, time_ns, used = _usable_times(file, seconds, time, first_time, warnings)
     columns = {channel: values[timed] for channel, values in columns.items()}
-    return Table(file, tuple(names), places, columns, time_ns, int((~timed).sum()), used, tuple(warnings))
+    return Table(file, tuple(names), sources, columns, time_ns, int((~timed).sum()), used, tuple(warnings))
 
 
-def _usable_times(file: Path, seconds: np.ndarray, place: Place, first_time: str | None,
+def _usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_time: str | None,
                   warnings: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(whether each row has a time, those times [ns], whether each of them is used). Raises RunError without any."""
     timed = np.abs(seconds) <= LATEST_TIME
     if first_time is not None and len(seconds) and not np.isfinite(seconds).any():
-        raise RunError(file, f"no time in column {place.name} can be read, the first is {first_time!r}",
+        raise RunError(file, f"no time in column {source.name} can be read, the first is {first_time!r}",
                        "export seconds, or date and time with seconds, as 2026-05-04 10:11:12.3")
     if not timed.any() and np.isfinite(seconds).any():
         largest = np.abs(seconds[np.isfinite(seconds)]).max()
-        raise RunError(file, f"times like {largest:.3g} in column {place.name} are not in {place.unit}",
+        raise RunError(file, f"times like {largest:.3g} in column {source.name} are not in {source.unit}",
                        "declare their unit in a run.yaml, as units: {t: us}")
     # A float of seconds since 1970 resolves microseconds.
     time_ns = np.round(seconds[timed] * 1e6).astype(np.int64) * 1000
@@ -176,9 +177,9 @@ def _usable_times(file: Path, seconds: np.ndarray, place: Place, first_time: str
     used[usable] = True
     warnings += [f"{file}: {note}" for note in notes]
     if 2 * used.sum() < len(used) and not (time_ns % 10**9).any():
-        warnings.append(f"{file}: column {place.name} holds whole seconds, each for many rows; export fractions of a "
+        warnings.append(f"{file}: column {source.name} holds whole seconds, each for many rows; export fractions of a "
                         "second")
-    if not place.stated and used.sum() > 2 and (step := float(np.median(np.diff(time_ns[used])) * 1e-9)) > 1.0:
+    if not source.stated and used.sum() > 2 and (step := float(np.median(np.diff(time_ns[used])) * 1e-9)) > 1.0:
         warnings.append(f"{file}: its times are {step:g} s apart; if they are not seconds, declare their unit in a "
                         "run.yaml, as units: {t: ms}")
     return timed, time_ns, used
@@ -207,36 +208,36 @@ def _split_header(header: str) -> tuple[list[str], str]:
     return [name.strip() for name in names], delimiter
 
 
-def _read_unit_row(file: Path, places: dict[str, Place], body: str, delimiter: str,
-                   layout: Layout) -> tuple[dict[str, Place], str]:
-    """(places with the units of a row below the names, the rest of the body).
+def _read_unit_row(file: Path, sources: dict[str, ColumnSource], body: str, delimiter: str,
+                   layout: Layout) -> tuple[dict[str, ColumnSource], str]:
+    """(sources with the units of a row below the names, the rest of the body).
 
     A first row without any number is a row of units, unless its cells only mark missing values. Raises
     RunError for a cell that is not a unit of its channel.
     """
     first, _, rest = body.partition("\n")
     cells = [cell.strip(' \r"') for cell in first.split(delimiter)]
-    texts = {channel: text for channel, place in places.items() if place.column < len(cells)
-             and (text := cells[place.column].strip("[]() ")).lower() not in MISSING}
+    texts = {channel: text for channel, source in sources.items() if source.column < len(cells)
+             and (text := cells[source.column].strip("[]() ")).lower() not in MISSING}
     if not texts or any(np.isfinite(_number(cell.replace(",", "."))) for cell in cells):
-        return places, body
-    found = dict(places)
+        return sources, body
+    found = dict(sources)
     for channel, text in texts.items():
         if channel in layout.units:
             continue
         kind = COLUMNS[channel].kind
         unit = unit_named(kind, text)
         if unit is None:
-            raise RunError(file, f"unit row: {text[:40]!r} of column {places[channel].name} is not a unit of {kind}",
+            raise RunError(file, f"unit row: {text[:40]!r} of column {sources[channel].name} is not a unit of {kind}",
                            f"known are {', '.join(UNITS[kind])}; or set it in a run.yaml, as units: {{{channel}: ...}}")
-        found[channel] = replace(places[channel], unit=unit, stated=True)
+        found[channel] = replace(sources[channel], unit=unit, stated=True)
     return found, rest
 
 
 def with_seconds(body: str, delimiter: str, column: int, clock: Callable[[str], tuple[float, float] | None]) -> str:
     """The rows with their times as seconds; a time of day continues over midnight.
 
-    clock: reads a cell as (seconds, period after which they restart, 0 for never); None for a cell that is no time.
+    clock: reads a cell as (seconds, period after which they restart, 0 for never); None for an invalid cell.
     """
     rows = [line.split(delimiter) for line in body.split("\n")]
     offset, before = 0.0, 0.0
@@ -262,7 +263,7 @@ def _with_ordered_dates(file: Path, body: str, warnings: list[str]) -> str:
     if day_first != month_first:
         return _SLASHED.sub(r"\3-\2-\1" if day_first else r"\3-\1-\2", body)
     if pairs:
-        warnings.append(f"{file}: day and month of its dates may be exchanged, only the time of day is used; export "
+        warnings.append(f"{file}: the day/month order of its dates is ambiguous; only the time of day is used; export "
                         "dates as 2026-04-25")
     return body
 
@@ -290,14 +291,14 @@ def _parse_stamp(text: str) -> tuple[float, float] | None:
     return seconds + (dated - date(1970, 1, 1)).days * DAY, 0.0
 
 
-def _seconds(file: Path, times: np.ndarray, place: Place, warnings: list[str]) -> np.ndarray:
+def _seconds(file: Path, times: np.ndarray, source: ColumnSource, warnings: list[str]) -> np.ndarray:
     """Times [s] by their stated unit; else inferred: HHMMSS, or ms, us, ns or days since 1970."""
     finite = times[np.isfinite(times)]
     median, steps = np.median(np.abs(finite)) if len(finite) else 0.0, np.abs(np.diff(finite))
     steps = steps[steps > 0.0]  # a coarse clock repeats its times
     meanings: list[tuple[float, float, str]] = []
-    if not place.stated and _is_clock(finite):
-        warnings.append(f"{file}: times of column {place.name} are taken as HHMMSS, a time of day")
+    if not source.stated and _is_hhmmss(finite):
+        warnings.append(f"{file}: times of column {source.name} are taken as HHMMSS, a time of day")
         seconds = times // 10000 * HOUR + times // 100 % 100 * 60 + times % 100
         known = np.isfinite(seconds)
         seconds[known] += DAY * np.cumsum(np.diff(seconds[known], prepend=seconds[known][0]) < -DAY / 2)
@@ -306,15 +307,15 @@ def _seconds(file: Path, times: np.ndarray, place: Place, warnings: list[str]) -
         meanings = [(0.0, UNITS["time"][unit][0], f"{unit} since 1970") for unit in ("ms", "us", "ns")]
     elif len(steps) and np.median(steps) < 2e-5:  # faster than any logger
         meanings = [(origin, DAY, f"days of {tool} (UTC)") for origin, tool in _DAY_COUNTS]
-    for origin, factor, meaning in meanings if not place.stated else ():
+    for origin, factor, meaning in meanings if not source.stated else ():
         if _EPOCH[0] <= (median - origin) * factor <= _EPOCH[1]:
-            warnings.append(f"{file}: times of column {place.name} are taken as {meaning}")
+            warnings.append(f"{file}: times of column {source.name} are taken as {meaning}")
             return (times - origin) * factor
-    return times * place.factor
+    return times * source.factor
 
 
-def _is_clock(times: np.ndarray) -> bool:
-    """Whether numbers are HHMMSS.ss: minutes and seconds below 60, and a step of 40 more over each full minute."""
+def _is_hhmmss(times: np.ndarray) -> bool:
+    """Whether numbers are HHMMSS.ss: minutes and seconds below 60, and steps 40 larger at full minutes."""
     if len(times) < 3 or times.min() < 0.0 or times.max() >= 240000.0 or (times % 100 >= 60.0).any() or (
             times // 100 % 100 >= 60).any():
         return False
@@ -350,7 +351,7 @@ def _with_decimal_points(file: Path, body: str, delimiter: str) -> str:
             marks.add(other)  # ... and the mark that is not in 1,234,567
     doubtful = sorted(cell for cell in commas | points if any(form.fullmatch(cell) for form in _GROUPED.values()))
     if doubtful and (len(marks) > 1 or not marks):
-        why = "both commas and points are decimal marks in it" if marks else "nothing in the file decides it"
+        why = "the file has decimal commas and decimal points" if marks else "no other cell decides it"
         raise RunError(file, f"{doubtful[0]} may be a number with a decimal mark or with a thousands separator: {why}",
                        "export it without thousands separators")
     if len(marks) > 1:  # every cell has at most one mark, and it is decimal
@@ -382,8 +383,8 @@ def _numbers(file: Path, body: str, delimiter: str, width: int, warnings: list[s
     if whole and 2 * lost < len(lines):
         try:
             rows = _parsed(whole, delimiter, width)
-            what = "the last row is cut; it was left out" if lost == 1 and widths[-1] != width else (
-                f"{share(lost, len(lines), 'rows')} have another number of cells than the header; they were left out")
+            what = "the last row is truncated; it was left out" if lost == 1 and widths[-1] != width else (
+                f"{share(lost, len(lines), 'rows')} do not have as many cells as the header; they were left out")
             warnings.append(f"{file}: {what}")
             return rows
         except ValueError as second:

@@ -12,7 +12,7 @@ COMPRESSED_MARKS = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip, or a spreadsheet",
 """First bytes of a compressed file -> its kind."""
 _LOGGER = logging.getLogger("st_recordings")
 _logged: set[str] = set()
-MAX_ALIKE = 3
+MAX_SIMILAR_WARNINGS = 3
 """While warnings are grouped: number logged in full of each set that differs only in file name and numbers."""
 # Warnings by their text without file and numbers, while they are grouped.
 _groups: ContextVar[dict[str, list[str]] | None] = ContextVar("_groups", default=None)
@@ -50,16 +50,16 @@ def log_warnings(warnings: Iterable[str]) -> None:
             continue
         _logged.add(warning)
         if (groups := _groups.get()) is not None:
-            alike = groups.setdefault(re.sub(r"[\d.]+", "", warning.partition(": ")[2]), [])
-            alike.append(warning)
-            if len(alike) > MAX_ALIKE:
+            similar = groups.setdefault(re.sub(r"[\d.]+", "", warning.partition(": ")[2]), [])
+            similar.append(warning)
+            if len(similar) > MAX_SIMILAR_WARNINGS:
                 continue
         _LOGGER.warning("warning: %s", printable(warning))
 
 
 @contextmanager
 def grouped_warnings() -> Iterator[None]:
-    """Context in which repeated warnings, which differ only in file and numbers, are abbreviated: the first MAX_ALIKE
+    """Context in which warnings that differ only in file and numbers are abbreviated: the first MAX_SIMILAR_WARNINGS
     are logged in full, on exit only the file names of the others."""
     groups: dict[str, list[str]] = {}
     token = _groups.set(groups)
@@ -67,11 +67,11 @@ def grouped_warnings() -> Iterator[None]:
         yield
     finally:
         _groups.reset(token)
-        for alike in groups.values():
-            if others := [warning.partition(": ")[0] for warning in alike[MAX_ALIKE:]]:
+        for similar in groups.values():
+            if others := [warning.partition(": ")[0] for warning in similar[MAX_SIMILAR_WARNINGS:]]:
                 files = ", ".join(others[:10]) + (f" and {len(others) - 10} more" if len(others) > 10 else "")
                 _LOGGER.warning("warning: %s", printable(
-                    f"{len(others)} more like {alike[0][:100]}...: {files} (each in full in the report)"))
+                    f"{len(others)} more like {similar[0][:100]}...: {files} (each in full in the report)"))
 
 
 def join_problems(problems: Iterable[str]) -> str:

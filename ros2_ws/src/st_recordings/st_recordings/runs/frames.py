@@ -96,7 +96,7 @@ def without_duplicates(frames: Frames) -> tuple[Frames, int]:
 def without_clock_steps(frames: Frames) -> tuple[Frames, list[float]]:
     """Frames in the order they were written, with the time after each step back of the clock moved forward.
 
-    A logger writes frames as they arrive, so time that runs backwards is its clock being set. The frames after the step
+    A logger writes frames as they arrive, so a step back in time means that its clock was set. The frames after it
     continue where those before it ended; the true gap between the two frames, a millisecond on a busy bus, is lost.
     Returns the frames and the sizes of the steps [s], negative.
     """
@@ -121,7 +121,7 @@ def clock_step_notes(steps: Sequence[float]) -> list[str]:
 def read_frames(messages: Iterable[bytes]) -> Frames:
     """Frames of serialised st_msgs/CanFrames messages in order of arrival. Raises ValueError for a damaged message.
 
-    Reads the k-th frames of all messages at once: the place of a frame in its message follows from the length of the
+    Reads the k-th frames of all messages at once: the offset of a frame in its message follows from the length of the
     one before.
     """
     parts = list(messages)
@@ -131,22 +131,22 @@ def read_frames(messages: Iterable[bytes]) -> Frames:
     buffer = np.frombuffer(b"".join(parts) + bytes(FRAME_HEAD_LENGTH + MAX_DATA_LENGTH), np.uint8)
     at, left = np.array(firsts, np.int64) + ends - sizes, np.array(counts, np.int64)
     heads = _windows(buffer, FRAME_HEAD_LENGTH)
-    places: list[np.ndarray] = []
-    owners: list[np.ndarray] = []
+    offsets: list[np.ndarray] = []
+    message_numbers: list[np.ndarray] = []
     message = np.arange(len(parts))
     while (unread := left > 0).any():
         at, left, message = at[unread], left[unread], message[unread]
         length = heads[at, 16:20].copy().view("<u4")[:, 0].astype(np.int64)
         if (length > MAX_DATA_LENGTH).any() or (at + FRAME_HEAD_LENGTH + length > ends[message]).any():
             raise ValueError("a frame reaches beyond its message")
-        places.append(at)
-        owners.append(message)
+        offsets.append(at)
+        message_numbers.append(message)
         at, left = at + FRAME_HEAD_LENGTH + (length + 3) // 4 * 4, left - 1
-    if not places:
+    if not offsets:
         return no_frames()
     # From k-th frames to messages; the stable sort keeps the frames of a message in order.
-    sequence = np.argsort(np.concatenate(owners), kind="stable")
-    return _columns(buffer, np.concatenate(places)[sequence])
+    sequence = np.argsort(np.concatenate(message_numbers), kind="stable")
+    return _columns(buffer, np.concatenate(offsets)[sequence])
 
 
 def _first_frame(message: bytes) -> tuple[int, int]:

@@ -85,7 +85,7 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
 def check_common_time(source: RunSource, ins_ns: np.ndarray, steering_ns: np.ndarray) -> None:
     """Raises RunError where INS and steering do not overlap in time."""
     if len(ins_ns) < 2 or len(steering_ns) < 2:
-        raise RunError(source.where, "fewer than two measurements of INS or steering are in it",
+        raise RunError(source.where, "it contains fewer than two measurements of INS or steering",
                        "remove it from the command")
     if min(ins_ns[-1], steering_ns[-1]) <= max(ins_ns[0], steering_ns[0]):
         raise RunError(source.where, "INS and steering were not recorded at the same time",

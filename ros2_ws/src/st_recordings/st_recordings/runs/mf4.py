@@ -36,7 +36,7 @@ from .mdf_blocks import VALUE_ELSEWHERE, VIRTUAL, DamageError
 RECORDS_AT_ONCE = 1 << 20
 LATEST_START, LONGEST_SESSION = 4 * 10**9, 1e9  # s; their sum fits into 64 bits as ns
 MDF_OPTIONS: dict[str, Any] = {"process_bus_logging": False}  # frames as they are, not decoded
-MAKERS_CONTAINERS = (".mfc", ".mfe", ".mfm")
+VENDOR_SUFFIXES = (".mfc", ".mfe", ".mfm")
 _FLAGS_OF_KIND = {"CAN_DataFrame": 0, "CAN_RemoteFrame": REMOTE, "CAN_ErrorFrame": ERROR}
 _TIME_CHANNELS = (2, 3)  # types of a channel: master, virtual master
 FD_LENGTHS = np.array([*range(9), 12, 16, 20, 24, 32, 48, 64], np.uint8)  # by data length code, ISO 11898-1
@@ -59,12 +59,12 @@ def session_of(path: Path) -> tuple[str, int]:
     return str(path), 1
 
 
-def refuse_makers_container(path: Path) -> None:
+def reject_vendor_container(path: Path) -> None:
     """Raises RunError for a compressed or encrypted container of the logger vendor, known by name or content."""
-    if path.suffix.lower() in MAKERS_CONTAINERS or _head(path).startswith(b"Generic File"):
+    if path.suffix.lower() in VENDOR_SUFFIXES or _head(path).startswith(b"Generic File"):
         kinds = {".mfc": "compressed", ".mfe": "encrypted", ".mfm": "compressed and encrypted"}
         kind = kinds.get(path.suffix.lower(), "compressed or encrypted")
-        raise RunError(path, f"this is a {kind} log in CSS Electronics' own container, not MF4",
+        raise RunError(path, f"this is a {kind} log in CSS Electronics' own container, which cannot be read",
                        "convert it with their mdf2finalized / CANedge MF4 converter first, then give the .MF4")
 
 
@@ -75,19 +75,19 @@ def read_mf4(path: Path) -> CanLog:
     warning. Raises RunError for a file that is not MF4, has no CAN frames, or is truncated in its block structure.
     """
     check_readable(path)
-    refuse_makers_container(path)
+    reject_vendor_container(path)
     if _head(path)[:4] not in (b"MDF ", b"UnFi"):
         raise RunError(path, "this is not an MF4 file (no MDF mark at its start)",
                        "correct its extension, or remove it from the command")
     if (version := _head(path)[8:12])[:2] != b"4.":
-        raise RunError(path, f"this is MDF version {version.decode('latin-1').strip()}, and only version 4 is read",
+        raise RunError(path, f"this is MDF version {version.decode('latin-1').strip()}; only version 4 can be read",
                        "convert it with asammdf")
     warnings: list[str] = []
     decoded_signals: list[str] = []
     with _opened(path, warnings) as log:
         start_ns = int(log.header.start_time.timestamp()) * 10**9 + int(log.header.abs_time) % 10**9
         if not 0 <= start_ns < LATEST_START * 10**9:
-            raise DamageError("the start of its session is not a time")
+            raise DamageError("the session start time is invalid")
         parts = []
         clock_steps: list[float] = []
         for group in range(len(log.groups)):
@@ -99,11 +99,11 @@ def read_mf4(path: Path) -> CanLog:
                 clock_steps += steps
                 parts.append(part)
     if not parts and decoded_signals:
-        raise RunError(path, "no CAN frames are in the log, but signals already decoded: "
+        raise RunError(path, "the log contains no raw CAN frames, only decoded signals: "
                        f"{', '.join(decoded_signals)[:200]}",
                        "give the log with the raw frames, or export the signals as CSV (asammdf) and give that")
     if not parts:
-        raise RunError(path, "no CAN frames are in the log", "check that the logger was on the right bus")
+        raise RunError(path, "the log contains no CAN frames", "check that the logger was on the right bus")
     return CanLog(merged(parts), (path,), start_ns, warnings=(*warnings, *clock_step_notes(clock_steps)))
 
 
@@ -126,7 +126,8 @@ def _opened(path: Path, warnings: list[str]) -> Iterator[Any]:
     except RunError:
         raise
     except DamageError as error:
-        raise RunError(path, f"the file is cut or damaged: {error}", "copy it from the logger's card again") from None
+        raise RunError(path, f"the file is truncated or damaged: {error}",
+                       "copy it from the logger's card again") from None
     except Exception as error:
         raise RunError(path, f"asammdf cannot read it ({short(error)})",
                        "copy it from the logger's card again") from None
@@ -148,20 +149,20 @@ def _open_whole(path: Path, warnings: list[str]) -> Any:
         log = MDF(path, **MDF_OPTIONS)
         if all(_has_payloads(log, group) for group in range(len(log.groups))):
             return log
-    except Exception:  # asammdf raises whatever its parsing raises; all of it means "cut or damaged"
+    except Exception:  # asammdf raises whatever its parsing raises; all of it means "truncated or damaged"
         pass
     if log is not None:
         log.close()
     content = path.read_bytes()
     end = mdf_blocks.end_of_last_frame(content, layout) if layout else None
     if end is None:
-        raise DamageError("no whole frame is in it")
+        raise DamageError("it contains no complete frame")
     mdf_blocks.check_blocks(content[:end])
     warnings.append(f"the file ends in the middle of a frame ({len(content) - end} bytes dropped)")
     log = MDF(io.BytesIO(content[:end]), **MDF_OPTIONS)
     if not all(_has_payloads(log, group) for group in range(len(log.groups))):
         log.close()
-        raise DamageError("payloads are not at the places given in its frames")
+        raise DamageError("the payload offsets in its frames are invalid")
     return log
 
 
@@ -174,7 +175,7 @@ def _has_payloads(log: Any, group: int) -> bool:
     """Whether every frame of a group has its payload: in layout 1 the two are written one after the other.
 
     asammdf looks for payloads wherever the frames point to and allocates the longest it finds: terabytes, for one wrong
-    byte. So places and lengths are checked first, with private functions of asammdf.
+    byte. So offsets and lengths are checked first, with private functions of asammdf.
     """
     if _frame_channel(log, group) is None or not log.groups[group].channel_group.cycles_nr:
         return True
@@ -204,12 +205,12 @@ def _group_frames(log: Any, group: int, start_ns: int) -> Iterator[Frames]:
         return
     content, bus = log.groups[group], _bus_of(log, group)
     if not content.channel_group.samples_byte_nr:
-        raise DamageError("its frames have no bytes")
+        raise DamageError("its records have length zero")
     if not any(channel.channel_type in _TIME_CHANNELS for channel in content.channels):
-        raise DamageError("its frames have no time")
+        raise DamageError("its records have no time channel")
     count = content.channel_group.cycles_nr
     for first in range(0, count, RECORDS_AT_ONCE):
-        # Not more than exist: asammdf allocates the requested number. Times out of range are refused in _frames.
+        # Not more than exist: asammdf allocates the requested number. Times out of range are rejected in _frames.
         with np.errstate(all="ignore"):
             signal = log.get(name, group=group, raw=True, ignore_invalidation_bits=True, record_offset=first,
                              record_count=min(RECORDS_AT_ONCE, count - first))
@@ -233,7 +234,7 @@ def _frames(name: str, signal: Any, bus: int, start_ns: int, channels: Mapping[s
         if channel is not None and channel.channel_type in VIRTUAL:  # its conversion is 0 * row + constant
             slope, value = getattr(channel.conversion, "a", 1.0), getattr(channel.conversion, "b", 0.0)
             if slope or not 0 <= value <= 255 or value != int(value):
-                raise DamageError(f"{channel.name} is a virtual channel and no constant")
+                raise DamageError(f"{channel.name} is a virtual channel but not constant")
             return np.full(n, int(value), np.uint8)
         if short not in members:
             return np.full(n, default, np.uint8)

@@ -112,7 +112,7 @@ def _damage_warnings(columns: file_decoder.Columns, file: Path) -> list[str]:
     if counters.checksum_errors:
         lost.append(f"{counters.checksum_errors} packets have a wrong checksum")
     if counters.duplicates:
-        lost.append(f"{counters.duplicates} packets are there twice")
+        lost.append(f"{counters.duplicates} packets are duplicates")
     return [f"{file}: {', '.join(lost)}; they were left out"] if lost else []
 
 

@@ -89,7 +89,7 @@ def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings:
 def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, run: RawRun) -> LoadedRun:
     """The decoded run as a drive on the INS clock. Raises RunError, also for a refused alignment."""
     warnings, verdict, reasons = list(run.warnings), run.alignment.verdict, "; ".join(run.alignment.reasons)
-    if verdict is Verdict.REFUSED or (verdict is Verdict.DOUBTFUL and not settings.doubtful):
+    if verdict is Verdict.REFUSED or (verdict is Verdict.DOUBTFUL and not settings.accept_doubtful):
         raise RunError(source.where, f"its clock cannot be aligned with that of the CAN log: {reasons}",
                        "inspect it with `st align`, and give the offset by hand if you know it (--offset)")
     if reasons:
@@ -113,7 +113,7 @@ def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
         steering_time_ns=steering_ns[good], steering_wheel_angle=wheel,
         road_wheel_angle=vehicle.road_wheel_angle(wheel))
     provenance = {"reader": f"{source.kind} and CAN log", **({"origin": list(ins.origin)} if ins.origin else {}),
-             "alignment": about_alignment(run.alignment),
+             "alignment": alignment_summary(run.alignment),
              "settings": {"steering_sign": settings.steering_sign, "steering_latency": settings.steering_latency,
                           "ins_can_latency": run.latency}}
     auxiliary = AuxiliaryData({"INS": ins.stamps_ns, "steering": steering_ns},
@@ -127,9 +127,9 @@ def _refused_steering(run: RawRun, settings: ReadSettings) -> tuple[Finding, ...
     """Finding of the steering frames that the decoder refused; empty without any."""
     assert run.steering is not None
     message = run.steering.message
-    if message not in run.signals.refused or not len(run.ins.time_ns):
+    if message not in run.signals.rejected or not len(run.ins.time_ns):
         return ()
-    time_ns = _steering_clock(run, settings, run.signals.refused[message])
+    time_ns = _steering_clock(run, settings, run.signals.rejected[message])
     return (refused_frames((time_ns - run.ins.time_ns[0]) * 1e-9, len(time_ns) + len(run.steering.time_ns),
                            run.signals.faults[message]),)
 
@@ -144,7 +144,7 @@ def _steering_clock(run: RawRun, settings: ReadSettings, time_ns: np.ndarray) ->
     return run.alignment.to_reference_ns(time_ns) - round(settings.steering_latency * 1e9)
 
 
-def about_alignment(alignment: Alignment) -> dict[str, Any]:
+def alignment_summary(alignment: Alignment) -> dict[str, Any]:
     """The alignment in Python types for reports and metadata; units in the keys."""
     return {
         "method": alignment.method, "verdict": str(alignment.verdict), "reasons": list(alignment.reasons),

@@ -19,7 +19,7 @@ from st_core.checks import AuxiliaryData, InsQuality, Series
 from st_core.errors import StCoreError
 from st_core.vehicle import VehicleParameters
 
-from .bag_storage import Storage, Topic, parameters, text_of
+from .bag_storage import Storage, Topic, recorded_parameters, recorded_text
 from .cdr import CAN_FRAMES, INS_ON_CAN, INS_STATUS, NCOM, WHEEL_FIELDS, WHEEL_SPEEDS, field_of
 from .errors import RunError
 from .ins_log import car_speed, is_newer, series
@@ -40,7 +40,7 @@ class Reconstruction:
     def __init__(self, path: Path, storage: Storage, records: Mapping[str, Mapping[str, str]], store: Typestore):
         """records: metadata records with the parameters of the nodes, DBC, table and vehicle."""
         self._path, self._storage, self._store = path, storage, store
-        self._records, self._nodes = records, parameters(records)
+        self._records, self._nodes = records, recorded_parameters(records)
         self._topics = storage.topics()
 
     def has(self, type_name: str) -> bool:
@@ -68,7 +68,7 @@ class Reconstruction:
         columns = self._storage.columns({self.topic(NCOM): ("header.stamp", "raw_packet")}, self._store)
         raw = columns.get(self.topic(NCOM).name)
         if raw is None:
-            raise RunError(self._path, "its raw packets are not alike", "repair the bag with `st recover`")
+            raise RunError(self._path, "its raw packets differ in length", "repair the bag with `st recover`")
         packets = zip(raw["header.stamp"].tolist(), map(bytes, raw["raw_packet"]), strict=True)
         odometry = reconstruct_odometry(packets, self._origin(bridge), not bridge.get("replay_file"),
                                         bridge.get("stamp_source") == "receive")
@@ -112,7 +112,7 @@ class Reconstruction:
         value = float(bridge.get(key, math.nan))
         if math.isfinite(value):
             return value
-        text = text_of(self._records, str(bridge.get("vehicle_file", "")))
+        text = recorded_text(self._records, str(bridge.get("vehicle_file", "")))
         try:
             return getattr(VehicleParameters.from_yaml(text or "", "the vehicle in the recording"), key)
         except StCoreError as error:
@@ -126,7 +126,7 @@ class Reconstruction:
 
     def _descriptions(self) -> tuple[str | None, ...]:
         bridge = self._nodes.get("canedge_bridge", {})
-        return tuple(text_of(self._records, str(bridge.get(name, ""))) for name in ("dbc_file", "signals_file"))
+        return tuple(recorded_text(self._records, str(bridge.get(name, ""))) for name in ("dbc_file", "signals_file"))
 
     @cached_property
     def _table(self) -> Any:
@@ -234,7 +234,7 @@ def steering_topic(where: Any, topics: list[Topic], steering: SteeringField, sto
     found = next((t for t in topics if t.name.lstrip("/") == steering.topic.lstrip("/") and t.count), None)
     if found is None:
         names = ", ".join(sorted(t.name for t in topics if t.count))[:300] or "no messages"
-        raise RunError(where, f"--steering-topic: no message of {steering.topic} is in it; it has {names}",
+        raise RunError(where, f"--steering-topic: it contains no message of {steering.topic}, but {names}",
                        "name one of them")
     if found.type_name not in store.fielddefs:
         raise RunError(where, f"--steering-topic: the type {found.type_name} of {found.name} is not known, and the bag "
@@ -260,7 +260,7 @@ def steering_value(where: Any, message: Any, steering: SteeringField) -> float:
         value = getattr(value, part)
     if _is_list(value):
         raise RunError(where, f"--steering-field: {steering.field!r} of {steering.topic} is a list of {len(value)}",
-                       f"add the place in it, as {steering.field}.0")
+                       f"add the index, as {steering.field}.0")
     if isinstance(value, bool | str) or not isinstance(value, int | float | np.number):
         raise RunError(where, f"--steering-field: {steering.field!r} of {steering.topic} is not a number",
                        "give the path to one number, as drive.steering_angle")
@@ -279,7 +279,7 @@ def stamp_of(message: Any, log_ns: int) -> int:
 
 def deserialise(where: Any, storage: Storage, topic: Topic, store: Typestore) -> Iterator[tuple[int, Any]]:
     """Yields (log time [ns], message) of a topic. Raises RunError for a damaged message."""
-    for log_ns, data in storage.timed(topic.name):
+    for log_ns, data in storage.timed_messages(topic.name):
         try:
             message = store.deserialize_cdr(data, topic.type_name)
         except Exception as error:  # rosbags raises whatever struct and numpy raise

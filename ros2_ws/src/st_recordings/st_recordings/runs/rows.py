@@ -17,10 +17,10 @@ from .frames import ERROR, EXTENDED, FD, FRAME_HEAD_LENGTH, REMOTE, Frames
 from .ncom import ACCURACIES, NcomLog, latest_values, status_values
 
 UNKNOWN_VARIANCE = 1e6
-"""As in oxts_bridge.convert: large enough that filters ignore it, finite so that none breaks."""
+"""As in oxts_bridge.convert: large enough that filters ignore it, finite so that none fails."""
 MAP_FRAME, INS_FRAME = "map", "ins_link"
 CAN_PERIOD_NS = 20_000_000
-"""Of one can/frames message, as the live bridge sends them."""
+"""Time span of one can/frames message, as in the live bridge."""
 
 
 class Covariances:
@@ -183,8 +183,8 @@ def in_time_order(parts: list[Messages]) -> Iterator[tuple[int, str, memoryview]
         return
     time_ns = np.concatenate([p.time_ns for p in parts])
     which = np.repeat(np.arange(len(parts)), [len(p) for p in parts])
-    place = np.concatenate([np.arange(len(p)) for p in parts])
+    index = np.concatenate([np.arange(len(p)) for p in parts])
     order = np.argsort(time_ns, kind="stable")
     edges = [p.edges.tolist() for p in parts]
-    for time, part, k in zip(time_ns[order].tolist(), which[order].tolist(), place[order].tolist(), strict=True):
+    for time, part, k in zip(time_ns[order].tolist(), which[order].tolist(), index[order].tolist(), strict=True):
         yield time, parts[part].topic, parts[part].data[edges[part][k] : edges[part][k + 1]]

@@ -35,7 +35,7 @@ def read_run_file(path: Path) -> RunSource:
     except (OSError, ConfigurationError, UnicodeDecodeError) as error:
         raise RunError(path, f"invalid YAML: {short(error)}") from None
     if not isinstance(content, dict):
-        raise RunError(path, "does not hold keys and values", f"known keys are {', '.join(_KEYS)}")
+        raise RunError(path, "is not a YAML mapping", f"known keys are {', '.join(_KEYS)}")
     unknown = [key for key in content if key not in _KEYS]
     if unknown:
         raise RunError(path, f"key {unknown[0]} is not known", f"known keys are {', '.join(_KEYS)}")

@@ -17,7 +17,7 @@ from .errors import RunError
 
 @dataclass(frozen=True)
 class SteeringField:
-    """Place, unit and sign of the steering angle in a recording of other software.
+    """Location, unit and sign of the steering angle in a recording of other software.
 
     topic: of a bag, "" for a table. field: path in its messages, as "drive.steering_angle"; column of a table.
     quantity: road (mean of the front wheels) or wheel (steering wheel, offset included). unit: None for the unit in the
@@ -78,11 +78,11 @@ class ReadSettings:
     """How raw files are read.
 
     dbc, signals: files of the CAN bus, default the Leaf's. steering_sign: +1 where the decoded sensor is left
-    positive. steering_latency: from the motion of the wheel to the frame in the log [s]. offset: INS minus CAN
-    clock [s], None to estimate it within the bounds `search` [s]. ins_can_latency: from the validity of an INS value to
-    its CAN frame in the log, and its standard deviation [s]; None: assumed (clocks.py). doubtful: whether a doubtful
-    alignment may be used (with a warning); a refused one never is. steering: where the angle is in bags without
-    st_msgs/Steering, or in tables. odometry: the topic to read from a bag that has several.
+    positive. steering_latency: from the motion of the wheel to the stamp of its frame [s]. offset: INS minus CAN clock
+    [s], None to estimate it within the bounds `search` [s]. ins_can_latency: from the validity of an INS value to
+    its CAN frame in the log, and its standard deviation [s]; None: assumed (clocks.py). accept_doubtful: whether a
+    doubtful alignment may be used (with a warning); a refused one never is. steering: where the angle is in bags
+    without st_msgs/Steering, or in tables. odometry: the topic to read from a bag that has several.
     """
 
     dbc: Path | None = None
@@ -92,7 +92,7 @@ class ReadSettings:
     offset: float | None = None
     search: tuple[float, float] | None = None
     ins_can_latency: tuple[float, float] | None = None
-    doubtful: bool = True
+    accept_doubtful: bool = True
     steering: SteeringField | None = None
     odometry: str | None = None
 

@@ -152,7 +152,7 @@ def _unmatched(recordings: Sequence[Path], readers: dict[Path, Reader], logs: Se
         file = next(f for f in logs if session_of(f)[0] == session)
         csv = READERS["csv"]
         tables = [f.name for f in sorted(file.parent.iterdir())
-                  if csv.takes(f) and not (csv.has_drive(f) or csv.is_ins_only(f))]
+                  if csv.accepts(f) and not (csv.has_drive(f) or csv.is_ins_only(f))]
         advice = "give both, or list the files of the run in a run.yaml"
         if tables:
             advice += f"; it can name columns that are not recognised in {tables[0]}, as columns: {{x: NAME, ...}}"

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .columns import COLUMNS, Layout, Place, doubtful_steering, find_columns, normalised, unit_named, with_units
-from .csv_table import DAY, Table, rate_of, table_of, text_of, with_seconds
+from .columns import COLUMNS, ColumnSource, Layout, doubtful_steering, find_columns, normalised, unit_named, with_units
+from .csv_table import DAY, Table, rate_of, read_text, table_of, with_seconds
 from .errors import RunError, check_readable
 
 _SECTION = re.compile(r"^\[([^\]]*)\][ \t]*\n", re.MULTILINE)
@@ -21,10 +21,10 @@ _CREATED = re.compile(r"created on (\d{1,2})/(\d{1,2})/(\d{4})", re.IGNORECASE)
 _STANDARD_CHANNELS = {"lat": ("latitude", "min"), "latitude": ("latitude", "min"), "long": ("longitude", "min"),
                       "longitude": ("longitude", "min"), "velocity": ("velocity_x", "km/h"),
                       "heading": ("course", "deg"), "time": ("t", "s")}
-# Units of the maker's loggers for other channels, where [channel units] gives none.
+# Units of Racelogic's loggers for other channels, where [channel units] gives none.
 _DEFAULT_UNITS = {"angular rate": "deg/s", "acceleration": "g", "angle": "deg", "speed": "km/h", "length": "m"}
 HEADER_SIZE = 65536  # bytes, in which the column names are
-MAX_DAMAGED_TIMES = 0.01  # share of single times that are none, up to which the others are HHMMSS
+MAX_DAMAGED_TIMES = 0.01  # largest share of invalid times with which the others are read as HHMMSS
 TRUE_HEADING_NAMES = ("trueheading", "truehead", "headingtrue", "heading2", "dualantennaheading")
 MIN_HEADING_AGREEMENT = 0.5
 """Correlation of a yaw rate channel with the derivative of the heading below which it is not used."""
@@ -38,34 +38,34 @@ def read_vbo(file: Path, layout: Layout) -> Table:
     The heading of a VBO is the course over ground; only a receiver with two antennas also gives the heading of the car.
     """
     check_readable(file)
-    text = text_of(file)
+    text = read_text(file)
     sections = _sections(text)
     if not {"column names", "data"} <= sections.keys():
         raise RunError(file, "this is not a VBO file: sections [column names] and [data] are missing",
                        "correct its extension")
     names = _names(sections)
-    places = _places(file, names, sections, layout)
+    sources = _sources(file, names, sections, layout)
     warnings: list[str] = []
     body = re.sub(r"[ \t]+", " ", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", sections["data"]))
     if "," in body and "." not in body:
         body = body.replace(",", ".")
-    place = places.pop("t", None)
-    if place is None:
+    source = sources.pop("t", None)
+    if source is None:
         raise RunError(file, "[column names] has no time", f"it has {', '.join(names)[:200]}")
     midnight = _midnight(text)
-    if _is_clock(body, place.column):
-        body = with_seconds(body, " ", place.column, lambda cell: _seconds(cell, midnight))
+    if _is_hhmmss(body, source.column):
+        body = with_seconds(body, " ", source.column, lambda cell: _seconds(cell, midnight))
     else:
         warnings.append(f"{file}: its times are not HHMMSS; they are taken as seconds")
-        place = replace(place, stated=False)
-    table = table_of(file, names, body, " ", layout, warnings, {**places, "t": place})
+        source = replace(source, stated=False)
+    table = table_of(file, names, body, " ", layout, warnings, {**sources, "t": source})
     return _with_signs(table)
 
 
 def lacks_steering(file: Path) -> bool:
     """Whether [column names] has no steering angle, of either kind."""
     try:
-        names = _names(_sections(text_of(file, HEADER_SIZE)))
+        names = _names(_sections(read_text(file, HEADER_SIZE)))
         found = find_columns(file, names, Layout())
     except (RunError, OSError):  # the reader names what is wrong
         return False
@@ -81,26 +81,26 @@ def _names(sections: dict[str, str]) -> list[str]:
     return [name.strip('"') for name in re.findall(r'"[^"\n]*"|\S+', sections.get("column names", ""))]
 
 
-def _places(file: Path, names: list[str], sections: dict[str, str], layout: Layout) -> dict[str, Place]:
+def _sources(file: Path, names: list[str], sections: dict[str, str], layout: Layout) -> dict[str, ColumnSource]:
     """Channels of the columns: the standard ones, then those with the names of CSV columns."""
     units = _units(names, sections)
-    places = {}
-    for channel, place in find_columns(file, names, Layout(layout.columns, {}, layout.source)).items():
-        stated = unit_named(place.kind, units.get(place.name, ""))
-        places[channel] = replace(place, unit=stated or _DEFAULT_UNITS.get(place.kind, place.unit),
+    sources = {}
+    for channel, source in find_columns(file, names, Layout(layout.columns, {}, layout.source)).items():
+        stated = unit_named(source.kind, units.get(source.name, ""))
+        sources[channel] = replace(source, unit=stated or _DEFAULT_UNITS.get(source.kind, source.unit),
                                   stated=stated is not None)
     for number, name in enumerate(names):
         first = names.index(name) == number  # of columns of one name
         if first and (standard := _STANDARD_CHANNELS.get(name.lower())) and standard[0] not in layout.columns:
             channel, unit = standard
             kind = COLUMNS[channel].kind
-            places[channel] = Place(number, name, kind, unit_named(kind, units.get(name, "")) or unit, True)
+            sources[channel] = ColumnSource(number, name, kind, unit_named(kind, units.get(name, "")) or unit, True)
         if normalised(name) in TRUE_HEADING_NAMES:
             unit = unit_named("angle", units.get(name, "")) or "deg"
-            places["compass_heading"] = Place(number, name, "angle", unit, True)
-    if "yaw" in places and "course" in places and "yaw" not in layout.columns:
-        places.pop("yaw")
-    return with_units(file, places, layout)
+            sources["compass_heading"] = ColumnSource(number, name, "angle", unit, True)
+    if "yaw" in sources and "course" in sources and "yaw" not in layout.columns:
+        sources.pop("yaw")
+    return with_units(file, sources, layout)
 
 
 def _units(names: list[str], sections: dict[str, str]) -> dict[str, str]:
@@ -125,7 +125,7 @@ def _midnight(text: str) -> float:
         return 0.0
 
 
-def _is_clock(body: str, column: int) -> bool:
+def _is_hhmmss(body: str, column: int) -> bool:
     """Whether the times are HHMMSS, with minutes and seconds below 60; single damaged ones do not count."""
     cells = [line.split(" ")[column] for line in body.split("\n") if line.count(" ") >= column][:-1]
     clock = np.array([float(cell) for cell in cells if re.fullmatch(r"\d{1,15}(\.\d+)?", cell)])
@@ -134,7 +134,7 @@ def _is_clock(body: str, column: int) -> bool:
 
 
 def _seconds(text: str, midnight: float) -> tuple[float, float] | None:
-    """(UTC [s] of HHMMSS.ss on the day that began at midnight, period of a day); None for a cell that is no time."""
+    """(UTC [s] of HHMMSS.ss on the day that began at midnight, period of a day); None for an invalid cell."""
     try:
         clock = float(text)
     except ValueError:

@@ -13,12 +13,12 @@ from st_core.vehicle import VehicleParameters
 
 from ..mcap import BagWriter
 from ..results import versions
-from .bag import definitions
+from .bag import definitions_folder
 from .cdr import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS, typestore
 from .errors import RunError
 from .load import apply_run_file, check_common_time, file_hashes
 from .ncom import NcomLog
-from .raw import RawRun, about_alignment, as_drive, read_raw, steering_times
+from .raw import RawRun, alignment_summary, as_drive, read_raw, steering_times
 from .readers.ncom import read_ins
 from .rows import Covariances, Messages, Serialiser, in_time_order
 from .run_types import LoadedRun, ReadSettings, RunSource
@@ -45,11 +45,11 @@ class Imported:
 
 
 def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, settings: ReadSettings,
-               checked: Callable[[LoadedRun], Sequence[Finding]], progress: Callable[[float], None] | None = None
+               check: Callable[[LoadedRun], Sequence[Finding]], progress: Callable[[float], None] | None = None
                ) -> Imported:
     """Reads a run of raw files, has it checked and writes it as a bag.
 
-    vehicle: for the road wheel angle. directory: of the new bag. checked: returns the findings on a drive; raises
+    vehicle: for the road wheel angle. directory: of the new bag. check: returns the findings on a drive; raises
     RunError for one that must not be written. progress: called with the share done, 0 to 1. Raises RunError for a run
     that cannot be read or aligned, one that is refused, or a bag that cannot be written.
     """
@@ -59,12 +59,12 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
     run = read_raw(source, settings, read_ins)
     drive = apply_run_file(source, as_drive(source, vehicle, settings, run), vehicle)
     check_common_time(source, drive.log.ins_time_ns, drive.log.steering_time_ns)
-    findings = tuple(checked(drive))
+    findings = tuple(check(drive))
     try:
         writer = BagWriter(directory, _records(source, vehicle, settings, run))
     except OSError as error:
         raise RunError(directory, str(error.strerror or error)) from None
-    store = typestore(definitions())
+    store = typestore(definitions_folder())
     ids = {topic: writer.add_topic(topic, name, definition=store.generate_msgdef(name, ros_version=2)[0],
                                    type_hash=store.hash_rihs01(name)) for topic, name in TOPICS.items()}
     blocks = _MessageBlocks(run, vehicle, settings, Serialiser(store))
@@ -134,7 +134,7 @@ def _between(time_ns: np.ndarray, start_ns: int, end_ns: int) -> slice:
 
 
 def _monotonic_times(utc_ns: np.ndarray, fix_ns: np.ndarray) -> np.ndarray:
-    """Times of packets that never fall; a packet without a time near the fixes gets that of the one before."""
+    """Monotonic times of the packets; a packet without a time near the fixes gets that of the one before."""
     known = utc_ns != file_decoder.UNKNOWN_TIME
     near = known & (utc_ns >= fix_ns[0] - TIME_MARGIN_NS) & (utc_ns <= fix_ns[-1] + TIME_MARGIN_NS)
     first = int(utc_ns[near].min()) if near.any() else int(fix_ns[0])
@@ -143,7 +143,7 @@ def _monotonic_times(utc_ns: np.ndarray, fix_ns: np.ndarray) -> np.ndarray:
 
 def _records(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, run: RawRun) -> dict[str, Any]:
     """Metadata records of the bag."""
-    alignment = {k: v if isinstance(v, str) else json.dumps(v) for k, v in about_alignment(run.alignment).items()}
+    alignment = {k: v if isinstance(v, str) else json.dumps(v) for k, v in alignment_summary(run.alignment).items()}
     latitude, longitude, altitude = run.ins.origin or (0.0, 0.0, 0.0)
     return {
         "import": {

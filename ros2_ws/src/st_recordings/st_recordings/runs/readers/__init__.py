@@ -46,8 +46,8 @@ class Reader:
     def is_ins_only(self, path: Path) -> bool:
         return self.lacks_steering is None or self.lacks_steering(path)
 
-    def takes(self, path: Path) -> bool:
-        """Whether a file or folder is of this kind."""
+    def accepts(self, path: Path) -> bool:
+        """Whether a file or folder is a recording of this kind."""
         if path.is_dir():
             return self.is_folder is not None and self.is_folder(path)
         return path.suffix.lower() in self.extensions
@@ -67,7 +67,7 @@ def register(reader: Reader) -> Reader:
 def reader_of(path: Path, key: str | None = None) -> Reader | None:
     """The reader of a file or folder; with a key of a run.yaml, the best match among the readers of that key."""
     candidates = [reader for reader in READERS.values() if key in (None, reader.key)]
-    return next((reader for reader in candidates if reader.takes(path)), candidates[0] if key else None)
+    return next((reader for reader in candidates if reader.accepts(path)), candidates[0] if key else None)
 
 
 for _module in sorted(info.name for info in pkgutil.iter_modules(__path__)):
