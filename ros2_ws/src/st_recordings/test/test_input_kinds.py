@@ -281,6 +281,26 @@ def test_single_wrong_rows_of_a_vbo_cost_themselves_only(tmp_path: Path, drive, 
     assert np.hypot(np.diff(run.log.x), np.diff(run.log.y)).sum() > 0.95 * 12.0 * run.log.duration
 
 
+@pytest.mark.parametrize("standing", [600, 10**6], ids=["at first", "always"])
+def test_the_course_of_a_standing_car_is_not_used(tmp_path: Path, drive, standing: int) -> None:
+    """Neither that of a second solution, which some receivers record as _heading."""
+    head, mark, data = vbo(drive[1]).partition("[data]\n")
+    chance = np.random.default_rng(1)
+    lines = []
+    for k, line in enumerate(data.splitlines()):
+        row = line.split(" ")
+        if k < standing:
+            row[2:4], row[4] = data.split(" ")[2:4], f"{chance.uniform(0, 0.1):07.3f}"
+            row[5] = f"{chance.uniform(0, 360):06.2f}"
+        lines.append(" ".join([*row, f"{chance.uniform(0, 360):06.2f}"]))
+    file = tmp_path / "drive.vbo"
+    file.write_text(head.replace("heading Steer", "heading Steer _heading") + mark + "\n".join(lines) + "\n")
+    run = read(find_runs([file])[0], CAR, WHEEL)
+    assert any(re.search(r"slower than 1 m/s, where the course is noise", w) for w in run.warnings)
+    assert np.abs(run.log.yaw_rate[:550]).max() < 1e-9 and np.ptp(run.log.yaw[:550]) < 1e-9
+    assert not [one for one in check(run.log, CAR, run.auxiliary).findings if "yaw" in one.channels]
+
+
 def test_milliseconds_of_the_day_in_a_vbo_are_questioned_and_a_compressed_log_is_named(tmp_path: Path, drive) -> None:
     head, _, data = vbo(drive[1], last_wrong=False).partition("[data]\n")
     file = tmp_path / "drive.vbo"

@@ -83,8 +83,9 @@ class Motion:
 
 
 def is_driven(motion: Motion) -> bool:
-    """Whether the car drives at all, in whatever units: positions keep their direction of travel, or the forward
-    velocity exceeds its noise by far. A standing car with a wandering receiver does neither."""
+    """Whether the car drives, in whatever units: positions keep their direction of travel, or the forward velocity
+    exceeds its noise by far, and one of the two is faster than MOVING. A standing car with a wandering receiver does
+    neither, a creeping one is too slow."""
     length = max(1.0, 5.0 * float(np.median(np.diff(motion.time))))
     over = windows(motion.time, length, max(LONGEST_GAP, 0.5 * length))
     if len(over) < MIN_DRIVEN_WINDOWS:
@@ -93,6 +94,8 @@ def is_driven(motion: Motion) -> bool:
     product = (moved[1:] * np.conj(moved[:-1]))[over.last[:-1] == over.first[1:]]
     speed = over.mean(motion.time, motion.velocity_x)
     noise = float(np.median(np.abs(np.diff(motion.velocity_x)))) / (0.6745 * np.sqrt(2.0))
+    if np.sum(np.maximum(np.abs(moved) / over.change(motion.time), np.abs(speed)) > MOVING) < MIN_DRIVEN_WINDOWS:
+        return False
     return bool(np.sum(product.real) > MIN_COHERENCE * np.sum(np.abs(product)) > 0.0
                 or np.sum(np.abs(speed) > MIN_SIGNAL_TO_NOISE * max(noise, 1e-9)) >= MIN_DRIVEN_WINDOWS)
 

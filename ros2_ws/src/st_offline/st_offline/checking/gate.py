@@ -21,7 +21,7 @@ from .check_report import findings_as_json
 STEP = PredictionSettings().step
 RUN_ERRORS = (RunError, StCoreError, MemoryError, OSError)
 """Errors that concern a single run; the others are processed."""
-ADVICE = "correct it as `st check` proposes, or use it in spite of that with --force"
+ADVICE = "follow the advice of `st check`, or use it in spite of that with --force"
 
 
 class Refused(RunError):

@@ -104,7 +104,7 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> Frames:
         what = f"cannot be read as a {kind.name} log ({short(error)})"
         raise RunError(file, what, "copy or export it again") from None
     frames = concatenated(parts) if parts else no_frames()
-    if parts:
+    if len(frames) > 1:
         is_outlier = np.abs(frames.time_ns - median_filter(frames.time_ns, 3, mode="mirror")) > MAX_TIME_JUMP_NS
         frames, impossible = frames.select(~is_outlier), impossible + int(is_outlier.sum())
     if impossible:

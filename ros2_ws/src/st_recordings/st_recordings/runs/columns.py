@@ -136,6 +136,9 @@ AMBIGUOUS = {normalised(name) for name in
              _words("steering_angle steering steer steer_angle steering_position steering_pos")}
 """Names that some files use for the hand wheel and others for the road wheels."""
 
+MAX_NAME_LENGTH = 200
+"""Characters of the name of a column; a longer one means no channel."""
+
 _CHANNEL_OF = {normalised(name): (channel, rank) for channel, about in COLUMNS.items()
                for rank, name in enumerate(about.names)}
 
@@ -234,6 +237,8 @@ def _meaning(name: str) -> tuple[str, int, str | None] | None:
 
 def _splits(name: str) -> list[tuple[str, str]]:
     """Ways to split a column's name into name and unit, the whole name first: yaw_rate_deg_s -> yaw_rate, deg_s."""
+    if len(name) > MAX_NAME_LENGTH:  # a line of other text, which has a square of ways
+        return [(name, "")]
     bracketed = re.fullmatch(r"(.*?)[\s_]*[\[(]([^\])]*)[\])]\s*", name)
     if bracketed:
         base, unit = bracketed.groups()

@@ -24,6 +24,8 @@ COLUMN_ADVICE = ("name the columns as in docs/csv_columns.md, or write a {stem}.
 STEERING_ADVICE = ("name its column, --steering-field NAME --steering-is wheel (or road), with --steering-sign -1 if "
                    "right is positive; or give the CAN log that has the steering as well")
 QUATERNION = [f"orientation_{axis}" for axis in "xyzw"]
+MIN_COURSE_SPEED = 1.0
+"""m/s; a velocity noise of 0.05 m/s turns the course by 3 degrees there."""
 MAX_HELD_SHARE = 0.3
 """Share of rows of a moving car with an unchanged position, above which positions have a lower rate than the rows."""
 MIN_LOST_INTERVAL = 2.5
@@ -179,6 +181,7 @@ def _with_derived(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray]
     elif "yaw" not in columns and columns.keys() >= {*QUATERNION}:
         columns["yaw"] = yaw_of(*map(columns.__getitem__, QUATERNION))
     elif "yaw" not in columns and COURSE in columns:
+        columns[COURSE] = _course_in_motion(table, columns, notes)
         columns["yaw"] = np.pi / 2 - columns[COURSE]
     if "velocity_y" not in columns and columns.keys() >= {"yaw", "velocity_east", "velocity_north"}:
         c, s = np.cos(columns["yaw"]), np.sin(columns["yaw"])
@@ -197,6 +200,29 @@ def _with_derived(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray]
         columns["x"], columns["y"], _ = enu(origin or (0.0, 0.0, 0.0), latitude, longitude, np.zeros(len(latitude)))
     _interpolate_held_positions(table, columns, notes)
     return columns, origin
+
+
+def _course_in_motion(table: Table, columns: Mapping[str, np.ndarray], notes: list[str]) -> np.ndarray:
+    """Course over ground [rad], interpolated where the car is slower than MIN_COURSE_SPEED, since it is noise there;
+    constant if the car is never faster."""
+    course = columns[COURSE]
+    if "velocity_x" in columns:
+        speed = np.abs(columns["velocity_x"])
+    elif columns.keys() >= {"velocity_east", "velocity_north"}:
+        speed = np.hypot(columns["velocity_east"], columns["velocity_north"])
+    else:
+        return course
+    known = table.used & np.isfinite(course) & np.isfinite(speed)
+    slow = known & (speed < MIN_COURSE_SPEED)
+    if not slow.any():
+        return course
+    moving = np.flatnonzero(known & ~slow) if (known & ~slow).any() else np.flatnonzero(known)[:1]
+    notes.append(f"{table.file}: {share(int(slow.sum()), int(table.used.sum()), 'rows')} are slower than "
+                 f"{MIN_COURSE_SPEED:g} m/s, where the course is noise and not used")
+    course = course.copy()
+    course[slow] = np.interp(table.time_ns[slow] - table.time_ns[0], table.time_ns[moving] - table.time_ns[0],
+                             np.unwrap(course[moving]))
+    return course
 
 
 def _complete_motion(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:

@@ -86,6 +86,8 @@ def _sources(file: Path, names: list[str], sections: dict[str, str], layout: Lay
     units = _units(names, sections)
     sources = {}
     for channel, source in find_columns(file, names, Layout(layout.columns, {}, layout.source)).items():
+        if normalised(source.name) == "heading" and channel not in layout.columns:
+            continue  # also _heading, of a second solution, is the course
         stated = unit_named(source.kind, units.get(source.name, ""))
         sources[channel] = replace(source, unit=stated or _DEFAULT_UNITS.get(source.kind, source.unit),
                                   stated=stated is not None)
