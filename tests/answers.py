@@ -4,15 +4,16 @@ from collections.abc import Mapping, Sequence
 
 from st_core.augmented import AugmentedModel, augment
 from st_core.discovery.result import (
-    BoundEffect,
     BudgetLine,
-    Candidate,
+    CandidateEffect,
     Certificate,
     Change,
+    ChannelError,
     Discovery,
+    ErrorCondition,
     FittedParameter,
     FoundEffect,
-    Gap,
+    LocalEstimate,
     NextManoeuvre,
     NotTestable,
     Power,
@@ -20,8 +21,7 @@ from st_core.discovery.result import (
     Run,
     Separability,
     Step,
-    Value,
-    WhereStatement,
+    VaryingEffect,
 )
 from st_core.effects import get_effect
 from st_core.log import DriveLog
@@ -38,7 +38,7 @@ def fitted(effect: str, values: Mapping[str, float]) -> dict[str, FittedParamete
 
 
 def discovery(runs: Sequence[DriveLog], steps: Sequence[tuple[str, Mapping[str, float], float]], base: float, *,
-              bound: Sequence[BoundEffect] = (), alternatives: Mapping[str, tuple[str, ...]] | None = None,
+              varying: Sequence[VaryingEffect] = (), alternatives: Mapping[str, tuple[str, ...]] | None = None,
               outcome: str | None = None, reference: Sequence[DriveLog] = (),
               start: AugmentedModel | None = None) -> Discovery:
     """steps: (effect, values, 5 s position error [m] with it), from `base` [m] on."""
@@ -53,37 +53,38 @@ def discovery(runs: Sequence[DriveLog], steps: Sequence[tuple[str, Mapping[str, 
         told.append(Step(name, kind, fitted(name, values), change,
                          {"acceleration_y": Change(0.6, 0.3 if after == before else 0.59, (0.0, 0.3), "m/s^2")},
                          {n: (before * (1 + 0.1 * k), after * (1 + 0.1 * k)) for k, n in enumerate(names)}))
-        agreement = {"run": tuple(Value(n, 1.0 + 0.05 * (-1) ** k, 0.1) for k, n in enumerate(names)),
-                     "site": (Value("site 1", 1.0, 0.05), Value("site 2", 0.97, 0.08))}
+        agreement = {"run": tuple(LocalEstimate(n, 1.0 + 0.05 * (-1) ** k, 0.1) for k, n in enumerate(names)),
+                     "site": (LocalEstimate("site 1", 1.0, 0.05), LocalEstimate("site 2", 0.97, 0.08))}
         effects.append(FoundEffect(name, kind, fitted(name, values), (alternatives or {}).get(name, ()),
                                    0.9 * (before - after), agreement))
     parts = {part: sum(b - a for (n, _, a), b in zip(steps, levels, strict=False) if get_effect(n).kind == part)
              for part in ("sensors", "vehicle parameters", "physics", "surroundings")}
-    parts |= {"place or time": sum(b.position_5s for b in bound), "unexplained": levels[-1]}
+    parts |= {"place or time": sum(b.position_5s_reduction for b in varying), "unexplained": levels[-1]}
     budget = tuple(BudgetLine(part, 0.8 * size, size, 0.8 * size / base, size / base, 0.7 * size / base, size / base)
                    for part, size in parts.items())
     less = base - levels[-1]
-    gap = {"position_5s": Gap(base, levels[-1], (0.8 * less, 1.2 * less), "m", 0.06, names[0], 1.3 * levels[-1]),
-           "yaw_rate": Gap(0.02, 0.01, (0.005, 0.012), "rad/s", 0.002)}
+    gap = {"position_5s": ChannelError(base, levels[-1], (0.8 * less, 1.2 * less), "m", 0.06, names[0],
+                                       1.3 * levels[-1]),
+           "yaw_rate": ChannelError(0.02, 0.01, (0.005, 0.012), "rad/s", 0.002)}
     outcome = outcome or ("none" if not steps else "named" if len(steps) == 1 else "several")
     powers = tuple(Power(effect, parameter, unit, size * k, found, 20)
                    for effect, parameter, unit, size, sure in (("steering_ratio", "factor", "1", 0.015, 0.6),
                                                                ("friction", "factor", "1", 0.1, 0.05),
                                                                ("heading_misalignment", "angle", "rad", 0.002, 0.9))
                    for k, found in ((1, sure), (2, min(1.0, 1.6 * sure)), (4, min(1.0, 2.5 * sure))))
-    candidates = [Candidate(e.name, e.kind, {k: p.value for k, p in e.parameters.items()}, 0.3, "stated", "sure")
+    candidates = [CandidateEffect(e.name, e.kind, {k: p.value for k, p in e.parameters.items()}, 0.3, "stated", "sure")
                   for e in effects]
-    candidates.append(Candidate("mass", "vehicle parameters", {"factor": 1.02}, 0.006, "worth",
+    candidates.append(CandidateEffect("mass", "vehicle parameters", {"factor": 1.02}, 0.006, "worth",
                                 "takes away 0.6 % of the size of the errors, 2.5 % are asked for"))
     return Discovery(
-        outcome=outcome, effects=tuple(effects), minor=(), bound=tuple(bound), steps=tuple(told), gap=gap,
+        outcome=outcome, effects=tuple(effects), minor=(), varying=tuple(varying), steps=tuple(told), gap=gap,
         budget=budget,
         reasons=(Reason("sure", "answer", {"score": 44.0, "threshold": 12.0},
                         "the gain is 44; chance gives 12 at most"),
                  *(Reason("worth", e.name, {"share": 0.2}, "takes 20 % of the size of the errors away")
                    for e in effects)),
         candidates=tuple(candidates),
-        where=(WhereStatement("yaw_rate", "lateral acceleration above 3 m/s^2", 4.2, (3.1, 5.5)),),
+        where=(ErrorCondition("yaw_rate", "lateral acceleration above 3 m/s^2", 4.2, (3.1, 5.5)),),
         not_testable=(NotTestable("friction", "no drive comes near the limit", "ramp_to_limit"),),
         next_manoeuvre=NextManoeuvre("sweep", ("steering_ratio", "front_stiffness"), 5.5, {"sweep": 5.5, "step": 2.0},
                                      3, 30.0, 14.0, "they differ most there"),

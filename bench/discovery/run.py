@@ -75,18 +75,18 @@ def answer(found: Discovery) -> Record:
     return {
         "outcome": found.outcome,
         "effects": [*({"name": e.name, "kind": e.kind, "alternatives": list(e.alternatives),
-                       "position_5s": round(e.position_5s, 4), "values": _values(e)} for e in found.effects),
+                       "position_5s": round(e.position_5s_increase, 4), "values": _values(e)} for e in found.effects),
                     *({"name": c.effects[0], "kind": "combination", "alternatives": list(c.effects[1:]),
                        "position_5s": 0.0, "values": {}} for c in found.known_together)],
         "kept": {e.name: _values(e) for e in found.minor},
         "on_top": {c.name: dict(c.parameters) for c in found.candidates},
-        "bound": [[b.resembles, b.to] for b in found.bound],
+        "bound": [[b.resembles, b.level] for b in found.varying],
         "unexplained": bool(found.signature),
         "steps": [[s.effect, round(s.position_5s.base, 4), round(s.position_5s.augmented, 4)]
                   for s in found.steps],
         "budget": {b.part: [round(v, 4) for v in (b.share_last, b.share_first)] for b in found.budget},
         "gap": None if gap is None else [round(gap.base, 4), round(gap.augmented, 4)],
-        "powers": [[p.effect, p.parameter, p.size, p.found] for p in found.certificate.powers],
+        "powers": [[p.effect, p.parameter, p.size, p.probability] for p in found.certificate.powers],
         "not_testable": [n.name for n in found.not_testable],
         "refused": [[c.name, round(c.gain, 4), c.verdict] for c in found.candidates[:5]
                     if c.verdict not in ("stated", "alternative")],

@@ -14,13 +14,13 @@ from st_core.augmented import augment
 from st_core.checks import Advice, Finding, Severity
 from st_core.discovery import DiscoverySettings
 from st_core.discovery.result import (
-    BoundEffect,
-    Candidate,
+    CandidateEffect,
     Combination,
     FittedParameter,
     ForceCurve,
+    LocalEstimate,
     NotTestable,
-    Value,
+    VaryingEffect,
 )
 from st_core.discovery.where import window_errors
 from st_core.vehicle import VehicleParameters
@@ -52,9 +52,10 @@ def logs(drive):
     return [drive.log, replace(drive.log, name="other")]
 
 
-def tied(logs, to="run"):
-    values = tuple(Value(log.name if to == "run" else to + str(k), (-1.0) ** k, 0.2) for k, log in enumerate(logs))
-    return BoundEffect("crosswind", to, fitted("crosswind", {"wind_x": 9.0, "wind_y": 4.0}), values, 0.09)
+def tied(logs, level="run"):
+    values = tuple(LocalEstimate(log.name if level == "run" else level + str(k), (-1.0) ** k, 0.2) for k,
+                   log in enumerate(logs))
+    return VaryingEffect("crosswind", level, fitted("crosswind", {"wind_x": 9.0, "wind_y": 4.0}), values, 0.09)
 
 
 def test_title_and_table_name_the_values_of_the_answer_the_largest_effect_first(logs):
@@ -79,7 +80,7 @@ def test_a_value_on_its_bound_is_reported_as_such_but_not_a_shape():
 
 def test_names_not_distinguishable_are_listed_together(logs):
     found = discovery(logs, STEPS[:1], 1.72, alternatives={"steering_ratio": ("front_stiffness",)}, outcome="ambiguous")
-    stiff = Candidate("front_stiffness", "vehicle parameters", {"factor": 1.31}, 0.2, "alternative", "")
+    stiff = CandidateEffect("front_stiffness", "vehicle parameters", {"factor": 1.31}, 0.2, "alternative", "")
     found = replace(found, candidates=(*found.candidates, stiff))
     assert "steering ratio × 0.8940 or front stiffness × 1.31" in report_text.title(found)
     assert any("do the next drive" in text for text in report_text.to_do(found, None))
@@ -88,7 +89,7 @@ def test_names_not_distinguishable_are_listed_together(logs):
 def test_undetectable_effects_are_listed_with_their_size_parameters_of_the_car_first(logs):
     blind = tuple(NotTestable(name, "") for name in ("drag", "friction", "heading_misalignment", "steering_ratio"))
     text = report_text.not_visible(replace(discovery(logs, (), 1.0), not_testable=blind))
-    assert text == ("these drives cannot show: friction of 40 %, steering ratio of 6 %, heading misalignment of "
+    assert text == ("not detectable in these drives: friction of 40 %, steering ratio of 6 %, heading misalignment of "
                     "0.458°, drag")
 
 
@@ -126,8 +127,8 @@ def test_kept_effects_are_listed_with_all_alternatives(logs):
 
 
 @pytest.mark.parametrize(("outcome", "message"), [
-    ("none", "nothing is missing with certainty"), ("not_testable", "too little excitation"),
-    ("unknown", "something is missing that no known effect explains")])
+    ("none", "no significant model error"), ("not_testable", "too little excitation"),
+    ("unknown", "a significant error that no effect of the library explains")])
 def test_without_a_name(logs, outcome, message):
     assert message in report_text.title(discovery(logs, (), 1.72, outcome=outcome))
 
@@ -135,16 +136,17 @@ def test_without_a_name(logs, outcome, message):
 def test_the_unexplained_part_is_reported_with_the_names(logs):
     named = discovery(logs, STEPS, 1.72)
     much = replace(named, signature=("errors are 3.1 times the noise",))
-    message = "; more is missing that no known effect explains: errors are 3.1 times the noise"
+    message = "; a residual remains that no effect of the library explains: errors are 3.1 times the noise"
     assert report_text.title(much) == report_text.title(named) + message
     assert "an effect that is not in the library; errors are 3.1 times the noise" in report_text.meaning(much)
-    assert any("a name may be a part of it" in text for text in report_text.to_do(much, None))
-    assert not any("more is missing" in text for text in report_text.to_do(named, None))
+    assert any("values may contain a part of the residual" in text for text in report_text.to_do(much, None))
+    assert not any("part of the residual" in text for text in report_text.to_do(named, None))
 
 
 def test_bound_effects_are_reported_and_not_named(logs):
-    found = discovery(logs, (), 1.72, bound=(tied(logs),), outcome="bound")
-    assert report_text.title(found).endswith("something like crosswind (0.090 m), varies with run; nothing is named")
+    found = discovery(logs, (), 1.72, varying=(tied(logs),), outcome="bound")
+    assert report_text.title(found).endswith("an effect that resembles crosswind (0.090 m) but varies with run; no "
+                                             "effect is named")
     (text,) = dict(report_text.details(found, None))["varying, not named"]
     assert "not a property of the car" in text and "other: -1.00 ± 0.39" in text
 
@@ -169,7 +171,7 @@ def scene(found, logs, folder=None):
 
 
 def test_every_figure_is_drawn_where_there_is_something_to_draw(logs, tmp_path):
-    full = discovery(logs, STEPS, 1.72, bound=(tied(logs),))
+    full = discovery(logs, STEPS, 1.72, varying=(tied(logs),))
     nothing = replace(full.certificate, powers=())
     empty = replace(discovery(logs, (), 1.72), budget=(), certificate=nothing, candidates=(), gap={})
     slip = tuple(0.01 * k for k in range(11))
@@ -189,14 +191,14 @@ def test_figures_of_the_driving_are_drawn_from_errors(tmp_path):
     before, after = (window_errors(long, model, CAR, settings) for model in (found.base, found.model))
     one = Scene(found, long, before, after, Place(tmp_path, ("png",)))
     drawn = maps(one)
-    assert drawn.key == "map" and "with what was found" in drawn.svg
+    assert drawn.key == "map" and "with all identified effects" in drawn.svg
 
 
 def test_a_negative_delay_is_named_before_anything_else_is_done(logs):
     found = discovery(logs, (("steering_delay", {"time": -0.06}, 0.5),), 1.7)
-    assert "steering delay is negative (-0.0600 s): the reaction would prec" in report_text.to_do(found, None)[0]
+    assert "steering delay is negative (-0.0600 s), which is not causal" in report_text.to_do(found, None)[0]
     later = discovery(logs, (("steering_delay", {"time": 0.06}, 0.5),), 1.7)
-    assert not any("precede" in text for text in report_text.to_do(later, None))
+    assert not any("causal" in text for text in report_text.to_do(later, None))
 
 
 @pytest.mark.parametrize(("number", "decimals", "shown"), [
@@ -217,10 +219,10 @@ def test_a_combination_that_differs_from_the_file_is_reported_when_no_effect_of_
                             ("front_stiffness", "steering_compliance"))
     understeer = Combination("understeer gradient K", "s^2/m^2", 0.003, (0.0025, 0.004), 0.002, ("front_stiffness",))
     found = replace(discovery(logs, STEPS, 1.72), combinations=(stiffness, understeer))
-    text = "front cornering stiffness over mass × 0.80 (0.67 to 0.89)"
+    text = "front cornering stiffness over mass 0.80 (0.67 to 0.89) times the vehicle file value"
     assert text in report_text.title(found)
-    assert dict(report_text.summary(found, None, {}))["known only together"] == (
-        f"{text} of the vehicle file's: front stiffness or steering compliance, which these drives do not separate")
+    assert dict(report_text.summary(found, None, {}))["only the combination is identifiable"] == (
+        f"{text}: front stiffness or steering compliance, which these drives do not separate")
     same = replace(found, combinations=(replace(stiffness, interval=(30.0, 44.0)),))
     named = replace(found, combinations=(replace(stiffness, effects=(found.effects[0].name,)),))
     for one in (same, named):
@@ -230,7 +232,7 @@ def test_a_combination_that_differs_from_the_file_is_reported_when_no_effect_of_
 def test_page_and_terminal_hold_the_answer_and_no_markup_of_a_name(logs, drive, tmp_path, capsys):
     from rich.console import Console
 
-    found = discovery(logs, STEPS, 1.72, bound=(tied(logs),))
+    found = discovery(logs, STEPS, 1.72, varying=(tied(logs),))
     question = Request("nonlinear", CAR, "leaf.yaml", LEAF.read_text(), DiscoverySettings(), drives=[drive])
     corrected = update_vehicle(found, question)
     content = document(found, question, corrected, {})
@@ -270,11 +272,11 @@ def test_page_and_terminal_hold_the_same_of_a_proposal(logs, drive, tmp_path, ca
 
 
 def test_an_answer_is_kept_whole(logs, tmp_path):
-    found = discovery(logs, STEPS, 1.72, bound=(tied(logs),), start=augment("nonlinear", {"mass": {"factor": 1.1}}))
+    found = discovery(logs, STEPS, 1.72, varying=(tied(logs),), start=augment("nonlinear", {"mass": {"factor": 1.1}}))
     for one in (found, discovery(logs, (), 1.72)):
         write_answer(tmp_path / "a.json", one)
         back = read_answer(tmp_path / "a.json")
-        assert back.document() == one.document() and back.steps == one.steps and back.bound == one.bound
+        assert back.document() == one.document() and back.steps == one.steps and back.varying == one.varying
         assert back.base.values == one.base.values
         assert (back.model and back.model.values) == (one.model and one.model.values)
     for damaged in ("", "{}", (tmp_path / "a.json").read_text()[:200], '{"base": 1}'):

@@ -43,7 +43,7 @@ def holds(parameter, value: float) -> bool:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_exact_base_lacks_nothing(leaf, seed):
     found = discover(recorded(leaf, {}, seed), leaf, settings=SETTINGS)
-    assert (found.outcome, found.effects, found.minor, found.bound, found.steps) == ("none", (), (), (), ())
+    assert (found.outcome, found.effects, found.minor, found.varying, found.steps) == ("none", (), (), (), ())
     assert found.model is None and found.start == "vehicle file"
     gap = found.gap["position_5s"]
     assert gap.base == gap.augmented < 2.0 * gap.floor
@@ -71,7 +71,7 @@ def test_hidden_effect_is_named_with_its_value(leaf, name, parameter, value, dri
     assert found.model.values[name][parameter] == pytest.approx(effect.parameters[parameter].value)
     gap = found.gap["position_5s"]
     assert gap.augmented < 0.2 * gap.base and gap.interval[0] > 0.0
-    assert effect.position_5s == pytest.approx(gap.base - gap.augmented, rel=0.5)
+    assert effect.position_5s_increase == pytest.approx(gap.base - gap.augmented, rel=0.5)
     verdicts = {c.name: c.verdict for c in found.candidates}
     assert verdicts[name] == "stated" and set(verdicts) == set(Space("nonlinear", SETTINGS).hypotheses)
     assert all(c.why for c in found.candidates)
@@ -120,7 +120,7 @@ def test_a_load_has_axle_forces_of_the_laden_car(leaf):
 @pytest.mark.slow
 def test_no_more_effects_than_the_limit_says(leaf):
     """Of the same runs."""
-    found = discover(recorded(leaf, TWO, 4), leaf, settings=replace(SETTINGS, limits=Limits(most=1)))
+    found = discover(recorded(leaf, TWO, 4), leaf, settings=replace(SETTINGS, limits=Limits(max_effects=1)))
     assert len(found.steps) <= 1
 
 
@@ -150,7 +150,7 @@ def test_offset_that_differs_from_run_to_run_is_bound(leaf):
     angles = (0.006, 0.002, -0.003, 0.008, 0.0, -0.001)
     found = discover([shifted(r, a) for r, a in zip(runs, angles, strict=True)], leaf, settings=SETTINGS)
     assert found.outcome == "bound" and found.effects == ()
-    assert any("steering_offset" in b.resembles and b.to == "run" for b in found.bound)
+    assert any("steering_offset" in b.resembles and b.level == "run" for b in found.varying)
 
 
 @pytest.mark.slow
@@ -296,7 +296,8 @@ def straight(leaf, seed: int) -> DriveLog:
 def test_straight_driving_is_said_to_show_little(leaf):
     found = discover([straight(leaf, seed) for seed in range(3)], leaf, settings=FEW)
     assert found.effects == () and found.outcome in {"none", "not_testable"}
-    assert any("straight driving: tyres, steering ratio and mass cannot be seen" in text for text in found.warnings)
+    assert any("straight driving: tyres, steering ratio and mass are not identifiable" in text
+               for text in found.warnings)
     assert {"steering_ratio", "mass"} <= {n.name for n in found.not_testable}
 
 
@@ -304,16 +305,16 @@ def test_one_bend_is_said(leaf):
     log = recorded(leaf, {}, 1, ("circle",))[0]
     half = log.slice(log.start_ns, log.start_ns + 13_000_000_000)
     found = discover([replace(half, name=f"left {k}") for k in range(2)], leaf, settings=FEW)
-    assert any("bends to one side only" in text for text in found.warnings)
+    assert any("turns to one side only" in text for text in found.warnings)
     both = discover([log], leaf, settings=FEW)
-    assert not any("bends to one side" in text for text in both.warnings)
+    assert not any("turns to one side" in text for text in both.warnings)
 
 
-@pytest.mark.parametrize(("count", "said"), [(1, "one run: whether runs agree"), (2, "two runs: whether runs agree"),
+@pytest.mark.parametrize(("count", "said"), [(1, "one run only"), (2, "two runs only"),
                                              (3, "")])
 def test_few_runs_are_said(leaf, count, said):
     found = discover(recorded(leaf, OFFSET, 1)[:count], leaf, settings=FEW)
-    assert any("whether runs agree is unknown" in text for text in found.warnings) == bool(said)
+    assert any("instead of runs, stretches" in text for text in found.warnings) == bool(said)
     assert not said or any(text.startswith(said) for text in found.warnings)
     assert any("tests are weak" in text for text in found.warnings)
     assert len(found.runs) == count and all(r.windows > 0 for r in found.runs)

@@ -35,48 +35,50 @@ from st_core.discovery.result import Combination, FittedParameter
 from st_core.errors import ConfigurationError
 
 LIMITS = Limits()
-GOOD = Evidence("mass", gain=0.2, chance=1e-4, position=0.5, position_somewhere=0.5)
+GOOD = Evidence("mass", gain=0.2, p_value=1e-4, position=0.5, position_somewhere=0.5)
 SAME = Agreement({}, differ=0.5, absent=1e-6)
 DIFFERENT = Agreement({}, differ=1e-4, absent=0.2)
-SMALL, LUCKY = replace(GOOD, gain=0.005), replace(GOOD, chance=0.02)
+SMALL, LUCKY = replace(GOOD, gain=0.005), replace(GOOD, p_value=0.02)
 CHEAP = replace(GOOD, gain=0.02, position=0.01, position_somewhere=0.015)
-MAYBE_NULL = replace(GOOD, null=0.2)
-DENIED, EDGE = replace(GOOD, sensors=0.01), replace(GOOD, bound=0.0)
+MAYBE_NULL = replace(GOOD, null_p_value=0.2)
+DENIED, EDGE = replace(GOOD, sensors_p_value=0.01), replace(GOOD, bound_distance=0.0)
 SLIGHT = replace(GOOD, position=0.01, position_somewhere=0.0)
 HEAVY = replace(GOOD, against_file=AgainstFile("mass", "kg", 2000.0, 1580.0, 47.4, 8.9))
 LOCAL = replace(GOOD, agreement={"run": SAME, "place": DIFFERENT})
 EQUAL = Rival("rear_stiffness", "mass", share=0.9, p_no_worse=0.4, deficit=0.02,
               evidence=replace(GOOD, name="rear_stiffness"))
 WEAK = replace(GOOD, gain=0.1)
-SHOWN = Evidence("yaw_rate_scale", gain=0.0, chance=1.0, sensors=0.6, sensors_null=0.001)
-SEEN = replace(GOOD, sensors=0.6, sensors_null=0.001)
-TOLD = replace(GOOD, gain=0.02, chance=1e-4)
+SHOWN = Evidence("yaw_rate_scale", gain=0.0, p_value=1.0, sensors_p_value=0.6, sensors_null_p_value=0.001)
+SEEN = replace(GOOD, sensors_p_value=0.6, sensors_null_p_value=0.001)
+TOLD = replace(GOOD, gain=0.02, p_value=1e-4)
 WORSE = replace(EQUAL, p_no_worse=0.01)
-AMONG = replace(WORSE, evidence=replace(WORSE.evidence, left=5.0))
-NOTHING = Answer([], {}, [], left=1.0, seen=0.9)
+AMONG = replace(WORSE, evidence=replace(WORSE.evidence, noise_ratio=5.0))
+NOTHING = Answer([], {}, [], noise_ratio=1.0, detectable_share=0.9)
 
 
 @pytest.mark.parametrize(("evidence", "rule", "figures"), [
     (GOOD, STATED, {"gain": 0.2, "chance": 1e-4, "position": 0.5}),
     (SMALL, NEGLIGIBLE, {"gain": 0.005, "negligible": 0.01}),
     (LUCKY, CHANCE, {"chance": 0.02, "false_alarm": 0.01}),
-    (replace(GOOD, healthy=0.3), CHANCE, {"gain": 0.2, "healthy": 0.3}),
-    (replace(GOOD, healthy=0.1), STATED, {}),
+    (replace(GOOD, healthy_gain=0.3), CHANCE, {"gain": 0.2, "healthy": 0.3}),
+    (replace(GOOD, healthy_gain=0.1), STATED, {}),
     (MAYBE_NULL, NULL, {"chance": 0.2, "doubt": 0.05}),
     (CHEAP, IRRELEVANT, {"gain": 0.02, "position": 0.015}),
     (replace(CHEAP, gain=0.03), STATED, {}),
     (replace(CHEAP, position=0.03), STATED, {}),
     (replace(CHEAP, position_somewhere=0.03), STATED, {}),
-    (replace(SHOWN, gain=0.0, chance=0.5, null=0.5, size=0.6), STATED, {}),  # a sensor's error, however little it costs
-    (replace(SHOWN, gain=0.0, chance=0.5, size=0.4), IRRELEVANT, {"share": 0.0, "position": 0.0}),
+    (replace(SHOWN, gain=0.0, p_value=0.5, null_p_value=0.5, size=0.6), STATED,
+     {}),  # a sensor's error, however little it costs
+    (replace(SHOWN, gain=0.0, p_value=0.5, size=0.4), IRRELEVANT, {"share": 0.0, "position": 0.0}),
     (replace(SHOWN, gain=0.0, shares={"yaw_rate": (0.05, 3.0)}), STATED, {}),
-    (replace(SHOWN, gain=0.0, size=0.6, sensors=0.01), NEGLIGIBLE, {}),  # another value than the sensors say
-    (replace(SHOWN, gain=0.0, size=0.6, sensors_null=0.02), NEGLIGIBLE, {}),  # the sensors may mean nothing by it
+    (replace(SHOWN, gain=0.0, size=0.6, sensors_p_value=0.01), NEGLIGIBLE, {}),  # another value than the sensors say
+    (replace(SHOWN, gain=0.0, size=0.6, sensors_null_p_value=0.02), NEGLIGIBLE,
+     {}),  # the sensors may mean nothing by it
     (DENIED, SENSORS, {"chance": 0.01, "doubt": 0.05}),
-    (replace(GOOD, sensors=0.3), STATED, {}),
+    (replace(GOOD, sensors_p_value=0.3), STATED, {}),
     (HEAVY, FILE, {"deviations": 8.9, "limit": 3.0}),
     (replace(GOOD, against_file=replace(HEAVY.against_file, deviations=2.9)), STATED, {}),
-    (EDGE, BOUND, {"distance": 0.0, "bound": LIMITS.bound}),
+    (EDGE, BOUND, {"distance": 0.0, "bound": LIMITS.at_bound}),
     (LOCAL, VARIES, {"differ": 1e-4, "absent": 0.2}),
     (replace(GOOD, agreement={"run": Agreement({}, 1e-4, 0.01)}), STATED, {}),  # differs, yet is everywhere
     (replace(GOOD, agreement={"run": Agreement({}, 0.3, 0.4)}), STATED, {}),  # absent may be, differs not surely
@@ -89,7 +91,7 @@ def test_verdict_on_one_effect(evidence, rule, figures):
 
 
 def test_a_combination_that_differs_is_no_single_effect():
-    outcome, why = decide(replace(NOTHING, together=["front cornering stiffness over mass"]), LIMITS)
+    outcome, why = decide(replace(NOTHING, combinations=["front cornering stiffness over mass"]), LIMITS)
     assert outcome == "ambiguous" and "front cornering stiffness over mass: not as in the vehicle file" in why.text
 
 
@@ -100,9 +102,10 @@ def test_a_combination_differs_outside_its_99_percent_interval(file, differs):
 
 def test_rules_are_asked_in_their_order():
     """Of an effect that fails them all the first is the verdict; mended one by one, the next."""
-    worst = Evidence("mass", gain=0.005, chance=0.5, null=0.5, sensors=0.001, bound=0.0, agreement={"run": DIFFERENT})
-    mended = ({"gain": 0.02}, {"chance": 1e-4}, {"null": 0.0}, {"position": 1.0}, {"sensors": None},
-              {"bound": 1.0}, {"agreement": {}})
+    worst = Evidence("mass", gain=0.005, p_value=0.5, null_p_value=0.5, sensors_p_value=0.001, bound_distance=0.0,
+                     agreement={"run": DIFFERENT})
+    mended = ({"gain": 0.02}, {"p_value": 1e-4}, {"null_p_value": 0.0}, {"position": 1.0}, {"sensors_p_value": None},
+              {"bound_distance": 1.0}, {"agreement": {}})
     asked = []
     for mend in mended:
         asked.append(judge(worst, LIMITS).rule)
@@ -120,10 +123,11 @@ def test_rules_are_asked_in_their_order():
     (replace(SLIGHT, position_somewhere=0.03), STATED, {"position": 0.03}),
     (SLIGHT, MINOR, {"share": 0.0}),
     (WEAK, STATED, {"position": 0.5}),
-    (replace(WEAK, left=5.0), MINOR, {"gain": 0.1, "left": 5.0}),  # beside more than it takes away itself
-    (replace(GOOD, gain=0.3, left=5.0), STATED, {}),
-    (replace(WEAK, left=5.0, sensors=0.6, sensors_null=0.3), MINOR, {}),
-    (replace(WEAK, left=5.0, sensors=0.6, sensors_null=0.001), STATED, {}),  # the sensors say so among themselves
+    (replace(WEAK, noise_ratio=5.0), MINOR, {"gain": 0.1, "left": 5.0}),  # beside more than it takes away itself
+    (replace(GOOD, gain=0.3, noise_ratio=5.0), STATED, {}),
+    (replace(WEAK, noise_ratio=5.0, sensors_p_value=0.6, sensors_null_p_value=0.3), MINOR, {}),
+    (replace(WEAK, noise_ratio=5.0, sensors_p_value=0.6, sensors_null_p_value=0.001), STATED,
+     {}),  # the sensors say so among themselves
 ])
 def test_effect_that_holds_is_named_or_kept(evidence, rule, figures):
     verdict = naming_verdict(evidence, LIMITS)
@@ -133,7 +137,7 @@ def test_effect_that_holds_is_named_or_kept(evidence, rule, figures):
 
 @pytest.mark.parametrize(("evidence", "checks", "rule"), [
     (GOOD, Checks(), STATED), (GOOD, Checks(null_outside=False), MINOR), (SEEN, Checks(null_outside=False), STATED),
-    (GOOD, Checks(crossing="factor"), MINOR), (GOOD, Checks(driven=0.5), MINOR),
+    (GOOD, Checks(crossing="factor"), MINOR), (GOOD, Checks(peak_force_share=0.5), MINOR),
     (GOOD, Checks(worse_axle="rear"), FORCES),
     (replace(GOOD, position=-0.03), Checks(), MINOR),  # its own step makes the held-out error larger
     (replace(SEEN, position=-0.03), Checks(), STATED)])  # but the sensors show it among themselves
@@ -157,7 +161,7 @@ def test_level_over_which_an_effect_varies(agreement, level):
 @pytest.mark.parametrize(("gain", "chance", "healthy", "told"), [
     (0.2, 1e-4, 0.0, True), (0.2, 0.02, 0.0, False), (0.02, 1e-4, 0.0, False), (0.2, 1e-4, 0.3, False)])
 def test_effect_with_a_value_of_its_own_in_each_part(gain, chance, healthy, told):
-    assert varies_relevantly(replace(GOOD, gain=gain, chance=chance, healthy=healthy), LIMITS) == told
+    assert varies_relevantly(replace(GOOD, gain=gain, p_value=chance, healthy_gain=healthy), LIMITS) == told
 
 
 def test_what_varies_must_be_relevant():
@@ -205,7 +209,7 @@ def test_another_name(rival, rule):
 
 def test_another_name_is_told_with_the_one_whose_place_it_takes():
     for rival in (replace(EQUAL, instead="tyre_stiffness"), replace(WORSE, instead="tyre_stiffness")):
-        assert "in the place of tyre stiffness it explains 90% of what that does" in alternative(rival, LIMITS).text
+        assert "instead of tyre stiffness it has 90% of that gain" in alternative(rival, LIMITS).text
 
 
 @pytest.mark.parametrize(("answer", "outcome", "figures"), [
@@ -215,16 +219,17 @@ def test_another_name_is_told_with_the_one_whose_place_it_takes():
     (replace(NOTHING, stated=[GOOD], rivals={"mass": [replace(EQUAL, share=0.1)]}), "named", {}),
     (replace(NOTHING, stated=[GOOD], rivals={"friction": [EQUAL]}), "named", {}),  # of something else
     (replace(NOTHING, stated=[GOOD], rivals={"mass": [EQUAL]}), "ambiguous", {"names": 2}),
-    (replace(NOTHING, stated=[GOOD], refused=[LOCAL], left=9.0, seen=0.1), "named", {}),
-    (replace(NOTHING, refused=[EDGE, LOCAL], left=9.0, seen=0.1), "bound", {}),
-    (replace(NOTHING, refused=[EDGE], bound=1, left=9.0, seen=0.1), "bound", {}),
-    (replace(NOTHING, stated=[GOOD], bound=1), "named", {}),
-    (replace(NOTHING, refused=[EDGE], seen=0.1), "unknown", {}),
-    (replace(NOTHING, refused=[DENIED], seen=0.1), "unknown", {}),
+    (replace(NOTHING, stated=[GOOD], refused=[LOCAL], noise_ratio=9.0, detectable_share=0.1), "named", {}),
+    (replace(NOTHING, refused=[EDGE, LOCAL], noise_ratio=9.0, detectable_share=0.1), "bound", {}),
+    (replace(NOTHING, refused=[EDGE], varying_effects=1, noise_ratio=9.0, detectable_share=0.1), "bound", {}),
+    (replace(NOTHING, stated=[GOOD], varying_effects=1), "named", {}),
+    (replace(NOTHING, refused=[EDGE], detectable_share=0.1), "unknown", {}),
+    (replace(NOTHING, refused=[DENIED], detectable_share=0.1), "unknown", {}),
     (replace(NOTHING, refused=[SMALL, LUCKY, CHEAP]), "none", {"left": 1.0}),
-    (replace(NOTHING, seen=0.7), "not_testable", {"seen": 0.7, "shown": 0.8}),
-    (replace(NOTHING, seen=0.7, left=9.0), "unknown", {"left": 9.0}),  # a gap is there, whatever else is not seen
-    (replace(NOTHING, left=2.5), "unknown", {"left": 2.5, "limit": 2.0}),
+    (replace(NOTHING, detectable_share=0.7), "not_testable", {"seen": 0.7, "shown": 0.8}),
+    (replace(NOTHING, detectable_share=0.7, noise_ratio=9.0), "unknown",
+     {"left": 9.0}),  # a gap is there, whatever else is not seen
+    (replace(NOTHING, noise_ratio=2.5), "unknown", {"left": 2.5, "limit": 2.0}),
     (NOTHING, "none", {"left": 1.0, "limit": 2.0}),
 ])
 def test_outcome(answer, outcome, figures):
@@ -236,22 +241,24 @@ def test_outcome(answer, outcome, figures):
 
 TURNED = {
     "false_alarm": (lambda limits: judge(LUCKY, limits).rule, 1.0, CHANCE, STATED),
-    "doubt": (lambda limits: judge(DENIED, limits).rule, 1e-9, SENSORS, STATED),
+    "undecided_p": (lambda limits: judge(DENIED, limits).rule, 1e-9, SENSORS, STATED),
     "relevant": (lambda limits: judge(CHEAP, limits).rule, 1e-9, IRRELEVANT, STATED),
     "relevant_position": (lambda limits: judge(CHEAP, limits).rule, 1e-9, IRRELEVANT, STATED),
-    "size": (lambda limits: judge(replace(SHOWN, size=0.4), limits).rule, 1e-9, IRRELEVANT, STATED),
+    "min_relative_size": (lambda limits: judge(replace(SHOWN, size=0.4), limits).rule, 1e-9, IRRELEVANT, STATED),
     "negligible": (lambda limits: judge(SMALL, limits).rule, 1e-9, NEGLIGIBLE, STATED),
-    "rival": (lambda limits: alternative(replace(EQUAL, share=0.4), limits).rule, 1e-9, "explains less",
+    "min_rival_gain": (lambda limits: alternative(replace(EQUAL, share=0.4), limits).rule, 1e-9, "explains less",
               "alternative"),
-    "peak": (lambda limits: naming_verdict(GOOD, limits, Checks(driven=0.5)).rule, 1e-9, MINOR, STATED),
-    "file": (lambda limits: judge(HEAVY, limits).rule, 1e9, FILE, STATED),
-    "bound": (lambda limits: judge(replace(EDGE, bound=0.001), limits).rule, 1e-9, BOUND, STATED),
+    "min_peak_force": (lambda limits: naming_verdict(GOOD, limits, Checks(peak_force_share=0.5)).rule, 1e-9, MINOR,
+                       STATED),
+    "max_file_deviation": (lambda limits: judge(HEAVY, limits).rule, 1e9, FILE, STATED),
+    "at_bound": (lambda limits: judge(replace(EDGE, bound_distance=0.001), limits).rule, 1e-9, BOUND, STATED),
     "unexplained_share": (lambda limits: alternative(AMONG, limits).rule, 1e-9, "alternative", "explains less"),
-    "left": (lambda limits: decide(replace(NOTHING, left=9.0), limits)[0], 1e9, "unknown", "none"),
-    "shown": (lambda limits: decide(replace(NOTHING, seen=0.1), limits)[0], 1e-9, "not_testable", "none"),
+    "max_noise_ratio": (lambda limits: decide(replace(NOTHING, noise_ratio=9.0), limits)[0], 1e9, "unknown", "none"),
+    "detection_power": (lambda limits: decide(replace(NOTHING, detectable_share=0.1), limits)[0], 1e-9, "not_testable",
+                        "none"),
 }
 """By limit: what is asked, the value at which the limit is off, and the answer with the limit and without."""
-ELSEWHERE = {"most": "test_discovery.py"}
+ELSEWHERE = {"max_effects": "test_discovery.py"}
 """Limits that the search itself needs, and where they are tested."""
 
 
@@ -268,21 +275,24 @@ def test_limit_turns_an_answer(limit):
 
 
 @pytest.mark.parametrize(("limit", "off", "asked", "on", "without"), [
-    ("false_alarm", 1e-9, lambda limits: judge(replace(LOCAL, chance=0.0), limits).rule, VARIES, STATED),
-    ("doubt", 0.9, lambda limits: judge(LOCAL, limits).rule, VARIES, STATED),
-    ("doubt", 1e-9, lambda limits: alternative(WORSE, limits).rule, "explains less", "alternative"),
-    ("doubt", 0.9, lambda limits: judge(MAYBE_NULL, limits).rule, NULL, STATED),
+    ("false_alarm", 1e-9, lambda limits: judge(replace(LOCAL, p_value=0.0), limits).rule, VARIES, STATED),
+    ("undecided_p", 0.9, lambda limits: judge(LOCAL, limits).rule, VARIES, STATED),
+    ("undecided_p", 1e-9, lambda limits: alternative(WORSE, limits).rule, "explains less", "alternative"),
+    ("undecided_p", 0.9, lambda limits: judge(MAYBE_NULL, limits).rule, NULL, STATED),
     ("relevant", 1e-9, lambda limits: naming_verdict(replace(SLIGHT, shares={"yaw": (0.01, 5.0)}), limits).rule, MINOR,
      STATED),
     ("relevant", 1e-9, lambda limits: varies_relevantly(TOLD, limits), False, True),
     ("false_alarm", 1.0, lambda limits: varies_relevantly(LUCKY, limits), False, True),
     ("relevant_position", 1e-9, lambda limits: naming_verdict(SLIGHT, limits).rule, MINOR, STATED),
-    ("unexplained_share", 1e-9, lambda limits: naming_verdict(replace(WEAK, left=5.0), limits).rule, MINOR, STATED),
-    ("left", 1e9, lambda limits: naming_verdict(replace(WEAK, left=5.0), limits).rule, MINOR, STATED),
-    ("doubt", 1e-9, lambda limits: naming_verdict(replace(SEEN, gain=0.1, left=5.0, sensors=0.01), limits).rule,
+    ("unexplained_share", 1e-9, lambda limits: naming_verdict(replace(WEAK, noise_ratio=5.0), limits).rule, MINOR,
+     STATED),
+    ("max_noise_ratio", 1e9, lambda limits: naming_verdict(replace(WEAK, noise_ratio=5.0), limits).rule, MINOR, STATED),
+    ("undecided_p", 1e-9, lambda limits: naming_verdict(replace(SEEN, gain=0.1, noise_ratio=5.0, sensors_p_value=0.01),
+                                                        limits).rule,
      MINOR, STATED),
-    ("left", 1e9, lambda limits: alternative(AMONG, limits).rule, "alternative", "explains less"),
-    ("left", 1e9, lambda limits: naming_verdict(replace(SLIGHT, shares={"yaw": (0.1, 5.0)}), limits).rule, STATED,
+    ("max_noise_ratio", 1e9, lambda limits: alternative(AMONG, limits).rule, "alternative", "explains less"),
+    ("max_noise_ratio", 1e9, lambda limits: naming_verdict(replace(SLIGHT, shares={"yaw": (0.1, 5.0)}), limits).rule,
+     STATED,
      MINOR),
 ])
 def test_limit_that_is_asked_again_turns_that_too(limit, off, asked, on, without):

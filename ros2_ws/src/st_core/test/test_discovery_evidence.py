@@ -11,11 +11,11 @@ from st_core.discovery.evidence import (
     FLIPS,
     Scores,
     agreement,
-    chance,
     covariance,
     deviation,
     distance_to_bound,
     evidence,
+    library_p_value,
     null_p_value,
     pooled,
     screen,
@@ -40,7 +40,7 @@ def screened(problem, seed: int = 0):
 
 def chances(problem) -> dict[str, float]:
     _, scores = screened(problem)
-    return {e: chance(scores.own[e], gain, scores, len(FEW)) for e, (gain, _) in scores.gains.items()}
+    return {e: library_p_value(scores.own[e], gain, scores, len(FEW)) for e, (gain, _) in scores.gains.items()}
 
 
 # Chance
@@ -66,7 +66,7 @@ def test_effect_of_few_blocks_is_found_by_the_ratio():
     _, scores = screened(problem)
     gain, _ = scores.gains["mass"]
     assert (scores.largest >= statistic(scores.own["mass"])).mean() > 0.01
-    assert chance(scores.own["mass"], gain, scores, len(FEW)) <= 0.01
+    assert library_p_value(scores.own["mass"], gain, scores, len(FEW)) <= 0.01
 
 
 def test_statistic_is_the_square_of_the_sum_over_the_sum_of_squares():
@@ -78,13 +78,13 @@ def test_chance_is_the_smaller_of_two_tests():
     own, gain = np.ones((10, 1)), np.linspace(0.5, 1.5, 10)
     beaten, unbeaten = (Scores({}, np.full(FLIPS, size), 1.0, {}) for size in (11.0, 9.0))
     by_ratio = 5 * stats.f.sf(2.0 * 10.0, 1, 9)
-    assert chance(own, gain, beaten, 5) == pytest.approx(by_ratio)
-    assert chance(own, gain, unbeaten, 5) == pytest.approx(1.0 / (1 + FLIPS))
+    assert library_p_value(own, gain, beaten, 5) == pytest.approx(by_ratio)
+    assert library_p_value(own, gain, unbeaten, 5) == pytest.approx(1.0 / (1 + FLIPS))
     wide = replace(unbeaten, design=1e9)
-    assert chance(own, gain, wide, 5) == pytest.approx(1.0 / (1 + FLIPS))
-    assert chance(own, -gain, wide, 5) > 0.5  # held out it is worse
-    assert chance(own, gain, replace(beaten, design=1e9), 5) == 1.0
-    assert chance(own[:1], gain[:1], unbeaten, 5) == 1.0  # one block says nothing
+    assert library_p_value(own, gain, wide, 5) == pytest.approx(1.0 / (1 + FLIPS))
+    assert library_p_value(own, -gain, wide, 5) > 0.5  # held out it is worse
+    assert library_p_value(own, gain, replace(beaten, design=1e9), 5) == 1.0
+    assert library_p_value(own[:1], gain[:1], unbeaten, 5) == 1.0  # one block says nothing
 
 
 def test_design_effect_is_what_dependent_windows_make_of_the_variance():
@@ -197,7 +197,7 @@ def test_evidence_of_a_fit_against_that_without():
 def test_random_effects_by_hand():
     """Shares 0, 1 and 2, variances 1/4: Q = 8, between = (8 - 2) / (12 - 48 / 12) = 3/4, mean 1 +- sqrt(1 / 3)."""
     told = pooled(np.array([0.0, 1.0, 2.0]), np.full(3, 0.25), ["a", "b", "c"])
-    assert told.shares == {"a": (0.0, 0.5), "b": (1.0, 0.5), "c": (2.0, 0.5)}
+    assert told.ratios == {"a": (0.0, 0.5), "b": (1.0, 0.5), "c": (2.0, 0.5)}
     assert told.differ == pytest.approx(np.exp(-4.0))  # chi-square of two degrees of freedom
     assert told.absent == pytest.approx(stats.norm.sf(1.0 / np.sqrt(0.75 + 1.0 / 3.0)))
 
@@ -239,7 +239,7 @@ def test_shares_of_parts_are_those_put_in():
     told = agreement(problem, fit, "mass", run, ["a", "b", "c", "d"])
     stated = (fit.vector - problem.start)[own] / problem.space.scale[own]
     assert stated == pytest.approx(2.0, abs=0.2)
-    assert [share * stated for share, _ in told.shares.values()] == pytest.approx([3.0, 2.0, 2.0, 1.0], abs=0.25)
+    assert [share * stated for share, _ in told.ratios.values()] == pytest.approx([3.0, 2.0, 2.0, 1.0], abs=0.25)
     assert told.differ < 1e-6 and told.absent < 0.05
 
 

@@ -185,14 +185,14 @@ def test_promised_power_is_what_imitated_drives_show():
     promised = certificate.predicted(problem, base, scores, Limits())
     ticks = []
     shown = certificate.measured(problem, base, Limits(), 0, lambda: ticks.append(1))
-    assert (promised.driven, promised.of, shown.driven, len(ticks)) == (False, 0, True, len(FEW))
-    assert shown.alarms <= 0.05 * shown.of
-    off = [p.found - s.found for p, s in zip(promised.powers, shown.powers, strict=True)]
+    assert (promised.measured, promised.simulated_drives, shown.measured, len(ticks)) == (False, 0, True, len(FEW))
+    assert shown.alarms <= 0.05 * shown.simulated_drives
+    off = [p.probability - s.probability for p, s in zip(promised.powers, shown.powers, strict=True)]
     assert [(p.effect, p.size) for p in promised.powers] == [(s.effect, s.size) for s in shown.powers]
     assert np.mean(np.abs(off)) < 0.12
-    assert {round(s.found) for s in shown.powers} == {0, 1}
+    assert {round(s.probability) for s in shown.powers} == {0, 1}
     for effect in FEW:
-        powers = [p.found for p in promised.powers if p.effect == effect]
+        powers = [p.probability for p in promised.powers if p.effect == effect]
         assert powers == sorted(powers)
 
 
@@ -201,7 +201,7 @@ def test_effect_that_changes_nothing_is_never_found():
     problem.errors.signatures[problem.space.indices("road_bank")] = 0.0
     base = fitted(problem)
     promised = certificate.predicted(problem, base, screen(problem, base, np.random.default_rng(0)), Limits())
-    found = {e: max(p.found for p in promised.powers if p.effect == e) for e in FEW}
+    found = {e: max(p.probability for p in promised.powers if p.effect == e) for e in FEW}
     assert found["road_bank"] < 0.01 and min(found[e] for e in FEW if e != "road_bank") > 0.8
 
 

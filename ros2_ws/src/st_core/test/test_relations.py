@@ -239,7 +239,7 @@ def test_law_that_is_there_is_proposed_with_its_slope(leaf):
     # A scale of the yaw rate, which the library has, takes a part of it.
     linear = next(r for r in one.formulas if r.shape == "linear")
     assert 0.002 < float(linear.text.split()[2]) < 0.0035 and "gyroscope" in linear.causes
-    assert one.chance < 0.01 and one.gain > 0.025 and set(one.runs) <= {log.name for log in logs}
+    assert one.p_value < 0.01 and one.gain > 0.025 and set(one.runs) <= {log.name for log in logs}
     assert (np.abs(one.value - 0.0027 * one.at) < 4.0 * one.deviation + 1e-3).all()
 
 

@@ -21,7 +21,7 @@ from st_core.relations.next_drive import NextDrives, Option
 from st_core.relations.selection import RunShares
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery import quantities
-from st_offline.discovery.figures import relation_figure, shown
+from st_offline.discovery.figures import display_unit, relation_figure
 from st_offline.discovery.relation_files import effect_file, name_of, relation_document, write_files
 from st_offline.discovery.relation_report import (
     RelationReport,
@@ -95,9 +95,9 @@ def test_the_file_meets_the_requirements_on_an_effect(tmp_path, registry, place,
 
 def test_the_curve_is_drawn_in_the_units_of_an_engineer():
     assert set(quantities.PLACES) == set(ADMISSIBLE)
-    assert [shown(unit)[1] for unit in ("rad", "1", "m/s^2", "rad per rad/s")] == [
+    assert [display_unit(unit)[1] for unit in ("rad", "1", "m/s^2", "rad per rad/s")] == [
         "°", "%", "m/s²", "rad per rad/s"]
-    assert shown("1")[0] == 100.0 and shown("rad")[0] == pytest.approx(57.2958)
+    assert display_unit("1")[0] == 100.0 and display_unit("rad")[0] == pytest.approx(57.2958)
     drawn = relation_figure(proposal("front_grip", "speed", NEITHER), Place(None, ()))
     assert "0.800 m without it, 0.500 m with it" in drawn.title and "y in 1, u in m/s" in drawn.caption
     pushed = relation_figure(proposal("yaw_moment", "acceleration_x", NEITHER), Place(None, ()))

@@ -101,10 +101,11 @@ class Axles:
         return tuple(acting)
 
     def contradicting(self, base: AugmentedModel,
-                      left_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[str, ...]:
+                      leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[str, ...]:
         """Axles whose measured forces the answer describes less well than the vehicle file does.
 
-        left_out: values by run, fitted without that run. Empty where sideslip was not measured or excitation is low.
+        leave_one_out: values by run, fitted without that run. Empty where sideslip was not measured or excitation is
+        low.
         """
         space, found = self.problem.space, []
         base = base.with_values({name: space.values(name, self.fit.vector) for name in space.on_top})
@@ -118,7 +119,7 @@ class Axles:
                     continue
                 samples = replace(one.samples, **{name: getattr(one.samples, name)[of_run]
                                                   for name in ("slip", "force", "run_of", "time", "used")})
-                without = self.model.with_values(left_out.get(run.name, {}))
+                without = self.model.with_values(leave_one_out.get(run.name, {}))
                 sums += [force_error(m, self.vehicle, samples) ** 2 for m in (without, base)]
             if sums[0] > sums[1]:
                 found.append(one.axle)

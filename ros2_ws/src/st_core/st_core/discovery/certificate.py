@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 
 from ..effects import twins_of
-from .evidence import FLIPS, Scores, chance, make_scores, residual_over_noise, score
+from .evidence import FLIPS, Scores, library_p_value, make_scores, residual_over_noise, score
 from .fit import Fit, Problem
 from .loss import Quadratic
 from .result import Certificate, Power
@@ -42,7 +42,7 @@ def confounded_with(problem: Problem, fit: Fit, effect: str, scores: Scores, lim
     usual size; "" for none."""
     q = problem.quadratic_of_all(fit.vector).summed(problem.block, problem.blocks)
     names = [n for n in fit.names if not problem.space.overlaps(effect, (n,))]
-    own, best, found = problem.space.indices(effect), "", limits.shown
+    own, best, found = problem.space.indices(effect), "", limits.detection_power
     for other in names:
         information = score(q, problem, tuple(n for n in names if n != other), effect)[1]
         index = int(np.argmax(information))
@@ -69,7 +69,8 @@ def _required(problem: Problem, rows: np.ndarray, moved: float, limits: Limits) 
     """Gain per scored error from which an effect is named. rows: errors of the answer. moved [m]: reduction of the mean
     position error."""
     required = limits.negligible if moved > limits.relevant_position else limits.relevant
-    return max(required, limits.unexplained_share) if residual_over_noise(problem, rows) > limits.left else required
+    unexplained = residual_over_noise(problem, rows) > limits.max_noise_ratio
+    return max(required, limits.unexplained_share) if unexplained else required
 
 
 def measured(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callable[[], None]) -> Certificate:
@@ -118,11 +119,11 @@ def _found(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, slo
                          ) - _held_out(problem, q, (*names, effect), fit.vector)
     best = max(gains, key=lambda e: gains[e].sum())
     scores = make_scores(q, own, information, {}, rng, FLIPS // 4)
-    p_value = chance(own[best], gains[best], scores, len(own))
+    p_value = library_p_value(own[best], gains[best], scores, len(own))
     if p_value > limits.false_alarm or gains[best].sum() / problem.number < required:
         return []
-    return [e for e in gains if gains[e].sum() > (1.0 - limits.doubt) * gains[best].sum()
-            or (e in twins_of(best) and gains[e].sum() > limits.rival * gains[best].sum())]
+    return [e for e in gains if gains[e].sum() > (1.0 - limits.undecided_p) * gains[best].sum()
+            or (e in twins_of(best) and gains[e].sum() > limits.min_rival_gain * gains[best].sum())]
 
 
 def _held_out(problem: Problem, q: Quadratic, names: Sequence[str], vector: np.ndarray) -> np.ndarray:

@@ -16,13 +16,13 @@ STATED, NEGLIGIBLE, CHANCE, NULL, IRRELEVANT, SENSORS, FILE, BOUND, VARIES, MINO
 @dataclass(frozen=True)
 class Checks:
     """Checks of an effect that need intervals and axle curves. null_outside: whether an interval excludes the null.
-    crossing: parameter whose interval crosses a bound, "" for none. driven [1]: share of the peak force that was
-    driven, for an effect on the peak. worse_axle: axle that the effect acts on and whose measured forces the answer
-    describes less well than the vehicle file does; "" for none."""
+    crossing: parameter whose interval crosses a bound, "" for none. peak_force_share [1]: of the peak force,
+    reached in the drives, for an effect on the peak. worse_axle: axle that the effect acts on and whose measured forces
+    the answer describes less well than the vehicle file does; "" for none."""
 
     null_outside: bool = True
     crossing: str = ""
-    driven: float = 1.0
+    peak_force_share: float = 1.0
     worse_axle: str = ""
 
 
@@ -44,51 +44,51 @@ class Rival:
 
 @dataclass(frozen=True)
 class Answer:
-    """Input of `decide`. left [1]: residual over the noise. seen [1]: share of the library that these drives would show
-    at its usual size. bound: number of effects that vary over the drives. together: names of combinations that differ
+    """Input of `decide`. noise_ratio [1]: of the residual. detectable_share [1]: of the library, at its usual size, in
+    these drives. varying_effects: number of effects that vary over the drives. combinations: names of those that differ
     from the vehicle file without a named effect."""
 
     stated: Sequence[Evidence]
     rivals: Mapping[str, Sequence[Rival]]
     refused: Sequence[Evidence]
-    left: float
-    seen: float
-    bound: int = 0
-    together: Sequence[str] = ()
+    noise_ratio: float
+    detectable_share: float
+    varying_effects: int = 0
+    combinations: Sequence[str] = ()
 
 
 def judge(e: Evidence, limits: Limits) -> Reason:
-    """The verdict on one effect in a set: the same for adding, keeping and exchanging it."""
+    """The verdict on one effect in a set; the same test for adding, keeping and exchanging it."""
     if not confirmed(e, limits):
         refused = _by_chance(e, limits)
         if refused:
             return refused
     elif not is_relevant(e, limits):
-        return Reason(IRRELEVANT, e.name, _relevance(e, limits), "the sensors show it among themselves, but it "
-                      f"reduces no channel's baseline error by more than {most_affected(e, limits)[1]:.1%} and the "
+        return Reason(IRRELEVANT, e.name, _relevance(e, limits), "redundant sensors confirm it, but it "
+                      f"reduces no channel's baseline error by more than {most_affected(e, limits)[1]:.1%}, and the "
                       f"position error after 5 s by {100 * position_of(e):.1f} cm")
-    if e.sensors is not None and e.sensors < limits.doubt:
-        return Reason(SENSORS, e.name, {"chance": e.sensors, "doubt": limits.doubt},
-                      f"its value contradicts what the sensors show among themselves (p = {e.sensors:.2g})")
+    if e.sensors_p_value is not None and e.sensors_p_value < limits.undecided_p:
+        return Reason(SENSORS, e.name, {"chance": e.sensors_p_value, "doubt": limits.undecided_p},
+                      f"its value contradicts the redundant sensors (p = {e.sensors_p_value:.2g})")
     known = e.against_file
-    if known is not None and known.deviations > limits.file:
+    if known is not None and known.deviations > limits.max_file_deviation:
         return Reason(FILE, e.name, {"value": known.value, "file": known.file, "deviation": known.deviation,
-                                     "deviations": known.deviations, "limit": limits.file},
-                      f"fits best with {known.key} {_of(known, known.value)}; the vehicle file gives "
-                      f"{known.file:.3g} ± {_of(known, known.deviation)}; another cause acts like it")
-    if e.bound < limits.bound:
-        return Reason(BOUND, e.name, {"distance": e.bound, "bound": limits.bound},
-                      "its value is on a bound, beyond the physical range")
+                                     "deviations": known.deviations, "limit": limits.max_file_deviation},
+                      f"the best fit has {known.key} {_with_unit(known, known.value)}, the vehicle file "
+                      f"{known.file:.3g} ± {_with_unit(known, known.deviation)}: another cause imitates it")
+    if e.bound_distance < limits.at_bound:
+        return Reason(BOUND, e.name, {"distance": e.bound_distance, "bound": limits.at_bound},
+                      "its value is at a bound, so the best fit is beyond the physical range")
     return _varying(e, limits) or Reason(
-        STATED, e.name, {"gain": e.gain, "chance": e.chance, "position": e.position},
-        f"it reduces the size of the errors by {e.share:.1%} and {100 * e.position:.1f} cm after 5 s (p = "
-        f"{e.chance:.2g}), and does not vary between parts of the driving")
+        STATED, e.name, {"gain": e.gain, "chance": e.p_value, "position": e.position},
+        f"it reduces the errors by {e.share:.1%} and the position error after 5 s by {100 * e.position:.1f} cm (p = "
+        f"{e.p_value:.2g}), and does not vary significantly over the driving")
 
 
 def predicts(e: Evidence, limits: Limits) -> Reason:
     """The verdict on one effect as an effective correction, which must improve predictions in all parts."""
     return _by_chance(e, limits) or _varying(e, limits) or Reason(
-        STATED, e.name, {"gain": e.gain, "chance": e.chance}, f"it reduces the size of the errors by {e.share:.1%}")
+        STATED, e.name, {"gain": e.gain, "chance": e.p_value}, f"it reduces the size of the errors by {e.share:.1%}")
 
 
 def _varying(e: Evidence, limits: Limits) -> Reason | None:
@@ -97,13 +97,13 @@ def _varying(e: Evidence, limits: Limits) -> Reason | None:
     if not level:
         return None
     a = e.agreement[level]
-    return Reason(VARIES, e.name, {"differ": a.differ, "absent": a.absent, "doubt": limits.doubt,
+    return Reason(VARIES, e.name, {"differ": a.differ, "absent": a.absent, "doubt": limits.undecided_p,
                                    "false_alarm": limits.false_alarm},
-                  f"it varies over {LEVEL_NAMES[level]} (p = {a.differ:.1g} if it did not), and another of them "
-                  f"would show none of it, or the opposite, with probability {a.absent:.2g}")
+                  f"it varies over {LEVEL_NAMES[level]} (p = {a.differ:.1g} for a constant value), and is absent or of "
+                  f"opposite sign in another of them with probability {a.absent:.2g}")
 
 
-def _of(known: AgainstFile, number: float) -> str:
+def _with_unit(known: AgainstFile, number: float) -> str:
     """A value of the quantity, with its unit."""
     unit = "" if known.unit == "1" else f" {known.unit}"
     return f"{number:.3g}{unit}"
@@ -115,29 +115,29 @@ def _by_chance(e: Evidence, limits: Limits) -> Reason | None:
         return Reason(NEGLIGIBLE, e.name, {"gain": e.gain, "negligible": limits.negligible},
                       f"it reduces the size of the errors by {e.share:.1%}, below the limit of "
                       f"{limits.negligible:.1%}")
-    if e.chance > limits.false_alarm:
-        return Reason(CHANCE, e.name, {"chance": e.chance, "false_alarm": limits.false_alarm},
-                      f"it is not significant: p = {e.chance:.2g}, over the whole library")
-    if e.gain < e.healthy:
-        return Reason(CHANCE, e.name, {"gain": e.gain, "healthy": e.healthy},
-                      f"it reduces the size of the errors by {e.share:.1%}; between drives of the healthy car "
-                      f"some effect reduces them by {share_of(e.healthy):.1%}")
-    if e.null > limits.doubt:
-        return Reason(NULL, e.name, {"chance": e.null, "doubt": limits.doubt},
-                      f"its values do not differ significantly from their null: p = {e.null:.2g}")
+    if e.p_value > limits.false_alarm:
+        return Reason(CHANCE, e.name, {"chance": e.p_value, "false_alarm": limits.false_alarm},
+                      f"it is not significant: p = {e.p_value:.2g} over the whole library")
+    if e.gain < e.healthy_gain:
+        return Reason(CHANCE, e.name, {"gain": e.gain, "healthy": e.healthy_gain},
+                      f"it reduces the errors by {e.share:.1%}; between drives of the healthy car some effect does "
+                      f"so by {share_of(e.healthy_gain):.1%}")
+    if e.null_p_value > limits.undecided_p:
+        return Reason(NULL, e.name, {"chance": e.null_p_value, "doubt": limits.undecided_p},
+                      f"its values do not differ significantly from their null: p = {e.null_p_value:.2g}")
     if e.gain < limits.relevant and position_of(e) < limits.relevant_position:
         return Reason(IRRELEVANT, e.name, {"gain": e.gain, "position": position_of(e), "relevant": limits.relevant,
                                            "relevant_position": limits.relevant_position},
-                      f"it is significant, but reduces the size of the errors by {e.share:.1%} and "
-                      f"{100 * position_of(e):.1f} cm after 5 s; {limits.relevant:.1%} or "
+                      f"it is significant, but reduces the errors by {e.share:.1%} and the position error after 5 s by "
+                      f"{100 * position_of(e):.1f} cm; {limits.relevant:.1%} or "
                       f"{100 * limits.relevant_position:.0f} cm are required")
     return None
 
 
 def confirmed(e: Evidence, limits: Limits) -> bool:
-    """Whether the measurements of the sensors among themselves exclude the null and agree with the value."""
-    return (e.sensors is not None and e.sensors_null is not None and e.sensors >= limits.doubt
-            and e.sensors_null < limits.false_alarm)
+    """Whether redundant sensor measurements exclude the null and agree with the value."""
+    return (e.sensors_p_value is not None and e.sensors_p_value >= limits.undecided_p
+            and e.sensors_null_p_value is not None and e.sensors_null_p_value < limits.false_alarm)
 
 
 def position_of(e: Evidence) -> float:
@@ -146,17 +146,17 @@ def position_of(e: Evidence) -> float:
 
 
 def is_relevant(e: Evidence, limits: Limits) -> bool:
-    """Whether an effect is large enough to be named: in the channel that it affects most, in the position, or, if the
-    sensors confirm it among themselves, in its value."""
+    """Whether an effect is large enough to be named: in the channel that it affects most, in the position, or, if
+    redundant sensors confirm it, in its value."""
     return (most_affected(e, limits)[1] >= limits.relevant or position_of(e) >= limits.relevant_position
-            or (confirmed(e, limits) and e.size >= limits.size))
+            or (confirmed(e, limits) and e.size >= limits.min_relative_size))
 
 
 def most_affected(e: Evidence, limits: Limits) -> tuple[str, float]:
-    """(channel above the noise that an effect reduces most, reduction over its baseline error [1]); ("", 0) for
-    none."""
-    share, column = max(((share, column) for column, (share, over) in e.shares.items() if over > limits.left),
-                        default=(0.0, ""))
+    """(channel above the noise that an effect reduces most, ratio of the reduction to its baseline error [1]); ("", 0)
+    for none."""
+    share, column = max(((share, column) for column, (share, noise_ratio) in e.shares.items()
+                         if noise_ratio > limits.max_noise_ratio), default=(0.0, ""))
     return OF_COLUMN[column].name if column else "", share
 
 
@@ -169,25 +169,26 @@ def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) ->
     """Whether an accepted effect is named, or only kept so that it does not bias other values."""
     by_sensors, checks = confirmed(e, limits), checks or Checks()
     if checks.worse_axle:
-        return Reason(FORCES, e.name, {"gain": e.gain}, f"the measured forces of the {checks.worse_axle} axle are "
-                      "described less well with it than by the vehicle file: it improves predictions, not named")
+        return Reason(FORCES, e.name, {"gain": e.gain}, f"with it the measured forces of the {checks.worse_axle} axle "
+                      "fit worse than with the vehicle file: it improves predictions, but is not named")
     if checks.crossing:
         return Reason(MINOR, e.name, {"gain": e.gain}, f"the interval of its {checks.crossing.replace('_', ' ')} "
-                      "crosses a bound of what is physical: kept, not named")
-    if checks.driven < limits.peak:
-        return Reason(MINOR, e.name, {"driven": checks.driven, "peak": limits.peak},
-                      f"{checks.driven:.0%} of the peak force was driven: the curve is stated up to there, no peak")
+                      "extends beyond the physical range: kept, not named")
+    if checks.peak_force_share < limits.min_peak_force:
+        return Reason(MINOR, e.name, {"driven": checks.peak_force_share, "peak": limits.min_peak_force},
+                      f"the drives reach {checks.peak_force_share:.0%} of the peak force: the curve is reported up to "
+                      "there, without a peak")
     if e.position < -limits.relevant_position and not by_sensors:
         return Reason(MINOR, e.name, {"position": e.position, "relevant_position": limits.relevant_position},
                       f"without it the held-out position error is {-100 * e.position:.1f} cm smaller: kept, not named")
-    if e.left > limits.left and e.gain < limits.unexplained_share and not by_sensors:
-        return Reason(MINOR, e.name, {"gain": e.gain, "left": e.left, "unexplained_share": limits.unexplained_share,
-                                      "limit": limits.left},
-                      f"it is significant, but reduces the errors by {e.share:.1%}, and {e.left:.1f} times the "
-                      "noise remains with it: it may imitate an unmodelled effect; kept, not named")
+    if e.noise_ratio > limits.max_noise_ratio and e.gain < limits.unexplained_share and not by_sensors:
+        return Reason(MINOR, e.name, {"gain": e.gain, "left": e.noise_ratio, "limit": limits.max_noise_ratio,
+                                      "unexplained_share": limits.unexplained_share},
+                      f"it is significant, but reduces the errors by {e.share:.1%} only, to {e.noise_ratio:.1f} times "
+                      "the noise: it may imitate an unmodelled effect; kept, not named")
     if not checks.null_outside and not by_sensors:
-        return Reason(MINOR, e.name, {"gain": e.gain}, "it reduces the errors, but in other sets of effects that are "
-                      "nearly as good its value is near its null: kept, not named")
+        return Reason(MINOR, e.name, {"gain": e.gain}, "it reduces the errors, but other sets of effects that fit "
+                      "nearly as well do not need it: kept, not named")
     if is_relevant(e, limits):
         return Reason(STATED, e.name, _relevance(e, limits), _effect_size(e, limits))
     return Reason(MINOR, e.name, _relevance(e, limits), f"significant, but {_effect_size(e, limits)}; "
@@ -197,9 +198,9 @@ def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) ->
 def _effect_size(e: Evidence, limits: Limits) -> str:
     """The largest reductions, as a clause."""
     channel, share = most_affected(e, limits)
-    of = f"the baseline {CHANNELS[channel].words} error by {share:.1%} and " if channel else ""
+    channel_part = f"the baseline {CHANNELS[channel].words} error by {share:.1%} and " if channel else ""
     where = " in one driving condition" if e.position_somewhere > e.position else ""
-    return f"it reduces {of}the position error after 5 s by {100 * position_of(e):.1f} cm{where}"
+    return f"it reduces {channel_part}the position error after 5 s by {100 * position_of(e):.1f} cm{where}"
 
 
 LEVEL_NAMES = {"run": "the runs", "site": "the sites", "time": "the time in the runs", "place": "the places",
@@ -208,30 +209,32 @@ LEVEL_NAMES = {"run": "the runs", "site": "the sites", "time": "the time in the 
 
 def varies_over(e: Evidence, limits: Limits) -> str:
     """The level over which an effect varies significantly, and another part may show none of it; "" for none."""
-    found = [level for level, a in e.agreement.items() if a.differ < limits.false_alarm and a.absent > limits.doubt]
+    found = [level for level, a in e.agreement.items()
+             if a.differ < limits.false_alarm and a.absent > limits.undecided_p]
     return max(found, key=lambda level: e.agreement[level].absent, default="")
 
 
 def varies_relevantly(e: Evidence, limits: Limits) -> bool:
-    """Whether an effect with a value of its own in each part of the driving is reported."""
-    return e.chance < limits.false_alarm and e.gain > max(limits.relevant, e.healthy) and is_relevant(e, limits)
+    """Whether an effect that has another value in each part of the driving is reported."""
+    return e.p_value < limits.false_alarm and e.gain > max(limits.relevant, e.healthy_gain) and is_relevant(e, limits)
 
 
 def alternative(rival: Rival, limits: Limits) -> Reason:
-    """Whether another name is an alternative to a stated one."""
+    """Whether another effect is an alternative to a stated one."""
     verdict = judge(rival.evidence, limits)
-    figures = {"share": rival.share, "no_worse": rival.p_no_worse, "less": rival.deficit, "rival": limits.rival,
-               "doubt": limits.doubt, "unexplained_share": limits.unexplained_share}
-    unexplained = rival.evidence.left > limits.left and rival.deficit < limits.unexplained_share
-    place = f"in the place of {rival.instead.replace('_', ' ')} it explains {rival.share:.0%} of what that does"
-    no_worse = f"p = {rival.p_no_worse:.2g} for the hypothesis that it is no worse"
-    if rival.share < limits.rival or (rival.p_no_worse < limits.doubt and not unexplained):
-        return Reason("explains less", rival.name, figures, f"{place}; {no_worse}")
+    figures = {"share": rival.share, "no_worse": rival.p_no_worse, "less": rival.deficit,
+               "rival": limits.min_rival_gain, "doubt": limits.undecided_p,
+               "unexplained_share": limits.unexplained_share}
+    unexplained = rival.evidence.noise_ratio > limits.max_noise_ratio and rival.deficit < limits.unexplained_share
+    gain = f"instead of {rival.instead.replace('_', ' ')} it has {rival.share:.0%} of that gain"
+    no_worse = f"p = {rival.p_no_worse:.2g} that it is not worse"
+    if rival.share < limits.min_rival_gain or (rival.p_no_worse < limits.undecided_p and not unexplained):
+        return Reason("explains less", rival.name, figures, f"{gain}; {no_worse}")
     if rival.shared:
-        place = f"with {rival.instead.replace('_', ' ')} it explains what that does alone"
+        gain = f"together with {rival.instead.replace('_', ' ')} it has the gain of that alone"
     elif verdict.rule not in (STATED, IRRELEVANT):
         return verdict
-    return Reason("alternative", rival.name, figures, f"{place}; {no_worse}")
+    return Reason("alternative", rival.name, figures, f"{gain}; {no_worse}")
 
 
 def decide(a: Answer, limits: Limits) -> tuple[Outcome, Reason]:
@@ -242,27 +245,29 @@ def decide(a: Answer, limits: Limits) -> tuple[Outcome, Reason]:
     equal = {name: [r for r in others if alternative(r, limits).rule == "alternative"]
             for name, others in a.rivals.items()}
     if len(a.stated) > 1:
-        return because("several", f"{len(a.stated)} effects are significant, relevant and not known to vary",
+        return because("several", f"{len(a.stated)} effects are significant, relevant and do not vary significantly",
                        effects=len(a.stated))
     if a.stated:
         name = a.stated[0].name
         others = equal.get(name, [])
         if others:
-            return because("ambiguous", f"{1 + len(others)} names explain it equally well", names=1 + len(others))
-        return because("named", "one effect is significant, relevant and not known to vary")
-    if a.together:
-        return because("ambiguous", f"{' and '.join(a.together)}: not as in the vehicle file, and no effect that "
-                       "changes it is separable from the others", combinations=len(a.together))
+            return because("ambiguous", f"{1 + len(others)} effects explain the errors equally well",
+                           names=1 + len(others))
+        return because("named", "one effect is significant, relevant and does not vary significantly")
+    if a.combinations:
+        return because("ambiguous", f"{' and '.join(a.combinations)}: not as in the vehicle file, and the effects "
+                       "that change it cannot be separated", combinations=len(a.combinations))
     verdicts = [judge(e, limits) for e in a.refused if is_relevant(e, limits)]
-    if a.bound or any(v.rule == VARIES for v in verdicts):
-        return because("bound", "something is significant, but not the same everywhere")
+    if a.varying_effects or any(v.rule == VARIES for v in verdicts):
+        return because("bound", "a significant effect varies over the driving")
     if any(v.rule in (BOUND, SENSORS, FILE) for v in verdicts):
-        return because("unknown", "something is significant, but no effect of the library describes it within "
-                       "its bounds")
-    if a.left > limits.left:
-        return because("unknown", f"errors are {a.left:.1f} times the noise, and no effect of the library reduces them "
-                       "significantly", left=a.left, limit=limits.left)
-    if a.seen < limits.shown:
-        return because("not_testable", f"{a.seen:.0%} of the library would be seen in these drives at a usual size",
-                       seen=a.seen, shown=limits.shown)
-    return because("none", f"errors are {a.left:.1f} times the noise", left=a.left, limit=limits.left)
+        return because("unknown", "errors are significant, but no effect of the library explains them within its "
+                       "bounds")
+    if a.noise_ratio > limits.max_noise_ratio:
+        return because("unknown", f"errors are {a.noise_ratio:.1f} times the noise, and no effect of the library "
+                       "reduces them significantly", left=a.noise_ratio, limit=limits.max_noise_ratio)
+    if a.detectable_share < limits.detection_power:
+        return because("not_testable", f"only {a.detectable_share:.0%} of the library's effects would be detectable "
+                       "in these drives at their usual size", seen=a.detectable_share, shown=limits.detection_power)
+    return because("none", f"errors are {a.noise_ratio:.1f} times the noise", left=a.noise_ratio,
+                   limit=limits.max_noise_ratio)

@@ -16,7 +16,7 @@ from ..vehicle import VehicleParameters
 from . import certificate, decision, waterfall
 from .axles import Axles
 from .decision import Rival
-from .evidence import Evidence, Joint, chance, joint, share_of
+from .evidence import Evidence, Joint, joint, library_p_value, share_of
 from .fit import Fit, Problem
 from .following import Catalogue, catalogue, following, separability, shows
 from .levels import Level, levels, sites
@@ -24,20 +24,20 @@ from .loss import Errors, Loss
 from .reference import learn
 from .result import (
     Assumed,
-    BoundEffect,
-    Candidate,
+    CandidateEffect,
     Certificate,
     Combination,
     Discovery,
+    ErrorCondition,
     FittedParameter,
     ForceCurve,
     FoundEffect,
+    LocalEstimate,
     NotTestable,
     Outcome,
     Reason,
     Run,
-    Value,
-    WhereStatement,
+    VaryingEffect,
     known_together,
 )
 from .search import Found, Search
@@ -63,7 +63,7 @@ def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | M
 
     runs: suspect drives. vehicle: of the vehicle file, where the search starts. reference: drives of the healthy car;
     the search then starts from the fit to them, and finds changes since then. identities: (value, low, high) by the
-    name of an estimate of `st_core.checks`, as the sensors measure it among themselves. parallel: threads.
+    name of an estimate of `st_core.checks`, from redundant sensors. parallel: threads.
     progress(stage, done, total): called during the work.
 
     Raises StCoreError for runs in which nothing can be predicted, ConfigurationError for settings that do not fit the
@@ -91,13 +91,14 @@ def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str 
 
 
 class _Names(NamedTuple):
-    """The effects of an answer by verdict: stated, minor, or denied by the axle forces. left_out: see `Discovery`."""
+    """The effects of an answer by verdict: stated, minor, or denied by the axle forces. leave_one_out: see
+    `Discovery`."""
 
     stated: tuple[FoundEffect, ...]
     minor: tuple[FoundEffect, ...]
     denied: tuple[FoundEffect, ...]
     verdicts: dict[str, Reason]
-    left_out: Mapping[str, Mapping[str, Mapping[str, float]]]
+    leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]
     curves: tuple[ForceCurve, ...]
     combinations: tuple[Combination, ...]
 
@@ -135,13 +136,13 @@ class _Work:
         whole, fit = self._corrected(found, parts)
         self._tick("explaining")()
         ends = waterfall.Ends(whole, settings.seed)
-        bound = self._varying_effects(found, parts)
+        varied = self._varying_effects(found, parts)
         floor = self._floor(by_column)
         names = self._names(search, found, parts, floor)
         effects = names.stated
         steps, base = waterfall.steps(problem, found.fit, found.order, ends, parts)
         gap, gap_named = (waterfall.gaps(ends, base, each, floor) for each in (fit, found.fit))
-        lines = waterfall.budget(problem, base, found.fit, fit, next((fit for _, fit in bound), None), ends)
+        lines = waterfall.budget(problem, base, found.fit, fit, next((fit for _, fit in varied), None), ends)
         power = (certificate.measured(problem, found.fit, self.limits, settings.seed, self._tick("certifying"))
                  if settings.certify else certificate.predicted(problem, found.fit, found.scores, self.limits))
         driven = self._catalogue(found, effects)
@@ -149,12 +150,12 @@ class _Work:
         residual = (gap_named["position_5s"].augmented / max(floor.get("position_5s", 0.0), 1e-9)
                     if "position_5s" in gap_named else 1.0)
         together = known_together(names.combinations, effects)
-        outcome, why = self._outcome(found, effects, untestable, residual, len(bound), together)
+        outcome, why = self._outcome(found, effects, untestable, residual, len(varied), together)
         statements = self._where(base, floor) if settings.where else ()
         return Discovery(
             outcome=outcome, effects=effects, minor=names.minor,
             effective=(*names.denied, *self._effective(whole, fit, found)),
-            bound=tuple(b for b, _ in bound), steps=tuple(steps), gap=gap, gap_named=gap_named, budget=tuple(lines),
+            varying=tuple(v for v, _ in varied), steps=tuple(steps), gap=gap, gap_named=gap_named, budget=tuple(lines),
             reasons=(why, *self._reasons(found, names.verdicts)), candidates=self._candidates(found, names.verdicts),
             where=statements, not_testable=untestable,
             next_manoeuvre=following(problem, found.fit, effects, driven, found.scores.design) if driven else None,
@@ -162,7 +163,7 @@ class _Work:
             signature=self._residual_signature(residual, statements), runs=self._run_table(),
             start="reference" if self.reference else "vehicle file", base=space.at(base.vector),
             model=space.at(fit.vector) if fit.names else None, named=self._named_model(found, names),
-            warnings=tuple(self.warnings), left_out=names.left_out, axle_curves=names.curves,
+            warnings=tuple(self.warnings), leave_one_out=names.leave_one_out, axle_curves=names.curves,
             assumed=self._assumed(), combinations=names.combinations,
             acceleration_gain=float(fit.vector[-1]), noise={c: g.augmented for c, g in gap.items()})
 
@@ -175,12 +176,12 @@ class _Work:
                        if np.isfinite(position).any() else 1.0)
         everything = [replace(self._effect(name, found, parts, all_free, unexplained),
                               joint=self._cancelling(search, found, name)) for name in found.order]
-        left_out = waterfall.left_out(problem, found.fit)
+        leave_one_out = waterfall.leave_one_out(problem, found.fit)
         axles, curves, combinations = self._axles(found, all_free, unexplained)
-        verdicts = self._verdicts(found, everything, axles, left_out)
+        verdicts = self._verdicts(found, everything, axles, leave_one_out)
         stated, minor, denied = (tuple(e for e in everything if verdicts[e.name].rule == rule)
                                  for rule in (decision.STATED, decision.MINOR, decision.FORCES))
-        return _Names(stated, minor, denied, verdicts, left_out, curves, combinations)
+        return _Names(stated, minor, denied, verdicts, leave_one_out, curves, combinations)
 
     def _named_model(self, found: Found, names: _Names) -> AugmentedModel | None:
         """The model without the effects that the axle forces contradict; None if no effect was found."""
@@ -189,14 +190,15 @@ class _Work:
         return self.space.at(self.problem.vector_without(found.fit, *(e.name for e in names.denied)))
 
     def _outcome(self, found: Found, effects: Sequence[FoundEffect], untestable: Sequence[NotTestable], residual: float,
-                 bound: int, together: Sequence[Combination]) -> tuple[Outcome, Reason]:
-        """residual [1]: position error over that of the noise. bound: number of effects that vary over the drives.
-        together: combinations that differ from the vehicle file without a named effect."""
+                 varying_effects: int, together: Sequence[Combination]) -> tuple[Outcome, Reason]:
+        """residual [1]: ratio of the position error to the noise. varying_effects: number of effects that vary over the
+        drives. together: combinations that differ from the vehicle file without a named effect."""
         hypotheses = self.space.hypotheses
-        seen = 1.0 - sum(n.name in hypotheses for n in untestable) / len(hypotheses)
+        detectable = 1.0 - sum(n.name in hypotheses for n in untestable) / len(hypotheses)
         refused = [evidence for evidence, *_ in found.refused.values()]
         stated = [found.evidence[e.name] for e in effects]
-        answer = decision.Answer(stated, found.rivals, refused, residual, seen, bound, [c.name for c in together])
+        answer = decision.Answer(stated, found.rivals, refused, residual, detectable, varying_effects,
+                                 [c.name for c in together])
         return decision.decide(answer, self.limits)
 
     def _corrected(self, found: Found, parts: Mapping[str, Level]) -> tuple[Problem, Fit]:
@@ -257,19 +259,19 @@ class _Work:
 
     def _warn_of_low_excitation(self) -> None:
         if len(self.runs) < 3:
-            self.warnings.append(f"{'two runs' if len(self.runs) == 2 else 'one run'}: whether runs agree "
-                                 "is unknown; stretches of them are compared instead")
+            self.warnings.append(f"{'two runs' if len(self.runs) == 2 else 'one run'} only: instead of runs, stretches "
+                                 "of them are compared with each other")
         if not sites(self.windows).any():
-            self.warnings.append("all driving is at one site: effects of the place, as banked roads and wind, cannot "
-                                 "be separated from properties of the car")
+            self.warnings.append("all driving is at one site: effects of the site, such as banked roads and wind, "
+                                 "cannot be separated from properties of the car")
         if self.problem.blocks < 10:
             self.warnings.append(f"only {self.problem.blocks} blocks of {self.settings.block:g} s: tests are weak")
         rate = self.windows.joined.yaw_rate * self.windows.joined.velocity_x
         turning = np.abs(rate) > 0.5
         if turning.mean() < 0.05:
-            self.warnings.append("nearly all is straight driving: tyres, steering ratio and mass cannot be seen")
+            self.warnings.append("nearly all is straight driving: tyres, steering ratio and mass are not identifiable")
         elif min((rate > 0.5).sum(), (rate < -0.5).sum()) < 0.05 * turning.sum():
-            self.warnings.append("bends to one side only: offsets of sensors and steering look like changes of the car")
+            self.warnings.append("turns to one side only: offsets of sensors and steering resemble changes of the car")
 
     # Results
 
@@ -290,7 +292,7 @@ class _Work:
         """Effects of the answer that cancel this one: removing both raises the loss much less than removing one."""
         fit, alone = found.fit, search.predicted_rise(found.fit, name)
         return tuple(n for n in fit.names if n != name and search.predicted_rise(fit, n, name)
-                     < self.limits.rival * max(alone, search.predicted_rise(fit, n)))
+                     < self.limits.min_rival_gain * max(alone, search.predicted_rise(fit, n)))
 
     def _assumed(self) -> tuple[Assumed, ...]:
         """The quantities of the vehicle file that are priors."""
@@ -310,14 +312,14 @@ class _Work:
             return None, (), ()
 
     def _verdicts(self, found: Found, everything: Sequence[FoundEffect], axles: Axles | None,
-                  left_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, Reason]:
+                  leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, Reason]:
         """The verdict on each effect of the answer. With a reference, intervals do not decide, as they contain the
         uncertainty of the healthy car."""
         worse: dict[str, str] = {}
         driven = 1.0
         if axles is not None and not self.reference:
             driven = max(axles.driven_shares().values())
-            for axle in axles.contradicting(self.space.at(self.space.null), left_out):
+            for axle in axles.contradicting(self.space.at(self.space.null), leave_one_out):
                 worse |= dict.fromkeys(axles.acting(axle, [e.name for e in everything]), axle)
         return {e.name: decision.naming_verdict(found.evidence[e.name], self.limits, decision.Checks(
             bool(self.reference) or null_excluded(e), "" if self.reference else parameter_across_bound(e),
@@ -330,9 +332,9 @@ class _Work:
                                  ends.position_without(fit, n), {})
                      for n in fit.names if n not in found.fit.names)
 
-    def _varying_effects(self, found: Found, parts: Mapping[str, Level]) -> list[tuple[BoundEffect, Fit | None]]:
+    def _varying_effects(self, found: Found, parts: Mapping[str, Level]) -> list[tuple[VaryingEffect, Fit | None]]:
         """The significant effect that varies over the driving: one rejected for that, else the one that varies most."""
-        collected: list[tuple[BoundEffect, Fit | None]] = []
+        collected: list[tuple[VaryingEffect, Fit | None]] = []
         # An effect of the answer, or an alternative to one, is not reported as varying as well.
         rivals = [r for others in found.rivals.values() for r in others]
         taken = [*found.fit.names, *(r.name for r in filter(self._is_alternative, rivals))]
@@ -340,34 +342,35 @@ class _Work:
             if (verdict.rule == decision.VARIES and not self.space.overlaps(name, taken)
                     and decision.is_relevant(evidence, self.limits) and not collected):
                 level = decision.varies_over(evidence, self.limits)
-                collected.append((BoundEffect(name, level, waterfall.parameters(self.problem, fit, name, {}),
-                                              _values(evidence)[level], evidence.position), fit))
+                collected.append((VaryingEffect(name, level, waterfall.parameters(self.problem, fit, name, {}),
+                                                _values(evidence)[level], evidence.position), fit))
         if not collected:
             for v in varying(self.problem, found.fit, parts):
                 evidence = evidence_of(self.problem, found.fit, v, parts)
                 if decision.varies_relevantly(evidence, self.limits) and not self.space.overlaps(v.name, taken):
-                    collected.append((self._as_bound_effect(v, evidence.position), None))
+                    collected.append((self._as_varying_effect(v, evidence.position), None))
                     break
-        for bound, _ in collected:
-            self.warnings.append(f"something that resembles {bound.resembles.replace('_', ' ')} is significant, but "
-                                 f"differs over {decision.LEVEL_NAMES[bound.to]}: it is reported, not named")
+        for effect, _ in collected:
+            self.warnings.append(f"an effect that resembles {effect.resembles.replace('_', ' ')} is significant, but "
+                                 f"varies over {decision.LEVEL_NAMES[effect.level]}: it is reported, not named")
         return collected
 
-    def _as_bound_effect(self, v: Varying, position: float) -> BoundEffect:
-        """Shares are relative to the largest change of any part. position [m]: reduction of the error."""
+    def _as_varying_effect(self, v: Varying, position: float) -> VaryingEffect:
+        """position [m]: reduction of the error."""
         free = next(f for f in self.space.free if (f.effect, f.parameter) == (v.name, v.parameter))
         value, spread = max(v.values.values(), key=lambda each: abs(each[0] - free.null))
         change = value - free.null or free.usual
-        shares = tuple(Value(part, (x - free.null) / change, s / abs(change)) for part, (x, s) in v.values.items())
+        ratios = tuple(LocalEstimate(part, (x - free.null) / change, s / abs(change))
+                       for part, (x, s) in v.values.items())
         found = FittedParameter(value, free.unit, (value - 1.96 * spread, value + 1.96 * spread), free.null)
-        return BoundEffect(v.name, v.level, {v.parameter: found}, shares, position)
+        return VaryingEffect(v.name, v.level, {v.parameter: found}, ratios, position)
 
     def _reasons(self, found: Found, named: Mapping[str, Reason]) -> list[Reason]:
         rivals = (r for others in found.rivals.values() for r in others)
         return [*named.values(), *(decision.alternative(r, self.limits) for r in rivals),
                 *(verdict for _, verdict, _ in found.refused.values())]
 
-    def _candidates(self, found: Found, named: Mapping[str, Reason]) -> tuple[Candidate, ...]:
+    def _candidates(self, found: Found, named: Mapping[str, Reason]) -> tuple[CandidateEffect, ...]:
         """Gain and verdict of every effect of the library."""
         problem, space, rows = self.problem, self.space, []
         # An effect that was tried in several places is listed where it explains most.
@@ -387,15 +390,16 @@ class _Work:
                 each, vector = found.scores.gains[name]
                 values = space.values(name, vector)
                 gain = float(each.sum()) / problem.number
-                p_value = chance(found.scores.own[name], each, found.scores, len(space.hypotheses))
+                p_value = library_p_value(found.scores.own[name], each, found.scores, len(space.hypotheses))
                 verdict = decision.judge(Evidence(name, gain, p_value), self.limits)
                 if verdict.rule == decision.STATED:
                     verdict = Reason("explains less", name, {"gain": gain},
-                                     f"it reduces the size of the errors by {share_of(gain):.1%}; others reduce it by "
-                                     "more, and were tried first")
+                                     f"it reduces the errors by {share_of(gain):.1%}; others reduce them by more, and "
+                                     "were tried first")
             else:
-                verdict, gain = Reason("part of the answer", name, {}, "within a stated effect, or contains it"), 0.0
-            rows.append(Candidate(name, get_effect(name).kind, values, share_of(gain), verdict.rule, verdict.text))
+                verdict, gain = Reason("part of the answer", name, {}, "part of a stated effect, or contains it"), 0.0
+            rows.append(CandidateEffect(name, get_effect(name).kind, values, share_of(gain), verdict.rule,
+                                        verdict.text))
         return tuple(sorted(rows, key=lambda c: -c.gain))
 
     def _catalogue(self, found: Found, effects: Sequence[FoundEffect]) -> Catalogue | None:
@@ -407,21 +411,22 @@ class _Work:
 
     def _untestable(self, found: Found, power: Certificate, names: _Names,
                     driven: Catalogue | None) -> tuple[NotTestable, ...]:
-        """Effects that these drives cannot show."""
+        """Effects that are not detectable in these drives."""
         stated = {*(name for e in names.stated for name in (e.name, *e.alternatives)), *(e.name for e in names.minor)}
         collected = []
         problem, scores = self.problem, found.scores
         for name in self.space.hypotheses:
             powers = [p for p in power.powers if p.effect == name]
-            if name in stated or max((p.found for p in powers), default=0.0) >= self.limits.shown:
+            if name in stated or max((p.probability for p in powers), default=0.0) >= self.limits.detection_power:
                 continue
             largest = max(powers, key=lambda p: p.size)
             drive = shows(problem, name, driven) if driven else ""
             other = certificate.confounded_with(problem, found.fit, name, scores, self.limits)
-            why = f"in these drives {other.replace('_', ' ')} acts like it; it shows" if other else "it shows"
+            why = (f"in these drives it cannot be separated from {other.replace('_', ' ')}; it is visible" if other
+                   else "it is visible")
             size = f"{100 * largest.size:.3g} %" if largest.unit == "1" else f"{largest.size:.3g} {largest.unit}"
-            collected.append(NotTestable(name, f"{size} of it would be found with probability {largest.found:.2f}; "
-                                         f"{why} in {get_effect(name).excited_by}", drive))
+            collected.append(NotTestable(name, f"{size} of it would be detected with probability "
+                                         f"{largest.probability:.2f}; {why} in {get_effect(name).excited_by}", drive))
         for name in self.space.without_signal:
             signals = ", ".join(get_effect(name).signals)
             collected.append(NotTestable(name, f"it needs the signal {signals}, which is not recorded"))
@@ -439,13 +444,13 @@ class _Work:
             result["position_5s"] = max(result.get("position_5s", 0.0), noise)
         return result
 
-    def _residual_signature(self, residual: float, statements: Sequence[WhereStatement]) -> tuple[str, ...]:
+    def _residual_signature(self, residual: float, statements: Sequence[ErrorCondition]) -> tuple[str, ...]:
         """Description of the residual, empty where it is near the noise."""
-        if residual <= self.limits.left:
+        if residual <= self.limits.max_noise_ratio:
             return ()
         return (f"errors are {residual:.1f} times the noise", *(f"{w.channel}: {w.condition}" for w in statements[:5]))
 
-    def _where(self, fit: Fit, floor: Mapping[str, float]) -> tuple[WhereStatement, ...]:
+    def _where(self, fit: Fit, floor: Mapping[str, float]) -> tuple[ErrorCondition, ...]:
         self._tick("where")()
         noise = {channel: value for channel, value in floor.items() if channel != "position_5s"}
         return largest_errors(self.runs, self.space.at(fit.vector), self.vehicle, self.settings, self.reference, noise,
@@ -467,8 +472,8 @@ class _Work:
         return tick
 
 
-def _values(evidence: Evidence) -> dict[str, tuple[Value, ...]]:
-    return {level: tuple(Value(part, share, deviation) for part, (share, deviation) in a.shares.items())
+def _values(evidence: Evidence) -> dict[str, tuple[LocalEstimate, ...]]:
+    return {level: tuple(LocalEstimate(part, ratio, deviation) for part, (ratio, deviation) in a.ratios.items())
             for level, a in evidence.agreement.items()}
 
 
@@ -489,8 +494,8 @@ def null_excluded(effect: FoundEffect) -> bool:
 
 
 def with_sensor_interval(fitted: FittedParameter, known: tuple[float, float, float] | None) -> FittedParameter:
-    """The value with the width of the interval that the sensors measure among themselves, (value, low, high), if they
-    agree with the value and exclude the null although its own interval contains it."""
+    """The value with the width of the interval of the redundant sensors, (value, low, high), if they agree with the
+    value and exclude the null although its own interval contains it."""
     _, low, high = known or (0.0, -np.inf, np.inf)
     contains_null = fitted.interval[0] <= fitted.null <= fitted.interval[1]
     if not contains_null or not low <= fitted.value <= high or low <= fitted.null <= high:

@@ -23,11 +23,11 @@ MIN_INFORMATION_SHARE = 0.02  # of all driving; a part with less information is 
 
 @dataclass(frozen=True)
 class Agreement:
-    """Agreement of the parts of the driving (runs, sites, ...) on an effect. shares: by part, (its value over the
-    fitted one, standard deviation). differ [1]: p-value of equal values in all parts. absent [1]: probability that
+    """Agreement of the parts of the driving (runs, sites, ...) on an effect. ratios: by part, (ratio of its value to
+    the fitted one, standard deviation). differ [1]: p-value of equal values in all parts. absent [1]: probability that
     another part shows none of it, or the opposite."""
 
-    shares: Mapping[str, tuple[float, float]]
+    ratios: Mapping[str, tuple[float, float]]
     differ: float
     absent: float
 
@@ -50,30 +50,30 @@ class Evidence:
     """Statistics of one effect in a set.
 
     gain [1]: reduction of the held-out loss per scored error, about the relative reduction of their size; the smaller
-    of two values, with blocks and with whole runs held out. healthy [1]: the largest such gain between drives of the
-    healthy car. chance [1]: p-value of the gain, over the whole library. null [1]: p-value of the null. shares: by
-    column of the errors, (reduction over the baseline error, error without the effect over the noise) [1]. position
-    [m]: reduction of the mean held-out position error at the end of the horizon; position_somewhere: the largest in one
-    driving condition (lower 95 % bound). left [1]: error with the effect over the noise, in the column where this is
-    largest. bound [1]: distance to the nearest bound, and size [1]: distance from the null, both in usual sizes.
-    sensors, sensors_null [1]: p-value of the fitted value and of the null under what the sensors measure among
-    themselves; None where they measure nothing. against_file: the quantity of the vehicle file that is furthest from
-    the file's value; None without one. agreement: by level.
+    of two values, with blocks and with whole runs held out. healthy_gain [1]: the largest such gain between drives of
+    the healthy car. p_value [1]: of the gain, over the whole library; null_p_value [1]: of the null. shares: by column
+    of the errors, (ratio of the reduction to the baseline error, of the error without the effect to the noise) [1].
+    position [m]: reduction of the mean held-out position error at the end of the horizon; position_somewhere: the
+    largest in one driving condition (lower 95 % bound). noise_ratio [1]: of the error with the effect, in the
+    column where this ratio is largest. bound_distance [1]: to the nearest bound, and size [1]: distance from the null,
+    both in usual sizes. sensors_p_value, sensors_null_p_value [1]: of the fitted value and of the null, under the
+    redundant measurements of the sensors; None without any. against_file: the quantity of the vehicle file that is
+    furthest from the file's value; None without one. agreement: by level.
     """
 
     name: str
     gain: float
-    chance: float
-    null: float = 0.0
+    p_value: float
+    null_p_value: float = 0.0
     shares: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     position: float = 0.0
     position_somewhere: float = 0.0
-    left: float = 1.0
-    bound: float = 1.0
-    healthy: float = 0.0
+    noise_ratio: float = 1.0
+    bound_distance: float = 1.0
+    healthy_gain: float = 0.0
     size: float = 0.0
-    sensors: float | None = None
-    sensors_null: float | None = None
+    sensors_p_value: float | None = None
+    sensors_null_p_value: float | None = None
     against_file: AgainstFile | None = None
     agreement: Mapping[str, Agreement] = field(default_factory=dict)
 
@@ -155,8 +155,8 @@ def make_scores(q: Quadratic, own: Mapping[str, np.ndarray], information: Mappin
     return Scores(own, largest, max(float(np.median(ratios)) if ratios else 1.0, 1.0), gains)
 
 
-def chance(own: np.ndarray, gain: np.ndarray, scores: Scores, library: int) -> float:
-    """Probability that some effect of the library does as well by chance: the smaller p-value of two tests.
+def library_p_value(own: np.ndarray, gain: np.ndarray, scores: Scores, library: int) -> float:
+    """p-value of the gain of the best effect of the library: the smaller one of two tests.
 
     Sign flips: the score exceeds the largest of the library under random signs of the blocks, and the gain is positive
     over the blocks. Likelihood ratio: twice the gain over the design effect, with Bonferroni's factor for the library;
@@ -176,7 +176,7 @@ def chance(own: np.ndarray, gain: np.ndarray, scores: Scores, library: int) -> f
 def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scores, levels: Mapping[str, Level],
              sensors: Mapping[str, tuple[float, float, float]]) -> Evidence:
     """Evidence for an effect of `fit`, compared with the fit `without` it. scores: of the library, about `without`.
-    sensors: parameters as the sensors measure them among themselves, (value, low, high)."""
+    sensors: (value, low, high) of parameters from redundant sensors."""
     gain = without.held_out - fit.held_out
     own = scores.own.get(effect)
     if own is None:
@@ -187,7 +187,8 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
         rows = problem.errors.at(problem.vector_without(fit, effect))
     overall, somewhere = error_reductions(fall, levels.get("condition"))
     return Evidence(effect, min(float(gain.sum()) / problem.number, problem.held_out_gain(without, fit)),
-                    chance(own, gain, scores, len(problem.space.hypotheses)), null_p_value(problem, fit, effect),
+                    library_p_value(own, gain, scores, len(problem.space.hypotheses)),
+                    null_p_value(problem, fit, effect),
                     shares(problem, rows, after), overall, somewhere, residual_over_noise(problem, after),
                     distance_to_bound(problem, fit, effect), problem.healthy, effect_size(problem, fit, effect),
                     *sensor_p_values(problem, fit, effect, sensors), against_file(problem, fit, effect),
@@ -269,8 +270,8 @@ def against_file(problem: Problem, fit: Fit, effect: str) -> AgainstFile | None:
 
 
 def sensor_p_values(problem: Problem, fit: Fit, effect: str, sensors: Mapping) -> tuple[float | None, float | None]:
-    """p-values of the fitted value and of the null under what the sensors measure among themselves; None where they
-    measure nothing."""
+    """p-values of the fitted value and of the null under the redundant measurements of the sensors; None without
+    any."""
     own = dict(zip(problem.space.indices(effect), deviation(problem, fit, effect), strict=True))
     values = [_two_sided(fit.vector[i] - value, np.hypot(spread, own[i]))
               for i, value, spread in _sensor_estimates(problem.space, effect, sensors)]
@@ -280,13 +281,13 @@ def sensor_p_values(problem: Problem, fit: Fit, effect: str, sensors: Mapping) -
 
 
 def null_by_sensors(space: Space, effect: str, sensors: Mapping) -> float | None:
-    """p-value of the null under what the sensors measure among themselves; None where they measure nothing."""
+    """p-value of the null under the redundant measurements of the sensors; None without any."""
     return min((_two_sided(space.free[i].null - value, spread)
                 for i, value, spread in _sensor_estimates(space, effect, sensors)), default=None)
 
 
 def _sensor_estimates(space: Space, effect: str, sensors: Mapping) -> list[tuple[int, float, float]]:
-    """(index, value, standard deviation) of the parameters that the sensors measure among themselves."""
+    """(index, value, standard deviation) of the parameters that redundant sensors measure."""
     named = [(i, sensors.get(f"{effect}.{space.free[i].parameter}")) for i in space.indices(effect)]
     return [(i, known[0], (known[2] - known[1]) / (2.0 * TWO_SIDED)) for i, known in named if known]
 

@@ -1,7 +1,7 @@
 """Result of a discovery, as plain data; `Discovery.document` is the body of discovery.json."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -9,7 +9,7 @@ from scipy import stats
 
 from ..augmented import AugmentedModel
 from ..effects import EFFECT_KINDS
-from .settings import Limits
+from .settings import Limits, json_key, stored_as
 
 Outcome = Literal["none", "named", "ambiguous", "several", "bound", "unknown", "not_testable"]
 # Factor from the half-width of a 95 % interval to that at significance level `false_alarm`, for a normal distribution.
@@ -25,7 +25,7 @@ MODELS = ("base", "model", "named")
 
 @dataclass(frozen=True)
 class FittedParameter:
-    """Value, 95 % interval and null [unit]; the interval allows for dependent windows and the spread between runs."""
+    """Value, 95 % interval and null [unit]; the interval allows for dependent windows and the scatter between runs."""
 
     value: float
     unit: str
@@ -58,30 +58,30 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Value:
-    """Local estimate of an effect in one run, site, time, place or condition. share [1]: ratio of the local to the
-    overall estimate, which can be negative or above 1; in a `BoundEffect`, to the local estimate that differs most from
-    null. deviation: standard deviation of share."""
+class LocalEstimate:
+    """Local estimate of an effect in one run, site, time, place or condition. ratio [1]: of the local to the overall
+    estimate, negative or above 1 too; in a `VaryingEffect`, to the local estimate that differs most from null.
+    deviation: standard deviation of the ratio."""
 
     where: str
-    share: float
+    ratio: float = field(metadata=stored_as("share"))
     deviation: float
 
 
 @dataclass(frozen=True)
 class FoundEffect:
     """One effect of the answer. kind: of EFFECT_KINDS. alternatives: names that the data do not separate from it, best
-    first. position_5s [m]: increase of the mean error after 5 s without it. agreement: by level (run, site, time,
-    place, condition), its value in each part. joint: other effects of the answer that it cancels; their values are
-    known only together. channel, share [1]: the channel with the largest reduction, relative to its baseline error; ""
-    where no error is above the noise."""
+    first. position_5s_increase [m]: of the mean error after 5 s without it. agreement: by level (run, site, time,
+    place, condition), its value in each part. joint: other effects of the answer that it cancels; only the combination
+    of their values is identifiable. channel, share [1]: the channel with the largest reduction, relative to its
+    baseline error; "" where no error is above the noise."""
 
     name: str
     kind: str
     parameters: Mapping[str, FittedParameter]
     alternatives: tuple[str, ...]
-    position_5s: float
-    agreement: Mapping[str, tuple[Value, ...]]
+    position_5s_increase: float = field(metadata=stored_as("position_5s"))
+    agreement: Mapping[str, tuple[LocalEstimate, ...]]
     joint: tuple[str, ...] = ()
     channel: str = ""
     share: float = 0.0
@@ -134,16 +134,16 @@ class ForceCurve:
 
 
 @dataclass(frozen=True)
-class BoundEffect:
+class VaryingEffect:
     """A significant effect that varies over the driving. resembles: the effect of the library that describes it best.
-    to: the level it varies with: run, site, time, place or condition. values: in each part. position_5s [m]: reduction
-    of the mean position error after 5 s."""
+    level: that it varies with: run, site, time, place or condition. values: in each part. position_5s_reduction [m]: of
+    the mean position error after 5 s."""
 
     resembles: str
-    to: str
+    level: str = field(metadata=stored_as("to"))
     parameters: Mapping[str, FittedParameter]
-    values: tuple[Value, ...]
-    position_5s: float
+    values: tuple[LocalEstimate, ...]
+    position_5s_reduction: float = field(metadata=stored_as("position_5s"))
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ class Reason:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class CandidateEffect:
     """One effect of the library, in addition to the answer or as part of it. gain: relative reduction of the size of
     the errors. verdict: stated, alternative, or the rule that rejected it. why: a sentence with figures."""
 
@@ -186,31 +186,31 @@ class BudgetLine:
 
 @dataclass(frozen=True)
 class Power:
-    """Detection of an effect of a given size [unit] in these drives. found [1]: detection probability. of: number of
-    simulated drives; 0: predicted without simulation."""
+    """Probability [1] of detecting an effect of a given size [unit] in these drives. simulated_drives: their number; 0:
+    predicted without simulation."""
 
     effect: str
     parameter: str
     unit: str
     size: float
-    found: float
-    of: int
+    probability: float = field(metadata=stored_as("found"))
+    simulated_drives: int = field(metadata=stored_as("of"))
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """Power of these drives. powers: three sizes of each effect. alarms: number of false alarms, an effect named in one
-    of `of` simulated drives without any. driven: True if measured by a step of the search on simulated drives
-    (--certify); False if predicted from the curvature of the loss, `of` is then 0."""
+    """Power of these drives. powers: three sizes of each effect. alarms: number of simulated drives without any effect
+    in which one was named. measured: True if by a step of the search on simulated drives (--certify); False if
+    predicted from the curvature of the loss, simulated_drives is then 0."""
 
     powers: tuple[Power, ...]
     alarms: int
-    of: int
-    driven: bool
+    simulated_drives: int = field(metadata=stored_as("of"))
+    measured: bool = field(metadata=stored_as("driven"))
 
 
 @dataclass(frozen=True)
-class WhereStatement:
+class ErrorCondition:
     """Condition, time or place in which the error exceeds the floor, that of the reference drives or of noise alone.
     channel: one of CHANNELS. excess [1]: ratio of the root mean square error to that of the floor; interval: 95 %."""
 
@@ -221,7 +221,7 @@ class WhereStatement:
 
 
 @dataclass(frozen=True)
-class Gap:
+class ChannelError:
     """Error of a channel on held-out driving, before and after. base, augmented [unit]: root mean square at the end of
     the horizon; of position_5s the mean. interval: 95 % of base - augmented. floor: error by noise alone [unit].
     worst_run, worst: the run with the largest error after. worse_runs: on which it grew by more than the floor."""
@@ -238,7 +238,8 @@ class Gap:
 
 @dataclass(frozen=True)
 class NotTestable:
-    """An effect that these drives cannot show. manoeuvre: of the catalogue, that would show it; "" for none."""
+    """An effect that is not detectable in these drives. manoeuvre: of the catalogue, that would show it; "" for
+    none."""
 
     name: str
     reason: str
@@ -293,13 +294,14 @@ class Discovery:
     several names, or a combination (`known_together`); several = more than one effect; bound = significant, but varying
     with run, place, time or condition; unknown = a significant gap that no effect of the library explains;
     not_testable = too little excitation. start: of the search. minor: significant effects too small to be named, part
-    of the model so that they do not bias the values of the others. effective: corrections that improve predictions,
-    not properties of the car whatever their names; part of the model, never of a vehicle file.
+    of the model so that they do not bias the values of the others. varying: significant effects that vary. effective:
+    corrections that improve predictions, not properties of the car whatever their names; part of the model, never of a
+    vehicle file.
 
     base: the model at the start; model: the best prediction, with all effects, None without any; named: with named and
     minor effects only, at the stated values. steps: from the base to the named effects. gap: by channel, and
-    position_5s; gap_named: without the effective corrections. reasons: every rule that decided. left_out:
-    leave-one-run-out values of named and minor effects, by the run that was left out of the fit. acceleration_gain [1]:
+    position_5s; gap_named: without the effective corrections. reasons: every rule that decided. leave_one_out: values
+    of named and minor effects, by the run that was left out of the fit. acceleration_gain [1]:
     relative excess of the measured lateral specific force over that of the motion, due to body roll. noise: by channel,
     at the end of the horizon [SI]. signature: description of the residual.
     """
@@ -307,13 +309,13 @@ class Discovery:
     outcome: Outcome
     effects: tuple[FoundEffect, ...]
     minor: tuple[FoundEffect, ...]
-    bound: tuple[BoundEffect, ...]
+    varying: tuple[VaryingEffect, ...] = field(metadata=stored_as("bound"))
     steps: tuple[Step, ...]
-    gap: Mapping[str, Gap]
+    gap: Mapping[str, ChannelError]
     budget: tuple[BudgetLine, ...]
     reasons: tuple[Reason, ...]
-    candidates: tuple[Candidate, ...]
-    where: tuple[WhereStatement, ...]
+    candidates: tuple[CandidateEffect, ...]
+    where: tuple[ErrorCondition, ...]
     not_testable: tuple[NotTestable, ...]
     next_manoeuvre: NextManoeuvre | None
     separability: tuple[Separability, ...]
@@ -325,12 +327,13 @@ class Discovery:
     model: AugmentedModel | None
     named: AugmentedModel | None = None
     effective: tuple[FoundEffect, ...] = ()
-    gap_named: Mapping[str, Gap] = field(default_factory=dict)
+    gap_named: Mapping[str, ChannelError] = field(default_factory=dict)
     axle_curves: tuple[ForceCurve, ...] = ()
     combinations: tuple[Combination, ...] = ()
     assumed: tuple[Assumed, ...] = ()
     warnings: tuple[str, ...] = ()
-    left_out: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
+    leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]] = field(
+        default_factory=dict, metadata=stored_as("left_out"))
     acceleration_gain: float = 0.0
     noise: Mapping[str, float] = field(default_factory=dict)
 
@@ -345,7 +348,7 @@ class Discovery:
 
     def document(self) -> dict[str, Any]:
         """The body of discovery.json: dicts, lists, texts and numbers only."""
-        return {name: plain(getattr(self, name)) for name in self.__dataclass_fields__ if name not in MODELS}
+        return {json_key(one): plain_data(getattr(self, one.name)) for one in fields(self) if one.name not in MODELS}
 
 
 def known_together(combinations: Sequence[Combination], named: Sequence[FoundEffect]) -> tuple[Combination, ...]:
@@ -357,12 +360,12 @@ def known_together(combinations: Sequence[Combination], named: Sequence[FoundEff
     return stiffness or tuple(found)[:1]
 
 
-def plain(value: Any) -> Any:
+def plain_data(value: Any) -> Any:
     """Dataclasses, mappings, tuples and NumPy numbers as dicts, lists and numbers."""
     if is_dataclass(value) and not isinstance(value, type):
-        return plain(asdict(value))
+        return {json_key(one): plain_data(getattr(value, one.name)) for one in fields(value)}
     if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
+        return {str(k): plain_data(v) for k, v in value.items()}
     if isinstance(value, (tuple, list)):
-        return [plain(v) for v in value]
+        return [plain_data(v) for v in value]
     return value.item() if isinstance(value, np.generic) else value

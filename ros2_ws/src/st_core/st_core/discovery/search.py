@@ -8,7 +8,7 @@ from scipy import stats
 
 from ..effects import get_effect, twins_of
 from .decision import CHANCE, NULL, STATED, Rival, judge
-from .evidence import TWO_SIDED, Evidence, Scores, chance, covariance, evidence, null_by_sensors, screen
+from .evidence import TWO_SIDED, Evidence, Scores, covariance, evidence, library_p_value, null_by_sensors, screen
 from .fit import Fit, Problem, Slopes
 from .levels import Level
 from .loss import Quadratic
@@ -49,7 +49,7 @@ class Found:
 
 
 class Search:
-    """levels: divisions of the driving. sensors: (value, low, high) as the sensors measure it among themselves, by
+    """levels: divisions of the driving. sensors: (value, low, high) from redundant sensors, by
     "effect.parameter". tick: called at every refit. judge: verdict on an effect."""
 
     def __init__(self, problem: Problem, limits: Limits, levels: Mapping[str, Level], sensors: Mapping,
@@ -93,7 +93,7 @@ class Search:
             _, vector = found.scores.gains.get(other, (None, found.fit.vector))
             fit = self._refit_with(found.fit, other, vector)
             vector = self._upper_end(fit, other)
-            if np.abs(p.distance(vector))[p.space.indices(other)].max() < self.limits.size:
+            if np.abs(p.distance(vector))[p.space.indices(other)].max() < self.limits.min_relative_size:
                 continue
             own = p.space.indices(*(n for n in names if n in twins_of(other)))
             nearer = own[np.abs(vector - p.start)[own] < np.abs(found.fit.vector - p.start)[own]]
@@ -123,7 +123,7 @@ class Search:
         """Sets that were tried and are worse by less than `limits.unexplained_share` of the residual; none where the
         residual is near the noise."""
         p, limits = self.problem, self.limits
-        if max((e.left for e in found.evidence.values()), default=0.0) <= limits.left:
+        if max((e.noise_ratio for e in found.evidence.values()), default=0.0) <= limits.max_noise_ratio:
             return []
         most = found.fit.held_out.sum() + limits.unexplained_share * p.number
         return [near for scale, near, loss in self._fits_tried if scale is p.loss.scale and loss < most]
@@ -141,7 +141,7 @@ class Search:
                 return found
             here.add(key)
             self._visited.add(key)
-            added = self._forward(found) if len(found.fit.names) < self.limits.most else None
+            added = self._forward(found) if len(found.fit.names) < self.limits.max_effects else None
             if added is None:
                 return found
             found.fit = self._rescale(self._backward(added, found.scores))
@@ -201,7 +201,8 @@ class Search:
         # Significant effects come first: with much noise, others gain more by chance.
         library = len(p.space.hypotheses)
         significant = [e for e in ranked
-                       if chance(found.scores.own[e], gains[e][0], found.scores, library) <= limits.false_alarm]
+                       if library_p_value(found.scores.own[e], gains[e][0], found.scores,
+                                          library) <= limits.false_alarm]
         contenders = (significant or ranked)[:CONTENDERS]
         contenders += [m for e in contenders for m in get_effect(e).members if m in gains and m not in contenders]
         fits = {effect: self._refit_with(found.fit, effect, gains[effect][1]) for effect in contenders}
@@ -223,7 +224,7 @@ class Search:
         return self._add_confirmed(found, without, [n for n in gains if n not in fits])
 
     def _add_confirmed(self, found: Found, without: Fit, names: list[str]) -> Fit | None:
-        """The fit with an effect that the sensors confirm among themselves, however small; None without one."""
+        """The fit with an effect that redundant sensors confirm, however small; None without one."""
         for effect in names:
             null = null_by_sensors(self.problem.space, effect, self.sensors)
             if self.problem.prior is not None or null is None or null > self.limits.false_alarm:
@@ -251,7 +252,7 @@ class Search:
         gain = {e: self._gain(without, f) for e, f in fits.items()}
         order = sorted(fits, key=lambda e: -gain[e])
         for name in [e for e in order if get_effect(e).members]:
-            close = max(self.limits.negligible * self.problem.number, self.limits.doubt * gain[name])
+            close = max(self.limits.negligible * self.problem.number, self.limits.undecided_p * gain[name])
             near = [m for m in get_effect(name).members if m in gain and gain[name] - gain[m] < close]
             if near:
                 order.remove(name)
@@ -323,7 +324,7 @@ class Search:
             now = cost(names)
             rise = {n: cost([m for m in names if m != n]) - now for n in names}
             weakest = min(rise, key=rise.__getitem__)
-            if rise[weakest] > self.limits.relevant * p.number and len(names) <= self.limits.most:
+            if rise[weakest] > self.limits.relevant * p.number and len(names) <= self.limits.max_effects:
                 break
             names.remove(weakest)
         if not names or frozenset(names) in self._visited:
@@ -365,7 +366,7 @@ class Search:
             if rise > 3.0 * enough:
                 without = found.without[name] = found.fit
                 e = self._evidence(found.fit, found.fit, name, found.scores)
-                found.evidence[name] = replace(e, gain=rise, chance=0.0)
+                found.evidence[name] = replace(e, gain=rise, p_value=0.0)
                 continue
             without = found.without[name] = self._refit_without(found.fit, name)
             found.evidence[name] = self._evidence(without, found.fit, name, found.scores)
@@ -384,7 +385,7 @@ class Search:
                       if n != name and not p.space.overlaps(n, without.names)}
             found.rivals[name] = []
             for other in sorted(others, key=lambda n: others[n][0])[:CONTENDERS // 2]:
-                if others[other][0] > (1.0 - 0.5 * self.limits.rival) * gain:
+                if others[other][0] > (1.0 - 0.5 * self.limits.min_rival_gain) * gain:
                     continue
                 fit = self._refit_with(without, other, others[other][1], around)
                 difference = fit.held_out - found.fit.held_out
@@ -392,9 +393,10 @@ class Search:
                               float(difference.sum()) / p.number, self._evidence(without, fit, other, found.scores),
                               p.space.values(other, fit.vector))
                 found.rivals[name].append(rival)
-                significant = rival.p_no_worse > 1.0 - self.limits.doubt and frozenset(fit.names) not in self._visited
-                if significant and self._judge(rival.evidence, self.limits).rule == STATED and (
-                        better is None or fit.held_out.sum() < better.held_out.sum()):
+                significant = rival.p_no_worse > 1.0 - self.limits.undecided_p
+                if (significant and frozenset(fit.names) not in self._visited
+                        and self._judge(rival.evidence, self.limits).rule == STATED
+                        and (better is None or fit.held_out.sum() < better.held_out.sum())):
                     better = fit
         return better
 

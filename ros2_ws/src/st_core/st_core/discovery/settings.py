@@ -3,10 +3,20 @@
 Scores of the benchmark with half and twice each limit: docs/measurements/discovery_scores.md.
 """
 
-from dataclasses import dataclass, field, fields
+from dataclasses import Field, dataclass, field, fields
 
 from ..channels import CHANNELS
 from ..errors import ConfigurationError
+
+
+def stored_as(key: str) -> dict[str, str]:
+    """Metadata of a dataclass field that has another name in discovery.json."""
+    return {"key": key}
+
+
+def json_key(one: Field) -> str:
+    """Name of a dataclass field in discovery.json."""
+    return one.metadata.get("key", one.name)
 
 
 @dataclass(frozen=True)
@@ -15,43 +25,42 @@ class Limits:
 
     false_alarm [1]: significance level, over the whole library, of an effect; of the improvement of the path by a
     proposed relation; and, at its default, of a combination (`known_together`) that differs from the vehicle file.
-    doubt [1]: p-value above which a difference is undecided: between two effects, between the values in parts of the
-    driving, or from the null; also the error probability of a one-sided confidence bound.
-    relevant [1]: relative reduction of the errors that an effect must reach: over all channels, relative to the errors
-    without it, to be kept; in one channel, relative to the baseline error, to be named.
-    relevant_position [m]: reduction of the mean position error after 5 s, overall or in one driving condition, that is
-    sufficient instead of `relevant`.
-    size [1]: fraction of its usual size that is sufficient instead, if the sensors measure the effect among themselves;
-    also the fraction that a load not excluded by the drives must reach to be an alternative to lower tyre stiffness.
+    undecided_p [1]: p-value above which a difference is undecided: between two effects, between the values in parts of
+    the driving, or from the null; also the error probability of a one-sided confidence bound. relevant [1]: relative
+    reduction of the errors that an effect must reach: over all channels, relative to the errors without it, to be kept;
+    in one channel, relative to the baseline error, to be named. relevant_position [m]: reduction of the mean position
+    error after 5 s, overall or in one driving condition, that is sufficient instead of `relevant`. min_relative_size
+    [1]: fraction of its usual size that is sufficient instead, if redundant sensors measure the effect; also
+    the fraction that a load not excluded by the drives must reach to be an alternative to lower tyre stiffness.
     negligible [1]: relative reduction of the errors below which an effect is ignored, however significant.
-    rival [1]: fraction of an effect's gain that another must reach in its place to be an alternative.
-    file [1]: largest accepted deviation of a value from that of the vehicle file, in standard deviations.
-    peak [1]: fraction of the peak force of an axle that the drives must reach for a peak to be named.
-    bound [1]: distance to a bound, divided by the usual size of an effect, below which a value counts as at the bound.
-    left [1]: ratio of residual to noise above which the residual is reported as unexplained.
-    unexplained_share [1]: fraction of a residual above `left` below which a difference may be due to unmodelled
-    effects. An effect must reduce the residual by this to be named; a name must explain more than another by this to be
-    the only one; a set of effects must be worse than the answer by this for its values to be left out of the intervals.
-    shown [1]: detection power above which a size counts as detectable in these drives.
-    most [1]: maximum number of effects in one answer.
+    min_rival_gain [1]: fraction of an effect's gain that another must reach in its place to be an alternative.
+    max_file_deviation [1]: largest accepted deviation of a value from that of the vehicle file, in standard deviations.
+    min_peak_force [1]: fraction of the peak force of an axle that the drives must reach for a peak to be named.
+    at_bound [1]: distance to a bound, divided by the usual size of an effect, below which a value counts as at it.
+    max_noise_ratio [1]: ratio of residual to noise above which the residual is reported as unexplained.
+    unexplained_share [1]: fraction of a residual above `max_noise_ratio` below which a difference may be due to
+    unmodelled effects. An effect must reduce the residual by this to be named; a name must explain more than another by
+    this to be the only one; a set of effects must be worse than the answer by this for its values to be left out of the
+    intervals. detection_power [1]: power above which a size counts as detectable in these drives. max_effects [1]:
+    maximum number of effects in one answer.
 
     Raises ConfigurationError naming the limit that is not a positive number.
     """
 
     false_alarm: float = 0.01
-    doubt: float = 0.05
+    undecided_p: float = field(default=0.05, metadata=stored_as("doubt"))
     relevant: float = 0.025
     relevant_position: float = 0.02
-    size: float = 0.5
+    min_relative_size: float = field(default=0.5, metadata=stored_as("size"))
     negligible: float = 0.01
-    rival: float = 0.5
-    file: float = 3.0
-    peak: float = 0.8
-    bound: float = 0.05
+    min_rival_gain: float = field(default=0.5, metadata=stored_as("rival"))
+    max_file_deviation: float = field(default=3.0, metadata=stored_as("file"))
+    min_peak_force: float = field(default=0.8, metadata=stored_as("peak"))
+    at_bound: float = field(default=0.05, metadata=stored_as("bound"))
     unexplained_share: float = 0.2
-    left: float = 2.0
-    shown: float = 0.8
-    most: int = 16
+    max_noise_ratio: float = field(default=2.0, metadata=stored_as("left"))
+    detection_power: float = field(default=0.8, metadata=stored_as("shown"))
+    max_effects: int = field(default=16, metadata=stored_as("most"))
 
     def __post_init__(self) -> None:
         for limit in fields(self):

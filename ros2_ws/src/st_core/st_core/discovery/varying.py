@@ -23,15 +23,15 @@ Part = tuple[int, np.ndarray, np.ndarray]  # number of a part, half gradient (k,
 class Varying:
     """An effect with its own value in each part of a level.
 
-    gain [1]: reduction of the loss per scored error beyond that of one common value. chance [1]: p-value that any
-    effect of the library gains as much. parameter: the one with the most information; values: of it by part, (value,
+    gain [1]: reduction of the loss per scored error beyond that of one common value. p_value [1]: of that
+    gain, over all effects of the library. parameter: the one with the most information; values: of it by part, (value,
     standard deviation) [its unit]. steps: by part, (p,) step of all parameters [usual sizes].
     """
 
     name: str
     level: str
     gain: float
-    chance: float
+    p_value: float
     parameter: str
     values: Mapping[str, tuple[float, float]]
     steps: Mapping[int, np.ndarray]
@@ -71,13 +71,13 @@ def _by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, l
     total = sum(gk for _, gk, _ in parts)
     gain = separate - float(total @ inverse(sum(hk for *_, hk in parts)) @ total)
     design = _design_effect(problem, number, parts, gradient, curvature) * problem.blocks / blocks
-    chance = min(tests * float(stats.f.sf(2.0 * gain / design / freedom, freedom, blocks)), 1.0)
+    p_value = min(tests * float(stats.f.sf(2.0 * gain / design / freedom, freedom, blocks)), 1.0)
     best = int(np.argmax(information))
     value, scale = float(fit.vector[own[best]]), space.scale[own[best]]
     values = {names[k]: (value + scale * float((inverse(hk) @ gk)[best]),
                           scale * float(np.sqrt(0.5 * design * inverse(hk)[best, best]))) for k, gk, hk in parts}
     steps = {int(k): projection @ (inverse(hk) @ gk) for k, gk, hk in parts}
-    return Varying(effect, name, gain / problem.number, chance, space.free[own[best]].parameter, values, steps)
+    return Varying(effect, name, gain / problem.number, p_value, space.free[own[best]].parameter, values, steps)
 
 
 def _design_effect(problem: Problem, number: np.ndarray, parts: Sequence[Part], gradient: np.ndarray,
@@ -102,5 +102,5 @@ def evidence_of(problem: Problem, fit: Fit, v: Varying, levels: Mapping[str, Lev
         inside = levels[v.level][0] == k
         own[inside] -= np.tensordot(step, slopes[:, inside], 1)
     overall, somewhere = error_reductions(problem.position(rows) - problem.position(own), levels.get("condition"))
-    return Evidence(v.name, v.gain, v.chance, shares=shares(problem, rows, own), position=overall,
-                    position_somewhere=somewhere, healthy=problem.healthy)
+    return Evidence(v.name, v.gain, v.p_value, shares=shares(problem, rows, own), position=overall,
+                    position_somewhere=somewhere, healthy_gain=problem.healthy)

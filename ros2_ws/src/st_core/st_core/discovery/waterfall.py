@@ -11,7 +11,7 @@ from ..regression import random_effects
 from .evidence import TWO_SIDED, Joint, agreement, covariance, inverse
 from .fit import Fit, Problem
 from .levels import Level
-from .result import PARTS, BudgetLine, Change, FittedParameter, Gap, Step
+from .result import PARTS, BudgetLine, Change, ChannelError, FittedParameter, Step
 
 RESAMPLES = 400  # bootstrap samples of whole blocks, for 95 % intervals
 
@@ -94,7 +94,7 @@ def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Lev
     change = np.abs(fit.vector - space.null)[own]
     for name, level in levels.items():
         if name != "place":
-            reach = np.maximum(reach, change * _over_parts(agreement(problem, fit, effect, *level).shares))
+            reach = np.maximum(reach, change * _over_parts(agreement(problem, fit, effect, *level).ratios))
     others = np.array([v[own] for v in (fit.vector, *(vector for names, vector in near if effect in names))])
     others -= fit.vector[own]
     for i, r, below, above in zip(own, reach, others.min(axis=0), others.max(axis=0), strict=True):
@@ -148,7 +148,7 @@ def steps(problem: Problem, final: Fit, order: Sequence[str], ends: Ends,
     return collected, base
 
 
-def gaps(ends: Ends, base: Fit, final: Fit, floor: Mapping[str, float]) -> dict[str, Gap]:
+def gaps(ends: Ends, base: Fit, final: Fit, floor: Mapping[str, float]) -> dict[str, ChannelError]:
     """Errors before and after by channel, and of the position after 5 s."""
     before, after, result = ends.of(base), ends.of(final), {}
     for channel in after:
@@ -158,12 +158,12 @@ def gaps(ends: Ends, base: Fit, final: Fit, floor: Mapping[str, float]) -> dict[
             old, new = ({n: float(np.sqrt(v)) for n, v in values.items()} for values in (old, new))
         noise = floor.get(channel, 0.0)
         worst = max(new, key=new.__getitem__, default="")
-        result[channel] = Gap(change.base, change.augmented, change.interval, change.unit, noise, worst,
+        result[channel] = ChannelError(change.base, change.augmented, change.interval, change.unit, noise, worst,
                               new.get(worst, 0.0), tuple(n for n in new if new[n] > old[n] + noise))
     return result
 
 
-def left_out(problem: Problem, fit: Fit) -> dict[str, dict[str, dict[str, float]]]:
+def leave_one_out(problem: Problem, fit: Fit) -> dict[str, dict[str, dict[str, float]]]:
     """Values by run, effect and parameter, fitted without that run; empty for a single run."""
     windows = problem.errors.windows
     if len(np.unique(windows.run)) < 2:

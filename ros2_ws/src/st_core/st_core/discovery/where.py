@@ -14,7 +14,7 @@ from ..log import DriveLog
 from ..log_signals import LogSignals
 from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
-from .result import WhereStatement
+from .result import ErrorCondition
 from .settings import DiscoverySettings
 from .where_parts import (
     CELL_SIZE,
@@ -43,7 +43,7 @@ MIN_CONTRAST = 1.15  # error of a range over that of the channel everywhere, fro
 
 def largest_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters,
                    settings: DiscoverySettings, reference: Sequence[DriveLog] = (),
-                   noise: Mapping[str, float] | None = None, gain: float = 0.0) -> tuple[WhereStatement, ...]:
+                   noise: Mapping[str, float] | None = None, gain: float = 0.0) -> tuple[ErrorCondition, ...]:
     """Where the errors of a model on the runs exceed those on the reference drives, or the sensor noise; the largest
     excess first within each channel.
 
@@ -120,7 +120,7 @@ def _significant(found: list[Cell]) -> list[Cell]:
 
 
 def _statements(channel: str, bins: Sequence[BinExcess], parts: Sequence[Part], places: Sequence[Cell],
-                samples: Samples, with_reference: bool) -> list[WhereStatement]:
+                samples: Samples, with_reference: bool) -> list[ErrorCondition]:
     """Statements on one channel; empty without a significant bin."""
     mine = [b for b in bins if b.channel == channel]
     if not any(b.significant for b in mine):
@@ -132,7 +132,7 @@ def _statements(channel: str, bins: Sequence[BinExcess], parts: Sequence[Part], 
                    key=lambda s: -s.interval[0])
     statements = [*clear[:MAX_RANGES]]
     if whole.significant:
-        statements.append(WhereStatement(channel, EVERYWHERE, whole.excess, whole.interval))
+        statements.append(ErrorCondition(channel, EVERYWHERE, whole.excess, whole.interval))
     statements += [_part_statement(part, whole, samples) for part in parts if part.channel == channel]
     statements += _place_statements([c for c in places if c.channel == channel], whole)
     return statements
@@ -157,11 +157,11 @@ def _groups(mine: Sequence[BinExcess]) -> list[list[BinExcess]]:
 
 
 def _range_statement(group: Sequence[BinExcess], mine: Sequence[BinExcess], whole: BinExcess,
-                     with_reference: bool) -> WhereStatement:
+                     with_reference: bool) -> ErrorCondition:
     """Statement on a group of ranges. mine: all bins of the channel; whole: the one of all driving."""
     quantity = group[0].range.quantity
     if quantity == "direction":
-        return WhereStatement(whole.channel, f"{group[0].range.label} turns" if group[0].range.label != "straight"
+        return ErrorCondition(whole.channel, f"{group[0].range.label} turns" if group[0].range.label != "straight"
                               else "straight driving", group[0].excess, group[0].interval)
     unit = group[0].range.label.rsplit(" ", 1)[1]
     low, high = group[0].range.low, group[-1].range.high
@@ -176,21 +176,21 @@ def _range_statement(group: Sequence[BinExcess], mine: Sequence[BinExcess], whol
     excess = math.sqrt(float((weights * [b.excess ** 2 for b in group]).sum() / weights.sum()))
     low, high = (math.sqrt(float((weights * [b.interval[k] ** 2 for b in group]).sum() / weights.sum()))
                  for k in (0, 1))
-    return WhereStatement(whole.channel, condition, excess, (low, high))
+    return ErrorCondition(whole.channel, condition, excess, (low, high))
 
 
-def _part_statement(part: Part, whole: BinExcess, samples: Samples) -> WhereStatement:
+def _part_statement(part: Part, whole: BinExcess, samples: Samples) -> ErrorCondition:
     """Statement on a stretch of a run; its excess is that of the channel times the step of the part."""
     last = float(samples.time[samples.run == part.run].max())
     name = samples.names[part.run]
     when = (f"from {part.start:.0f} s on" if part.end >= last - 1.0 else f"until {part.end:.0f} s" if part.start < 2.0
             else f"from {part.start:.0f} to {part.end:.0f} s")
     text = f"run {name}, {when}: {part.step:.1f} times the error of the rest of the run under similar conditions"
-    return WhereStatement(part.channel, text, whole.excess * part.step,
+    return ErrorCondition(part.channel, text, whole.excess * part.step,
                           (whole.interval[0] * part.step, whole.interval[1] * part.step))
 
 
-def _place_statements(places: Sequence[Cell], whole: BinExcess) -> list[WhereStatement]:
+def _place_statements(places: Sequence[Cell], whole: BinExcess) -> list[ErrorCondition]:
     """Statements on places, neighbouring cells together; the two with the largest excess."""
     remaining, statements = list(places), []
     while remaining:
@@ -206,6 +206,6 @@ def _place_statements(places: Sequence[Cell], whole: BinExcess) -> list[WhereSta
         step = float(np.mean([c.step for c in cluster]))
         low, high = (float(np.mean([c.interval[k] for c in cluster])) for k in (0, 1))
         text = f"within {reach:.0f} m of east {x:.0f} m, north {y:.0f} m, on every pass"
-        statements.append(WhereStatement(whole.channel, text, whole.excess * step,
+        statements.append(ErrorCondition(whole.channel, text, whole.excess * step,
                                          (whole.excess * low, whole.excess * high)))
     return sorted(statements, key=lambda s: -s.excess)[:2]

@@ -48,7 +48,7 @@ class Relation:
     deviation: np.ndarray
     density: np.ndarray
     gain: float
-    chance: float
+    p_value: float
     position_5s: tuple[float, float]
     runs: Mapping[str, tuple[float, float]]
     model: AugmentedModel
@@ -85,8 +85,8 @@ class RelationSearch:
 
 
 def needs_search(found: Discovery) -> bool:
-    """Whether the residual of an answer is large enough for a search: outcome unknown, or errors beyond `limits.left`
-    times the noise."""
+    """Whether the residual of an answer is large enough for a search: outcome unknown, or errors beyond
+    `limits.max_noise_ratio` times the noise."""
     return found.outcome == "unknown" or bool(found.signature)
 
 
@@ -208,7 +208,7 @@ def _described(best: Screened, fitted: Fitted, without: RelationFit, fits: Relat
     before, after = (selection.held_out_positions(fits, f) for f in (without, fit))
     rivals = [one for one in fitted if one is not best]
     worse = np.array([fitted[one].held_out - fit.held_out for one in rivals])
-    alike = selection.equally_good(worse, limits.doubt, settings.seed)
+    alike = selection.equally_good(worse, limits.undecided_p, settings.seed)
     equal = {one.candidate.name: fitted[one] for one, near in zip(rivals, alike, strict=True) if near}
     u = driven(fits.windows, vehicle)[c.quantity]
     at = np.linspace(c.low, c.high, selection.POINTS)

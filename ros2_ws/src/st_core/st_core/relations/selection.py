@@ -183,7 +183,7 @@ def harmful(fits: RelationFits, name: str, before: np.ndarray, after: np.ndarray
     for k in np.unique(run):
         of_run = blocks[(run == k) & np.isfinite(blocks)]
         # Bonferroni over the runs.
-        if len(of_run) > 2 and lower_bound(of_run, limits.doubt / len(names)) > 0.0:
+        if len(of_run) > 2 and lower_bound(of_run, limits.undecided_p / len(names)) > 0.0:
             windows = fits.windows.run == k
             return (f"{name} is significant, but raises the held-out error of {names[k]}: "
                     f"{np.nanmean(before[windows]):.3f} to {np.nanmean(after[windows]):.3f} m after 5 s")
@@ -192,7 +192,8 @@ def harmful(fits: RelationFits, name: str, before: np.ndarray, after: np.ndarray
 
 def gain_text(fits: RelationFits, falls: np.ndarray, closer: np.ndarray, limits: Limits) -> str:
     """The held-out gain in a phrase. falls: (b,) of the loss. closer: (n,) fall of the position error [m]."""
-    gain, low = (-np.expm1(-total / fits.loss.number) for total in (falls.sum(), lower_bound(falls, limits.doubt)))
+    gain, low = (-np.expm1(-total / fits.loss.number)
+                 for total in (falls.sum(), lower_bound(falls, limits.undecided_p)))
     return (f"reduces the held-out residual of all channels by {gain:.1%} (95 %: at least {low:.1%}), "
             f"and the position error after 5 s by {100 * mean_of(closer):.1f} cm")
 
@@ -204,7 +205,7 @@ def too_small(fits: RelationFits, candidate: Candidate, falls: np.ndarray, close
     The path criterion does not apply to sensor relations, nor with fewer than two blocks with a position.
     """
     little = falls.sum() < limits.relevant * fits.loss.number and mean_of(closer) < limits.relevant_position
-    if little or lower_bound(falls, limits.doubt) <= 0.0:
+    if little or lower_bound(falls, limits.undecided_p) <= 0.0:
         return f"{candidate.name} is significant, but {gain_text(fits, falls, closer, limits)}"
     blocks = by_block(fits, closer)
     blocks = blocks[np.isfinite(blocks)]
@@ -295,7 +296,7 @@ def redundant_effects(fits: RelationFits, candidate: Candidate, fit: RelationFit
         more = alone.held_out - fit.held_out
         position = float(np.nanmean(held_out_positions(fits, alone) - with_both))
         relevant = more.sum() >= limits.relevant * fits.loss.number or position >= limits.relevant_position
-        kept = relevant and lower_bound(more, limits.doubt) > 0.0
-        if not kept and lower_bound(without.held_out - alone.held_out, limits.doubt) > 0.0:
+        kept = relevant and lower_bound(more, limits.undecided_p) > 0.0
+        if not kept and lower_bound(without.held_out - alone.held_out, limits.undecided_p) > 0.0:
             found[name] = max(float(-np.expm1(-more.sum() / fits.loss.number)), 0.0)
     return found

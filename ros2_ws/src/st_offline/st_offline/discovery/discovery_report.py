@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 from st_core.discovery import Discovery
+from st_core.discovery.result import plain_data
 from st_core.model_file import Interval, ModelFile, Provenance
 from st_core.vehicle import quantity
 from st_recordings.paths import json_ready
@@ -50,7 +51,7 @@ def provenance(found: Discovery, request: Request, seconds: Mapping[str, float])
         "base": {"model": request.base, "values": {
             e.name: dict(found.base.values[e.name]) for e in found.base.effects
             if any(p.fit and found.base.values[e.name][p.name] != p.null for p in e.parameters)}},
-        "settings": asdict(request.settings),
+        "settings": plain_data(request.settings),
         "runs": {d.name: d.about for d in request.drives if d.log is not None},
         "reference": {d.name: d.about for d in request.healthy if d.log is not None},
         "refused": {d.name: d.about["findings"] for d in (*request.drives, *request.healthy)
@@ -173,7 +174,7 @@ def _wide_tables(found: Discovery) -> list[Table]:
               "reduces in addition to the answer. An alternative is fitted in place of the other name.",
               ("effect", "fitted", "improvement, %", "verdict", "why"), candidates,
               f"the first {len(candidates)} of {len(tried)}; all in discovery.json"),
-        Table("What these drives cannot show", "", ("effect", "why", "drive"), hidden,
+        Table("Not detectable in these drives", "", ("effect", "why", "drive"), hidden,
               f"the first {len(hidden)} of {len(found.not_testable)}")]
 
 

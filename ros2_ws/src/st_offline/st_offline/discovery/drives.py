@@ -16,6 +16,7 @@ import st_core
 from st_core.augmented import AugmentedModel, augment
 from st_core.discovery import Discovery, DiscoverySettings
 from st_core.discovery.result import MODELS
+from st_core.discovery.settings import json_key
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.models import Model
@@ -173,7 +174,8 @@ def read_answer(file: Path) -> Discovery | None:
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
         hints = get_type_hints(Discovery)
-        parts = {name: _restore(kind, content[name]) for name, kind in hints.items() if name not in MODELS}
+        parts = {one.name: _restore(hints[one.name], content[json_key(one)]) for one in fields(Discovery)
+                 if one.name not in MODELS}
         parts |= {name: content[name] and augment(*content[name]) for name in MODELS}
         return Discovery(**parts)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, StCoreError):
@@ -185,7 +187,7 @@ def _restore(kind: Any, value: Any) -> Any:
     origin, inner = get_origin(kind), get_args(kind)
     if isinstance(kind, type) and is_dataclass(kind):
         hints = get_type_hints(kind)
-        return kind(**{name: _restore(hints[name], entry) for name, entry in value.items()})
+        return kind(**{one.name: _restore(hints[one.name], value[json_key(one)]) for one in fields(kind)})
     if origin is tuple:
         return tuple(map(_restore, repeat(inner[0]) if inner[-1] is Ellipsis else inner, value))
     if origin is Mapping:

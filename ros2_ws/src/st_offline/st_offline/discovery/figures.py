@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from st_core.channels import UNITS
 from st_core.discovery import Discovery
-from st_core.discovery.result import Value
+from st_core.discovery.result import LocalEstimate
 from st_core.discovery.where_parts import Samples
 from st_core.log import DriveLog
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
@@ -74,17 +74,18 @@ def waterfall(scene: Scene) -> Drawn | None:
         axes.barh(len(steps) + 1, last, color=AFTER, height=0.62)
         _label(axes, last, len(steps) + 1, quantities.metres(last))
         axes.axvline(floor, color=MEASURED_COLOUR, lw=1.4, ls="--")
-        axes.set_yticks(range(len(steps) + 2), [*rows, "with all that was found"])
+        axes.set_yticks(range(len(steps) + 2), [*rows, "with all identified effects"])
         axes.set(ylim=(len(steps) + 1.6, -0.6), xlim=(0.0, 1.16 * max(first, *(s.position_5s.base for s in steps))),
                  xlabel="mean position error after 5 s on held-out driving, m")
         rises = any(s.position_5s.augmented > s.position_5s.base for s in steps)
         handles = [Patch(color=scene.colour, label=f"{scene.found.base.base.name} model"),
-                   Patch(color=AFTER, label="with what was found"), Patch(color=AFTER, alpha=0.65, label="reduction"),
+                   Patch(color=AFTER, label="with all identified effects"),
+                   Patch(color=AFTER, alpha=0.65, label="reduction"),
                    *([Patch(color=BAD, alpha=0.65, label="increase")] if rises else []),
                    Line2D([], [], color=MEASURED_COLOUR, ls="--", label="noise alone")]
         figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
-        caption = ("Each row adds one effect and fits all values again: its value and change are those of that step. "
-                   "Line: 95 % interval of the change.")
+        caption = ("Each row adds one effect and refits all values: value and change are those of that step. Line: "
+                   "95 % interval of the change.")
         return finish(figure, scene.place, "waterfall", "Error of each step of the search", caption)
 
 
@@ -110,14 +111,13 @@ def axle_curves(scene: Scene) -> Drawn | None:
             below.stairs(100.0 * np.array(one.density), slip, color=MEASURED_COLOUR, fill=True)
             below.set_xlabel("slip angle, °")
         panels[0][0].set_ylabel("lateral force, kN")
-        panels[1][0].set_ylabel("driven, %")
+        panels[1][0].set_ylabel("samples, %")
         handles = [Line2D([], [], color=scene.colour, ls="--", label="vehicle file"),
-                   Line2D([], [], color=AFTER, label="with what was found"),
-                   Patch(color=AFTER, alpha=0.25, label="90 %")]
+                   Line2D([], [], color=AFTER, label="with all identified effects"),
+                   Patch(color=AFTER, alpha=0.25, label="90 % interval")]
         figure.legend(handles=handles, loc="outside lower left", ncols=3)
-        return finish(figure, scene.place, "axle_curves", "Axle forces over the slip that was driven",
-                      "Nothing is stated beyond the driven slip. The band contains what the other uncertain quantities "
-                      "of the vehicle file may change.")
+        return finish(figure, scene.place, "axle_curves", "Axle force versus slip angle, within the driven range",
+                      "The band includes the uncertainty of the other vehicle parameters.")
 
 
 def maps(scene: Scene) -> Drawn | None:
@@ -144,7 +144,7 @@ def maps(scene: Scene) -> Drawn | None:
                                   vmin=0.0, vmax=top)
             if _aspect(log) > MIN_ASPECT:
                 axes.set_aspect("equal", adjustable="box")
-            axes.set_title("base model" if name == "before" else "with what was found", fontsize=9)
+            axes.set_title("base model" if name == "before" else "with all identified effects", fontsize=9)
             axes.set_xlabel("east, m")
         panels[0][0].set_ylabel("north, m")
         bar = figure.colorbar(points, ax=list(panels[0]))
@@ -176,7 +176,7 @@ def _aspect(log: DriveLog) -> float:
 
 MAX_PANELS = 6
 MAX_ROWS = 14  # of a level
-MAX_SHARE = 3.0  # end of the axis, where intervals are cut off
+MAX_RATIO = 3.0  # end of the axis, where intervals are cut off
 
 
 def agreement(scene: Scene) -> Drawn | None:
@@ -197,41 +197,41 @@ def agreement(scene: Scene) -> Drawn | None:
         figure, panels = plt.subplots(1, len(effects), figsize=(HALF_WIDTH, 1.3 + 0.17 * len(labels)), sharey=True,
                                       squeeze=False)
         for axes, effect in zip(panels[0], effects, strict=True):
-            shares = [(level, rows[level, v.where], v) for level, v in every[effect.name]]
-            _draw_shares(axes, [(row, v) for level, row, v in shares if level not in crowded])
-            for _, row, v in (one for one in shares if one[0] in crowded):
-                axes.plot(np.clip(v.share, *axes.get_xlim()), row, "|", ms=7, color=AFTER, alpha=0.6)
+            ratios = [(level, rows[level, v.where], v) for level, v in every[effect.name]]
+            _draw_ratios(axes, [(row, v) for level, row, v in ratios if level not in crowded])
+            for _, row, v in (one for one in ratios if one[0] in crowded):
+                axes.plot(np.clip(v.ratio, *axes.get_xlim()), row, "|", ms=7, color=AFTER, alpha=0.6)
             axes.set_title(textwrap.fill(quantities.plain(effect.name), 64 // len(effects)), fontsize=8)
         for row in (row for row in range(1, len(labels)) if labels[row - 1][0] != labels[row][0]):
             for axes in panels[0]:
                 axes.axhline(row - 0.5, color=TEXT, lw=0.5)
-        figure.supxlabel("share of the value", fontsize=8)
+        figure.supxlabel("ratio of the local to the overall estimate", fontsize=8)
         panels[0][0].set_yticks(range(len(labels)), [where for _, where in labels], fontsize=7)
         panels[0][0].set_ylim(len(labels) - 0.5, -0.5)
-        caption = ("Point: share of the value stated, fitted to one part of the driving with the other effects held. "
-                   "Bar: 95 % interval, filled where it excludes zero. Solid line: the value; dotted: zero. A property "
-                   "of the car is the same everywhere.")
-        return finish(figure, scene.place, "agreement", "Share of each effect by part of the driving", caption)
+        caption = ("Point: effect refitted to one part of the driving, the other effects fixed, divided by the overall "
+                   "estimate; filled where the 95 % interval (bar) excludes zero. Solid line: the overall estimate; "
+                   "dotted: zero. A property of the car is the same everywhere.")
+        return finish(figure, scene.place, "agreement", "Local estimates of each effect", caption)
 
 
-def _draw_shares(axes: plt.Axes, shares: Sequence[tuple[int, Value]]) -> None:
+def _draw_ratios(axes: plt.Axes, ratios: Sequence[tuple[int, LocalEstimate]]) -> None:
     """Points and intervals of (row, value)."""
     axes.axvline(0.0, color=TEXT, lw=0.8, ls=":")
     axes.axvline(1.0, color=TEXT, lw=0.8)
-    for row, one in shares:
-        low, high = one.share - report_text.Z95 * one.deviation, one.share + report_text.Z95 * one.deviation
+    for row, one in ratios:
+        low, high = one.ratio - report_text.Z95 * one.deviation, one.ratio + report_text.Z95 * one.deviation
         clear = low > 0.0 or high < 0.0
-        axes.plot(np.clip([low, high], -MAX_SHARE, MAX_SHARE), [row, row], color=AFTER, lw=1.2)
-        axes.plot(np.clip(one.share, -MAX_SHARE, MAX_SHARE), row, "o", ms=4.5, color=AFTER,
+        axes.plot(np.clip([low, high], -MAX_RATIO, MAX_RATIO), [row, row], color=AFTER, lw=1.2)
+        axes.plot(np.clip(one.ratio, -MAX_RATIO, MAX_RATIO), row, "o", ms=4.5, color=AFTER,
                   mfc=AFTER if clear else "none")
-    ends = [v.share + side * report_text.Z95 * v.deviation for _, v in shares for side in (-1.0, 1.0)]
-    axes.set_xlim(max(min([-0.2, *ends]), -MAX_SHARE) - 0.05, min(max([1.2, *ends]), MAX_SHARE) + 0.05)
+    ends = [v.ratio + side * report_text.Z95 * v.deviation for _, v in ratios for side in (-1.0, 1.0)]
+    axes.set_xlim(max(min([-0.2, *ends]), -MAX_RATIO) - 0.05, min(max([1.2, *ends]), MAX_RATIO) + 0.05)
 
 
 def relation_figure(one: Relation, place: Place) -> Drawn:
     """Curve and 95 % band above, share of the driving below; angles in degrees, shares in per cent."""
     c = one.candidate
-    (up, unit), (across, across_unit) = shown(c.unit), shown(QUANTITIES[c.quantity])
+    (up, unit), (across, across_unit) = display_unit(c.unit), display_unit(QUANTITIES[c.quantity])
     at, value, band = across * one.at, up * one.value, up * report_text.Z95 * one.deviation
     with style():
         figure, (curve, driven) = plt.subplots(2, 1, figsize=(WIDTH, 3.6), sharex=True, height_ratios=(3.0, 1.0))
@@ -255,13 +255,13 @@ def relation_figure(one: Relation, place: Place) -> Drawn:
                  f"{before:.3f} m without it, {after:.3f} m with it")
         units = f"y in {c.unit}, u in {QUANTITIES[c.quantity]}".replace("^2", "²")
         first = f"As a formula: {one.formulas[0].text}, {units}. " if one.formulas else ""
-        caption = (f"{first}Dotted, zero: the model without the relation. Fitted by simulation together with all that "
-                   "was found; constant beyond the driven range. Grey: sparsely driven; there the curve is "
-                   "interpolated, with an interval for a relation as smooth. The other figures do not contain the "
+        caption = (f"{first}Dotted, zero: the model without the relation. Fitted by simulation together with all "
+                   "identified effects; constant beyond the driven range. Grey: sparsely driven; there the curve is "
+                   "interpolated, and the interval assumes the same smoothness. The other figures do not contain the "
                    "relation.")
         return finish(figure, place, "law", title, caption)
 
 
-def shown(unit: str) -> tuple[float, str]:
+def display_unit(unit: str) -> tuple[float, str]:
     """(factor, unit) in which a curve is drawn."""
     return (100.0, "%") if unit == "1" else (quantities.factor(unit), quantities.shown_unit(unit))

@@ -11,7 +11,7 @@ from st_core.relations import Candidate
 from st_core.vehicle import VehicleParameters
 
 MOST_DECIMALS = 6
-ON_BOUND = Limits().bound  # distance from a bound, in usual sizes
+ON_BOUND = Limits().at_bound  # distance from a bound, in usual sizes
 _DISPLAY = {"rad": ("°", 57.29577951308232), "rad/s": ("°/s", 57.29577951308232)}
 
 

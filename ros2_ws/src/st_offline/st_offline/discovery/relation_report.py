@@ -12,7 +12,7 @@ from st_core.vehicle import VehicleParameters
 
 from ..pages import Table
 from . import quantities, report_text
-from .figures import shown
+from .figures import display_unit
 from .relation_files import name_of, title_of
 from .vehicle_update import changed
 
@@ -82,7 +82,7 @@ def _formula(one: Relation, vehicle: VehicleParameters) -> list[str]:
 def _uncertainty(one: Relation) -> list[str]:
     """Driven range, the widest interval, sparse ranges, variation between runs."""
     c, widest = one.candidate, int(one.deviation.argmax())
-    (up, unit), (across, across_unit) = shown(c.unit), shown(QUANTITIES[c.quantity])
+    (up, unit), (across, across_unit) = display_unit(c.unit), display_unit(QUANTITIES[c.quantity])
     lines = [f"driven: {quantities.QUANTITIES[c.quantity]} from {across * c.low:.3g} to {across * c.high:.3g} "
              f"{across_unit}; the curve is constant beyond",
              f"widest interval at {across * one.at[widest]:.3g} {across_unit}: {up * one.value[widest]:.2g} ± "
@@ -178,7 +178,7 @@ def next_drive_sentences(one: Relation) -> list[str]:
     if len(drives.now) < len(one.others):
         lines.append(f"to separate it from effects of place, course or time: {ELSEWHERE}")
     if precise is not None:
-        up, unit = shown(c.unit)
+        up, unit = display_unit(c.unit)
         lines.append(f"for a narrower interval: {_manoeuvre(precise)}. The widest 95 % interval then falls from "
                      f"± {up * report_text.Z95 * one.deviation.max():.2g} to ± "
                      f"{up * report_text.Z95 * precise.deviation.max():.2g} {unit}")
@@ -186,7 +186,7 @@ def next_drive_sentences(one: Relation) -> list[str]:
 
 
 def _ranges(one: Relation, of: Sequence[tuple[float, float]]) -> str:
-    across, unit = shown(QUANTITIES[one.candidate.quantity])
+    across, unit = display_unit(QUANTITIES[one.candidate.quantity])
     return ", ".join(f"{across * low:.2g} to {across * high:.2g} {unit}" for low, high in of)
 
 

@@ -9,14 +9,14 @@ from st_core.discovery.decision import FILE, FORCES, MINOR
 from st_core.discovery.following import MIN_SEPARATION
 from st_core.discovery.result import (
     PARTS,
-    BoundEffect,
     Combination,
     Discovery,
+    ErrorCondition,
     ForceCurve,
     FoundEffect,
     Power,
     Step,
-    WhereStatement,
+    VaryingEffect,
 )
 from st_core.discovery.settings import Limits
 from st_core.effects import EFFECTS, get_effect
@@ -33,35 +33,35 @@ MIN_CHANGE = 0.005  # m; a step that changes the position by less is described b
 MAX_RATIO = 1000.0  # of the expected error: beyond that predictions diverge
 Z95 = 1.96
 LIMITS = Limits()
-UNEXPLAINED = "more is missing that no known effect explains"
+UNEXPLAINED = "a residual remains that no effect of the library explains"
 EFFECT_HEAD = ("effect", "value (95 % interval)", "5 s position error without it", "reduces most", "significant in")
-EFFECT_NOTE = ("All figures are of the complete answer on held-out drives; without it: the others fitted again. An "
+EFFECT_NOTE = ("All values: complete model, held-out drives. Without it: this effect removed, the others refitted. An "
                "effect is named if it is significant and reduces the error of a channel by "
                f"{100 * LIMITS.relevant:g} % of its baseline, or the 5 s position error by "
-               f"{LIMITS.relevant_position:g} m, over all driving or in one driving condition, or if it is an error of "
-               f"at least {LIMITS.size:g} times the usual size that the sensors show among themselves")
+               f"{LIMITS.relevant_position:g} m, over all driving or in one driving condition, or if it is a sensor "
+               f"error, evident from redundant sensors, of at least {LIMITS.min_relative_size:g} times its usual size")
 
 
 def with_alternatives(found: Discovery, effect: FoundEffect, short: str = "") -> str:
     """Name and value of an effect and of its alternatives, each with the value it takes if it replaces the effect; for
     an added load, the upper limit. short: instead of name and value."""
     numbers = {c.name: c.parameters for c in found.candidates}
-    most = {name: "up to " for name in effect.alternatives
+    prefix = {name: "up to " for name in effect.alternatives
             if any(p.deviation < math.inf for p in get_effect(name).parameters)}
-    others = (f"{plain(name)} {most.get(name, '')}{fitted(name, numbers.get(name, {}))}".strip()
+    others = (f"{plain(name)} {prefix.get(name, '')}{fitted(name, numbers.get(name, {}))}".strip()
               for name in effect.alternatives)
     return " or ".join((short or f"{plain(effect.name)} {short_values(effect.name, effect.parameters)}", *others))
 
 
 def by_size(effects: Sequence[FoundEffect]) -> list[FoundEffect]:
     """Sorted by the increase of the position error without each, largest first."""
-    return sorted(effects, key=lambda e: -e.position_5s)
+    return sorted(effects, key=lambda e: -e.position_5s_increase)
 
 
 def effect_rows(found: Discovery) -> list[tuple[str, str, str, str, str]]:
     """A row for each named effect, columns as EFFECT_HEAD."""
     return [(with_alternatives(found, e, plain(e.name)), "; ".join(values(e.name, e.parameters)),
-             f"{'+' if e.position_5s >= 0.0 else '−'}{metres(abs(e.position_5s))}",
+             f"{'+' if e.position_5s_increase >= 0.0 else '−'}{metres(abs(e.position_5s_increase))}",
              f"{channel(e.channel)} error by {100 * e.share:.0f} %" if e.channel and e.share >= 0.005 else "-",
              agreement(e)) for e in by_size(found.effects)]
 
@@ -76,27 +76,27 @@ def most_reduced_channel(step: Step) -> str:
 def title(found: Discovery) -> str:
     """The answer in a line."""
     if found.outcome == "not_testable":
-        return "These drives have too little excitation to show what may be missing"
+        return "These drives have too little excitation for a result"
     effects = [with_alternatives(found, e) for e in by_size(found.effects)]
     together = map(ratio_to_file, found.known_together)
     named = "; ".join((*effects, *together) if _explains_most(found) else (*together, *effects))
     if found.outcome == "unknown":
         known = f"; in addition {named}" if named else ""
-        return f"{_errors(found)}: something is missing that no known effect explains{known}"
+        return f"{_errors(found)}: a significant error that no effect of the library explains{known}"
     more = f"; {UNEXPLAINED}: {found.signature[0]}" if found.signature else ""
     if named:
         return f"{_errors(found)}: {named}{more}"
     if found.outcome == "bound":
-        varying = ", ".join(f"something like {plain(b.resembles)} ({metres(b.position_5s)}), varies with {b.to}"
-                            for b in found.bound)
-        return f"{_errors(found)}: {varying}; nothing is named{more}"
-    return f"{_errors(found)}: nothing is missing with certainty"
+        varying = ", ".join(f"an effect that resembles {plain(b.resembles)} ({metres(b.position_5s_reduction)}) but "
+                            f"varies with {b.level}" for b in found.varying)
+        return f"{_errors(found)}: {varying}; no effect is named{more}"
+    return f"{_errors(found)}: no significant model error"
 
 
 def _explains_most(found: Discovery) -> bool:
-    """Whether one named effect makes up half of the reduction of the position error."""
+    """Whether one named effect makes up more than half of the reduction of the position error."""
     gap = found.gap.get("position_5s")
-    return gap is None or any(e.position_5s > 0.5 * (gap.base - gap.augmented) for e in found.effects)
+    return gap is None or any(e.position_5s_increase > 0.5 * (gap.base - gap.augmented) for e in found.effects)
 
 
 def _errors(found: Discovery) -> str:
@@ -126,10 +126,11 @@ def summary(found: Discovery, update: VehicleUpdate | None, findings: Mapping[st
                       if one.advice is None or one.advice.kind != "look" else f"Advice: {one.advice.line}")
         recordings = f"{one.text} ({', '.join(filter(None, (*names, describe_effect(one))))}){more}. {correction}"
     do = to_do(found, update)
-    together = [f"{ratio_to_file(one)} of the vehicle file's: {', '.join(map(plain, one.effects[:-1]))} or "
+    together = [f"{ratio_to_file(one)}: {', '.join(map(plain, one.effects[:-1]))} or "
                 f"{plain(one.effects[-1])}, which these drives do not separate" for one in found.known_together]
-    pairs = [("known only together", "; ".join(together)), ("not known", "; ".join(filter(None, unknown))),
-             ("recordings", recordings), ("to do", "; ".join(filter(None, [do[0], following(found)])))]
+    pairs = [("only the combination is identifiable", "; ".join(together)),
+             ("not known", "; ".join(filter(None, unknown))), ("recordings", recordings),
+             ("to do", "; ".join(filter(None, [do[0], next_drive(found)])))]
     return [(key, text) for key, text in pairs if text]
 
 
@@ -154,40 +155,41 @@ def meaning(found: Discovery) -> list[str]:
         known = next((a for a in found.assumed if kind and a.key == kind.ratio_to), None)
         parts = (kind.physics if kind else "",
                  f"if the {known.key} is {known.value:.4g} ± {known.deviation:.2g} {known.unit}" if known else "",
-                 f"known together with {', '.join(map(plain, effect.joint))} only: they cancel" if effect.joint else "")
+                 f"identifiable only together with {', '.join(map(plain, effect.joint))}: they compensate each other"
+                 if effect.joint else "")
         lines.append(f"{plain(effect.name)}: {'; '.join(filter(None, parts))}" if any(parts) else "")
     if found.outcome == "unknown" or found.signature:
         lines.append("; ".join(("an effect that is not in the library", *found.signature)))
     return lines
 
 
-def varying(one: BoundEffect) -> str:
+def varying(one: VaryingEffect) -> str:
     """An effect that varies over the driving, with its most significant local values relative to the largest."""
-    ranked = sorted(one.values, key=lambda v: -abs(v.share) / max(v.deviation, 1e-9))[:MAX_PARTS]
-    shown = "; ".join(f"{v.where}: {v.share:.2f} ± {Z95 * v.deviation:.2f}" for v in one.values if v in ranked)
+    ranked = sorted(one.values, key=lambda v: -abs(v.ratio) / max(v.deviation, 1e-9))[:MAX_PARTS]
+    ratios = "; ".join(f"{v.where}: {v.ratio:.2f} ± {Z95 * v.deviation:.2f}" for v in one.values if v in ranked)
     more = f" and {len(one.values) - len(ranked)} more" if len(one.values) > len(ranked) else ""
-    return (f"something like {plain(one.resembles)} {short_values(one.resembles, one.parameters)} reduces the error by "
-            f"{metres(one.position_5s)} but varies with {one.to}, so it is not a property of the car; its shares: "
-            f"{shown}{more}")
+    return (f"an effect that resembles {plain(one.resembles)} {short_values(one.resembles, one.parameters)} reduces "
+            f"the error by {metres(one.position_5s_reduction)}, but varies with {one.level}, so it is not a property "
+            f"of the car; ratio to the largest local value: {ratios}{more}")
 
 
 def agreement(effect: FoundEffect) -> str:
     """In how many runs (of few runs: parts of them) and sites an effect is significant separately."""
     counts = []
     for level in ("run", "site"):
-        shown = effect.agreement.get(level, ())
-        called = "parts of runs" if any(", part " in v.where for v in shown) else f"{level}s"
-        above = sum(v.share - Z95 * v.deviation > 0.0 for v in shown)
-        counts += [f"{above} of {len(shown)} {called}"] if shown else []
+        parts = effect.agreement.get(level, ())
+        called = "parts of runs" if any(", part " in v.where for v in parts) else f"{level}s"
+        above = sum(v.ratio - Z95 * v.deviation > 0.0 for v in parts)
+        counts += [f"{above} of {len(parts)} {called}"] if parts else []
     return ", ".join(counts) or "-"
 
 
 def certainty(found: Discovery) -> list[str]:
     """The rule that decided, and its measured false alarms."""
     lines = [reason.text for reason in found.reasons if reason.subject == "answer"]
-    if found.certificate.driven:
-        lines.append(f"false alarms: an effect was named in {found.certificate.alarms} of {found.certificate.of} "
-                     "simulated drives without any")
+    if found.certificate.measured:
+        lines.append(f"false alarms: an effect was named in {found.certificate.alarms} of "
+                     f"{found.certificate.simulated_drives} simulated drives without any")
     return lines
 
 
@@ -197,7 +199,7 @@ def residual(found: Discovery) -> str:
     if gap is None:
         return ""
     after = gap.augmented if found.model else gap.base
-    text = f"{metres(after)} of the 5 s position error remain; noise alone leaves {metres(gap.floor)}"
+    text = f"residual 5 s position error {metres(after)}; noise floor {metres(gap.floor)}"
     worst = f"; the worst run is {gap.worst_run} with {metres(gap.worst)}" if gap.worst_run else ""
     worse = f"; larger than before in {', '.join(gap.worse_runs)}" if gap.worse_runs and found.model else ""
     return f"{text}{worst}{worse}"
@@ -206,25 +208,28 @@ def residual(found: Discovery) -> str:
 def ratio_to_file(one: Combination) -> str:
     """Ratio of a combination to that of the vehicle file, with its 95 % interval."""
     low, high = (edge / one.file for edge in one.interval)
-    return f"{one.name} × {one.value / one.file:.2f} ({low:.2f} to {high:.2f})"
+    return f"{one.name} {one.value / one.file:.2f} ({low:.2f} to {high:.2f}) times the vehicle file value"
 
 
 def not_separable(found: Discovery) -> str:
-    """Effects that explain the drives equally well, with the limits of that, or that cancel each other."""
+    """Effects that explain the drives equally well, with the limits of that, or that compensate for each other."""
     names = [" or ".join(map(plain, (e.name, *e.alternatives))) for e in found.effects if e.alternatives]
-    pairs = [f"{plain(e.name)} with {', '.join(map(plain, e.joint))} (they cancel)" for e in found.effects if e.joint]
-    limits = (f" (each explains {100 * LIMITS.rival:g} % or more of what the first does, and is not worse with p < "
-              f"{LIMITS.doubt:g}, or by less than {100 * LIMITS.unexplained_share:g} % of a residual above "
-              f"{LIMITS.left:g} times the noise)") if names else ""
+    pairs = [f"{plain(e.name)} with {', '.join(map(plain, e.joint))} (they compensate for each other)"
+             for e in found.effects if e.joint]
+    limits = (f" (each has at least {100 * LIMITS.min_rival_gain:g} % of the first one's gain, and is not "
+              f"significantly worse, p >= {LIMITS.undecided_p:g}, or worse by less than "
+              f"{100 * LIMITS.unexplained_share:g} % of a residual above {LIMITS.max_noise_ratio:g} times the noise)"
+              ) if names else ""
     return f"not separable: {'; '.join((*names, *pairs))}{limits}" if names or pairs else ""
 
 
-PAIR_HEAD = ("effect", "or", f"explains of it (limit {LIMITS.rival:.0%})", "increase of the residual (limit "
-             f"{LIMITS.unexplained_share:.0%})", f"p (limit {LIMITS.doubt:g})", "cosine", "apart, σ of the noise")
+PAIR_HEAD = ("effect", "alternative", f"share of the gain (limit {LIMITS.min_rival_gain:.0%})",
+             f"increase of the residual (limit {LIMITS.unexplained_share:.0%})",
+             f"p (limit {LIMITS.undecided_p:g})", "cosine", "separation, σ of the noise")
 
 
 def pair_rows(found: Discovery) -> list[tuple[str, ...]]:
-    """A row for each pair of names of the answer that is not separable, columns as PAIR_HEAD; the most alike first."""
+    """A row for each pair of effects that is not separable, columns as PAIR_HEAD; the smallest separation first."""
     rows = []
     for pair in sorted(found.separability, key=lambda p: p.strength):
         figures = next((r.figures for r in found.reasons if r.rule == "alternative" and r.subject == pair.second
@@ -243,18 +248,18 @@ def not_visible(found: Discovery) -> str:
     names = ", ".join(plain(name) + (f" of {change(largest[name].size, largest[name].unit)}" if name in largest else "")
                       for name in ranked[:MAX_INVISIBLE])
     more = len(ranked) - MAX_INVISIBLE
-    return f"these drives cannot show: {names}{f' and {more} more' if more > 0 else ''}" if names else ""
+    return f"not detectable in these drives: {names}{f' and {more} more' if more > 0 else ''}" if names else ""
 
 
 def visible(found: Discovery) -> str:
     """The smallest detectable size of each effect in these drives, vehicle parameters first."""
     best: dict[str, Power] = {}
     for power in sorted(found.certificate.powers, key=lambda p: abs(p.size)):
-        if power.found >= LIMITS.shown:
+        if power.probability >= LIMITS.detection_power:
             best.setdefault(power.effect, power)
     ranked = sorted(best.values(), key=lambda p: rank(p.effect))
     sizes = [f"{plain(p.effect)} of {change(p.size, p.unit)}" for p in ranked]
-    return f"would show {', '.join(sizes)}" if sizes else ""
+    return f"detectable: {', '.join(sizes)}" if sizes else ""
 
 
 def rank(name: str) -> tuple[bool, int]:
@@ -263,16 +268,16 @@ def rank(name: str) -> tuple[bool, int]:
     return kind != "vehicle parameters", PARTS.index(kind) if kind in PARTS else len(PARTS)
 
 
-def following(found: Discovery) -> str:
-    """The next drive; "" for none."""
+def next_drive(found: Discovery) -> str:
+    """The recommended next drive; "" for none."""
     n = found.next_manoeuvre
     if n is None:
         return ""
     first, second = map(plain, n.separates)
     now = next((p.strength for p in found.separability if {p.first, p.second} == set(n.separates)), 0.0)
     return (f"next drive {n.name}, {n.times} times {n.duration:.0f} s at {n.speed:.1f} m/s: would separate {first} and "
-            f"{second} by {n.strength:.1f} standard deviations of the noise; these drives: {now:.1f}, at least "
-            f"{MIN_SEPARATION:g} are needed, more while the residual is above the noise")
+            f"{second} by {n.strength:.1f} σ of the noise (these drives: {now:.1f} σ; required: {MIN_SEPARATION:g} σ, "
+            "more if the residual exceeds the noise)")
 
 
 def assumed(found: Discovery) -> list[str]:
@@ -280,7 +285,7 @@ def assumed(found: Discovery) -> list[str]:
     known = [f"{a.key} {decimal(a.value, _digits(a.deviation))} ± {decimal(a.deviation, _digits(a.deviation))} "
              f"{a.unit.removesuffix('1')}".rstrip() + ("" if a.stated else " (default)")
              for a in found.assumed if not a.key.startswith("tyre_")]
-    lines = [f"{', '.join(known)}; `uncertainty` in an entry of the file changes that"] if known else []
+    lines = [f"{', '.join(known)}; to override, set `uncertainty` in the entry of the vehicle file"] if known else []
     refuted = {r.subject: r.text for r in found.reasons if r.rule == FILE}
     return [*lines, *(f"{plain(name)}: {text}" for name, text in refuted.items())]
 
@@ -292,7 +297,7 @@ def _digits(deviation: float) -> int:
 def force_ratio(curve: ForceCurve) -> str:
     """Ratio of the force at the largest driven slip to that of the vehicle file, with its 90 % band."""
     force, low, high = (newton[-1] / curve.file[-1] for newton in (curve.force, curve.low, curve.high))
-    return f"× {force:.2f} (90 %: {low:.2f} to {high:.2f}) of the file's at {math.degrees(curve.slip[-1]):.1f}°"
+    return f"{force:.2f} (90 %: {low:.2f} to {high:.2f}) times the file's at {math.degrees(curve.slip[-1]):.1f}°"
 
 
 def corrections(found: Discovery) -> list[str]:
@@ -302,7 +307,7 @@ def corrections(found: Discovery) -> list[str]:
     gap, named = (one.get("position_5s") for one in (found.gap, found.gap_named))
     fall = f" ({metres(named.augmented)} → {metres(gap.augmented)} after 5 s)" if gap and named else ""
     names = ", ".join(f"{plain(e.name)} {short_values(e.name, e.parameters)}" for e in found.effective)
-    return [f"{names}{fall}: improves the prediction, not a property; in model.yaml, marked effective"]
+    return [f"{names}{fall}: improves predictions, but is not a property of the car; in model.yaml, marked effective"]
 
 
 def _vehicle_lines(found: Discovery, update: VehicleUpdate | None) -> list[str]:
@@ -317,8 +322,8 @@ def _vehicle_lines(found: Discovery, update: VehicleUpdate | None) -> list[str]:
         lines.append(f"set minimum_slip_speed to {update.slip_speed:g} m/s in the vehicle file and run st discover "
                      "again: below that, steps of 50 ms are too long for model.yaml, which belongs to one vehicle file")
     lines += update.objections if update is not None else ()
-    lines += [f"{plain(e.name)} is negative ({short_values(e.name, {name: p})}): the reaction would precede its cause: "
-              "a clock or a stated latency is wrong; look at the clocks (st check, st align) before using it"
+    lines += [f"{plain(e.name)} is negative ({short_values(e.name, {name: p})}), which is not causal: a clock or a "
+              "stated latency is wrong; check the clocks (st check, st align) before using it"
               for e in found.effects for name, p in e.parameters.items() if p.unit == "s" and p.interval[1] < 0.0]
     if update is not None and update.folded:
         changes = {key: change for key, change in update.changes.items() if key != SLIP_SPEED}
@@ -338,9 +343,9 @@ def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
     """Recommendations, the most important first."""
     lines = _vehicle_lines(found, update)
     for name, change_of in (update.kept if update is not None else {}).items():
-        lines.append(f"{plain(name)} is in model.yaml: these recordings contain the road wheel angle, or play in the "
-                     "steering acts before it, and no entry of a vehicle file corrects that; for recordings of the "
-                     f"steering wheel, set {keys(change_of)}")
+        lines.append(f"{plain(name)} is in model.yaml, because no entry of the vehicle file can correct it: these "
+                     "recordings contain the road wheel angle, or play in the steering acts before the ratio; for "
+                     f"recordings of the steering wheel, set {keys(change_of)}")
     rest = [e for e in found.effects if update is None or e.name not in update.folded]
     sensors = [plain(e.name) for e in rest if e.kind == "sensors"]
     if sensors:
@@ -350,8 +355,8 @@ def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
     if others:
         lines.append(f"predict with model.yaml, which adds {', '.join(others)}")
     if found.signature and found.effects:
-        lines.append("more is missing than is named, and a name may be a part of it: compare the values with what you "
-                     "know of the car")
+        lines.append("the named effects do not explain the whole error, and their values may contain a part of the "
+                     "residual: compare them with what you know of the car")
     if found.outcome == "unknown" or found.signature:
         lines.append("see where and when the model fails; you can add your own effect (docs/manual/effects.md)")
     shows = list(dict.fromkeys(n.manoeuvre for n in found.not_testable if n.manoeuvre))
@@ -385,11 +390,11 @@ def details(found: Discovery, update: VehicleUpdate | None) -> list[tuple[str, l
     lines = [*((role, [text]) for role, text in drives(found)), ("meaning", meaning(found)),
              ("certainty", certainty(found)), ("not named", minor), ("what to do", to_do(found, update)[1:]),
              ("effective corrections", corrections(found)), ("taken from the vehicle file", assumed(found)),
-             ("varying, not named", list(map(varying, found.bound))), ("these drives", [visible(found)])]
-    return [(question, shown) for question, answer in lines if (shown := [text for text in answer if text])]
+             ("varying, not named", list(map(varying, found.varying))), ("these drives", [visible(found)])]
+    return [(question, texts) for question, answer in lines if (texts := [text for text in answer if text])]
 
 
-def condition(w: WhereStatement) -> tuple[str, str]:
+def condition(w: ErrorCondition) -> tuple[str, str]:
     """(condition of an error, ratio to the expected error with its 95 % interval)."""
     before = {"everywhere": "", "within": "", "speed": "at ", "lateral": "at ", "steering": "at ", "forward": "at "}
     where = before.get(w.condition.split()[0], "in ") + w.condition.replace("^2", "²")

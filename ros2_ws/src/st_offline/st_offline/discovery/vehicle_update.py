@@ -154,7 +154,7 @@ def _held_out_error(found: Discovery, vehicle: VehicleParameters, folded: Sequen
     sums, worse = np.zeros(3), []
     for drive in drives:
         assert found.named is not None
-        values = {**found.named.values, **found.left_out.get(drive.name, {})}
+        values = {**found.named.values, **found.leave_one_out.get(drive.name, {})}
         try:
             car = fold(vehicle, folded, values)
         except StCoreError:  # the values without this drive are outside the limits of a vehicle file
