@@ -287,11 +287,11 @@ def test_an_answer_is_kept_whole(logs, tmp_path):
 
 def test_another_question_is_another_answer(logs):
     base, settings = augment("nonlinear", {}), DiscoverySettings()
-    asked = [logs, [], CAR, base, settings, {}, {}]
+    asked = [logs, [], CAR, base, settings, {}, {}, {}]
     others = [(0, logs[:1]), (0, [replace(logs[0], yaw=logs[0].yaw + 1e-6), logs[1]]), (1, logs[:1]),
               (2, replace(CAR, mass=1600.0)), (3, augment("nonlinear", {"mass": {"factor": 1.1}})),
               (3, augment("linear", {})), (4, DiscoverySettings(seed=1)), (5, {"mine.py": "ab"}),
-              (6, {"yaw_rate_bias": (0.1, 0.0, 0.2)})]
+              (6, {"yaw_rate_bias": (0.1, 0.0, 0.2)}), (7, {"a": 0.02})]
     keys = {drives.answer_key(*asked)}
     for place, value in others:
         keys.add(drives.answer_key(*asked[:place], value, *asked[place + 1:]))

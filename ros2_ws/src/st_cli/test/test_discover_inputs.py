@@ -15,7 +15,7 @@ from st_core.vehicle import VehicleParameters
 from st_live.configuration import model_parameters
 from st_live.suite import SuiteError
 from st_offline.discovery.discover_command import _check_reference, sensor_estimates
-from st_offline.discovery.drives import clock_warning, read_drive, read_drives
+from st_offline.discovery.drives import clock_deviations, read_drive, read_drives
 from st_recordings.runs import ReadSettings, find_runs
 from support import ROOT
 from typer.testing import CliRunner
@@ -92,12 +92,12 @@ def test_rows_without_a_number_are_excluded_and_reported(drive, tmp_path):
     assert result.exit_code == 2 and "fewer than two usable rows" in result.output
 
 
-def test_clocks_that_are_known_poorly_are_a_warning(drive):
+def test_deviation_of_an_aligned_clock_is_known(drive):
     read = read_drive(find_runs([drive])[0], car(LEAF), ReadSettings())
-    assert clock_warning([read]) == ""  # one clock
+    assert clock_deviations([read]) == {}  # one clock
     poor = replace(read, about={**read.about, "clock_deviation_s": 0.039})
-    assert "± 39 ms only, in 1 of 2 runs" in clock_warning([read, poor])
-    assert clock_warning([replace(poor, log=None), replace(poor, about={"clock_deviation_s": None})]) == ""
+    assert clock_deviations([replace(read, name="other"), poor]) == {read.name: 0.039}
+    assert clock_deviations([replace(poor, log=None), replace(poor, about={"clock_deviation_s": None})]) == {}
 
 
 def test_a_drive_cannot_be_its_own_reference(drive, tmp_path):

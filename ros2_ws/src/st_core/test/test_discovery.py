@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from discovery_drives import recorded
 from st_core.discovery import OUTCOMES, PARTS, DiscoverySettings, Limits, discover
+from st_core.discovery.clocks import delayed
 from st_core.discovery.space import Space
 from st_core.effects import EFFECTS, load_folder
 from st_core.errors import ConfigurationError, StCoreError
@@ -48,6 +49,22 @@ def test_exact_base_lacks_nothing(leaf, seed):
     gap = found.gap["position_5s"]
     assert gap.base == gap.augmented < 2.0 * gap.floor
     assert {"drag", "grade"} <= {n.name for n in found.not_testable}
+
+
+@pytest.mark.slow
+def test_steering_clocks_that_differ_between_runs_are_no_effect(leaf):
+    exact = recorded(leaf, {}, 1, ("lane_change", "slalom", "sweep", "slalom"))
+    early = dict(zip([run.name for run in exact], (0.025, -0.015, 0.01, -0.02), strict=True))
+    runs = delayed(exact, {name: -error for name, error in early.items()})
+    found = discover(runs, leaf, settings=SETTINGS, clocks=dict.fromkeys(early, 0.02))
+    assert found.outcome == "none" and "by -2" in found.warnings[0]
+    common = np.mean([found.clock_errors[name] - error for name, error in early.items()])
+    assert found.clock_errors == pytest.approx({name: error + common for name, error in early.items()}, abs=0.003)
+    assert abs(common) < 0.01
+    without = discover(runs, leaf, settings=SETTINGS)
+    assert without.outcome != "none" and without.gap["position_5s"].augmented > found.gap["position_5s"].augmented
+    exactly = discover(exact[:2], leaf, settings=replace(FEW, effects=("steering_offset",)), clocks={"other": 0.02})
+    assert exactly.clock_errors == {} and not any("clock" in text for text in exactly.warnings)
 
 
 # One thing wrong, no reference

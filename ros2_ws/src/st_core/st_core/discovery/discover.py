@@ -15,6 +15,7 @@ from ..models import Model
 from ..vehicle import VehicleParameters
 from . import certificate, decision, waterfall
 from .axles import Axles
+from .clocks import MAX_CLOCK_DEVIATION, clock_errors, delayed
 from .decision import Rival
 from .evidence import Evidence, Joint, joint, library_p_value, share_of
 from .fit import Fit, Problem
@@ -58,19 +59,21 @@ ALREADY_GIVEN = {
 
 def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
              reference: Sequence[DriveLog] = (), settings: DiscoverySettings | None = None,
-             progress: Progress | None = None, identities: Sensors | None = None, parallel: int = 1) -> Discovery:
+             progress: Progress | None = None, identities: Sensors | None = None, parallel: int = 1,
+             clocks: Mapping[str, float] | None = None) -> Discovery:
     """Find the effects that the base model lacks to explain the runs.
 
     runs: suspect drives. vehicle: of the vehicle file, where the search starts. reference: drives of the healthy car;
     the search then starts from the fit to them, and finds changes since then. identities: (value, low, high) by the
-    name of an estimate of `st_core.checks`, from redundant sensors. parallel: threads.
+    name of an estimate of `st_core.checks`, from redundant sensors. parallel: threads. clocks: standard deviation of
+    the steering clock [s] by run; without one, stamps are exact.
     progress(stage, done, total): called during the work.
 
     Raises StCoreError for runs in which nothing can be predicted, ConfigurationError for settings that do not fit the
     base. Checked by: test_discovery*.py, bench/discovery.
     """
     return _Work(runs, vehicle, base, reference, settings or DiscoverySettings(), progress, identities or {},
-                 parallel).result()
+                 parallel, clocks or {}).result()
 
 
 def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model, names: Sequence[str],
@@ -108,22 +111,24 @@ class _Work:
 
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model,
                  reference: Sequence[DriveLog], settings: DiscoverySettings, progress: Progress | None,
-                 identities: Sensors, parallel: int):
+                 identities: Sensors, parallel: int, clocks: Mapping[str, float]):
         self.vehicle, self.settings, self.limits = vehicle, settings, settings.limits
         self._progress, self._count = progress, 0
         self.warnings: list[str] = []
+        self.clock_errors: dict[str, float] = {}
         self.runs, self.reference = self._usable(runs, "run"), self._usable(reference, "reference")
         if not self.runs:
             raise StCoreError("no run is long enough: a run needs "
                               f"{settings.horizon + 2.0:g} s of driving above walking speed with INS and steering")
         self.settings = settings = self._channels(settings)
         self.space = Space(base, settings)
+        self.threads = parallel
+        self.runs, self.reference = self._on_one_clock(self.runs, clocks), self._on_one_clock(self.reference, clocks)
         self.windows = Windows(self.runs, vehicle, settings)
         if len(self.windows) < 3:
             raise StCoreError(f"only {len(self.windows)} predictions of {settings.horizon:g} s fit into the runs: "
                               "drive longer, above walking speed, without gaps")
         self.sensors = self._known_by_sensors(identities)
-        self.threads = parallel
 
     def result(self) -> Discovery:
         settings, space = self.settings, self.space
@@ -164,7 +169,7 @@ class _Work:
             start="reference" if self.reference else "vehicle file", base=space.at(base.vector),
             model=space.at(fit.vector) if fit.names else None, named=self._named_model(found, names),
             warnings=tuple(self.warnings), leave_one_out=names.leave_one_out, axle_curves=names.curves,
-            assumed=self._assumed(), combinations=names.combinations,
+            assumed=self._assumed(), combinations=names.combinations, clock_errors=self.clock_errors,
             acceleration_gain=float(fit.vector[-1]), noise={c: g.augmented for c, g in gap.items()})
 
     def _names(self, search: Search, found: Found, parts: Mapping[str, Level], floor: Mapping[str, float]) -> _Names:
@@ -242,6 +247,24 @@ class _Work:
         if short:
             self.warnings.append(f"{role} {', '.join(short)}: shorter than {needed:.1f} s, not used")
         return [run for run in runs if run.overlap >= needed]
+
+    def _on_one_clock(self, runs: list[DriveLog], deviations: Mapping[str, float]) -> list[DriveLog]:
+        """The runs with corrected steering stamps, with a warning of runs on clocks of their own."""
+        poor = [s for run in runs if (s := deviations.get(run.name, 0.0)) > MAX_CLOCK_DEVIATION]
+        if not poor:
+            return runs
+        errors = clock_errors(runs, self.vehicle, self.space, self.settings, deviations, self.threads,
+                              self._tick("clocks"))
+        self.clock_errors |= errors
+        known = f"the steering clock is known to ± {1e3 * max(poor):.0f} ms only, in {len(poor)} of {len(runs)} runs"
+        if errors:
+            known += (f"; the search corrects it by {1e3 * min(errors.values()):.0f} to "
+                      f"{1e3 * max(errors.values()):.0f} ms, run by run. An error common to all runs")
+        else:
+            known += ": its error"
+        self.warnings.append(f"{known} looks like steering delay or lag, yaw inertia or tyre relaxation (log frames of "
+                             "the INS on CAN, or give the offset)")
+        return delayed(runs, errors)
 
     def _channels(self, settings: DiscoverySettings) -> DiscoverySettings:
         """The settings with the channels measured in all runs, with a warning of the others."""

@@ -44,14 +44,11 @@ def learn(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, se
     times their design effect, twice: once for the reference, once for the new drive.
     """
     windows = Windows(runs, vehicle, settings)
-    held = np.eye(len(space)) / JOINT_DEVIATION**2
-    composite = space.indices(*(n for n in space.hypotheses if get_effect(n).members))
-    held[composite, composite] = FIXED_CURVATURE  # the members act the same
-    quantities = known_quantities(space, vehicle)
+    held, quantities = weak_prior(space), known_quantities(space, vehicle)
     fits = []
     for start in (space.null, textbook(space)):
         loss = Loss(Errors(windows, space, threads), start)
-        fits.append((*_fitted(loss, windows, held, quantities, start, tick), loss))
+        fits.append((*fit_library(loss, windows, held, quantities, start, tick), loss))
     vector, held, loss = min(fits, key=lambda fit: float(np.log(fit[2].scale).sum()))
     problem = Problem(loss, space.null, windows.block, held)
     q = problem.quadratic_of_all(vector)
@@ -62,6 +59,14 @@ def learn(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, se
     largest = max((float(np.nanmean(error)) for error in by_run if np.isfinite(error).any()), default=0.0)
     return Healthy(vector, _prior(h, spread, held), loss.scale_of(vector)[-len(windows.columns):], largest,
                    _gain_between_runs(q, space, windows, spread, held))
+
+
+def weak_prior(space: Space) -> np.ndarray:
+    """(p, p) prior curvature of a joint fit of the whole library; composites stay at the start."""
+    held = np.eye(len(space)) / JOINT_DEVIATION**2
+    composite = space.indices(*(n for n in space.hypotheses if get_effect(n).members))
+    held[composite, composite] = FIXED_CURVATURE  # the members act the same
+    return held
 
 
 def _prior(h: np.ndarray, spread: np.ndarray, held: np.ndarray) -> np.ndarray:
@@ -114,7 +119,7 @@ def textbook(space: Space) -> np.ndarray:
     return vector
 
 
-def _fitted(loss: Loss, windows: Windows, held: np.ndarray, quantities: Quantities, vector: np.ndarray,
+def fit_library(loss: Loss, windows: Windows, held: np.ndarray, quantities: Quantities, vector: np.ndarray,
             tick: Callable[[], None]) -> tuple[np.ndarray, np.ndarray]:
     """((p,) all parameters fitted from a vector, the scale of the loss renewed, until convergence; (p, p) curvature of
     the prior: `held` plus that of the vehicle file)."""

@@ -303,7 +303,8 @@ class Discovery:
     position_5s; gap_named: without the effective corrections. reasons: every rule that decided. leave_one_out: values
     of named and minor effects, by the run that was left out of the fit. acceleration_gain [1]:
     relative excess of the measured lateral specific force over that of the motion, due to body roll. noise: by channel,
-    at the end of the horizon [SI]. signature: description of the residual.
+    at the end of the horizon [SI]. signature: description of the residual. clock_errors: correction of the steering
+    stamps by run [s], see `clocks.clock_errors`; without one, none.
     """
 
     outcome: Outcome
@@ -334,6 +335,7 @@ class Discovery:
     warnings: tuple[str, ...] = ()
     leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]] = field(
         default_factory=dict, metadata=stored_as("left_out"))
+    clock_errors: Mapping[str, float] = field(default_factory=dict)
     acceleration_gain: float = 0.0
     noise: Mapping[str, float] = field(default_factory=dict)
 

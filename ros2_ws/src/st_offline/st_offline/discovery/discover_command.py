@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.progress import Progress
 from st_core.checks import pool_estimates
 from st_core.discovery import Discovery, discover
+from st_core.discovery.clocks import delayed
 from st_core.discovery.where import window_errors
 from st_core.effects import load_folder
 from st_core.errors import ConfigurationError
@@ -26,7 +27,7 @@ from st_recordings.runs.errors import join_problems
 from ..evaluation.drawing import Drawn, Place, check_formats
 from ..terminal import progress_bars
 from .discovery_report import document, model_file, show, write_page
-from .drives import Drive, Request, answer_key, cache_folder, clock_warning, read_answer, read_drives, write_answer
+from .drives import Drive, Request, answer_key, cache_folder, clock_deviations, read_answer, read_drives, write_answer
 from .figures import Scene, agreement, axle_curves, maps, relation_figure, waterfall
 from .relation_files import relation_document, write_files
 from .relation_report import RelationReport, relation_report
@@ -45,8 +46,8 @@ def run_command(request: Request, console: Console) -> int:
         request = replace(request, drives=drives, healthy=healthy, own_effects=own)
         marks.append(time.perf_counter())
         found, earlier = _answer(request, base, progress)
-        if warning := clock_warning((*drives, *healthy)):
-            found = replace(found, warnings=(*found.warnings, warning))
+        request = replace(request, drives=[replace(d, log=delayed([d.log], found.clock_errors)[0]) if d.log else d
+                                           for d in drives])
         marks.append(time.perf_counter())
         search = needs_search(found) if request.propose is None else request.propose
         relations = None
@@ -54,7 +55,7 @@ def run_command(request: Request, console: Console) -> int:
             bar = progress.add_task("searching for a relation beyond the library", total=None)
             reported = {(one["name"], channel) for d in drives if d.log is not None for one in d.about["findings"]
                         if one["severity"] != "note" for channel in one["channels"]}
-            relations = find_relation(found, _logs(drives), request.vehicle, request.settings, request.jobs,
+            relations = find_relation(found, _logs(request.drives), request.vehicle, request.settings, request.jobs,
                                       lambda: progress.advance(bar), reported)
     marks.append(time.perf_counter())
     seconds = {"read": marks[1] - marks[0], "discover": marks[2] - marks[1]}
@@ -154,13 +155,15 @@ def _answer(request: Request, base: Model, progress: Progress) -> tuple[Discover
         progress.update(bar, description=escape(name), completed=done, total=total)
 
     logs, reference, identities = _logs(request.drives), _logs(request.healthy), sensor_estimates(request.drives)
-    name = answer_key(logs, reference, request.vehicle, base, request.settings, request.own_effects, identities)
+    clocks = clock_deviations((*request.drives, *request.healthy))
+    name = answer_key(logs, reference, request.vehicle, base, request.settings, request.own_effects, identities, clocks)
     folder = cache_folder() if request.cached else None
     file = folder / f"{name}.json" if folder else None
     found = read_answer(file) if file else None
     if found is not None:
         return found, True
-    found = discover(logs, request.vehicle, base, reference, request.settings, stage, identities, request.jobs)
+    found = discover(logs, request.vehicle, base, reference, request.settings, stage, identities, request.jobs,
+                     clocks)
     if file:
         write_answer(file, found)
     return found, False

@@ -30,7 +30,6 @@ from ..checking.check_report import findings_as_json
 from ..checking.gate import RUN_ERRORS, Refused, check_log, describe_problem, refuse_errors
 
 ANSWER_FORMAT = 2  # of a cached answer; files of another number are not used
-MAX_CLOCK_DEVIATION = 0.01  # s; a third of the delay of a usual steering
 
 
 @dataclass(frozen=True)
@@ -120,15 +119,9 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
         return Drive(source.name, None, {}, describe_problem(error, source))
 
 
-def clock_warning(drives: Sequence[Drive]) -> str:
-    """Warning of steering clocks too uncertain for effects of some tens of milliseconds; empty if there are none."""
-    uncertain = [deviation for drive in drives if drive.log is not None
-                 and (deviation := drive.about.get("clock_deviation_s") or 0.0) > MAX_CLOCK_DEVIATION]
-    if not uncertain:
-        return ""
-    return (f"the steering clock is known to ± {1e3 * max(uncertain):.0f} ms only, in {len(uncertain)} of "
-            f"{len(drives)} runs, each with an error of its own: values of steering lag and delay, yaw inertia and "
-            "tyre relaxation may be due to that (log frames of the INS on CAN, or give the offset)")
+def clock_deviations(drives: Sequence[Drive]) -> dict[str, float]:
+    """Standard deviation of the steering clock [s] by run, where it was aligned."""
+    return {d.name: s for d in drives if d.log is not None and (s := d.about.get("clock_deviation_s"))}
 
 
 def cache_folder() -> Path | None:
@@ -141,7 +134,7 @@ def cache_folder() -> Path | None:
 
 def answer_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle: VehicleParameters, base: Model,
                settings: DiscoverySettings, effects: Mapping[str, str],
-               identities: Mapping[str, Sequence[float]]) -> str:
+               identities: Mapping[str, Sequence[float]], clocks: Mapping[str, float]) -> str:
     """Cache key of an answer: hash of all its inputs, the code included."""
     values = base.values if isinstance(base, AugmentedModel) else {}
     files = sorted(file for folder in st_core.__path__ for file in Path(folder).rglob("*.py"))
@@ -149,7 +142,7 @@ def answer_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle:
     content = [ANSWER_FORMAT, code, [_digest(log) for log in runs], [_digest(log) for log in reference],
                vehicle.hash, sorted((name, one.uncertainty) for name, one in vehicle.provenance.items()),
                _base(base), {effect: dict(entry) for effect, entry in values.items()}, asdict(settings),
-               sorted(effects.items()), sorted((name, list(value)) for name, value in identities.items())]
+               sorted(effects.items()), sorted((name, list(value)) for name, value in identities.items()), clocks]
     return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()[:32]
 
 

@@ -1,0 +1,63 @@
+"""Errors of the steering clock of single runs, estimated with the whole library of effects before the search.
+
+The steering of a CAN log has its own clock, aligned to the INS run by run with an error of some milliseconds. One
+steering delay for all runs cannot represent errors that differ; yaw inertia or tyre relaxation would.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..log import DriveLog
+from ..timeseries import NANOSECOND
+from ..vehicle import VehicleParameters
+from .evidence import inverse
+from .fit import Problem
+from .loss import Errors, Loss
+from .reference import fit_library, weak_prior
+from .settings import DiscoverySettings
+from .space import Space, known_quantities
+from .windows import Windows
+
+DELAY = "steering_delay"
+MAX_CLOCK_DEVIATION = 0.01  # s; a third of a usual delay of the steering
+ROUNDS = 3  # of the joint fit, each with the corrected stamps
+
+
+def clock_errors(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
+                 deviations: Mapping[str, float], threads: int = 1, tick: Callable[[], None] = lambda: None,
+                 ) -> dict[str, float]:
+    """By run, the correction of its steering stamps [s], > 0 where they were early; empty if none is needed.
+
+    deviations [s]: standard deviation of the steering clock by run; up to MAX_CLOCK_DEVIATION it counts as exact. The
+    corrections, with these as priors, and all parameters of the library minimise one loss. What is common to all runs
+    is left to the effect `steering_delay`, whose prior is wider.
+    """
+    prior_deviation = np.array([deviations.get(run.name, 0.0) for run in runs])
+    free = np.flatnonzero(prior_deviation > MAX_CLOCK_DEVIATION).tolist()
+    if len(runs) < 2 or not free or not len(space.indices(DELAY)):
+        return {}
+    k, delay = int(space.indices(DELAY)[0]), np.zeros(len(free))
+    scale, vector, quantities = space.scale[k], space.null, known_quantities(space, vehicle)
+    for _ in range(ROUNDS):
+        found = {runs[i].name: float(d) for i, d in zip(free, delay, strict=True)}
+        windows = Windows(delayed(runs, found), vehicle, settings)
+        loss = Loss(Errors(windows, space, threads), vector)
+        vector, prior = fit_library(loss, windows, weak_prior(space), quantities, vector, tick)
+        problem = Problem(loss, space.null, windows.block, prior)
+        problem.renew_design(vector)
+        q, member = problem.quadratic_of_all(vector), (windows.run == np.array(free)[:, None]).astype(float)
+        cross = member @ q.hessian[:, :, k]
+        own = 0.5 * problem.design * np.square(scale / prior_deviation[free])
+        h = np.block([[q.hessian.sum(axis=0) + prior, cross.T], [cross, np.diag(cross[:, k] + own)]])
+        g = np.concatenate([q.gradient.sum(axis=0) - prior @ problem.distance(vector),
+                            member @ q.gradient[:, k] - own * delay / scale])
+        delay = delay + (inverse(h) @ g)[len(space):] * scale
+    return {runs[i].name: float(d) for i, d in zip(free, delay, strict=True)}
+
+
+def delayed(runs: Sequence[DriveLog], errors: Mapping[str, float]) -> list[DriveLog]:
+    """The runs with the steering stamps corrected by `clock_errors`."""
+    return [replace(run, steering_time_ns=run.steering_time_ns + round(errors[run.name] / NANOSECOND))
+            if errors.get(run.name) else run for run in runs]
