@@ -40,7 +40,7 @@ def bench(
         typer.echo(f"st bench: no benchmark {name!r}; there are {names}", err=True)
         raise typer.Exit(2)
     if context.args:
-        typer.echo(f"st bench {name}: takes no {context.args[0]}", err=True)
+        typer.echo(f"st bench {name}: unexpected argument {context.args[0]}", err=True)
         raise typer.Exit(2)
     result = _load(files[name]).run()
     _show(console, name, result)

@@ -22,7 +22,7 @@ def test(
     # Failed, broken and skipped tests are listed with their reasons.
     pytest = [sys.executable, "-m", "pytest", "-rfEs", "-q"]
     fast_only = "not slow and " if fast else ""
-    # Tests that keep time have the cores to themselves, one after another, when all others are done.
+    # Timing tests run alone, one after another, after all others.
     parts = [
         [*pytest, "-n", "auto", "--dist", "loadfile", "-m", f"{fast_only}not timing"],
         [*pytest, "-m", f"{fast_only}timing"],
@@ -36,7 +36,7 @@ def test(
 
 
 NO_ROS2 = (
-    "The command ros2 is not installed here, as no ROS 2 is sourced. In its place: ./st demo and live (ros2 launch), "
+    "The command ros2 is not available, because no ROS 2 is sourced. Use instead: ./st demo and live (ros2 launch), "
     "replay (ros2 bag play), view and foxglove (rviz2, ros2 topic), or rclpy in python.")
 
 
@@ -45,13 +45,13 @@ def shell(context: typer.Context) -> None:
     if (not context.args or context.args[0] == "ros2") and shutil.which("ros2") is None:
         typer.echo(NO_ROS2, err=True)
     if context.args:
-        _become(context.args)
+        _replace_process(context.args)
     shell = os.environ.get("SHELL", "/bin/bash")
     os.environ["PS1"] = "(st) \\w \\$ "
-    _become([shell, "--norc"] if Path(shell).name == "bash" else [shell])
+    _replace_process([shell, "--norc"] if Path(shell).name == "bash" else [shell])
 
 
-def _become(command: list[str]) -> NoReturn:
+def _replace_process(command: list[str]) -> NoReturn:
     try:
         os.execvp(command[0], command)
     except OSError as error:

@@ -61,7 +61,7 @@ EXHIBITS = (
     Exhibit("Two clocks synchronised", "./st align {}/raw/run.ncom {}/raw/run.log --output {}/align",
             "align/alignment.png", "The same signals from INS and CAN, aligned. The remaining difference is "
             "the uncertainty of the offset."),
-    Exhibit("A real drive evaluated at the desk", "./st evaluate examples/data/rfs_turn_a.csv "
+    Exhibit("A real drive evaluated offline", "./st evaluate examples/data/rfs_turn_a.csv "
             "--vehicle config/vehicle/hyundai_genesis.yaml --output {}/evaluate",
             "evaluate/**/horizon_means.png", "The error of every start over the drive, as in the paper. The folder "
             "also contains the page report.html with sortable tables."),
@@ -70,7 +70,7 @@ EXHIBITS = (
             "Turntable readings, one ratio fitted through all sweeps, and the residuals of the line."),
     Exhibit("What is missing from a vehicle file and the sensors", "./st discover examples/data "
             "--vehicle config/vehicle/hyundai_genesis.yaml --output {}/discover", "discover/figures/waterfall.png",
-            "Two recorded drives and a vehicle file, without reference drives. The page report.html says what is "
+            "Two recorded drives and a vehicle file, without reference drives. The page report.html states what is "
             "missing, how certain that is, whether it is the same everywhere, and what to do."),
 )
 
@@ -79,12 +79,12 @@ def page() -> str:
     """The text of gallery.md."""
     lines = ["# Gallery", "",
              "See what each command draws, for a drive of the virtual Leaf (S6, U-turns) and a short real drive of "
-             "another car ([examples/data](../examples/data/README.md)). `./st docs --gallery` renews this page.",
+             "another car ([examples/data](../examples/data/README.md)). `./st docs --gallery` regenerates this page.",
              "", "## Live view", "",
              "From the driver's seat: current predictions, predictions made one to five seconds ago, and the "
              "path driven.", "", "![Predicted paths bend with the steering](images/gallery_drive.webp)"]
     for number, exhibit in enumerate(EXHIBITS, 1):
-        commands = (f"$ {_shown(command)}" for command in (*exhibit.before, exhibit.command))
+        commands = (f"$ {_as_typed(command)}" for command in (*exhibit.before, exhibit.command))
         lines += ["", f"## {exhibit.title}", "", "```console", *commands, "```", "", exhibit.text, "",
                   f"![{exhibit.title}](images/gallery_{number}.png)"]
     return "\n".join(lines) + "\n"
@@ -104,12 +104,12 @@ def draw(folder: Path, console: Console) -> None:
         animate(Path(name, "run"), read_vehicle(config("vehicle/leaf.yaml")), folder / "gallery_drive.webp", *ANIMATED)
 
 
-def _shown(command: str) -> str:
+def _as_typed(command: str) -> str:
     return command.replace("{}", "runs/gallery")
 
 
 def _run(command: str, folder: str, console: Console) -> None:
-    console.print(f"$ {_shown(command)}", highlight=False, soft_wrap=True)
+    console.print(f"$ {_as_typed(command)}", highlight=False, soft_wrap=True)
     words = command.replace("{}", folder).split()
     program = VIRTUAL_LEAF if words[1] == "shell" else ST
     rest = words[6:] if words[1] == "shell" else words[1:]

@@ -70,19 +70,19 @@ def implied(arrows: set[Edge]) -> set[Edge]:
 def draw(sources: Path, file: Path) -> None:
     """Write the figure as PNG. Its Description lists the arrows, as lines `a -> b`: see `edges_in`."""
     names, arrows = packages(sources), edges(sources)
-    places, indirect = _places(layers(names, arrows), arrows), implied(arrows)
+    centres, indirect = _centres(layers(names, arrows), arrows), implied(arrows)
     figure, axes = plt.subplots(figsize=(9.0, 7.0), dpi=110)
-    axes.set(xlim=(0.0, 1.0), ylim=(-0.4, max(y for _, y in places.values()) + 0.4))
+    axes.set(xlim=(0.0, 1.0), ylim=(-0.4, max(y for _, y in centres.values()) + 0.4))
     axes.set_axis_off()
     figure.tight_layout(pad=0.2)
-    boxes = {name: axes.text(*place, name, ha="center", va="center", fontsize=11, family="monospace", zorder=3,
-                             bbox=BOX) for name, place in places.items()}
+    boxes = {name: axes.text(*centre, name, ha="center", va="center", fontsize=11, family="monospace", zorder=3,
+                             bbox=BOX) for name, centre in centres.items()}
     figure.canvas.draw()  # sizes of the boxes, at whose edges the arrows end
     for arrow in sorted(arrows, key=lambda a: (a not in indirect, a)):
         start, end = arrow
         grey = arrow in indirect
         axes.add_patch(FancyArrowPatch(
-            places[start], places[end], patchA=boxes[start].get_bbox_patch(), patchB=boxes[end].get_bbox_patch(),
+            centres[start], centres[end], patchA=boxes[start].get_bbox_patch(), patchB=boxes[end].get_bbox_patch(),
             arrowstyle="-|>", mutation_scale=11, shrinkA=1, shrinkB=1, linewidth=0.9 if grey else 1.5,
             color=IMPLIED if grey else DIRECT, zorder=1 if grey else 2))
     file.parent.mkdir(parents=True, exist_ok=True)
@@ -96,7 +96,7 @@ def edges_in(metadata: Mapping[str, str]) -> set[Edge]:
     return {(a, b) for a, _, b in (line.partition(" -> ") for line in metadata["Description"].splitlines())}
 
 
-def _places(rows: list[list[str]], arrows: set[Edge]) -> dict[str, tuple[float, float]]:
+def _centres(rows: list[list[str]], arrows: set[Edge]) -> dict[str, tuple[float, float]]:
     """Centres of the boxes, one row per layer. Rows are shifted in turn until the arrows miss the boxes."""
     chosen = [_row(row, level, 0.0) for level, row in enumerate(rows)]
     for _ in range(SWEEPS):
@@ -113,16 +113,16 @@ def _row(order: Sequence[str], level: int, shift: float) -> dict[str, tuple[floa
 
 
 def _merged(rows: list[dict[str, tuple[float, float]]]) -> dict[str, tuple[float, float]]:
-    return {name: place for row in rows for name, place in row.items()}
+    return {name: centre for row in rows for name, centre in row.items()}
 
 
-def _clutter(places: dict[str, tuple[float, float]], arrows: set[Edge]) -> float:
+def _clutter(centres: dict[str, tuple[float, float]], arrows: set[Edge]) -> float:
     """Penalty of a layout: arrows through or near boxes, then horizontal length of the arrows."""
     total = 0.0
     for start, end in sorted(arrows):
-        (x0, y0), (x1, y1) = places[start], places[end]
+        (x0, y0), (x1, y1) = centres[start], centres[end]
         total += abs(x1 - x0) * 0.02
-        for name, (x, y) in places.items():
+        for name, (x, y) in centres.items():
             if name not in (start, end) and y1 < y < y0:
                 distance = abs(x0 + (x1 - x0) * (y - y0) / (y1 - y0) - x)
                 total += max(0.0, 1.0 - distance / BOX_HALF_WIDTH)

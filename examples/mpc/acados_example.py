@@ -1,10 +1,10 @@
-"""The exported model in acados: load the .casadi files, hand dynamics or step over, take names and bounds along.
+"""The exported model in acados: loads the .casadi files, passes on dynamics, step, names and bounds.
 
     ./st export nonlinear --output build/nonlinear
     ./st shell -- python examples/mpc/acados_example.py build/nonlinear
 
-Without acados the functions are loaded, joined to symbols and checked as acados would use them, and that is said.
-With it (acados_template installed, ACADOS_SOURCE_DIR set) an integrator is made and compared with the exported step.
+Without acados the functions are only loaded and checked against each other. With it (acados_template installed,
+ACADOS_SOURCE_DIR set) an integrator is built and compared with the exported step.
 """
 
 import importlib.util
@@ -50,18 +50,18 @@ def _bounds(entries: list[dict]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def acados_model(model: Imported):
-    """The model as acados wants it: explicit and implicit dynamics over SX symbols."""
+    """The model as acados expects it: explicit and implicit dynamics over SX symbols."""
     from acados_template import AcadosModel
 
-    made = AcadosModel()
-    made.name, made.x, made.u, made.p = model.description["model"], model.x, model.u, model.p
-    made.xdot = casadi.SX.sym("xdot", model.x.numel())
-    made.f_expl_expr, made.f_impl_expr = model.rates, made.xdot - model.rates
-    return made
+    result = AcadosModel()
+    result.name, result.x, result.u, result.p = model.description["model"], model.x, model.u, model.p
+    result.xdot = casadi.SX.sym("xdot", model.x.numel())
+    result.f_expl_expr, result.f_impl_expr = model.rates, result.xdot - model.rates
+    return result
 
 
 def constrain(ocp, model: Imported) -> None:
-    """Bounds of the file as box constraints of an acados OCP; the states that have none are left out."""
+    """Bounds of the file as box constraints of an acados OCP; states without bounds are left out."""
     lower, upper = model.state_bounds
     chosen = np.flatnonzero(np.isfinite(lower) & np.isfinite(upper))
     ocp.constraints.idxbx, ocp.constraints.lbx, ocp.constraints.ubx = chosen, lower[chosen], upper[chosen]
@@ -70,7 +70,7 @@ def constrain(ocp, model: Imported) -> None:
 
 
 def difference(model: Imported, x: np.ndarray, u: np.ndarray, h: float) -> float:
-    """Largest difference between the exported step and Runge-Kutta over the expression handed to acados."""
+    """Largest difference between the exported step and Runge-Kutta over the expression passed to acados."""
     values = [q["value"] for q in model.description["parameters"]]
     f = casadi.Function("f", [model.x, model.u], [casadi.substitute(model.rates, model.p, casadi.DM(values))]
                         if values else [model.rates])
@@ -104,7 +104,7 @@ def main() -> int:
     print(f"{model.description['model']}: {model.x.numel()} states, {model.u.numel()} inputs, "
           f"{model.p.numel()} parameters; expression against exported step: {difference(model, x, u, 0.05):.1e}")
     if importlib.util.find_spec("acados_template") is None:
-        print("acados_template is not installed: the part with acados is left out")
+        print("acados_template is not installed: the comparison with acados is skipped")
         return 0
     values = [[q["value"] for q in model.description["parameters"]]] if model.description["parameters"] else []
     expected = model.step(x, u, 0.05, *values).full().ravel()

@@ -1,4 +1,4 @@
-"""The loop: virtual car, road, controller. What it measures is across the road at the CG, every 20 ms."""
+"""Closed loop of virtual car, road and controller; the tracking error is measured at the CG every 20 ms."""
 
 import math
 from dataclasses import asdict, dataclass
@@ -10,9 +10,9 @@ from st_sim.scenarios import Plan
 from st_sim.settings import Settings
 from st_sim.simulation import ControlledCar
 
-LEFT_THE_ROAD = 4.0
-"""m. Further away the drive ends: what a controller does then says nothing."""
-LOOK = 0.02
+MAX_DISTANCE = 4.0
+"""m from the road, at which a drive ends: the behaviour beyond is meaningless."""
+SAMPLING_TIME = 0.02
 """s between two measurements of the tracking error."""
 
 
@@ -44,13 +44,13 @@ class Drive:
 
 
 class Road:
-    """The road of a plan, with the place beside the car kept up to date."""
+    """The road of a plan. distance: of its point nearest to the car, along the road [m]."""
 
     def __init__(self, plan: Plan):
         self.plan, self.distance = plan, plan.start
 
     def track(self, x: float, y: float) -> float:
-        """Move to the point beside (x, y); distance of that point from the road [m], left +."""
+        """Move to the road point nearest to (x, y); distance of (x, y) from the road [m], left +."""
         for _ in range(3):
             road = self.plan.path.pose(self.distance)
             self.distance += math.cos(road.yaw) * (x - road.x) + math.sin(road.yaw) * (y - road.y)
@@ -58,7 +58,7 @@ class Road:
         return math.cos(road.yaw) * (y - road.y) - math.sin(road.yaw) * (x - road.x)
 
     def ahead(self, steps: int, step: float) -> Reference:
-        """Where a car that keeps the speed of the road is after each step."""
+        """Reference at the end of each step for a car at the speed of the road."""
         rows, distance = [], self.distance
         for _ in range(steps):
             middle = distance + 0.5 * step * self.plan.speed_at(distance)
@@ -69,9 +69,9 @@ class Road:
 
 def drive(controller: Controller, car: Car, settings: Settings, plan: Plan, duration: float,
           seed: int = 0) -> tuple[Drive, np.ndarray]:
-    """Drive a plan; its figures, and (time, x, y, distance from the road, speed, road_wheel_angle asked for) as rows.
+    """Drive a plan; its figures, and rows (time, x, y, distance from the road, speed error, commanded angle).
 
-    The command acts as soon as the state is known: the time of the solver is measured, not waited for.
+    Commands act without the delay of the solver, whose time is only measured.
     """
     road, plant = Road(plan), ControlledCar(car, settings, seed)
     here = plan.path.pose(plan.start)
@@ -82,14 +82,14 @@ def drive(controller: Controller, car: Car, settings: Settings, plan: Plan, dura
         road.track(*plant.state[:2])
         solution = controller.control(plant.state, road.ahead(controller.steps, step))
         solutions.append(solution)
-        for _ in range(round(step / LOOK)):
-            plant.advance(LOOK, *solution.inputs)
+        for _ in range(round(step / SAMPLING_TIME)):
+            plant.advance(SAMPLING_TIME, *solution.inputs)
             x, y, speed, *_ = plant.state
             off = road.track(x, y)
             rows.append((plant.time, x, y, off, speed - plan.speed_at(road.distance), solution.inputs[0]))
-        finished = abs(off) < LEFT_THE_ROAD
+        finished = abs(off) < MAX_DISTANCE
     table = np.array(rows)
-    # The first solution starts from nothing.
+    # The first solution has no warm start.
     wall = 1e3 * np.array([s.wall for s in solutions[1:]])
     cpu = 1e3 * np.array([s.cpu for s in solutions[1:]])
     figures = Drive(

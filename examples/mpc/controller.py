@@ -26,16 +26,17 @@ SOLVERS = {
                           "qpsol_options": {"print_time": False, "print_iter": False, "print_header": False,
                                             "print_info": False, "error_on_fail": False}}),
 }
-"""ipopt: solved to the end at each step. rti, real-time iteration: one quadratic program at each step (SQP with
-qrqp, Hessian of Gauss and Newton, whole steps), the next step goes on from there."""
+"""ipopt: solved to convergence at each step. rti, real-time iteration: one quadratic program per step (SQP with qrqp,
+Gauss-Newton Hessian, full steps), started from the solution of the previous step."""
 
 
 @dataclass(frozen=True)
 class Tuning:
     """Weights [1 / unit^2], limits and the prediction step h [s], which is also the time between two decisions.
 
-    substeps: a car at 3 m/s is too stiff for one Runge-Kutta step of 0.1 s. outside: r_e [1/m^2]; a corridor that can
-    be kept is left by millimetres.
+    across, course, along, speed: q_n, q_c, q_s, q_v. steering_change, acceleration_change: r_d, r_a. angle [rad],
+    acceleration [m/s^2]: bounds of u; angle_change, acceleration_step: of d. substeps: at 3 m/s the tyre dynamics are
+    too stiff for one Runge-Kutta step of 0.1 s. outside: r_e [1/m^2]; a feasible corridor is left by millimetres only.
     """
 
     step: float = 0.1
@@ -65,8 +66,8 @@ class Reference(NamedTuple):
 class Solution(NamedTuple):
     """inputs: (road_wheel_angle, velocity_x_dot) for the next step. planned: (steps, 2), those of every step.
 
-    predicted: (steps, states), at the end of each. wall, cpu: of the solver [s]. solved: False when it gave up, or for
-    rti, found nothing finite; the inputs are then the last iterate, or the last inputs.
+    predicted: (steps, states), at the end of each. wall, cpu: time of the solver [s]. solved: False if ipopt did not
+    converge, or the result of rti is not finite; the inputs are then the last iterate, or the last inputs.
     """
 
     inputs: tuple[float, float]
@@ -95,7 +96,7 @@ class Controller:
     def __post_init__(self):
         self.symbolic = build(self.model, self.vehicle, self.tuning.substeps)
         if self.symbolic.parameters:
-            raise ValueError(f"model {self.model.name} asks for {self.symbolic.parameters[0].name}, which is not known")
+            raise ValueError(f"model {self.model.name} needs {self.symbolic.parameters[0].name}, which has no value")
         self._states = len(self.symbolic.states)
         self._last = (0.0, 0.0)
         self._guess: np.ndarray | None = None
@@ -158,8 +159,8 @@ class Controller:
                               t.course ** 0.5 * (cosine * rates[1] - sine * rates[0]),
                               t.speed ** 0.5 * (x[2] - road[3]))
 
-    def forget(self) -> None:
-        """Start from nothing again, as for another drive."""
+    def reset(self) -> None:
+        """Discard the last solution, as before another drive."""
         self._last, self._guess, self._duals = (0.0, 0.0), None, None
 
     def control(self, state: tuple[float, ...], road: Reference,
@@ -168,7 +169,7 @@ class Controller:
         """The inputs for the next step from the six states at the CG; yaw and the yaw of the road need no wrapping.
 
         corridor: least and largest distance from the road at the end of each step, left + (steps,) [m].
-        measured: present inputs, where the car does not follow the last solution.
+        measured: present inputs; needed where the car does not follow the last solution.
         """
         self._last = self._last if measured is None else measured
         start = self.symbolic.start(state, self._last).full().ravel()

@@ -1,14 +1,14 @@
-"""A constraint tightened by a calibrated band: gates passed by cars that are not quite the one in the controller.
+"""A constraint tightened by a calibrated band: cars that differ from the controller's model pass through gates.
 
-    ./st shell -- python examples/mpc/corridor.py              50 seeds, with and without
+    ./st shell -- python examples/mpc/corridor.py              50 seeds, with and without tightening
     ./st shell -- python examples/mpc/corridor.py --seeds 5
 
-A straight road at 10 m/s with three gates; the controller is to stay as near to the road as they let it, so it passes
-along their posts. Every seed is a car of its own: mass, tyres, friction and steering are drawn around the vehicle file
-(SPREAD). Bands of the controller's model, over its own horizon, are learnt from drives of other such cars through other
-gates. The tightened controller keeps the half-width across of each point of its horizon away from every post; another
-keeps that of NEAR from there on, as what is decided later corrects the rest. Writes corridor.json.
-docs/manual/mpc.md explains the result.
+A straight road at 10 m/s with three gates; the controller stays as close to the road as the gates allow, so it passes
+close to their posts. Every seed is another car: mass, tyres, friction and steering are drawn around the vehicle file
+(SPREAD). Bands of the controller's model over its horizon are calibrated on drives of other such cars through other
+gates. The tightened controller keeps a distance from every post: the lateral half-width of the band at each point of
+its horizon. A variant limits it to its value NEAR seconds ahead, because later decisions correct the rest. Writes
+corridor.json. docs/manual/mpc.md explains the result.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import casadi
 import numpy as np
-from closed_loop import LOOK, Road
+from closed_loop import SAMPLING_TIME, Road
 from controller import Controller, Tuning
 from st_core.bands import Band, CalibrationDomain, calibrate, conditions, run_samples, steering_activity
 from st_core.log import DriveLog
@@ -39,40 +39,40 @@ SPEED, DURATION, HORIZON = 10.0, 20.0, 2.5
 SPREAD = {"mass_factor": 0.04, "front_stiffness_factor": 0.08, "rear_stiffness_factor": 0.08, "friction_factor": 0.05,
           "steering_offset": 0.006, "steering_ratio_factor": 0.02}
 """One standard deviation, of a factor or of the value [rad]."""
-KNOWN, LEVELS = 32, (0.9, 0.95)
-"""Cars the bands are learnt from, and shares of their drives inside; n cars support n/(n + 1) at most."""
+CALIBRATION_CARS, LEVELS = 32, (0.9, 0.95)
+"""Number of cars on whose drives the bands are calibrated, and levels of the bands; n cars allow at most n/(n + 1)."""
 NEAR = 0.5
-"""s ahead, after five more decisions."""
+"""s ahead: five decisions later."""
 SETTINGS = EvaluationSettings(PredictionSettings(horizon=HORIZON))
-BEGINS = (50.0, 115.0, 180.0)
-"""m along the road, of the gates."""
-TOUCHED = 0.01
-"""m across a post that count as a violation."""
+GATE_STARTS = (50.0, 115.0, 180.0)
+"""m along the road."""
+MIN_VIOLATION = 0.01
+"""m beyond a post, from which a pass counts as a violation."""
 
 
 class Margin(NamedTuple):
-    """What is kept from every post: the half-width across of the band, from `until` [s] ahead on that of `until`.
+    """Distance kept from every post: the lateral half-width of the band, at most its value `until` [s] ahead.
 
-    half_widths: of `half_width_function`, as `st export --bands` writes it.
+    half_widths: of `half_width_function`, as `st export --bands` writes it. domain: conditions of the calibration.
     """
 
     half_widths: casadi.Function
-    seen: CalibrationDomain
+    domain: CalibrationDomain
     until: float
 
 
 class Gate(NamedTuple):
-    """From and to along the road [m]; the CG passes at least `room` [m] to the left (side 1) or right (-1)."""
+    """begin, end: along the road [m]. The CG passes at least `clearance` [m] to its left (side 1) or right (-1)."""
 
     begin: float
     end: float
     side: int
-    room: float
+    clearance: float
 
 
 class Outcome(NamedTuple):
-    """depth: farthest beyond a post [m], <= 0 where none was touched. error: rms distance from the road [m]. cost: mean
-    of the controller's q_n n^2 + q_v (v - v_ref)^2 + r_d d_delta^2 as driven. log: what was driven."""
+    """depth: largest distance beyond a post [m], <= 0 without contact. error: rms distance from the road [m]. cost:
+    mean of the controller's q_n n^2 + q_v (v - v_ref)^2 + r_d d_delta^2 over the drive. log: of the drive."""
 
     depth: float
     error: float
@@ -80,28 +80,28 @@ class Outcome(NamedTuple):
     log: DriveLog
 
 
-def gates(generator: np.random.Generator | None = None) -> list[Gate]:
-    """Three; drawn, or those of the comparison without a generator."""
+def make_gates(generator: np.random.Generator | None = None) -> list[Gate]:
+    """Three random gates; without a generator those of the comparison."""
     if generator is None:
-        return [Gate(b, b + 6.0, side, 1.2) for b, side in zip(BEGINS, (1, -1, 1), strict=True)]
-    begins = np.array(BEGINS) + generator.uniform(-6.0, 6.0, 3)
+        return [Gate(b, b + 6.0, side, 1.2) for b, side in zip(GATE_STARTS, (1, -1, 1), strict=True)]
+    begins = np.array(GATE_STARTS) + generator.uniform(-6.0, 6.0, 3)
     return [Gate(b, b + 6.0, int(generator.choice([-1, 1])), generator.uniform(0.5, 1.5)) for b in begins]
 
 
-def limits(there: Sequence[Gate], distances: np.ndarray, margin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest distance from the road at distances along it (n,); margin (n,) is kept from every post [m]."""
+def limits(gates: Sequence[Gate], distances: np.ndarray, margin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest distance from the road at distances along it (n,); margin: kept from every post (n,) [m]."""
     low, high = np.full(len(distances), -4.0), np.full(len(distances), 4.0)
-    for gate in there:
-        beside = (distances >= gate.begin) & (distances <= gate.end)
+    for gate in gates:
+        at_gate = (distances >= gate.begin) & (distances <= gate.end)
         if gate.side > 0:
-            low[beside] = gate.room + margin[beside]
+            low[at_gate] = gate.clearance + margin[at_gate]
         else:
-            high[beside] = -gate.room - margin[beside]
+            high[at_gate] = -gate.clearance - margin[at_gate]
     return low, high
 
 
-def drawn(seed: int) -> Settings:
-    """The plant of a seed."""
+def plant_settings(seed: int) -> Settings:
+    """Random settings of the plant of a seed."""
     draw = np.random.default_rng([21, seed])
     values = dict(REALISTIC)
     for name, spread in SPREAD.items():
@@ -109,30 +109,30 @@ def drawn(seed: int) -> Settings:
     return values
 
 
-def drive(controller: Controller, car: Car, vehicle: VehicleParameters, there: Sequence[Gate], seed: int,
-          kept: Margin | None = None) -> Outcome:
-    """One drive; kept: from every post, else nothing."""
-    controller.forget()
+def drive(controller: Controller, car: Car, vehicle: VehicleParameters, gates: Sequence[Gate], seed: int,
+          tightening: Margin | None = None) -> Outcome:
+    """One drive; tightening: distance kept from every post, None for none."""
+    controller.reset()
     plan = RoadPlan(straight(400.0, SPEED))
-    road, plant, step = Road(plan), ControlledCar(car, drawn(seed), seed), controller.tuning.step
+    road, plant, step = Road(plan), ControlledCar(car, plant_settings(seed), seed), controller.tuning.step
     plant.place(0.0, 0.0, 0.0, SPEED)
     rows, angles, depth, acceleration = [], [0.0] * 12, -np.inf, 0.0
     margin = np.zeros(controller.steps)
     while plant.time < DURATION - 1e-9:
         road.track(*plant.state[:2])
         ahead = road.ahead(controller.steps, step)
-        if kept is not None:
-            # Where there is no band, the last one holds.
-            stated = _margin(kept, plant.state, angles, acceleration, step)
-            margin = margin if stated is None else stated
+        if tightening is not None:
+            # Outside the calibrated conditions the last band is used.
+            current = _margin(tightening, plant.state, angles, acceleration, step)
+            margin = margin if current is None else current
         along = road.distance + step * SPEED * np.arange(1, controller.steps + 1)
-        angle, acceleration = controller.control(plant.state, ahead, limits(there, along, margin)).inputs
+        angle, acceleration = controller.control(plant.state, ahead, limits(gates, along, margin)).inputs
         angles.append(angle)
-        for _ in range(round(step / LOOK)):
+        for _ in range(round(step / SAMPLING_TIME)):
             rows.append((plant.time, *plant.state, angle))
-            plant.advance(LOOK, angle, acceleration)
+            plant.advance(SAMPLING_TIME, angle, acceleration)
             off = road.track(*plant.state[:2])
-            low, high = limits(there, np.array([road.distance]), np.zeros(1))
+            low, high = limits(gates, np.array([road.distance]), np.zeros(1))
             depth = max(depth, float(low[0]) - off, off - float(high[0]))
     table, tuning = np.array(rows), controller.tuning
     cost = (tuning.across * np.mean(table[:, 2] ** 2) + tuning.speed * np.mean((table[:, 3] - SPEED) ** 2)
@@ -140,22 +140,22 @@ def drive(controller: Controller, car: Car, vehicle: VehicleParameters, there: S
     return Outcome(depth, float(np.sqrt(np.mean(table[:, 2] ** 2))), float(cost), _log(table, vehicle, seed))
 
 
-def _margin(kept: Margin, state: Sequence[float], angles: Sequence[float], acceleration: float,
+def _margin(tightening: Margin, state: Sequence[float], angles: Sequence[float], acceleration: float,
             step: float) -> np.ndarray | None:
-    """At the end of each step [m]; None under conditions that were never calibrated."""
+    """Distance to keep at the end of each step [m]; None outside the calibrated conditions."""
     at = np.interp(np.arange(-1.0, 0.01, 0.05), step * np.arange(-10, 1), angles[-11:])
     activity = float(steering_activity(at))
     here = conditions(state[2], state[5], acceleration, activity)[None]
-    if not kept.seen(here)[0]:
+    if not tightening.domain(here)[0]:
         return None
     every = round(step / SETTINGS.prediction.step)
-    widths = np.asarray(kept.half_widths(state[:6], (angles[-1], acceleration), activity))
+    widths = np.asarray(tightening.half_widths(state[:6], (angles[-1], acceleration), activity))
     across = widths[every - 1::every, 1]
-    return np.minimum(across, across[round(kept.until / step) - 1])
+    return np.minimum(across, across[round(tightening.until / step) - 1])
 
 
 def _log(table: np.ndarray, vehicle: VehicleParameters, seed: int) -> DriveLog:
-    """The drive as an INS without noise would have recorded it, with the steering the controller asked for."""
+    """The drive as an INS without noise would have recorded it, with the commanded steering."""
     time, x, y, forward, across, yaw, rate, angle = table.T
     time_ns = np.round(time * 1e9).astype(np.int64)
     d_x, d_y = vehicle.cg_to_ins_x, vehicle.cg_to_ins_y
@@ -164,38 +164,38 @@ def _log(table: np.ndarray, vehicle: VehicleParameters, seed: int) -> DriveLog:
                     time_ns, angle, vehicle.steering_wheel_angle(angle))
 
 
-def learn(controller: Controller, car: Car, vehicle: VehicleParameters,
-          model: str) -> tuple[Band, CalibrationDomain]:
-    """The model question's band: what the controller plans is what the inputs will be."""
+def calibrate_band(controller: Controller, car: Car, vehicle: VehicleParameters,
+                   model: str) -> tuple[Band, CalibrationDomain]:
+    """Band of the hindsight predictions, because the controller knows its future inputs; and its domain."""
     runs = []
-    for k in range(KNOWN):
-        log = drive(controller, car, vehicle, gates(np.random.default_rng([22, k])), 1000 + k).log
+    for k in range(CALIBRATION_CARS):
+        log = drive(controller, car, vehicle, make_gates(np.random.default_rng([22, k])), 1000 + k).log
         runs.append(run_samples([get_model(model)], vehicle, SETTINGS.signals(log), SETTINGS))
     time = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
     band = calibrate(runs, (model, "hindsight"), time, LEVELS)
     return band, CalibrationDomain.of([one.conditions for one in runs])
 
 
-def compared(seeds: int, model: str) -> dict[str, dict[str, float]]:
-    """With the constraint as it is and tightened, each seed a car: how many touch a post, how deep [m], error, cost."""
+def compare(seeds: int, model: str) -> dict[str, dict[str, float]]:
+    """`summarise` of the drives of all seeds, for each variant of the constraint."""
     file = config("vehicle/leaf.yaml")
     vehicle, car, tuning = VehicleParameters.from_yaml(file.read_text(), str(file)), read_car(file), Tuning()
     controller = Controller(get_model(model), vehicle, round(HORIZON / tuning.step), tuning, "rti", corridor=True)
-    (band, seen), found = learn(controller, car, vehicle, model), {}
-    usual, wide = (half_width_function(band, level, vehicle) for level in LEVELS)
-    ways = {"as it is": None, "tightened": Margin(usual, seen, HORIZON),
-            f"tightened as {NEAR:g} s ahead": Margin(usual, seen, NEAR),
-            f"{LEVELS[1]:.0%} band, as {NEAR:g} s ahead": Margin(wide, seen, NEAR)}
-    for name, used in ways.items():
-        found[name] = figures([drive(controller, car, vehicle, gates(), seed, used) for seed in range(seeds)])
+    (band, domain), found = calibrate_band(controller, car, vehicle, model), {}
+    narrow, wide = (half_width_function(band, level, vehicle) for level in LEVELS)
+    variants = {"as it is": None, "tightened": Margin(narrow, domain, HORIZON),
+            f"tightened as {NEAR:g} s ahead": Margin(narrow, domain, NEAR),
+            f"{LEVELS[1]:.0%} band, as {NEAR:g} s ahead": Margin(wide, domain, NEAR)}
+    for name, used in variants.items():
+        found[name] = summarise([drive(controller, car, vehicle, make_gates(), seed, used) for seed in range(seeds)])
         print(name, found[name], flush=True)
     return found
 
 
-def figures(drives: Sequence[Outcome]) -> dict[str, float]:
-    """Of all cars."""
+def summarise(drives: Sequence[Outcome]) -> dict[str, float]:
+    """Number and depth of violations [m], error [m] and cost over all cars."""
     depths = np.array([one.depth for one in drives])
-    return {"seeds": len(drives), "violations": int((depths > TOUCHED).sum()), "deepest": float(depths.max()),
+    return {"seeds": len(drives), "violations": int((depths > MIN_VIOLATION).sum()), "deepest": float(depths.max()),
             "depth_median": float(np.median(depths)), "error_rms": float(np.mean([one.error for one in drives])),
             "cost": float(np.mean([one.cost for one in drives]))}
 
@@ -207,7 +207,7 @@ def main() -> int:
     parser.add_argument("--output", type=Path, help="folder; default runs/corridor-<time>")
     options = parser.parse_args()
     folder = new_folder(options.output, "corridor")
-    found = compared(options.seeds, options.model)
+    found = compare(options.seeds, options.model)
     (folder / "corridor.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     print(folder)
     return 0

@@ -1,4 +1,4 @@
-"""Figures of the example, in the house style."""
+"""Figures of the example, in the style of the suite."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +13,7 @@ from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE, RC
 
 MARKER = {"rti": "o", "ipopt": "s"}
-SOLVER_NAME = {"rti": "real-time iteration (SQP, qrqp)", "ipopt": "IPOPT to the end"}
+SOLVER_NAME = {"rti": "real-time iteration (SQP, qrqp)", "ipopt": "IPOPT to convergence"}
 
 
 def draw_trade_off(rows: list[dict], titles: Mapping[str, str], file: Path) -> None:
@@ -66,13 +66,13 @@ def _legend(figure, rows: list[dict]) -> None:
 def draw_paths(tables: Mapping[tuple, np.ndarray], titles: Mapping[str, str], file: Path) -> None:
     """Distance from the road over time, for the shortest and the longest horizon."""
     horizons = sorted({key[3] for key in tables})
-    shown = list(dict.fromkeys((horizons[0], horizons[-1])))
+    extremes = list(dict.fromkeys((horizons[0], horizons[-1])))
     solver = next(key[1] for key in tables)
     with plt.rc_context(RC):
-        figure, axes = plt.subplots(len(titles), len(shown), figsize=(8.4, 2.1 * len(titles) + 0.6), squeeze=False,
+        figure, axes = plt.subplots(len(titles), len(extremes), figsize=(8.4, 2.1 * len(titles) + 0.6), squeeze=False,
                                     sharex="row", sharey="row")
         for line, (road, title) in zip(axes, titles.items(), strict=True):
-            for axis, horizon in zip(line, shown, strict=True):
+            for axis, horizon in zip(line, extremes, strict=True):
                 for (at, by, model, ahead), table in tables.items():
                     if (at, by, ahead) == (road, solver, horizon):
                         axis.plot(table[:, 0], table[:, 3], color=MODEL_COLOUR.get(model, MEASURED_COLOUR),

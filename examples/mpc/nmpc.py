@@ -1,8 +1,8 @@
-"""Which model does a controller need, and how far ahead must it look? Path following with each of them, measured.
+"""Path following with each model and several horizons: which model does a controller need, and which horizon?
 
-    ./st shell -- python examples/mpc/nmpc.py                     all of it, a minute of processor time
+    ./st shell -- python examples/mpc/nmpc.py                     everything, a minute of processor time
     ./st shell -- python examples/mpc/nmpc.py --quick             one road, two horizons, seconds
-    ./st shell -- python examples/mpc/nmpc.py --model model.yaml  a fitted model beside the three
+    ./st shell -- python examples/mpc/nmpc.py --model model.yaml  a fitted model in addition to the three
 
 Writes drives.json, trade_off.png and paths.png. docs/manual/mpc.md explains the result.
 """
@@ -31,7 +31,7 @@ HORIZONS = [0.5, 1.0, 2.0, 3.0]
 
 
 def lane_change_at_the_limit() -> Plan:
-    """The double lane change of the scenarios at 15 m/s: 7 m/s^2 where it bends most."""
+    """The double lane change of the scenarios at 15 m/s: up to 7 m/s^2."""
     speed = 15.0
     return RoadPlan([*straight(40, speed), *lane_shift(3.5, 30, speed), *straight(25, speed),
                      *lane_shift(-3.5, 30, speed), *straight(35, speed)])
@@ -52,7 +52,7 @@ def main() -> int:
         car, settings = read_car(options.vehicle), resolve(options.plant)
         models = {}
         for name in options.model:
-            # The plant is the vehicle named here; a model file may hold another, as one that was identified.
+            # The plant is the vehicle named here; a model file may contain another, identified one.
             model, own = load_model(name, vehicle, str(options.vehicle), requested=False)
             models[model.name] = model, own
     except (OSError, StCoreError, SimulationError) as error:

@@ -1,4 +1,4 @@
-"""Planner node: publishes plan/inputs ten times a second, the optimal way along a road from where the car is.
+"""Planner node: publishes plan/inputs ten times a second: the optimal path along a road from the present state.
 
     ROS_DOMAIN_ID=7 ./st demo --scenario S6 --duration 40                         in one terminal
     ROS_DOMAIN_ID=7 ./st shell -- python examples/mpc/plan_node.py                in another: the road of S6
@@ -36,9 +36,9 @@ from st_sim.scenarios import RoadPlan, load
 from st_sim.settings import SimulationError
 
 STEPS = 56
-"""of 0.1 s: the horizon of the predictor, 5 s, and the 0.5 s for which a plan may be used, after its first step."""
+"""Steps of 0.1 s: the first one, the predictor's horizon of 5 s, and the 0.5 s for which a plan may be used."""
 ROAD_LENGTH = 5000.0
-"""m of a scenario's road; S6 takes a quarter of an hour."""
+"""m of a scenario's road; a quarter of an hour for S6."""
 LOWEST_SPEED = 2.0
 """m/s. Slower, the models with tyres are too stiff for the step of the controller."""
 MAX_DEVIATION = 3.0
@@ -58,18 +58,18 @@ def scenario_course(name: str) -> Course:
     return Course((Pass(name, (), np.array(points)),))
 
 
-def next_place(course: Course, last: Visit, state: VehicleState) -> Visit | None:
-    """The place on the course near the car that continues the last one; None off the road.
+def next_visit(course: Course, last: Visit, state: VehicleState) -> Visit | None:
+    """The course point near the car that continues the last visit; None off the road.
 
-    The nearest one may be of another lap, which leads elsewhere.
+    The nearest point may belong to another lap with another continuation.
     """
     return min(course.near(state.x, state.y, state.yaw), default=None,
-               key=lambda place: (place.number != last.number, abs(place.row - last.row)))
+               key=lambda visit: (visit.number != last.number, abs(visit.row - last.row)))
 
 
-def reference(course: Course, place: Visit, state: VehicleState, steps: int, step: float) -> Reference | None:
+def reference(course: Course, visit: Visit, state: VehicleState, steps: int, step: float) -> Reference | None:
     """The road at the end of each step [s] for a car at its speed; None close to the end of the road."""
-    points = course.passes[place.number].points[place.row:]
+    points = course.passes[visit.number].points[visit.row:]
     x, y, yaw = points[0, :3]
     along = np.arange(len(points)) * SPACING
     ahead = [float(np.cos(yaw) * (state.x - x) + np.sin(yaw) * (state.y - y))]
@@ -108,7 +108,7 @@ class Planner(Node):
         self._odometry = PolledSubscription(self, Odometry, "ins/odometry", qos)
         self._steering = PolledSubscription(self, Steering, "vehicle/steering", qos)
         self._publisher = self.create_publisher(InputPlan, "plan/inputs", QoSProfile(depth=10))
-        self._place = Visit(0, 0, 0.0)
+        self._visit = Visit(0, 0, 0.0)
         self._sample = None
         self._angle, self._angle_ns = 0.0, 0
         self._counts = {"published": 0, "without a road": 0, "not solved": 0, "slow or not measured": 0}
@@ -130,22 +130,22 @@ class Planner(Node):
         now, car = self._sample, self._controller.vehicle
         if now is None or before is None or now.time_ns <= before.time_ns or now.velocity_x < LOWEST_SPEED \
                 or abs(now.time_ns - self._angle_ns) * 1e-9 > MAX_GAP:
-            self._controller.forget()
+            self._controller.reset()
             return "slow or not measured"
         state = ins_to_cg(now, car.cg_to_ins_x, car.cg_to_ins_y)
         step = self._controller.tuning.step
-        place = next_place(self._course, self._place, state)
-        road = reference(self._course, place, state, self._controller.steps, step) if place else None
-        self._place = place or self._place
+        visit = next_visit(self._course, self._visit, state)
+        road = reference(self._course, visit, state, self._controller.steps, step) if visit else None
+        self._visit = visit or self._visit
         if road is None:
-            self._controller.forget()
+            self._controller.reset()
             return "without a road"
-        gained = (now.velocity_x - before.velocity_x) / ((now.time_ns - before.time_ns) * 1e-9)
-        measured = self._angle, gained
+        acceleration = (now.velocity_x - before.velocity_x) / ((now.time_ns - before.time_ns) * 1e-9)
+        measured = self._angle, acceleration
         solution = self._controller.control(state.as_tuple(), road, measured=measured)
         self._longest = max(self._longest, solution.wall)
         if not solution.solved or _deviation(solution, road) > MAX_DEVIATION:
-            self._controller.forget()
+            self._controller.reset()
             return "not solved"
         self._publisher.publish(plan_message(now.time_ns, measured, solution, step))
         return "published"

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 from answers import discovery, fitted
 from drives import weave, write_drive
-from st_cli.verbs.discover import spread
+from st_cli.verbs.discover import expand_references
 from st_core.augmented import augment
 from st_core.checks import Advice, Finding, Severity
 from st_core.discovery import DiscoverySettings
@@ -306,4 +306,4 @@ def test_another_question_is_another_answer(logs):
     (["--reference=b", "a"], ["--reference=b", "a"]),
     (["a", "--seed", "1", "b"], ["a", "--seed", "1", "b"])])
 def test_reference_takes_all_paths_up_to_the_next_option(given, meant):
-    assert spread(given) == meant
+    assert expand_references(given) == meant

@@ -34,7 +34,7 @@ def run(verb, *arguments: object):
 
 @pytest.mark.parametrize(("arguments", "words"), [
     (["--scenario", "S66"], ["--scenario S66", "choose S1, S2"]),
-    (["--effect", "friction=0.8"], ["friction: no such setting", "friction_factor"]),
+    (["--effect", "friction=0.8"], ["friction: unknown setting", "friction_factor"]),
     (["--effect", "friction_factor=7"], ["friction_factor: 7.0 is not within 0.05 to 2 1"]),
     (["--ncom-rate", "200"], ["--ncom-rate", "choose from 100, 250"]),
     (["--plant", "nowhere.yaml"], ["--plant nowhere.yaml: neither ideal nor realistic"]),

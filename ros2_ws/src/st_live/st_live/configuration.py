@@ -68,15 +68,15 @@ def live_parameters(folder: Path, vehicle: Path, bridges: Parameters, model: Par
     """
     from st_predictor.params import ALL_TOPICS  # needs ROS, which `load_model` does not
 
-    further = model or {}
-    files = [values["model_file"] for values in list(further.values())[:1]]
+    model_settings = model or {}
+    files = [values["model_file"] for values in list(model_settings.values())[:1]]
     # With DBC and signal table the raw frames can be decoded on any computer.
     bus = [bridges["canedge_bridge"][name] for name in ("dbc_file", "signals_file")]
     return merge(config("nodes.yaml"), {
         **bridges,
-        "predictor": {"vehicle_file": str(vehicle), **further.get("predictor", {})},
+        "predictor": {"vehicle_file": str(vehicle), **model_settings.get("predictor", {})},
         "evaluator": {"vehicle_file": str(vehicle), "output_directory": str(folder / "errors"),
-                      "number_when_taken": True, **further.get("evaluator", {})},
+                      "number_when_taken": True, **model_settings.get("evaluator", {})},
         "recorder": {"output_directory": str(folder / "bag"), "number_when_taken": True,
                      "configuration_files": [str(vehicle), str(folder / "parameters.yaml"), *bus, *files],
                      **({"topics": ALL_TOPICS} if record_all else {})},
@@ -188,7 +188,7 @@ class VirtualCar:
     """The virtual Leaf and the bridge parameters for its interfaces.
 
     vehicle: file of bridges and nodes. options: of the command virtual_leaf, without those of the interfaces.
-    simulated: vehicle file of the simulated car itself, by default the same. Raises SuiteError for refused options.
+    simulated: vehicle file of the simulated car itself, by default the same. Raises SuiteError for invalid options.
     """
 
     def __init__(self, vehicle: Path, options: Sequence[str], simulated: Path | None = None):

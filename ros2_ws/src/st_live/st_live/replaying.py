@@ -37,7 +37,7 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
     """(Outcome, name of the vehicle) of a replay with the configuration of the recording.
 
     The recordings of the nodes are folder/bag and folder/errors. vehicle: file instead of the recorded one. rate: times
-    as fast as recorded; 0: as fast as the nodes follow. course: instead of the recorded one. adaptive: as of
+    as fast as recorded; 0: as fast as the nodes can follow. course: instead of the recorded one. adaptive: as of
     `add_files`. settings: topics of external recordings. Raises RunError, SuiteError and ConfigurationError.
     """
     steering, odometry = (settings.steering, settings.odometry) if settings else (None, None)
@@ -108,7 +108,7 @@ def _play(bag: Path, topics: Mapping[str, str], folder: Path, parameters: Mappin
 
 def _watch(suite: Suite, player: Child, name: str, rate: float, console: Console) -> None:
     """Show progress until the player has finished. Raises SuiteError if another process ends before."""
-    speed = f"{rate:g} x" if rate > 0 else "as fast as the nodes follow"
+    speed = f"{rate:g} x" if rate > 0 else "as fast as the nodes can follow"
     columns = (TextColumn("{task.description}"), BarColumn(),
                TextColumn("{task.completed:.0f} s of {task.total} s"), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as progress:

@@ -53,7 +53,7 @@ def conclude(folder: Path, outcome: Outcome, about: dict[str, Any], console: Con
         console.print(f"  {escape(str(folder / name))}  [dim]{content}[/dim]", highlight=False, soft_wrap=True)
     scored = any(modes["hindsight"]["n_starts"] for modes in summary["models"].values())
     if not scored:
-        console.print("[yellow]nothing was scored: shorter than a horizon, or an input was missing[/yellow]")
+        console.print("[yellow]nothing was scored: the run is shorter than a horizon, or an input is missing[/yellow]")
         console.print(escape(outcome.health.rstrip()), highlight=False, soft_wrap=not console.is_terminal)
     return 0 if outcome.ok and (scored or outcome.interrupted) else 1
 

@@ -25,8 +25,8 @@ from .suite import VIEW_NICE, Processes, SuiteError
 LOOPBACK = "127.0.0.1"
 READY_TIMEOUT = 20.0  # s
 STOP_TIMEOUT = 3.0  # s until a process is killed
-WITHOUT_RERUN = ("rerun-sdk is not installed (with a sourced ROS its numpy 2 does not fit): "
-                 "RViz, Foxglove and PlotJuggler show the same, see docs/manual/viewing.md")
+WITHOUT_RERUN = ("rerun-sdk is not installed (its numpy 2 conflicts with a sourced ROS); "
+                 "RViz, Foxglove and PlotJuggler show the same data, see docs/manual/viewing.md")
 HOP_BY_HOP = {"connection", "keep-alive", "transfer-encoding", "date", "server"}
 POLICY = ("default-src 'self' data: blob:; connect-src 'self' data: blob:; "
           "script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
@@ -46,20 +46,20 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             source = http.client.HTTPConnection(LOOPBACK, self.source_port, timeout=30)
             source.request("GET", self.path, headers={"Accept-Encoding": self.headers.get("Accept-Encoding", "")})
-            answer = source.getresponse()
+            response = source.getresponse()
         except OSError as error:
-            self.send_error(502, f"the server of Rerun does not answer: {error}")
+            self.send_error(502, f"Rerun's server does not respond: {error}")
             return
-        self.send_response(answer.status)
-        for name, value in answer.getheaders():
+        self.send_response(response.status)
+        for name, value in response.getheaders():
             if name.lower() not in HOP_BY_HOP:
                 self.send_header(name, value)
-        if answer.length is None:
+        if response.length is None:
             self.send_header("Connection", "close")
             self.close_connection = True
         self.send_header("Content-Security-Policy", POLICY)
         self.end_headers()
-        shutil.copyfileobj(answer, self.wfile)
+        shutil.copyfileobj(response, self.wfile)
         source.close()
 
     def _send_recording(self) -> None:

@@ -31,7 +31,8 @@ LARGEST_DOMAIN = 232  # higher domains have no valid port
 # Priorities of SCHED_RR: above other programs, far below the kernel's own threads (50 and more).
 REALTIME_PRIORITIES = {"oxts_bridge": 22, "canedge_bridge": 22, "predictor": 21}
 VIEW_NICE = 5  # a third of an equal share; the page needs a few percent of a core
-RANGE, PROFILES, RMW = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE", "RMW_IMPLEMENTATION"
+DISCOVERY_RANGE, RMW = "ROS_AUTOMATIC_DISCOVERY_RANGE", "RMW_IMPLEMENTATION"
+PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 REALTIME_PERMISSION = ('echo "$USER - rtprio 30" | sudo tee /etc/security/limits.d/single-track.conf, '
                        "then log in again")
 
@@ -222,8 +223,8 @@ def loopback(environment: Mapping[str, str]) -> dict[str, str]:
     """
     own = str(config("dds/loopback.xml"))
     if environment.get(PROFILES, own) != own or not environment.get(RMW, "rmw_fastrtps_cpp").startswith("rmw_fastrtps"):
-        return {RANGE: "LOCALHOST"}
-    return {RANGE: "SYSTEM_DEFAULT", PROFILES: own}
+        return {DISCOVERY_RANGE: "LOCALHOST"}
+    return {DISCOVERY_RANGE: "SYSTEM_DEFAULT", PROFILES: own}
 
 
 @contextmanager

@@ -195,8 +195,8 @@ def _compare_scores(result: Comparison, mode: str, scored: Scores, starts_ns: np
     cut = complete & scored.cut[recorded]
     result.n_cut += int(cut.sum())
     # Live, no score spans a position jump; offline, `st check` finds the jumps and excludes them.
-    excused = cut | scored.jumped[recorded]
-    result.n_disagree += int(((complete != scored.complete[recorded]) & ~excused).sum())
+    excluded = cut | scored.jumped[recorded]
+    result.n_disagree += int(((complete != scored.complete[recorded]) & ~excluded).sum())
     result.n_scores[mode] = result.n_scores.get(mode, 0) + int(both.sum())
     if both.any():
         difference = np.abs(errors[computed][both][..., :2] - scored.errors[recorded][both][..., :2])
@@ -273,7 +273,7 @@ def _print_conclusion(result: Verification, tolerance: float, console: Console) 
     where = ""
     if worst.at_ns and not passed:
         time = f"{datetime.fromtimestamp(worst.at_ns * 1e-9, UTC):%H:%M:%S.%f}"[:-3]
-        where = f"; the path of {worst.model} most at {time} UTC"
+        where = f"; largest difference of a path: {worst.model} at {time} UTC"
     console.print(f"{verdict}: {result.n_starts} predictions and {scores} scores compared, largest difference "
                   f"{result.largest * 1000:.3g} mm (limit {tolerance * 1000:g} mm), {disagree} scores complete on one "
                   f"side only, {cut} more cut off by the end of the nodes{where}", highlight=False, soft_wrap=True)

@@ -109,9 +109,9 @@ def generate_launch_description():
     # launch would start all of them again.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    drawn = {"condition": IfCondition(LaunchConfiguration("markers"))}
-    tracked = {"condition": IfCondition(LaunchConfiguration("identify"))}
-    bridges = {"condition": IfCondition(LaunchConfiguration("bridges"))}
+    if_markers = {"condition": IfCondition(LaunchConfiguration("markers"))}
+    if_identify = {"condition": IfCondition(LaunchConfiguration("identify"))}
+    if_bridges = {"condition": IfCondition(LaunchConfiguration("bridges"))}
     # Over Fast DDS' shared memory a restarted node may receive nothing (docs/manual/reliability.md, Transport).
     transports = os.environ.get("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     return LaunchDescription([
@@ -123,7 +123,7 @@ def generate_launch_description():
         argument("dbc", "DBC of the car's bus", CarFile("can.dbc")),
         argument("signals", "table from DBC signals to signal names", CarFile("signals.yaml")),
         argument("steering_sign", "1: decoded sensor left positive, -1: right; empty: the car's, or the file's", ""),
-        argument("steering_latency", "s, from the motion of the wheel to the frame; empty: as above", ""),
+        argument("steering_latency", "s, delay from wheel motion to the stamp of its frame; empty: as above", ""),
         argument("can_interface", "python-can interface", "socketcan"),
         argument("can_channel", "channel of that interface", "can0"),
         argument("ncom_port", "UDP port the INS sends NCOM to", "3000"),
@@ -146,8 +146,8 @@ def generate_launch_description():
         suite_node("st_predictor", "predictor", text("predictor", "vehicle_file", VEHICLE),
                    text("predictor", "bands_file", LaunchConfiguration("bands")),
                    text("predictor", "course_file", LaunchConfiguration("course"))),
-        suite_node("st_predictor", "markers", text("markers", "vehicle_file", VEHICLE), **drawn),
-        suite_node("st_predictor", "identifier", text("identifier", "vehicle_file", VEHICLE), **tracked),
-        OpaqueFunction(function=ins_bridge, **bridges),
-        OpaqueFunction(function=can_bridge, **bridges),
+        suite_node("st_predictor", "markers", text("markers", "vehicle_file", VEHICLE), **if_markers),
+        suite_node("st_predictor", "identifier", text("identifier", "vehicle_file", VEHICLE), **if_identify),
+        OpaqueFunction(function=ins_bridge, **if_bridges),
+        OpaqueFunction(function=can_bridge, **if_bridges),
     ])

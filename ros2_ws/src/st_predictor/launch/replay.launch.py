@@ -22,7 +22,7 @@ ARGUMENTS = {
     "vehicle": (PathJoinSubstitution([LaunchConfiguration("config_dir"), "car", LaunchConfiguration("car"),
                                       "vehicle.yaml"]), "vehicle file"),
     "bag": (None, "bag directory to play"),
-    "speed": ("1.0", "times as fast as it was recorded"),
+    "speed": ("1.0", "playback speed relative to the recording"),
     "bands": ("", "bands.yaml of st calibrate; empty: bands without calibration"),
     "course": ("", "course.yaml of st course build for this place; empty: none"),
     "output": (f"runs/replay-{datetime.now(UTC):%Y%m%d-%H%M%S}", "folder of the new recordings, must not exist"),

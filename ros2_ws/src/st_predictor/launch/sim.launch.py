@@ -20,7 +20,7 @@ ARGUMENTS = {
                  "slalom, weave, circle, there_and_back"),
     "duration": ("60", "seconds of driving"),
     "plant": ("realistic", "ideal, realistic, or a file with plant settings"),
-    "seed": ("0", "of the simulated noise"),
+    "seed": ("0", "seed of the simulated noise"),
     "ncom_port": ("3000", "UDP port on the loopback interface"),
     "ncom_rate": ("100", "NCOM packets per second: 100 or 250"),
     "can_channel": ("239.74.163.2", "multicast group on the loopback interface"),

@@ -30,7 +30,7 @@ _MAP_FRAME = Parameter("map_frame", "map", "frame the odometry must be in; odome
 _MAXIMUM_GAP = Parameter(
     "maximum_gap", _DEFAULTS.maximum_gap, "longest time between samples that are interpolated", "s", 0.001, 10.0)
 _FILTER_CUTOFF = Parameter(
-    "filter_cutoff", _DEFAULTS.filter_cutoff, "of the low-pass before v_x is differentiated", "Hz", 0.01, 1000.0)
+    "filter_cutoff", _DEFAULTS.filter_cutoff, "cutoff of the low-pass before v_x is differentiated", "Hz", 0.01, 1000.0)
 
 PREDICTOR = (
     _VEHICLE_FILE,
@@ -41,7 +41,7 @@ PREDICTOR = (
     _ADAPTIVE,
     _COURSE_FILE,
     Parameter("horizon", _DEFAULTS.horizon, "how far ahead; a whole number of steps", "s", 0.01, 60.0),
-    Parameter("step", _DEFAULTS.step, "of integration and of the published points", "s", 0.001, 1.0),
+    Parameter("step", _DEFAULTS.step, "integration step and spacing of the published points", "s", 0.001, 1.0),
     Parameter("rate", 10.0, "ticks per second, on the node's clock", "Hz", 0.1, 100.0),
     Parameter("sample_wait", 0.015, "a tick waits at most this long for a sample of each input received after it was "
               "due, and half a period at most; not in simulated time; 0: it does not wait", "s", 0.0, 0.1),
@@ -54,7 +54,7 @@ PREDICTOR = (
     Parameter("plan_frame", "base_link", "header.frame_id that a plan on plan/inputs must have; others are refused"),
 )
 
-_NUMBER = Parameter("number_when_taken", False, "record into NAME_2 if the directory holds a bag, instead of refusing")
+_NUMBER = Parameter("number_when_taken", False, "record into NAME_2 if the directory holds a bag, instead of stopping")
 
 EVALUATOR = (
     _VEHICLE_FILE,
@@ -99,7 +99,7 @@ IDENTIFIER = (_VEHICLE_FILE, _MAP_FRAME)
 def load_vehicle(values: SimpleNamespace) -> VehicleParameters:
     """The vehicle of the parameter `vehicle_file`. Raises ConfigurationError naming the file and the key."""
     if not values.vehicle_file:
-        raise ConfigurationError(f"{values.where}vehicle_file: not given; name a file of config/vehicle/")
+        raise ConfigurationError(f"{values.where}vehicle_file: not set; name a file of config/vehicle/")
     return _read(values, "vehicle_file", VehicleParameters.from_yaml)
 
 
@@ -113,8 +113,8 @@ def load_model(values: SimpleNamespace, vehicle: VehicleParameters) -> ModelFile
     if not values.model_file:
         return None
     file = _read(values, "model_file", ModelFile.from_yaml)
-    place = f"model_file: {values.model_file}: "
-    checked(values, lambda: file.check_vehicle(vehicle, values.vehicle_file), place)
+    prefix = f"model_file: {values.model_file}: "
+    checked(values, lambda: file.check_vehicle(vehicle, values.vehicle_file), prefix)
     return file
 
 
@@ -129,14 +129,14 @@ def load_course(values: SimpleNamespace) -> Course | None:
 
 
 def _read(values: SimpleNamespace, parameter: str, parse: Callable[[str, str], T]) -> T:
-    name, place = getattr(values, parameter), f"{parameter}: "
+    name, prefix = getattr(values, parameter), f"{parameter}: "
     try:
         text = Path(name).read_text()
     except OSError as error:
-        raise ConfigurationError(f"{values.where}{place}{name}: {error.strerror}") from None
+        raise ConfigurationError(f"{values.where}{prefix}{name}: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise ConfigurationError(f"{values.where}{place}{name} is not a text file") from None
-    return checked(values, lambda: parse(text, name), place)
+        raise ConfigurationError(f"{values.where}{prefix}{name} is not a text file") from None
+    return checked(values, lambda: parse(text, name), prefix)
 
 
 def prediction_settings(values: SimpleNamespace) -> PredictionSettings:
@@ -145,12 +145,12 @@ def prediction_settings(values: SimpleNamespace) -> PredictionSettings:
     return checked(values, lambda: PredictionSettings(**{name: getattr(values, name) for name in names}))
 
 
-def checked(values: SimpleNamespace, make: Callable[[], T], place: str = "") -> T:
+def checked(values: SimpleNamespace, make: Callable[[], T], prefix: str = "") -> T:
     """The result of `make`; a ConfigurationError of st_core becomes the one that ends a start with status 2.
 
-    place: prefix of its text.
+    prefix: start of the message.
     """
     try:
         return make()
     except core_errors.ConfigurationError as error:
-        raise ConfigurationError(f"{values.where}{place}{error}") from None
+        raise ConfigurationError(f"{values.where}{prefix}{error}") from None

@@ -19,7 +19,7 @@ from st_core.prediction import Predictor, Start
 from st_core.types import InsSample
 from st_core.vehicle import VehicleParameters
 from st_predictor import params
-from st_predictor.nodes._ahead import CourseInput
+from st_predictor.nodes._future_inputs import CourseInput
 from st_ros.parameters import ConfigurationError
 from support import ROOT
 from winding_road import RATE, Truth, winding_road

@@ -82,7 +82,7 @@ def test_a_changed_file_resets_and_a_broken_one_does_not(run):
 
 def test_health_names_the_file_that_does_not_fit(run):
     output = {name: {(level, text) for _, level, text in lines} for name, lines in health(run[1]).items()}
-    assert any(level == 1 and "the file does not fit the driving" in text
+    assert any(level == 1 and "the driving contradicts the file" in text
                for level, text in output["identifier: steering_ratio"])
     assert any(level == 1 and "170.3" in text for level, text in output["identifier: vehicle file"])
 

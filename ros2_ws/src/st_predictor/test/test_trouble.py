@@ -243,7 +243,7 @@ def test_killed_recorder_loses_at_most_a_second(processes: Processes) -> None:
 
 REFUSED = [
     ("predictor", ["vehicle_file:=nowhere.yaml"], "vehicle_file: nowhere.yaml: No such file"),
-    ("predictor", [], "vehicle_file: not given"),
+    ("predictor", [], "vehicle_file: not set"),
     ("predictor", ["horizont:=5.0"], "unknown parameter horizont; known are"),
     ("predictor", ["rate:=1000.0"], "rate: 1000.0 is outside 0.1 to 100 Hz"),
     ("predictor", ["rate:=fast"], "rate: 'fast' is a str, not float"),
@@ -251,7 +251,7 @@ REFUSED = [
     ("predictor", [f"vehicle_file:={LEAF}", "models:=[linear, cubic]"], "unknown model 'cubic'; known are"),
     ("evaluator", [f"vehicle_file:={LEAF}", f"output_directory:={ROOT}"], "has files already"),
     ("evaluator", [f"vehicle_file:={LEAF}", f"output_directory:={LEAF}/errors"], "output_directory:"),
-    ("recorder", [], "output_directory: not given"),
+    ("recorder", [], "output_directory: not set"),
     ("recorder", ["output_directory:=/proc/bag"], "output_directory: /proc/bag"),
     ("recorder", ["output_directory:=x", "configuration_files:=[nowhere.yaml]"], "configuration_files: nowhere.yaml"),
     ("recorder", ["output_directory:=x", "metadata_json:='[1]'"], "metadata_json:"),

@@ -46,7 +46,7 @@ class Driver:
     def place(self, plant: Plant, distance: float) -> None:
         """Start at a distance along the road [m] with the hand-wheel angle of the plant."""
         self.distance = distance
-        self.steering_wheel_angle = self._target = plant.steering_wheel_for
+        self.steering_wheel_angle = self._target = plant.rack_steering_wheel_angle
         self._mass = plant.mass
 
     def advance(self, plant: Plant, time: float, step: float) -> None:

@@ -7,8 +7,6 @@ from itertools import accumulate
 from typing import NamedTuple
 
 GRID = 0.1  # m, between stored poses; linear interpolation has an error of 0.1 mm at R = 11.5 m
-
-
 SPEED_STEP = 0.25  # m, between stored speeds
 
 

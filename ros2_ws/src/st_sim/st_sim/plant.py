@@ -144,7 +144,7 @@ class Plant:
         self._delay = deque([self._after_play] * len(self._delay))
 
     @property
-    def steering_wheel_for(self) -> float:
+    def rack_steering_wheel_angle(self) -> float:
         """Hand-wheel angle of the present rack position [rad]."""
         return self.state[RACK] * self._ratio
 
@@ -184,10 +184,11 @@ class Plant:
         """Forces and accelerations at the present state, also stored in `forces`. At rest nothing accelerates."""
         s, moving = self.state, not self.parked
         rates, wheels = derivative(s, s[RACK], drive_force, self.here, self.constants)
-        road_wheel_angle, lateral, longitudinal, load, slid, rolled = wheels
-        slip = [atan2(across, max(abs(along), LOWEST_SLIP_SPEED)) for across, along in zip(slid, rolled, strict=True)]
-        speeds = [along * (1 + self._wheel_slip * pull / pressed)
-                  for along, pull, pressed in zip(rolled, longitudinal, load, strict=True)]
+        road_wheel_angle, lateral, longitudinal, load, across_speeds, along_speeds = wheels
+        slip = [atan2(across, max(abs(along), LOWEST_SLIP_SPEED))
+                for across, along in zip(across_speeds, along_speeds, strict=True)]
+        speeds = [along * (1 + self._wheel_slip * force / wheel_load)
+                  for along, force, wheel_load in zip(along_speeds, longitudinal, load, strict=True)]
         self.forces = Forces(acceleration_x=rates[VX] - s[YAW_RATE] * s[VY] if moving else 0.0,
                              acceleration_y=rates[VY] + s[YAW_RATE] * s[VX] if moving else 0.0,
                              yaw_acceleration=rates[YAW_RATE] if moving else 0.0,

@@ -24,7 +24,7 @@ from .scenarios import SCENARIOS, load
 from .sensors import Ins, SteeringSensor
 from .settings import SETTINGS, SimulationError, overrides, resolve
 from .simulation import SimulatedCar
-from .stream import Report, Source, Stream, Wires, send
+from .stream import LiveOutput, Report, Source, Stream, send
 
 DEFAULT_DURATION = 60.0
 START_GRID_NS = 20_000_000
@@ -70,7 +70,7 @@ def _one_line(error: Exception) -> str:
 
 def _stop_request() -> Callable[[], bool]:
     """A function that returns True after SIGINT or SIGTERM."""
-    received: list[int] = []  # no Event: a second signal within its `set` would wait for the first for ever
+    received: list[int] = []  # no Event: a second signal within its `set` would deadlock
     for number in (signal.SIGINT, signal.SIGTERM):
         # ValueError: not in the main thread (tests, embedding programs), which receives no signals.
         with contextlib.suppress(ValueError):
@@ -166,8 +166,8 @@ def _origin(text: str) -> Origin:
 def _live(options: argparse.Namespace, stop: Callable[[], bool]) -> None:
     run = _prepare(options)
     with contextlib.ExitStack() as resources:
-        wires = Wires(options.ncom_host, options.ncom_port, options.can_interface, options.can_channel)
-        resources.callback(wires.close)
+        output = LiveOutput(options.ncom_host, options.ncom_port, options.can_interface, options.can_channel)
+        resources.callback(output.close)
         now_ns, monotonic = time.time_ns(), time.monotonic()
         start_ns = -(-(now_ns + LEAD_NS) // START_GRID_NS) * START_GRID_NS
         started = monotonic + (start_ns - now_ns) / 1e9
@@ -181,9 +181,9 @@ def _live(options: argparse.Namespace, stop: Callable[[], bool]) -> None:
             os.setpriority(os.PRIO_PROCESS, 0, -10)
         time.sleep(max(0.0, started - time.monotonic()))
         _report(state="sending", start_ns=start_ns, duration=run.duration)
-        send(outputs, wires.send_ncom, wires.send_frame, truth.write if truth else None, stop, wires.report, started)
+        send(outputs, output.send_ncom, output.send_frame, truth.write if truth else None, stop, output.report, started)
     faults = {"fault": truth.fault} if truth and truth.fault else {}
-    _report(state="done", **asdict(wires.report), **faults)
+    _report(state="done", **asdict(output.report), **faults)
 
 
 def _to_files(options: argparse.Namespace, stop: Callable[[], bool]) -> None:
@@ -229,11 +229,11 @@ def _parser() -> argparse.ArgumentParser:
         "--config", type=Path, metavar="DIR", help="folder with can/leaf_ze0.dbc and .yaml; default: the one --vehicle "
         "is in, else that of the checkout")
     parser.add_argument("--duration", type=float, metavar="S", help="default 60 s, a recorded drive to its end")
-    parser.add_argument("--seed", type=_within(0, 2**31 - 1), default=0, help="of everything random")
+    parser.add_argument("--seed", type=_within(0, 2**31 - 1), default=0, help="seed of all random numbers")
     parser.add_argument("--plant", help="ideal, realistic (default) or FILE.yaml with {preset: ..., name: value}")
     parser.add_argument("--effect", nargs="+", action="extend", default=[], metavar="NAME=VALUE",
-                        help="settings on top; see --list")
-    parser.add_argument("--origin", default=DEFAULT_ORIGIN, metavar="LAT,LON,HEIGHT", help="of the map [deg, deg, m]")
+                        help="override settings; see --list")
+    parser.add_argument("--origin", default=DEFAULT_ORIGIN, metavar="LAT,LON,HEIGHT", help="map origin [deg, deg, m]")
     parser.add_argument("--startup", action="store_true", help="begin with the start-up of the unit instead of locked")
     parser.add_argument("--ncom-host", default="127.0.0.1")
     parser.add_argument("--ncom-port", type=_within(1, 65535), default=3000)

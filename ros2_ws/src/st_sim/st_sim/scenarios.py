@@ -163,16 +163,16 @@ def _circle_to_rest() -> Plan:
         Phase("path", acceleration=1.2, duration=5.0)])
 
 
-SUGGESTED = {m.name: (partial(plan_of, m), m.meaning) for m in CATALOGUE}
+CATALOGUE_SCENARIOS = {m.name: (partial(plan_of, m), m.meaning) for m in CATALOGUE}
 SCENARIOS: dict[str, tuple[Callable[[], Plan], str]] = {
-    "S1": SUGGESTED["S1"],
+    "S1": CATALOGUE_SCENARIOS["S1"],
     "S2": (lambda: _circle(1.5), "left circle, R = 11.5 m, 1.5 m/s^2"),
     "S3": (lambda: _circle(3.77), "left circle, R = 11.5 m, 3.8 m/s^2"),
     "S4": (lambda: _circle(6.37), "left circle, R = 11.5 m, 6.4 m/s^2"),
     "S5": (_circle_to_rest, "right circle, R = 10 m, 1.5 m/s^2, brake to standstill, accelerate, repeat"),
     "S6": (_u_turns, "U-turns right, left, left with straights, 4 to 6 m/s"),
     "S7": (_roundabout, "16 m/s, slightly right, brake to 5 m/s, 450 deg roundabout, back to 16 m/s"),
-    **SUGGESTED,
+    **CATALOGUE_SCENARIOS,
 }
 
 

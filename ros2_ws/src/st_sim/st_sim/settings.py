@@ -55,9 +55,9 @@ _TABLE = (
     ("rear_roll_steer", "steering", 0.0, -0.5, 0.5, "1", "rear steer left per roll right; > 0 understeers"),
     ("ackermann", "steering", 1.0, -0.5, 1.5, "1", "share of the full Ackermann split; 0 = parallel wheels"),
     # Tyres.
-    ("front_stiffness_factor", "tyre", 1.0, 0.2, 4.0, "1", "cornering stiffness of the front tyres"),
-    ("rear_stiffness_factor", "tyre", 1.0, 0.2, 4.0, "1", "cornering stiffness of the rear tyres"),
-    ("friction_factor", "tyre", 1.0, 0.05, 2.0, "1", "peak force of all tyres"),
+    ("front_stiffness_factor", "tyre", 1.0, 0.2, 4.0, "1", "factor on the cornering stiffness of the front tyres"),
+    ("rear_stiffness_factor", "tyre", 1.0, 0.2, 4.0, "1", "factor on the cornering stiffness of the rear tyres"),
+    ("friction_factor", "tyre", 1.0, 0.05, 2.0, "1", "factor on the peak force of all tyres"),
     ("relaxation_length", "tyre", 0.0, 0.0, 2.0, "m", "rolled distance after which the force reaches 63 % of its step"),
     ("combined_slip", "tyre", 0.0, 0.0, 1.0, "1", "1: friction ellipse, drive and brakes cost lateral force"),
     ("wheel_slip_compliance", "tyre", 0.0, 0.0, 0.2, "1", "longitudinal slip per F_x / F_z, for wheel speeds"),
@@ -67,8 +67,8 @@ _TABLE = (
     ("longitudinal_load_transfer", "body", 1.0, 0.0, 2.0, "1", "share of m a_x h / wheelbase"),
     ("roll_gradient", "body", 0.0, 0.0, 0.03, "rad s^2/m", "body roll per lateral acceleration"),
     ("pitch_gradient", "body", 0.0, 0.0, 0.03, "rad s^2/m", "body pitch per longitudinal acceleration"),
-    ("mass_factor", "body", 1.0, 0.5, 2.0, "1", "mass"),
-    ("yaw_inertia_factor", "body", 1.0, 0.5, 2.0, "1", "yaw inertia"),
+    ("mass_factor", "body", 1.0, 0.5, 2.0, "1", "factor on the mass"),
+    ("yaw_inertia_factor", "body", 1.0, 0.5, 2.0, "1", "factor on the yaw inertia"),
     ("cg_shift", "body", 0.0, -0.5, 0.5, "m", "true CG ahead of that in the vehicle file; the INS does not move"),
     ("drive_offset", "body", 0.0, -0.5, 0.5, "m", "offset of drive and brake force to the right: torque steer"),
     ("drag_area", "body", 0.0, 0.0, 2.0, "m^2", "c_d A"),
@@ -86,22 +86,22 @@ _TABLE = (
     # INS. Noise 1 = RT3000 with RTK on a normal road.
     ("ins_noise", "ins", 0.0, 0.0, 10.0, "1", "noise, in multiples of the unit's normal noise"),
     ("ins_latency", "ins", 0.0, 0.0, 0.5, "s", "measurement to datagram; the time stamp is not affected"),
-    ("ins_time_error", "ins", 0.0, -0.5, 0.5, "s", "added to the stamp"),
+    ("ins_time_error", "ins", 0.0, -0.5, 0.5, "s", "error added to the time stamp"),
     ("ins_misalignment", "ins", 0.0, -0.1, 0.1, "rad", "heading error of the unit, left +"),
     ("ins_lever_error", "ins", 0.0, -1.0, 1.0, "m", "true position of the unit ahead of that in the vehicle file"),
-    ("yaw_rate_scale", "ins", 1.0, 0.8, 1.2, "1", "of the measured rates"),
-    ("velocity_scale", "ins", 1.0, 0.8, 1.2, "1", "of the measured velocity"),
-    ("lateral_acceleration_bias", "ins", 0.0, -2.0, 2.0, "m/s^2", "of the measured lateral acceleration"),
+    ("yaw_rate_scale", "ins", 1.0, 0.8, 1.2, "1", "factor on the measured rates"),
+    ("velocity_scale", "ins", 1.0, 0.8, 1.2, "1", "factor on the measured velocity"),
+    ("lateral_acceleration_bias", "ins", 0.0, -2.0, 2.0, "m/s^2", "error added to the measured lateral acceleration"),
     ("ins_packet_loss", "ins", 0.0, 0.0, 0.9, "1", "share of datagrams lost"),
     ("ins_outage_every", "ins", 0.0, 0.0, 3600.0, "s", "silent for 1 s at every multiple; 0 never"),
     # CAN.
     ("steering_sensor_noise", "can", 0.0, 0.0, 0.1, "rad", "standard deviation at the hand wheel, before rounding"),
     ("steering_sensor_latency", "can", 0.0, 0.0, 0.5, "s", "sample to frame"),
-    ("wheel_speed_scale", "can", 1.0, 0.8, 1.2, "1", "of the four wheel speeds"),
+    ("wheel_speed_scale", "can", 1.0, 0.8, 1.2, "1", "factor on the four wheel speeds"),
     ("can_frame_loss", "can", 0.0, 0.0, 0.9, "1", "share of frames lost; counters continue"),
     ("can_outage_every", "can", 0.0, 0.0, 3600.0, "s", "silent for 1 s at every multiple; 0 never"),
     ("logger_clock_offset", "can", 0.0, -10.0, 10.0, "s", "clock of the logger ahead of UTC, in files only"),
-    ("logger_clock_drift", "can", 0.0, -1e-3, 1e-3, "1", "its rate error, in files only"),
+    ("logger_clock_drift", "can", 0.0, -1e-3, 1e-3, "1", "rate error of the clock of the logger, in files only"),
 )
 
 SETTINGS: Mapping[str, Setting] = MappingProxyType({row[0]: Setting(*row) for row in _TABLE})
@@ -159,7 +159,7 @@ def _from_file(path: Path) -> dict[str, float]:
 def _checked(name: str, value: object, origin: str) -> float:
     setting = SETTINGS.get(name)
     if setting is None:
-        raise SimulationError(f"{origin}: {name}: no such setting; there are {', '.join(SETTINGS)}")
+        raise SimulationError(f"{origin}: {name}: unknown setting; known are {', '.join(SETTINGS)}")
     if isinstance(value, bool) or not isinstance(value, int | float) or not setting.low <= value <= setting.high:
         raise SimulationError(f"{origin}: {name}: {value!r} is not within {setting.low:g} to {setting.high:g} "
                               f"{setting.unit}")

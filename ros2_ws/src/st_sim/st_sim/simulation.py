@@ -70,7 +70,7 @@ class ControlledCar:
     def place(self, x: float, y: float, yaw: float, speed: float, curvature: float = 0.0) -> None:
         """Reset time and set position [m], yaw [rad], speed [m/s] and curvature [1/m, left +], without slip."""
         self.plant.place(x, y, yaw, speed, curvature)
-        self.steering_wheel_angle = self.plant.steering_wheel_for
+        self.steering_wheel_angle = self.plant.rack_steering_wheel_angle
         self._count = 0
 
     @property

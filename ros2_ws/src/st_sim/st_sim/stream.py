@@ -152,7 +152,7 @@ class Report:
     worst_delay: float = 0.0
 
 
-class Wires:
+class LiveOutput:
     """UDP socket and CAN bus. Raises SimulationError naming the option that does not work."""
 
     def __init__(self, ncom_host: str, ncom_port: int, can_interface: str, can_channel: str):

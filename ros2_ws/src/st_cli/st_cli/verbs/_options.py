@@ -60,10 +60,10 @@ Adaptive = Annotated[bool | None, typer.Option(
 View = Annotated[bool, typer.Option("--view", help="Show the path ahead and its error live in the browser.")]
 ViewAddress = Annotated[str | None, typer.Option(
     "--view-address", help="HOST or HOST:PORT of this computer for --view; default 127.0.0.1, this computer only. "
-    "0.0.0.0:8080: open to every device in the same network, as a phone.")]
+    "0.0.0.0:8080: open to every device in the same network, such as a phone.")]
 ViewSave = Annotated[Path | None, typer.Option(help="After the run, draw it into this file (.rrd), for `st view`.")]
 Offset = Annotated[float | None, typer.Option(
-    help="INS minus CAN clock, s, set by hand; default: found from the signals.")]
+    help="INS minus CAN clock, s, set by hand; default: estimated from the signals.")]
 InsCanLatency = Annotated[tuple[float, float] | None, typer.Option(
     help="Latency of the INS's own CAN frames and its standard deviation, s; default 0.002 0.002.")]
 Dbc = Annotated[Path | None, typer.Option(
@@ -77,34 +77,34 @@ SteeringTopic = Annotated[str | None, typer.Option(
     "--steering-topic", help="Bags of other recorders: the topic with the steering angle, of any type defined in the "
     "bag. Default: the one of type st_msgs/Steering.")]
 SteeringPath = Annotated[str | None, typer.Option(
-    "--steering-field", help="The number in its messages: data (default), drive.steering_angle, ... Without "
+    "--steering-field", help="Path of the number in its messages: data (default), drive.steering_angle, ... Without "
     "--steering-topic: the column of a CSV or VBO.")]
 SteeringIs = Annotated[Literal["road", "wheel"], typer.Option(
-    "--steering-is", help="Of that number: road: angle of the front wheels; wheel: of the steering wheel, converted "
-    "with ratio and offset of the vehicle file.")]
+    "--steering-is", help="Angle that the number is: of the road wheels at the front (road), or of the steering wheel "
+    "(wheel), converted with ratio and offset of the vehicle file.")]
 SteeringUnit = Annotated[Literal["rad", "deg"] | None, typer.Option(
-    "--steering-unit", help="Of that number; default: rad in a topic, that of the header in a table.")]
+    "--steering-unit", help="Unit of the number; default: rad in a topic, that of the header in a table.")]
 OdometryTopic = Annotated[str | None, typer.Option(
     "--odometry-topic", help="Bags with several topics of type nav_msgs/Odometry: the one of the INS.")]
 Record = Annotated[Literal["needed", "all"], typer.Option(
     "--record", help="needed: raw packets and frames, odometry, status, steering, predictions, "
     "errors, diagnostics. all: also the other topics of the bridges, which can be computed from these.")]
 SteeringLatency = Annotated[float | None, typer.Option(
-    help="s, from the motion of the wheel to the frame; default that of --car, else 0; live: else that of "
-    "config/nodes.yaml.", min=0.0, max=1.0)]
+    help="Delay from steering wheel motion to the stamp of its frame, s; default that of --car, else 0; live: else "
+    "that of config/nodes.yaml.", min=0.0, max=1.0)]
 
 
 @contextmanager
-def refusals(verb: str, *more: type[Exception]) -> Iterator[None]:
+def report_errors(verb: str, *more: type[Exception]) -> Iterator[None]:
     """Report errors of a verb's inputs in one line, with exit status 2. more: errors specific to this verb."""
     from st_core.errors import StCoreError
     from st_recordings.paths import OutputError
     from st_recordings.runs.errors import RunError
 
-    refused: tuple[type[Exception], ...] = (StCoreError, RunError, OutputError, UnicodeDecodeError, *more)
+    expected: tuple[type[Exception], ...] = (StCoreError, RunError, OutputError, UnicodeDecodeError, *more)
     try:
         yield
-    except refused as error:
+    except expected as error:
         typer.echo(f"st {verb}: {error}", err=True)
         raise typer.Exit(2) from None
 

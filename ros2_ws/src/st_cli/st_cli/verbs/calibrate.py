@@ -6,7 +6,7 @@ from typing import Literal
 import typer
 
 from . import _options as shared
-from .evaluate import MODELS, task_of
+from .evaluate import MODELS, make_task
 
 
 @shared.reads_recordings()
@@ -38,12 +38,12 @@ def calibrate(
     from rich.console import Console
     from st_offline.bands.calibration_command import Job, run_command
 
-    with shared.refusals("calibrate"):
-        task, vehicle, car_from = task_of(read_options, model, effects, acceleration, inputs,
-                                          (horizon, step, minimum_speed, 0.1), force=force)
+    with shared.report_errors("calibrate"):
+        task, vehicle, vehicle_origin = make_task(
+            read_options, model, effects, acceleration, inputs, (horizon, step, minimum_speed, 0.1), force=force)
         status = run_command(Job(runs, task, output, tuple(sorted(set(level))), together), Console())
     if vehicle is None:
-        shared.report_default_car("calibrate", car_from)
+        shared.report_default_car("calibrate", vehicle_origin)
     raise typer.Exit(status)
 
 
@@ -56,14 +56,14 @@ def course(
     output: Path = typer.Option(Path("course.yaml"), "--output", "-o", help="File of the course; it must not exist."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
-    """Build a course: speed and curvature along the way of recorded drives, laps, both directions and branches.
+    """Build a course: speed and curvature along the paths of recorded drives, laps, both directions and branches.
 
     Use it with `st evaluate --course`. Exit status: 0 all runs used, 1 some not, 2 no course could be built.
     """
     from rich.console import Console
     from st_offline.course_command import build_course
 
-    with shared.refusals("course"):
+    with shared.report_errors("course"):
         vehicle, reading = read_options.resolve()
         parameters, _ = shared.load_vehicle_or_default(vehicle)
         status = build_course(runs, parameters, reading, output, Console())

@@ -5,7 +5,7 @@ from typing import Literal
 
 import typer
 
-from ._options import refusals
+from ._options import report_errors
 
 
 def car(
@@ -21,7 +21,7 @@ def car(
     """
     from st_recordings.car_skeleton import problems, remarks, write_skeleton
 
-    with refusals("car"):
+    with report_errors("car"):
         if what == "new":
             for file in write_skeleton(Path(folder)):
                 typer.echo(file)

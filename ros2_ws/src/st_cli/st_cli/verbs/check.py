@@ -26,7 +26,7 @@ def check(
     from rich.console import Console
     from st_offline.checking.check_command import Job, run_command
 
-    with shared.refusals("check"):
+    with shared.report_errors("check"):
         vehicle, read = read_options.resolve()
         parameters, file = shared.load_vehicle_or_default(vehicle)
         job = Job(runs, parameters, str(file), vehicle is not None, read, output, json, propose_correction)

@@ -1,4 +1,4 @@
-"""`st demo`: the whole live suite on this machine, with the virtual Leaf, or a recorded drive, on the wires."""
+"""`st demo`: the whole live suite on this machine, with the virtual Leaf, or a recorded drive, as its source."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ from rich.console import Console
 
 from . import _options as shared
 
-AFTERWARDS = 2.0  # s
+RUN_ON_TIME = 2.0  # s of driving after the end of the predictor
 SCENARIOS = (
     "S1 to S7 of the paper, sweep, step, ramp_to_limit, brake_in_turn, lane_change, slalom, weave, circle, "
     "there_and_back, or a .yaml file"
@@ -54,15 +54,15 @@ def demo(
     for name, value in (("--drive", drive and drive.absolute()), ("--scenario", scenario), ("--plant", plant)):
         options += [name, str(value)] if value else []
     # The car drives on while the predictor stops, so that no tick at the end goes without inputs.
-    options += ["--duration", str(duration + AFTERWARDS)] if duration else []
+    options += ["--duration", str(duration + RUN_ON_TIME)] if duration else []
     options += [word for e in effect for word in ("--effect", e)]
-    with shared.refusals("demo", SuiteError):
+    with shared.report_errors("demo", SuiteError):
         car = configuration.VirtualCar(configuration.vehicle_file(vehicle), options,
                                        plant_vehicle and plant_vehicle.absolute())
-        further = configuration.model_parameters(model, effects, car.vehicle)
+        model_settings = configuration.model_parameters(model, effects, car.vehicle)
         page = LiveView(view, view_address, view_save)
         folder = new_folder(output, f"demo-{what}")
-        parameters = configuration.live_parameters(folder, car.vehicle, car.bridge_parameters(), further,
+        parameters = configuration.live_parameters(folder, car.vehicle, car.bridge_parameters(), model_settings,
                                                    record == "all")
         parameters = configuration.add_files(parameters, bands, course, adaptive)
         outcome = session.run(folder, parameters, what, duration, car.start, console, page)

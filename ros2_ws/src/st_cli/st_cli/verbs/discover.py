@@ -1,4 +1,4 @@
-"""`st discover`: name what vehicle file, sensors and model lack."""
+"""`st discover`: finds errors of vehicle file, sensors and model."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,7 +18,7 @@ class WithReferences(TyperCommand):
     """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        given = spread(args)
+        given = expand_references(args)
         try:
             return super().parse_args(ctx, list(given))
         except typer.BadParameter as error:
@@ -28,10 +28,10 @@ class WithReferences(TyperCommand):
                                      "before it, or put -- between", ctx) from None
 
 
-def spread(words: Sequence[str]) -> list[str]:
+def expand_references(words: Sequence[str]) -> list[str]:
     """Every path after --reference as one of it, up to the next option."""
     found: list[str] = []
-    taken = -1  # paths of the list that is open; -1: none is
+    taken = -1  # number of paths of the open list; -1: no open list
     for word in words:
         if word.startswith("-"):
             taken = 0 if word == REFERENCE else -1
@@ -64,10 +64,10 @@ def discover(
     ),
     seed: int = typer.Option(0, help="Seed of all random draws."),
     jobs: int = typer.Option(1, help="Number of parallel processes.", min=1),
-    figures: str = typer.Option("png", help="Formats of the figure files: png, pdf; an empty text for none."),
+    figures: str = typer.Option("png", help="Formats of the figure files: png, pdf; empty: none."),
     report: bool = typer.Option(True, help="Draw figures and report; otherwise write numbers, model and vehicle only."),
     force: bool = typer.Option(False, "--force", help="Also use runs in which `st check` finds an error."),
-    fresh: bool = typer.Option(False, "--fresh", help="Search again, also if the same inputs have a cached answer."),
+    fresh: bool = typer.Option(False, "--fresh", help="Search again, also if the same inputs have a cached result."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
     """Find what is missing from vehicle file, sensors and model, write it into new files, show the error it removes.
@@ -79,7 +79,7 @@ def discover(
     from st_offline.discovery.discover_command import run_command
     from st_offline.discovery.drives import Request
 
-    with shared.refusals("discover"):
+    with shared.report_errors("discover"):
         vehicle, read = read_options.resolve()
         parameters, file = shared.load_vehicle_or_default(vehicle)
         request = Request(

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Literal
 import typer
 from rich.console import Console
 
-from ._options import CarName, VehicleFile, load_vehicle_or_default, refusals, report_default_car, resolve_car
+from ._options import CarName, VehicleFile, load_vehicle_or_default, report_default_car, report_errors, resolve_car
 
 if TYPE_CHECKING:
     from st_core.vehicle import VehicleParameters
 
-HOOK_WORDS = {
+HOOK_LABELS = {
     "vehicle": "car", "steering": "recorded steering", "inputs": "steering angle, forward acceleration",
     "slip_angles": "slip angles", "axle_forces": "axle forces", "acceleration": "motion", "rates": "memory",
     "specific_force": "motion", "observe": "readings"}
@@ -26,14 +26,14 @@ def effects(
     own: Path | None = typer.Option(None, "--effects", help="list: folder of own effects to list too.", exists=True,
                                     file_okay=False),
 ) -> None:
-    """List the effects: kind, place, hooks, similar effects, channels needed; or check effect files of your own.
+    """List the effects: kind, slot, hooks, similar effects, channels needed; or check effect files of your own.
 
     check: null exactly the base model, finite in its bounds, the same on floats, batches, compiled and in CasADi,
     mirror images, stable. Exit status: 0 all requirements met, 1 some not, 2 a file cannot be loaded.
     """
     from st_core.effects import load_folder
 
-    with refusals("effects", OSError):
+    with report_errors("effects", OSError):
         if own is not None:
             load_folder(str(own.absolute()))
         if what == "list":
@@ -54,7 +54,7 @@ def _print_library(console: Console) -> None:
     from st_core.effects import EFFECTS, twins_of
 
     for name, effect in sorted(EFFECTS.items(), key=lambda item: (item[1].kind, item[0])):
-        hooks = dict.fromkeys(word for hook, word in HOOK_WORDS.items() if getattr(effect, hook))
+        hooks = dict.fromkeys(word for hook, word in HOOK_LABELS.items() if getattr(effect, hook))
         lines = {"": effect.physics, "acts on": ", ".join((*hooks, *(f"signal {s}" for s in effect.signals))),
                  "excited by": effect.excited_by, "hard to separate from": ", ".join(sorted(twins_of(name))),
                  "needs": ", ".join(effect.needs)}

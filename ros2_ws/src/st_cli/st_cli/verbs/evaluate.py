@@ -30,7 +30,7 @@ def evaluate(
     step: shared.Step = 0.05,
     interval: float = typer.Option(0.1, help="Time between starts, s."),
     minimum_speed: shared.MinimumSpeed = 0.5,
-    figures: str = typer.Option("png,pdf", help="Formats of the figure files; an empty text for none."),
+    figures: str = typer.Option("png,pdf", help="Formats of the figure files; empty: none."),
     bands: Path | None = typer.Option(
         None, help="Bands of `st calibrate` to test on these runs: coverage, scores, reliability.", exists=True,
         dir_okay=False),
@@ -42,8 +42,8 @@ def evaluate(
         None, help="Course of `st course build`: also forecast with the inputs of its earlier drives.",
         exists=True, dir_okay=False),
     advise: float | None = typer.Option(
-        None, help="Permitted lateral error, m: also name the cheapest model and step within it, by speed and second; "
-        "cost, error and band width of each.", min=0.001),
+        None, help="Permitted lateral error, m: also name the cheapest model and step within it, by speed and time "
+        "ahead, with cost, error and band width of each.", min=0.001),
     force: bool = typer.Option(False, "--force", help="Also evaluate runs in which `st check` finds an error."),
     workers: int = typer.Option(1, help="Number of runs evaluated in parallel (Dask).", min=1),
     scheduler: str | None = typer.Option(None, help="Address of a Dask scheduler instead."),
@@ -57,21 +57,21 @@ def evaluate(
     from st_offline.evaluation.evaluation_command import run_command
     from st_offline.evaluation.work import load_bands, load_course, load_models
 
-    with shared.refusals("evaluate"):
-        task, vehicle, car_from = task_of(
+    with shared.report_errors("evaluate"):
+        task, vehicle, vehicle_origin = make_task(
             read_options, model, effects, acceleration, inputs, (horizon, step, minimum_speed, interval), force=force,
             starts=_numbers(at), formats=tuple(form.strip() for form in figures.split(",") if form.strip()),
             bands=None if bands is None else (str(bands), bands.read_text(encoding="utf-8")), adaptive=adaptive,
             course=None if course is None else (str(course), course.read_text(encoding="utf-8")))
         load_course(task.course)
         load_bands(task, load_models(task))
-        status = run_command(runs, task, output, table, car_from, workers, scheduler, Console(), advise)
+        status = run_command(runs, task, output, table, vehicle_origin, workers, scheduler, Console(), advise)
     if vehicle is None:
-        shared.report_default_car("evaluate", car_from)
+        shared.report_default_car("evaluate", vehicle_origin)
     raise typer.Exit(status)
 
 
-def task_of(read_options: shared.ReadOptions, model: Sequence[str], effects: Path | None, acceleration: str,
+def make_task(read_options: shared.ReadOptions, model: Sequence[str], effects: Path | None, acceleration: str,
             inputs: Literal["interpolate", "hold"], times: Sequence[float],
             **others: Any) -> "tuple[Task, Path | None, str]":
     """(task, vehicle file that was named, file the car is of). times: horizon, step [s], minimum speed [m/s], interval
@@ -83,14 +83,14 @@ def task_of(read_options: shared.ReadOptions, model: Sequence[str], effects: Pat
     horizon, step, minimum_speed, interval = times
     prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
     filtering: Literal["causal", "zero_phase"] = "zero_phase" if acceleration == "zero-phase" else "causal"
-    models = tuple(model_named(name) for name in dict.fromkeys(model))
+    models = tuple(read_model(name) for name in dict.fromkeys(model))
     vehicle, read = read_options.resolve()
-    parameters, car_from = car_of(vehicle, models, effects)
+    parameters, vehicle_origin = resolve_vehicle(vehicle, models, effects)
     settings = EvaluationSettings(prediction, interval, filtering, inputs)
-    return Task(parameters, models, settings, read, effects=effects, **others), vehicle, car_from
+    return Task(parameters, models, settings, read, effects=effects, **others), vehicle, vehicle_origin
 
 
-def model_named(name: str) -> str | tuple[str, str]:
+def read_model(name: str) -> str | tuple[str, str]:
     """The name of a model, or (file, content), because remote workers may not see the file."""
     if not name.endswith((".yaml", ".yml")):
         return name
@@ -100,7 +100,7 @@ def model_named(name: str) -> str | tuple[str, str]:
         raise typer.BadParameter(f"--model {name}: {error.strerror}") from None
 
 
-def car_of(vehicle: Path | None, models: Sequence[str | tuple[str, str]],
+def resolve_vehicle(vehicle: Path | None, models: Sequence[str | tuple[str, str]],
            effects: Path | None = None) -> tuple["VehicleParameters", str]:
     """(car, its file): of the vehicle file, else embedded in a model file, else the Leaf.
 

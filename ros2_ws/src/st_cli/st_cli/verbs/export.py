@@ -36,7 +36,7 @@ def export(
     from st_offline.model_export import export as write_model
     from st_offline.model_export import load_model
 
-    with shared.refusals("export", OSError):
+    with shared.report_errors("export", OSError):
         source = shared.resolve_car(car, vehicle).vehicle
         parameters, file = shared.load_vehicle_or_default(source)
         if effects is not None:

@@ -42,7 +42,7 @@ def identify(
     if what not in EXPERIMENTS:
         typer.echo(f"st identify: no experiment {what!r}; there are {', '.join(EXPERIMENTS)}", err=True)
         raise typer.Exit(2)
-    with shared.refusals(f"identify {what}", SuiteError):
+    with shared.report_errors(f"identify {what}", SuiteError):
         vehicle, read = read_options.resolve()
         parameters, file = shared.load_vehicle_or_default(vehicle)
         folder = new_folder(output, f"identify-{what}", create=False)

@@ -43,14 +43,14 @@ def live(
     console = Console()
     ins = {"udp_port": ncom_port, "bind_address": ncom_address, "sender_filter": ncom_sender}
     bus = {"interface": can_interface, "channel": can_channel}
-    with shared.refusals("live", SuiteError):
+    with shared.report_errors("live", SuiteError):
         named = shared.resolve_car(car, vehicle, dbc, signals, steering_sign, steering_latency, complete=True)
         vehicle = configuration.vehicle_file(named.vehicle)
-        further = configuration.model_parameters(model, effects, vehicle)
+        model_settings = configuration.model_parameters(model, effects, vehicle)
         page = LiveView(view, view_address, view_save)
         folder = new_folder(output, "live")
         bridges = configuration.bridge_parameters(vehicle, ins, bus | named.steering, named.dbc, named.signals)
-        parameters = configuration.live_parameters(folder, vehicle, bridges, further, record == "all")
+        parameters = configuration.live_parameters(folder, vehicle, bridges, model_settings, record == "all")
         parameters = configuration.add_files(parameters, bands, course, adaptive)
         if named.vehicle is None:
             shared.report_default_car("live", vehicle)

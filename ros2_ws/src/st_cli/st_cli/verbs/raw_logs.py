@@ -30,7 +30,7 @@ def align(
     from st_recordings.runs.raw import alignment_summary, read_pair
 
     console = Console()
-    with shared.refusals("align"):
+    with shared.report_errors("align"):
         _, settings = read_options.resolve(search=search)
         with console.status("reading and aligning"):
             pair = read_pair(files, settings)
@@ -45,13 +45,13 @@ def align(
     (folder / "alignment.json").write_text(json.dumps(about, indent=2, allow_nan=False) + "\n")
     line(f"  {folder / 'alignment.json'}", console)
     if pair.shared and alignment.offset_ns:
-        title = f"{pair.name}: {sentence(alignment, pair.can.start_ns, pair.ins.absolute)}"
+        title = f"{pair.name}: {describe_alignment(alignment, pair.can.start_ns, pair.ins.absolute)}"
         alignment_figure(pair.shared, alignment, title, folder / "alignment.png")
         line(f"  {folder / 'alignment.png'}  [dim]both signals, aligned[/dim]", console)
     raise typer.Exit(1 if alignment.verdict == "refused" else 0)
 
 
-def sentence(alignment, start_ns: int, absolute: bool) -> str:
+def describe_alignment(alignment, start_ns: int, absolute: bool) -> str:
     """Result in one sentence, for a title. start_ns: of the CAN log; absolute: whether INS time is UTC."""
     offset = (f"offset {_seconds(alignment.offset_at_ns(start_ns))} s" if absolute
               else f"CAN log starts at INS time {_seconds(alignment.to_reference_ns(start_ns))} s")
@@ -80,7 +80,7 @@ def report(pair, console) -> None:
             table.add_row("INS time", f"{_seconds(alignment.to_reference_ns(start))} s", "at the CAN log's start")
         if alignment.method != "by hand":
             if any(one.name.startswith(("forward velocity", "yaw")) for one in pair.shared):
-                table.add_row("INS frames on the bus", pair.latency, "after the instant they are true for")
+                table.add_row("INS frames on the bus", pair.latency, "after the instant of measurement")
             table.add_row("INS minus CAN clock", f"{_seconds(alignment.offset_ns)} s",
                           f"{at:.1f} s later, in the middle of the common time")
             table.add_row("  deviation there", f"{alignment.offset_deviation * 1e3:.2f} ms",
@@ -130,13 +130,13 @@ def import_(
     from st_recordings.runs.sources import find_runs
 
     console = Console()
-    with shared.refusals("import"):
+    with shared.report_errors("import"):
         vehicle, settings = read_options.resolve(search=search, accept_doubtful=not strict)
         parameters, file = shared.load_vehicle_or_default(vehicle)
     found = [run for run in find_runs(paths) if run.kind == "ncom" or run.problem is not None]
     if not found:
-        typer.echo(f"st import: {', '.join(map(str, paths))}: no .ncom with CAN logs is in there, and only these are "
-                   "imported; every other command reads CSV, VBO and bags with their CAN logs as they are", err=True)
+        typer.echo(f"st import: {', '.join(map(str, paths))}: no .ncom with CAN logs found, and only these are "
+                   "imported; every other command reads CSV, VBO and bags with their CAN logs directly", err=True)
         raise typer.Exit(2)
     written = 0
     for run in found:
@@ -175,7 +175,7 @@ def _import_one(source, parameters, folder: Path, settings, force: bool, console
         line(f"[yellow]{warning}[/yellow]", console)
     print_findings({source.name: done.findings}, console)
     alignment = done.run.alignment
-    text = sentence(alignment, done.run.can.start_ns, absolute=True)
+    text = describe_alignment(alignment, done.run.can.start_ns, absolute=True)
     if done.run.shared:
         alignment_figure(done.run.shared, alignment, f"{source.name}: {text}", folder / "alignment.png")
     style = VERDICT_STYLE[alignment.verdict]
@@ -190,7 +190,7 @@ def ncom(
     csv: Path = typer.Option(..., "--csv", help="Navigation values, one row per packet."),
     status: Path | None = typer.Option(None, "--status", help="Status fields, one row per change."),
 ) -> None:
-    """Write an NCOM file as CSV: time, acceleration, rates, position, velocity, attitude and what follows from them."""
+    """Write an NCOM file as CSV: time, acceleration, rates, position, velocity, attitude and derived values."""
     from oxts_bridge.export import write_csv
 
     for option, path in (("--csv", csv), ("--status", status)):

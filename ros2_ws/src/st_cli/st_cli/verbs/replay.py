@@ -10,9 +10,9 @@ from . import _options as shared
 @shared.reads_recordings(*shared.BAG_INPUTS, vehicle=shared.VehicleOfBag)
 def replay(
     bag: Path = typer.Argument(..., help="Bag with odometry and steering, or the folder of a run.", exists=True),
-    rate: float = typer.Option(1.0, help="Times as fast as it was recorded.", min=0.05, max=100.0),
-    fast: bool = typer.Option(False, "--fast", help="As fast as predictor and evaluator follow."),
-    force: bool = typer.Option(False, "--force", help="Also where `st check` finds an error in the recording."),
+    rate: float = typer.Option(1.0, help="Playback speed relative to the recording.", min=0.05, max=100.0),
+    fast: bool = typer.Option(False, "--fast", help="As fast as predictor and evaluator can follow."),
+    force: bool = typer.Option(False, "--force", help="Also if `st check` finds an error in the recording."),
     bands: shared.BandsFile = None,
     adaptive: shared.Adaptive = None,
     course: shared.CourseFile = None,
@@ -34,7 +34,7 @@ def replay(
     from st_recordings.paths import new_folder
 
     console = Console()
-    with shared.refusals("replay", SuiteError):
+    with shared.report_errors("replay", SuiteError):
         vehicle, read = read_options.resolve()
         bag, _ = recordings_of(bag)
         page = LiveView(view, view_address, view_save)
@@ -57,9 +57,9 @@ TOLERANCE = 0.001  # m
 @shared.reads_recordings(*shared.BAG_INPUTS, vehicle=shared.VehicleOfBag)
 def verify(
     bag: Path = typer.Argument(..., help="A recording, or the folder of a run of st.", exists=True),
-    tolerance: float = typer.Option(TOLERANCE, help="m; the largest difference that passes.", min=0.0),
+    tolerance: float = typer.Option(TOLERANCE, help="Largest accepted difference, m.", min=0.0),
     replayed: bool = typer.Option(False, "--replay", help="Play it through the nodes and compare the result."),
-    force: bool = typer.Option(False, "--force", help="Also where `st check` finds an error in the recording."),
+    force: bool = typer.Option(False, "--force", help="Also if `st check` finds an error in the recording."),
     output: Path | None = typer.Option(None, help="Folder of that replay; default runs/verify-<time>."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
@@ -75,7 +75,7 @@ def verify(
     from st_offline.checking.check_report import print_findings
     from st_offline.checking.gate import check_bag
 
-    with shared.refusals("verify", SuiteError):
+    with shared.report_errors("verify", SuiteError):
         vehicle, read = read_options.resolve()
         shared.report_default_car_of_bag("verify", bag, vehicle)
         console = Console()

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import typer
 
-from ._options import CarName, refusals, report_default_car_of_bag, resolve_car
+from ._options import CarName, report_default_car_of_bag, report_errors, resolve_car
 
 
 def view(
@@ -26,7 +26,7 @@ def view(
     # SIGTERM ends it as Ctrl-C does, so that server and temporary folder are removed.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     console = Console()
-    with refusals("view", SuiteError), tempfile.TemporaryDirectory(prefix="st-view-") as name:
+    with report_errors("view", SuiteError), tempfile.TemporaryDirectory(prefix="st-view-") as name:
         check_rerun("st view")
         vehicle = resolve_car(car, vehicle).vehicle
         if save:
@@ -48,7 +48,7 @@ def view(
 
 
 def foxglove(
-    port: int = typer.Option(8765, help="Of the WebSocket.", min=1, max=65535),
+    port: int = typer.Option(8765, help="Port of the WebSocket.", min=1, max=65535),
     host: str = typer.Option("127.0.0.1", help="Address to listen on; the default reaches this machine only."),
     domain: int | None = typer.Option(None, help="ROS domain of the suite; `st demo` prints it.", min=0, max=232),
     vehicle: Path | None = typer.Option(None, help="Vehicle file, for the outline; default config/vehicle/leaf.yaml.",
@@ -65,7 +65,7 @@ def foxglove(
     from st_recordings.paths import config
 
     console = Console()
-    with refusals("foxglove", SuiteError):
+    with report_errors("foxglove", SuiteError):
         car = vehicle_file(vehicle)
         domain = chosen_domain_id() if domain is None else domain
         markers = merge(config("nodes.yaml"), {"markers": {"vehicle_file": str(car)}})["markers"]

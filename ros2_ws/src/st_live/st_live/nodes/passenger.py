@@ -76,13 +76,13 @@ class PassengerFrames:
         self._predictions: dict[str, dict[str, tuple[float, Any]]] = {mode: {} for mode in INPUTS}
         self._errors: dict[str, dict[str, tuple[float, dict[str, float]]]] = {mode: {} for mode in INPUTS}
         self._health: dict[str, tuple[float, float, dict[str, tuple[int, str]]]] = {}  # received, timeout [s], checks
-        self._takers: dict[str, Callable[[Any, float], None]] = {
+        self._handlers: dict[str, Callable[[Any, float], None]] = {
             name: partial(self._take_prediction, mode=name) if name in convert.OTHER_MODES
             else getattr(self, f"_take_{name}") for name in set(TOPICS.values())}
 
     def take(self, topic: str, message: Any, now: float) -> None:
         """A message of one of TOPICS, received at `now`."""
-        self._takers[TOPICS[topic]](message, now)
+        self._handlers[TOPICS[topic]](message, now)
 
     def frame(self, now: float) -> dict[str, Any]:
         """JSON-able content of the page. `received`: time of the newest odometry, null before the first."""

@@ -51,25 +51,25 @@ SCORE_DELAY = 1.0  # s; the clock may lead the newest scored start by the horizo
 class Follower:
     """Follows the progress of another node by the time stamps in its messages.
 
-    sources: topic -> (message type, function that reads a time stamp [ns]). ahead: permitted lead of the clock [s].
+    sources: topic -> (message type, function that reads a time stamp [ns]). lead: permitted lead of the clock [s].
     """
 
-    def __init__(self, node: Node, sources: Mapping[str, tuple[type, Callable[[bytes], int]]], ahead: float):
-        self._node, self._ahead_ns = node, round(ahead * 1e9)
+    def __init__(self, node: Node, sources: Mapping[str, tuple[type, Callable[[bytes], int]]], lead: float):
+        self._node, self._lead_ns = node, round(lead * 1e9)
         self._sources = [(PolledSubscription(node, message_type, topic, QoSProfile(depth=DEPTH), raw=True), instant)
                          for topic, (message_type, instant) in sources.items()]
         self._newest_ns = 0
         self._progresses = True
 
     def wait(self, clock_ns: int) -> None:
-        """Wait until the node has come within `ahead` of the clock, or for the timeout."""
+        """Wait until the node is at most `lead` behind the clock, or for the timeout."""
         end = time.monotonic() + (TIMEOUT if self._progresses else SHORT_TIMEOUT)
         before = self._newest_ns
         while True:
             for subscription, instant in self._sources:
                 for data, _, _ in subscription.take(DEPTH):
                     self._newest_ns = max(self._newest_ns, instant(data))
-            reached = self._newest_ns >= clock_ns - self._ahead_ns
+            reached = self._newest_ns >= clock_ns - self._lead_ns
             if reached or time.monotonic() > end:
                 self._progresses = reached or self._newest_ns > before  # a slow node gets the long timeout again
                 return
@@ -151,8 +151,8 @@ class Player:
             elif connection.topic.endswith(ORIGIN) and connection.msgtype == "sensor_msgs/msg/NavSatFix":
                 self._played[connection.topic] = ORIGIN
             if connection.topic in self._played and connection.topic not in publishers:
-                translated = self._field and connection.topic == self._steering
-                message_type = Steering if translated else message_class(connection.msgtype)
+                converted = self._field and connection.topic == self._steering
+                message_type = Steering if converted else message_class(connection.msgtype)
                 name = self._played[connection.topic]
                 qos = LATCHED if name == ORIGIN else QoSProfile(depth=DEPTH)
                 publishers[connection.topic] = self._node.create_publisher(message_type, name, qos)
@@ -161,10 +161,10 @@ class Player:
     def _convert_steering(self, message: Any, field: SteeringField, log_ns: int) -> Steering:
         value = self._scale * steering_value(self._bag, message, field)
         wheel = value if field.quantity == "wheel" else math.nan
-        translated = Steering(steering_wheel_angle=wheel, road_wheel_angle=(value - self._offset) / self._ratio,
+        converted = Steering(steering_wheel_angle=wheel, road_wheel_angle=(value - self._offset) / self._ratio,
                               valid=math.isfinite(value))
-        translated.header.stamp = from_nanoseconds(instant_of(message, log_ns))
-        return translated
+        converted.header.stamp = from_nanoseconds(instant_of(message, log_ns))
+        return converted
 
     def _wait_for_subscribers(self, publishers: Sequence[Publisher]) -> bool:
         """Whether recorder, predictor and evaluator have subscribed to odometry, steering and clock in time."""
@@ -198,7 +198,8 @@ class Player:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("bag", type=Path)
-    parser.add_argument("--rate", type=float, default=1.0, help="times as fast as recorded; 0: as the nodes follow")
+    parser.add_argument("--rate", type=float, default=1.0,
+                        help="speed relative to the recording; 0: as fast as the nodes can follow")
     parser.add_argument("--models", nargs="+", required=True, help="models of the predictor, in its order")
     parser.add_argument("--tick-rate", type=float, required=True, help="of the predictor [Hz]")
     parser.add_argument("--horizon", type=float, required=True, help="of the predictor [s]")

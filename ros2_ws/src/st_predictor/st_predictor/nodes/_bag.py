@@ -59,6 +59,6 @@ def recording_check(bag: BagWriter, stopped: str = "", resumed: bool = False) ->
     return Check("recording", level, text, values)
 
 
-def is_whole(bag: BagWriter) -> bool:
+def is_complete(bag: BagWriter) -> bool:
     """Whether the bag was recorded without interruption or write error."""
     return not (bag.error or (bag.syncer and bag.syncer.error))

@@ -39,8 +39,8 @@ class PredictionBands:
         self._adaptive: AdaptiveBands | None = None
         file = params.load_bands(values)
         if file is not None:
-            place = f"bands_file: {values.bands_file}: "
-            params.checked(values, lambda: file.check(vehicle, file_hashes, EvaluationSettings(settings)), place)
+            prefix = f"bands_file: {values.bands_file}: "
+            params.checked(values, lambda: file.check(vehicle, file_hashes, EvaluationSettings(settings)), prefix)
             self._text = f"calibrated on {file.runs} runs"
         if values.adaptive_bands:
             time = settings.step * np.arange(1, settings.steps + 1)

@@ -24,7 +24,7 @@ from st_ros.polling import LATCHED, PolledSubscription, steady_timer
 
 from .. import convert, params
 from ..consistency import Consistency
-from ._bag import is_whole, open_bag, recording_check
+from ._bag import is_complete, open_bag, recording_check
 from ._bands import add_coverage, coverage_check, read_bands
 from ._inputs import Inputs
 
@@ -57,8 +57,8 @@ class EvaluatorNode(Node):
         self._statistics = {(model, mode): ErrorStatistics() for model in self._models for mode in MODES}
         self._coverages = Coverages()
         self._hashes: dict[tuple[str, str, int], str] = {}  # of pending predictions, by model, mode and start
-        self._other_configuration: dict[tuple[str, str], bool] = {}  # by hash and model
-        self._refused = ""
+        self._configuration_mismatch: dict[tuple[str, str], bool] = {}  # by hash and model
+        self._rejection = ""
         self._bag, self._bag_topics = self._open_bag(values, settings)
         qos = QoSProfile(depth=QUEUE_DEPTH)
         self._predictions: dict[tuple[Mode, str], PolledSubscription] = {
@@ -72,7 +72,7 @@ class EvaluatorNode(Node):
         # Steady clock: messages must be processed and written even while a replay's clock is paused.
         steady_timer(self, WORK_PERIOD, self._work)
         steady_timer(self, SUMMARY_PERIOD, self._publish_summary)
-        self.get_logger().info(f"scores {', '.join(self._models)} with {self._vehicle.name}")
+        self.get_logger().info(f"scoring models {', '.join(self._models)}; vehicle {self._vehicle.name}")
 
     def _open_bag(self, values, settings) -> tuple[BagWriter | None, dict[str, int]]:
         if not values.output_directory:
@@ -102,11 +102,12 @@ class EvaluatorNode(Node):
     def _add(self, mode: Mode, model: str, message: Any, topic: str) -> None:
         content = convert.read_trajectory(message)
         if message.model != model or message.header.frame_id != self._map_frame:
-            content = f"it is of model {message.model!r} in frame {message.header.frame_id!r}"
+            content = (f"model {message.model!r} in frame {message.header.frame_id!r}, expected {model!r} in "
+                       f"{self._map_frame!r}")
         if isinstance(content, str):
-            self._refused = f"prediction on {topic} refused: {content}"
+            self._rejection = f"prediction on {topic} rejected: {content}"
             return
-        self._refused = ""
+        self._rejection = ""
         start_ns, trajectory = content
         if mode == "forecast":
             self._check_configuration(model, message, trajectory)
@@ -118,14 +119,14 @@ class EvaluatorNode(Node):
     def _check_configuration(self, model: str, message: Prediction, trajectory: Trajectory) -> None:
         """Recompute one prediction of each configuration: hindsight must use the vehicle of the forecast."""
         key, view = (message.configuration_hash, model), self._core.view(model)
-        if key in self._other_configuration:
+        if key in self._configuration_mismatch:
             return
         start = VehicleState(*trajectory.states[0].tolist())
         inputs = ControlInput(message.road_wheel_angle, message.velocity_x_dot)
         horizon = trajectory.step * (len(trajectory.states) - 1)
         predicted = predict(view.model, self._vehicle, start, inputs, horizon, trajectory.step)
         # A model with a memory of the steering depends on more than the held inputs and cannot be compared.
-        self._other_configuration[key] = not view.has_memory and not np.allclose(
+        self._configuration_mismatch[key] = not view.has_memory and not np.allclose(
             predicted.states, trajectory.states, rtol=0.0, atol=TRAJECTORY_TOLERANCE, equal_nan=True)
 
     def _publish_scores(self, scores: list[Score]) -> None:
@@ -157,10 +158,10 @@ class EvaluatorNode(Node):
         incomplete = sum(s.n_incomplete for s in self._statistics.values())
         pending = self._core.pending
         values = {"scores complete": complete, "scores incomplete": incomplete, "pending predictions": pending}
-        others = sorted({model for (_, model), other in self._other_configuration.items() if other})
+        others = sorted({model for (_, model), other in self._configuration_mismatch.items() if other})
         level, text = diagnostics.OK, "scoring" if complete or incomplete or pending else "no prediction yet"
-        if self._refused:
-            level, text = diagnostics.WARN, self._refused
+        if self._rejection:
+            level, text = diagnostics.WARN, self._rejection
         elif others:
             level = diagnostics.WARN
             text = f"predictions of {', '.join(others)} were made with another vehicle or model than this node uses"
@@ -175,7 +176,7 @@ class EvaluatorNode(Node):
     @property
     def exit_status(self) -> int:
         """1 if the recording is incomplete, else 0."""
-        return int(self._bag is not None and not is_whole(self._bag))
+        return int(self._bag is not None and not is_complete(self._bag))
 
     def close(self) -> None:
         self._work()

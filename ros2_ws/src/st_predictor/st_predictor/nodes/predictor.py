@@ -22,8 +22,8 @@ from st_ros.diagnostics import Check, Diagnostics
 from st_ros.polling import LATCHED, steady_timer
 
 from .. import convert, params
-from ._ahead import CourseInput, PlanInput
 from ._bands import PredictionBands
+from ._future_inputs import CourseInput, PlanInput
 from ._inputs import Inputs
 
 # A longer step is a jump of the clock (someone skipped ahead in a replay), not an overrun.
@@ -225,10 +225,10 @@ class PredictorNode(Node):
         """Publish predictions of all models with the inputs of a plan or course, and add them to `issued`."""
         for model in self._outputs:
             began = time.perf_counter()
-            own = self._core.model_inputs(model, inputs)
-            trajectory = self._core.run(start, model, own)
+            model_inputs = self._core.model_inputs(model, inputs)
+            trajectory = self._core.run(start, model, model_inputs)
             compute_time = time.perf_counter() - began
-            message = convert.planned_message(start, model, plan_ns, own, trajectory, self._core.car(model),
+            message = convert.planned_message(start, model, plan_ns, model_inputs, trajectory, self._core.car(model),
                                               self._map_frame, self._hash[model])
             message.compute_time = compute_time
             message.issued_at = self.get_clock().now().to_msg()
@@ -257,13 +257,13 @@ class PredictorNode(Node):
         elif self._not_finite:
             level, text = diagnostics.WARN, f"not finite, no path: {', '.join(sorted(self._not_finite))}"
         ages = self._core.ages(self.get_clock().now().nanoseconds)
-        shown = {f"age {signal} [s]": age for signal, age in ages.items() if math.isfinite(age)}
+        known_ages = {f"age {signal} [s]": age for signal, age in ages.items() if math.isfinite(age)}
         slowest, self._slowest_tick = self._slowest_tick, 0.0
         overrun = self._counter.new_overruns()
         late = overrun > 0 or slowest > BUSY_TICK_SHARE * self._period
         timing = f"slowest tick {slowest * 1e3:.1f} ms" + (f", {overrun} ticks skipped by overrun" if overrun else "")
         return [
-            Check("prediction", level, text, {**counts, **shown}),
+            Check("prediction", level, text, {**counts, **known_ages}),
             Check("timing", diagnostics.WARN if late else diagnostics.OK, timing,
                   {"slowest tick [ms]": slowest * 1e3, "period [ms]": self._period * 1e3,
                    "state age at issue, median [ms]": self._state_age * 1e3}),

@@ -23,7 +23,7 @@ from st_ros.parameters import ConfigurationError
 from st_ros.polling import UNRESOLVED_PREFIX, PolledSubscription, message_class, steady_timer
 
 from .. import convert, params
-from ._bag import is_whole, open_bag, recording_check
+from ._bag import is_complete, open_bag, recording_check
 
 NICE = 5  # behind bridges and predictor: a third of an equal share
 WORK_PERIOD = 0.05  # the queues are emptied this often [s]; each message carries the time it arrived
@@ -77,7 +77,7 @@ class RecorderNode(Node):
         super().__init__("recorder")
         values = parameters.declare(self, params.RECORDER)
         if not values.output_directory:
-            raise ConfigurationError(f"{values.where}output_directory: not given; name a new directory for the bag")
+            raise ConfigurationError(f"{values.where}output_directory: not set; name a new directory for the bag")
         self._patterns = [self._resolve(topic) for topic in values.topics]
         self._values, self._records = values, metadata_records(values)
         self._bag = open_bag(values, self._records)
@@ -176,7 +176,7 @@ class RecorderNode(Node):
     @property
     def exit_status(self) -> int:
         """1 if the recording has a gap or was not written completely, else 0."""
-        return int(bool(self._stopped) or not is_whole(self._bag))
+        return int(bool(self._stopped) or not is_complete(self._bag))
 
     def close(self) -> None:
         self._work()

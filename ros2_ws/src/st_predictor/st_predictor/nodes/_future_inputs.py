@@ -81,7 +81,7 @@ class CourseInput:
     def __init__(self, node: Node, course: Course | None, vehicle: VehicleParameters, horizon: float, step: float):
         self._course, self._tracker = course, None
         self._forecast = CourseForecast(None, reason="no start yet")
-        self._elsewhere = ""
+        self._origin_problem = ""
         self._counts = {"used": 0, "held": 0}
         if course is None:
             return
@@ -94,14 +94,14 @@ class CourseInput:
             return
         try:
             offset = origin_offset((message.latitude, message.longitude), *self._course.origin)
-            self._tracker.course, self._elsewhere = _with_search_tree(self._course.moved(*offset)), ""
+            self._tracker.course, self._origin_problem = _with_search_tree(self._course.moved(*offset)), ""
         except StCoreError as error:
-            self._elsewhere = str(error)
+            self._origin_problem = str(error)
         self._tracker.restart()
 
     def at(self, core: Predictor, start: Start) -> InputSequence | None:
         """Inputs over the horizon for a start; None if the course is not used."""
-        if self._tracker is None or self._elsewhere:
+        if self._tracker is None or self._origin_problem:
             return None
         sample = core.history.ins_at(start.time_ns)
         assert sample is not None  # known at every start
@@ -120,8 +120,8 @@ class CourseInput:
         forecast = self._forecast
         if self._tracker is None:
             return Check("course", diagnostics.OK, "off (course_file is empty)")
-        if self._elsewhere:
-            return Check("course", diagnostics.WARN, f"not used, inputs are held: {self._elsewhere}", self._counts)
+        if self._origin_problem:
+            return Check("course", diagnostics.WARN, f"not used, inputs are held: {self._origin_problem}", self._counts)
         if not predicts:
             return Check("course", diagnostics.OK, NOT_USED, self._counts)
         if forecast.inputs is None:
