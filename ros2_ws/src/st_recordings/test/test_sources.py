@@ -135,6 +135,38 @@ def test_a_table_with_foreign_columns_and_its_can_log_are_a_run(tmp_path: Path) 
     assert "name columns that are not recognised in a.csv, as columns:" in str(alone[0].problem)
 
 
+def test_one_run_yaml_for_each_drive_of_a_folder(tmp_path: Path) -> None:
+    touch(tmp_path, *(f"{name}.csv" for name in "abcde"), content=FOREIGN)
+    touch(tmp_path, "a.log", "d.log", content=FRAMES)
+    columns = "columns: {t: Takt, x: Rechts, y: Hoch, yaw: Kurs, velocity_x: Tempo, velocity_y: Quer, yaw_rate: "
+    (file,) = touch(tmp_path, "all.run.yaml", content=f"each: '*.csv'\n{columns}Drehrate}}\n")
+    (own,) = touch(tmp_path, "b.run.yaml", content=f"csv: b.csv\nname: second\n{columns}Tempo}}\n")
+    touch(tmp_path, "c.run.yaml", content="csv: c.csv\ncolumns: {yaw_rte: Drehrate}\n")
+    leaf = VehicleParameters.from_yaml((ROOT / "config/vehicle/leaf.yaml").read_text(), "leaf.yaml")
+    for given in ([tmp_path], [file]):
+        runs = by_name(find_runs(given))
+        assert {*runs} == {"a", "second", "c.run.yaml", "d", "e"} and runs["second"].run_file == own
+        assert "yaw_rte is not known" in str(runs["c.run.yaml"].problem)
+        assert [name for name, run in runs.items() if run.can] == ["a", "d"]
+        assert all(runs[name].settings["layout"].columns["x"] == "Rechts" for name in "ade")
+        with pytest.raises(RunError, match="no column of the header is known as road_wheel_angle"):
+            read(runs["e"], leaf)
+
+
+@pytest.mark.parametrize(("text", "error"), [
+    ("each: '*.csv'\nname: x\n", "name belongs to one run, and each describes several"),
+    ("each: '*.csv'\nleave_out: [[1, 2]]\n", "leave_out belongs to one run"),
+    ("each: '*.tdms'\n", r"no file in its folder matches '\*.tdms'"),
+    ("each: '*.txt'\n", "a.txt is not a recording"),
+    ("each: '*.ncom'\ncolumns: {x: East}\n", "no CAN log has the stem of a.ncom"),
+])
+def test_each_is_of_recordings_that_are_read_alike(tmp_path: Path, text: str, error: str) -> None:
+    touch(tmp_path, "a.csv", "a.ncom", "a.txt")
+    (run,) = find_runs(touch(tmp_path, "all.run.yaml", content=text))
+    with pytest.raises(RunError, match=error):
+        read(run, None)
+
+
 def test_alignment_uses_the_columns_of_the_run_file(tmp_path: Path) -> None:
     touch(tmp_path, "a.csv", content=FOREIGN)
     touch(tmp_path, "a.log", content=FRAMES)

@@ -219,7 +219,8 @@ class _Work:
         problem.loss.scale = scale
         fit = free.about(fit.names, fit.vector, fit.indices, fit.slopes)
         gain = free.held_out_gain(found.fit, fit)
-        named, best = (np.nanmean(p.position(p.held_out_rows(f))) for p, f in ((problem, found.fit), (free, fit)))
+        # Of the same windows, so that sums compare as means do; 0 where position is no channel.
+        named, best = (np.nansum(p.position(p.held_out_rows(f))) for p, f in ((problem, found.fit), (free, fit)))
         return (problem, found.fit) if gain < self.limits.relevant or best > named else (free, fit)
 
     # Inputs
@@ -288,7 +289,8 @@ class _Work:
             self.warnings.append("all driving is at one site: effects of the site, such as banked roads and wind, "
                                  "cannot be separated from properties of the car")
         if self.problem.blocks < 10:
-            self.warnings.append(f"only {self.problem.blocks} blocks of {self.settings.block:g} s: tests are weak")
+            count = f"{self.problem.blocks} block{'' if self.problem.blocks == 1 else 's'}"
+            self.warnings.append(f"only {count} of {self.settings.block:g} s: tests are weak")
         rate = self.windows.joined.yaw_rate * self.windows.joined.velocity_x
         turning = np.abs(rate) > 0.5
         if turning.mean() < 0.05:

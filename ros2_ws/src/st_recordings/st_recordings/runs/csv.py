@@ -20,7 +20,7 @@ from .run_types import LoadedRun, ReadSettings, RunSource, SteeringField, drive_
 MOTION = ("velocity_x", "yaw_rate")
 ROAD, WHEEL, COMPASS, COURSE = "road_wheel_angle", "steering_wheel_angle", "compass_heading", "course"
 COLUMN_ADVICE = ("name the columns as in docs/csv_columns.md, or write a {stem}.run.yaml with the lines "
-                 "`{kind}: {name}`{can} and `columns: {{{channel}: NAME, ...}}`")
+                 "`{kind}: {name}`{can} and `columns: {{{channel}: NAME, ...}}` (of many drives: `each: '*.{kind}'`)")
 STEERING_ADVICE = ("name its column, --steering-field NAME --steering-is wheel (or road), with --steering-sign -1 if "
                    "right is positive; or give the CAN log that has the steering as well")
 QUATERNION = [f"orientation_{axis}" for axis in "xyzw"]

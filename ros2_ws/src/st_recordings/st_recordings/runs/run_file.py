@@ -1,6 +1,6 @@
 """Reads a run.yaml: which files make a run, and how they are to be read, corrected and labelled."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,16 +20,22 @@ RUN_FILE = "run.yaml"
 RUN_SUFFIX = ".run.yaml"
 TABLE_KEYS = ("csv", "vbo")  # recordings with columns; several files may be one recording
 _FILE_KEYS = tuple(dict.fromkeys(reader.key for reader in sorted(READERS.values(), key=lambda r: not r.needs_can)))
-_KEYS = ("name", *_FILE_KEYS, "can", "offset", "ins_can_latency", "labels", "dbc", "signals", "columns", "units",
-         "correct", "leave_out")
+_KEYS = ("name", *_FILE_KEYS, "each", "can", "offset", "ins_can_latency", "labels", "dbc", "signals", "columns",
+         "units", "correct", "leave_out")
+_KEYS_OF_ONE_RUN = (*_FILE_KEYS, "name", "can", "labels", "leave_out")
 
 
 def is_run_file(path: Path) -> bool:
     return path.name == RUN_FILE or path.name.endswith(RUN_SUFFIX)
 
 
-def read_run_file(path: Path) -> RunSource:
-    """The run that a run.yaml describes. Raises RunError."""
+def read_run_file(path: Path) -> list[RunSource]:
+    """The run that a run.yaml describes, or several read alike, under the key each. Raises RunError."""
+    content = _content(path)
+    return _each(path, content) if "each" in content else [_one(path, content)]
+
+
+def _content(path: Path) -> dict[str, Any]:
     try:
         content = yaml_text.load(path.read_text(encoding="utf-8"))
     except (OSError, ConfigurationError, UnicodeDecodeError) as error:
@@ -39,31 +45,78 @@ def read_run_file(path: Path) -> RunSource:
     unknown = [key for key in content if key not in _KEYS]
     if unknown:
         raise RunError(path, f"key {unknown[0]} is not known", f"known keys are {', '.join(_KEYS)}")
+    return content
+
+
+def _one(path: Path, content: Mapping[str, Any]) -> RunSource:
     file_keys = [key for key in _FILE_KEYS if key in content]
     if len(file_keys) != 1:
         known = f"{', '.join(_FILE_KEYS[:-1])} and {_FILE_KEYS[-1]}"
-        raise RunError(path, f"one of the keys {known} must name the file of the INS measurements")
+        raise RunError(path, f"one of the keys {known} must name the file of the INS measurements",
+                       "or each, to read several recordings alike")
     files = _parts(path, file_keys[0], content[file_keys[0]])
-    reader = reader_of(files[0], file_keys[0])
-    assert reader is not None  # every key belongs to one
-    logs = _can_logs(path, content.get("can", []))
-    if reader.needs_can and not logs:
-        raise RunError(path, "no CAN log under the key can", "list the logs, a folder of them, or a pattern")
-    for key in ("columns", "units"):
-        if key in content and file_keys[0] not in TABLE_KEYS:
-            raise RunError(path, f"{key}: only a csv or vbo has columns; the units of others are known",
-                           "correct: changes values of every kind of recording")
-    settings = {key: read(path, content[key]) for key, read in _SETTINGS.items()
-                if key in content and (key != "offset" or content[key] is not None)}
-    if "columns" in content or "units" in content:
-        settings["layout"] = Layout(_columns(path, content.get("columns", {})), _units(path, content.get("units", {})),
-                                    path)
     default = path.parent.name if path.name == RUN_FILE else path.name.removesuffix(RUN_SUFFIX)
     name = str(content.get("name", default))  # results are stored under it
     if not name.isprintable() or name in ("", ".", "..") or "/" in name or "\\" in name:
         raise RunError(path, f"name: {name[:100]!r} cannot be the name of a folder", "leave out slashes")
+    return _run(path, content, name, file_keys[0], files, _can_logs(path, content.get("can", [])))
+
+
+def _each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
+    """One run of each file, with the CAN logs of its stem; a file NAME.csv with a NAME.run.yaml is read by that."""
+    if keys := [key for key in content if key in _KEYS_OF_ONE_RUN]:
+        raise RunError(path, f"{keys[0]} belongs to one run, and each describes several",
+                       "write a NAME.run.yaml for that run")
+    files = dict.fromkeys(_matching(path, "each", content["each"]))
+    if not files:
+        raise RunError(path, f"each: no file in its folder matches {content['each']!r}")
+    return [_of_own_file(file) or _of_each(path, content, file) for file in files]
+
+
+def _of_own_file(file: Path) -> RunSource | None:
+    """The run of a recording with a run.yaml of its stem that describes it alone."""
+    own = file.with_name(file.stem + RUN_SUFFIX)
+    try:
+        content = _content(own) if own.exists() else {"each": ""}
+        return None if "each" in content else _one(own, content)
+    except RunError as error:
+        return RunSource(own.name, "", (own,), problem=error, run_file=own)
+
+
+def _of_each(path: Path, content: Mapping[str, Any], file: Path) -> RunSource:
+    reader = reader_of(file)
+    if reader is None:
+        raise RunError(path, f"each: {file.name} is not a recording")
+    logs = logs_of(file, sorted(file.parent.iterdir()))
+    if reader.needs_can and not logs:
+        raise RunError(path, f"each: no CAN log has the stem of {file.name}",
+                       "list the files of each run in a run.yaml")
+    return _run(path, content, file.stem, reader.key, (file,), logs)
+
+
+def _run(path: Path, content: Mapping[str, Any], name: str, key: str, files: tuple[Path, ...],
+         logs: Sequence[Path]) -> RunSource:
+    """key: that of the files, a name of _FILE_KEYS."""
+    reader = reader_of(files[0], key)
+    assert reader is not None  # every key belongs to one
+    if reader.needs_can and not logs:
+        raise RunError(path, "no CAN log under the key can", "list the logs, a folder of them, or a pattern")
+    for setting in ("columns", "units"):
+        if setting in content and key not in TABLE_KEYS:
+            raise RunError(path, f"{setting}: only a csv or vbo has columns; the units of others are known",
+                           "correct: changes values of every kind of recording")
+    settings = {setting: read(path, content[setting]) for setting, read in _SETTINGS.items()
+                if setting in content and (setting != "offset" or content[setting] is not None)}
+    if "columns" in content or "units" in content:
+        settings["layout"] = Layout(_columns(path, content.get("columns", {})), _units(path, content.get("units", {})),
+                                    path)
     return RunSource(name, reader.kind, files, tuple(logs), _labels(path, content.get("labels", [])), settings,
                      run_file=path)
+
+
+def logs_of(file: Path, files: Sequence[Path]) -> list[Path]:
+    """The CAN logs among the files with the stem and folder of a recording."""
+    return [f for f in files if f.stem == file.stem and f.parent == file.parent and f.suffix.lower() in CAN_EXTENSIONS]
 
 
 def _parts(path: Path, key: str, value: Any) -> tuple[Path, ...]:

@@ -14,7 +14,7 @@ from .can_formats import is_can_log
 from .errors import RunError
 from .mf4 import session_of
 from .readers import READERS, Reader, reader_of
-from .run_file import RUN_FILE, RUN_SUFFIX, is_run_file, read_run_file
+from .run_file import RUN_FILE, RUN_SUFFIX, is_run_file, logs_of, read_run_file
 from .run_types import RunSource
 
 __all__ = ["RUN_FILE", "RUN_SUFFIX", "find_runs"]
@@ -61,7 +61,7 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
             runs += found or [_failed(path, RunError(path, "no recording is in this folder",
                                                      "give a folder with .ncom and CAN logs, bags, CSV or VBO files"))]
         elif is_run_file(path):
-            runs.append(_from_run_file(path))
+            runs += _from_run_file(path)
         else:
             loose.append(path)
     if len(loose) > 1 or runs:
@@ -82,10 +82,11 @@ def _in_folder(folder: Path) -> list[RunSource]:
                 taken.add(path)
                 files.append(path)
         elif is_run_file(path):
-            run = _from_run_file(path)
-            runs.append(run)
-            taken.update({*run.files, *run.can})
-            if run.problem:  # its files are not runs of their own: one mistake is reported once
+            described = [run.run_file for run in runs]  # by a run.yaml with `each`, too
+            found = [run for run in _from_run_file(path) if run.run_file not in described]
+            runs += found
+            taken.update(file for run in found for file in (*run.files, *run.can))
+            if any(run.problem for run in found):  # its files are no runs of their own: one mistake is reported once
                 stem = path.name.removesuffix(RUN_SUFFIX)
                 taken.update(f for f in path.parent.iterdir()
                              if f.is_file() and (path.name == RUN_FILE or f.stem == stem))
@@ -101,7 +102,7 @@ def _may_be_in_a_run(path: Path, files: Sequence[Path]) -> bool:
     if reader is None or reader.needs_can:
         return True
     return (reader.has_drive(path) or reader.is_ins_only(path) or reader.is_incomplete(path)
-            or (reader.kind == "csv" and any(map(is_can_log, _logs_of(path, files)))))
+            or (reader.kind == "csv" and any(map(is_can_log, logs_of(path, files)))))
 
 
 def _from_files(files: Sequence[Path], given: bool) -> list[RunSource]:
@@ -114,14 +115,14 @@ def _from_files(files: Sequence[Path], given: bool) -> list[RunSource]:
         readers = {f: reader for f, reader in readers.items() if f not in group}
     without_logs = []
     for file, reader in readers.items():
-        own_logs = _logs_of(file, logs)
+        own_logs = logs_of(file, logs)
         # A table with a CAN log of the same stem and unknown columns is an INS recording, too.
         if not reader.needs_can and not (logs and reader.is_ins_only(file)) and (
                 reader.kind != "csv" or not own_logs or reader.has_drive(file)):
             runs.append(_single_run(file, reader))
             continue
         if given and not own_logs and not logs and reader.needs_can:
-            own_logs = _logs_of(file, sorted(file.parent.iterdir()))
+            own_logs = logs_of(file, sorted(file.parent.iterdir()))
         if own_logs:
             runs.append(RunSource(file.stem, reader.kind, (file,), tuple(own_logs)))
             logs = [f for f in logs if f not in own_logs]
@@ -159,11 +160,6 @@ def _unmatched(recordings: Sequence[Path], readers: dict[Path, Reader], logs: Se
         yield _failed(file, RunError(file, "no INS recording (.ncom, CSV, VBO, bag) belongs to this CAN log", advice))
 
 
-def _logs_of(file: Path, files: Sequence[Path]) -> list[Path]:
-    """The CAN logs among the files with the stem and folder of a recording."""
-    return [f for f in files if f.stem == file.stem and f.parent == file.parent and f.suffix.lower() in CAN_EXTENSIONS]
-
-
 def _split_bags(files: Sequence[Path]) -> list[list[Path]]:
     """Groups of bag files drive_0, drive_1, ..., each of which begins where the previous one ends."""
     groups: list[list[Path]] = []
@@ -188,11 +184,11 @@ def _single_run(path: Path, reader: Reader) -> RunSource:
     return RunSource(path.name if path.is_dir() else path.stem, reader.kind, (path,))
 
 
-def _from_run_file(path: Path) -> RunSource:
+def _from_run_file(path: Path) -> list[RunSource]:
     try:
         return read_run_file(path)
     except RunError as error:
-        return _failed(path, error)
+        return [replace(_failed(path, error), run_file=path)]
 
 
 def _failed(path: Path, problem: RunError) -> RunSource:
