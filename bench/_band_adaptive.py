@@ -16,7 +16,7 @@ FEWEST_SETTLED = 300  # starts after that, for a drive to have a coverage of its
 PAUSE_NS = 6_000_000_000  # between the drives of a session
 LEVELS = (0.9, 0.5)
 
-Question = tuple[str, str]
+ModelMode = tuple[str, str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +26,7 @@ class Drive:
     name: str
     starts_ns: np.ndarray
     conditions: np.ndarray
-    errors: Mapping[Question, np.ndarray]
+    errors: Mapping[ModelMode, np.ndarray]
 
 
 def drive_of(log: DriveLog, vehicle: VehicleParameters, model: str, settings: EvaluationSettings) -> Drive:
@@ -54,7 +54,7 @@ def session(name: str, drives: Sequence[Drive]) -> Drive:
 class Score:
     """Coverage and interval score of adaptive bands over drives, each from the start: calibrated, or without a file."""
 
-    def __init__(self, time: np.ndarray, question: Question):
+    def __init__(self, time: np.ndarray, question: ModelMode):
         self._time, self._question = time, question
         self._parts: dict[float, list[tuple[np.ndarray, ...]]] = {level: [] for level in LEVELS}
         self._settled: dict[float, list[float]] = {level: [] for level in LEVELS}

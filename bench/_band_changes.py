@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from st_core.bands import Band, CalibrationDomain, Coverages, RunSamples, calibrate, conditions_at, run_samples
+from st_core.bands import Band, CalibrationDomain, Coverages, ErrorSamples, calibrate, conditions_at, error_samples
 from st_core.evaluation import make_score
 from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings, evaluate_blocks, regular_starts, usable_starts
@@ -68,15 +68,15 @@ def watch(log: DriveLog, vehicle: VehicleParameters, bands: Bands, seen: Calibra
                 counts.expect(model, start, {(mode, level): one[place[row]] for level, one in stated.items()})
                 errors = list(block.errors[model, mode][row].T)
                 counts.add(make_score(model, mode, start, SETTINGS.prediction.step, errors))
-                one = counts.by_question.get((model, mode))
+                one = counts.by_pair.get((model, mode))
                 if one and one.warns and not before[model, mode]:
                     found.warned[model, mode].append((start - log.start_ns) * 1e-9 + horizon)
                 before[model, mode] = bool(one and one.warns)
-    found.share = {key: one.share(0.9) for key, one in counts.by_question.items()}
+    found.share = {key: one.share(0.9) for key, one in counts.by_pair.items()}
     return found
 
 
-def learnt(runs: Sequence[RunSamples]) -> tuple[Bands, CalibrationDomain]:
+def learnt(runs: Sequence[ErrorSamples]) -> tuple[Bands, CalibrationDomain]:
     questions = [(model, mode) for model in MODELS for mode in MODES]
     return ({key: calibrate(runs, key, TIME, (0.5, 0.9)) for key in questions},
             CalibrationDomain.of([r.conditions for r in runs]))
@@ -104,7 +104,7 @@ def of_style(number: int, style: str) -> list[Row]:
                                              **changed))
 
     models = [get_model(model) for model in MODELS]
-    runs = [run_samples(models, file, SETTINGS.signals(log), SETTINGS)
+    runs = [error_samples(models, file, SETTINGS.signals(log), SETTINGS)
             for log in (drive(0, k, KNOWN_PARTS) for k in range(KNOWN))]
     bands, seen = learnt(runs)
     rows = healthy_rows(style, [watch(drive(1, k, HOUR_PARTS), file, bands, seen) for k in range(HOURS)])

@@ -5,18 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 from scipy import stats
-from st_core.bands import Band, RunSamples
-from st_core.bands.scale import Scale, features, spread
+from st_core.bands import Band, ErrorSamples
+from st_core.bands.scale import Scale, evenly_spaced, features
 
 LEVELS = (0.5, 0.9)
 SEED = 21
 
-Question = tuple[str, str]
-Way = Callable[[Band, Sequence[RunSamples], Question], Band]
+ModelMode = tuple[str, str]
+Way = Callable[[Band, Sequence[ErrorSamples], ModelMode], Band]
 """Band from the calibrated one, the scale of which the alternatives share, and from the calibration runs."""
 
 
-def normal(band: Band, runs: Sequence[RunSamples], question: Question, by_condition: bool = True,
+def normal(band: Band, runs: Sequence[ErrorSamples], question: ModelMode, by_condition: bool = True,
            heavy: bool = False) -> Band:
     """A normal (or Student t) process: the quantile of the largest of its points and axes, by drawing from it.
 
@@ -24,7 +24,7 @@ def normal(band: Band, runs: Sequence[RunSamples], question: Question, by_condit
     and nothing calibrated. Degrees of freedom: maximum likelihood at single points.
     """
     scale = band.scale if by_condition else _same_everywhere(band.scale, runs, question)
-    picked = [spread(len(one.conditions), 100) for one in runs]
+    picked = [evenly_spaced(len(one.conditions), 100) for one in runs]
     z = np.concatenate([one.errors[question][rows] / scale(one.conditions[rows])
                         for one, rows in zip(runs, picked, strict=True)])
     points = z[:, 4::5].reshape(len(z), -1)
@@ -43,7 +43,7 @@ def normal(band: Band, runs: Sequence[RunSamples], question: Question, by_condit
     return Band(scale, {level: float(np.quantile(highest, level)) for level in LEVELS}, ratios)
 
 
-def scaled(band: Band, runs: Sequence[RunSamples], question: Question) -> Band:
+def scaled(band: Band, runs: Sequence[ErrorSamples], question: ModelMode) -> Band:
     """The band with factors for exactly the stated coverage on the calibration runs, with equal weights, which compares
     the shapes at equal coverage."""
     parts = [np.quantile(band.scores(one.conditions, one.errors[question]).max(axis=1), np.linspace(0.0, 1.0, 201))
@@ -51,7 +51,7 @@ def scaled(band: Band, runs: Sequence[RunSamples], question: Question) -> Band:
     return replace(band, factors={level: float(np.quantile(np.concatenate(parts), level)) for level in LEVELS})
 
 
-def _same_everywhere(scale: Scale, runs: Sequence[RunSamples], question: Question) -> Scale:
+def _same_everywhere(scale: Scale, runs: Sequence[ErrorSamples], question: ModelMode) -> Scale:
     """Root mean square at each knot, the same for all conditions."""
     time = scale.time
     squares = np.mean([np.square(one.errors[question].astype(float)).mean(axis=0) for one in runs], axis=0)
@@ -61,7 +61,7 @@ def _same_everywhere(scale: Scale, runs: Sequence[RunSamples], question: Questio
     return Scale(coefficients, scale.floor, time, scale.knots)
 
 
-def _everywhere(band: Band, runs: Sequence[RunSamples], question: Question) -> Band:
+def _everywhere(band: Band, runs: Sequence[ErrorSamples], question: ModelMode) -> Band:
     return normal(band, runs, question, by_condition=False)
 
 

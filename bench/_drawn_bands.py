@@ -1,7 +1,7 @@
 """Bands from random errors, for the Leaf and every condition, to measure the cost of bands."""
 
 import numpy as np
-from st_core.bands import Bands, CalibrationDomain, RunSamples, calibrate
+from st_core.bands import Bands, CalibrationDomain, ErrorSamples, calibrate
 from st_core.bands.file import configuration_of
 from st_core.log_evaluation import MODES, EvaluationSettings
 from st_core.vehicle import VehicleParameters
@@ -20,7 +20,7 @@ def drawn_bands(vehicle: VehicleParameters) -> Bands:
     for number in range(RUNS):
         draw = np.random.default_rng([21, number])
         errors = (0.1 * draw.standard_normal((STARTS, 1, 3)) * TIME[:, None]).astype(np.float32)
-        runs.append(RunSamples(f"run {number}", draw.uniform(0.0, MOST, (STARTS, 4)), {question: errors}))
+        runs.append(ErrorSamples(f"run {number}", draw.uniform(0.0, MOST, (STARTS, 4)), {question: errors}))
     band, settings = calibrate(runs, question, TIME), SETTINGS.as_dict()
     domain = CalibrationDomain.of([run.conditions for run in runs])
     return Bands(vehicle.name, vehicle.hash, settings, {"drawn": "0" * 64}, RUNS, domain,

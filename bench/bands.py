@@ -17,7 +17,7 @@ from _band_corrected import corrected as corrected_files
 from _band_page import PAGE, write
 from _band_ways import LEVELS, SEED, WAYS
 from _markers import renew, table
-from st_core.bands import Band, CalibrationDomain, RunSamples, calibrate, highest_level, run_samples, together
+from st_core.bands import Band, CalibrationDomain, ErrorSamples, calibrate, error_samples, highest_level, join_runs
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings
@@ -46,7 +46,7 @@ MANOEUVRES = ("SWEEP", "STEPS", "SLALOM", "WEAVE", "LIMIT", "BRAKING", "ORDINARY
 OFF = {"friction_factor": 0.75, "steering_offset": 0.01, "mass_factor": 1.1}
 """Deviations of the second car from the vehicle file."""
 
-Runs = Mapping[str, RunSamples]
+Runs = Mapping[str, ErrorSamples]
 Row = dict[str, str]
 COLUMNS = ("90 % covers", "least run", "50 % covers", "worst cell of 200 starts", "interval score", "CRPS",
            "half-width at 5 s", "no band")
@@ -139,7 +139,7 @@ def genesis() -> dict[str, Row]:
 def days_as_one(runs: Runs) -> list[Row]:
     """Each day with bands of the others; the runs of a day count as one."""
     rows = []
-    days = {day: together([runs[name] for name in names]) for day, names in DAYS.items()}
+    days = {day: join_runs([runs[name] for name in names]) for day, names in DAYS.items()}
     stated = (0.5, highest_level(len(days) - 1))
     for question in ((model, mode) for model in MODELS for mode in MODES):
         covered = []
@@ -187,7 +187,7 @@ def corrected() -> dict[str, Row]:
     healthy = here.samples("seed", SEEDS, here.healthy)
     name = model.name
     found = held_out("virtual, corrected by st discover, by seed", after, _folds(after), name, tuple(WAYS))
-    renamed = {key: RunSamples(one.name, one.conditions, {("nonlinear", mode): one.errors[name, mode]
+    renamed = {key: ErrorSamples(one.name, one.conditions, {("nonlinear", mode): one.errors[name, mode]
                                                           for mode in MODES}) for key, one in after.items()}
     return found \
         | transferred("virtual, bands of the healthy car on the corrected one", healthy, renamed, "nonlinear") \
@@ -237,8 +237,8 @@ def world() -> World:
     return World(vehicle_of(cars.LEAF, car), car, car | off)
 
 
-def samples(log: DriveLog, vehicle: VehicleParameters, models: Sequence[str | Model]) -> RunSamples:
-    return run_samples([get_model(model) for model in models], vehicle, SETTINGS.signals(log), SETTINGS)
+def samples(log: DriveLog, vehicle: VehicleParameters, models: Sequence[str | Model]) -> ErrorSamples:
+    return error_samples([get_model(model) for model in models], vehicle, SETTINGS.signals(log), SETTINGS)
 
 
 def held_out(title: str, runs: Runs, groups: Mapping, model: str, ways: Sequence[str] = CALIBRATED) -> dict[str, Row]:
@@ -274,7 +274,8 @@ def transferred(title: str, runs: Runs, others: Runs, model: str) -> dict[str, R
     return found
 
 
-def tested(band: Band, known: Sequence[RunSamples], new: Sequence[RunSamples], question: tuple[str, str]) -> list[dict]:
+def tested(band: Band, known: Sequence[ErrorSamples], new: Sequence[ErrorSamples],
+           question: tuple[str, str]) -> list[dict]:
     """Sums (bands.scoring) of every new run."""
     seen, entries = CalibrationDomain.of([one.conditions for one in known]), []
     for one in new:
@@ -308,7 +309,7 @@ def _folds(runs: Runs) -> dict[int, list[str]]:
     return dict(enumerate([list(part) for part in np.array_split(np.array(list(runs)), FOLDS)]))
 
 
-def _genesis_runs() -> dict[str, RunSamples] | None:
+def _genesis_runs() -> dict[str, ErrorSamples] | None:
     """All drives except the one with a wrong projection."""
     found = _genesis_logs()
     return found and {name: samples(log, found[0], MODELS) for name, log in found[1].items()}

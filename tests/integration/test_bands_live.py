@@ -131,7 +131,7 @@ def test_a_car_that_is_not_the_one_calibrated_with_is_warned_of(folder: Path) ->
 def test_bands_of_another_car_are_refused_in_one_line_before_a_node_starts(folder: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.yaml"
     other.write_text(LEAF.read_text().replace("mass: {value: 1", "mass: {value: 2", 1))
-    for arguments, words in ((("--vehicle", other), "the bands are of"), ((), "unknown key")):
+    for arguments, words in ((("--vehicle", other), "the bands are for"), ((), "unknown key")):
         file = LEAF if not arguments else folder / "bands.yaml"
         text = st("demo", *arguments, "--bands", file, "--output", tmp_path / "run", status=(2,)).strip()
         assert words in text and len(text.splitlines()) == 1, text

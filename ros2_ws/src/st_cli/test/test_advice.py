@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from drives import weave, write_drive, write_vehicle
 from st_cli.cli import app
-from st_core.bands import RunSamples
+from st_core.bands import ErrorSamples
 from st_core.log_evaluation import EvaluationSettings
 from st_core.prediction import PredictionSettings
 from st_offline.evaluation.advice import Cost, cheapest, choice_rows, model_accuracy, processor_time, rows, steps
@@ -18,7 +18,7 @@ SETTINGS = EvaluationSettings()
 TIME = 0.05 * np.arange(1, 101)
 
 
-def runs(count: int, size: float) -> list[RunSamples]:
+def runs(count: int, size: float) -> list[ErrorSamples]:
     """Random errors across that grow to `size` at 5 s; half of the starts at 7 m/s, half at 13, four times larger."""
     found = []
     for k in range(count):
@@ -27,7 +27,7 @@ def runs(count: int, size: float) -> list[RunSamples]:
         conditions = np.stack([speed, *draw.uniform(0.1, 1.0, (3, 200))], axis=1)
         errors = draw.standard_normal((200, 1, 3)) * (TIME / 5.0)[:, None] * size
         errors[speed > 10.0] *= 4.0
-        found.append(RunSamples(f"run {k}", conditions, {("linear", "hindsight"): errors.astype(np.float32)}))
+        found.append(ErrorSamples(f"run {k}", conditions, {("linear", "hindsight"): errors.astype(np.float32)}))
     return found
 
 

@@ -83,7 +83,7 @@ def test_recordings_that_were_calibrated_with_are_no_test(folder, tmp_path):
 
 def test_bands_of_another_car_or_model_are_refused_in_one_line(folder, tmp_path):
     base, _ = folder
-    for arguments, words in ((("--vehicle", LEAF, "--model", "linear"), "the bands are of"),
+    for arguments, words in ((("--vehicle", LEAF, "--model", "linear"), "the bands are for"),
                              (("--vehicle", base / "car.yaml", "--model", "kinematic"), "bands.kinematic: missing")):
         result = st("evaluate", base / "new", *arguments, "--bands", base / "bands.yaml", "--output", tmp_path / "o")
         assert result.exit_code == 2 and words in result.output, result.output

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from st_cli.cli import app
 from st_core.augmented import augment
-from st_core.bands import Bands, CalibrationDomain, RunSamples, calibrate, conditions
+from st_core.bands import Bands, CalibrationDomain, ErrorSamples, calibrate, conditions
 from st_core.bands.file import configuration_of
 from st_core.integrate import rk4_step
 from st_core.log_evaluation import EvaluationSettings
@@ -108,7 +108,7 @@ def test_content_of_the_description(tmp_path, augmented):
 def test_bands_are_written_as_functions_of_state_and_inputs(tmp_path):
     draw = np.random.default_rng(1)
     time = 0.5 * np.arange(1, 11)
-    runs = [RunSamples(f"run {k}", draw.uniform(0.0, (26.0, 8.0, 6.0, 1.0), (400, 4)),
+    runs = [ErrorSamples(f"run {k}", draw.uniform(0.0, (26.0, 8.0, 6.0, 1.0), (400, 4)),
                        {("linear", "hindsight"): 0.1 * draw.standard_normal((400, 1, 3)) * time[:, None]})
             for k in range(10)]
     settings, question = EvaluationSettings(PredictionSettings(step=0.5)), ("linear", "hindsight")

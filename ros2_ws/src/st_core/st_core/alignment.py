@@ -34,7 +34,7 @@ DISTANCE_TOLERANCE = 0.1
 # Largest acceleration on tyres [m/s^2]: bounds the error of the trapezoidal rule over longer steps.
 MAX_ACCELERATION = 10.0
 # Longer gaps are not examined, since the car may be anywhere [s].
-LONGEST_EXAMINED_GAP = 10.0
+MAX_EXAMINED_GAP = 10.0
 # Positions may be noisier than those of RTK: a jump also exceeds NOISE_FACTOR times the median of the steps before it
 # (MIN_NOISE_STEPS to NOISE_STEPS of them) ...
 NOISE_STEPS, MIN_NOISE_STEPS, NOISE_FACTOR = 20, 5, 6.0
@@ -59,7 +59,7 @@ def unexplained_step(spacing: float, before: Sequence[float], after: Sequence[fl
     """
     step, driven = _split_displacement(spacing, before, after)
     allowed = POSITION_TOLERANCE + DISTANCE_TOLERANCE * driven + 0.25 * MAX_ACCELERATION * spacing**2
-    return step if step > allowed and spacing <= LONGEST_EXAMINED_GAP else 0.0
+    return step if step > allowed and spacing <= MAX_EXAMINED_GAP else 0.0
 
 
 def _exceeds_noise(step: float, times_ns: Sequence[int], rows: Sequence[Sequence[float]]) -> bool:

@@ -77,8 +77,8 @@ class LogBatch:
                  filter_cutoff: float = 5.0, acceleration: Acceleration = "causal", signals: Signals | None = None):
         if isinstance(inputs, str) and inputs not in ("measured", "held"):
             raise ConfigurationError(f"inputs: {inputs!r} is neither measured nor held")
-        if substeps != "auto" and (not isinstance(substeps, int) or not 1 <= substeps <= stability.MOST_SUBSTEPS):
-            raise ConfigurationError(f"substeps: {substeps!r} is not auto and outside 1 to {stability.MOST_SUBSTEPS}")
+        if substeps != "auto" and (not isinstance(substeps, int) or not 1 <= substeps <= stability.MAX_SUBSTEPS):
+            raise ConfigurationError(f"substeps: {substeps!r} is not auto and outside 1 to {stability.MAX_SUBSTEPS}")
         self._backend = get_backend(backend)
         self.signals = log if isinstance(log, LogSignals) else LogSignals(log, maximum_gap, filter_cutoff, acceleration)
         self.starts_ns = np.asarray(starts_ns, np.int64).ravel()

@@ -14,7 +14,7 @@ import numpy as np
 from .clock_fit import DRIFT_PRIOR_PPM, STEP, Fit, Pair, coarse_offset, fit, mean_correlation, resample
 from .clock_steps import MAX_WINDOWS, WindowLag, find_clock_step, window_lags
 from .clock_types import (
-    LONGEST_SPAN,
+    MAX_SPAN,
     MAX_STEP,
     UNUSUAL_DRIFT_PPM,
     Alignment,
@@ -132,7 +132,7 @@ def _usable_signals(signals: Sequence[SharedSignal]) -> tuple[list[SharedSignal]
             reasons.append(f"{signal.name} is missing on one side")
             continue
         spans = [float(t[-1] - t[0]) * 1e-9 for t in (signal.reference_time_ns, signal.other_time_ns)]
-        if max(spans) > LONGEST_SPAN:
+        if max(spans) > MAX_SPAN:
             reasons.append(f"{signal.name} spans {max(spans) / 86400:.0f} days: a clock was set during the recording")
             continue
         values = [v[k] for v, k in zip((signal.reference, signal.other), known, strict=True)]
@@ -280,7 +280,7 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
     """
     if len(other_time_ns) < 2:
         return refused_alignment("the time frames hold no time (the unit had not locked yet?)")
-    if abs(int(other_time_ns[-1]) - int(other_time_ns[0])) * 1e-9 > LONGEST_SPAN:
+    if abs(int(other_time_ns[-1]) - int(other_time_ns[0])) * 1e-9 > MAX_SPAN:
         return refused_alignment("the log spans days: its clock was set during the recording")
     o0, r0 = int(other_time_ns[0]), int(reference_time_ns[0])
     time = (other_time_ns - o0) * 1e-9 - latency

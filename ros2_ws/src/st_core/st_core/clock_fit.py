@@ -16,7 +16,7 @@ from .regression import robust_deviation
 RATE = 100.0  # Hz of the grid on which signals are filtered
 DECIMATION = 5  # filtered signals contain nothing above a few hertz, so 20 Hz are enough for the fit
 STEP = DECIMATION / RATE
-LONGEST_GAP = 0.15  # s, that is interpolated
+MAX_GAP = 0.15  # s, that is interpolated
 FILTER_SETTLES = 0.5  # s over the cut-off [Hz], masked on both sides of a gap
 
 
@@ -51,7 +51,7 @@ def resample(time: np.ndarray, values: np.ndarray, cutoff: float, angle: bool = 
     grid = start + np.arange(max(int((time[-1] - start) * RATE), 0) + 1) / RATE
     sampled = np.interp(grid, time, values)
     right = np.clip(np.searchsorted(time, grid), 1, len(time) - 1)
-    bridged = time[right] - time[right - 1] <= LONGEST_GAP
+    bridged = time[right] - time[right - 1] <= MAX_GAP
     sos = butter(4, cutoff, fs=RATE, output="sos")
     if len(grid) > 50:
         sampled = sosfiltfilt(sos, sampled, padtype="odd", padlen=min(len(grid) - 1, int(3 * RATE / cutoff)))

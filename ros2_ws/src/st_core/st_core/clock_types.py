@@ -8,7 +8,7 @@ import numpy as np
 AMBIGUOUS_PEAK_RATIO = 0.9  # second peak of the correlation over the first
 UNUSUAL_DRIFT_PPM = 200.0
 MAX_STEP = 0.05  # s
-LONGEST_SPAN = 48 * 3600.0  # s; in a longer recording the clock was set while it ran
+MAX_SPAN = 48 * 3600.0  # s; in a longer recording the clock was set while it ran
 
 
 class Verdict(StrEnum):

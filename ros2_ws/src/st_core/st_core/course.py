@@ -57,7 +57,7 @@ class Pass:
 
 
 class Visit(NamedTuple):
-    """Point of a pass near the car. number: of the pass. row: of the point in it. distance: from the car [m]."""
+    """Point of a pass near the car. number, row: of the pass, and of the point in it. distance: from the car [m]."""
 
     number: int
     row: int
@@ -113,8 +113,8 @@ class Course:
         Raises StCoreError, one line, beyond MAX_ORIGIN_DISTANCE.
         """
         if not (distance := math.hypot(east, north)) <= MAX_ORIGIN_DISTANCE:  # NaN too
-            raise StCoreError(f"it is of another place: the map origins are {distance / 1000.0:.1f} km apart "
-                              f"(limit {MAX_ORIGIN_DISTANCE / 1000.0:g} km)")
+            raise StCoreError(f"the course was recorded elsewhere: the map origins are {distance / 1000.0:.1f} km "
+                              f"apart (limit {MAX_ORIGIN_DISTANCE / 1000.0:g} km)")
         offset = np.array([east, north, 0.0, 0.0, 0.0])
         return replace(self, passes=tuple(replace(pass_, points=pass_.points + offset) for pass_ in self.passes))
 
@@ -126,7 +126,8 @@ class Course:
                   "origin": None if self.origin is None else list(self.origin)}
         rows = [f"  {x:.2f} {y:.2f} {direction:.4f} {curvature:.6f} {speed:.3f}"
                 for pass_ in self.passes for x, y, direction, curvature, speed in pass_.points.tolist()]
-        lines = ["# Course: speed and curvature along the way of earlier drives. Made by `st course build`. SI units.",
+        lines = ["# Course: speed and curvature along the path of earlier drives. Written by `st course build`. SI "
+                 "units.",
                  *(f"{key}: {json.dumps(value)}" for key, value in header.items()), "passes:",
                  *(f"- {json.dumps(entry)}" for entry in passes)]
         body = "\n".join([*lines, POINTS.strip("\n"), *rows])
@@ -160,12 +161,15 @@ class Course:
             raise ConfigurationError("passes: empty; build the course from at least one recording")
         points = np.array(rows.split(), float).reshape(-1, len(COLUMNS))
         ends = np.cumsum([int(entry["rows"]) for entry in entries])
-        if ends[-1] != len(points) or not np.isfinite(points).all():
-            raise ConfigurationError(f"points: {len(points)} rows or not finite; the passes have {ends[-1]}")
+        if ends[-1] != len(points):
+            raise ConfigurationError(f"points: {len(points)} rows, but the passes declare {ends[-1]}; run st course "
+                                     "build again")
+        if not np.isfinite(points).all():
+            raise ConfigurationError("points: a value is not finite; run st course build again")
         passes = tuple(Pass(str(entry["recording"]), tuple(entry["digests"]), part)
                        for entry, part in zip(entries, np.split(points, ends[:-1]), strict=True))
-        place = document["origin"]
-        return cls(passes, None if place is None else (float(place[0]), float(place[1])))
+        origin = document["origin"]
+        return cls(passes, None if origin is None else (float(origin[0]), float(origin[1])))
 
 
 def _digest(text: str) -> str:

@@ -182,12 +182,12 @@ class Evaluator:
                 known = inputs if view.plain else view.measured(times)
                 usual = (steps, step) == (self.settings.steps, self.settings.step)
                 runner = self._runners.get(pending.model) if usual else None
-                again = (runner(start, known) if runner
+                resimulated = (runner(start, known) if runner
                          else predict(view.model, self.vehicle, start, known, steps * step, step))
-                ways.append(("hindsight", again, unbroken & scorable, jump or no_inputs))
+                ways.append(("hindsight", resimulated, unbroken & scorable, jump or no_inputs))
             for mode, trajectory, scored, reason in ways:
-                shown = view.shown(trajectory)
-                errors = [np.where(scored, e, math.nan) for e in pose_errors(shown.x, shown.y, shown.yaw, *measured)]
+                seen = view.readings_along(trajectory)
+                errors = [np.where(scored, e, math.nan) for e in pose_errors(seen.x, seen.y, seen.yaw, *measured)]
                 scores.append(make_score(pending.model, mode, start_ns, step, errors, reason))
         return scores
 

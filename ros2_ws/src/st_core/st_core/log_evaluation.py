@@ -30,14 +30,14 @@ MODES: tuple[Mode, ...] = ("hindsight", "forecast")
 """Modes of every evaluation; plan and course are added where their inputs are given."""
 AXES = ("longitudinal", "lateral", "yaw")
 BLOCK = 1024  # starts predicted together; each model and mode then takes 7 MB
-AHEAD = 2  # blocks computed in advance, one per thread
+PREFETCHED_BLOCKS = 2  # computed in advance, one per thread
 CONDITIONS = ("speed", "lateral_acceleration", "velocity_x_dot", "steering_rate", "heading_change")
 ALL = slice(None)
 
 Progress = Callable[[int, int], None]
 Planned = tuple[np.ndarray, ...]
-Watch = Callable[[np.ndarray, "Block"], None]
-Ahead = Callable[[np.ndarray], tuple[np.ndarray, ...]]
+BlockCallback = Callable[[np.ndarray, "Block"], None]
+FutureInputs = Callable[[np.ndarray], tuple[np.ndarray, ...]]
 """Function of increasing starts (n,) [ns] that gives road wheel angle [rad], velocity_x_dot [m/s^2] and, for a path,
 `SLIP_FREE` [rad] over the horizon, each (n, 2 * steps + 1) on the half-step grid; NaN where not known. It is called
 once, with all starts."""
@@ -155,16 +155,16 @@ class LogEvaluation:
 
 def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log: DriveLog | LogSignals,
                  settings: EvaluationSettings | None = None, starts_ns: np.ndarray | None = None,
-                 progress: Progress | None = None, watch: Watch | None = None,
-                 ahead: Mapping[Mode, Ahead] | None = None) -> LogEvaluation:
+                 progress: Progress | None = None, on_block: BlockCallback | None = None,
+                 future_inputs: Mapping[Mode, FutureInputs] | None = None) -> LogEvaluation:
     """Predict with every model from every start, and score the predictions.
 
     log: a drive, or its signals; of a drive they are computed with the settings.
     starts_ns: increasing; default every `interval` of the drive from its first INS sample on. A start where INS or
     steering is not known, or slower than minimum_speed, is skipped and counted. progress(done, total): called after
-    each block. watch(starts_ns, block): called with the complete errors of each block. ahead: inputs of further modes,
-    plan and course; where they are not known, inputs are held.
-    Source: paper, section on the comparison. Checked by: test_log_evaluation.py, against the live classes.
+    each block. on_block(starts_ns, block): called with the complete errors of each block. future_inputs: inputs of
+    further modes, plan and course; where they are not known, inputs are held. Source: paper, section on the comparison.
+    Checked by: test_log_evaluation.py, against the live classes.
     """
     settings = settings or EvaluationSettings()
     chosen = [get_model(model) for model in models]
@@ -174,19 +174,19 @@ def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log:
     requested = regular_starts(log, settings.interval) if starts_ns is None else np.asarray(starts_ns, np.int64)
     starts, skipped = usable_starts(signals, vehicle, requested, settings.prediction.minimum_speed)
     horizon = settings.prediction.step * np.arange(settings.prediction.steps + 1)
-    modes = (*MODES, *(ahead or {}))
+    modes = (*MODES, *(future_inputs or {}))
     collected = {(model.name, mode): _Collector(len(starts), horizon) for model in chosen for mode in modes}
     conditions = {name: np.full(len(starts), np.nan) for name in CONDITIONS}
     reasons: dict[str, int] = {}
-    for rows, block in evaluate_blocks(chosen, vehicle, signals, starts, settings, ahead):
+    for rows, block in evaluate_blocks(chosen, vehicle, signals, starts, settings, future_inputs):
         for name, values in block.conditions.items():
             conditions[name][rows] = values
         for key, errors in block.errors.items():
             collected[key].add(rows, errors)
         for reason, count in block.incomplete.items():
             reasons[reason] = reasons.get(reason, 0) + count
-        if watch:
-            watch(starts[rows], block)
+        if on_block:
+            on_block(starts[rows], block)
         if progress:
             progress(rows.stop, len(starts))
     results = {key: collector.result() for key, collector in collected.items()}
@@ -231,14 +231,14 @@ class Block:
 
 def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
                     settings: EvaluationSettings,
-                    ahead: Mapping[Mode, Ahead] | None = None) -> Iterator[tuple[slice, Block]]:
+                    future_inputs: Mapping[Mode, FutureInputs] | None = None) -> Iterator[tuple[slice, Block]]:
     """Errors and whole trajectories of BLOCK starts at a time, with their rows of `starts_ns`.
 
     The next blocks are computed in threads meanwhile: compiled kernels and array operations release the interpreter.
     """
     blocks = [slice(first, min(first + BLOCK, len(starts_ns))) for first in range(0, len(starts_ns), BLOCK)]
     # In order of time and in this thread: a course follows the drive.
-    inputs = {mode: of_mode(starts_ns) for mode, of_mode in (ahead or {}).items()} if len(starts_ns) else {}
+    inputs = {mode: of_mode(starts_ns) for mode, of_mode in (future_inputs or {}).items()} if len(starts_ns) else {}
 
     def make(starts_ns: np.ndarray, rows: slice) -> Block:
         own: dict[Mode, Planned] = {mode: tuple(v[rows] for v in values) for mode, values in inputs.items()}
@@ -247,11 +247,11 @@ def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals
     if len(blocks) == 1:
         yield blocks[0], make(starts_ns, blocks[0])
         return
-    with ThreadPoolExecutor(AHEAD) as pool:
+    with ThreadPoolExecutor(PREFETCHED_BLOCKS) as pool:
         waiting: deque[tuple[slice, Future[Block]]] = deque()
         for rows in blocks:
             waiting.append((rows, pool.submit(make, starts_ns[rows], rows)))
-            if len(waiting) > AHEAD:
+            if len(waiting) > PREFETCHED_BLOCKS:
                 first, made = waiting.popleft()
                 yield first, made.result()
         for rows, made in waiting:
@@ -259,7 +259,7 @@ def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals
 
 
 def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
-                    settings: EvaluationSettings, ahead: Mapping[Mode, Planned]) -> Block:
+                    settings: EvaluationSettings, future_inputs: Mapping[Mode, Planned]) -> Block:
     step, steps = settings.prediction.step, settings.prediction.steps
     instants, place = _instants(starts_ns, half_step_grid(0, steps, step))
     times = instants[place].T
@@ -269,7 +269,7 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
     measured, held = (LogBatch(signals, starts_ns, step * steps, step, inputs=kind) for kind in ("measured", "held"))
     trajectories: dict[tuple[str, Mode], np.ndarray] = {}
     batches: dict[Mode, LogBatch] = {mode: LogBatch(signals, starts_ns, step * steps, step, inputs=_or_held(
-        planned, angle[:, 0], acceleration[:, 0])) for mode, planned in ahead.items()}
+        planned, angle[:, 0], acceleration[:, 0])) for mode, planned in future_inputs.items()}
     for model in models:
         trajectories[model.name, "hindsight"] = (
             measured.predict(model, vehicle).states if settings.inputs == "interpolate"
@@ -278,7 +278,7 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
         trajectories |= {(model.name, mode): batch.predict(model, vehicle).states for mode, batch in batches.items()}
     errors: dict[tuple[str, Mode], np.ndarray] = {
         (model.name, mode): reading_errors(model, vehicle, trajectories[model.name, mode], *measured_there)
-        for model in models for mode in (*MODES, *ahead)}
+        for model in models for mode in (*MODES, *future_inputs)}
     known = InputSequence(angle, acceleration).known_so_far
     for model in models:
         errors[model.name, "hindsight"][~known[:, ::2]] = np.nan

@@ -215,14 +215,14 @@ def _provenance(section: Any) -> Provenance:
 
 def _mapping(where: str, value: Any) -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise ConfigurationError(f"{where}: not a section of `key: value`; see docs/manual/effects.md")
+        raise ConfigurationError(f"{where}: not a mapping of `key: value`; see docs/manual/effects.md")
     return value
 
 
 def _text(where: str, value: Any) -> str:
     # YAML reads a date without quotes as a date, which is accepted.
     if isinstance(value, bool | int | float | list | dict) or value is None:
-        raise ConfigurationError(f"{where}: {value!r} is not a text; put it in quotes")
+        raise ConfigurationError(f"{where}: {value!r} is not a string; put it in quotes")
     return str(value)
 
 

@@ -94,7 +94,7 @@ class ModelView:
         wheels = correct_steering(self.model, series.times[rows], series.rows[rows, 0], gap_ns * NANOSECOND)
         return InputSequence(interpolate(*wheels, times_ns, gap_ns), acceleration)
 
-    def shown(self, trajectory: Trajectory) -> Measured:
+    def readings_along(self, trajectory: Trajectory) -> Measured:
         """INS readings along a trajectory of the model, without accelerations."""
         t = trajectory
         return readings(self.model, self._vehicle, (t.x, t.y, t.velocity_x, t.velocity_y, t.yaw, t.yaw_rate))

@@ -24,7 +24,8 @@ from .vehicle import VehicleParameters
 def step_count(horizon: float, step: float) -> int:
     """Steps in a horizon; both [s]. Raises ConfigurationError unless the horizon is a whole number (>= 1) of steps."""
     if not (step > 0.0 and 0.0 < horizon < 1.0e6 * step):
-        raise ConfigurationError(f"horizon: {horizon:g} s with steps of {step:g} s; both must be above 0")
+        raise ConfigurationError(f"horizon: {horizon:g} s with steps of {step:g} s; both must be above 0, and the "
+                                 "horizon below 1e6 steps")
     steps = round(horizon / step)
     if steps < 1 or abs(steps * step - horizon) > 1.0e-9 * horizon:
         raise ConfigurationError(f"horizon: {horizon:g} s is not a whole number of steps of {step:g} s; change one")
@@ -222,7 +223,7 @@ class Predictor:
         time_ns = self._newest_common()
         limit = self.settings.stale_after
         if time_ns is None or (now_ns - time_ns) * NANOSECOND > limit:
-            return Skip("stale", self._why_apart(now_ns, time_ns))
+            return Skip("stale", self._no_common_instant(now_ns, time_ns))
         jump = self.history.jump
         if jump and time_ns < jump.time_ns:
             return Skip("stale", f"INS: position jumps by {jump.size:.2f} m after the newest common instant")
@@ -252,7 +253,7 @@ class Predictor:
         ins, steering = self.history.ins.newest, self.history.steering.newest
         return None if ins is None or steering is None else min(ins, steering)
 
-    def _why_apart(self, now_ns: int, time_ns: int | None) -> str:
+    def _no_common_instant(self, now_ns: int, time_ns: int | None) -> str:
         common = self._newest_of_both()
         for name, series in (("INS", self.history.ins), ("steering", self.history.steering)):
             if common is not None and series.known_until(common) != common:

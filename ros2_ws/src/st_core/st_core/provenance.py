@@ -47,5 +47,5 @@ def read_provenance(key: str, entry: Mapping[str, Any], factor: float) -> Proven
         # YAML reads a day without quotes as a date; its text is the same.
         texts[name] = str(entry[name]) if name == "date" and name in entry else entry.get(name, "")
         if not isinstance(texts[name], str):
-            raise ConfigurationError(f"{key}.{name}: {texts[name]!r} is not a text")
+            raise ConfigurationError(f"{key}.{name}: {texts[name]!r} is not a string")
     return Provenance(uncertainty, **texts)

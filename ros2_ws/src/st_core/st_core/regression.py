@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-FEWEST_RUNS = 8
+MIN_RUNS = 8
 """Number of runs from which whole runs are the blocks."""
 BLOCK_LENGTH = 10.0
 """s, of a block with fewer runs."""
@@ -185,13 +185,13 @@ class Blocks:
 
 
 def blocks(run_of: Sequence[int] | np.ndarray, time: Sequence[float] | np.ndarray) -> Blocks:
-    """Whole runs as blocks from FEWEST_RUNS on, else parts of runs of BLOCK_LENGTH.
+    """Whole runs as blocks from MIN_RUNS on, else parts of runs of BLOCK_LENGTH.
 
     run_of: (n,) number of the run of each sample. time: (n,) since the start of that run [s].
     """
     run_of = np.asarray(run_of)
     runs, number = np.unique(run_of, return_inverse=True)
-    if len(runs) >= FEWEST_RUNS:
+    if len(runs) >= MIN_RUNS:
         return Blocks(number, runs, np.zeros(len(runs), np.int64), f"{len(runs)} runs")
     keys = np.stack((run_of, np.floor(np.asarray(time) / BLOCK_LENGTH).astype(np.int64)), axis=1)
     found, member = np.unique(keys, axis=0, return_inverse=True)

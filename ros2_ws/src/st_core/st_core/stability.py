@@ -15,7 +15,7 @@ import numpy as np
 from .models import Model, get_model
 from .vehicle import VEHICLE_QUANTITIES, VehicleParameters
 
-MOST_SUBSTEPS = 64
+MAX_SUBSTEPS = 64
 HIGHEST_SLIP_SPEED = VEHICLE_QUANTITIES["minimum_slip_speed"].maximum  # m/s
 SEARCH_START_SPEED = 60.0  # m/s, of the search for the lowest stable speed
 _LATERAL = (3, 5)  # indices of velocity_y and yaw_rate
@@ -82,10 +82,10 @@ def stable(models: Sequence[str | Model], vehicle: VehicleParameters, speeds: It
 
 
 def substeps_needed(model: str | Model, vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> int:
-    """Number of equal sub-steps of a step [s] for stability at all speeds [m/s]; at most MOST_SUBSTEPS."""
+    """Number of equal sub-steps of a step [s] for stability at all speeds [m/s]; at most MAX_SUBSTEPS."""
     speeds = list(speeds)
-    return next((count for count in range(1, MOST_SUBSTEPS) if stable([model], vehicle, speeds, step / count)),
-                MOST_SUBSTEPS)
+    return next((count for count in range(1, MAX_SUBSTEPS) if stable([model], vehicle, speeds, step / count)),
+                MAX_SUBSTEPS)
 
 
 def slip_speed_needed(models: Sequence[str | Model], vehicle: VehicleParameters, speeds: Iterable[float],

@@ -99,17 +99,19 @@ class Uncertainty:
         return self.size * abs(value) if self.relative else self.size
 
 
-_TYRE_CURVES = "published passenger tyres: one size differs by this between makes"
+_TYRE_CURVES = "spread between makes of one tyre size, published passenger-car tyre data"
 _TYRE_UNCERTAINTIES = {
-    "lambda_muy": Uncertainty(0.2, True, "dry asphalt against a drum 1.0 to 1.3, between makes 0.85 to 1.15"),
+    "lambda_muy": Uncertainty(0.2, True, "friction on dry asphalt relative to a drum 1.0 to 1.3, between makes 0.85 to "
+                                         "1.15"),
     "p_ey1": Uncertainty(3.0, False, f"{_TYRE_CURVES}, E -8 to 0.5"),
     "p_ky2": Uncertainty(0.5, True, f"{_TYRE_CURVES}, 1.0 to 2.8"),
 }
 DEFAULT_UNCERTAINTIES: Mapping[str, Uncertainty] = {
-    "mass": Uncertainty(0.03, True, "a weighed car, half a tank and one person more or less"),
-    "cg_to_front_axle": Uncertainty(0.03, False, "axle loads to 1 %, and the same person and tank"),
+    "mass": Uncertainty(0.03, True, "a weighed car, half a tank of fuel and one person more or less"),
+    "cg_to_front_axle": Uncertainty(0.03, False, "axle loads weighed to 1 %, half a tank and one person more or less"),
     "cg_height": Uncertainty(0.05, False, "passenger cars by tilt table, 0.45 to 0.65 m (NHTSA, SAE 1999-01-1336)"),
-    "yaw_inertia": Uncertainty(0.15, True, "estimates from mass and lengths against measured cars (the same)"),
+    "yaw_inertia": Uncertainty(0.15, True, "estimates from mass and dimensions compared with measured cars (NHTSA, SAE "
+                                           "1999-01-1336)"),
     "cornering_stiffness_front": Uncertainty(0.3, True, "tyres of one size differ by a factor of 2"),
     "cornering_stiffness_rear": Uncertainty(0.3, True, "tyres of one size differ by a factor of 2"),
     **{f"{tyre}.{key}": uncertainty for tyre in TYRES for key, uncertainty in _TYRE_UNCERTAINTIES.items()},
@@ -227,19 +229,19 @@ class VehicleParameters:
     def from_document(cls, document: Any) -> "VehicleParameters":
         """Parameters from a parsed vehicle file. Raises ConfigurationError naming the key."""
         if not isinstance(document, dict):
-            raise ConfigurationError("not a list of `key: {value, unit, source}`; see config/vehicle/leaf.yaml")
+            raise ConfigurationError("not a mapping of `key: {value, unit, source}`; see config/vehicle/leaf.yaml")
         keys = ["name", *VEHICLE_QUANTITIES, *TYRES]
         check_keys("", document, keys, required=[key for key in keys if key not in OPTIONAL_QUANTITIES])
         name = document["name"]
         if not isinstance(name, str) or not name.strip():
-            raise ConfigurationError(f"name: {name!r} is not a text; write the name of the car")
+            raise ConfigurationError(f"name: {name!r} is not a string; write the name of the car")
         origins = _Origins()
         values: dict[str, Any] = _read("", document, VEHICLE_QUANTITIES, origins)
         tyres: dict[str, Any] = {}
         for tyre in TYRES:
             section = document[tyre]
             if not isinstance(section, dict):
-                raise ConfigurationError(f"{tyre}: not a section of `key: {{value, unit, source}}`")
+                raise ConfigurationError(f"{tyre}: not a mapping of `key: {{value, unit, source}}`")
             required = [key for key, quantity in TYRE_QUANTITIES.items() if quantity.required]
             check_keys(f"{tyre}.", section, list(TYRE_QUANTITIES), required)
             tyres[tyre] = MagicFormula(**_read(f"{tyre}.", section, TYRE_QUANTITIES, origins))
@@ -344,7 +346,7 @@ def _read_one(key: str, entry: Any, quantity: Quantity, origins: _Origins) -> fl
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ConfigurationError(f"{key}: {value!r} is not a number (1.0e+3, not 1e3); limit {quantity.limit()}")
     if not isinstance(entry["source"], str) or not entry["source"].strip():
-        raise ConfigurationError(f"{key}: source {entry['source']!r} is not a text; state where the value comes from")
+        raise ConfigurationError(f"{key}: source {entry['source']!r} is not a string; state where the value comes from")
     origins.sources[key] = entry["source"]
     provenance = read_provenance(key, entry, quantity.units[unit])
     if provenance is not None:

@@ -13,8 +13,8 @@ import yaml
 
 from .errors import ConfigurationError
 
-MOST_CHARACTERS = 1 << 20
-MOST_LEVELS = 40
+MAX_CHARACTERS = 1 << 20
+MAX_NESTING = 40
 LARGEST_INTEGER = 2**63  # a larger one is a typing error, and could overflow a float
 
 
@@ -31,8 +31,8 @@ class _Loader(yaml.SafeLoader):
         if getattr(event, "tag", None):
             raise ConfigurationError(f"tags (!) are not allowed (line {line}); write the plain value")
         self._levels += 1
-        if self._levels > MOST_LEVELS:
-            raise ConfigurationError(f"more than {MOST_LEVELS} levels of nesting (line {line})")
+        if self._levels > MAX_NESTING:
+            raise ConfigurationError(f"more than {MAX_NESTING} levels of nesting (line {line})")
         node = super().compose_node(parent, index)
         self._levels -= 1
         return node
@@ -75,8 +75,8 @@ def load(text: str) -> Any:
 
     Raises ConfigurationError, in one line that names the line of the file, for invalid YAML or a refused feature.
     """
-    if len(text) > MOST_CHARACTERS:
-        raise ConfigurationError(f"{len(text)} characters are too many for a configuration (limit {MOST_CHARACTERS})")
+    if len(text) > MAX_CHARACTERS:
+        raise ConfigurationError(f"{len(text)} characters are too many for a configuration (limit {MAX_CHARACTERS})")
     try:
         return _Loader(text).get_single_data()
     except yaml.YAMLError as error:
@@ -85,7 +85,7 @@ def load(text: str) -> Any:
         problem = " ".join(str(getattr(error, "problem", None) or error).split())
         raise ConfigurationError(f"not valid YAML{place}: {problem}") from None
     except RecursionError:
-        raise ConfigurationError(f"not valid YAML: more than {MOST_LEVELS} levels of nesting") from None
+        raise ConfigurationError(f"not valid YAML: more than {MAX_NESTING} levels of nesting") from None
 
 
 def _shown(value: Any) -> str:

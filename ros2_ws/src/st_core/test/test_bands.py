@@ -2,9 +2,17 @@
 
 import numpy as np
 import pytest
-from st_core.bands import Bands, CalibrationDomain, RunSamples, calibrate, conformal_factors, highest_level, runs_needed
+from st_core.bands import (
+    Bands,
+    CalibrationDomain,
+    ErrorSamples,
+    calibrate,
+    conformal_factors,
+    highest_level,
+    runs_needed,
+)
 from st_core.bands.file import configuration_of, times
-from st_core.bands.samples import run_samples, to_predicted_frame
+from st_core.bands.samples import error_samples, to_predicted_frame
 from st_core.bands.scale import fit_scale, floor_at
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.log import DriveLog
@@ -36,7 +44,7 @@ def drawn(number, windows=120, spread=0.3):
     conditions = np.stack([draw.uniform(4, 16, windows), draw.uniform(0, 4, windows), draw.uniform(0, 1, windows),
                            draw.uniform(0.0, 0.1, windows)], axis=1)
     size = np.exp(spread * draw.standard_normal()) * draw.standard_normal((windows, 1, 3))
-    return RunSamples(f"run {number}", conditions, {QUESTION: (size * true_scale(conditions)).astype(np.float32)})
+    return ErrorSamples(f"run {number}", conditions, {QUESTION: (size * true_scale(conditions)).astype(np.float32)})
 
 
 def test_one_window_a_run_is_the_split_conformal_quantile_of_crepes():
@@ -108,7 +116,8 @@ def test_runs_whose_conditions_no_other_has_do_not_count():
     lonely = drawn(9)
     lonely.conditions[:, 0] += 30.0
     with pytest.raises(StCoreError, match=r"2 of 10 runs were driven under conditions.*8 runs support"):
-        calibrate([*runs[:8], lonely, RunSamples("far", drawn(8).conditions + np.array([0, 8, 0, 0]), drawn(8).errors)],
+        calibrate([*runs[:8], lonely, ErrorSamples("far", drawn(8).conditions + np.array([0, 8, 0, 0]),
+                                                   drawn(8).errors)],
                   QUESTION, TIME)
 
 
@@ -126,7 +135,7 @@ def test_a_run_shorter_than_the_horizon_is_refused(leaf):
     zero = np.zeros(len(time))
     log = DriveLog("short", time, time * 1e-8, zero, zero, zero + 10.0, zero, zero, time, zero)
     with pytest.raises(StCoreError, match=r"overlap for 4\.0 s, one horizon is 5 s"):
-        run_samples([get_model("linear")], leaf, SETTINGS.signals(log), SETTINGS)
+        error_samples([get_model("linear")], leaf, SETTINGS.signals(log), SETTINGS)
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +167,7 @@ def test_a_file_is_read_back_and_an_edited_one_refused(bands):
 
 
 def test_conditions_never_seen_are_named(bands):
-    why = bands.domain.why_not
+    why = bands.domain.why_outside
     assert why(np.array([8.0, 1.0, 0.2, 0.02])) == ""
     assert why(np.array([40.0, 1.0, 0.2, 0.02])) == (
         "40.0 m/s with 1.0 m/s^2 lateral acceleration was driven in fewer than 2 calibration runs")
@@ -180,7 +189,7 @@ def test_bands_of_another_car_model_or_configuration_are_refused(bands, leaf):
     bands.check(leaf, {"linear": ""}, SETTINGS)
     other = VehicleParameters.from_yaml(FILE.read_text().replace("steering_ratio: {value: 17.3",
                                                                  "steering_ratio: {value: 16.3"))
-    for refused, words in (((other, {"linear": ""}, SETTINGS), "vehicle: the bands are of"),
+    for refused, words in (((other, {"linear": ""}, SETTINGS), "vehicle: the bands are for"),
                            ((leaf, {"nonlinear": ""}, SETTINGS), "nonlinear: missing"),
                            ((leaf, {"linear": "f" * 64}, SETTINGS), "another model file"),
                            ((leaf, {"linear": ""}, EvaluationSettings(acceleration="zero_phase")), "acceleration")):

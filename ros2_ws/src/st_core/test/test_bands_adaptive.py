@@ -92,7 +92,8 @@ def test_bands_of_a_run_without_a_file_are_stated_after_the_warm_up_and_then_cov
         assert found <= {("linear", "forecast")} and not reason  # no course was scored
         stated.append(bool(found))
         # Small angles: the frame of the prediction is that of the measurement.
-        waiting[start] = one * (1.0, 1.0, 1.0e-3), bands.stated["linear"]["forecast", 0.9][1:].copy() if found else None
+        issued = bands.half_widths["linear"]["forecast", 0.9][1:].copy() if found else None
+        waiting[start] = one * (1.0, 1.0, 1.0e-3), issued
     seconds = (starts - starts[0]) * 1e-9
     assert not any(np.array(stated)[seconds < WARM_UP + 4.0]) and all(np.array(stated)[seconds > WARM_UP + 7.0])
     n, kept = bands.counts["linear", "forecast"]

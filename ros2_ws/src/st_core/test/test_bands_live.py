@@ -15,7 +15,7 @@ from st_core.bands import (
     calibrate,
     conditions_at,
     conditions_now,
-    run_samples,
+    error_samples,
     steering_activity,
 )
 from st_core.bands.file import configuration_of
@@ -55,7 +55,7 @@ def _columns(rows, car):
 @pytest.fixture(scope="module")
 def bands(leaf, logs):
     models = [get_model(name) for name in MODELS]
-    runs = [run_samples(models, leaf, SETTINGS.signals(log), SETTINGS) for log in logs[:10]]
+    runs = [error_samples(models, leaf, SETTINGS.signals(log), SETTINGS) for log in logs[:10]]
     time = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
     found = {(m, q): calibrate(runs, (m, q), time) for m in MODELS for q in ("hindsight", "forecast")}
     hashes = {m: configuration_of(leaf, SETTINGS.as_dict(), "") for m in MODELS}
@@ -77,8 +77,8 @@ def test_live_states_what_the_file_states_of_the_recorded_drive(bands, logs):
         here, = conditions_at(signals, np.array([start_ns]))
         assert conditions_now(history, start_ns) == pytest.approx(here, rel=1e-6, abs=1e-9)
         found = live(here.tolist())
-        assert found == bool(bands.domain(here[None])[0]) == (live.why_not(here) == "")
-        for model, stated in live.stated.items() if found else ():
+        assert found == bool(bands.domain(here[None])[0]) == (live.why_outside(here) == "")
+        for model, stated in live.half_widths.items() if found else ():
             for (mode, level), widths in stated.items():
                 assert widths == pytest.approx(bands.half_widths(model, mode, here, level)[0], rel=2e-7)  # float32
                 compared += 1
@@ -88,8 +88,8 @@ def test_live_states_what_the_file_states_of_the_recorded_drive(bands, logs):
 def test_no_band_where_the_steering_before_is_not_known_or_the_conditions_were_never_calibrated(bands):
     live = LiveBands(bands, MODELS)
     assert not live((10.0, 1.0, 0.5, math.nan)) and not live((35.0, 0.1, 0.1, 0.01))
-    assert "steering activity not known" in live.why_not((10.0, 1.0, 0.5, math.nan))
-    assert "35.0 m/s" in live.why_not((35.0, 0.1, 0.1, 0.01))
+    assert "steering activity not known" in live.why_outside((10.0, 1.0, 0.5, math.nan))
+    assert "35.0 m/s" in live.why_outside((35.0, 0.1, 0.1, 0.01))
     empty = MeasurementHistory(2.0, 0.1, 5.0)
     assert np.isnan(conditions_now(empty, SECOND)).all()
 
@@ -122,8 +122,8 @@ def test_a_path_is_inside_when_all_points_and_axes_are_in_the_predicted_frame():
     for k, (point, _) in enumerate(cases):
         coverages.expect("linear", k * SECOND, {("forecast", 0.9): widths, ("forecast", 0.5): 0.01 * widths})
         coverages.add(a_score(k * SECOND, np.array([[0, 0, 0], point, [0, 0, 0]], float)))
-    one = coverages.by_question["linear", "forecast"]
-    assert one.n == 4 and one.kept[0.9] == sum(inside for _, inside in cases) and one.share(0.5) == 0.0
+    one = coverages.by_pair["linear", "forecast"]
+    assert one.n == 4 and one.inside[0.9] == sum(inside for _, inside in cases) and one.share(0.5) == 0.0
     coverages.expect("linear", 9 * SECOND, {("forecast", 0.9): widths})
     coverages.add(a_score(9 * SECOND, widths, complete=False))
     coverages.add(a_score(10 * SECOND, widths))  # nothing was stated of it

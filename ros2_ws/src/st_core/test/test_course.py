@@ -41,7 +41,7 @@ def errors(leaf, log: DriveLog, course: Course) -> tuple[float, float]:
     settings = EvaluationSettings(interval=0.2)
     signals = settings.signals(log)
     ahead = course_inputs(course, signals, leaf, 5.0, 0.05)
-    result = evaluate_log(["kinematic"], leaf, signals, settings, ahead={"course": ahead})
+    result = evaluate_log(["kinematic"], leaf, signals, settings, future_inputs={"course": ahead})
     held, remembered = (result.errors["kinematic", mode] for mode in ("forecast", "course"))
     both = held.complete & remembered.complete
     return tuple(float(np.hypot(*one.at_seconds[both][:, 4, :2].T).mean()) for one in (held, remembered))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from st_core.errors import ConfigurationError
 from st_core.identification.bounded_fit import fit_curve, profile_interval
-from st_core.identification.lambda_ky import TableStiffness, lambda_ky
+from st_core.identification.lambda_ky import StiffnessUncertainty, lambda_ky
 from st_core.identification.result import (
     Coverage,
     Estimate,
@@ -96,11 +96,11 @@ def test_a_scale_that_was_set_before_the_stiffness_changed_is_named(leaf):
 
 def test_lambda_is_the_papers_at_the_static_load(leaf):
     car = known(leaf, cornering_stiffness_front=700.0, cornering_stiffness_rear=1060.0)
-    found = lambda_ky(car, {"tyre_front": TableStiffness(0.0, "front.csv")})
+    found = lambda_ky(car, {"tyre_front": StiffnessUncertainty(0.0, "front.csv")})
     front, rear = found["tyre_front.lambda_ky"], found["tyre_rear.lambda_ky"]
     assert front.value == pytest.approx(0.423, abs=1e-3) and rear.value == pytest.approx(0.962, abs=1e-3)
     assert front.standard_uncertainty / front.value == pytest.approx(0.01)  # 700 of 70000 N/rad
-    wider = lambda_ky(car, {"tyre_front": TableStiffness(0.02, "front.csv")})["tyre_front.lambda_ky"]
+    wider = lambda_ky(car, {"tyre_front": StiffnessUncertainty(0.02, "front.csv")})["tyre_front.lambda_ky"]
     assert wider.standard_uncertainty / wider.value == pytest.approx(math.hypot(0.01, 0.02))
     assert "No table of tyre_rear" in found.warnings[0]
 

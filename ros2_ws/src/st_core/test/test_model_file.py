@@ -73,7 +73,7 @@ def test_hash_is_of_what_changes_a_prediction(leaf):
     ("base: nonlinear", "base: bicycle", r"unknown model 'bicycle'"),
     ("base: nonlinear", "base: linear", r"effect friction: does not apply to a linear model"),
     ("base: nonlinear\n", "", r"base: missing"),
-    ("base: nonlinear", "base: 3", r"base: 3 is not a text"),
+    ("base: nonlinear", "base: 3", r"base: 3 is not a string"),
     ("provenance:", "provenence:", r"provenence: unknown key, did you mean provenance\?"),
     ("steering_lag:", "steering_lagg:", r"unknown effect 'steering_lagg', did you mean steering_lag\?"),
     ("time_constant:", "time:", r"effects\.steering_lag\.time: unknown key"),
@@ -87,8 +87,8 @@ def test_hash_is_of_what_changes_a_prediction(leaf):
     ("value: 1590.0", "value: 1600.0", r"vehicle\.hash: .* is not that of vehicle\.parameters"),
     ("mass: {value: 1590.0", "mass: {value: 1.0", r"vehicle\.parameters: mass: 1 is outside"),
     ("date:", "day:", r"provenance\.day: unknown key"),
-    ('"ab12"', "12", r"provenance\.data\.run one\.ncom: 12 is not a text"),
-    ("  steering_lag:", "  mass: 3\n  steering_lag:", r"effects\.mass: not a section"),
+    ('"ab12"', "12", r"provenance\.data\.run one\.ncom: 12 is not a string"),
+    ("  steering_lag:", "  mass: 3\n  steering_lag:", r"effects\.mass: not a mapping"),
     ("effects:", "effects: [", r"not valid YAML, line"),
     ("    wind_x:", "    wind_y: {value: 1.0, unit: m/s}\n    wind_x:", r"wind_y: given twice"),
 ])
@@ -102,7 +102,7 @@ def test_mistakes_name_file_key_and_limit(leaf, old, new, message):
 
 @pytest.mark.parametrize("text", ["", "- 1", "linear", "base: linear", "base: linear\neffects: [mass]"])
 def test_what_is_no_model_file_is_said_so(text):
-    with pytest.raises(ConfigurationError, match=r"^m: (the file: not a section|effects)"):
+    with pytest.raises(ConfigurationError, match=r"^m: (the file: not a mapping|effects)"):
         ModelFile.from_yaml(text, "m")
 
 

@@ -29,7 +29,7 @@ def test_true_inputs_as_a_plan_give_hindsight_to_a_millimetre(leaf):
     times = np.union1d(log.ins_time_ns, log.steering_time_ns)
     inputs = signals.road_wheel_angle_at(times), *signals.ins_at(times, "velocity_x_dot")
     planned = recorded_plan(times, inputs, SHORT.steps, SHORT.step, 0.1)
-    result = evaluate_log(MODELS, leaf, signals, settings, ahead={"plan": planned})
+    result = evaluate_log(MODELS, leaf, signals, settings, future_inputs={"plan": planned})
     for model in MODELS:
         hindsight, plan_errors, held = (result.errors[model, mode] for mode in ("hindsight", "plan", "forecast"))
         both = hindsight.complete & plan_errors.complete

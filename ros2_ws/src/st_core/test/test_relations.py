@@ -289,7 +289,7 @@ def test_few_blocks_and_one_run_are_said(leaf):
     said = find_relation(found, logs, leaf, settings)
     assert said.relation is None and "a curve needs 10" in said.why
     said = find_relation(found, logs[:1], leaf, settings)
-    assert said.relation is None and said.why.startswith("one run was driven; a relation cannot be tested")
+    assert said.relation is None and said.why.startswith("only one run: a relation needs a second drive")
 
 
 @pytest.fixture(scope="module")

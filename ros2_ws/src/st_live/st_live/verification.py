@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 from st_core.errors import ConfigurationError
 from st_core.evaluation import Mode
-from st_core.log_evaluation import MODES, Ahead, EvaluationSettings, evaluate_blocks
+from st_core.log_evaluation import MODES, EvaluationSettings, FutureInputs, evaluate_blocks
 from st_core.log_signals import LogSignals
 from st_core.models import Model, get_model
 from st_core.palette import MODEL_COLOUR
@@ -152,7 +152,7 @@ def _compare(model: Model, car: VehicleParameters, signals: LogSignals, live: Pr
     is_settled = settled(live.starts_ns, signals.log.ins_time_ns, cutoff)
     result.n_settling = int((~is_settled).sum())
     starts_ns, live_states = live.starts_ns[is_settled], live.states[is_settled]
-    ahead: dict[Mode, Ahead] = {mode: predictions.inputs_at for mode, predictions in planned.items()}
+    ahead: dict[Mode, FutureInputs] = {mode: predictions.inputs_at for mode, predictions in planned.items()}
     # Without the recorded prediction of a plan or course its inputs are unknown, so its score cannot be compared.
     scores = {mode: scored.at(planned[mode].starts_ns) if mode in planned else scored for mode, scored in scores.items()
               if mode in MODES or mode in planned}

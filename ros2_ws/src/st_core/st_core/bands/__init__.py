@@ -1,7 +1,7 @@
 """Prediction bands: regions around a predicted path that contain the whole measured path with a stated probability.
 
 For every model, mode and level: half-widths along, across and in yaw at every point of the horizon. Mode hindsight:
-error of the model alone; forecast: of model and driver. Calibrated on the errors of recorded drives (`run_samples`,
+error of the model alone; forecast: of model and driver. Calibrated on the errors of recorded drives (`error_samples`,
 `calibrate`) and stored in a file (`Bands`). docs/manual/bands.md.
 """
 
@@ -10,9 +10,32 @@ from .calibration import LEVELS, RELIABILITY, Band, calibrate, conformal_factors
 from .conditions import CONDITIONS, CalibrationDomain, activity_instants, conditions, conditions_at, steering_activity
 from .file import Bands
 from .live import AdaptiveBands, Coverage, Coverages, LiveBands, conditions_now
-from .samples import NotFiniteError, RunSamples, run_samples, to_predicted_frame, together
+from .samples import ErrorSamples, NotFiniteError, error_samples, join_runs, to_predicted_frame
 
-__all__ = ["CONDITIONS", "LEVELS", "RELIABILITY", "AdaptiveBand", "AdaptiveBands", "Band", "Bands", "CalibrationDomain",
-           "Coverage", "Coverages", "LiveBands", "NotFiniteError", "RunSamples", "activity_instants", "calibrate",
-           "conditions", "conditions_at", "conditions_now", "conformal_factors", "highest_level", "run_samples",
-           "runs_needed", "steering_activity", "to_predicted_frame", "together"]
+__all__ = [
+           "CONDITIONS",
+           "LEVELS",
+           "RELIABILITY",
+           "AdaptiveBand",
+           "AdaptiveBands",
+           "Band",
+           "Bands",
+           "CalibrationDomain",
+           "Coverage",
+           "Coverages",
+           "ErrorSamples",
+           "LiveBands",
+           "NotFiniteError",
+           "activity_instants",
+           "calibrate",
+           "conditions",
+           "conditions_at",
+           "conditions_now",
+           "conformal_factors",
+           "error_samples",
+           "highest_level",
+           "join_runs",
+           "runs_needed",
+           "steering_activity",
+           "to_predicted_frame",
+]

@@ -38,7 +38,7 @@ SCALE_FORGETTING = 120.0  # s: two minutes contain most manoeuvres of a driver o
 DEFAULT_SCALE = (0.3, 0.3, 0.02)
 """m, m, rad at 1 s ahead, growing with the square of the time: initial values, replaced within the first horizons."""
 WARM_UP = 120.0  # s of scored driving before a band without a calibration is issued
-LONGEST_WEIGHT = 1.0  # s. After a pause, one score counts as one second of driving
+MAX_WEIGHT = 1.0  # s. After a pause, one score counts as one second of driving
 
 
 class AdaptiveBand:
@@ -99,8 +99,8 @@ class AdaptiveBand:
         if not self._issued or self._issued[0][0] != start_ns or not np.isfinite(errors).all():
             return {}
         _, scale, factors = self._issued.popleft()
-        interval = LONGEST_WEIGHT if self._last_ns is None else (start_ns - self._last_ns) * NANOSECOND
-        weight = min(max(interval, 0.0), LONGEST_WEIGHT)
+        interval = MAX_WEIGHT if self._last_ns is None else (start_ns - self._last_ns) * NANOSECOND
+        weight = min(max(interval, 0.0), MAX_WEIGHT)
         self._last_ns = start_ns
         gain = GAIN + (START_GAIN - GAIN) * math.exp(-self._elapsed / SETTLING)
         self._elapsed += weight

@@ -26,7 +26,7 @@ import numpy as np
 
 from ..errors import StCoreError
 from .conditions import CalibrationDomain
-from .samples import Question, RunSamples
+from .samples import ErrorSamples, ModelMode
 from .scale import Scale, fit_scale
 
 ROUNDING = 1.0e-9
@@ -94,7 +94,7 @@ LEVELS = (0.5, 0.9)
 RELIABILITY = tuple(round(0.05 * k, 2) for k in range(1, 20))
 """Levels for the reliability diagram, as far as the runs support them; and of the ratios below."""
 FOLDS = 5
-FEWEST_RUNS = 3  # one to be scored, and two for the calibration domain without it
+MIN_RUNS = 3  # one to be scored, and two for the calibration domain without it
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +115,7 @@ class Band:
         return (np.abs(errors) / self.scale(conditions)).max(axis=2)
 
 
-def calibrate(runs: Sequence[RunSamples], question: Question, time: np.ndarray,
+def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
               levels: Sequence[float] = LEVELS) -> Band:
     """The band of one model and mode.
 
@@ -127,21 +127,21 @@ def calibrate(runs: Sequence[RunSamples], question: Question, time: np.ndarray,
     and for errors that are not finite.
     """
     check_levels(levels, len(runs))
-    if len(runs) < FEWEST_RUNS:
+    if len(runs) < MIN_RUNS:
         raise StCoreError(f"{len(runs)} run{'' if len(runs) == 1 else 's'}: each run is scored with bands of two "
-                          f"others; give {FEWEST_RUNS} or more")
+                          f"others; give {MIN_RUNS} or more")
     for run in runs:
-        if not np.isfinite(run.errors[question]).all():
-            raise StCoreError(f"{run.name}: errors of {question[0]} are not finite; bands cannot be calibrated "
+        if not np.isfinite(run.errors[pair]).all():
+            raise StCoreError(f"{run.name}: errors of {pair[0]} are not finite; bands cannot be calibrated "
                               "with such errors")
     scores, ratios = [], []
     for group in np.array_split(np.arange(len(runs)), min(FOLDS, len(runs))):
         others = [run for number, run in enumerate(runs) if number not in group]
-        scale, domain = _scale(others, question, time), CalibrationDomain.of([run.conditions for run in others])
+        scale, domain = _scale(others, pair, time), CalibrationDomain.of([run.conditions for run in others])
         for run in (runs[number] for number in group):
             rows = domain(run.conditions)
             if rows.any():
-                ratio = np.abs(run.errors[question][rows]) / scale(run.conditions[rows])
+                ratio = np.abs(run.errors[pair][rows]) / scale(run.conditions[rows])
                 scores.append(ratio.max(axis=(1, 2)))
                 # Neighbouring points are redundant.
                 ratios.append(ratio[:, ::5].reshape(-1, ratio.shape[2]))
@@ -153,11 +153,11 @@ def calibrate(runs: Sequence[RunSamples], question: Question, time: np.ndarray,
                               f"other run has; {error}") from None
     stated = sorted({*levels, *(level for level in RELIABILITY if level <= highest_level(len(scores)))})
     factors = dict(zip(stated, conformal_factors(scores, stated).tolist(), strict=True))
-    return Band(_scale(runs, question, time), factors, _quantiles(ratios))
+    return Band(_scale(runs, pair, time), factors, _quantiles(ratios))
 
 
-def _scale(runs: Sequence[RunSamples], question: Question, time: np.ndarray) -> Scale:
-    return fit_scale([run.conditions for run in runs], [run.errors[question] for run in runs], time)
+def _scale(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray) -> Scale:
+    return fit_scale([run.conditions for run in runs], [run.errors[pair] for run in runs], time)
 
 
 def _quantiles(ratios: Sequence[np.ndarray]) -> np.ndarray:

@@ -60,8 +60,8 @@ def conditions_at(signals: LogSignals, starts_ns: np.ndarray) -> np.ndarray:
     return conditions(speed, yaw_rate, acceleration, activity)
 
 
-FEWEST_STARTS = 10  # of a run in a cell of speed and lateral acceleration, to count: one second of driving
-FEWEST_RUNS = 2  # with FEWEST_STARTS in a cell, because one run does not show the variation between runs
+MIN_STARTS = 10  # of a run in a cell of speed and lateral acceleration, to count: one second of driving
+MIN_RUNS = 2  # with MIN_STARTS in a cell, because one run does not show the variation between runs
 CELLED = {CONDITIONS.index("speed"): SPEED, CONDITIONS.index("lateral_acceleration"): LATERAL_ACCELERATION}
 """Edges by column of the conditions."""
 
@@ -75,10 +75,10 @@ def cells(conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 @dataclass(frozen=True, eq=False)
 class CalibrationDomain:
     """Conditions covered by the calibration. starts: number by (speed bin, lateral acceleration bin), 0 if fewer than
-    FEWEST_RUNS runs had FEWEST_STARTS. most: largest forward_acceleration [m/s^2] and steering_activity [rad/s]."""
+    MIN_RUNS runs had MIN_STARTS. largest: forward_acceleration [m/s^2] and steering_activity [rad/s]."""
 
     starts: np.ndarray
-    most: tuple[float, float]
+    largest: tuple[float, float]
 
     @classmethod
     def of(cls, conditions: Sequence[np.ndarray]) -> "CalibrationDomain":
@@ -86,7 +86,7 @@ class CalibrationDomain:
         starts = np.zeros((len(conditions), *map(len, CELLED.values())), int)
         for run, counts in zip(conditions, starts, strict=True):
             np.add.at(counts, cells(run), 1)
-        enough = (starts >= FEWEST_STARTS).sum(axis=0) >= FEWEST_RUNS
+        enough = (starts >= MIN_STARTS).sum(axis=0) >= MIN_RUNS
         rows = np.concatenate(conditions)
         return cls(np.where(enough, starts.sum(axis=0), 0), (float(rows[:, 2].max()), float(rows[:, 3].max())))
 
@@ -94,17 +94,17 @@ class CalibrationDomain:
         """(n,) bool: whether conditions (n, 4) are in the domain; False where one is NaN."""
         known = np.isfinite(conditions).all(axis=1)
         rows = np.where(known[:, None], conditions, 0.0)
-        return known & (self.starts[cells(rows)] > 0) & (rows[:, 2:] <= self.most).all(axis=1)
+        return known & (self.starts[cells(rows)] > 0) & (rows[:, 2:] <= self.largest).all(axis=1)
 
-    def why_not(self, condition: Sequence[float]) -> str:
+    def why_outside(self, condition: Sequence[float]) -> str:
         """Reason, in one line, why conditions (four numbers) are outside the domain; empty if they are inside."""
         if self(np.array([condition], float))[0]:
             return ""
         for name, value in zip(CONDITIONS, condition, strict=True):
             if not np.isfinite(value):
                 return f"{name.replace('_', ' ')} not known"
-        for name, value, most in zip(CONDITIONS[2:], condition[2:], self.most, strict=True):
-            if value > most:
-                return f"{name.replace('_', ' ')} {value:.3g} {UNITS[name]}, calibrated up to {most:.3g}"
+        for name, value, limit in zip(CONDITIONS[2:], condition[2:], self.largest, strict=True):
+            if value > limit:
+                return f"{name.replace('_', ' ')} {value:.3g} {UNITS[name]}, calibrated up to {limit:.3g}"
         return (f"{condition[0]:.1f} m/s with {condition[1]:.1f} m/s^2 lateral acceleration was driven in fewer than "
-                f"{FEWEST_RUNS} calibration runs")
+                f"{MIN_RUNS} calibration runs")

@@ -28,13 +28,13 @@ from ..vehicle import VehicleParameters
 from ..yaml_text import check_keys, load, number, quoted
 from .calibration import Band
 from .conditions import CalibrationDomain
-from .samples import Question
+from .samples import ModelMode
 from .scale import Scale, features, knots_of
 
 SCHEMA = 2
-HEADER = "# Prediction bands by model and mode. Made by `st calibrate`.\n"
+HEADER = "# Prediction bands by model and mode. Written by `st calibrate`.\n"
 UNITS = "half-widths along, across: m; yaw: rad; factors and ratios: 1; conditions: m/s, m/s^2, m/s^2, rad/s"
-ALIKE = ("horizon", "step", "minimum_speed", "maximum_gap", "filter_cutoff", "acceleration", "inputs")
+CHECKED_SETTINGS = ("horizon", "step", "minimum_speed", "maximum_gap", "filter_cutoff", "acceleration", "inputs")
 """Settings that affect the errors. `interval` and `stale_after` only select starts."""
 
 
@@ -51,7 +51,7 @@ class Bands:
     recordings: Mapping[str, str]
     runs: int
     domain: CalibrationDomain
-    bands: Mapping[Question, Band]
+    bands: Mapping[ModelMode, Band]
     hashes: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -66,9 +66,9 @@ class Bands:
     def half_widths(self, model: str, mode: str, conditions: np.ndarray, level: float) -> np.ndarray:
         """(n, points + 1, 3): along, across the predicted path [m] and in yaw [rad], 0 at the start.
 
-        conditions: (n, 4), `conditions.conditions`. NaN outside the calibration domain (`CalibrationDomain.why_not`).
-        With the probability `level` the whole measured path of the INS point is inside, in all three at all points.
-        Raises KeyError for a model, mode or level that is not in the file.
+        conditions: (n, 4), `conditions.conditions`. NaN outside the calibration domain
+        (`CalibrationDomain.why_outside`). With the probability `level` the whole measured path of the INS point is
+        inside, in all three at all points. Raises KeyError for a model, mode or level that is not in the file.
         """
         band = self.bands[model, mode]
         conditions = np.atleast_2d(np.asarray(conditions, float))
@@ -84,10 +84,10 @@ class Bands:
         models: hash of the model file by model to be used, "" for one of the paper's.
         """
         if vehicle.hash != self.vehicle_hash:
-            raise ConfigurationError(f"vehicle: the bands are of {self.vehicle_name!r} {self.vehicle_hash[:12]}, "
+            raise ConfigurationError(f"vehicle: the bands are for {self.vehicle_name!r} {self.vehicle_hash[:12]}, "
                                      f"this is {vehicle.name!r} {vehicle.hash[:12]}; calibrate with drives of this car")
         present = settings.as_dict()
-        for key in ALIKE:
+        for key in CHECKED_SETTINGS:
             if present[key] != self.settings[key]:
                 raise ConfigurationError(f"settings.{key}: the bands are for {self.settings[key]}, not {present[key]}; "
                                          "use the same value, or calibrate with this one")
@@ -96,8 +96,8 @@ class Bands:
                 raise ConfigurationError(f"bands.{model}: missing; the file has {', '.join(self.models)}; calibrate "
                                          "with that model")
             if configuration_of(vehicle, self.settings, digest) != self.hashes[model]:
-                raise ConfigurationError(f"bands.{model}: made with another model file of that name; calibrate with "
-                                         "this one")
+                raise ConfigurationError(f"bands.{model}: calibrated with another model file of that name; calibrate "
+                                         "with this one")
 
     def to_yaml(self) -> str:
         """Text of the file; `from_yaml` reads the same bands from it."""
@@ -121,7 +121,7 @@ class Bands:
         return {
             "vehicle": {"name": self.vehicle_name, "hash": self.vehicle_hash}, "settings": dict(self.settings),
             "recordings": dict(self.recordings), "runs": self.runs,
-            "seen": {"starts": self.domain.starts.tolist(), "most": list(self.domain.most)}, "bands": entries}
+            "seen": {"starts": self.domain.starts.tolist(), "most": list(self.domain.largest)}, "bands": entries}
 
     @classmethod
     def from_yaml(cls, text: str, origin: str = "bands") -> "Bands":
@@ -146,7 +146,7 @@ class Bands:
             raise ConfigurationError("hash: the content was edited; run st calibrate again")
         settings = document["settings"]
         time = times(settings["horizon"], settings["step"])
-        bands: dict[Question, Band] = {}
+        bands: dict[ModelMode, Band] = {}
         hashes = {}
         for model, entry in document["bands"].items():
             hashes[model] = str(entry["configuration_hash"])

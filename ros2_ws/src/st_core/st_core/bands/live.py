@@ -32,10 +32,10 @@ from .adaptive import AdaptiveBand
 from .calibration import LEVELS
 from .conditions import activity_instants, magnitudes, steering_activity
 from .file import Bands
-from .samples import Question, to_predicted_frame
+from .samples import ModelMode, to_predicted_frame
 from .scale import features_of_one, floor_at, interpolation
 
-Stated = dict[tuple[str, float], np.ndarray]
+HalfWidths = dict[tuple[str, float], np.ndarray]
 """By mode and level: half-widths (points + 1, 3), float32, along, across [m] and yaw [rad], 0 at the start."""
 
 
@@ -56,9 +56,9 @@ class LiveBands:
 
     def __init__(self, bands: Bands, models: Iterable[str]):
         self._domain = bands.domain
-        questions = [(model, mode) for model in models for mode in MODES if (model, mode) in bands.bands]
-        self._row: dict[Question, int] = {question: row for row, question in enumerate(questions)}
-        chosen = [bands.bands[question] for question in questions]
+        pairs = [(model, mode) for model in models for mode in MODES if (model, mode) in bands.bands]
+        self._row: dict[ModelMode, int] = {pair: row for row, pair in enumerate(pairs)}
+        chosen = [bands.bands[pair] for pair in pairs]
         self.levels = tuple(level for level in LEVELS if all(level in band.factors for band in chosen))
         scale = chosen[0].scale
         self._between = interpolation(scale.knots, scale.time).T
@@ -69,14 +69,14 @@ class LiveBands:
         self._factors = factors.repeat(3, axis=1)[:, :, None]
         widths = np.zeros((len(self.levels), len(chosen), 3, len(scale.time) + 1), np.float32)
         self._ahead = widths.reshape(len(self.levels), -1, widths.shape[-1])[..., 1:]
-        self.stated: Mapping[str, Stated] = {model: {} for model, _ in questions}
-        for (model, mode), of_question in zip(questions, widths.swapaxes(0, 1), strict=True):
-            for level, one in zip(self.levels, of_question, strict=True):
-                self.stated[model][mode, level] = one.T
+        self.half_widths: Mapping[str, HalfWidths] = {model: {} for model, _ in pairs}
+        for (model, mode), of_pair in zip(pairs, widths.swapaxes(0, 1), strict=True):
+            for level, one in zip(self.levels, of_pair, strict=True):
+                self.half_widths[model][mode, level] = one.T
 
-    def why_not(self, condition: Sequence[float]) -> str:
+    def why_outside(self, condition: Sequence[float]) -> str:
         """Reason, in one line, why there is no band under these conditions; empty if there is one."""
-        return self._domain.why_not(condition)
+        return self._domain.why_outside(condition)
 
     def __call__(self, condition: Sequence[float]) -> bool:
         """Update `stated` for conditions, four numbers. False, without an update, outside the calibration domain."""
@@ -91,9 +91,9 @@ class LiveBands:
         np.multiply(self._factors, scale.astype(np.float32), out=self._ahead)
         return True
 
-    def scale_of(self, question: Question) -> np.ndarray | None:
-        """(points, 3) along, across [m] and yaw [rad] of the last update; None for a question without calibration."""
-        row = self._row.get(question)
+    def scale_of(self, pair: ModelMode) -> np.ndarray | None:
+        """(points, 3) along, across [m] and yaw [rad] of the last update; None for a pair without calibration."""
+        row = self._row.get(pair)
         return None if row is None else self._scale[3 * row:3 * row + 3].T
 
 
@@ -110,38 +110,38 @@ class AdaptiveBands:
                  bands: Bands | None = None):
         self._calibrated = None if bands is None else LiveBands(bands, models)
         known = {} if bands is None else bands.bands
-        self._bands = {question: AdaptiveBand(time, known.get(question)) for question in product(models, modes)}
-        self.stated: Mapping[str, Stated] = {
+        self._bands = {pair: AdaptiveBand(time, known.get(pair)) for pair in product(models, modes)}
+        self.half_widths: Mapping[str, HalfWidths] = {
             model: {(mode, level): np.zeros((len(time) + 1, 3), np.float32) for mode in modes for level in LEVELS}
             for model in models}
-        self.counts: dict[Question, tuple[int, dict[float, int]]] = {}
-        self._since: dict[Question, int] = {}  # start of the first prediction with a band [ns]
+        self.counts: dict[ModelMode, tuple[int, dict[float, int]]] = {}
+        self._since: dict[ModelMode, int] = {}  # start of the first prediction with a band [ns]
 
     @property
     def learning(self) -> float:
         """Scored driving [s] still required before the first band of a forecast is issued."""
         return min(band.learning for (_, mode), band in self._bands.items() if mode == "forecast")
 
-    def issue(self, start_ns: int, condition: Sequence[float], modes: Iterable[str]) -> tuple[set[Question], str]:
+    def issue(self, start_ns: int, condition: Sequence[float], modes: Iterable[str]) -> tuple[set[ModelMode], str]:
         """Update `stated` for predictions of these modes that start now [ns], under conditions as `conditions_now`.
 
         Returns (model, mode) of those with a band, and the reason, in one line, why calibrated ones have none.
         """
         reason = ""
         if self._calibrated and not self._calibrated(condition):
-            reason = self._calibrated.why_not(condition)
-        found: set[Question] = set()
-        for model, stated in self.stated.items():
+            reason = self._calibrated.why_outside(condition)
+        found: set[ModelMode] = set()
+        for model, stated in self.half_widths.items():
             for mode in modes:
-                question = model, mode
-                scale = self._calibrated.scale_of(question) if self._calibrated and not reason else None
-                band = self._bands[question]
+                pair = model, mode
+                scale = self._calibrated.scale_of(pair) if self._calibrated and not reason else None
+                band = self._bands[pair]
                 if reason and band.is_calibrated:
                     continue
                 widths = band.issue(start_ns, np.empty(0), scale)
                 if not band.learning:
-                    found.add(question)
-                    self._since[question] = min(self._since.get(question, start_ns), start_ns)  # time may jump back
+                    found.add(pair)
+                    self._since[pair] = min(self._since.get(pair, start_ns), start_ns)  # time may jump back
                     for level, one in widths.items():
                         stated[mode, level][1:] = one
         return found, reason
@@ -149,11 +149,11 @@ class AdaptiveBands:
     def observe(self, score: Score) -> None:
         """Update a band by the score of an earlier prediction; those of a model and mode arrive in order of time."""
         errors = to_predicted_frame(np.stack([score.longitudinal, score.lateral, score.yaw], axis=-1))[1:]
-        question = score.model, score.mode
-        inside = self._bands[question].observe(score.start_ns, errors)
-        if inside and score.start_ns >= self._since.get(question, math.inf):
-            n, kept = self.counts.get(question, (0, {}))
-            self.counts[question] = n + 1, {level: kept.get(level, 0) + one for level, one in inside.items()}
+        pair = score.model, score.mode
+        inside = self._bands[pair].observe(score.start_ns, errors)
+        if inside and score.start_ns >= self._since.get(pair, math.inf):
+            n, counts = self.counts.get(pair, (0, {}))
+            self.counts[pair] = n + 1, {level: counts.get(level, 0) + one for level, one in inside.items()}
 
 
 ALTERNATIVE = 5.0 / 9.0
@@ -164,32 +164,32 @@ END_SHARE = 0.5  # a warning ends when S has fallen to this share of its limit
 
 @dataclass
 class Coverage:
-    """Observed coverage of one model and mode. n: scored windows with a band. kept: by level, those inside throughout.
+    """Observed coverage of one model and mode. n: scored windows with a band. inside: of them by level.
 
     evidence: S, see the top of this file.
     """
 
     n: int = 0
-    kept: dict[float, int] = field(default_factory=dict)
+    inside: dict[float, int] = field(default_factory=dict)
     warns: bool = False
     evidence: float = 0.0
     _last_ns: int | None = None
 
     def share(self, level: float) -> float:
         """Observed coverage of a level; NaN without scored windows."""
-        return self.kept[level] / self.n if level in self.kept else math.nan
+        return self.inside[level] / self.n if level in self.inside else math.nan
 
-    def add(self, start_ns: int, horizon: float, kept: Mapping[float, bool]) -> None:
-        """Count one window. kept: whether the whole path was inside, by level; the highest is tested. horizon [s]."""
+    def add(self, start_ns: int, horizon: float, inside: Mapping[float, bool]) -> None:
+        """Count one window. inside: whether the whole path was inside, by level; the highest is tested. horizon [s]."""
         self.n += 1
-        for level, inside in kept.items():
-            self.kept[level] = self.kept.get(level, 0) + inside
-        level = max(kept)
+        for level, one in inside.items():
+            self.inside[level] = self.inside.get(level, 0) + one
+        level = max(inside)
         before, self._last_ns = self._last_ns, start_ns
         interval = 0.0 if before is None else (start_ns - before) * NANOSECOND / horizon
         weight = min(max(interval, 0.0), 1.0)  # 0 after a jump back in time, in a replay
         limit, q = math.log(HORIZONS), ALTERNATIVE * level
-        ratio = math.log(q / level) if kept[level] else math.log((1.0 - q) / (1.0 - level))
+        ratio = math.log(q / level) if inside[level] else math.log((1.0 - q) / (1.0 - level))
         self.evidence = min(max(self.evidence + weight * ratio, 0.0), limit)
         self.warns = self.evidence >= (END_SHARE * limit if self.warns else limit)
 
@@ -201,10 +201,10 @@ class Coverages:
     MAXIMUM_WAITING = 10_000
 
     def __init__(self) -> None:
-        self.by_question: dict[Question, Coverage] = {}
+        self.by_pair: dict[ModelMode, Coverage] = {}
         self._waiting: dict[tuple[str, str, int], dict[float, np.ndarray]] = {}
 
-    def expect(self, model: str, start_ns: int, stated: Stated) -> None:
+    def expect(self, model: str, start_ns: int, stated: HalfWidths) -> None:
         """Store half-widths published with a prediction."""
         for (mode, level), widths in stated.items():
             self._waiting.setdefault((model, mode, start_ns), {})[level] = widths
@@ -218,14 +218,14 @@ class Coverages:
             return
         errors = np.abs(to_predicted_frame(np.stack([score.longitudinal, score.lateral, score.yaw], axis=-1)))
         # Without the start, which is the measurement itself.
-        kept = {level: bool((errors[1:] <= widths[1:]).all()) for level, widths in stated.items()}
-        one = self.by_question.setdefault((score.model, score.mode), Coverage())
-        one.add(score.start_ns, float(score.horizon[-1]), kept)
+        inside = {level: bool((errors[1:] <= widths[1:]).all()) for level, widths in stated.items()}
+        one = self.by_pair.setdefault((score.model, score.mode), Coverage())
+        one.add(score.start_ns, float(score.horizon[-1]), inside)
 
     def warning(self) -> str:
         """Names bands with significantly less coverage than stated, in one line; empty without one."""
-        found = [f"{mode} of {model} (the {max(one.kept):.0%} band {one.share(max(one.kept)):.0%} so far)"
-                 for (model, mode), one in self.by_question.items() if one.warns]
+        found = [f"{mode} of {model} (the {max(one.inside):.0%} band {one.share(max(one.inside)):.0%} so far)"
+                 for (model, mode), one in self.by_pair.items() if one.warns]
         if not found:
             return ""
         return f"coverage far below the stated level: {', '.join(found)}; has the car, the road or the driving changed?"

@@ -13,12 +13,12 @@ from ..readings import correct_log
 from ..timeseries import NANOSECOND, half_step_grid
 from ..vehicle import VehicleParameters
 from .conditions import conditions_at
-from .scale import spread
+from .scale import evenly_spaced
 
 STARTS_PER_RUN = 1000
 """Predictions of one run overlap: more of them cost memory (1.2 kB each, model and mode) and add little information."""
 
-Question = tuple[str, str]  # (model, mode); mode hindsight: error of the model alone, forecast: of model and driver
+ModelMode = tuple[str, str]  # (model, mode); mode hindsight: error of the model alone, forecast: of model and driver
 
 
 class NotFiniteError(StCoreError):
@@ -26,13 +26,13 @@ class NotFiniteError(StCoreError):
 
 
 @dataclass(frozen=True, eq=False)
-class RunSamples:
+class ErrorSamples:
     """Samples of one run. conditions: (n, 4) as `conditions.CONDITIONS`. errors: by (model, mode), (n, points - 1, 3),
     float32, in the predicted frame (see `to_predicted_frame`), without the start, where they are 0."""
 
     name: str
     conditions: np.ndarray
-    errors: dict[Question, np.ndarray]
+    errors: dict[ModelMode, np.ndarray]
 
 
 def to_predicted_frame(errors: np.ndarray) -> np.ndarray:
@@ -49,9 +49,9 @@ def to_predicted_frame(errors: np.ndarray) -> np.ndarray:
     return np.stack([along, across, errors[..., 2]], axis=-1)
 
 
-def run_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,
-                settings: EvaluationSettings) -> RunSamples:
-    """Error curves of one drive from at most STARTS_PER_RUN starts spread over it.
+def error_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,
+                settings: EvaluationSettings) -> ErrorSamples:
+    """Error curves of one drive from at most STARTS_PER_RUN starts evenly_spaced over it.
 
     Only starts with a completely measured horizon and known conditions count. Raises StCoreError, one line,
     for a drive shorter than the horizon, for one without such a start, and, as NotFiniteError, where a model's errors
@@ -66,31 +66,31 @@ def run_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: Lo
                               settings.prediction.minimum_speed)
     here = conditions_at(signals, starts)
     starts = starts[np.isfinite(here).all(axis=1) & _known(models, signals, starts, settings)]
-    starts = starts[spread(len(starts), STARTS_PER_RUN)]
-    kept: list[np.ndarray] = []
-    parts: dict[Question, list[np.ndarray]] = {}
+    starts = starts[evenly_spaced(len(starts), STARTS_PER_RUN)]
+    scored: list[np.ndarray] = []
+    parts: dict[ModelMode, list[np.ndarray]] = {}
     for rows, block in evaluate_blocks(models, vehicle, signals, starts, settings):
         complete = np.isfinite(block.conditions["speed"])  # known exactly where the whole horizon was measured
-        kept.append(starts[rows][complete])
-        for question, errors in block.errors.items():
+        scored.append(starts[rows][complete])
+        for pair, errors in block.errors.items():
             whole = errors[complete]
             bad = ~np.isfinite(whole).all(axis=(1, 2))
             if bad.any():
-                first = (kept[-1][bad][0] - log.start_ns) * NANOSECOND
-                raise NotFiniteError(f"errors of {question[0]} are not finite from {int(bad.sum())} starts, the first "
+                first = (scored[-1][bad][0] - log.start_ns) * NANOSECOND
+                raise NotFiniteError(f"errors of {pair[0]} are not finite from {int(bad.sum())} starts, the first "
                                      f"at {first:.1f} s, though all inputs were measured: correct the model or take a "
                                      "shorter --step")
-            parts.setdefault(question, []).append(to_predicted_frame(whole[:, 1:]).astype(np.float32))
-    found = np.concatenate(kept) if kept else starts[:0]
+            parts.setdefault(pair, []).append(to_predicted_frame(whole[:, 1:]).astype(np.float32))
+    found = np.concatenate(scored) if scored else starts[:0]
     if not len(found):
         raise StCoreError(f"no start has a whole horizon of {horizon:g} s measured; leave the run out")
-    return RunSamples(log.name, conditions_at(signals, found), {q: np.concatenate(p) for q, p in parts.items()})
+    return ErrorSamples(log.name, conditions_at(signals, found), {q: np.concatenate(p) for q, p in parts.items()})
 
 
-def together(runs: Sequence[RunSamples]) -> RunSamples:
+def join_runs(runs: Sequence[ErrorSamples]) -> ErrorSamples:
     """Joins similar runs, for example of one day or place, into one."""
-    errors = {question: np.concatenate([run.errors[question] for run in runs]) for question in runs[0].errors}
-    return RunSamples(", ".join(run.name for run in runs), np.concatenate([run.conditions for run in runs]), errors)
+    errors = {pair: np.concatenate([run.errors[pair] for run in runs]) for pair in runs[0].errors}
+    return ErrorSamples(", ".join(run.name for run in runs), np.concatenate([run.conditions for run in runs]), errors)
 
 
 def _known(models: Sequence[Model], signals: LogSignals, starts_ns: np.ndarray,

@@ -27,9 +27,10 @@ from ..errors import StCoreError
 KNOTS = (0.1, 0.5, 1.0, 2.0, 3.5, 5.0)  # s ahead, for a horizon of 5 s; in proportion for others
 NOISE = 3.0  # standard deviations of the sensor noise in the floor
 FLOOR_SHARE = 0.2  # of the root mean square error at the end of the horizon; smaller in proportion before
-LEAST = np.array([1.0e-3, 1.0e-3, 1.0e-4])  # m, m, rad: resolution of the sensors; smaller errors count as this large
+ERROR_RESOLUTION = np.array([1.0e-3, 1.0e-3,
+                             1.0e-4])  # m, m, rad: resolution of the sensors; smaller errors count as this large
 RIDGE = 1.0e-2
-MOST_STEPS, MOST_HALVINGS = 100, 20
+MAX_STEPS, MAX_HALVINGS = 100, 20
 TOLERANCE = 1.0e-3
 """Of the derivative: relative error of the mean squares, far below their uncertainty for any number of runs."""
 FIT_STARTS = 100  # starts of a run used in the fit; neighbouring starts are redundant
@@ -110,10 +111,10 @@ def fit_scale(conditions: Sequence[np.ndarray], errors: Sequence[np.ndarray], ti
     Raises StCoreError where the fit fails.
     """
     knots = knots_of(float(time[-1]))
-    picked = [spread(len(one)) for one in conditions]
+    picked = [evenly_spaced(len(one)) for one in conditions]
     phi = np.concatenate([features(one[rows]) for one, rows in zip(conditions, picked, strict=True)])
     weights = np.concatenate([np.full(len(rows), 1.0 / (len(rows) * len(picked))) for rows in picked])
-    squares = [np.maximum(np.square(one[rows].astype(float)), np.square(LEAST))
+    squares = [np.maximum(np.square(one[rows].astype(float)), np.square(ERROR_RESOLUTION))
                for one, rows in zip(errors, picked, strict=True)]
     first, last = np.sqrt(np.mean([one[:, [0, -1]].mean(axis=0) for one in squares], axis=0))
     floor = np.stack([NOISE * first, FLOOR_SHARE * last])
@@ -142,22 +143,22 @@ def _gamma_regression(phi: np.ndarray, weights: np.ndarray, squares: np.ndarray)
     c = np.zeros((phi.shape[1], squares.shape[1]))
     c[0] = 0.5 * np.log(weights @ squares)  # the root mean square over all starts
     value, slope, ratio = loss(c)
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         if np.abs(slope).max() < TOLERANCE:
             return c
         curved = np.stack([phi.T @ ((2.0 * weights * one)[:, None] * phi) for one in ratio.T]) + always
         step, share = np.linalg.solve(curved, slope.T[:, :, None])[:, :, 0].T, np.ones(c.shape[1])
-        for _ in range(MOST_HALVINGS):
-            tried, there, left = loss(c - share * step)
+        for _ in range(MAX_HALVINGS):
+            tried, tried_slope, tried_ratio = loss(c - share * step)
             worse = ~(tried <= value + 1.0e-12)
             if not worse.any():
                 break
             share = np.where(worse, 0.5 * share, share)
-        c, value, slope, ratio = c - share * step, tried, there, left
-    raise StCoreError(f"the scale of the errors cannot be fitted: no convergence after {MOST_STEPS} steps; are errors "
+        c, value, slope, ratio = c - share * step, tried, tried_slope, tried_ratio
+    raise StCoreError(f"the scale of the errors cannot be fitted: no convergence after {MAX_STEPS} steps; are errors "
                       "of a few starts larger than all others by orders of magnitude?")
 
 
-def spread(count: int, most: int = FIT_STARTS) -> np.ndarray:
-    """At most `most` of `count` rows, evenly spread."""
+def evenly_spaced(count: int, most: int = FIT_STARTS) -> np.ndarray:
+    """At most `most` of `count` rows, evenly evenly_spaced."""
     return np.arange(count) if count <= most else np.linspace(0, count - 1, most).round().astype(int)

@@ -28,7 +28,7 @@ from ..readings import readings
 from ..regression import white_noise
 from ..types import map_to_body, wrap_angle
 from ..vehicle import VehicleParameters, value_of
-from .scale import spread
+from .scale import evenly_spaced
 
 PARAMETERS, SENSORS = "parameters", "sensors and start"
 STARTS = 200  # of a run; neighbouring starts are redundant
@@ -38,7 +38,7 @@ Intervals = Mapping[tuple[str, str], tuple[float, float]]  # 95 % interval by ef
 Cause = tuple[str, str]  # (PARAMETERS or SENSORS, name)
 
 
-def share_squares(model: Model, vehicle: VehicleParameters, signals: LogSignals, settings: EvaluationSettings,
+def squared_contributions(model: Model, vehicle: VehicleParameters, signals: LogSignals, settings: EvaluationSettings,
                   intervals: Intervals | None = None) -> tuple[int, np.ndarray, dict[Cause, np.ndarray]]:
     """(number of starts, squares of the error, squares by cause) of one run.
 
@@ -48,7 +48,7 @@ def share_squares(model: Model, vehicle: VehicleParameters, signals: LogSignals,
     seconds = np.arange(1, int(settings.prediction.horizon + 1e-9) + 1, dtype=float)
     starts, _ = usable_starts(signals, vehicle, regular_starts(signals.log, settings.interval),
                               settings.prediction.minimum_speed)
-    starts = starts[spread(len(starts), STARTS)]
+    starts = starts[evenly_spaced(len(starts), STARTS)]
 
     def batch(of: LogSignals) -> LogBatch:
         return LogBatch(of, starts, settings.prediction.horizon, settings.prediction.step, points=seconds.tolist())
@@ -66,8 +66,8 @@ def share_squares(model: Model, vehicle: VehicleParameters, signals: LogSignals,
     for key, (low, high) in _cars(vehicle).items():
         ends[PARAMETERS, key] = (path(_with_steering_of(signals, low, settings), model, low),
                                  path(_with_steering_of(signals, high, settings), model, high))
-    for key, (less, more) in _models(model, intervals or {}).items():
-        ends[PARAMETERS, key] = path(signals, less, vehicle), path(signals, more, vehicle)
+    for key, (lower, higher) in _models(model, intervals or {}).items():
+        ends[PARAMETERS, key] = path(signals, lower, vehicle), path(signals, higher, vehicle)
     noise = {name: white_noise(getattr(signals.log, name)) if len(signals.log.x) > 3 else 0.0 for name in INS_SIGNALS}
     for name, sigma in noise.items():
         ends[SENSORS, f"{name} at the start"] = (
@@ -79,8 +79,8 @@ def share_squares(model: Model, vehicle: VehicleParameters, signals: LogSignals,
                           wrap_angle(other[2] - one[2]) * 0.5], axis=-1)[complete]
         if (moved != 0.0).any():
             squares[cause] = np.square(moved).sum(axis=0)
-    place = 0.5 * (noise["x"] ** 2 + noise["y"] ** 2)
-    squares[SENSORS, "pose at the end"] = np.tile(complete.sum() * np.array([place, place, noise["yaw"] ** 2]),
+    position = 0.5 * (noise["x"] ** 2 + noise["y"] ** 2)
+    squares[SENSORS, "pose at the end"] = np.tile(complete.sum() * np.array([position, position, noise["yaw"] ** 2]),
                                                   (len(seconds), 1))
     return int(complete.sum()), np.square(errors[complete]).sum(axis=0), squares
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.stats import f as fisher
 
 from ..clock_fit import STEP, Fit, Pair, fit, mean_correlation, resample
-from ..clock_types import LONGEST_SPAN
+from ..clock_types import MAX_SPAN
 from ..regression import symmetric_interval
 from .regression import Estimate, Regression
 
@@ -53,7 +53,7 @@ def agreement(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, 
     time, measured_time: rising [s]; values NaN where unknown. cutoff [Hz]: of the low-pass on both. derived_is_angle:
     the rate of `derived` is compared. biased: whether a bias is possible. usual: lag of a faultless channel [s].
     """
-    if max(float(np.ptp(t)) if len(t) else 0.0 for t in (time, measured_time)) > LONGEST_SPAN:
+    if max(float(np.ptp(t)) if len(t) else 0.0 for t in (time, measured_time)) > MAX_SPAN:
         return None
     reference = resample(time, derived, cutoff, derived_is_angle)
     other = resample(measured_time, measured, cutoff)

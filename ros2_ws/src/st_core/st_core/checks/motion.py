@@ -11,7 +11,7 @@ from ..log import DriveLog
 from ..timeseries import NANOSECOND
 from .finding import AuxiliaryData
 
-LONGEST_GAP = 0.25  # s between samples; nothing is integrated across a longer one
+MAX_GAP = 0.25  # s between samples; nothing is integrated across a longer one
 MOVING = 1.0  # m/s; slower driving is not used
 MIN_DRIVEN_WINDOWS = 5  # that must show the car driving
 MIN_COHERENCE = 0.5  # cosine between displacements of successive windows: 1 straight on, 0 for a random walk
@@ -87,7 +87,7 @@ def is_driven(motion: Motion) -> bool:
     exceeds its noise by far, and one of the two is faster than MOVING. A standing car with a wandering receiver does
     neither, a creeping one is too slow."""
     length = max(1.0, 5.0 * float(np.median(np.diff(motion.time))))
-    over = windows(motion.time, length, max(LONGEST_GAP, 0.5 * length))
+    over = windows(motion.time, length, max(MAX_GAP, 0.5 * length))
     if len(over) < MIN_DRIVEN_WINDOWS:
         return True  # too short to judge
     moved = over.change(motion.x) + 1j * over.change(motion.y)
@@ -135,7 +135,7 @@ class Windows:
         return len(self.first)
 
 
-def windows(time: np.ndarray, length: float, longest_gap: float = LONGEST_GAP) -> Windows:
+def windows(time: np.ndarray, length: float, longest_gap: float = MAX_GAP) -> Windows:
     """Windows of `length` [s] over the stretches without a gap."""
     if len(time) < 2:
         empty = np.zeros(0, np.int64)

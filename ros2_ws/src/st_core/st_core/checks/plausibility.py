@@ -17,7 +17,7 @@ import numpy as np
 
 from ..log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
 from .finding import Advice, Finding, Severity, merge_findings
-from .motion import LONGEST_GAP, spans, stretches
+from .motion import MAX_GAP, spans, stretches
 
 STEP_MEDIAN_RATIO = 20.0  # times the median step; noise and quantisation stay below
 HALF_WINDOW = 0.1  # s before and after a sample, for the median of its neighbours; at least two updates
@@ -167,7 +167,7 @@ def _channel(name: str, time: np.ndarray, values: np.ndarray) -> _Channel | None
     changes = np.flatnonzero(step > 0.0)
     if len(changes) < 2:
         return None
-    gap = spacing > max(LONGEST_GAP, 1.5 * float(np.median(spacing)))
+    gap = spacing > max(MAX_GAP, 1.5 * float(np.median(spacing)))
     update = float(np.median(np.diff(time[changes + 1])))
     return _Channel(name, CHANNELS[name], rows, time, values, step, float(np.median(step[changes])), gap, update)
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..regression import white_noise
 from .finding import HORIZON, LIMITS, Advice, AuxiliaryData, Channel, Finding, InsQuality, Severity, merge_findings
-from .motion import LONGEST_GAP, Motion, spans, stretches
+from .motion import MAX_GAP, Motion, spans, stretches
 
 UNITS = {"x": "m", "y": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m/s", "yaw_rate": "rad/s",
          "acceleration_x": "m/s^2", "acceleration_y": "m/s^2", "road_wheel_angle": "rad"}
@@ -32,7 +32,7 @@ def describe_channels(motion: Motion, auxiliary: AuxiliaryData) -> dict[str, Cha
             continue
         spacing = np.diff(time)
         channels[name] = Channel(
-            unit, len(values), float(1.0 / np.median(spacing)), int((spacing > LONGEST_GAP).sum()),
+            unit, len(values), float(1.0 / np.median(spacing)), int((spacing > MAX_GAP).sum()),
             float(spacing.max()), white_noise(values) if len(values) > 3 else 0.0, resolution(values),
             float(np.mean(np.diff(values) == 0.0)), int(auxiliary.missing.get(name, 0)))
     return channels
@@ -108,7 +108,7 @@ def refused_frames(time: np.ndarray, frames: int, reason: str) -> Finding:
     severity = Severity.NOTE if share <= MAX_GAP_SHARE else Severity.WARNING
     advice = Advice("look", "look at the steering sensor, and at its range and max_rate in the signal table")
     return Finding("values_missing", severity, ("road_wheel_angle",), text, share,
-                   where=stretches(time, LONGEST_GAP), advice=advice)
+                   where=stretches(time, MAX_GAP), advice=advice)
 
 
 def _slower_rate(time: np.ndarray, rows: np.ndarray, missing: float) -> float:
@@ -141,7 +141,7 @@ def _check_stamps(signal: str, stamps: np.ndarray) -> list[Finding]:
             continue
         count, share = int(lost.sum()), float(lost.mean())
         largest = -float(step.min()) * 1e-9
-        reset = name == "time_order" and largest > LONGEST_GAP
+        reset = name == "time_order" and largest > MAX_GAP
         where = tuple((float(t), float(t)) for t in (newest[back] - stamps[0])[:20] * 1e-9)
         if reset:
             text = (f"the stamps of the {signal} go back {int(back.sum())} time{'s' if back.sum() > 1 else ''}, by up "
@@ -161,7 +161,7 @@ def _check_gaps(signal: str, time: np.ndarray, left_out: Sequence[tuple[float, f
         return []
     spacing = np.diff(time)
     # A slow recording has no gap between every two of its samples.
-    long = np.flatnonzero(spacing > max(LONGEST_GAP, 1.5 * float(np.median(spacing))))
+    long = np.flatnonzero(spacing > max(MAX_GAP, 1.5 * float(np.median(spacing))))
     long = np.array([k for k in long if not any(time[k] < begin and end < time[k + 1] for begin, end in left_out)], int)
     if not len(long):
         return []

@@ -14,14 +14,14 @@ from scipy.stats import binomtest
 
 from ..regression import ROBUST
 from .finding import HORIZON, LIMITS, Advice, Finding, Severity
-from .motion import LONGEST_GAP, MOVING, Motion, integral, stretches
+from .motion import MAX_GAP, MOVING, Motion, integral, stretches
 from .sampling import resolution
 
 OUTLIER_SIGMAS = 6.0  # robust standard deviations beyond which a step is not noise
 MIN_NOISE = 0.05  # m; RTK positions have 2 cm, and those of an INS far less from sample to sample
 MIN_JUMP = 0.2  # m; the way in 10 ms at 20 m/s
 MAX_LISTED_JUMPS = 50
-JUMP_MARGIN = 0.5 * LONGEST_GAP + 0.01  # s to both sides of a jump, so that a gap remains; rounded to 10 ms
+JUMP_MARGIN = 0.5 * MAX_GAP + 0.01  # s to both sides of a jump, so that a gap remains; rounded to 10 ms
 MIN_STALE_SAMPLES, WARNING_STALE_SHARE = 5, 0.05  # with this share, one start in twenty is wrong
 MAX_AGE_SPREAD = 0.35  # spread of the ages of stale samples over their median
 MIN_STEP_BALANCE = 0.5  # steps forward over steps back
@@ -44,7 +44,7 @@ def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 def _even_stamps(time: np.ndarray) -> np.ndarray:
     """Evenly spaced stamps in each stretch without a gap."""
-    edges = np.concatenate(([0], np.flatnonzero(np.diff(time) > LONGEST_GAP) + 1, [len(time)]))
+    edges = np.concatenate(([0], np.flatnonzero(np.diff(time) > MAX_GAP) + 1, [len(time)]))
     return np.concatenate([np.linspace(time[a], time[b - 1], b - a) for a, b in pairwise(edges)])
 
 
@@ -102,7 +102,7 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
 def _check_jumps(motion: Motion, errors: np.ndarray, stale: np.ndarray, rounding: float) -> list[Finding]:
     size = np.abs(errors - np.median(errors.real) - 1j * np.median(errors.imag))
     scale = ROBUST * float(np.median(size))
-    within = (np.diff(motion.time) <= LONGEST_GAP) & ~stale
+    within = (np.diff(motion.time) <= MAX_GAP) & ~stale
     large = within & (size > max(OUTLIER_SIGMAS * scale, MIN_JUMP, 2.0 * rounding))
     count = int(large.sum())
     if not count:
@@ -133,7 +133,7 @@ def _leave_out_jumps(where: Sequence[tuple[float, float]]) -> Advice:
 
 def _check_noise(motion: Motion, errors: np.ndarray) -> list[Finding]:
     """White noise of positions: the size of d_k is Rayleigh distributed about sigma sqrt(2), its median 1.665 sigma."""
-    within = np.diff(motion.time) <= LONGEST_GAP
+    within = np.diff(motion.time) <= MAX_GAP
     if within.sum() < 50:
         return []
     sigma = float(np.median(np.abs(errors[within]))) / 1.665
@@ -148,7 +148,7 @@ def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
     """Finding of uneven stamps of a smooth motion: d / v = -(dt - its mean)."""
     spacing = np.diff(motion.time)
     usual = float(np.median(spacing))
-    inside = (spacing < LONGEST_GAP) & np.isfinite(along)
+    inside = (spacing < MAX_GAP) & np.isfinite(along)
     if inside.sum() < 50:
         return []
     uneven = (spacing - usual)[inside]

@@ -25,7 +25,7 @@ from ..errors import StCoreError
 from ..log import DriveLog
 from ..log_evaluation import EvaluationSettings, evaluate_log, regular_starts
 from ..models import Model, get_model
-from ..stability import MOST_SUBSTEPS, growth, slip_speed_needed, stable
+from ..stability import MAX_SUBSTEPS, growth, slip_speed_needed, stable
 from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from .finding import HORIZON, LIMITS, Advice, Finding, Severity
@@ -41,7 +41,7 @@ MAX_STARTS = 100  # spread over the run; more change the error by less than 1 %
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
 # Number of speeds, from the lowest to the highest of the run, at which the step size is checked for stability.
 SPEED_COUNT = 40
-STEP_DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MOST_SUBSTEPS)  # of a step, for a short decimal number
+STEP_DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MAX_SUBSTEPS)  # of a step, for a short decimal number
 MERGE_GAP = 1.0  # s; stretches closer than that are merged
 State = tuple[DriveLog, VehicleParameters]
 
@@ -184,10 +184,10 @@ def _step_advice(models: Sequence[Model], vehicle: VehicleParameters, speeds: Se
     if needed is not None:
         line = f'minimum_slip_speed: {{value: {needed:g}, unit: m/s, source: "stable with steps of {1e3 * step:g} ms"}}'
         if any(isinstance(model, AugmentedModel) for model in models):
-            line += "  # a model file belongs to its vehicle file: run st discover again with this one"
+            line += "  # then rerun st discover: a model file is valid for its own vehicle file only"
         return needed, "m/s", Advice("vehicle", line, {"minimum_slip_speed": needed})
     shorter = next((step / parts for parts in STEP_DIVISORS if stable(models, vehicle, speeds, step / parts)), None)
     if shorter is not None:
         return shorter, "s", Advice("option", f"--step {shorter:.9g}", {"step": shorter})
-    return None, "s", Advice("look", f"no step down to {1e3 * step / MOST_SUBSTEPS:.2g} ms is short enough: look at "
+    return None, "s", Advice("look", f"no step down to {1e3 * step / MAX_SUBSTEPS:.2g} ms is short enough: look at "
                              "the vehicle's yaw_inertia, mass and stiffnesses, and at the effects of the model")

@@ -9,13 +9,13 @@ from ._base import Effect, Parameter, register
 @register
 class YawRateDelay(Effect):
     name = "yaw_rate_delay"
-    physics = "measured r(t) = r(t - time) = r - time r_dot: filter of the sensor, or its own time stamps"
+    physics = "measured r(t) = r(t - time) ~ r - time r_dot: sensor filter, or time stamps of another clock"
     excited_by = "sweeps and steps, with the heading measured"
     kind, slot = "sensors", "yaw rate"
     needs = ("yaw_rate",)
     order = 20  # before scale and bias, which do not depend on time
     parameters = (
-        Parameter("time", "s", null=0.0, initial=0.03, bounds=(-0.1, 0.2), meaning="measured after true",
+        Parameter("time", "s", null=0.0, initial=0.03, bounds=(-0.1, 0.2), meaning="delay of the yaw rate, + late",
                   source="filters of yaw rate sensors, 10-50 Hz: 5-30 ms; stamps on arrival add as much",
                   identity="yaw_rate_lag"),
     )

@@ -21,15 +21,15 @@ from .result import Estimate, Identification, IdentificationError, Status
 
 
 @dataclass(frozen=True)
-class TableStiffness:
-    """Uncertainty of the stiffness from a flat-plank table. uncertainty: relative standard uncertainty of K at the
-    static load [1]. name: of the table."""
+class StiffnessUncertainty:
+    """uncertainty: relative standard uncertainty of K at the static load from a flat-plank table [1]. name: of the
+    table."""
 
     uncertainty: float
     name: str
 
 
-def lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, TableStiffness]) -> Identification:
+def lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, StiffnessUncertainty]) -> Identification:
     """Estimates of tyre_front.lambda_ky and tyre_rear.lambda_ky [1].
 
     tables: by tyre; without one the uncertainty is that of the axle stiffness only. Raises IdentificationError when the
@@ -42,8 +42,8 @@ def lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, TableStiffness]) 
         known = vehicle.provenance.get(key)
         if known is None or known.uncertainty is None:
             raise IdentificationError(f"{key} of the vehicle file has no uncertainty: identify the stiffness first "
-                                      "and give the vehicle.yaml that comes of it (without lambda_ky a file derives "
-                                      "it)")
+                                      "and use the resulting vehicle.yaml. (A file without lambda_ky derives it from "
+                                      "the stiffness.)")
         stiffness = getattr(vehicle, key)
         load = getattr(vehicle, f"static_tyre_load_{axle}")
         formula = getattr(vehicle, tyre)
@@ -52,8 +52,8 @@ def lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, TableStiffness]) 
         relative = math.hypot(known.uncertainty / stiffness, table.uncertainty if table else 0.0,
                               _load_sensitivity(load, formula) * _load_uncertainty(vehicle, axle))
         spread = value * relative
-        cause = ("the rest is compliance of steering and suspension." if value < 1.0 else "no compliance makes an axle "
-                 "stiffer than its tyres, so surface, temperature or inflation differ.")
+        cause = ("the difference is due to steering and suspension compliance." if value < 1.0 else "compliance cannot "
+                 "make an axle stiffer than its tyres, so surface, temperature or inflation differ.")
         words = (f"The {axle} axle is {value:.3f} times as stiff as its two tyres on the flat plank at {load:.0f} N: "
                  f"{cause}")
         status: Status = "identified" if value <= 1.0 + 2.0 * relative else "doubtful"
@@ -62,7 +62,7 @@ def lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, TableStiffness]) 
         estimates.append(Estimate(f"{tyre}.lambda_ky", value, "1", spread, symmetric_interval(value, spread), method,
                                   runs, words, status))
         if table is None:
-            warnings.append(f"No table of {tyre} was given: its stiffness on the flat plank is taken for exact.")
+            warnings.append(f"No table of {tyre} was given: its flat-plank stiffness is treated as exact.")
     figure = {"scale": [e.value for e in estimates],
               "stiffness": [vehicle.cornering_stiffness_front, vehicle.cornering_stiffness_rear]}
     used = tuple(dict.fromkeys(run for e in estimates for run in e.runs))

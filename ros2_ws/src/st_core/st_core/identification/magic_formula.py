@@ -87,8 +87,8 @@ def check_table(data: FlatPlank, levels: np.ndarray, level: np.ndarray, nominal_
                                   "are needed; if the column is in radians, name it slip_angle_rad")
     ratio = float((np.abs(data.force) / data.load).max())
     if not 0.2 < ratio < 3.0:
-        raise IdentificationError(f"{data.tyre}: the lateral force reaches {ratio:.3g} times the load, 0.2 to 3 is a "
-                                  "tyre's: are the units in the header right, or two columns exchanged?")
+        raise IdentificationError(f"{data.tyre}: the lateral force reaches {ratio:.3g} times the load, expected 0.2 to "
+                                  "3 for a tyre: are the units in the header right, or two columns exchanged?")
     nominal = int(np.argmin(np.abs(levels - nominal_load)))
     if abs(levels[nominal] - nominal_load) > 0.1 * nominal_load:
         raise IdentificationError(f"{data.tyre}: no load near nominal_load {nominal_load:.0f} N of the vehicle file, "
@@ -104,8 +104,8 @@ def check_table(data: FlatPlank, levels: np.ndarray, level: np.ndarray, nominal_
         raise IdentificationError(f"{data.tyre}: {coverage.describe()}")
     trend = float(data.slip @ data.force) / math.sqrt(float(data.slip @ data.slip) * float(data.force @ data.force))
     if abs(trend) < 0.5:
-        raise IdentificationError(f"{data.tyre}: lateral force and slip angle are correlated by {trend:+.2f} only: "
-                                  "are two columns exchanged, or signs lost?")
+        raise IdentificationError(f"{data.tyre}: the correlation of lateral force and slip angle is only {trend:+.2f}: "
+                                  "are two columns exchanged, or is a sign missing?")
     return (replace(data, slip=-data.slip), True) if trend > 0.0 else (data, False)
 
 
@@ -125,9 +125,10 @@ NOMINAL_PARAMETERS = ("p_cy1", "p_dy1", "p_ey1")
 STIFFNESS_PARAMETERS = ("p_ky1", "p_ky2", "p_ky4")
 FITTED_PARAMETERS = ("p_cy1", "p_dy1", "p_dy2", "p_ey1", "p_ey2", "p_ky1", "p_ky2", "p_ky4")
 STARTS = ((1.1, -0.5), (1.3, 0.2), (1.6, -0.5), (1.3, -3.0))  # of (C, E): where the nominal fit begins
-MEANING = {"p_cy1": "shape", "p_dy1": "peak friction", "p_dy2": "peak friction over load", "p_ey1": "curvature",
-           "p_ey2": "curvature over load", "p_ky1": "stiffness", "p_ky2": "load of the largest stiffness",
-           "p_ky4": "bend of the stiffness over load"}
+MEANING = {"p_cy1": "shape", "p_dy1": "peak friction", "p_dy2": "load dependence of peak friction",
+           "p_ey1": "curvature",
+           "p_ey2": "load dependence of curvature", "p_ky1": "stiffness", "p_ky2": "load at maximum stiffness",
+           "p_ky4": "curvature of stiffness versus load"}
 
 
 @dataclass(frozen=True)
@@ -190,7 +191,8 @@ def magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
     function = _residuals(data, found.staged, found.names)
     peak = float(np.abs(data.force).max())
     method = (f"flat plank, {len(data.load)} points at {', '.join(f'{x:.0f}' for x in levels)} N, nominal load first, "
-              f"then all at once, profile likelihood; residual {100 * fit.scatter / peak:.2f} % of the largest force")
+              f"then all loads simultaneously, profile likelihood; residual {100 * fit.scatter / peak:.2f} % of the "
+              "largest force")
     estimates = []
     for k, name in enumerate(found.names[:-1]):
         interval = profile_interval(function, fit, k)
@@ -202,13 +204,13 @@ def magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
         status: Status = "doubtful" if fit.at_bound(k) or open_ends else "identified"
         if fit.at_bound(k):
             end = min(fit.lower[k], fit.upper[k], key=lambda bound: abs(bound - value))
-            words.append(f"{key} stopped at its limit {end:g}: the value is the limit's, not the data's.")
+            words.append(f"{key} ended at its bound {end:g}: the value is set by the bound, not by the data.")
         elif open_ends == 1:
             end = interval.low if interval.lower_open else interval.high
-            words.append(f"The data bound it on one side only: the interval ends at the limit {end:g}.")
+            words.append(f"The data limit it on one side only: the interval ends at the bound {end:g}.")
         if open_ends == 2:
-            words.append(f"The data do not bound it within {interval.low:g} to {interval.high:g}; with the others it "
-                         "makes up the stiffness at the tested loads, and is written for that.")
+            words.append(f"The data do not limit it within {interval.low:g} to {interval.high:g}; it is written "
+                         "because, with the other parameters, it reproduces the stiffness at the tested loads.")
             # Uniform over the range: all values are equally likely.
             spread = (interval.high - interval.low) / math.sqrt(12.0)
         estimates.append(Estimate(key, value, "1", spread, (interval.low, interval.high), method, (data.name,),
@@ -299,7 +301,7 @@ def _warnings(data: FlatPlank, found: TyreFit, peak: float) -> list[str]:
     apart = max(float(np.abs(tyre_force(grid, load, found.staged) - tyre_force(grid, load, found.tyre)).max())
                 for load in found.levels)
     if apart > 0.01 * peak:
-        sentences.append(f"Nominal load first and all loads at once differ by up to {apart:.0f} N, "
-                         f"{100 * apart / peak:.1f} % of the largest force: the load dependency of the formula does "
-                         "not fit all loads alike.")
+        sentences.append(f"The two-stage and the simultaneous fit differ by up to {apart:.0f} N, "
+                         f"{100 * apart / peak:.1f} % of the largest force: the load dependence of the formula does "
+                         "not fit all loads equally well.")
     return sentences

@@ -13,7 +13,7 @@ from ..types import ins_to_cg_acceleration
 from ..vehicle import VehicleParameters
 from .result import Coverage, IdentificationError
 
-EDGE = 0.2
+FILTER_SETTLING_TIME = 0.2
 """Settling time of the filter, discarded at both ends of each gap-free stretch [s]."""
 MAXIMUM_GAP = 0.1
 """Longest gap between samples that is interpolated [s]."""
@@ -61,7 +61,7 @@ def run_samples(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) 
     def smooth(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return filtered_derivative(time_ns, values, cutoff, MAXIMUM_GAP, "zero_phase")
 
-    if log.overlap <= 2.0 * EDGE:
+    if log.overlap <= 2.0 * FILTER_SETTLING_TIME:
         raise IdentificationError(f"{log.name}: INS and steering were measured together for {log.overlap:.2g} s; "
                                   "record longer")
     time_ns, d_x, d_y = log.ins_time_ns, vehicle.cg_to_ins_x, vehicle.cg_to_ins_y
@@ -90,25 +90,25 @@ def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     if not names:
         raise IdentificationError("no drives were given; name at least one recording")
     if len(set(names)) != len(names):
-        raise IdentificationError(f"drives {', '.join(names)}: one is named twice; each may enter once")
+        raise IdentificationError(f"drives {', '.join(names)}: duplicate name; give each drive once")
     for log in logs:
         for name in needed:
             if not CHANNELS[name].is_in(log):
                 raise IdentificationError(f"{log.name}: {name} is not measured, and this identification needs it: "
-                                          "record it with an INS of two antennas, or leave the drive out")
+                                          "record it with a dual-antenna INS, or leave the drive out")
     own = [log if log.steering_wheel_angle is None else log.with_steering(vehicle) for log in logs]
     noticed = []
     for k, log in enumerate(own):
         if log.overlap < MIN_COMMON_TIME or len(log.ins_time_ns) < MIN_SAMPLES:
             raise IdentificationError(
-                f"{log.name}: too few samples: {len(log.ins_time_ns)} of the INS, {log.overlap:.1f} s together with "
-                f"the steering; at least {MIN_COMMON_TIME:g} s and {MIN_SAMPLES} are needed")
+                f"{log.name}: {len(log.ins_time_ns)} INS samples, which overlap with the steering for "
+                f"{log.overlap:.1f} s; at least {MIN_SAMPLES} and {MIN_COMMON_TIME:g} s are needed")
         bias = yaw_rate_bias(log)
         own[k] = replace(log, yaw_rate=log.yaw_rate - bias)
         if abs(bias) > MIN_REPORTED_BIAS:
             noticed.append(f"{log.name} {bias:+.4f}")
-    words = f"The yaw rate drifts against the heading (removed, rad/s): {', '.join(noticed)}."
-    return own, (words,) if noticed else ()
+    warning = f"Yaw rate bias relative to the heading rate, removed [rad/s]: {', '.join(noticed)}."
+    return own, (warning,) if noticed else ()
 
 
 def yaw_rate_bias(log: DriveLog) -> float:
@@ -136,8 +136,8 @@ def require_coverage(coverages: Sequence[Coverage], advice: str) -> None:
 
 
 def _away_from_edges(time_ns: np.ndarray) -> np.ndarray:
-    """Which samples are at least EDGE away from the ends of their stretch without a gap."""
-    edge = round(EDGE / NANOSECOND)
+    """Which samples are at least FILTER_SETTLING_TIME away from the ends of their stretch without a gap."""
+    edge = round(FILTER_SETTLING_TIME / NANOSECOND)
     breaks = np.flatnonzero(np.diff(time_ns) > round(MAXIMUM_GAP / NANOSECOND))
     begins = time_ns[np.concatenate(([0], breaks + 1))]
     ends = time_ns[np.concatenate((breaks, [len(time_ns) - 1]))]

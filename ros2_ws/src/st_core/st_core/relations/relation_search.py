@@ -191,11 +191,11 @@ def _reported(candidate: Candidate, reported: Collection[tuple[str, str]]) -> st
 def _too_short(windows: RunWindows, settings: DiscoverySettings) -> str:
     """Why these drives are too short for any relation; "" if they are not."""
     if len(set(windows.run)) == 1:
-        return "one run was driven; a relation cannot be tested in another drive: give two or more"
+        return "only one run: a relation needs a second drive for validation; give two or more"
     blocks = int(windows.block.max()) + 1 if len(windows) else 0
     if len(windows) < 3 or blocks < MIN_BLOCKS:
-        return (f"{blocks} blocks of {settings.block:g} s were driven; a curve needs {MIN_BLOCKS}: drive longer, or "
-                "give more runs")
+        return (f"only {blocks} blocks of {settings.block:g} s; a curve needs {MIN_BLOCKS}: drive longer, or give more "
+                "runs")
     return ""
 
 

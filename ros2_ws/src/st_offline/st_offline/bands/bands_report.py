@@ -7,7 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
 from rich.console import Console
-from st_core.bands.shares import PARAMETERS, SENSORS, Intervals, share_squares
+from st_core.bands.shares import PARAMETERS, SENSORS, Intervals, squared_contributions
 from st_core.log_evaluation import AXES, EvaluationSettings
 from st_core.log_signals import LogSignals
 from st_core.model_file import ModelFile
@@ -154,7 +154,7 @@ def share_sums(models: Sequence[Model], vehicle: VehicleParameters, signals: Log
     """Decomposition of the error of one run, as sums over its starts."""
     found: Sums = {}
     for model in models:
-        starts, total, parts = share_squares(model, vehicle, signals, settings, intervals.get(model.name))
+        starts, total, parts = squared_contributions(model, vehicle, signals, settings, intervals.get(model.name))
         found[model.name] = {"starts": starts, "total": _seconds(total),
                              "parts": {kind: {name: _seconds(squares) for (of, name), squares in parts.items()
                                               if of == kind} for kind in (PARAMETERS, SENSORS)}}

@@ -11,11 +11,11 @@ from st_core.bands import (
     Band,
     Bands,
     CalibrationDomain,
-    RunSamples,
+    ErrorSamples,
     calibrate,
+    error_samples,
     highest_level,
-    run_samples,
-    together,
+    join_runs,
 )
 from st_core.bands.calibration import check_levels
 from st_core.bands.file import configuration_of, times
@@ -54,7 +54,7 @@ def run_command(job: Job, console: Console) -> int:
     problems: list[str] = []
     groups = [collect(find_runs(paths), job.task, models, recordings, problems, console)
               for paths in ([[path] for path in job.runs] if job.together else [job.runs])]
-    samples = [together(group) for group in groups if group] if job.together else groups[0]
+    samples = [join_runs(group) for group in groups if group] if job.together else groups[0]
     bands = make_bands(samples, job.task, models, recordings, job.levels, console)
     try:
         job.output.parent.mkdir(parents=True, exist_ok=True)
@@ -68,12 +68,12 @@ def run_command(job: Job, console: Console) -> int:
 
 
 def collect(sources: Sequence[RunSource], task: Task, models: Sequence[Model], recordings: dict[str, str],
-            problems: list[str], console: Console) -> list[RunSamples]:
+            problems: list[str], console: Console) -> list[ErrorSamples]:
     """Samples of each run. A run that cannot be used is reported and left out.
 
     Adds to `recordings`, sha256 by file, and to `problems`.
     """
-    samples: list[RunSamples] = []
+    samples: list[ErrorSamples] = []
     for source in sources:
         try:
             with console.status(escape(source.name)):
@@ -85,7 +85,7 @@ def collect(sources: Sequence[RunSource], task: Task, models: Sequence[Model], r
                                        "give every recording once")
                 _refuse_other_car(source, run, task.vehicle)
                 check_for_use(source.where, run, task.vehicle, task.force, models, task.settings.prediction.step)
-                samples.append(run_samples(models, task.vehicle, task.settings.signals(run.log), task.settings))
+                samples.append(error_samples(models, task.vehicle, task.settings.signals(run.log), task.settings))
         except (RunError, StCoreError) as error:
             problems.append(f"{source.name}: {' '.join(str(error).split())}")
             line(f"[red]{escape(problems[-1])}[/red]", console)
@@ -94,7 +94,7 @@ def collect(sources: Sequence[RunSource], task: Task, models: Sequence[Model], r
     return samples
 
 
-def make_bands(samples: Sequence[RunSamples], task: Task, models: Sequence[Model], recordings: dict[str, str],
+def make_bands(samples: Sequence[ErrorSamples], task: Task, models: Sequence[Model], recordings: dict[str, str],
                levels: Sequence[float] = LEVELS, console: Console | None = None) -> Bands:
     """Calibrated bands of all models. Raises StCoreError, one line, for too few runs."""
     check_levels(levels, len(samples))

@@ -19,7 +19,7 @@ from .check_report import CheckedRun, residual_rms
 
 HEIGHT = 3.1  # inch
 GAP = 1.5  # s; no line across
-LEAST_SHADE = 0.004  # of the width, so that short stretches are visible
+MIN_SHADE_WIDTH = 0.004  # of the width, so that short stretches are visible
 SHADE = {Severity.ERROR: BAD, Severity.WARNING: WARN, Severity.NOTE: MEASURED_COLOUR}
 DERIVED_COLOUR = MODEL_COLOUR["kinematic"]
 
@@ -37,7 +37,7 @@ def draw_panel(identity: Identity, checked: Checked, place: Place) -> Drawn:
                 (upper, derived, DERIVED_COLOUR, 0.9, identity.derived_label),
                 (lower, measured - derived, TEXT, 0.9, None)):
             axes.plot(*thinned(*broken(time, values, GAP)), color=colour, lw=width, label=label)
-        shortest = LEAST_SHADE * float(np.ptp(upper.get_xlim()))
+        shortest = MIN_SHADE_WIDTH * float(np.ptp(upper.get_xlim()))
         for finding in findings:
             for start, end in finding.where:
                 for axes in (upper, lower):

@@ -10,7 +10,7 @@ from st_core.effects import EFFECTS, Parameter
 from st_core.relations import Candidate
 from st_core.vehicle import VehicleParameters
 
-MOST_DECIMALS = 6
+MAX_DECIMALS = 6
 ON_BOUND = Limits().at_bound  # distance from a bound, in usual sizes
 _DISPLAY = {"rad": ("°", 57.29577951308232), "rad/s": ("°/s", 57.29577951308232)}
 
@@ -60,8 +60,8 @@ def digits(p: FittedParameter) -> int:
 
 
 def decimal(number: float, decimals: int) -> str:
-    """A number with these decimals; with an exponent beyond MOST_DECIMALS."""
-    if decimals <= MOST_DECIMALS:
+    """A number with these decimals; with an exponent beyond MAX_DECIMALS."""
+    if decimals <= MAX_DECIMALS:
         text = f"{number:.{decimals}f}"
         return text if float(text) else f"{number + 0.0:.1g}"  # neither "-0.0" nor "x 0" for a small number
     significant = decimals + math.floor(math.log10(abs(number) or 10.0**-decimals)) + 1

@@ -12,8 +12,8 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from st_core.bands import CONDITIONS, NotFiniteError, RunSamples, calibrate, highest_level, run_samples
-from st_core.bands.calibration import FEWEST_RUNS
+from st_core.bands import CONDITIONS, ErrorSamples, NotFiniteError, calibrate, error_samples, highest_level
+from st_core.bands.calibration import MIN_RUNS
 from st_core.bands.file import times
 from st_core.batch import LogBatch
 from st_core.binning import SPEED
@@ -111,7 +111,7 @@ class Accuracy:
     within: dict[float, tuple[float, ...]]
 
 
-def model_accuracy(runs: Sequence[RunSamples], model: str, settings: EvaluationSettings) -> Accuracy:
+def model_accuracy(runs: Sequence[ErrorSamples], model: str, settings: EvaluationSettings) -> Accuracy:
     """Accuracy from the errors of this model in at least one run. Raises StCoreError if no band can be fitted."""
     question = model, "hindsight"
     time = times(settings.prediction.horizon, settings.prediction.step)
@@ -119,7 +119,7 @@ def model_accuracy(runs: Sequence[RunSamples], model: str, settings: EvaluationS
     at = [int(np.abs(time - second).argmin()) for second in seconds]
     across = [np.abs(run.errors[question][:, :, ACROSS].astype(float)) for run in runs]
     rms = np.sqrt(np.mean([np.square(one[:, at]).mean(axis=0) for one in across], axis=0))
-    level = next((one for one in LEVELS if len(runs) >= FEWEST_RUNS and one <= highest_level(len(runs)) + 1e-9), None)
+    level = next((one for one in LEVELS if len(runs) >= MIN_RUNS and one <= highest_level(len(runs)) + 1e-9), None)
     width = None
     if level is not None:
         # Over all starts, also those outside the calibration domain.
@@ -190,7 +190,7 @@ def measure(sources: Sequence[RunSource], task: Task) -> Advice:
     """Costs and accuracies from all usable runs. Raises ConfigurationError if there is none."""
     settings = {one.prediction.step: one for one in steps(task.settings)}
     models = load_models(task)
-    samples: dict[Key, list[RunSamples]] = {}
+    samples: dict[Key, list[ErrorSamples]] = {}
     unusable: dict[Key, str] = {}
     longest: LogSignals | None = None
     with warnings.catch_warnings():
@@ -209,7 +209,7 @@ def measure(sources: Sequence[RunSource], task: Task) -> Advice:
             for step, one in settings.items():
                 for model in models:
                     try:
-                        found = run_samples([model], task.vehicle, signals, one)
+                        found = error_samples([model], task.vehicle, signals, one)
                         samples.setdefault((model.name, step), []).append(found)
                     except NotFiniteError as error:
                         unusable[model.name, step] = f"{log.name}: {error}"

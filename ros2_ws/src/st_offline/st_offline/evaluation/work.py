@@ -18,7 +18,7 @@ from st_core.course_tracker import course_inputs
 from st_core.effects import load_folder
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.evaluation import Mode
-from st_core.log_evaluation import AXES, Ahead, Block, EvaluationSettings, LogEvaluation, Progress, evaluate_log
+from st_core.log_evaluation import AXES, Block, EvaluationSettings, FutureInputs, LogEvaluation, Progress, evaluate_log
 from st_core.log_signals import LogSignals
 from st_core.model_file import ModelFile
 from st_core.models import Model, get_model
@@ -117,7 +117,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         try:
             ahead = inputs_ahead(run, signals, task.vehicle, task.settings.prediction, load_course(task.course))
             evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress,
-                                      watch=watch, ahead=ahead)
+                                      on_block=watch, future_inputs=ahead)
         finally:  # a failed check explains more than an exception that it caused
             findings, parts = checked()
             if isinstance(findings, Refused):
@@ -243,14 +243,14 @@ PATH = ("planned_speed", "planned_curvature")  # alternatively speed and curvatu
 
 
 def inputs_ahead(run: LoadedRun, signals: LogSignals, vehicle: VehicleParameters, prediction: PredictionSettings,
-                 course: Course | None) -> dict[Mode, Ahead]:
+                 course: Course | None) -> dict[Mode, FutureInputs]:
     """Inputs over the horizon by mode: plan, if the recording has one, and course, if given; see `evaluate_log`.
 
     Passes of the run itself are left out of the course. With known origins the course is moved into the map of the run;
     else both must be in the same map. Raises RunError for planned columns that are not numbers, and for a course of
     another place.
     """
-    found: dict[Mode, Ahead] = {}
+    found: dict[Mode, FutureInputs] = {}
     plan = _planned_columns(run.provenance["files"], vehicle)
     if plan is not None:
         found["plan"] = recorded_plan(*plan, prediction.steps, prediction.step, prediction.maximum_gap)

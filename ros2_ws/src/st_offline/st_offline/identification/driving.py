@@ -24,7 +24,7 @@ from ..checking.gate import check_log, refuse_errors
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
 from .experiment import Experiment, Setup, number
 
-MOST_POINTS = 4000
+MAX_POINTS = 4000
 """Dots of a scatter plot; more only make it darker."""
 PAPER, BETTER = MODEL_COLOUR["linear"], MODEL_COLOUR["augmented"]
 DEG = np.rad2deg(1.0)
@@ -172,7 +172,7 @@ def _ellipse(axes: plt.Axes, found: Identification, pair: Sequence[Estimate]) ->
 
 
 def _thin(count: int) -> np.ndarray:
-    return np.arange(0, count, max(1, count // MOST_POINTS))
+    return np.arange(0, count, max(1, count // MAX_POINTS))
 
 
 def _in_line(run: np.ndarray, time: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from st_core.identification.cg_height import Lift, LiftedCar, cg_height, pitch_from_lift
-from st_core.identification.lambda_ky import TableStiffness, lambda_ky
+from st_core.identification.lambda_ky import StiffnessUncertainty, lambda_ky
 from st_core.identification.magic_formula import FlatPlank, fit_tyre, magic_formula
 from st_core.identification.mass_and_cg import SCALE_UNCERTAINTY, WHEELS, Weighings, describe_swapped_axles, mass_and_cg
 from st_core.identification.result import Identification
@@ -209,7 +209,7 @@ def identify_lambda(files: Sequence[Path], setup: Setup) -> tuple[Identification
         axle = table.tyre.removeprefix("tyre_")
         fit = fit_tyre(table, getattr(setup.vehicle, table.tyre))
         stiffness, spread = fit.stiffness(getattr(setup.vehicle, f"static_tyre_load_{axle}"))
-        found[table.tyre] = TableStiffness(spread / abs(stiffness), table.name)
+        found[table.tyre] = StiffnessUncertainty(spread / abs(stiffness), table.name)
     return (lambda_ky(setup.vehicle, found),)
 
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 from st_core.alignment import MeasurementHistory
 from st_core.bands import AdaptiveBands, Coverages, LiveBands, conditions_now
-from st_core.bands.live import Stated
+from st_core.bands.live import HalfWidths
 from st_core.evaluation import Evaluator, Mode
 from st_core.log_evaluation import MODES, EvaluationSettings
 from st_core.models import Model
@@ -45,11 +45,11 @@ class PredictionBands:
         if values.adaptive_bands:
             time = settings.step * np.arange(1, settings.steps + 1)
             self._adaptive = AdaptiveBands(time, list(file_hashes), (*MODES, *OTHER_MODES), file)
-            self._messages = BandMessages(self._adaptive.stated)
+            self._messages = BandMessages(self._adaptive.half_widths)
             self._scorer = Evaluator(vehicle, settings, 0.0, models, runners)
         elif file is not None:
             self._fixed = LiveBands(file, file_hashes)
-            self._messages = BandMessages(self._fixed.stated)
+            self._messages = BandMessages(self._fixed.half_widths)
 
     def add_ins(self, sample: InsSample) -> None:
         """Add a measurement; measurements score the earlier predictions."""
@@ -73,7 +73,7 @@ class PredictionBands:
         if self._fixed is None:
             return {}
         condition = conditions_now(history, time_ns)
-        self._missing = "" if self._fixed(condition) else self._fixed.why_not(condition)
+        self._missing = "" if self._fixed(condition) else self._fixed.why_outside(condition)
         return {} if self._missing else self._messages.fill()
 
     def observe_scores(self) -> None:
@@ -113,7 +113,7 @@ class BandMessages:
     stated: half-widths by model; its arrays are read at every `fill`.
     """
 
-    def __init__(self, stated: Mapping[str, Stated]):
+    def __init__(self, stated: Mapping[str, HalfWidths]):
         self._messages: dict[str, list[Band]] = {}
         self._copies: list[tuple[memoryview, memoryview]] = []
         for model, of_model in stated.items():
@@ -134,7 +134,7 @@ class BandMessages:
         return self._messages
 
 
-def read_bands(message: Prediction) -> Stated:
+def read_bands(message: Prediction) -> HalfWidths:
     """Half-widths of a prediction's bands by mode and level, without bands of another length than its path."""
     points = len(message.x)
     columns = {(band.mode, band.level): [getattr(band, axis) for axis in AXES] for band in message.bands}
@@ -145,7 +145,7 @@ def read_bands(message: Prediction) -> Stated:
 def coverage_check(coverages: Coverages) -> Check:
     """Diagnostic check of the evaluator: observed coverage of the bands."""
     values = {f"{model} {mode} {100 * level:g} %": f"{coverage.share(level):.3f} of {coverage.n}"
-              for (model, mode), coverage in coverages.by_question.items() for level in sorted(coverage.kept)}
+              for (model, mode), coverage in coverages.by_pair.items() for level in sorted(coverage.inside)}
     if warning := coverages.warning():
         return Check("bands", diagnostics.WARN, warning, values)
     return Check("bands", diagnostics.OK, "coverage as stated" if values else "no prediction with a band yet", values)
@@ -153,7 +153,7 @@ def coverage_check(coverages: Coverages) -> Check:
 
 def add_coverage(message: ErrorStatistics, coverages: Coverages) -> ErrorStatistics:
     """The message with the observed coverage of the bands of its model and mode."""
-    coverage = coverages.by_question.get((message.model, message.mode))
+    coverage = coverages.by_pair.get((message.model, message.mode))
     message.n_bands = coverage.n if coverage else 0
     message.coverage_50, message.coverage_90 = (coverage.share(level) if coverage else math.nan for level in (0.5, 0.9))
     return message
