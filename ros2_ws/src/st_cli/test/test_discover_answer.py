@@ -71,11 +71,11 @@ def test_title_and_table_name_the_values_of_the_answer_the_largest_effect_first(
 
 def test_a_value_on_its_bound_is_reported_as_such_but_not_a_shape():
     (ratio,) = report_text.values("steering_ratio", {"factor": FittedParameter(0.5, "1", (0.4, 0.6), 1.0)})
-    assert ratio == "× 0.50 on its bound (0.50 to 0.60)"
+    assert ratio == "× 0.50 on its bound (0.40 to 0.60)"
     (_, curvature) = report_text.values("front_tyre_curve", {
         "peak": FittedParameter(0.98, "1", (0.62, 1.30), 1.0),
         "curvature": FittedParameter(0.05, "1", (-0.17, 0.28), 1.0)})
-    assert curvature == "curvature × 0.05 (0.05 to 0.28)"
+    assert curvature == "curvature × 0.05 (-0.17 to 0.28)"
 
 
 def test_names_not_distinguishable_are_listed_together(logs):

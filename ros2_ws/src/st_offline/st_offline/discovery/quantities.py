@@ -71,13 +71,11 @@ def decimal(number: float, decimals: int) -> str:
 def value(p: FittedParameter, of: Parameter | None = None, interval: bool = True) -> str:
     """Value and 95 % interval, in significant digits; with the null 1 as a factor.
 
-    of: the parameter of the effect; its bounds limit the interval, and a value on one of them is reported as such.
+    of: the parameter of the effect; a value on one of its bounds is reported as such. The interval may cross a bound.
     """
-    low, high = of.bounds if of else (-math.inf, math.inf)
     usual = abs(of.initial - of.null) if of else 0.0
     edges = [] if of is None or of.shape else [edge for edge in of.bounds if edge not in (of.null, of.theory)]
-    number, *ends = (decimal(x * factor(p.unit), digits(p))
-                     for x in (p.value, *(min(max(end, low), high) for end in p.interval)))
+    number, *ends = (decimal(x * factor(p.unit), digits(p)) for x in (p.value, *p.interval))
     text = f"× {number}" if p.unit == "1" and p.null == 1.0 else with_unit(number, p.unit)
     on_bound = " on its bound" if any(abs(p.value - edge) < ON_BOUND * usual for edge in edges) else ""
     return f"{text}{on_bound}{f' ({ends[0]} to {ends[1]})' if interval else ''}"
