@@ -24,6 +24,7 @@ MIN_SPEED = 2.0  # m/s; the course of a slower car is mostly noise
 COURSE_TIME = 0.2  # s, over which the direction of the displacement is taken
 RATE_WIDTH_NS = 200_000_000
 """ns over which the yaw rate is averaged: one that is derived from the course is noisy."""
+MAX_DERIVATIVE_ERROR = 1e-6  # rad/s; a gyroscope differs by its noise
 MAX_COURSE_ERROR = 0.0015
 """rad, root mean square of what depends on the yaw rate in direction of the displacement minus yaw: more is sideslip.
 Genesis drives with the heading of the INS: 0.003 (INS above the rear axle) to 0.03; courses of a GNSS: to 0.0004."""
@@ -47,9 +48,19 @@ def with_steady_sideslip(log: DriveLog, vehicle: VehicleParameters) -> DriveLog:
     angle = np.interp(log.ins_time_ns, log.ins_time_ns[fast], angle[fast])
     if np.std(angle) < MAX_COURSE_ERROR or not _is_course(log, steady.yaw_rate, fast):
         return log
-    speed = log.velocity_x
-    return replace(log, yaw=log.yaw - angle, velocity_x=speed * np.cos(angle), velocity_y=speed * np.sin(angle),
+    speed, yaw = log.velocity_x, log.yaw - angle
+    rate = _derivative(log, yaw) if _is_derived(log) else log.yaw_rate
+    return replace(log, yaw=yaw, velocity_x=speed * np.cos(angle), velocity_y=speed * np.sin(angle), yaw_rate=rate,
                    sideslip_measured=False)
+
+
+def _derivative(log: DriveLog, yaw: np.ndarray) -> np.ndarray:
+    return np.gradient(yaw, (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND)
+
+
+def _is_derived(log: DriveLog) -> bool:
+    """Whether the yaw rate is the derivative of yaw, but next to samples left out: no gyroscope was recorded."""
+    return float(np.median(np.abs(_derivative(log, log.yaw) - log.yaw_rate))) < MAX_DERIVATIVE_ERROR
 
 
 def _is_course(log: DriveLog, yaw_rate: np.ndarray, fast: np.ndarray) -> bool:

@@ -51,6 +51,13 @@ def test_predictions_are_better(course: DriveLog) -> None:
     assert errors[1] < 0.6 * errors[0]
 
 
+def test_a_yaw_rate_derived_from_the_course_is_that_of_the_heading(course: DriveLog) -> None:
+    time = (course.ins_time_ns - START_NS) * 1e-9
+    read = with_steady_sideslip(replace(course, yaw_rate=np.gradient(course.yaw, time)), CAR)
+    np.testing.assert_allclose(read.yaw_rate, np.gradient(read.yaw, time), atol=1e-6)
+    assert not [finding for finding in check(read, CAR).findings if finding.name.startswith("yaw")]
+
+
 def test_a_heading_stays(heading: DriveLog) -> None:
     assert with_steady_sideslip(heading, CAR) is heading
     unknown = replace(heading, velocity_y=np.zeros(len(heading.x)))

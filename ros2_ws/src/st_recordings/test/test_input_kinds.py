@@ -223,6 +223,10 @@ def test_a_clock_set_back_half_way_costs_half_and_is_reported_with_its_share(tmp
     run = read(find_runs([file])[0], CAR)
     assert abs(len(run.log.x) - len(drive[1].x) / 2) <= 1
     assert_warned(run.warnings, r"the clock was set back once, by 1\d\.\d+ s: \d+ of \d+ rows \(50 %\)")
+    file.write_text(csv([[*row[:6], row[7]] for row in rows(drive[1])[: len(run.log.x)]] * 2, ",".join(
+        (*NAMES[:6], NAMES[7]))))  # the yaw rate, derived from yaw, is not missing in rows that are not used
+    derived = read(find_runs([file])[0], CAR)
+    assert not [w for w in derived.warnings if "have no number" in w] and not derived.auxiliary.missing
 
 
 @pytest.mark.parametrize(("radius", "sign", "note"), [(40.0, -1, "its sign was changed"), (40.0, 1, ""), (1e6, -1, "")])

@@ -297,9 +297,9 @@ def _use_steering(table: Table, columns: dict[str, np.ndarray], vehicle: Vehicle
 
 def _count_missing(table: Table, columns: Mapping[str, np.ndarray], steering: tuple[str, ...],
                    notes: list[str]) -> dict[str, int]:
-    """Channel -> rows without a usable number, with a note on each."""
+    """Channel -> rows without a usable number, with a note on each. Rows whose time is not used do not count."""
     lost = {"time": table.rows_without_time, **{
-        name: _lost_samples(columns[name]) for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, *steering)
+        name: _lost_samples(columns[name][table.used]) for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, *steering)
         if name in columns}}
     lost = {name: count for name, count in lost.items() if count}
     total = len(table.time_ns) + table.rows_without_time
