@@ -13,7 +13,7 @@ from st_core.palette import MODEL_COLOUR
 from st_core.vehicle import VehicleParameters
 from st_offline.evaluation import advice as advice_report
 from st_offline.evaluation.advice import cheapest, measure
-from st_offline.evaluation.drawing import TEXT, WIDTH, Place, finish, style
+from st_offline.evaluation.drawing import TEXT, WIDTH, FigureOutput, finish, style
 from st_offline.evaluation.work import Task
 from st_recordings.paths import config, project_root
 from st_recordings.runs import find_runs
@@ -30,7 +30,8 @@ MARKERS = ("o", "s", "^", "D", "v")
 
 
 def figure(costs: Mapping[advice_report.Key, advice_report.Cost],
-           accuracies: Mapping[advice_report.Key, advice_report.Accuracy], tolerance: float, place: Place) -> None:
+           accuracies: Mapping[advice_report.Key, advice_report.Accuracy], tolerance: float,
+           output: FigureOutput) -> None:
     """Error and band half-width against cost, one panel a second ahead."""
     known = max((one.second for one in accuracies.values()), default=())
     seconds = [s for s in known if s in (1, 2, 3, 5)] or known[:1]
@@ -60,7 +61,7 @@ def figure(costs: Mapping[advice_report.Key, advice_report.Cost],
                     Line2D([], [], ls="", marker="D", color=TEXT, ms=5, mfc="none", label="half-width of the band"),
                     Line2D([], [], color=TEXT, lw=0.7, ls=(0, (4, 3)), label=f"{tolerance:g} m")]
         drawn.legend(handles=handles, loc="outside lower left", ncols=6)
-        finish(drawn, place, "advice", "Cost and accuracy of each model and step",
+        finish(drawn, output, "advice", "Cost and accuracy of each model and step",
                       f"Filled: rms error; hollow: half-width of the band; dashed: {tolerance:g} m.")
 
 
@@ -74,7 +75,7 @@ def run() -> dict:
     file = config("vehicle/hyundai_genesis.yaml")
     task = Task(VehicleParameters.from_yaml(file.read_text(), str(file)), MODELS, EvaluationSettings())
     advice = measure(sources, task)
-    figure(advice.costs, advice.accuracies, TOLERANCE, Place(project_root() / "docs" / "images", ("png",)))
+    figure(advice.costs, advice.accuracies, TOLERANCE, FigureOutput(project_root() / "docs" / "images", ("png",)))
     rows = advice_report.rows(advice.costs, advice.accuracies)
     choice = advice_report.choice_rows(cheapest(advice.costs, advice.accuracies, TOLERANCE))
     title, caption = advice_report.choice_title(TOLERANCE), advice_report.caption(advice.accuracies)

@@ -79,7 +79,7 @@ def _answer_record(found: Discovery, search: RelationSearch) -> Record:
     law, needless = None, ()
     if one is not None:
         needless = tuple(one.redundant)
-        law = {"place": one.candidate.place, "quantity": one.candidate.quantity, "by": one.candidate.by,
+        law = {"place": one.candidate.term, "quantity": one.candidate.quantity, "by": one.candidate.factor,
                "others": dict(one.others), "chance": one.p_value, "gain": one.gain,
                "shape": one.formulas[0].shape if one.formulas else "",
                "reads": one.formulas[0].text if one.formulas else "", "promised": list(one.position_5s)}

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 from st_core.effects import get_effect
-from st_core.relations.candidates import ALL_PLACES
+from st_core.relations.candidates import ALL_TERMS
 
 from .cars import LEAF
 from .effects import SCATTER
@@ -130,7 +130,7 @@ def scores(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
         row("right slot, or a set that contains it, of proposals", share(map(slot_right, proposed)), "80 %", "90 %"),
         row("... the proposal's own place", share(map(place_right, proposed))),
         row("... where the library leaves something", share(slot_right(r) for r in matter if r["law"])),
-        row(f"... places named, of {len(ALL_PLACES)}: median / most", counts(len(places(r)) for r in proposed)),
+        row(f"... places named, of {len(ALL_TERMS)}: median / most", counts(len(places(r)) for r in proposed)),
         row("held-out gap closed relative to the oracle, median / 10th percentile", spread([closed(r) for r in matter]),
             "70 / 40 %", "90 / 60 %"),
         row("held-out made worse, of proposals", share(map(is_worse, proposed)), "1 %", "0"),

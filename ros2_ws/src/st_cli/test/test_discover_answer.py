@@ -30,7 +30,7 @@ from st_offline.discovery.drives import Request, read_answer, read_drive, write_
 from st_offline.discovery.figures import Scene, agreement, axle_curves, maps, waterfall
 from st_offline.discovery.relation_report import RelationReport
 from st_offline.discovery.vehicle_update import VehicleUpdate, update_vehicle
-from st_offline.evaluation.drawing import Place
+from st_offline.evaluation.drawing import FigureOutput
 from st_offline.pages import Table
 from st_recordings.runs import ReadSettings, find_runs
 from support import ROOT
@@ -167,7 +167,7 @@ def test_angles_are_in_degrees_with_the_digits_their_interval_bears(logs):
 
 
 def scene(found, logs, folder=None):
-    return Scene(found, logs, None, None, Place(folder, ("png",) if folder else ()))
+    return Scene(found, logs, None, None, FigureOutput(folder, ("png",) if folder else ()))
 
 
 def test_every_figure_is_drawn_where_there_is_something_to_draw(logs, tmp_path):
@@ -189,7 +189,7 @@ def test_figures_of_the_driving_are_drawn_from_errors(tmp_path):
     long = [read_drive(source, CAR, ReadSettings(), force=True).log for source in find_runs(files)]
     found, settings = discovery(long, STEPS[:1], 1.72), DiscoverySettings(channels=("yaw_rate", "position"))
     before, after = (window_errors(long, model, CAR, settings) for model in (found.base, found.model))
-    one = Scene(found, long, before, after, Place(tmp_path, ("png",)))
+    one = Scene(found, long, before, after, FigureOutput(tmp_path, ("png",)))
     drawn = maps(one)
     assert drawn.key == "map" and "with all identified effects" in drawn.svg
 

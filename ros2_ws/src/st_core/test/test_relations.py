@@ -20,7 +20,7 @@ from st_core.models import MODELS
 from st_core.relations import Candidate, find_relation
 from st_core.relations.candidates import (
     ADMISSIBLE,
-    ALL_PLACES,
+    ALL_TERMS,
     FACTORS,
     PAIRS,
     QUANTITIES,
@@ -47,9 +47,9 @@ def law(candidate: Candidate, wanted) -> dict:
 
 
 def test_every_place_can_be_asked_and_the_library_does_not_hold_the_law():
-    assert set(ADMISSIBLE) == set(ALL_PLACES) == set(USUAL_SIZES)
+    assert set(ADMISSIBLE) == set(ALL_TERMS) == set(USUAL_SIZES)
     assert {q for quantities in ADMISSIBLE.values() for q, _ in quantities} == set(QUANTITIES)
-    assert {(p, by) for p, _, by in PAIRS} <= {(p, by) for p in ALL_PLACES for by in FACTORS}
+    assert {(p, by) for p, _, by in PAIRS} <= {(p, by) for p in ALL_TERMS for by in FACTORS}
     assert not {"law", "law_memory", "law_timed"} & set(EFFECTS)
     with pytest.raises(ConfigurationError, match="unknown effect 'lax'"):
         augment("nonlinear", ["lax"])
@@ -235,7 +235,7 @@ def test_law_that_is_there_is_proposed_with_its_slope(leaf):
     said = find_relation(discover(logs, leaf, "nonlinear", (), settings), logs, leaf, settings)
     one = said.relation
     assert one is not None, said.why
-    assert (one.candidate.place, one.candidate.quantity) == ("sensor_yaw_rate", "acceleration_y")
+    assert (one.candidate.term, one.candidate.quantity) == ("sensor_yaw_rate", "acceleration_y")
     # A scale of the yaw rate, which the library has, takes a part of it.
     linear = next(r for r in one.formulas if r.shape == "linear")
     assert 0.002 < float(linear.text.split()[2]) < 0.0035 and "gyroscope" in linear.causes
@@ -270,7 +270,7 @@ def test_time_in_the_run_is_counted_anew_in_each(leaf):
     time = run_time(windows, windows.starts_ns)
     assert time == pytest.approx(windows.seconds)
     assert {c.name for c in candidates(windows, leaf)} >= {"both_grip over run_time", "front_steer over steering_rate"}
-    assert {c.by for c in candidates(windows, leaf)} == {"", *(by for *_, by in PAIRS)}
+    assert {c.factor for c in candidates(windows, leaf)} == {"", *(by for *_, by in PAIRS)}
 
 
 @pytest.mark.slow
@@ -302,7 +302,7 @@ def laws():
 
 def curved(laws, candidate, heights):
     """A fit of no law, with a curve put into it."""
-    without = laws.without()
+    without = laws.answer_alone()
     vector = without.vector.copy()
     vector[laws.relation] = heights
     indices = np.concatenate([without.indices, laws.relation])
@@ -336,7 +336,7 @@ def test_what_was_not_driven_is_said(leaf):
     settings = DiscoverySettings(where=False)
     said = find_relation(discover(straight, leaf, "nonlinear", (), settings), straight, leaf, settings)
     assert said.relation is None and {"front_grip", "rear_grip", "both_grip"} <= set(said.not_examined())
-    assert not any("acceleration_y" in name or "steering" in name for name in said.visible)
+    assert not any("acceleration_y" in name or "steering" in name for name in said.detection_limits)
 
 
 def test_a_law_of_some_runs_is_told_apart():
@@ -352,7 +352,7 @@ def test_a_formula_is_reported_only_if_it_keeps_the_gain_when_simulated(leaf):
     settings = DiscoverySettings(where=False, block=4.0)
     windows = RunWindows(logs, leaf, settings)
     fits = RelationFits(windows, augment("nonlinear", {}), 0.0, (), settings)
-    without = fits.without()
+    without = fits.answer_alone()
     low, high = np.quantile(windows.joined.velocity_x, [0.01, 0.99])
     fit = fits.fit(Candidate("yaw_moment", "speed", 0.0, float(low), float(high)), without, 0.03)
     formulas = simulated_formulas(fits, fit, without)

@@ -7,7 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from st_core.palette import MODEL_COLOUR
-from st_offline.evaluation.drawing import MAX_POINTS, Place, broken, finish, style, thinned
+from st_offline.evaluation.drawing import MAX_POINTS, FigureOutput, broken, finish, style, thinned
 
 
 @pytest.fixture
@@ -17,7 +17,7 @@ def drawn(tmp_path):
         axes.plot([0, 1], [0.123456789, 1], color=MODEL_COLOUR["nonlinear"])
         axes.plot([0, 1], [1, 0], ".", rasterized=True)
         axes.set_xlabel("time, s")
-        return finish(figure, Place(tmp_path, ("png", "pdf"), "S6-"), "test", "x < y & z", "how to read it")
+        return finish(figure, FigureOutput(tmp_path, ("png", "pdf"), "S6-"), "test", "x < y & z", "how to read it")
 
 
 def test_files_of_every_format(drawn, tmp_path):

@@ -28,7 +28,7 @@ from st_offline.discovery.relation_report import (
     next_drive_sentences,
     relation_report,
 )
-from st_offline.evaluation.drawing import Place
+from st_offline.evaluation.drawing import FigureOutput
 from support import ROOT
 
 CAR = VehicleParameters.from_yaml((ROOT / "config" / "vehicle" / "leaf.yaml").read_text())
@@ -94,13 +94,13 @@ def test_the_file_meets_the_requirements_on_an_effect(tmp_path, registry, place,
 
 
 def test_the_curve_is_drawn_in_the_units_of_an_engineer():
-    assert set(quantities.PLACES) == set(ADMISSIBLE)
+    assert set(quantities.TERMS) == set(ADMISSIBLE)
     assert [display_unit(unit)[1] for unit in ("rad", "1", "m/s^2", "rad per rad/s")] == [
         "°", "%", "m/s²", "rad per rad/s"]
     assert display_unit("1")[0] == 100.0 and display_unit("rad")[0] == pytest.approx(57.2958)
-    drawn = relation_figure(proposal("front_grip", "speed", NEITHER), Place(None, ()))
+    drawn = relation_figure(proposal("front_grip", "speed", NEITHER), FigureOutput(None, ()))
     assert "0.800 m without it, 0.500 m with it" in drawn.title and "y in 1, u in m/s" in drawn.caption
-    pushed = relation_figure(proposal("yaw_moment", "acceleration_x", NEITHER), Place(None, ()))
+    pushed = relation_figure(proposal("yaw_moment", "acceleration_x", NEITHER), FigureOutput(None, ()))
     assert "y in rad/s², u in m/s². " in pushed.caption
 
 
@@ -123,9 +123,9 @@ def test_what_is_written_says_what_it_is(tmp_path, registry):
     file = ModelFile.from_yaml(files["proposed.yaml"].read_text())
     assert set(file.effects) == {"mass", "proposed_rear_steer"} and "PROPOSAL" in file.provenance.note
     lines = text_of(said)
-    assert "above, 0.500 m with the relation as well; noise floor 0.060 m" in lines
+    assert "without the relation, 0.500 m with it; noise floor 0.060 m" in lines
     assert "do not separate it from: side force on the body as a function of the speed (0.90)" in lines
-    assert "mass is stated above, but is redundant with this relation (0.4% of" in lines
+    assert "mass is named above, but is redundant with this relation (without it 0.4% of" in lines
     assert "1 of 1 runs" in lines
     assert "widest interval at -6 m/s²: " in lines and "± 1.1 ° (95 %)" in lines
     assert "y = 2 u (linear; keeps 97% of" in lines and "textbook causes: a cause. These" in lines
@@ -195,7 +195,7 @@ def test_what_to_drive_next_is_said_with_what_it_brings():
     assert "y = 1 rad/s² is a moment of 2925 N m, by the yaw inertia of the" in text_of(RelationSearch(one, "", {}))
     told = "\n".join(next_drive_sentences(one))
     assert "from side force on the body as a function of the speed: brake_in_turn, 3 times" in told
-    assert "difference is then 6.0 times as large" in told
+    assert "separation is then 6.0 times as large" in told
     assert "for a narrower interval: brake_in_turn, 3 times" in told and "The widest 95 % interval then falls" in told
     assert "from ± 0.02 to ± 0.0098 rad/s²" in told
     content = relation_document(RelationSearch(one, "", {}))["proposal"]["next_drives"]
@@ -205,7 +205,8 @@ def test_what_to_drive_next_is_said_with_what_it_brings():
     assert "no manoeuvre of the catalogue separates it much better from" in "\n".join(next_drive_sentences(weak))
     hardly = replace(one, drives=replace(drives, options=[Option(brake, 0.9 * one.deviation, {}, (0.0, 0.0))]))
     assert "for a narrower interval" not in "\n".join(next_drive_sentences(hardly))
-    of_a_place = replace(one, others={"side_force over position_x": 0.9}, drives=replace(drives, now={}, options=[]))
+    of_a_place = replace(one, others={"side_force over position_x": 0.9}, drives=replace(drives, current_separation={},
+                                                                                         options=[]))
     told = "\n".join(next_drive_sentences(of_a_place))
     assert "from effects of place, course or time: drive the same again" in told and "much better" not in told
 

@@ -1,9 +1,9 @@
-"""Empirical relation: a smooth curve of one quantity, at one place of the model, fitted by `st_core.relations`.
+"""Empirical relation: a smooth curve of one quantity, added to one term of the model, fitted by `st_core.relations`.
 
     u = sum of in_i quantity_i, held at low and at low + 5 spacing beyond;   t(u) = (u - low) / spacing
     f(u) = sum over k of c_k (B(t(u) - k) + parity B(t(-u) - k)),   B the cubic B-spline on whole numbers, k = -1 ... 6
 
-f, times one `by_` quantity if requested, times one `to_` weight is added at that place. parity: -1 odd, +1 even, 0
+f, times one `by_` quantity if requested, times one `to_` weight is added to that term. parity: -1 odd, +1 even, 0
 neither. All weights, the range and the parity are constants, so that all laws of a kind are the same compiled function.
 Three kinds: `law` of present quantities, `law_memory` of a quantity q with a lag or of its rate,
 
@@ -24,7 +24,7 @@ MOTION = ("steering", "acceleration_y", "acceleration_x", "speed", "yaw_rate", "
           "position_y")
 INPUTS = ("slip_front", "slip_rear", *MOTION)
 BY = ("steering", "acceleration_y")
-PLACES = {
+TERMS = {
     "front_steer": ("rad", "of the front wheels, added to the road wheel angle"),
     "rear_steer": ("rad", "of the rear wheels, to the left +"),
     "front_force": ("1", "lateral force of the front axle over its static load, left +"),
@@ -38,7 +38,7 @@ PLACES = {
     "sensor_velocity_y": ("m/s", "on the lateral velocity of the INS"),
     "sensor_heading": ("rad", "on the heading of the INS"),
 }
-"""Places of a law: unit, and meaning with its sign."""
+"""Terms that a curve is added to: unit, and meaning with its sign."""
 
 
 class Car(NamedTuple):
@@ -103,13 +103,13 @@ def _parameters(*more: Parameter) -> tuple[Parameter, ...]:
         *(_constant(f"in_{name}", "weight in u") for name in INPUTS),
         _constant("by_one", "1: the curve itself", 1.0),
         *(_constant(f"by_{name}", "weight in its factor") for name in BY),
-        *(_constant(f"to_{name}", f"{unit} {meaning}") for name, (unit, meaning) in PLACES.items()), *more)
+        *(_constant(f"to_{name}", f"{unit} {meaning}") for name, (unit, meaning) in TERMS.items()), *more)
 
 
 @unlisted
 class Law(Effect):
     name = "law"
-    physics = "a smooth curve of one quantity, added at one place of the model"
+    physics = "a smooth curve of one quantity, added to one term of the model"
     excited_by = "driving that visits the range of the quantity"
     kind, slot = "physics", "body"
     costly = True
@@ -203,7 +203,7 @@ def with_memory(at, theta):
 
 
 def changed_forces(forces, slip_front, slip_rear, at, y, theta):
-    """Axle forces with a law y at one of their places."""
+    """Axle forces with a curve y in one of their terms."""
     front, rear = forces(slip_front, slip_rear, at)
     return (front * (1.0 + theta.to_front_grip * y) + theta.to_front_force * theta.car.load_front * y,
             rear * (1.0 + theta.to_rear_grip * y) + theta.to_rear_force * theta.car.load_rear * y)

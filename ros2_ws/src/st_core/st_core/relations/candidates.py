@@ -1,4 +1,4 @@
-"""Candidate model terms: the place where an empirical relation acts, and the quantity it depends on."""
+"""Candidate relations: the model term that a curve is added to, and the quantity it depends on."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ import numpy as np
 
 from ..discovery.levels import sites
 from ..discovery.windows import Windows
-from ..effects._law import COUNT, INTERVALS, PLACES, Law, LawMemory, LawTimed, bump
+from ..effects._law import COUNT, INTERVALS, TERMS, Law, LawMemory, LawTimed, bump
 from ..timeseries import NANOSECOND, smoothed
 from ..vehicle import VehicleParameters
 
@@ -26,11 +26,11 @@ MIN_RANGES = {"slip_front": 0.005, "slip_rear": 0.005, "steering": 0.01, "accele
 MEMORY = {"steering_rate": ("steering", "rate", 0.1), "lagging_steering": ("steering", "lagging", 0.2),
           "lean": ("acceleration_y", "lagging", 0.15)}
 """Quantity with memory -> (source, kind, lag [s])."""
-ALL_PLACES = {**PLACES, "both_grip": ("1", "of the lateral force of both axles, as a share of it")}
+ALL_TERMS = {**TERMS, "both_grip": ("1", "of the lateral force of both axles, as a share of it")}
 USUAL_SIZES = {"front_steer": 0.005, "rear_steer": 0.005, "front_force": 0.02, "rear_force": 0.02, "front_grip": 0.1,
                "rear_grip": 0.1, "both_grip": 0.1, "yaw_moment": 0.05, "side_force": 0.1, "sensor_yaw_rate": 0.005,
                "sensor_acceleration_y": 0.2, "sensor_velocity_y": 0.05, "sensor_heading": 0.005}
-"""Usual size of a relation, by place, in its unit."""
+"""Usual size of a relation, by term, in its unit."""
 SMOOTHING_NS = 400_000_000  # ns, of the forward speed before its derivative, against the noise of the INS
 FACTORS = {"steering": 0.1, "acceleration_y": 3.0, "steering_rate": 0.3}
 """Quantities that a curve may be multiplied by, with their usual sizes."""
@@ -52,70 +52,70 @@ ADMISSIBLE: Mapping[str, tuple[tuple[str, float], ...]] = {
     "sensor_velocity_y": (("yaw_rate", ODD), ("acceleration_y", ODD), ("speed", NEITHER)),
     "sensor_heading": (("acceleration_y", ODD), ("speed", NEITHER)),
 }
-"""Quantities a relation at each place may depend on, and the symmetry of its curve."""
+"""Quantities a relation of each term may depend on, and the symmetry of its curve."""
 PAIRS = (("front_steer", "speed", "steering_rate"), ("front_steer", "speed", "steering"),
          ("rear_steer", "speed", "acceleration_y"), ("yaw_moment", "acceleration_x", "steering"))
-"""(place, quantity of the curve, factor): relations of two quantities."""
+"""(term, quantity of the curve, factor): relations of two quantities."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A candidate term. place: of ALL_PLACES; quantity: of QUANTITIES; parity: -1 for an odd curve, 0 for any. low,
-    high: driven range [unit of the quantity]. by: of FACTORS, the curve is multiplied by it; "" for none."""
+    """A candidate relation. term: of ALL_TERMS; quantity: of QUANTITIES; parity: -1 for an odd curve, 0 for any. low,
+    high: driven range [unit of the quantity]. factor: of FACTORS, multiplies the curve; "" for none."""
 
-    place: str
+    term: str
     quantity: str
     parity: float
     low: float
     high: float
-    by: str = ""
+    factor: str = ""
 
     @property
     def name(self) -> str:
-        return f"{self.place} over {self.quantity}{f' times {self.by}' if self.by else ''}"
+        return f"{self.term} over {self.quantity}{f' times {self.factor}' if self.factor else ''}"
 
     @property
     def effect(self) -> str:
         """Name of the effect that implements it."""
         if self.quantity == "run_time":
             return LawTimed.name
-        return LawMemory.name if self.quantity in MEMORY or self.by in MEMORY else Law.name
+        return LawMemory.name if self.quantity in MEMORY or self.factor in MEMORY else Law.name
 
     @property
     def of_sensor(self) -> bool:
         """Whether it is a sensor error, not a motion of the car."""
-        return self.place.startswith("sensor_")
+        return self.term.startswith("sensor_")
 
     @property
     def changes_sides(self) -> bool:
         """Whether its sign changes with left and right exchanged, as it acts to the same side in left and right
         turns."""
-        return self.parity == NEITHER and not self.by and not self.place.endswith("_grip")
+        return self.parity == NEITHER and not self.factor and not self.term.endswith("_grip")
 
     @property
     def unit(self) -> str:
         """Unit of the curve."""
-        unit = ALL_PLACES[self.place][0]
-        return f"{unit} per {QUANTITIES[self.by]}" if self.by else unit
+        unit = ALL_TERMS[self.term][0]
+        return f"{unit} per {QUANTITIES[self.factor]}" if self.factor else unit
 
     @property
     def usual(self) -> float:
         """Usual size of the curve [unit]."""
-        return USUAL_SIZES[self.place] / (FACTORS[self.by] if self.by else 1.0)
+        return USUAL_SIZES[self.term] / (FACTORS[self.factor] if self.factor else 1.0)
 
     @property
     def constants(self) -> dict[str, float]:
         """Fixed parameters of the effect."""
-        places = ("front_grip", "rear_grip") if self.place == "both_grip" else (self.place,)
+        terms = ("front_grip", "rear_grip") if self.term == "both_grip" else (self.term,)
         known = {"low": self.low, "spacing": (self.high - self.low) / INTERVALS, "parity": self.parity,
-                 **{f"to_{place}": self.usual for place in places}}
-        for quantity, weight in ((self.quantity, "in"), (self.by, "by")):
+                 **{f"to_{term}": self.usual for term in terms}}
+        for quantity, weight in ((self.quantity, "in"), (self.factor, "by")):
             if quantity in MEMORY:
                 source, kind, tau = MEMORY[quantity]
                 known |= {f"of_{source}": 1.0, "tau": tau, f"{weight}_{kind}": 1.0}
             elif quantity and quantity != "run_time":
                 known[f"{weight}_{quantity}"] = 1.0
-        return known | ({"by_one": 0.0} if self.by else {})
+        return known | ({"by_one": 0.0} if self.factor else {})
 
     def splines(self, u: np.ndarray) -> np.ndarray:
         """(COUNT, ...) splines of the curve [its unit] at u [unit of the quantity], of which the curve is a linear
@@ -133,8 +133,8 @@ def run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:
     return (time_ns - begins[order][run]) * NANOSECOND
 
 
-def driven(windows: Windows, vehicle: VehicleParameters) -> dict[str, np.ndarray]:
-    """Every quantity at the INS samples above SLOWEST; slip angles as measured."""
+def driven_quantities(windows: Windows, vehicle: VehicleParameters) -> dict[str, np.ndarray]:
+    """Every quantity at the INS samples faster than MIN_SPEED; slip angles as measured."""
     log = windows.joined
     moving = log.velocity_x > MIN_SPEED
     stamps, speed, rate = log.ins_time_ns, log.velocity_x, log.yaw_rate
@@ -157,12 +157,12 @@ def driven(windows: Windows, vehicle: VehicleParameters) -> dict[str, np.ndarray
 def candidates(windows: Windows, vehicle: VehicleParameters) -> list[Candidate]:
     """Candidates that these drives excite: of measured channels, of quantities with a range above MIN_RANGES; positions
     only with a single site, because maps of several sites may have different origins."""
-    values, found = driven(windows, vehicle), []
+    values, found = driven_quantities(windows, vehicle), []
     one_site = int(sites(windows).max()) == 0
     admissible = [(p, q, parity, "") for p, quantities in ADMISSIBLE.items() for q, parity in quantities]
-    for place, quantity, parity, by in [*admissible, *((p, q, NEITHER, by) for p, q, by in PAIRS)]:
-        channel = place.removeprefix("sensor_")
-        if place.startswith("sensor_") and channel != "heading" and channel not in windows.columns:
+    for term, quantity, parity, factor in [*admissible, *((p, q, NEITHER, factor) for p, q, factor in PAIRS)]:
+        channel = term.removeprefix("sensor_")
+        if term.startswith("sensor_") and channel != "heading" and channel not in windows.columns:
             continue
         if quantity.startswith("position_") and not one_site:
             continue
@@ -170,8 +170,8 @@ def candidates(windows: Windows, vehicle: VehicleParameters) -> list[Candidate]:
         if parity == ODD:
             high = _range(np.abs(values[quantity]))[1]
             low = -high
-        if high - low > MIN_RANGES[quantity] and (not by or np.ptp(_range(values[by])) > MIN_RANGES[by]):
-            found.append(Candidate(place, quantity, parity, float(low), float(high), by))
+        if high - low > MIN_RANGES[quantity] and (not factor or np.ptp(_range(values[factor])) > MIN_RANGES[factor]):
+            found.append(Candidate(term, quantity, parity, float(low), float(high), factor))
     return found
 
 

@@ -122,7 +122,7 @@ CONSTANT = {
     "sensor_acceleration_y": "a bias or tilt of the sensor", "sensor_velocity_y": "a unit mounted askew",
     "sensor_heading": "a unit mounted askew",
 }
-"""Causes of a constant, by place."""
+"""Causes of a constant, by term."""
 
 
 def fitted_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadratic,
@@ -201,7 +201,7 @@ def simulated_formulas(fits: RelationFits, fit: RelationFit, without: RelationFi
     assert fit.candidate is not None
     candidate, gain = fit.candidate, float((without.held_out - fit.held_out).sum())
     found = []
-    key = (candidate.place, candidate.quantity, *((candidate.by,) if candidate.by else ()))
+    key = (candidate.term, candidate.quantity, *((candidate.factor,) if candidate.factor else ()))
     for shape in fitted_shapes(candidate, fit.coefficients, fits.profile(fit), fits.fold):
         offsets = (False, True) if candidate.parity == NEITHER and shape.shape != "constant" else (False,)
         for with_offset in offsets:
@@ -209,8 +209,8 @@ def simulated_formulas(fits: RelationFits, fit: RelationFit, without: RelationFi
             if kept >= MIN_KEPT_GAIN * gain:
                 text = shape.text.format(*shape.numbers)
                 text += f" {'-' if offset < 0.0 else '+'} {abs(offset):.3g}" if with_offset else ""
-                constant = shape.shape == "constant" and not candidate.by
-                causes = CONSTANT.get(candidate.place, "") if constant else CAUSES.get(key, "")
+                constant = shape.shape == "constant" and not candidate.factor
+                causes = CONSTANT.get(candidate.term, "") if constant else CAUSES.get(key, "")
                 found.append(Formula(shape.shape, text, kept / gain, causes))
                 break
     return tuple(found)
@@ -223,7 +223,7 @@ def _simulated(fits: RelationFits, fit: RelationFit, without: RelationFit, shape
     assert candidate is not None
     at = np.linspace(candidate.low, candidate.high, POINTS)
     splines = candidate.splines(at)
-    loss, into = fits.of(candidate), np.linalg.pinv(splines.T, rcond=1e-6)
+    loss, into = fits.loss_of(candidate), np.linalg.pinv(splines.T, rcond=1e-6)
 
     def refitted(numbers: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, float]:
         """(vector with a shape in place of the curve, everything else fitted to the known blocks; offset)."""

@@ -11,34 +11,34 @@ from ..discovery.windows import Windows
 from ..effects._law import COUNT
 from ..manoeuvres import Manoeuvre
 from ..regression import ridge
-from .candidates import ODD, Candidate, driven
+from .candidates import ODD, Candidate, driven_quantities
 from .relation_fit import RIDGE, RelationFit, RelationFits
 
 MIN_IMPROVEMENT = 1.3  # factor on separation or precision, from which a manoeuvre is suggested
 SPARSE = 0.1  # density over that of uniform driving, below which a range is sparsely driven
-OF_A_PLACE = ("run_time", "position_x", "position_y", "north", "east")  # independent of the manoeuvre
+INDEPENDENT_OF_MANOEUVRE = ("run_time", "position_x", "position_y", "north", "east")  # independent of the manoeuvre
 Range = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class Option:
     """One manoeuvre, driven REPETITIONS times and added to the runs. deviation: (k,) expected standard deviation of the
-    curve [its unit]. apart: by rival, separation from it in standard deviations. seconds: time in each thin range
+    curve [its unit]. separation: from each rival [standard deviations]. seconds: time in each sparse range
     in one drive."""
 
     manoeuvre: Manoeuvre
     deviation: np.ndarray
-    apart: Mapping[str, float]
+    separation: Mapping[str, float]
     seconds: Sequence[float]
 
 
 @dataclass(frozen=True, eq=False)
 class NextDrives:
-    """thin: sparsely driven ranges of the quantity. now: `apart` in the existing runs. options: all simulated
-    manoeuvres; none for a relation of time or place."""
+    """sparse: sparsely driven ranges of the quantity. current_separation: in the existing runs. options: all simulated
+    manoeuvres; none for a relation of time or position."""
 
-    thin: Sequence[Range] = ()
-    now: Mapping[str, float] = field(default_factory=dict)
+    sparse: Sequence[Range] = ()
+    current_separation: Mapping[str, float] = field(default_factory=dict)
     options: Sequence[Option] = ()
 
     def most_precise(self, deviation: np.ndarray) -> Option | None:
@@ -50,35 +50,37 @@ class NextDrives:
     def most_separating(self) -> tuple[Option, str] | None:
         """The option with the largest minimum separation over the rivals, and that rival; None below MIN_SEPARATION or
         MIN_IMPROVEMENT."""
-        weakest = [(option, min(option.apart, key=option.apart.__getitem__)) for option in self.options if option.apart]
-        best = max(weakest, key=lambda pair: pair[0].apart[pair[1]], default=None)
+        weakest = [(option, min(option.separation, key=option.separation.__getitem__))
+                   for option in self.options if option.separation]
+        best = max(weakest, key=lambda pair: pair[0].separation[pair[1]], default=None)
         if best is None:
             return None
         option, rival = best
-        return best if option.apart[rival] >= max(MIN_SEPARATION, MIN_IMPROVEMENT * self.now[rival]) else None
+        needed = max(MIN_SEPARATION, MIN_IMPROVEMENT * self.current_separation[rival])
+        return best if option.separation[rival] >= needed else None
 
 
-def thin_ranges(at: np.ndarray, density: np.ndarray, parity: float) -> list[Range]:
+def sparse_ranges(at: np.ndarray, density: np.ndarray, parity: float) -> list[Range]:
     """Sparsely driven ranges, by the mean over a point and its two neighbours. at, density: (k,) as in `Relation`. For
     an odd curve, the side of positive values."""
     if parity == ODD:
         density = 0.5 * (density + density[::-1])
     around = np.convolve(np.pad(density, 1, mode="edge"), np.ones(3) / 3.0, mode="valid")
-    thin = (around < SPARSE / len(at)) & ((at >= 0.0) | (parity != ODD))
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], thin, [False]]).astype(int)))
+    sparse = (around < SPARSE / len(at)) & ((at >= 0.0) | (parity != ODD))
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], sparse, [False]]).astype(int)))
     half = 0.5 * (at[1] - at[0])
     return [(float(at[first] - half), float(at[last - 1] + half)) for first, last in ends.reshape(-1, 2)]
 
 
 def next_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, rivals: Mapping[str, RelationFit],
-                design: float, at: np.ndarray, deviation: np.ndarray, thin: Sequence[Range]) -> NextDrives:
+                design: float, at: np.ndarray, deviation: np.ndarray, sparse: Sequence[Range]) -> NextDrives:
     """Expected gain of each manoeuvre, by simulation. rivals: equally good relations. design: design effect. at,
     deviation: (k,) of the curve. Expected deviations are from the curvature of the loss about the fit."""
-    if candidate.quantity in OF_A_PLACE:
-        return NextDrives(thin)
+    if candidate.quantity in INDEPENDENT_OF_MANOEUVRE:
+        return NextDrives(sparse)
     splines = candidate.splines(at)
     rivals = {name: other for name, other in rivals.items()
-              if other.candidate is not None and other.candidate.quantity not in OF_A_PLACE}
+              if other.candidate is not None and other.candidate.quantity not in INDEPENDENT_OF_MANOEUVRE}
     recorded = {name: _joint(fits.loss, fit.rows, fit.slopes, other.slopes[-COUNT:], fit)
                 for name, other in rivals.items()}
     curvature = fit.q.hessian.sum(axis=0)
@@ -90,17 +92,17 @@ def next_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, riva
         slopes = loss.slopes(fit.vector, fit.indices)
         more = REPETITIONS * loss.quadratic(rows, slopes).hessian.sum(axis=0)
         narrower = np.sqrt(_variance(curvature + more + fit.penalty, splines) / np.maximum(variance, 1e-30))
-        apart = {}
+        separation = {}
         for name, other in rivals.items():
             assert other.candidate is not None
             theirs = _loss(fits, windows, other.candidate, other).slopes(other.vector, fits.relation)
-            apart[name] = _strength(recorded[name] + REPETITIONS * _joint(loss, rows, slopes, theirs, fit), fit, other,
-                                    design)
-        u = driven(windows, windows.vehicle)[candidate.quantity]
+            more_joint = REPETITIONS * _joint(loss, rows, slopes, theirs, fit)
+            separation[name] = _strength(recorded[name] + more_joint, fit, other, design)
+        u = driven_quantities(windows, windows.vehicle)[candidate.quantity]
         size = np.abs(u) if candidate.parity == ODD else u
-        seconds = [manoeuvre.duration * float(((size >= low) & (size <= high)).mean()) for low, high in thin]
-        options.append(Option(manoeuvre, deviation * np.minimum(narrower, 1.0), apart, seconds))
-    return NextDrives(thin, {name: _strength(h, fit, rivals[name], design) for name, h in recorded.items()}, options)
+        seconds = [manoeuvre.duration * float(((size >= low) & (size <= high)).mean()) for low, high in sparse]
+        options.append(Option(manoeuvre, deviation * np.minimum(narrower, 1.0), separation, seconds))
+    return NextDrives(sparse, {name: _strength(h, fit, rivals[name], design) for name, h in recorded.items()}, options)
 
 
 def _loss(fits: RelationFits, windows: Windows, candidate: Candidate, fit: RelationFit) -> Loss:

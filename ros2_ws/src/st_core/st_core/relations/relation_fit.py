@@ -19,7 +19,7 @@ from ..regression import ridge
 from ..vehicle import VehicleParameters
 from .candidates import Candidate, run_time
 
-RELATION = Law.name  # the three kinds have the same places in the vector
+RELATION = Law.name  # the three kinds have the same indices in the vector
 SMOOTHING = (0.003, 0.03, 0.3)  # penalty on second differences, shares of the coefficients' mean curvature
 SIZE_PENALTY = 0.1  # on the coefficients, over that on their second differences: 0 where there is no information
 ITERATIONS, STEP_SHARES, MIN_LOSS_FALL = 8, (1.0, 0.5, 0.2), 2e-4  # of a fit; the last: per scored error, ends it
@@ -97,7 +97,7 @@ class RelationFits:
         self.car = np.setdiff1d(self.space.indices(*own), self.refitted)
 
     def space_of(self, candidate: Candidate) -> Space:
-        """The space with the place, quantity and range of a candidate."""
+        """The space with the term, quantity and range of a candidate."""
         kind = candidate.effect
         if kind not in self._spaces:
             self._spaces[kind] = Space(self.answer, self.settings, (kind,))
@@ -105,14 +105,14 @@ class RelationFits:
         space.model = space.model.with_values({kind: candidate.constants})
         return space
 
-    def of(self, candidate: Candidate) -> Loss:
-        """Loss of the same windows with the place, quantity and range of a candidate; at the scale of the answer."""
+    def loss_of(self, candidate: Candidate) -> Loss:
+        """Loss of the same windows with the term, quantity and range of a candidate; at the scale of the answer."""
         space = self.space_of(candidate)
         loss = copy(self.loss)
         loss.errors, loss.space = Errors(self.windows, space, self.threads), space
         return loss
 
-    def without(self) -> RelationFit:
+    def answer_alone(self) -> RelationFit:
         """The answer alone, refitted."""
         vector = self.start
         for _ in range(BASE_FITS):
@@ -157,7 +157,7 @@ class RelationFits:
     def fit(self, candidate: Candidate, without: RelationFit, smooth: float) -> RelationFit:
         """Gauss-Newton fit by simulation, from zero coefficients. smooth: of SMOOTHING."""
         indices = np.concatenate([self.refitted, self.relation])
-        loss = self.of(candidate)
+        loss = self.loss_of(candidate)
         slopes = np.concatenate([without.slopes, np.zeros((COUNT, *without.slopes.shape[1:]))])
         return self._fit(candidate, loss, indices, smooth, slopes, without.vector)
 
@@ -165,7 +165,7 @@ class RelationFits:
         """Quadratic by block about the fit in the coefficients alone: all other parameters, those of the vehicle file
         included, are profiled out."""
         assert fit.candidate is not None
-        loss = self.of(fit.candidate)
+        loss = self.loss_of(fit.candidate)
         car = loss.slopes(fit.vector, self.car)
         q = self.quadratic(loss, fit.rows, np.concatenate([car, fit.slopes]))
         whole = q.hessian.sum(axis=0)
@@ -180,7 +180,7 @@ class RelationFits:
         vector, others = fit.vector.copy(), np.setdiff1d(fit.indices[:-COUNT], own)
         null = {p.name: p.null for p in get_effect(name).parameters}
         vector[own] = [null[self.space.free[i].parameter] for i in own]
-        loss, indices = self.of(candidate), np.concatenate([others, self.relation])
+        loss, indices = self.loss_of(candidate), np.concatenate([others, self.relation])
         return self._fit(candidate, loss, indices, fit.smooth, loss.slopes(vector, indices), vector)
 
     def _fit(self, candidate: Candidate | None, loss: Loss, indices: np.ndarray, smooth: float, slopes: np.ndarray,

@@ -11,9 +11,9 @@ from ..discovery.settings import DiscoverySettings, Limits
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
 from . import selection
-from .candidates import FACTORS, USUAL_SIZES, Candidate, driven
+from .candidates import FACTORS, USUAL_SIZES, Candidate, driven_quantities
 from .formulas import Formula, simulated_formulas
-from .next_drive import NextDrives, next_drives, thin_ranges
+from .next_drive import NextDrives, next_drives, sparse_ranges
 from .relation_fit import RelationFit, RelationFits, RunWindows
 from .selection import RunShares, Screened
 
@@ -66,22 +66,22 @@ class Relation:
 @dataclass(frozen=True)
 class RelationSearch:
     """Result of a search. relation: None if none is significant and large enough; why: the reason, or its gain in
-    figures. tried: held-out gain [1] and p-value [1] of every candidate, best first. visible: detection limit of each
+    figures. tried: held-out gain [1] and p-value [1] of every candidate, best first. detection_limits: of each
     candidate, the smallest detectable value of a linear relation at the end of its range [unit of the curve]."""
 
     relation: Relation | None
     why: str
     tried: Mapping[str, tuple[float, float]]
-    visible: Mapping[str, float] = field(default_factory=dict)
+    detection_limits: Mapping[str, float] = field(default_factory=dict)
 
     def not_examined(self) -> list[str]:
         """Model terms whose detection limit exceeds MAX_DETECTABLE usual sizes."""
         size: dict[str, float] = {}
-        for name, visible in self.visible.items():
-            place, _, rest = name.partition(" over ")
-            usual = USUAL_SIZES[place] / FACTORS.get(rest.partition(" times ")[2], 1.0)
-            size[place] = min(size.get(place, np.inf), visible / usual)
-        return [place for place, least in size.items() if least > MAX_DETECTABLE]
+        for name, limit in self.detection_limits.items():
+            term, _, rest = name.partition(" over ")
+            usual = USUAL_SIZES[term] / FACTORS.get(rest.partition(" times ")[2], 1.0)
+            size[term] = min(size.get(term, np.inf), limit / usual)
+        return [term for term, least in size.items() if least > MAX_DETECTABLE]
 
 
 def needs_search(found: Discovery) -> bool:
@@ -118,7 +118,7 @@ def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehiclePa
     names = [e.name for e in (*found.effects, *found.minor)]
     fits = RelationFits(windows, model, found.acceleration_gain, names, settings, threads)
     tick()
-    without = fits.without()
+    without = fits.answer_alone()
     screened = selection.screen(fits, without, vehicle, settings.seed, tick)
     if not screened:
         return RelationSearch(None, "no candidate relation changes a prediction of these drives: turn to both sides, "
@@ -134,14 +134,15 @@ def _selected(screened: Sequence[Screened], fits: RelationFits, without: Relatio
     chances = selection.p_values(screened, fits.blocks)
     tried = {s.candidate.name: (s.gain / number, chances[s.candidate.name])
              for s in sorted(screened, key=lambda s: -s.gain)}
-    visible = {s.candidate.name: s.detectable(limits.false_alarm / len(screened), fits.blocks) for s in screened}
+    level = limits.false_alarm / len(screened)
+    detection_limits = {s.candidate.name: s.detectable(level, fits.blocks) for s in screened}
     significant = sorted((s for s in screened if chances[s.candidate.name] <= limits.false_alarm),
                          key=lambda s: -s.gain)
     if not significant:
         name, (gain, chance) = next(iter(tried.items()))
         return RelationSearch(None, f"no relation is significant. The best, {name}, lowers the held-out loss by "
                               f"{gain:.3f} per scored error, p = {chance:.2g} over all candidates; "
-                              f"p < {limits.false_alarm:g} is required", tried, visible)
+                              f"p < {limits.false_alarm:g} is required", tried, detection_limits)
     explained = {one: finding for one in significant if (finding := _reported(one.candidate, reported))}
     fitted, accepted, against = _fitted([s for s in significant if s not in explained], fits, without, vehicle, limits,
                                         tick)
@@ -149,10 +150,10 @@ def _selected(screened: Sequence[Screened], fits: RelationFits, without: Relatio
                      "that first and search again" for one, finding in explained.items()}
     if not accepted:
         first = next(one for one in significant if one in against)
-        return RelationSearch(None, against[first], tried, visible)
+        return RelationSearch(None, against[first], tried, detection_limits)
     best = selection.best_of(accepted, limits.relevant * number)
     relation, why = _described(best, fitted, without, fits, chances, settings, vehicle, stated)
-    return RelationSearch(relation, why, tried, visible)
+    return RelationSearch(relation, why, tried, detection_limits)
 
 
 Fitted = dict[Screened, RelationFit]
@@ -183,9 +184,9 @@ def _fitted(significant: Sequence[Screened], fits: RelationFits, without: Relati
 
 def _reported(candidate: Candidate, reported: Collection[tuple[str, str]]) -> str:
     """Name of a finding of the checks that a candidate imitates; "" for none."""
-    if candidate.place == "front_steer" and {candidate.quantity, candidate.by} & set(STEERING_TIMING):
+    if candidate.term == "front_steer" and {candidate.quantity, candidate.factor} & set(STEERING_TIMING):
         return next((name for name, channel in reported if channel == "road_wheel_angle" and name.endswith("_lag")), "")
-    return next((name for name, channel in reported if channel in MEASURED_BY.get(candidate.place, ())), "")
+    return next((name for name, channel in reported if channel in MEASURED_BY.get(candidate.term, ())), "")
 
 
 def _too_short(windows: RunWindows, settings: DiscoverySettings) -> str:
@@ -210,7 +211,7 @@ def _described(best: Screened, fitted: Fitted, without: RelationFit, fits: Relat
     worse = np.array([fitted[one].held_out - fit.held_out for one in rivals])
     alike = selection.equally_good(worse, limits.undecided_p, settings.seed)
     equal = {one.candidate.name: fitted[one] for one, near in zip(rivals, alike, strict=True) if near}
-    u = driven(fits.windows, vehicle)[c.quantity]
+    u = driven_quantities(fits.windows, vehicle)[c.quantity]
     at = np.linspace(c.low, c.high, selection.POINTS)
     splines = c.splines(at)
     deviation = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", splines, fit.covariance(), splines), 0.0))
@@ -228,5 +229,5 @@ def _described(best: Screened, fitted: Fitted, without: RelationFit, fits: Relat
         {name: selection.cosine(fits, fit, other) for name, other in equal.items()},
         simulated_formulas(fits, fit, without), selection.run_shares(fits, fit),
         selection.redundant_effects(fits, c, fit, without, stated, limits),
-        next_drives(fits, c, fit, equal, best.design, at, deviation, thin_ranges(at, density, c.parity)))
+        next_drives(fits, c, fit, equal, best.design, at, deviation, sparse_ranges(at, density, c.parity)))
     return relation, f"it {selection.gain_text(fits, falls, before - after, limits)}"

@@ -84,7 +84,7 @@ def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.
             signs: np.ndarray) -> Screened | None:
     """Efficient scores of the coefficients: all other parameters projected out. base: (b,) held-out loss of the answer
     alone, by the same slopes. car: slopes of the vehicle file's parameters."""
-    loss = fits.of(candidate)
+    loss = fits.loss_of(candidate)
     slopes = loss.slopes(without.vector, fits.relation)
     q = fits.quadratic(loss, without.rows, np.concatenate([without.slopes, slopes]))
     h = q.hessian.sum(axis=0)
@@ -132,14 +132,14 @@ class RunShares:
 
 
 def to_fit(significant: Sequence[Screened]) -> list[Screened]:
-    """The best candidate of every place, then the best of all; `significant`: best first."""
-    first = {one.candidate.place: one for one in reversed(significant)}
+    """The best candidate of every term, then the best of all; `significant`: best first."""
+    first = {one.candidate.term: one for one in reversed(significant)}
     return list(dict.fromkeys([*sorted(first.values(), key=lambda s: -s.gain), *significant]))[:REFITTED]
 
 
 def best_of(fits: Mapping[Screened, RelationFit], min_gain: float) -> Screened:
     """The smallest held-out loss; a candidate of two quantities must be better by `min_gain`."""
-    return min(fits, key=lambda s: float(fits[s].held_out.sum()) + (min_gain if s.candidate.by else 0.0))
+    return min(fits, key=lambda s: float(fits[s].held_out.sum()) + (min_gain if s.candidate.factor else 0.0))
 
 
 def lower_bound(falls: np.ndarray, p: float) -> float:

@@ -15,14 +15,14 @@ from st_core.models import Model
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
 from st_core.vehicle import VehicleParameters
 
-from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
+from ..evaluation.drawing import TEXT, WIDTH, Drawn, FigureOutput, finish, style
 from ..terminal import line, rows_table
 from .scoring import Sums, finished, finished_adaptive, pooled_sums, top_level
 
 MODE_TITLES = {"hindsight": "model (measured inputs)", "forecast": "forecast (inputs held)"}
 
 
-def band_figures(content: dict[str, Any] | None, place: Place) -> list[Drawn]:
+def band_figures(content: dict[str, Any] | None, output: FigureOutput) -> list[Drawn]:
     """Reliability diagram from the content of `finished`; none if no start had a band."""
     models = {} if content is None else {
         model: modes for model, modes in content["models"].items() if any(one["starts"] for one in modes.values())}
@@ -45,7 +45,7 @@ def band_figures(content: dict[str, Any] | None, place: Place) -> list[Drawn]:
         handles = [Line2D([], [], color=MODEL_COLOUR.get(m, TEXT), ls=MODEL_LINE.get(m, "solid"), label=m)
                    for m in models]
         figure.legend(handles=handles, loc="outside lower left", ncols=6)
-        return [finish(figure, place, "bands_reliability",
+        return [finish(figure, output, "bands_reliability",
                        f"Reliability of the bands; farthest from {_percent(top)}: {worst}",
                        "Grey: as stated. Below it the band covers less than stated.")]
 

@@ -130,13 +130,13 @@ def question_sums(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sum
                                       for s in np.unique(second)], axis=1) for level in levels}
     sums["seconds"] = {key: {str(s): int(value) for s, value in zip(np.unique(second), one.sum(axis=0), strict=True)}
                        for key, one in inside.items()}
-    places = {name: np.searchsorted(np.array(edges), conditions[:, CONDITIONS.index(name)], side="right") - 1
+    cells = {name: np.searchsorted(np.array(edges), conditions[:, CONDITIONS.index(name)], side="right") - 1
               for name, (edges, _) in EDGES.items()}
-    for name, place in places.items():
+    for name, cell in cells.items():
         sums["conditions"][name.replace("_", " ")] = {
-            _label(name, k): _count(place == k, within) for k in np.unique(place).tolist()}
-    for v, a in np.unique(np.stack([places["speed"], places["lateral_acceleration"]], axis=1), axis=0).tolist():
-        rows = (places["speed"] == v) & (places["lateral_acceleration"] == a)
+            _label(name, k): _count(cell == k, within) for k in np.unique(cell).tolist()}
+    for v, a in np.unique(np.stack([cells["speed"], cells["lateral_acceleration"]], axis=1), axis=0).tolist():
+        rows = (cells["speed"] == v) & (cells["lateral_acceleration"] == a)
         for column, s in enumerate(np.unique(second)):
             name = f"{_label('speed', v)}, {_label('lateral_acceleration', a)}, second {s}"
             sums["cells"][name] = _count(rows, {key: one[:, column] for key, one in inside.items()})
@@ -164,11 +164,11 @@ def _by_axis(values: np.ndarray) -> dict[str, float]:
     return dict(zip(AXES, np.asarray(values).tolist(), strict=True))
 
 
-def _label(name: str, place: int) -> str:
+def _label(name: str, cell: int) -> str:
     edges, unit = EDGES[name]
-    if place + 1 == len(edges):
+    if cell + 1 == len(edges):
         return f"above {edges[-1]:g} {unit}"
-    return f"{edges[place]:g} to {edges[place + 1]:g} {unit}"
+    return f"{edges[cell]:g} to {edges[cell + 1]:g} {unit}"
 
 
 def pooled_sums(entries: Sequence[Sums]) -> Sums:

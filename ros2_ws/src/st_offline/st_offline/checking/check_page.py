@@ -10,7 +10,7 @@ import numpy as np
 from st_core.checks import Checked, Identity, Severity
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 
-from ..evaluation.drawing import BAD, TEXT, WARN, WIDTH, Drawn, Place, broken, finish, style, thinned
+from ..evaluation.drawing import BAD, TEXT, WARN, WIDTH, Drawn, FigureOutput, broken, finish, style, thinned
 from ..evaluation.evaluation_report import MAX_FIGURES
 from ..evaluation.work import slug
 from ..pages import template
@@ -24,7 +24,7 @@ SHADE = {Severity.ERROR: BAD, Severity.WARNING: WARN, Severity.NOTE: MEASURED_CO
 DERIVED_COLOUR = MODEL_COLOUR["kinematic"]
 
 
-def draw_panel(identity: Identity, checked: Checked, place: Place) -> Drawn:
+def draw_panel(identity: Identity, checked: Checked, output: FigureOutput) -> Drawn:
     """Figure of one identity, with the stretches of its findings shaded."""
     findings = sorted((finding for finding in checked.findings if finding.name in identity.findings),
                       key=check_report.gravity)
@@ -54,7 +54,7 @@ def draw_panel(identity: Identity, checked: Checked, place: Place) -> Drawn:
         caption = f"Grey: {identity.measured_label}; blue: {identity.derived_label}; below, grey minus blue{shaded}."
         size = f"{residual_rms(identity):.2g} {check_report.unit_symbol(identity.unit)}".strip()
         found = findings[0].text if findings else f"no finding; they differ by {size} (root mean square)"
-        return finish(figure, place, key, f"{identity.title[0].upper()}{identity.title[1:]}: {found}", caption)
+        return finish(figure, output, key, f"{identity.title[0].upper()}{identity.title[1:]}: {found}", caption)
 
 
 def page_title(good: Sequence[CheckedRun]) -> str:
@@ -114,4 +114,4 @@ def _figures(runs: Sequence[CheckedRun]) -> list[Drawn]:
             ranked.append((gravest, -largest, len(ranked), run, identity))
     return [replace(drawn, title=f"{run.name}: {drawn.title}" if len(runs) > 1 else drawn.title)
             for *_, run, identity in sorted(ranked)[:MAX_FIGURES]
-            for drawn in [draw_panel(identity, run.checked, Place(None, (), f"{slug(run.name)}-"))]]
+            for drawn in [draw_panel(identity, run.checked, FigureOutput(None, (), f"{slug(run.name)}-"))]]

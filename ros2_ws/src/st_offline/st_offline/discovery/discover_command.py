@@ -24,7 +24,7 @@ from st_recordings.paths import json_ready, json_text, new_folder
 from st_recordings.runs import find_runs
 from st_recordings.runs.errors import join_problems
 
-from ..evaluation.drawing import Drawn, Place, check_formats
+from ..evaluation.drawing import Drawn, FigureOutput, check_formats
 from ..terminal import progress_bars
 from .discovery_report import document, model_file, show, write_page
 from .drives import Drive, Request, answer_key, cache_folder, clock_deviations, read_answer, read_drives, write_answer
@@ -62,10 +62,10 @@ def run_command(request: Request, console: Console) -> int:
     if relations:
         seconds["propose"] = marks[3] - marks[2]
     with console.status("drawing, writing the report"):
-        place = Place(folder / "figures", request.formats)
-        drawn = draw(found, request, place) if request.report else None
+        output = FigureOutput(folder / "figures", request.formats)
+        drawn = draw(found, request, output) if request.report else None
         if drawn is not None and relations and relations.relation:
-            drawn.insert(0, relation_figure(relations.relation, place))
+            drawn.insert(0, relation_figure(relations.relation, output))
         update = update_vehicle(found, request)
         report = relation_report(relations, found, request.vehicle, str(folder)) if relations else None
         files = write_results(found, request, update, folder, drawn, seconds, relations, report)
@@ -175,7 +175,7 @@ def sensor_estimates(drives: Sequence[Drive]) -> dict[str, tuple[float, float, f
                            for d in drives if d.log is not None])
 
 
-def draw(found: Discovery, request: Request, place: Place) -> list[Drawn]:
+def draw(found: Discovery, request: Request, output: FigureOutput) -> list[Drawn]:
     """The figures of the page, in its order."""
     runs = _logs(request.drives)
     # Of the channels that all runs have.
@@ -184,7 +184,7 @@ def draw(found: Discovery, request: Request, place: Place) -> list[Drawn]:
     def errors(model):
         return window_errors(runs, model, request.vehicle, settings, found.acceleration_gain)
 
-    scene = Scene(found, runs, errors(found.base), errors(found.model) if found.model else None, place)
+    scene = Scene(found, runs, errors(found.base), errors(found.model) if found.model else None, output)
     makers = (waterfall, axle_curves, maps, agreement)
     return [figure for make in makers if (figure := make(scene))]
 

@@ -18,7 +18,7 @@ from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_core.relations import Relation
 from st_core.relations.candidates import QUANTITIES
 
-from ..evaluation.drawing import BAD, TEXT, WIDTH, Drawn, Place, finish, style
+from ..evaluation.drawing import BAD, TEXT, WIDTH, Drawn, FigureOutput, finish, style
 from . import quantities, report_text
 from .relation_files import title_of
 
@@ -35,7 +35,7 @@ class Scene:
     runs: Sequence[DriveLog]
     before: Samples
     after: Samples | None
-    place: Place
+    output: FigureOutput
 
     @property
     def colour(self) -> str:
@@ -86,7 +86,7 @@ def waterfall(scene: Scene) -> Drawn | None:
         figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
         caption = ("Each row adds one effect and refits all values: value and change are those of that step. Line: "
                    "95 % interval of the change.")
-        return finish(figure, scene.place, "waterfall", "Error of each step of the search", caption)
+        return finish(figure, scene.output, "waterfall", "Error of each step of the search", caption)
 
 
 def _label(axes: plt.Axes, x: float, row: int, text: str) -> None:
@@ -116,7 +116,7 @@ def axle_curves(scene: Scene) -> Drawn | None:
                    Line2D([], [], color=AFTER, label="with all identified effects"),
                    Patch(color=AFTER, alpha=0.25, label="90 % interval")]
         figure.legend(handles=handles, loc="outside lower left", ncols=3)
-        return finish(figure, scene.place, "axle_curves", "Axle force versus slip angle, within the driven range",
+        return finish(figure, scene.output, "axle_curves", "Axle force versus slip angle, within the driven range",
                       "The band includes the uncertainty of the other vehicle parameters.")
 
 
@@ -150,7 +150,7 @@ def maps(scene: Scene) -> Drawn | None:
         bar = figure.colorbar(points, ax=list(panels[0]))
         bar.set_label(f"{quantities.channel(scene.channel)} error, {quantities.shown_unit(unit)}")
         title = f"{log.name}: where on the track the {quantities.channel(scene.channel)} is wrong"
-        return finish(figure, scene.place, "map", title, "Every point is one prediction, coloured by its error; the "
+        return finish(figure, scene.output, "map", title, "Every point is one prediction, coloured by its error; the "
                       "same colours on both sides.")
 
 
@@ -211,7 +211,7 @@ def agreement(scene: Scene) -> Drawn | None:
         caption = ("Point: effect refitted to one part of the driving, the other effects fixed, divided by the overall "
                    "estimate; filled where the 95 % interval (bar) excludes zero. Solid line: the overall estimate; "
                    "dotted: zero. A property of the car is the same everywhere.")
-        return finish(figure, scene.place, "agreement", "Local estimates of each effect", caption)
+        return finish(figure, scene.output, "agreement", "Local estimates of each effect", caption)
 
 
 def _draw_ratios(axes: plt.Axes, ratios: Sequence[tuple[int, LocalEstimate]]) -> None:
@@ -228,7 +228,7 @@ def _draw_ratios(axes: plt.Axes, ratios: Sequence[tuple[int, LocalEstimate]]) ->
     axes.set_xlim(max(min([-0.2, *ends]), -MAX_RATIO) - 0.05, min(max([1.2, *ends]), MAX_RATIO) + 0.05)
 
 
-def relation_figure(one: Relation, place: Place) -> Drawn:
+def relation_figure(one: Relation, output: FigureOutput) -> Drawn:
     """Curve and 95 % band above, share of the driving below; angles in degrees, shares in per cent."""
     c = one.candidate
     (up, unit), (across, across_unit) = display_unit(c.unit), display_unit(QUANTITIES[c.quantity])
@@ -238,7 +238,7 @@ def relation_figure(one: Relation, place: Place) -> Drawn:
         curve.axhline(0.0, color=TEXT, lw=0.8, ls=":")
         curve.fill_between(at, value - band, value + band, color=AFTER, alpha=0.25, lw=0, label="95 % interval")
         curve.plot(at, value, color=AFTER, label="proposed relation")
-        for k, (low, high) in enumerate(one.drives.thin):
+        for k, (low, high) in enumerate(one.drives.sparse):
             for axes in (curve, driven):
                 axes.axvspan(across * low, across * high, color=MEASURED_COLOUR, alpha=0.12, lw=0,
                              label="sparsely driven" if axes is curve and not k else None)
@@ -259,7 +259,7 @@ def relation_figure(one: Relation, place: Place) -> Drawn:
                    "identified effects; constant beyond the driven range. Grey: sparsely driven; there the curve is "
                    "interpolated, and the interval assumes the same smoothness. The other figures do not contain the "
                    "relation.")
-        return finish(figure, place, "law", title, caption)
+        return finish(figure, output, "law", title, caption)
 
 
 def display_unit(unit: str) -> tuple[float, str]:

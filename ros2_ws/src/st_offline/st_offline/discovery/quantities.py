@@ -111,7 +111,7 @@ def change(size_of: float, unit: str) -> str:
     return f"{100 * abs(size_of):.3g} %" if unit == "1" else size(abs(size_of), unit)
 
 
-PLACES = {
+TERMS = {
     "front_steer": "steering of the front wheels", "rear_steer": "steering of the rear wheels",
     "front_force": "lateral force of the front axle", "rear_force": "lateral force of the rear axle",
     "front_grip": "grip of the front axle", "rear_grip": "grip of the rear axle", "both_grip": "grip of both axles",
@@ -140,36 +140,36 @@ SIGNS = {"acceleration_x": " (derivative of the forward speed, also where a bend
 def axis(c: Candidate) -> str:
     """Label of the vertical axis. A grip is relative to the force, a force to the static load."""
     per = {"front_force": " over its static load", "rear_force": " over its static load",
-           "yaw_moment": " over the yaw inertia", "side_force": " over the mass"}.get(c.place, "")
-    side = (", + reads too large" if c.of_sensor else ", relative, + more force" if c.place.endswith("grip")
+           "yaw_moment": " over the yaw inertia", "side_force": " over the mass"}.get(c.term, "")
+    side = (", + reads too large" if c.of_sensor else ", relative, + more force" if c.term.endswith("grip")
             else f"{per}, left +")
-    return f"{PLACES[c.place]}{side}{f', for each unit of {QUANTITIES[c.by]}' if c.by else ''}"
+    return f"{TERMS[c.term]}{side}{f', for each unit of {QUANTITIES[c.factor]}' if c.factor else ''}"
 
 
 def in_newtons(c: Candidate, vehicle: VehicleParameters) -> str:
-    """Unit of y as a force or moment of that car; "" for other places."""
+    """Unit of y as a force or moment of that car; "" for other terms."""
     sizes = {"yaw_moment": f"1 rad/s² is a moment of {vehicle.yaw_inertia:.4g} N m, by the yaw inertia",
              "side_force": f"1 m/s² is a force of {vehicle.mass:.4g} N, by the mass",
              "front_force": f"1 is a force of {2.0 * vehicle.static_tyre_load_front:.4g} N, by the axle load",
              "rear_force": f"1 is a force of {2.0 * vehicle.static_tyre_load_rear:.4g} N, by the axle load"}
-    return f"y = {sizes[c.place]} of the vehicle file" if c.place in sizes and not c.by else ""
+    return f"y = {sizes[c.term]} of the vehicle file" if c.term in sizes and not c.factor else ""
 
 
 def title(c: Candidate, constant: bool = False) -> str:
-    """Place and quantity of a relation, written out. constant: whether its formula is a constant."""
-    by = f", for each {QUANTITIES[c.by]}" if c.by else ""
+    """Term and quantity of a relation, written out. constant: whether its formula is a constant."""
+    per = f", for each {QUANTITIES[c.factor]}" if c.factor else ""
     if constant:
-        return f"{PLACES[c.place]}{by}, the same at every {QUANTITIES[c.quantity]}"
-    return f"{PLACES[c.place]}{by}, as a function of the {QUANTITIES[c.quantity]}"
+        return f"{TERMS[c.term]}{per}, the same at every {QUANTITIES[c.quantity]}"
+    return f"{TERMS[c.term]}{per}, as a function of the {QUANTITIES[c.quantity]}"
 
 
 def written_out(name: str) -> str:
     """A relation by `Candidate.name`, written out."""
-    where, _, rest = name.partition(" over ")
-    what, _, by = rest.partition(" times ")
-    if where not in PLACES or what not in QUANTITIES:
+    term, _, rest = name.partition(" over ")
+    quantity, _, by = rest.partition(" times ")
+    if term not in TERMS or quantity not in QUANTITIES:
         return name
-    return f"{PLACES[where]} as a function of the {QUANTITIES[what]}" + (f" times {QUANTITIES[by]}" if by else "")
+    return f"{TERMS[term]} as a function of the {QUANTITIES[quantity]}" + (f" times {QUANTITIES[by]}" if by else "")
 
 
 def spell_out(text: str, names: Iterable[str]) -> str:

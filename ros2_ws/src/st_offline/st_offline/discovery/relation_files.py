@@ -9,7 +9,7 @@ from st_core.discovery.following import REPETITIONS
 from st_core.effects import Effect, load_file, source_file
 from st_core.model_file import Estimate, ModelFile, Provenance
 from st_core.relations import Candidate, Relation, RelationSearch
-from st_core.relations.candidates import ALL_PLACES, MEMORY, QUANTITIES
+from st_core.relations.candidates import ALL_TERMS, MEMORY, QUANTITIES
 from st_core.vehicle import VehicleParameters
 
 from . import quantities
@@ -90,14 +90,14 @@ class {cls}(Effect):
 
 
 def name_of(one: Relation) -> str:
-    """Name of the effect; numbered if the model already has a relation at that place."""
-    name = f"proposed_{one.candidate.place}"
+    """Name of the effect; numbered if the model already has a relation of that term."""
+    name = f"proposed_{one.candidate.term}"
     before = sum(e.name == name or e.name.startswith(f"{name}_") for e in one.model.effects)
     return f"{name}_{before + 1}" if before else name
 
 
 def title_of(one: Relation) -> str:
-    """Place and quantity, written out."""
+    """Term and quantity, written out."""
     return quantities.title(one.candidate, bool(one.formulas) and one.formulas[0].shape == "constant")
 
 
@@ -109,7 +109,8 @@ def _title_with_causes(one: Relation) -> str:
 def effect_file(one: Relation, runs: Sequence[str], created: str) -> str:
     """Text of an effect file; straight lines between KNOTS heights of the fitted curve."""
     c = one.candidate
-    meaning = ALL_PLACES[c.place][1] + (f", for each {QUANTITIES[c.by]} of {c.by.replace('_', ' ')}" if c.by else "")
+    meaning = ALL_TERMS[c.term][1] + (f", for each {QUANTITIES[c.factor]} of {c.factor.replace('_', ' ')}"
+                                      if c.factor else "")
     knots = np.linspace(c.low, c.high, KNOTS)
     heights = one.coefficients @ c.splines(knots)
     terms = "\n            + ".join(f"{h:.6g} * hat(t - {k}.0)" for k, h in enumerate(heights))
@@ -124,29 +125,29 @@ def effect_file(one: Relation, runs: Sequence[str], created: str) -> str:
         odd=", odd=True" if c.changes_sides else "", name=name_of(one),
         ops=OPS.get(c.quantity, "absolute, maximum, minimum"), memory=_memory(c),
         physics=f"y = curve of {c.quantity}: {meaning}", body=_body(one),
-        kind=_kind(c), slot=SLOT[c.place])
+        kind=_kind(c), slot=SLOT[c.term])
 
 
 def _body(one: Relation) -> str:
     c = one.candidate
-    if c.place in FIELD:
-        field, u = FIELD[c.place], OF_READINGS[c.quantity]
+    if c.term in FIELD:
+        field, u = FIELD[c.term], OF_READINGS[c.quantity]
         return "".join(f"\n    @staticmethod\n    def {hook}(measured, theta):\n"
                        f"        y = theta.share * relation({u})\n"
                        f"        return measured._replace({field}=measured.{field} {sign} y)\n"
                        for hook, sign in (("observe", "+"), ("correct", "-"))).rstrip("\n")
-    hook, text = HOOKS[c.place]
+    hook, text = HOOKS[c.term]
     before = ""
-    if c.place in LOAD:
+    if c.term in LOAD:
         before = ("\n    @staticmethod\n    def constants(vehicle):  # static load of the axle [N]\n"
-                  f"        return 9.81 * vehicle.mass * vehicle.{LOAD[c.place]} / vehicle.wheelbase\n")
-    y = f"theta.share * relation({_quantity(c.quantity)})" + (f" * {_quantity(c.by)}" if c.by else "")
+                  f"        return 9.81 * vehicle.mass * vehicle.{LOAD[c.term]} / vehicle.wheelbase\n")
+    y = f"theta.share * relation({_quantity(c.quantity)})" + (f" * {_quantity(c.factor)}" if c.factor else "")
     return f"{before}\n    @staticmethod\n    def {hook}:\n        {text.format(y=y)}{_lagging(c)}"
 
 
 def _with_memory(c: Candidate) -> str:
     """The quantity with memory of a candidate; "" for none."""
-    return next((q for q in (c.quantity, c.by) if q in MEMORY), "")
+    return next((q for q in (c.quantity, c.factor) if q in MEMORY), "")
 
 
 def _quantity(name: str) -> str:
@@ -217,15 +218,16 @@ def relation_document(found: RelationSearch | None) -> dict:
     if found is None:
         return {}
     one = found.relation
-    tried = [{"law": name, "gain": gain, "chance": chance, "visible": found.visible.get(name)}
+    tried = [{"law": name, "gain": gain, "chance": chance, "visible": found.detection_limits.get(name)}
              for name, (gain, chance) in found.tried.items()]
     if one is None:
         return {"proposal": None, "why": found.why, "tried": tried}
     c = one.candidate
     return {"why": found.why, "tried": tried, "proposal": {
-        "place": c.place, "quantity": c.quantity, "by": c.by, "unit": c.unit, "quantity_unit": QUANTITIES[c.quantity],
-        "range": [c.low, c.high], "curve": {"at": one.at.tolist(), "value": one.value.tolist(),
-                                            "deviation": one.deviation.tolist(), "density": one.density.tolist()},
+        "place": c.term, "quantity": c.quantity, "by": c.factor, "unit": c.unit,
+        "quantity_unit": QUANTITIES[c.quantity], "range": [c.low, c.high],
+        "curve": {"at": one.at.tolist(), "value": one.value.tolist(), "deviation": one.deviation.tolist(),
+                  "density": one.density.tolist()},
         "gain": one.gain, "chance": one.p_value, "position_5s": list(one.position_5s),
         "runs": {name: list(pair) for name, pair in one.runs.items()}, "others": dict(one.others),
         "needless": dict(one.redundant), "next_drives": _drives(one),
@@ -235,11 +237,12 @@ def relation_document(found: RelationSearch | None) -> dict:
 
 
 def _drives(one: Relation) -> dict:
-    drives, apart = one.drives, one.drives.most_separating()
+    drives, separating = one.drives, one.drives.most_separating()
     precise = drives.most_precise(one.deviation)
-    return {"thin": [list(between) for between in drives.thin],
-            "tells_apart": {"manoeuvre": apart[0].manoeuvre.name, "from": apart[1]} if apart else None,
-            "pins_down": precise.manoeuvre.name if precise else None, "apart_now": dict(drives.now), "options": [
+    return {"thin": [list(between) for between in drives.sparse],
+            "tells_apart": {"manoeuvre": separating[0].manoeuvre.name, "from": separating[1]} if separating else None,
+            "pins_down": precise.manoeuvre.name if precise else None,
+            "apart_now": dict(drives.current_separation), "options": [
                 {"manoeuvre": o.manoeuvre.name, "speed": o.manoeuvre.speed, "lateral": o.manoeuvre.lateral,
                  "duration": o.manoeuvre.duration, "times": REPETITIONS, "largest_deviation": float(o.deviation.max()),
-                 "apart": dict(o.apart), "seconds_in_thin": list(o.seconds)} for o in drives.options]}
+                 "apart": dict(o.separation), "seconds_in_thin": list(o.seconds)} for o in drives.options]}

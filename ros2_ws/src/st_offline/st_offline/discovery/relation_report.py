@@ -7,7 +7,7 @@ from st_core.discovery import Discovery
 from st_core.discovery.following import REPETITIONS
 from st_core.relations import Relation, RelationSearch
 from st_core.relations.candidates import ODD, QUANTITIES
-from st_core.relations.next_drive import OF_A_PLACE, Option
+from st_core.relations.next_drive import INDEPENDENT_OF_MANOEUVRE, Option
 from st_core.vehicle import VehicleParameters
 
 from ..pages import Table
@@ -36,9 +36,9 @@ def relation_report(found: RelationSearch, answer: Discovery, vehicle: VehiclePa
                     folder: str) -> RelationReport:
     """Everything that is reported of a search for a relation. folder: of the results."""
     one = found.relation
-    places = ", ".join(quantities.PLACES[name] for name in found.not_examined())
-    excluded: Groups = [("not excluded", [f"a relation at these places, which the drives could not show: {places}"]
-                         )] if places else []
+    terms = ", ".join(quantities.TERMS[name] for name in found.not_examined())
+    excluded: Groups = [("not excluded", [f"a relation of these terms, which is not detectable in the drives: {terms}"]
+                         )] if terms else []
     if one is None:
         return RelationReport([("proposal", [f"none: {quantities.spell_out(found.why, found.tried)}"]), *excluded])
     without, with_it = one.position_5s
@@ -62,8 +62,8 @@ def _effect_size(one: Relation, answer: Discovery, why: str) -> list[str]:
     worse = [name for name, (before, after) in one.runs.items() if after >= before]
     but = f", not in {', '.join(worse)}" if worse else ""
     noise = f"; noise floor {answer.gap['position_5s'].floor:.3f} m" if "position_5s" in answer.gap else ""
-    return [f"held-out mean position error after 5 s: {without:.3f} m with what is stated above, {with_it:.3f} m with "
-            f"the relation as well{noise}", why,
+    return [f"held-out mean position error after 5 s: {without:.3f} m without the relation, {with_it:.3f} m with "
+            f"it{noise}", why,
             f"smaller errors in {len(one.runs) - len(worse)} of {len(one.runs)} runs{but}"]
 
 
@@ -87,10 +87,10 @@ def _uncertainty(one: Relation) -> list[str]:
              f"{across_unit}; the curve is constant beyond",
              f"widest interval at {across * one.at[widest]:.3g} {across_unit}: {up * one.value[widest]:.2g} ± "
              f"{up * report_text.Z95 * one.deviation[widest]:.2g} {unit} (95 %)"]
-    if one.drives.thin:
+    if one.drives.sparse:
         mirrored = ", to either side" if c.parity == ODD else ""
-        lines.append(f"sparsely driven: {_ranges(one, one.drives.thin)}{mirrored}. There the curve is interpolated, "
-                     "with an interval for a relation as smooth: drive some seconds there, turning to both sides")
+        lines.append(f"sparsely driven: {_ranges(one, one.drives.sparse)}{mirrored}. There the curve is interpolated, "
+                     "and the interval assumes the same smoothness: drive some seconds there, turning to both sides")
     absent = one.shares.absent() if one.shares.p_equal < P_DIFFERENT else []
     if absent:
         shares = ", ".join(f"{name} {share:.1f} ± {report_text.Z95 * deviation:.1f}" for name, (share, deviation) in
@@ -106,8 +106,8 @@ def _alternatives(one: Relation) -> list[str]:
         lines.append(f"these drives do not separate it from: {names}. In brackets the cosine similarity of the two "
                      "effects on the predictions: 1 the same, 0 unrelated")
     for name, share in one.redundant.items():
-        lines.append(f"{quantities.plain(name)} is stated above, but is redundant with this relation ({share:.1%} of "
-                     "the residual returns without it): it may have imitated the relation")
+        lines.append(f"{quantities.plain(name)} is named above, but is redundant with this relation (without it "
+                     f"{share:.1%} of the residual returns): it may have imitated the relation")
     return lines
 
 
@@ -117,12 +117,12 @@ def _files(one: Relation, corrected: bool, folder: str) -> list[str]:
         return ["no effect file is written: the time in a run predicts nothing of another drive"]
     lines = [f"with the relation: the original vehicle file, proposed.yaml and effects/{name_of(one)}.py. To predict "
              f"drives: --model {folder}/proposed.yaml --effects {folder}/effects of st evaluate, demo and export; to "
-             f"search for more: --base {folder}/proposed.yaml --effects {folder}/effects of st discover; to test the "
-             f"file: st effects check {folder}/effects/{name_of(one)}.py"]
+             f"search for further effects: --base {folder}/proposed.yaml --effects {folder}/effects of st discover; to "
+             f"test the file: st effects check {folder}/effects/{name_of(one)}.py"]
     if corrected:
         lines += ["without the relation: vehicle.yaml and model.yaml",
-                  "never proposed.yaml with vehicle.yaml: it contains the corrections of the vehicle file itself, "
-                  "refitted with the relation, which would count twice; it is refused"]
+                  "do not combine proposed.yaml with vehicle.yaml (it is rejected): proposed.yaml itself contains the "
+                  "corrections of the vehicle file, which would be applied twice"]
     return lines
 
 
@@ -137,7 +137,7 @@ def _errors_by_run(one: Relation, answer: Discovery) -> Table:
     return Table("Held-out mean position error after 5 s, by run, m",
                  "Every run is predicted with values fitted to other driving. Sorted by the change; + is a larger "
                  "error.",
-                 ("run", answer.start, "with what is stated", "with the relation as well", "change"), rows)
+                 ("run", answer.start, "without the relation", "with the relation", "change"), rows)
 
 
 def _values_with_and_without(one: Relation, answer: Discovery, vehicle: VehicleParameters) -> list[Table]:
@@ -154,28 +154,29 @@ def _values_with_and_without(one: Relation, answer: Discovery, vehicle: VehicleP
             "; ".join(filter(None, (quantities.fitted(effect.name, {p.name: v[p.name] for p in free}),
                                     report_text.keys(changed(vehicle, effect, v))))) for v in (stated, refitted))))
     return [Table("Values without and with the relation",
-                  "Two fits of the same car: the relation explains a part of what the values had to explain. Without "
-                  "the relation: the values stated above, for vehicle.yaml and model.yaml. With it: the values in "
-                  "proposed.yaml only. A factor and the key after it are the same correction, starting from the value "
-                  "of the original vehicle file.",
+                  "Two fits of the same car: with the relation, the values explain less of the errors. Without the "
+                  "relation: the values above, for vehicle.yaml and model.yaml. With it: for proposed.yaml only. A "
+                  "factor and the key after it are the same correction, starting from the value of the original "
+                  "vehicle file.",
                   ("quantity", "without the relation", "with the relation"), rows)] if rows else []
 
 
 def next_drive_sentences(one: Relation) -> list[str]:
     """What to drive to separate the relation from rivals, to narrow its curve, and to cover sparse ranges."""
     c, drives = one.candidate, one.drives
-    if c.quantity in OF_A_PLACE:
+    if c.quantity in INDEPENDENT_OF_MANOEUVRE:
         return [ELSEWHERE]
     lines = []
     separating, precise = drives.most_separating(), drives.most_precise(one.deviation)
     if separating is not None:
         option, rival = separating
-        lines.append(f"to separate it from {quantities.written_out(rival)}: {_manoeuvre(option)}. Their difference is "
-                     f"then {option.apart[rival] / max(drives.now[rival], 1e-9):.1f} times as large")
-    elif drives.now:
+        gain = option.separation[rival] / max(drives.current_separation[rival], 1e-9)
+        lines.append(f"to separate it from {quantities.written_out(rival)}: {_manoeuvre(option)}. Their separation is "
+                     f"then {gain:.1f} times as large")
+    elif drives.current_separation:
         lines.append("no manoeuvre of the catalogue separates it much better from its alternatives: look for the "
                      "cause on the car")
-    if len(drives.now) < len(one.others):
+    if len(drives.current_separation) < len(one.others):
         lines.append(f"to separate it from effects of place, course or time: {ELSEWHERE}")
     if precise is not None:
         up, unit = display_unit(c.unit)

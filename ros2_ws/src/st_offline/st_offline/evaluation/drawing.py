@@ -48,7 +48,7 @@ class Drawn:
 
 
 @dataclass(frozen=True)
-class Place:
+class FigureOutput:
     """Output of figures: files of these formats in a folder (None: no files); prefix: of their ids on the page."""
 
     folder: Path | None
@@ -68,7 +68,7 @@ def style():
     return plt.rc_context(SETTINGS)
 
 
-def finish(figure: Figure, where: Place, key: str, title: str, caption: str) -> Drawn:
+def finish(figure: Figure, output: FigureOutput, key: str, title: str, caption: str) -> Drawn:
     """Save the figure and close it. Files carry the title; on the page it is a heading."""
     lines = textwrap.wrap(title, round(TITLE_LETTERS * figure.get_figwidth() / WIDTH))
     heading = figure.suptitle("\n".join(lines), x=0.01, ha="left", fontweight="bold", fontsize=10)
@@ -77,10 +77,10 @@ def finish(figure: Figure, where: Place, key: str, title: str, caption: str) -> 
     figure.draw_without_rendering()
     with plt.rc_context({"figure.constrained_layout.use": False}):
         figure.set_layout_engine(None)
-        if where.folder is not None and where.formats:
-            where.folder.mkdir(parents=True, exist_ok=True)
-            for form in where.formats:
-                figure.savefig(where.folder / f"{key}.{form}",
+        if output.folder is not None and output.formats:
+            output.folder.mkdir(parents=True, exist_ok=True)
+            for form in output.formats:
+                figure.savefig(output.folder / f"{key}.{form}",
                                metadata={"CreationDate": None} if form == "pdf" else None)
         width, height = figure.get_size_inches()
         # Half a tick label extends above the highest axes.
@@ -90,7 +90,7 @@ def finish(figure: Figure, where: Place, key: str, title: str, caption: str) -> 
         figure.savefig(svg, format="svg", transparent=True, metadata={"Date": None}, dpi=PAGE_DPI,
                        bbox_inches=Bbox([[0.0, 0.0], [width, min(below, height)]]))
     plt.close(figure)
-    return Drawn(key, title, caption, page_svg(svg.getvalue(), f"{where.prefix}{key}-"))
+    return Drawn(key, title, caption, page_svg(svg.getvalue(), f"{output.prefix}{key}-"))
 
 
 def page_svg(svg: str, prefix: str) -> str:

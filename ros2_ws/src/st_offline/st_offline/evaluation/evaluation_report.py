@@ -21,7 +21,7 @@ from ..bands.scoring import finished, finished_adaptive, pooled_sums
 from ..checking.check_report import describe_clocks, describe_effect, findings_from_json, group_by_name
 from ..pages import template
 from . import tables
-from .drawing import TEXT, WIDTH, Drawn, Place, finish, style
+from .drawing import TEXT, WIDTH, Drawn, FigureOutput, finish, style
 from .tables import SHOWN_AXES, pooled, pooled_by, shown, values
 from .work import RunReport, Task, slug
 
@@ -119,8 +119,8 @@ def write_results(reports: Sequence[RunReport], choices: Choices, title: str) ->
     words = settings_in_words(choices)
     about = f"{words['vehicle']}; starts {words['starts']}; horizon {words['horizon']}; {words['measured inputs']}."
     files["latex"].write_text(tables.latex_table(good, choices.over, about))
-    drawn = overview(good, choices.over, Place(folder, choices.task.formats))
-    of_bands = band_figures(content.get("bands_all_runs"), Place(folder, choices.task.formats))
+    drawn = overview(good, choices.over, FigureOutput(folder, choices.task.formats))
+    of_bands = band_figures(content.get("bands_all_runs"), FigureOutput(folder, choices.task.formats))
     write_page(files["page"], title, reports, content, words, drawn, of_bands, choices.over)
     return files
 
@@ -160,7 +160,7 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
     file.write_text(text, encoding="utf-8")
 
 
-def overview(reports: Sequence[RunReport], over: str, place: Place) -> Drawn | None:
+def overview(reports: Sequence[RunReport], over: str, output: FigureOutput) -> Drawn | None:
     """RMSE in hindsight of every model and run; of more than MAX_RUNS, those with the largest lateral error."""
     if not reports:
         return None
@@ -194,7 +194,7 @@ def overview(reports: Sequence[RunReport], over: str, place: Place) -> Drawn | N
         caption = "Hindsight: measured inputs over the horizon."
         if len(chosen) < len(reports):
             caption += f" The {MAX_RUNS} of {len(reports)} runs with the largest lateral error."
-        return finish(figure, place, "overview", "RMSE of each run and model", caption)
+        return finish(figure, output, "overview", "RMSE of each run and model", caption)
 
 
 def finding(reports: Sequence[RunReport], over: str) -> str:

@@ -17,7 +17,7 @@ from st_core.readings import readings
 from st_core.vehicle import VehicleParameters
 
 from .background import in_background
-from .drawing import TEXT, WIDTH, Drawn, Place, broken, finish, style, thinned
+from .drawing import TEXT, WIDTH, Drawn, FigureOutput, broken, finish, style, thinned
 
 SIDE = {"longitudinal": "ahead", "lateral": "left"}
 AXIS_LABEL = {axis: f"{axis} error, m\n(+ = predicted {side})" for axis, side in SIDE.items()}
@@ -34,7 +34,7 @@ class Drawing:
     vehicle: VehicleParameters
     signals: LogSignals
     starts: Sequence[float]
-    place: Place
+    output: FigureOutput
 
     @property
     def name(self) -> str:
@@ -120,7 +120,7 @@ def segments(drawing: Drawing) -> Drawn | None:
     title = f"{drawing.name}: largest distance after {length:g} s from {these}: {worst}"
     caption = ("Predictions with the measured inputs (hindsight) from chosen starts, and their errors over the "
                "horizon, along and across the measured heading.")
-    return finish(figure, drawing.place, "segments", title, caption)
+    return finish(figure, drawing.output, "segments", title, caption)
 
 
 def _measured_path(axes: plt.Axes, drawing: Drawing, start_ns: int, length: float) -> None:
@@ -167,7 +167,7 @@ def horizon_means(drawing: Drawing) -> Drawn:
     length = evaluation.horizon[-1]
     title = f"{drawing.name}: {ranking(evaluation)}"
     caption = f"Error averaged over each {length:g} s horizon (hindsight: measured inputs), over the time it starts."
-    return finish(figure, drawing.place, "horizon_means", title, caption)
+    return finish(figure, drawing.output, "horizon_means", title, caption)
 
 
 def _over_time(evaluation: LogEvaluation, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -199,7 +199,7 @@ def error_against_horizon(drawing: Drawing) -> Drawn:
     title = f"{drawing.name}: lateral RMSE exceeds {NOTICEABLE:g} m in hindsight: {', '.join(parts)}"
     caption = ("RMSE over all starts at each point of the horizon. Hindsight: measured inputs, the error of the "
                "model. Forecast: inputs held, the error for a planner.")
-    return finish(figure, drawing.place, "error_against_horizon", title, caption)
+    return finish(figure, drawing.output, "error_against_horizon", title, caption)
 
 
 def ranking(evaluation: LogEvaluation) -> str:
@@ -254,7 +254,7 @@ def slip(drawing: Drawing) -> Drawn | None:
     peak = np.degrees(np.nanmax(np.abs(measured_slip)))
     caption = (f"Slip angles and forces that the models predict with the measured inputs; measured slip angles reach "
                f"{peak:.1f}°. The start: the requested one, else that of the largest lateral acceleration.")
-    return finish(figure, drawing.place, "slip_and_forces", title, caption)
+    return finish(figure, drawing.output, "slip_and_forces", title, caption)
 
 
 def _slip_angles(model: Model, vehicle: VehicleParameters, states: np.ndarray, angle: np.ndarray,

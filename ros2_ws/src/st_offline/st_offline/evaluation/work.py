@@ -37,7 +37,7 @@ from ..checking.check_report import findings_as_json
 from ..checking.gate import RUN_ERRORS, Refused, check_for_use, describe_problem
 from . import tables
 from .background import in_background
-from .drawing import Drawn, Place
+from .drawing import Drawn, FigureOutput
 from .drive_parts import drive_parts
 from .run_figures import Drawing, ranking, run_figures
 
@@ -124,8 +124,8 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
                 raise findings
     marks.append(time.perf_counter())
     _require_scores(source, run, evaluation)
-    place = _place(task, source.name, evaluation)
-    figures = run_figures(Drawing(evaluation, models, task.vehicle, signals, task.starts, place))
+    output = _figure_output(task, source.name, evaluation)
+    figures = run_figures(Drawing(evaluation, models, task.vehicle, signals, task.starts, output))
     marks.append(time.perf_counter())
     about = {
         "duration": run.log.duration, "overlap": run.log.overlap, "n_predictions": len(evaluation.starts_ns),
@@ -143,13 +143,13 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         dict(zip(("read", "predict", "draw"), np.diff(marks).tolist(), strict=True)))
 
 
-def _place(task: Task, name: str, evaluation: LogEvaluation) -> Place:
+def _figure_output(task: Task, name: str, evaluation: LogEvaluation) -> FigureOutput:
     """Output of the figures of a run; also writes starts.csv to its folder."""
     folder = task.folder / "runs" / slug(name) if task.folder else None
     if folder:
         folder.mkdir(parents=True, exist_ok=True)
         write_starts(folder / "starts.csv", evaluation)
-    return Place(folder, task.formats, f"{slug(name)}-")
+    return FigureOutput(folder, task.formats, f"{slug(name)}-")
 
 
 def _require_scores(source: RunSource, run: LoadedRun, evaluation: LogEvaluation) -> None:

@@ -21,7 +21,7 @@ from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_recordings.runs import RunError, find_runs, read
 
 from ..checking.gate import check_log, refuse_errors
-from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
+from ..evaluation.drawing import TEXT, WIDTH, Drawn, FigureOutput, finish, style
 from .experiment import Experiment, Setup, number
 
 MAX_POINTS = 4000
@@ -31,7 +31,7 @@ DEG = np.rad2deg(1.0)
 UNITS = {"rad": (DEG, "deg"), "N/rad": (1e-3, "kN/rad")}
 
 
-def draw_offset(found: Identification, place: Place) -> Drawn:
+def draw_offset(found: Identification, output: FigureOutput) -> Drawn:
     """Offset of every straight window and both results; yaw-rate residuals."""
     data = found.figure
     with style():
@@ -47,12 +47,12 @@ def draw_offset(found: Identification, place: Place) -> Drawn:
         right.hist(data["residual_yaw_rate"] * DEG, 40, color=MEASURED_COLOUR)
         right.set(xlabel="yaw rate simulated - measured, deg/s", ylabel="predictions")
         first, second = (e.value * DEG for e in found.estimates[:2])
-        return finish(figure, place, "steering-offset",
+        return finish(figure, output, "steering-offset",
                       f"Steering offset {first:.2f} deg by the yaw rate, {second:.2f} deg by the mean reading",
                       "Bands: 95 % intervals. Right: residuals of the yaw rate.")
 
 
-def draw_mounting(found: Identification, place: Place) -> Drawn:
+def draw_mounting(found: Identification, output: FigureOutput) -> Drawn:
     """Lateral over forward velocity against curvature, slip removed; the slope is the distance to the axle."""
     data = found.figure
     with style():
@@ -70,11 +70,11 @@ def draw_mounting(found: Identification, place: Place) -> Drawn:
         right.axhline(0.0, color=TEXT, lw=0.8)
         right.set(xlabel="forward velocity, m/s", ylabel="residual, mm/s")
         lever, angle = found["cg_to_ins_x"], found["ins_misalignment"]
-        return finish(figure, place, "ins", f"INS {_value(lever)} ahead of the CG, heading turned by {_value(angle)}",
+        return finish(figure, output, "ins", f"INS {_value(lever)} ahead of the CG, heading turned by {_value(angle)}",
                       "Slope of the line: INS ahead of the rear axle. Where it crosses zero curvature: misalignment.")
 
 
-def draw_stiffness(found: Identification, place: Place) -> Drawn:
+def draw_stiffness(found: Identification, output: FigureOutput) -> Drawn:
     """Axle force against slip angle, as in the paper; of the stiffness by prediction both slopes and 95 % regions."""
     paper = found.figure.get("paper")
     both = ", ".join(f"{axle} {_value(found[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))
@@ -83,7 +83,7 @@ def draw_stiffness(found: Identification, place: Place) -> Drawn:
         if found.what == "stiffness-paper":
             figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
             _clouds(panels, found, (found,))
-            return finish(figure, place, found.what, f"Slopes {both}", f"Dots: {cloud}")
+            return finish(figure, output, found.what, f"Slopes {both}", f"Dots: {cloud}")
         figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 3.6), width_ratios=(1.2, 1.2, 1))
         if paper is not None:
             _clouds(panels[:2], paper, (paper, found))
@@ -101,11 +101,11 @@ def draw_stiffness(found: Identification, place: Place) -> Drawn:
                        for axis, e in (("x", front), ("y", rear))})
         pair.set(xlabel="front, kN/rad", ylabel="rear, kN/rad")
         pair.legend(fontsize=8)
-        return finish(figure, place, "stiffness", f"Cornering stiffness {both} by prediction",
+        return finish(figure, output, "stiffness", f"Cornering stiffness {both} by prediction",
                       "Left: the paper's force and slip, with both slopes. Right: 95 % intervals and region of both.")
 
 
-def draw_prediction(found: Identification, place: Place) -> Drawn:
+def draw_prediction(found: Identification, output: FigureOutput) -> Drawn:
     """Residuals of a fit of predictions, run after run, and the first parameter with its strongest correlation."""
     data, first = found.figure, found.estimates[0]
     with style():
@@ -137,7 +137,7 @@ def draw_prediction(found: Identification, place: Place) -> Drawn:
             getattr(pair, f"set_{axis}label")(one.parameter.replace("_", " ") + (f", {unit}" if unit != "1" else ""))
         pair.legend(loc="lower left", fontsize=8)
         title = "; ".join(f"{e.parameter.replace('_', ' ')} {_value(e)}" for e in (first, second))
-        return finish(figure, place, found.what, title,
+        return finish(figure, output, found.what, title,
                       "Left: predicted minus measured, dotted lines between runs. Right: the first parameter and the "
                       "one it is correlated with most; intervals include what the runs cannot show.")
 

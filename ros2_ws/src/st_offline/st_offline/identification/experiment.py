@@ -13,7 +13,7 @@ from st_core.vehicle import VehicleParameters, quantity, value_of
 from st_recordings.runs import ReadSettings
 from st_recordings.runs.errors import RunError, check_readable
 
-from ..evaluation.drawing import Drawn, Place
+from ..evaluation.drawing import Drawn, FigureOutput
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Experiment:
     what: str
     files: str
     identify: Callable[[Sequence[Path], Setup], tuple[Identification, ...]]
-    draw: Callable[[Identification, Place], Drawn] | None = None
+    draw: Callable[[Identification, FigureOutput], Drawn] | None = None
     files_needed: bool = True
     drives: bool = False
 
@@ -110,8 +110,8 @@ def read_columns(file: Path, required: Mapping[str, Sequence[str]], optional: Ma
     delimiter = ";" if lines and ";" in lines[0] else ","
     header, *rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter)] or [[]]
     known = {**required, **(optional or {})}
-    places = _places(file, header, known, texts)
-    missing = [name for name in required if name not in places]
+    columns = _columns(file, header, known, texts)
+    missing = [name for name in required if name not in columns]
     if missing:
         names = ", ".join(" or ".join(f"{name}_{unit}" for unit in required[name]) for name in missing)
         raise RunError(file, f"has no column {names}; its columns are {', '.join(header)[:200]}",
@@ -122,12 +122,12 @@ def read_columns(file: Path, required: Mapping[str, Sequence[str]], optional: Ma
         if len(row) != len(header):
             raise RunError(file, f"row {row_number} has {len(row)} cells, the header {len(header)}", "correct that row")
     numbers, units, words = {}, {}, {}
-    for name, (place, unit) in places.items():
+    for name, (column, unit) in columns.items():
         if name in known:
-            cells = [_number(file, header[place], row_number, row[place]) for row_number, row in enumerate(rows, 1)]
+            cells = [_number(file, header[column], row_number, row[column]) for row_number, row in enumerate(rows, 1)]
             numbers[name], units[name] = np.array(cells) * TO_SI[unit], unit
         else:
-            words[name] = tuple(row[place] for row in rows)
+            words[name] = tuple(row[column] for row in rows)
     for name in required:
         if not np.isfinite(numbers[name]).all():
             first = int(np.flatnonzero(~np.isfinite(numbers[name]))[0]) + 1
@@ -135,10 +135,10 @@ def read_columns(file: Path, required: Mapping[str, Sequence[str]], optional: Ma
     return Table(file, numbers, units, words)
 
 
-def _places(file: Path, header: Sequence[str], known: Mapping[str, Sequence[str]],
+def _columns(file: Path, header: Sequence[str], known: Mapping[str, Sequence[str]],
             texts: Sequence[str]) -> dict[str, tuple[int, str]]:
-    places: dict[str, tuple[int, str]] = {}
-    for place, title in enumerate(header):
+    columns: dict[str, tuple[int, str]] = {}
+    for column, title in enumerate(header):
         name, _, unit = title.rpartition("_")
         if name in known and unit.lower() in known[name]:
             key, unit = name, unit.lower()
@@ -150,10 +150,10 @@ def _places(file: Path, header: Sequence[str], known: Mapping[str, Sequence[str]
             raise RunError(file, f"column {title} has no unit that is known", f"name it {units}")
         else:
             continue
-        if key in places:
+        if key in columns:
             raise RunError(file, f"column {key} is there twice", "remove one")
-        places[key] = place, unit
-    return places
+        columns[key] = column, unit
+    return columns
 
 
 def _number(file: Path, title: str, row: int, cell: str) -> float:

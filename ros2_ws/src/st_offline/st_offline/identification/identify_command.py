@@ -29,7 +29,7 @@ from st_recordings.runs.load import file_hashes
 
 from ..checking.check_report import findings_as_json, print_findings
 from ..discovery.vehicle_update import edited_or_whole
-from ..evaluation.drawing import Drawn, Place
+from ..evaluation.drawing import Drawn, FigureOutput
 from ..pages import template
 from ..terminal import line, list_files, rows_table
 from .driving import DRIVING
@@ -123,8 +123,8 @@ def about(job: Job, now: datetime) -> dict[str, Any]:
 
 def write(job: Job, found: Sequence[Identification], car: VehicleParameters, facts: dict[str, Any]) -> dict[str, Path]:
     """All files of the folder, by name."""
-    place = Place(new_folder(job.folder, ""), FORMATS)
-    figures = [draw(outcome, place) if (draw := EXPERIMENTS[outcome.what].draw) else None for outcome in found]
+    output = FigureOutput(new_folder(job.folder, ""), FORMATS)
+    figures = [draw(outcome, output) if (draw := EXPERIMENTS[outcome.what].draw) else None for outcome in found]
     texts = {
         "identification.json": json_text({name: entry for outcome in found
                                           for name, entry in outcome.document().items()}),

@@ -16,7 +16,7 @@ from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_core.vehicle import TYRES
 from st_recordings.runs.errors import RunError
 
-from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
+from ..evaluation.drawing import TEXT, WIDTH, Drawn, FigureOutput, finish, style
 from .experiment import Experiment, Setup, Table, read_columns
 
 NOTES = ("weighing", "driver", "payload")
@@ -42,7 +42,7 @@ def identify_scales(files: Sequence[Path], setup: Setup) -> tuple[Identification
     return (replace(found, warnings=(*found.warnings, *([swapped] if swapped else []))),)
 
 
-def draw_scales(found: Identification, place: Place) -> Drawn:
+def draw_scales(found: Identification, output: FigureOutput) -> Drawn:
     """Every weighing and the 95 % interval of both values."""
     data = found.figure
     rows = np.arange(len(data["names"]))
@@ -64,7 +64,7 @@ def draw_scales(found: Identification, place: Place) -> Drawn:
             axes.grid(axis="y", visible=False)
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower left", ncols=4)
-        return finish(figure, place, "scales", f"{found['mass'].verdict} {found['cg_to_front_axle'].verdict}",
+        return finish(figure, output, "scales", f"{found['mass'].verdict} {found['cg_to_front_axle'].verdict}",
                       "One point per weighing. The interval contains their scatter and the scales' own uncertainty.")
 
 
@@ -87,7 +87,7 @@ def identify_ratio(files: Sequence[Path], setup: Setup) -> tuple[Identification,
     return (steering_ratio(Turntable(hand, left, right, tuple(names))),)
 
 
-def draw_ratio(found: Identification, place: Place) -> Drawn:
+def draw_ratio(found: Identification, output: FigureOutput) -> Drawn:
     """Wheel angles over the hand-wheel angle with the fitted line, and its residuals."""
     data, estimate = found.figure, found.estimates[0]
     hand, sweeps = np.degrees(data["hand"]), np.asarray(data["sweeps"])
@@ -116,7 +116,7 @@ def draw_ratio(found: Identification, place: Place) -> Drawn:
         figure.legend(*zip(*handles, strict=True), loc="outside lower left", ncols=4, fontsize=8)
         low, high = estimate.interval95
         title = f"Steering ratio {estimate.value:.2f}, 95 % interval {low:.2f} to {high:.2f}"
-        return finish(figure, place, "steering-ratio", title,
+        return finish(figure, output, "steering-ratio", title,
                       "Left: both front wheels, their mean, and the line. Right: residuals of the line.")
 
 
@@ -164,7 +164,7 @@ def _pitch(table: Table, wheelbase: float) -> np.ndarray:
     return pitch_from_lift(columns["lift"], columns["front_radius"], columns["rear_radius"], wheelbase)
 
 
-def draw_height(found: Identification, place: Place) -> Drawn:
+def draw_height(found: Identification, output: FigureOutput) -> Drawn:
     """Rear load over tan(pitch) with the line, and the height from each row alone."""
     data, estimate = found.figure, found.estimates[0]
     pitch, lifts = np.degrees(data["pitch"]), np.asarray(data["lifts"])
@@ -187,7 +187,7 @@ def draw_height(found: Identification, place: Place) -> Drawn:
         right.legend(fontsize=8)
         low, high = estimate.interval95
         title = f"CG {estimate.value:.3f} m above the ground, 95 % interval {low:.3f} to {high:.3f} m"
-        return finish(figure, place, "cg-height", title,
+        return finish(figure, output, "cg-height", title,
                       "Left: rear load and the line with slope m (h - r) / l over tan(pitch). Right: the height from "
                       "each lifted row alone.")
 
@@ -237,7 +237,7 @@ def read_tables(files: Sequence[Path]) -> list[FlatPlank]:
     return tables
 
 
-def draw_tyre(found: Identification, place: Place) -> Drawn:
+def draw_tyre(found: Identification, output: FigureOutput) -> Drawn:
     """Measured and fitted force, residuals, and the stiffness over the load."""
     data = found.figure
     slip = np.degrees(data["slip"])
@@ -259,7 +259,7 @@ def draw_tyre(found: Identification, place: Place) -> Drawn:
         share = 100.0 * np.sqrt(np.mean(data["residuals"] ** 2)) / np.abs(data["force"]).max()
         axle = data["tyre"].removeprefix("tyre_")
         title = f"Magic Formula of the {axle} tyre: {share:.2f} % of the largest force unexplained"
-        return finish(figure, place, data["tyre"].replace("_", "-"), title,
+        return finish(figure, output, data["tyre"].replace("_", "-"), title,
                       "Points: measured. Lines: Magic Formula. Bars: 95 % interval of the stiffness at zero slip.")
 
 
