@@ -22,7 +22,7 @@ def main() -> str:
         rows = [(name, "; ".join(_value(f) for f in one.findings if f.severity is not Severity.NOTE) or "-",
                  str(len(one.of(Severity.NOTE)))) for name, one in results.items()]
         parts.append(f"{title} (`{folder}`):\n\n" + table(("drive", "errors and warnings", "notes"), rows))
-        common = [one for one in compare_runs(list(results.values())) if one.alike]
+        common = [one for one in compare_runs(list(results.values())) if one.consistent]
         lines = [f"- `{one.name}` {one.mean:.3g} ± {0.5 * (one.interval[1] - one.interval[0]):.1g}"
                  + ("" if one.unit == "1" else f" {one.unit}") for one in common]
         print("\n".join(lines))

@@ -87,7 +87,7 @@ def test_evaluate_advises(tmp_path):
              "linear", "--advise", "0.5", "--figures", "png", "--output", tmp_path / "o"]
     result = CliRunner().invoke(app, list(map(str, words)), env={"COLUMNS": "240"})
     assert result.exit_code == 0, result.output
-    assert "Cheapest with 90% of starts within 0.5 m across" in result.output and "6 to 9 m/s" in result.output
+    assert "Cheapest with a lateral error within 0.5 m" in result.output and "6 to 9 m/s" in result.output
     with (tmp_path / "o" / "advice.csv").open(newline="", encoding="utf-8") as stream:
         found = list(csv.DictReader(stream))
     assert [(row["model"], row["step, s"]) for row in found] == [

@@ -85,8 +85,8 @@ def extrapolation_uncertainty(whole: tuple[float, float, float], low: tuple[floa
     u_low^2 - u^2: variance of the difference if the curve is a line (Hausman, Specification tests in econometrics,
     1978). The sqrt(3) is that of a rectangular distribution (GUM 4.3.7). Checked by: test_stiffness_model_error.py.
     """
-    chance = max(low[1] - whole[1], 0.0)
-    size = math.sqrt(max((low[0] - whole[0]) ** 2 - chance, 0.0))
+    variance = max(low[1] - whole[1], 0.0)
+    size = math.sqrt(max((low[0] - whole[0]) ** 2 - variance, 0.0))
     return size * whole[2] / (whole[2] - low[2]) / math.sqrt(3.0)
 
 
@@ -115,11 +115,11 @@ class Spread:
 class Blocks:
     """Partition of samples into blocks.
 
-    of: (n,) block index of each sample. run, block: (k,) run, and number within the run, of each block, ascending.
-    name: description, like "8 runs".
+    block_of: (n,) block index of each sample. run, block: (k,) run, and number within the run, of each block,
+    ascending. name: description, like "8 runs".
     """
 
-    of: np.ndarray
+    block_of: np.ndarray
     run: np.ndarray
     block: np.ndarray
     name: str
@@ -131,7 +131,7 @@ class Blocks:
         """Sums of values (n, ...) over the samples of each block, (k, ...)."""
         values = np.asarray(values, float)
         result = np.zeros((len(self), *values.shape[1:]))
-        np.add.at(result, self.of, values)
+        np.add.at(result, self.block_of, values)
         return result
 
     def spread(self, influence: np.ndarray) -> Spread:

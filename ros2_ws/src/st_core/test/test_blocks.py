@@ -9,7 +9,7 @@ def test_blocks_are_runs_or_blocks_of_few_runs():
     run_of, time = np.repeat(np.arange(9), 30), np.tile(np.arange(30.0), 9)
     assert blocks(run_of, time).name == "9 runs"
     group = blocks(run_of[:60], time[:60])
-    assert group.name == "6 blocks of 10 s from 2 runs" and np.array_equal(np.bincount(group.of), [10] * 6)
+    assert group.name == "6 blocks of 10 s from 2 runs" and np.array_equal(np.bincount(group.block_of), [10] * 6)
 
 
 def test_intervals_hold_a_mean_as_often_as_they_say():

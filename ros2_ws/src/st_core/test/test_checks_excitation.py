@@ -33,7 +33,7 @@ def test_a_run_at_standstill_is_not_judged_and_spoils_no_others(leaf, kind):
     found = check(standing(kind, leaf), leaf)
     assert not found.findings and not found.estimates
     wrong = [check(late(exact_drive(leaf, 60.0, seed=seed), 0.2, "yaw_rate"), leaf) for seed in range(3)]
-    assert compare_runs([*wrong, found]) == compare_runs(wrong) and compare_runs(wrong)[0].alike
+    assert compare_runs([*wrong, found]) == compare_runs(wrong) and compare_runs(wrong)[0].consistent
 
 
 @pytest.mark.parametrize("noise", [0.0005, 0.004, 0.01])
@@ -45,7 +45,7 @@ def test_one_late_sensor_is_one_finding_whatever_is_driven(leaf, noise):
         lags = [one for one in run.findings if one.name.endswith("_lag")]
         assert [one.name for one in lags] == ["yaw_rate_lag"]
         assert lags[0].value == pytest.approx(0.36, abs=0.015)
-    assert [one.name for one in compare_runs(runs) if one.alike] == ["yaw_rate_lag"]
+    assert [one.name for one in compare_runs(runs) if one.consistent] == ["yaw_rate_lag"]
 
 
 @pytest.mark.parametrize("factor", [0.9, 0.97, 1.1, 1.18])

@@ -78,7 +78,7 @@ def test_one_lag_in_several_sweeps_is_one_finding_of_the_sensor(leaf, channel, n
     runs = [check(late(exact_drive(leaf, 60.0, **sweep, seed=seed), seconds, channel), leaf) for seed in range(3)]
     assert [[one.name for one in run.findings] for run in runs] == [[name]] * 3
     (one,) = compare_runs(runs)
-    assert one.name == name and one.alike and one.mean == pytest.approx(seconds, abs=0.04)
+    assert one.name == name and one.consistent and one.mean == pytest.approx(seconds, abs=0.04)
 
 
 @pytest.mark.parametrize("speed", [5.0, 20.0])

@@ -66,7 +66,7 @@ def measured(value, half, name="yaw_rate_bias", told=True, unit="rad/s"):
 def test_runs_that_agree_are_alike_and_know_the_mean_better():
     draw = np.random.default_rng(0).standard_normal(8)
     one, = compare_runs([measured(0.004 + 0.0005 * d, 1.96 * 0.0005) for d in draw])
-    assert one.alike and (one.runs, one.reported) == (8, 8)
+    assert one.consistent and (one.runs, one.reported) == (8, 8)
     assert one.mean == pytest.approx(0.004, abs=0.0005) and one.interval[0] < 0.004 < one.interval[1]
     assert one.interval[1] - one.interval[0] < 0.002
     assert "consistent across all 8 runs" in one.text and "rad/s" in one.text
@@ -75,7 +75,7 @@ def test_runs_that_agree_are_alike_and_know_the_mean_better():
 def test_runs_that_differ_say_so_and_by_how_much():
     values = (-0.01, 0.0, 0.01, 0.02)
     one, = compare_runs([measured(value, 0.0002) for value in values])
-    assert not one.alike and (one.lowest, one.highest) == (-0.01, 0.02)
+    assert not one.consistent and (one.lowest, one.highest) == (-0.01, 0.02)
     assert one.between == pytest.approx(np.std(values, ddof=1), rel=0.02)
     assert one.interval[0] < 0.0 < one.interval[1] and "differs" in one.text
 
@@ -83,13 +83,13 @@ def test_runs_that_differ_say_so_and_by_how_much():
 @pytest.mark.parametrize(("half", "alike"), [(0.005, True), (1e-5, False)])
 def test_runs_are_consistent_only_while_their_intervals_hold_the_mean(half, alike):
     one, = compare_runs([measured(v, half, "x_scale", unit="1") for v in (0.960, 0.964, 0.968)])
-    assert one.alike is alike and one.mean == pytest.approx(0.964, abs=1e-4)
+    assert one.consistent is alike and one.mean == pytest.approx(0.964, abs=1e-4)
 
 
 def test_two_of_four_intervals_that_miss_are_not_consistent():
     values = ((-1.0, 0.1), (-1.4, 0.1), (-1.2, 0.3), (-1.2, 0.3))
     found = compare_runs([measured(value, half, "measuring_point", unit="m") for value, half in values])
-    assert [one.alike for one in found] == [False]
+    assert [one.consistent for one in found] == [False]
 
 
 def test_a_mean_whose_interval_holds_zero_is_not_listed():
@@ -120,7 +120,7 @@ def test_drives_of_one_unit_together(leaf):
     biased = plus(0.005, "yaw_rate")
     runs = [check(biased(exact_drive(leaf, 30.0, seed=seed)), leaf) for seed in range(3)]
     one, = compare_runs(runs)
-    assert one.name == "yaw_rate_bias" and one.alike
+    assert one.name == "yaw_rate_bias" and one.consistent
     assert one.interval[0] < 0.005 < one.interval[1] and one.as_dict()["text"] == one.text
 
 

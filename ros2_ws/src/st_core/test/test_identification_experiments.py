@@ -138,7 +138,7 @@ def test_pitch_that_falls_within_a_lift_is_a_warning_with_the_angles(leaf, lifte
 
 def test_a_car_that_was_loaded_differently_is_noticed(leaf):
     car = LiftedCar(leaf.mass - 80.0, leaf.wheelbase, leaf.cg_to_front_axle)
-    assert "make that 657." in " ".join(cg_height(axle_lift(leaf, 0), car).warnings)
+    assert "give 657." in " ".join(cg_height(axle_lift(leaf, 0), car).warnings)
 
 
 def test_turntables_find_the_ratio_within_its_interval(leaf):

@@ -67,7 +67,7 @@ def test_bold_goes_by_printed_magnitude_and_may_be_shared():
 
 @pytest.mark.parametrize(("value", "text"), [(-0.004, "0.00"), (-0.006, "-0.01"), (None, "-"), (12.346, "12.35")])
 def test_numbers_to_the_centimetre(value, text):
-    assert tables.shown(value) == text
+    assert tables.in_metres(value) == text
 
 
 def test_terminal_shows_every_run_and_escapes_names():

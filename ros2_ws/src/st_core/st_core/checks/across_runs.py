@@ -21,8 +21,8 @@ class AcrossRuns:
     """One quantity over several runs, in `unit`.
 
     mean, interval: random effects, between-run variance included (DerSimonian and Laird 1986). between: standard
-    deviation between runs beyond their own intervals. reported: runs in which it is a finding. alike: whether the runs
-    are consistent.
+    deviation between runs beyond their own intervals. reported: runs in which it is a finding. consistent: whether the
+    runs are consistent.
     """
 
     name: str
@@ -34,7 +34,7 @@ class AcrossRuns:
     between: float
     lowest: float
     highest: float
-    alike: bool
+    consistent: bool
 
     @property
     def text(self) -> str:
@@ -42,17 +42,17 @@ class AcrossRuns:
         half = 0.5 * (self.interval[1] - self.interval[0])
         digits = max(1 - math.floor(math.log10(max(half, 1e-9))), 0)
         unit = "" if self.unit == "1" else f" {self.unit}"
-        if self.alike:
+        if self.consistent:
             return (f"{self.name} is consistent across all {self.runs} runs, {self.mean:.{digits}f} ± {half:.{digits}f}"
-                    f"{unit}: it belongs to the sensor, its mounting, the projection or the car, and is reliable")
+                    f"{unit}: its cause is the sensor, its mounting, the projection or the car, and it is reliable")
         return (f"{self.name} differs between the {self.runs} runs by more than their intervals allow, "
-                f"{self.lowest:.{digits}f} to {self.highest:.{digits}f}{unit}: part of it belongs to the place, the "
-                "load or the day, or to a fault of some of the runs")
+                f"{self.lowest:.{digits}f} to {self.highest:.{digits}f}{unit}: part of it depends on the place, the "
+                "load or the day, or some of the runs are faulty")
 
     def as_dict(self) -> dict[str, Any]:
-        """The content of check.json; `reported` is under the key "told"."""
+        """The content of check.json, with the keys "told" and "alike" for `reported` and `consistent`."""
         values = asdict(self)
-        return {**values, "told": values.pop("reported"), "text": self.text}
+        return {**values, "told": values.pop("reported"), "alike": values.pop("consistent"), "text": self.text}
 
 
 def compare_runs(runs: Sequence[Checked]) -> list[AcrossRuns]:
@@ -68,10 +68,10 @@ def compare_runs(runs: Sequence[Checked]) -> list[AcrossRuns]:
         missed = int(((rows[:, 1] > mean) | (rows[:, 2] < mean)).sum())
         homogeneous = excess <= chi2.ppf(CONFIDENCE, len(rows) - 1)
         similar = between < MAX_RELATIVE_SPREAD * abs(mean - neutral_value(name))
-        alike = missed <= binom.ppf(CONFIDENCE, len(rows), 0.05) and (homogeneous or similar)
-        if not alike or not interval[0] <= neutral_value(name) <= interval[1]:
+        consistent = missed <= binom.ppf(CONFIDENCE, len(rows), 0.05) and (homogeneous or similar)
+        if not consistent or not interval[0] <= neutral_value(name) <= interval[1]:
             compared.append(AcrossRuns(name, unit, len(rows), reported, mean, interval, between,
-                                       float(rows[:, 0].min()), float(rows[:, 0].max()), bool(alike)))
+                                       float(rows[:, 0].min()), float(rows[:, 0].max()), bool(consistent)))
     return sorted(compared, key=lambda quantity: -quantity.reported)
 
 

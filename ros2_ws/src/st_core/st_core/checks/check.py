@@ -138,7 +138,7 @@ def _check_sensors(motion: Motion, removed: dict[str, float]) -> SensorResult:
     """The identities that hold for any vehicle. removed: see `_removed_factors`."""
     panels = [position.distance_panel(motion, removed)]
     motion, findings = position.check_lateral_sign(motion)
-    found, expected = inertial.compare_yaw_rate(motion)
+    found, tolerances = inertial.compare_yaw_rate(motion)
     motion, late = _check_yaw_lag(motion, found)
     recorded = motion
     motion, causes, estimates = position.check_positions(motion)
@@ -148,8 +148,8 @@ def _check_sensors(motion: Motion, removed: dict[str, float]) -> SensorResult:
         estimates["yaw_lag"] = with_systematic("yaw_lag", found.lag.scaled(-1.0))
     findings += late + causes
     if late or any(finding.name == "yaw_offset" for finding in causes):
-        found, expected = inertial.compare_yaw_rate(motion)
-    more, values = inertial.judge_agreement(found, expected, removed.get("yaw_rate_scale", 1.0))
+        found, tolerances = inertial.compare_yaw_rate(motion)
+    more, values = inertial.judge_agreement(found, tolerances, removed.get("yaw_rate_scale", 1.0))
     findings += more
     estimates |= values
     if "yaw_offset" in estimates:
@@ -161,7 +161,7 @@ def _check_sensors(motion: Motion, removed: dict[str, float]) -> SensorResult:
     if found and found.scale.value:  # a constant yaw rate has no scale
         scale = found.scale.inverse().scaled(removed.get("yaw_scale", 1.0))
         estimates["yaw_scale"] = with_systematic("yaw_scale", scale)
-    panel = inertial.agreement_panel(found, expected, "yaw rate: sensor against change of yaw",
+    panel = inertial.agreement_panel(found, tolerances, "yaw rate: sensor against change of yaw",
                                      removed.get("yaw_rate_scale", 1.0),
                                      removed.get("yaw_scale", removed.get("yaw_convention", 1.0)))
     panels += [panel] if panel else []

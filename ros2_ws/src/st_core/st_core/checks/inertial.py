@@ -19,14 +19,15 @@ from .regression import Estimate, with_systematic
 
 
 @dataclass(frozen=True)
-class Expected:
-    """Smallest errors of a channel that are reported.
+class Tolerances:
+    """Smallest reported errors of a channel.
 
     against: name of the reference. unit: of the channel. lag [s], bias [unit]: smallest that are reported; scale:
     smallest deviation from 1. grave: (lag, scale, bias) from which on the finding is a warning whatever its effect on a
-    prediction, since identification and discovery use the channel too. reach: shift of the position after 5 s per unit
-    of error [m]. correlation: below which only the lag is judged. least_spread: standard deviation of the channel below
-    which no lag is reported [unit]. factors: names of units by their factor. causes: possible ones of a bias, as text.
+    prediction, since identification and discovery use the channel too. position_effect: shift of the position after 5 s
+    per unit of error [m]. correlation: below which only the lag is judged. min_spread: standard deviation of the
+    channel below which no lag is reported [unit]. factors: names of units by their factor. causes: possible ones of a
+    bias, as text.
     """
 
     channel: str
@@ -36,60 +37,60 @@ class Expected:
     scale: float
     bias: float
     grave: tuple[float, float, float]
-    reach: float = 0.0
-    least_spread: float = 0.0
+    position_effect: float = 0.0
+    min_spread: float = 0.0
     correlation: float = LIMITS.correlation
     factors: Mapping[float, str] = field(default_factory=dict)
     causes: str = ""
 
 
-def judge_agreement(found: Agreement | None, expected: Expected, removed_scale: float = 1.0,
+def judge_agreement(found: Agreement | None, tolerances: Tolerances, removed_scale: float = 1.0,
                     ) -> tuple[list[Finding], dict[str, Estimate]]:
     """(findings, estimates by the name of their finding). removed_scale: factor that was divided out before."""
-    if found is None or abs(found.correlation) < min(expected.correlation, LIMITS.correlation):
+    if found is None or abs(found.correlation) < min(tolerances.correlation, LIMITS.correlation):
         return [], {}
-    name = expected.channel
+    name = tolerances.channel
     scale, lag, bias = (with_systematic(f"{name}_{kind}", getattr(found, kind)) for kind in ("scale", "lag", "bias"))
-    is_late = (lag.significant and found.is_late and abs(lag.value) >= expected.lag
-               and found.spread >= expected.least_spread)
-    late = [_lag_finding(found, lag, expected)] if is_late else []
+    is_late = (lag.significant and found.is_late and abs(lag.value) >= tolerances.lag
+               and found.spread >= tolerances.min_spread)
+    late = [_lag_finding(found, lag, tolerances)] if is_late else []
     estimates = {f"{name}_lag": lag} if found.determines_lag else {}
-    if abs(found.correlation) < expected.correlation:  # noise of either falsifies the scale and the bias, not the lag
+    if abs(found.correlation) < tolerances.correlation:  # noise of either falsifies the scale and the bias, not the lag
         return late, estimates
     estimates |= {f"{name}_scale": scale.scaled(removed_scale)}
     estimates |= {f"{name}_bias": bias} if bias.deviation else {}  # 0: none was fitted
     # Regression on a noisy quantity gives between r^2 and 1 of the true slope (Fuller 1987, Measurement Error Models,
     # 1.1), so noise of the derived quantity may explain a scale below 1.
     explained_by_noise = scale.value < 1.0 and scale.value / found.correlation**2 + scale.half > 1.0
-    factor = None if explained_by_noise else _unit_factor(scale.value, expected)
+    factor = None if explained_by_noise else _unit_factor(scale.value, tolerances)
     findings = []
     if factor is not None:
-        findings.append(_unit_finding(scale, factor, expected))
-    elif (abs(scale.value - 1.0) >= expected.scale and scale.shifted(-1.0).significant and not explained_by_noise):
-        text = f"{name} is {format_estimate(scale)} times its value from {expected.against}"
-        findings.append(_make_finding("scale", text, scale, "1", abs(scale.value - 1.0) * found.spread, expected,
-                                      {"scale": 1.0 / scale.value}, abs(scale.value - 1.0) >= expected.grave[1]))
+        findings.append(_unit_finding(scale, factor, tolerances))
+    elif (abs(scale.value - 1.0) >= tolerances.scale and scale.shifted(-1.0).significant and not explained_by_noise):
+        text = f"{name} is {format_estimate(scale)} times its value from {tolerances.against}"
+        findings.append(_make_finding("scale", text, scale, "1", abs(scale.value - 1.0) * found.spread, tolerances,
+                                      {"scale": 1.0 / scale.value}, abs(scale.value - 1.0) >= tolerances.grave[1]))
     # A scale that is reported is divided out before the bias is subtracted.
     divisor = scale.value if findings else 1.0
     findings += late
     error = abs(bias.value) / max(abs(scale.value), 1e-300)
-    if bias.significant and error >= expected.bias and factor is None:
+    if bias.significant and error >= tolerances.bias and factor is None:
         side = "high" if bias.value > 0.0 else "low"
-        unit = expected.unit.replace("^2", "²")
-        text = f"{name} is {format_magnitude(bias)} {unit} too {side} against {expected.against}{expected.causes}"
-        findings.append(_make_finding("bias", text, bias, expected.unit, error, expected,
-                                      {"add": -bias.value / divisor}, error >= expected.grave[2]))
+        unit = tolerances.unit.replace("^2", "²")
+        text = f"{name} is {format_magnitude(bias)} {unit} too {side} against {tolerances.against}{tolerances.causes}"
+        findings.append(_make_finding("bias", text, bias, tolerances.unit, error, tolerances,
+                                      {"add": -bias.value / divisor}, error >= tolerances.grave[2]))
     return findings, estimates
 
 
-def _lag_finding(found: Agreement, lag: Estimate, expected: Expected) -> Finding:
+def _lag_finding(found: Agreement, lag: Estimate, tolerances: Tolerances) -> Finding:
     rate = float(np.std(np.gradient(found.derived, found.time)))
-    text = (f"{expected.channel} {'lags' if lag.value > 0.0 else 'leads'} {expected.against} by "
+    text = (f"{tolerances.channel} {'lags' if lag.value > 0.0 else 'leads'} {tolerances.against} by "
             f"{format_magnitude(lag)} s{format_alternative_lags(found)}")
-    if abs(found.correlation) < expected.correlation:
+    if abs(found.correlation) < tolerances.correlation:
         text += f"; their correlation is only {abs(found.correlation):.2f}, so scale and bias are not judged"
-    return _make_finding("lag", text, lag, "s", abs(lag.value) * rate, expected, {"earlier": lag.value},
-                         abs(lag.value) >= expected.grave[0])
+    return _make_finding("lag", text, lag, "s", abs(lag.value) * rate, tolerances, {"earlier": lag.value},
+                         abs(lag.value) >= tolerances.grave[0])
 
 
 def format_estimate(estimate: Estimate) -> str:
@@ -110,32 +111,32 @@ def format_alternative_lags(found: Agreement, response: float = 0.0) -> str:
     return f" (or {text}: the drive repeats itself, and that fits as well)" if text else ""
 
 
-def _unit_factor(scale: float, expected: Expected) -> float | None:
+def _unit_factor(scale: float, tolerances: Tolerances) -> float | None:
     """The unit or sign that a scale is, the scale itself where it is far from 1 and none of them, None near 1."""
     if 1.0 / LIMITS.channel_unit < scale < LIMITS.channel_unit:
         return None
-    factors = [sign * factor for factor in (1.0, *expected.factors) for sign in (1.0, -1.0)][1:]
+    factors = [sign * factor for factor in (1.0, *tolerances.factors) for sign in (1.0, -1.0)][1:]
     near = [f for f in factors if f * scale > 0.0 and 1.0 / LIMITS.channel_unit < scale / f < LIMITS.channel_unit]
     return min(near, key=lambda f: abs(np.log(scale / f)), default=scale)
 
 
-def _unit_finding(scale: Estimate, factor: float, expected: Expected) -> Finding:
+def _unit_finding(scale: Estimate, factor: float, tolerances: Tolerances) -> Finding:
     opposite = "it has the opposite sign" if factor < 0.0 else ""
-    reason = " and ".join(filter(None, (expected.factors.get(abs(factor), ""), opposite)))
-    text = (f"{expected.channel} is {format_estimate(scale)} times its value from {expected.against}"
+    reason = " and ".join(filter(None, (tolerances.factors.get(abs(factor), ""), opposite)))
+    text = (f"{tolerances.channel} is {format_estimate(scale)} times its value from {tolerances.against}"
             + (f": {reason}?" if reason else ""))
-    return Finding(f"{expected.channel}_scale", Severity.WARNING, (expected.channel,), text, scale.value, "1",
-                   scale.interval, advice=_advice(expected.channel, "scale", float(f"{1.0 / factor:.6g}")))
+    return Finding(f"{tolerances.channel}_scale", Severity.WARNING, (tolerances.channel,), text, scale.value, "1",
+                   scale.interval, advice=_advice(tolerances.channel, "scale", float(f"{1.0 / factor:.6g}")))
 
 
-def _make_finding(kind: str, text: str, estimate: Estimate, unit: str, error: float, expected: Expected,
+def _make_finding(kind: str, text: str, estimate: Estimate, unit: str, error: float, tolerances: Tolerances,
                   correct: dict[str, float], grave: bool) -> Finding:
     """error: resulting error of the channel, root mean square [unit]."""
-    effect = error * expected.reach
+    effect = error * tolerances.position_effect
     (key, value), = correct.items()
-    return Finding(f"{expected.channel}_{kind}", LIMITS.severity(effect, grave), (expected.channel,), text,
-                   estimate.value, unit, estimate.interval, (), effect if expected.reach else None,
-                   _advice(expected.channel, key, float(f"{value:.5g}")))
+    return Finding(f"{tolerances.channel}_{kind}", LIMITS.severity(effect, grave), (tolerances.channel,), text,
+                   estimate.value, unit, estimate.interval, (), effect if tolerances.position_effect else None,
+                   _advice(tolerances.channel, key, float(f"{value:.5g}")))
 
 
 def _advice(channel: str, key: str, value: float) -> Advice:
@@ -145,13 +146,13 @@ def _advice(channel: str, key: str, value: float) -> Advice:
     return Advice.correct(channel, **{key: value})
 
 
-def agreement_panel(found: Agreement | None, expected: Expected, title: str, measured: float = 1.0,
+def agreement_panel(found: Agreement | None, tolerances: Tolerances, title: str, measured: float = 1.0,
                     derived: float = 1.0) -> Identity | None:
     """Series of a figure. measured, derived: units that were divided out; the figure shows values as recorded."""
     return None if found is None else Identity(
-        expected.channel, title, expected.unit, expected.channel, f"from {expected.against}", found.time,
+        tolerances.channel, title, tolerances.unit, tolerances.channel, f"from {tolerances.against}", found.time,
         measured * found.measured, derived * found.derived,
-        tuple(f"{expected.channel}_{kind}" for kind in ("scale", "bias", "lag")))
+        tuple(f"{tolerances.channel}_{kind}" for kind in ("scale", "bias", "lag")))
 
 
 G = 9.80665
@@ -172,12 +173,12 @@ Comparison = tuple[list[Finding], dict[str, Estimate], Identity | None]
 """(findings, estimates by name of the finding, panel of the figure or None)."""
 
 
-def compare_yaw_rate(motion: Motion) -> tuple[Agreement | None, Expected]:
+def compare_yaw_rate(motion: Motion) -> tuple[Agreement | None, Tolerances]:
     """Yaw rate against the change of yaw. A model forgets a wrong start of its yaw rate within the settling time."""
-    reach = LIMITS.settling * float(np.median(np.abs(motion.velocity_x))) * HORIZON
+    position_effect = LIMITS.settling * float(np.median(np.abs(motion.velocity_x))) * HORIZON
     found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, GYRO_CUTOFF, True)
-    return found, Expected("yaw_rate", "yaw", "rad/s", LIMITS.lag, GYRO_SCALE, GYRO_BIAS,
-                           (LIMITS.grave_lag, 0.03, 0.01), reach, correlation=GYRO_CORRELATION)
+    return found, Tolerances("yaw_rate", "yaw", "rad/s", LIMITS.lag, GYRO_SCALE, GYRO_BIAS,
+                           (LIMITS.grave_lag, 0.03, 0.01), position_effect, correlation=GYRO_CORRELATION)
 
 
 def yaw_rate_lag(motion: Motion) -> float:
@@ -227,11 +228,11 @@ def check_accelerations(motion: Motion) -> list[Comparison]:
     comparisons = []
     for name, found in agreements.items():
         lateral = name == "acceleration_y"
-        expected = Expected(name, "velocity and yaw rate" if lateral else "velocity", "m/s^2", lags[name],
+        tolerances = Tolerances(name, "velocity and yaw rate" if lateral else "velocity", "m/s^2", lags[name],
                             ACCELERATION_SCALE, LIMITS.bias_acceleration, (0.0, 0.0, GRAVE_ACCELERATION),
                             factors=FACTORS, causes=": mounted askew, or the road is not level?")
         title = f"{'lateral' if lateral else 'forward'} acceleration: sensor against velocity"
-        comparisons.append((*judge_agreement(found, expected), agreement_panel(found, expected, title)))
+        comparisons.append((*judge_agreement(found, tolerances), agreement_panel(found, tolerances, title)))
     return comparisons
 
 
@@ -241,10 +242,10 @@ def check_speeds(motion: Motion) -> list[Comparison]:
     for name in motion.speeds:
         found = compare_speed(motion, name)
         scale, lag = (WHEEL_SCALE, WHEEL_LAG) if name == "wheel_speed" else (0.005, 0.03)
-        expected = Expected(name, "velocity_x", "m/s", lag, scale, np.inf, (0.0, 0.0, np.inf),
-                            least_spread=SPEED_SPREAD, factors=SPEED_FACTORS)
+        tolerances = Tolerances(name, "velocity_x", "m/s", lag, scale, np.inf, (0.0, 0.0, np.inf),
+                            min_spread=SPEED_SPREAD, factors=SPEED_FACTORS)
         title = f"forward speed: {name.replace('_', ' ')} against velocity_x"
-        comparisons.append((*judge_agreement(found, expected), agreement_panel(found, expected, title)))
+        comparisons.append((*judge_agreement(found, tolerances), agreement_panel(found, tolerances, title)))
     return comparisons
 
 

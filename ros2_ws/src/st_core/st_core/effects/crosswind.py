@@ -35,10 +35,10 @@ class Crosswind(Effect):
     kind, slot = "surroundings", "body"
     twins = ("steering_offset", "road_slope", "road_bank", "lateral_acceleration_bias")
     parameters = (
-        Parameter("wind_x", "m/s", null=0.0, initial=1.0, bounds=(-30.0, 30.0), meaning="towards map x (east)",
+        Parameter("wind_x", "m/s", null=0.0, initial=1.0, bounds=(-30.0, 30.0), meaning="wind towards east",
                   source="gale 20 m/s"),
         Parameter("wind_y", "m/s", null=0.0, initial=5.0, bounds=(-30.0, 30.0), odd=True,
-                  meaning="towards map y (north)", source="gale 20 m/s"),
+                  meaning="wind towards north", source="gale 20 m/s"),
     )
 
     @staticmethod

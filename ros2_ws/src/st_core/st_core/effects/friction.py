@@ -15,7 +15,8 @@ class Friction(Effect):
     at_peak_force = True
     applies_to = frozenset(("nonlinear",))  # a linear tyre has no peak
     parameters = (
-        Parameter("factor", "1", null=1.0, initial=0.8, bounds=(0.1, 1.6), meaning="true friction over the tyre data's",
+        Parameter("factor", "1", null=1.0, initial=0.8, bounds=(0.1, 1.6),
+                  meaning="ratio of true friction to the tyre data's",
                   source="ice 0.1, wet 0.6-0.8, dry asphalt against a drum 1.0-1.3"),
     )
 

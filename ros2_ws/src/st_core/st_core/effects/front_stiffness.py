@@ -8,7 +8,7 @@ from ._base import Effect, Parameter, register
 def stiffness_factor(initial):
     """The parameter of an axle stiffness."""
     return Parameter("factor", "1", null=1.0, initial=initial, bounds=(0.3, 3.0),
-                     meaning="true stiffness over the file's", model_error=0.04,
+                     meaning="ratio of true stiffness to the file's", model_error=0.04,
                      source="tyres of one size spread by 2; openpilot learns 0.2-5 for both axles together")
 
 

@@ -44,7 +44,7 @@ class LateralLoadTransfer(Effect):
     costly = True
     order = 20
     parameters = (
-        Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 2.0), meaning="of m a_y h / track",
+        Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 2.0), meaning="share of m a_y h / track",
                   source="theory: 1"),
     )
 

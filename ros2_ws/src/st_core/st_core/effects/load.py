@@ -22,7 +22,7 @@ class Load(Effect):
                     "understeer gradient K")
     parameters = (
         Parameter("mass", "kg", null=0.0, initial=150.0, bounds=(0.0, 800.0),
-                  meaning="of the load, as if over the rear axle",
+                  meaning="mass of the load, as if over the rear axle",
                   source="payload of passenger cars 400 to 550 kg, two deviations; of vans 800 kg", deviation=250.0),
     )
 

@@ -14,7 +14,7 @@ class Mass(Effect):
     twins = ("yaw_inertia", "tyre_stiffness", "front_stiffness", "rear_stiffness")
     combinations = ("front cornering stiffness over mass", "rear cornering stiffness over mass")
     parameters = (
-        Parameter("factor", "1", null=1.0, initial=1.1, bounds=(0.6, 2.0), meaning="true mass over the file's",
+        Parameter("factor", "1", null=1.0, initial=1.1, bounds=(0.6, 2.0), meaning="ratio of true mass to the file's",
                   source="empty to fully laden: passenger cars 1.4, vans 2"),
     )
 

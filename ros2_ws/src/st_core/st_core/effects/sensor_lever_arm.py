@@ -15,10 +15,10 @@ class SensorLeverArm(Effect):
     needs = ("velocity_y",)  # without it yaw may be the course, which hides both
     applies_to = ANY
     parameters = (
-        Parameter("x", "m", null=0.0, initial=0.2, bounds=(-3.0, 3.0), meaning="further forward than in the file",
+        Parameter("x", "m", null=0.0, initial=0.2, bounds=(-3.0, 3.0), meaning="INS further forward than in the file",
                   source="a unit at the rear axle or the front bumper taken for one at the CG"),
         Parameter("y", "m", null=0.0, initial=0.1, bounds=(-1.0, 1.0), odd=True,
-                  meaning="further to the left than in the file", source="half a car's width"),
+                  meaning="INS further to the left than in the file", source="half a car's width"),
     )
 
     @staticmethod

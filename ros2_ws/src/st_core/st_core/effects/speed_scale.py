@@ -14,7 +14,7 @@ class SpeedScale(Effect):
     applies_to = ANY
     order = 40
     parameters = (
-        Parameter("factor", "1", null=1.0, initial=1.02, bounds=(0.8, 1.25), meaning="measured over true",
+        Parameter("factor", "1", null=1.0, initial=1.02, bounds=(0.8, 1.25), meaning="ratio of measured to true",
                   source="wheel speeds with worn tyres 2-4 %", identity="velocity_scale"),
     )
 

@@ -16,7 +16,8 @@ class SteeringDelay(Effect):
     applies_to = ANY
     order = 10
     parameters = (
-        Parameter("time", "s", null=0.0, initial=0.04, bounds=(-0.2, 0.5), meaning="wheels after the measured angle",
+        Parameter("time", "s", null=0.0, initial=0.04, bounds=(-0.2, 0.5),
+                  meaning="delay of the wheels behind the measured angle",
                   source="buses and filters add up to 0.2 s; steering is faster than half a second",
                   model_error=0.004),
     )

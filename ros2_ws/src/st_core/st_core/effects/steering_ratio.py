@@ -16,7 +16,7 @@ class SteeringRatio(Effect):
     applies_to = ANY
     order = 40
     parameters = (
-        Parameter("factor", "1", null=1.0, initial=1.05, bounds=(0.5, 2.0), meaning="true ratio over the file's",
+        Parameter("factor", "1", null=1.0, initial=1.05, bounds=(0.5, 2.0), meaning="true steering ratio / the file's",
                   source="learnt ratios of one car type spread by 10-20 % in fleets",
                   model_error=0.009),
     )

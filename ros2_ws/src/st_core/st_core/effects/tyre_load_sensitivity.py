@@ -33,8 +33,9 @@ class TyreLoadSensitivity(Effect):
     applies_to = frozenset(("nonlinear",))  # a linear tyre has no dependence on load
     order = 40  # before mass and cg_position: the file's stiffness is that at the file's load
     parameters = (
-        Parameter("factor", "1", null=1.0, initial=1.8, bounds=(0.5, 5.0), meaning="load of the stiffest tyre over the "
-                  "file's", source="published passenger tyres: p_ky2 1.0 to 2.8; 5 is proportional to load within 5 %",
+        Parameter("factor", "1", null=1.0, initial=1.8, bounds=(0.5, 5.0),
+                  meaning="ratio of the load at maximum stiffness to the file's",
+                  source="published passenger tyres: p_ky2 1.0 to 2.8; 5 is proportional to load within 5 %",
                   shape=True),
     )
 

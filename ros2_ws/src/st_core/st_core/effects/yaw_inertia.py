@@ -14,7 +14,8 @@ class YawInertia(Effect):
     twins = ("mass", "steering_lag", "tyre_relaxation")
     ratio_to = "mass"
     parameters = (
-        Parameter("factor", "1", null=1.0, initial=1.15, bounds=(0.4, 2.5), meaning="true inertia over the file's",
+        Parameter("factor", "1", null=1.0, initial=1.15, bounds=(0.4, 2.5),
+                  meaning="ratio of true inertia to the file's",
                   source="estimates from mass and wheelbase are right to 20 %", model_error=0.02),
     )
 

@@ -13,7 +13,8 @@ class YawRateBias(Effect):
     twins = ("steering_offset", "crosswind")
     order = 60
     parameters = (
-        Parameter("bias", "rad/s", null=0.0, initial=0.005, bounds=(-0.1, 0.1), odd=True, meaning="left turn +",
+        Parameter("bias", "rad/s", null=0.0, initial=0.005, bounds=(-0.1, 0.1), odd=True,
+                  meaning="bias of the reading, left turn +",
                   source="automotive yaw rate sensors 0.5-3 deg/s over temperature", identity="yaw_rate_bias"),
     )
 

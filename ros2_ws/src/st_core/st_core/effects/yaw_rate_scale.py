@@ -13,7 +13,7 @@ class YawRateScale(Effect):
     twins = ("steering_ratio", "speed_scale")
     order = 40
     parameters = (
-        Parameter("factor", "1", null=1.0, initial=1.02, bounds=(0.8, 1.25), meaning="measured over true",
+        Parameter("factor", "1", null=1.0, initial=1.02, bounds=(0.8, 1.25), meaning="ratio of measured to true",
                   source="gyroscopes of 2-5 %", identity="yaw_rate_scale"),
     )
 

@@ -106,7 +106,8 @@ def cg_height(data: Lift, car: LiftedCar) -> Identification:
     method = (f"ISO 10392 axle lift, {len(data.pitch)} rows in {len(used)} lift{'s' * (len(used) != 1)} up to "
               f"{math.degrees(data.pitch.max()):.1f} deg, wheel centres at {radius:.3f} m")
     gave = "" if deflection is None else (
-        f" At the steepest pitch the rear tyres gave way by a further {1e3 * deflection:.1f} mm, which does not enter.")
+        f" At the steepest pitch the rear tyres deflected by a further {1e3 * deflection:.1f} mm, which is not "
+        "included.")
     estimate = Estimate(
         "cg_height", height, "m", spread, symmetric_interval(height, spread, freedom), method, used,
         f"The CG is {height:.3f} m above the ground, {arm:.3f} m above the wheel centres; the average over the pitch "
@@ -142,13 +143,13 @@ def _check_rows(data: Lift) -> np.ndarray:
         raise IdentificationError(f"{int(level.sum())} level rows and {steps} lifted pitch angles: one of the former "
                                   "and two of the latter are needed at least")
     if pitch[~level].max() <= 0.0:
-        raise IdentificationError(f"pitch falls to {math.degrees(pitch.min()):.1f} deg and never up: nose up is "
+        raise IdentificationError(f"pitch is never positive, down to {math.degrees(pitch.min()):.1f} deg: nose up is "
                                   "positive, the front axle is lifted")
     return level
 
 
 def _radii(data: Lift, car: LiftedCar, level: np.ndarray) -> tuple[float, float | None]:
-    """Height of the line of wheel centres under the CG, and how far the rear tyres gave way further when lifted [m]."""
+    """Height of the line of wheel centres under the CG, and further deflection of the rear tyres when lifted [m]."""
     front, rear = (radius[level & np.isfinite(radius)] for radius in (data.front_radius, data.rear_radius))
     if not len(front) or not len(rear):
         raise IdentificationError("the level rows have no wheel radius: measure the height of the front and rear wheel "
@@ -198,6 +199,6 @@ def _load_warnings(data: Lift, car: LiftedCar, level: np.ndarray) -> list[str]:
     expected = car.mass * car.cg_to_front_axle / car.wheelbase
     if abs(measured - expected) <= MAX_LOAD_DIFFERENCE * car.mass:
         return []
-    return [f"Level, {measured:.1f} kg stand on the rear wheels; mass and CG position of the vehicle file make that "
+    return [f"Level, the rear wheels carry {measured:.1f} kg; mass and CG position of the vehicle file give "
             f"{expected:.1f} kg. The car was loaded differently: the height is that of the car as lifted, and is only "
-            f"as right as its mass, {car.mass:.1f} kg."]
+            f"as accurate as its mass, {car.mass:.1f} kg."]

@@ -52,13 +52,13 @@ Values = Mapping[str, float]
 class FreeParameter:
     """A quantity [unit, SI] that can be identified from driving, and the effect that represents it in the fit.
 
-    of: value of the quantity from the vehicle and the values of the effects by "effect.parameter". relative: judged by
+    value: of the quantity from the vehicle and the values of the effects by "effect.parameter". relative: judged by
     its relative uncertainty; else it counts as identified up to max_uncertainty [SI].
     """
 
     effect: str
     unit: str
-    of: Callable[[VehicleParameters, Values], float]
+    value: Callable[[VehicleParameters, Values], float]
     relative: bool = False
     max_uncertainty: float = 0.0
 
@@ -79,7 +79,7 @@ FREE_PARAMETERS: Mapping[str, FreeParameter] = {
     "yaw_inertia": _scaled(YawInertia.name, "yaw_inertia", "kg m^2"),
     "steering_ratio": _scaled(SteeringRatio.name, "steering_ratio", "1"),
     "steering_wheel_offset": FreeParameter(SteeringOffset.name, "rad", _offset, max_uncertainty=0.02),
-    "cg_to_ins_x": FreeParameter(SensorLeverArm.name, "m", max_uncertainty=0.1, of=lambda car, values: (
+    "cg_to_ins_x": FreeParameter(SensorLeverArm.name, "m", max_uncertainty=0.1, value=lambda car, values: (
         car.cg_to_ins_x + values[f"{SensorLeverArm.name}.x"])),
     # Angle by which the reported heading is too far left.
     MISALIGNMENT: FreeParameter(HeadingMisalignment.name, "rad",
@@ -237,7 +237,7 @@ def _make_fit(problem: Problem, windows: _GatedWindows, vector: np.ndarray, effe
 
     def quantities(at: np.ndarray) -> np.ndarray:
         known = {f"{e}.{p}": value for e in effects for p, value in space.values(e, at).items()}
-        return np.array([FREE_PARAMETERS[name].of(windows.vehicle, known) for name in names])
+        return np.array([FREE_PARAMETERS[name].value(windows.vehicle, known) for name in names])
 
     values, step = quantities(vector), 1e-4
     change = np.stack([(quantities(vector + step * space.scale * unit) - values) / step

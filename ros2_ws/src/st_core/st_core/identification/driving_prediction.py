@@ -52,13 +52,14 @@ RATIO, OFFSET = "steering_ratio", "steering_wheel_offset"
 NUISANCE = (OFFSET, MISALIGNMENT)
 REQUIRED_COVERAGE = {"speed": (5.0, 1), "lateral acceleration": (2.0, 3)}
 UNCERTAINTY_GRADES: tuple[tuple[float, str, Status], ...] = (
-    (MAX_RELATIVE_UNCERTAINTY, "Fixed", "identified"), (5.0 * MAX_RELATIVE_UNCERTAINTY, "Poorly fixed", "doubtful"),
-    (np.inf, "Not identifiable: fixed only", "unidentifiable"))
+    (MAX_RELATIVE_UNCERTAINTY, "Determined", "identified"),
+    (5.0 * MAX_RELATIVE_UNCERTAINTY, "Poorly determined", "doubtful"),
+    (np.inf, "Not identifiable: determined only", "unidentifiable"))
 """(largest standard uncertainty over value of a stiffness, ratio or inertia; words of the verdict; status)."""
 INERTIA_NAMES = ("yaw_inertia", *STIFFNESSES, DELAY, RELAXATION, *NUISANCE)
 YAW_ACCELERATION_EDGES = np.array([-10.0, -0.3, -0.1, 0.1, 0.3, 10.0])  # rad/s^2, left +
 TRANSIENT_SETTINGS = DrivingFitSettings(interval=0.3)
-SINGLE_TRACK = 0.8**2
+SINGLE_TRACK_ERROR = 0.8**2
 """Standard uncertainty of a stiffness by the single-track assumption, relative, over (L / R)^2. Two wheels with
 Ackermann angles turn an axle's force into a yaw moment that one wheel does not have. On the virtual Leaf without noise:
 rear stiffness 4.6 m^2 / R^2 too small, 1.1 % at 20 m, 0.1 % at 60 m. All of it counts, as for full Ackermann angles."""
@@ -72,14 +73,15 @@ def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
     vehicle: everything else, and where the fit starts. base: linear, nonlinear, or either with effects that are known
     (`augment`: for example drive force on steered wheels). also: further parameters to fit and report, of
     `driving_fit.FREE_PARAMETERS` (steering_ratio needs low and high speeds, cg_to_ins_x tight bends). nuisance:
-    fitted too, not reported. Raises IdentificationError for too thin driving.
+    fitted too, not reported. Raises IdentificationError for too little excitation.
     """
     settings = settings or DrivingFitSettings()
     names = tuple(dict.fromkeys((*STIFFNESSES, *also, *nuisance)))
     logs, noticed = prepare_drives(logs, vehicle)
     needs = REQUIRED_COVERAGE | ({"speed": (5.0, 2)} if RATIO in names else {})
     covered = driving_coverage(logs, needs, settings.minimum_speed)
-    require_coverage(covered, "Drive bends to both sides, at two speeds or more, with 1 to 4 m/s^2 across.")
+    require_coverage(covered, "Drive bends to both sides, at two speeds or more, with a lateral acceleration of 1 to 4 "
+                              "m/s^2.")
     fit = fit_driving(logs, vehicle, names, base, settings)
     method = f"multi-step prediction, {describe_model(base)}"
     systematic = slip_range_uncertainty(logs, vehicle, base, settings, fit)
@@ -130,7 +132,7 @@ def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
                       settings: DrivingFitSettings | None = None) -> Identification:
     """Ratio and offset with their uncertainty, and the stiffnesses that go with them.
 
-    Raises IdentificationError for too thin driving: two bins of speed at least.
+    Raises IdentificationError for too little excitation: two bins of speed at least.
     """
     result = predict_stiffness(logs, vehicle, base, settings, also=(RATIO, OFFSET),
                                nuisance=(*NUISANCE, DELAY, RELAXATION))
@@ -180,7 +182,7 @@ def make_identification(what: str, vehicle: VehicleParameters, fit: DrivingFit, 
     """Result of a fit. reported: parameters to give as estimates; correlation over them. systematic: standard
     uncertainties the drives cannot show, added to theirs."""
     spread = fit.spread
-    share = SINGLE_TRACK * vehicle.wheelbase**2 * fit.curvature_square
+    share = SINGLE_TRACK_ERROR * vehicle.wheelbase**2 * fit.curvature_square
     extra = [np.hypot((systematic or {}).get(n, 0.0), share * v if n in STIFFNESSES else 0.0)
              for n, v in zip(fit.names, fit.values, strict=True)]
     # Independent of the drives, so added to the variances alone.
@@ -208,11 +210,11 @@ def make_identification(what: str, vehicle: VehicleParameters, fit: DrivingFit, 
 
 
 def _judge_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[str, Status]:
-    """(verdict: how well the data fix the value, and their number; status)."""
+    """(verdict: how well the data determine the value, and their number; status)."""
     name, value, basis = fit.names[index], fit.values[index], f"{fit.number} predictions in {fit.spread.basis[index]}"
     if name in fit.at_bound:
-        return (f"Stopped at its bound {value:.4g}: the data do not fix it, or contradict the rest of the vehicle "
-                "file."), "unidentifiable"
+        return (f"Stopped at its bound {value:.4g}: the data do not determine it, or contradict the rest of the "
+                "vehicle file."), "unidentifiable"
     if not FREE_PARAMETERS[name].relative:
         return (f"{value:.4g} +/- {uncertainty:.2g} {FREE_PARAMETERS[name].unit}, from {basis}.",
                 "identified" if uncertainty < FREE_PARAMETERS[name].max_uncertainty else "doubtful")

@@ -38,7 +38,7 @@ SAMPLE_INTERVAL = 0.1  # s between the samples kept; after the filter, closer on
 def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
     """cg_to_ins_x [m], ins_misalignment [rad, heading reported too far left] and, with tight bends, cg_to_ins_y [m].
 
-    vehicle: the lengths; its lever arm does not enter. Raises IdentificationError for too thin driving.
+    vehicle: the lengths; its lever arm does not enter. Raises IdentificationError for too little excitation.
     """
     logs, noticed = prepare_drives(logs, vehicle, "velocity_y")
     runs = [run_samples(log, vehicle) for log in logs]
@@ -118,7 +118,7 @@ def _estimate(name: str, value: float, spread: Spread, index: int, factor: float
     uncertainty = float(abs(factor) * spread.deviations[index])
     found: Status = "identified" if uncertainty < acceptable else (
         "doubtful" if uncertainty < 5.0 * acceptable else "unidentifiable")
-    head = {"identified": "", "doubtful": "Poorly fixed: ", "unidentifiable": "Not identifiable: "}[found]
+    head = {"identified": "", "doubtful": "Poorly determined: ", "unidentifiable": "Not identifiable: "}[found]
     return Estimate(name, float(value), unit, uncertainty,
                     spread.interval(index, value, uncertainty), "lateral velocity of slow driving"
                     if name != "cg_to_ins_y" else "steering against curvature in tight bends", used,

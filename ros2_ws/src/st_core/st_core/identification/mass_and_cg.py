@@ -130,4 +130,4 @@ def _side_warnings(mean: np.ndarray) -> list[str]:
     cross = (mean[0] + mean[3]) / mean.sum()
     return [] if abs(cross - 0.5) <= 0.02 else [
         f"The diagonal front left + rear right carries {100 * cross:.1f} %: the car is twisted between its wheels, or "
-        "the floor under the scales is uneven; mass and CG along the car stay right."]
+        "the floor under the scales is uneven; mass and longitudinal CG position remain valid."]

@@ -78,12 +78,12 @@ class DrivingTime:
 @dataclass(frozen=True)
 class OnlineFit:
     """Result of one fit: values and deviations (3,) in the order of NAMES. unexplained: root mean square residual over
-    that of the yaw rate. stopped: names at a bound. problem: why there is no fit, else empty."""
+    that of the yaw rate. at_bound: names at a bound. problem: why there is no fit, else empty."""
 
     values: tuple[float, ...]
     deviations: tuple[float, ...]
     unexplained: float = 0.0
-    stopped: tuple[str, ...] = ()
+    at_bound: tuple[str, ...] = ()
     problem: str = ""
 
 
@@ -126,11 +126,11 @@ class OnlineIdentifier:
         """Forget all driving and start with this vehicle."""
         self.vehicle = vehicle
         self.seconds = DrivingTime()
-        most = round(BUFFER / NANOSECOND / SPACING_NS)
-        self._ins: deque[InsSample] = deque(maxlen=most)
-        self._steering: deque[tuple[int, float]] = deque(maxlen=most)
+        capacity = round(BUFFER / NANOSECOND / SPACING_NS)
+        self._ins: deque[InsSample] = deque(maxlen=capacity)
+        self._steering: deque[tuple[int, float]] = deque(maxlen=capacity)
         self._newest_ns, self._fitted_at = 0, 0.0
-        self._fit = _missing_fit(vehicle, "the first fit is not done")
+        self._fit = _missing_fit(vehicle, "no fit yet")
 
     def add_ins(self, sample: InsSample) -> bool:
         """Add a sample at the INS point; False if it is not finite or not newer. Time going back by 1 s resets all."""
@@ -183,7 +183,7 @@ class OnlineIdentifier:
             value, deviation = self._fit.values[k], self._fit.deviations[k]
             reason = missing[name] or self._fit.problem
             if not reason and not deviation / (value if k else 1.0) <= MAX_DEVIATIONS[k]:
-                reason = "the driving so far leaves the deviation too large"
+                reason = "its uncertainty is still too large"
             status: Status = "unestimated" if reason else "estimated"
             if not missing[name] and implausible.get(name):
                 status, reason = "invalid", implausible[name]
@@ -235,7 +235,7 @@ class OnlineIdentifier:
         for name, value, (low, high) in zip(NAMES[1:], (relative, scale), PLAUSIBLE_RANGES, strict=True):
             if not low < value < high:
                 reasons[name] = f"{value:.2f} times the vehicle file's is outside {low:g} to {high:g}"
-        for name in fit.stopped:
+        for name in fit.at_bound:
             if name in NAMES or name in STIFFNESSES:
-                reasons[name if name in NAMES else NAMES[2]] = f"{name} stopped at the bound of the fit"
+                reasons[name if name in NAMES else NAMES[2]] = f"{name} ended at the bound of the fit"
         return reasons

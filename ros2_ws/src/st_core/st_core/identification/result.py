@@ -142,8 +142,8 @@ def describe_contradiction(estimate: Estimate, value: float, standard_uncertaint
 
 def describe_correlations(names: Sequence[str], correlation: np.ndarray, limit: float = 0.95) -> tuple[str, ...]:
     """A sentence for each pair of parameters correlated beyond a limit, which the data hardly separate."""
-    return tuple(f"{names[i]} and {names[j]} are correlated by {correlation[i, j]:+.3f}: the data fix a combination of "
-                 "the two better than each." for i in range(len(names)) for j in range(i + 1, len(names))
+    return tuple(f"{names[i]} and {names[j]} are correlated by {correlation[i, j]:+.3f}: the data determine a "
+                 "combination of the two better than each." for i in range(len(names)) for j in range(i + 1, len(names))
                  if abs(correlation[i, j]) > limit)
 
 

@@ -45,8 +45,8 @@ def fit_line(x: np.ndarray, y: np.ndarray, groups: Sequence[str]) -> Line:
     spread = float(centred_x @ centred_x)
     freedom = len(x) - len(members) - 1
     if freedom < 1 or spread <= 1e-12 * float(x @ x):
-        raise IdentificationError(f"{len(x)} rows in {len(members)} series do not fix a slope: {freedom} degrees of "
-                                  "freedom are left; more rows, at different settings, are needed")
+        raise IdentificationError(f"{len(x)} rows in {len(members)} series do not determine a slope: {freedom} degrees "
+                                  "of freedom are left; more rows, at different settings, are needed")
     slope = float(centred_x @ centred_y) / spread
     residuals = centred_y - slope * centred_x
     scatter = float(np.sqrt(residuals @ residuals / freedom))
@@ -54,7 +54,7 @@ def fit_line(x: np.ndarray, y: np.ndarray, groups: Sequence[str]) -> Line:
     return Line(slope, scatter / float(np.sqrt(spread)), levels, residuals, scatter, freedom)
 
 
-def cubic_remainder(x: np.ndarray, line: Line, names: Sequence[str]) -> tuple[tuple[float, float], bool]:
+def cubic_nonlinearity(x: np.ndarray, line: Line, names: Sequence[str]) -> tuple[tuple[float, float], bool]:
     """(linear, cubic) coefficient of the residuals of a line through groups `names`, and whether it is significant:
 
         e = c_1 x + c_3 x^3,    F = (sum e^2 - sum e_c^2) / 1 / (sum e_c^2 / (freedom - 1))
@@ -115,14 +115,14 @@ def steering_ratio(data: Turntable) -> Identification:
                                   f"{limits.minimum:g} to {limits.maximum:g}: {hint}")
     spread = ratio**2 * line.uncertainty
     low, high = symmetric_interval(line.slope, line.uncertainty, line.freedom)
-    cubic, significant = cubic_remainder(data.hand, line, data.sweeps)
+    cubic, significant = cubic_nonlinearity(data.hand, line, data.sweeps)
     used = tuple(dict.fromkeys(data.sweeps))
     span = math.degrees(data.hand.min()), math.degrees(data.hand.max())
     method = (f"turntables, {len(mean)} rows in {len(used)} sweep{'s' * (len(used) != 1)}, {span[0]:.0f} to "
               f"{span[1]:.0f} deg")
     largest = math.degrees(float(np.abs(line.residuals).max()))
     verdict = (f"The hand wheel turns {ratio:.2f} times as far as the mean of the front wheels; the straight line "
-               f"leaves {largest:.2f} deg at the road wheel at most.")
+               f"deviates by at most {largest:.2f} deg at the road wheel.")
     centre = 1.0 / (line.slope + cubic[0]) if significant else ratio
     if significant:
         verdict += f" The ratio is not constant: {centre:.2f} about the centre of the range."

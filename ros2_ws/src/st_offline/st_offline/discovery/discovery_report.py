@@ -106,13 +106,14 @@ def model_file(found: Discovery, request: Request, update: VehicleUpdate) -> Mod
 
 
 def write_page(file: Path, found: Discovery, update: VehicleUpdate | None, content: dict[str, Any],
-               figures: Sequence[Drawn], law: RelationReport | None = None) -> None:
-    """content: of discovery.json. law: of the relation proposed beyond the library."""
+               figures: Sequence[Drawn], relation: RelationReport | None = None) -> None:
+    """content: of discovery.json. relation: of the relation proposed beyond the library."""
     about, plain = content["provenance"], quantities.plain
     refused = {name: {"findings": findings} for name, findings in about["refused"].items()}
     recordings = {**refused, **about["runs"], **about["reference"]}
     text = template("discovery/discovery.html.jinja", plain=plain, channel=quantities.channel).render(
-        title=report_text.title(found), found=found, content=content, figures=figures, law=law, report=report_text,
+        title=report_text.title(found), found=found, content=content, figures=figures, relation=relation,
+        report=report_text,
         summary=report_text.summary(found, update, {name: findings_from_json(run) for name, run in recordings.items()}),
         details=report_text.details(found, update), recordings=recordings, **_tables(found, content))
     file.write_text(text, encoding="utf-8")
@@ -195,11 +196,11 @@ MAX_ADVICE = 3  # sentences on the terminal; the page has all
 
 
 def show(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Drive], files: Mapping[str, Path],
-         earlier: bool, console: Console, law: RelationReport | None = None) -> None:
+         earlier: bool, console: Console, relation: RelationReport | None = None) -> None:
     """Print the answer, the values of its effects, what to do, and the files.
 
-    recordings: all runs, with those that could not be used. earlier: the answer is from the cache. law: the search for
-    a relation beyond the library.
+    recordings: all runs, with those that could not be used. earlier: the answer is from the cache. relation: the
+    search for a relation beyond the library.
     """
     def print_line(name: str, text: str) -> None:
         console.print(f"[bold]{name}[/bold]: {escape(text)}", highlight=False)
@@ -207,8 +208,8 @@ def show(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Dr
     for role, text in report_text.drives(found):
         print_line(role, text)
     console.print(f"[bold]{escape(report_text.title(found))}[/bold]", highlight=False)
-    if law is not None and law.headline:
-        console.print(f"[bold]{escape(law.headline)}[/bold]", highlight=False)
+    if relation is not None and relation.headline:
+        console.print(f"[bold]{escape(relation.headline)}[/bold]", highlight=False)
     if found.effects:
         rows = [dict(zip(report_text.EFFECT_HEAD[:-1], map(escape, row[:-1]), strict=True)) for row in
                 report_text.effect_rows(found)]

@@ -29,11 +29,11 @@ from .drives import Request
 
 HORIZON, STEP, INTERVAL = 5.0, 0.05, 5.0  # s, of the predictions that are compared, and between their starts
 MIN_SPEED = 1.5  # m/s, at a start
-SAME_POSE = 1e-3  # m, rad; difference of two predictions at the end of the horizon that counts as none
-SIMILAR_POSITION = 0.02  # m, mean difference up to which effective corrections are kept with another vehicle file
-SIGNIFICANT = 0.05  # p-value of a paired t-test over the starts of a drive, which do not overlap
-DIGITS = 6  # of a written value
-SAME_VALUE = 1e-5  # relative difference that rounding to DIGITS makes at most
+POSE_TOLERANCE = 1e-3  # m, rad; difference of two predictions at the end of the horizon that counts as none
+MAX_POSITION_DIFFERENCE = 0.02  # m, mean, up to which effective corrections are kept with another vehicle file
+SIGNIFICANCE_LEVEL = 0.05  # p-value of a paired t-test over the starts of a drive, which do not overlap
+SIGNIFICANT_DIGITS = 6  # of a written value
+VALUE_TOLERANCE = 1e-5  # relative difference that rounding to SIGNIFICANT_DIGITS makes at most
 SLIP_SPEED = "minimum_slip_speed"
 KEYS = (*VEHICLE_QUANTITIES, *(f"{tyre}.{key}" for tyre in TYRES for key in TYRE_QUANTITIES))
 
@@ -63,7 +63,7 @@ class VehicleUpdate:
 
     @property
     def improves(self) -> bool:
-        """Whether the file predicts better on the mean and in no drive significantly worse."""
+        """Whether the file predicts better on average and in no drive significantly worse."""
         return not (self.error[1] > self.error[0] or self.worse)
 
 
@@ -99,7 +99,7 @@ def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
             errors = _errors(without(found.named, more), car, drives)
         except StCoreError:  # no car, or one beyond the limits of a vehicle file
             continue
-        if all(a.shape == b.shape and np.allclose(a, b, rtol=0.0, atol=SAME_POSE, equal_nan=True)
+        if all(a.shape == b.shape and np.allclose(a, b, rtol=0.0, atol=POSE_TOLERANCE, equal_nan=True)
                for a, b in zip(errors, expected, strict=True)):
             folded = more
         else:
@@ -163,7 +163,7 @@ def _held_out_error(found: Discovery, vehicle: VehicleParameters, folded: Sequen
         known = np.isfinite(before) & np.isfinite(after)
         before, after = before[known], after[known]
         sums += before.sum(), after.sum(), len(before)
-        if len(before) > 2 and stats.ttest_rel(after, before, alternative="greater").pvalue < SIGNIFICANT:
+        if len(before) > 2 and stats.ttest_rel(after, before, alternative="greater").pvalue < SIGNIFICANCE_LEVEL:
             worse.append(drive.name)
     return ((float(sums[0] / sums[2]), float(sums[1] / sums[2])) if sums[2] else (math.nan, math.nan)), tuple(worse)
 
@@ -183,7 +183,8 @@ def _remaining(found: Discovery, car: VehicleParameters, folded: Sequence[type[E
     model = found.model.with_values(values)
     off = np.concatenate([a - b for a, b in zip(_errors(model, car, drives), _errors(found.model, vehicle, drives),
                                                 strict=True)])
-    return model if np.nanmean(np.hypot(off[:, 0], off[:, 1])) < SIMILAR_POSITION else without(found.named, folded)
+    similar = np.nanmean(np.hypot(off[:, 0], off[:, 1])) < MAX_POSITION_DIFFERENCE
+    return model if similar else without(found.named, folded)
 
 
 def _changes(vehicle: VehicleParameters, other: VehicleParameters) -> dict[str, tuple[float, float]]:
@@ -261,11 +262,11 @@ def updated_text(request: Request, car: VehicleParameters, changes: Mapping[str,
     except (ConfigurationError, yaml.YAMLError):
         first = car
     entries |= {key: _entry((value_of(request.vehicle, key), value_of(car, key)), source, about)
-                for key in derived if not _close(first, car, key, SAME_VALUE)}
+                for key in derived if not _close(first, car, key, VALUE_TOLERANCE)}
     sources = {key: f"{stable if key == SLIP_SPEED else source}; before {number(change[0])}"
                for key, change in changes.items()}
     return edited_or_whole(request.vehicle_text, entries,
-                           replace(car, sources={**request.vehicle.sources, **sources}), SAME_VALUE)
+                           replace(car, sources={**request.vehicle.sources, **sources}), VALUE_TOLERANCE)
 
 
 def edited_or_whole(text: str, entries: Mapping[str, Callable[[str, float], str]], car: VehicleParameters,
@@ -289,7 +290,7 @@ def _close(car: VehicleParameters, other: VehicleParameters, key: str, tolerance
 def _entry(change: Sequence[float], source: str, about: Provenance) -> Callable[[str, float], str]:
     """change: (before, after), and (low, high) where known; SI. -> unit of the file, its factor to SI -> the entry."""
     def entry(unit: str, factor: float) -> str:
-        before, after, *ends = (number(float(f"{value / factor:.{DIGITS}g}")) for value in change)
+        before, after, *ends = (number(float(f"{value / factor:.{SIGNIFICANT_DIGITS}g}")) for value in change)
         interval = f", 95 % interval {ends[0]} to {ends[1]}" if ends else ""
         spread = (change[3] - change[2]) / (2 * 1.96) if ends else 0.0
         known = replace(about, uncertainty=float(f"{spread / factor:.3g}") if spread > 0.0 else None)

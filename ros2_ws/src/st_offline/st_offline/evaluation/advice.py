@@ -113,17 +113,17 @@ class Accuracy:
 
 def model_accuracy(runs: Sequence[ErrorSamples], model: str, settings: EvaluationSettings) -> Accuracy:
     """Accuracy from the errors of this model in at least one run. Raises StCoreError if no band can be fitted."""
-    question = model, "hindsight"
+    pair = model, "hindsight"
     time = times(settings.prediction.horizon, settings.prediction.step)
     seconds = range(1, math.floor(time[-1] + 1e-9) + 1)
     at = [int(np.abs(time - second).argmin()) for second in seconds]
-    across = [np.abs(run.errors[question][:, :, ACROSS].astype(float)) for run in runs]
+    across = [np.abs(run.errors[pair][:, :, ACROSS].astype(float)) for run in runs]
     rms = np.sqrt(np.mean([np.square(one[:, at]).mean(axis=0) for one in across], axis=0))
     level = next((one for one in LEVELS if len(runs) >= MIN_RUNS and one <= highest_level(len(runs)) + 1e-9), None)
     width = None
     if level is not None:
         # Over all starts, also those outside the calibration domain.
-        band = calibrate(runs, question, time, (level,))
+        band = calibrate(runs, pair, time, (level,))
         width = tuple(np.mean([band.half_widths(run.conditions, level)[:, at, ACROSS].mean(axis=0) for run in runs],
                               axis=0).tolist())
     highest = [np.maximum.accumulate(one, axis=1)[:, at] for one in across]
@@ -276,10 +276,11 @@ def caption(accuracies: Mapping[Key, Accuracy]) -> str:
     levels = {one.level for one in accuracies.values()}
     level = next(iter(levels), None)
     bands = "band: none, from fewer than 3 runs" if level is None else (
-        f"band: mean half-width across of the {level:.0%} band, whole path, calibrated on these runs")
-    return ("processor time of one prediction, in brackets over the least; error: across, rms, inputs as driven; "
-            f"{bands}")
+        f"band: mean lateral half-width of the {level:.0%} band, whole path, calibrated on these runs")
+    return ("processor time of one prediction, in brackets as a multiple of the least; error: lateral RMS with "
+            f"measured inputs; {bands}")
 
 
 def choice_title(tolerance: float) -> str:
-    return f"Cheapest with {WITHIN_SHARE:.0%} of starts within {tolerance:g} m across up to then, inputs as driven"
+    return (f"Cheapest with a lateral error within {tolerance:g} m up to that second in {WITHIN_SHARE:.0%} of the "
+            "starts, measured inputs")

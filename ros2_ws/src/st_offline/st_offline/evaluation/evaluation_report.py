@@ -22,7 +22,7 @@ from ..checking.check_report import describe_clocks, describe_effect, findings_f
 from ..pages import template
 from . import tables
 from .drawing import TEXT, WIDTH, Drawn, FigureOutput, finish, style
-from .tables import SHOWN_AXES, pooled, pooled_by, shown, values
+from .tables import SHOWN_AXES, in_metres, pooled, pooled_by, values
 from .work import RunReport, Task, slug
 
 SCHEMA = 1
@@ -155,7 +155,7 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
         adaptive_rows=adaptive_rows(content.get("adaptive_bands_all_runs")),
         share_rows=share_rows(pooled_bands.get("shares", {})),
         over=over, what=tables.WHAT[over], axes=tables.SHOWN_AXES, kinds=tables.KINDS, modes=modes,
-        figures={good[0].name: of_run} if of_run else {}, shown=tables.shown, best=tables.best,
+        figures={good[0].name: of_run} if of_run else {}, in_metres=tables.in_metres, best=tables.best,
         values=tables.values, slug=slug)
     file.write_text(text, encoding="utf-8")
 
@@ -203,7 +203,7 @@ def finding(reports: Sequence[RunReport], over: str) -> str:
     sizes = [(values(models, m, "hindsight", "lateral", over)["rmse"], m) for m in models]
     ranked = sorted((size, m) for size, m in sizes if size is not None)
     name = reports[0].name if len(reports) == 1 else f"{len(reports)} runs"
-    return f"{name}: lateral RMSE " + ", ".join(f"{model} {shown(size)} m" for size, model in ranked)
+    return f"{name}: lateral RMSE " + ", ".join(f"{model} {in_metres(size)} m" for size, model in ranked)
 
 
 INPUTS = {"forecast": "", "plan": "with the inputs of the plan ", "course": "with those of the course "}
@@ -213,7 +213,7 @@ def summary(reports: Sequence[RunReport], over: str, horizon: float) -> list[str
     """At most three sentences: the errors, the findings of the checks, the clock of the steering."""
     models = pooled([r.models for r in reports])
     best = min(models, key=lambda m: values(models, m, "hindsight", "lateral", over)["rmse"] or math.inf)
-    held, *ahead = (f"{words}{shown(values(models, best, mode, 'lateral', over)['rmse'])} m"
+    held, *ahead = (f"{words}{in_metres(values(models, best, mode, 'lateral', over)['rmse'])} m"
                     for mode, words in INPUTS.items() if mode in models[best])
     minutes = sum(r.about["duration"] for r in reports) / 60.0
     groups = [(one, names) for one, names in group_by_name({r.name: findings_from_json(r.about) for r in reports})

@@ -124,7 +124,7 @@ def best(models: Models, model: str, mode: str, axis: str, kind: str, over: str)
     return model in sizes and sizes[model] == min(sizes.values())
 
 
-def shown(value: float | None) -> str:
+def in_metres(value: float | None) -> str:
     """To the centimetre, without a negative zero."""
     if value is None:
         return "-"
@@ -145,10 +145,11 @@ def terminal_table(reports: Sequence[Any], over: str, title: str, width: int) ->
     for report in reports:
         for number, model in enumerate(report.models):
             cells = [Text(" | ").join(
-                Text(f"{shown(values(report.models, model, 'hindsight', axis, over)[kind]):>5}", style="bold" if best(
+                Text(f"{in_metres(values(report.models, model, 'hindsight', axis, over)[kind]):>5}", style="bold"
+                     if best(
                     report.models, model, "hindsight", axis, kind, over) else "") for kind in KINDS)
                      for axis in SHOWN_AXES]
-            forecasts = [" | ".join(f"{shown(values(report.models, model, mode, axis, over)['rmse']):>5}"
+            forecasts = [" | ".join(f"{in_metres(values(report.models, model, mode, axis, over)['rmse']):>5}"
                                     for axis in SHOWN_AXES) if mode in report.models[model] else "" for mode in ahead]
             starts = str(report.models[model]["hindsight"]["n_starts"])
             table.add_row(Text("" if number else report.name), Text(model, style=MODEL_COLOUR.get(model, "")), starts,
@@ -174,7 +175,7 @@ def latex_table(reports: Sequence[Any], over: str, what: str) -> str:
     def triple(report: Any, model: str, axis: str) -> str:
         parts = []
         for kind in KINDS:
-            text = shown(values(report.models, model, "hindsight", axis, over)[kind])
+            text = in_metres(values(report.models, model, "hindsight", axis, over)[kind])
             bold = rf"\mathbf{{{text}}}" if best(report.models, model, "hindsight", axis, kind, over) else text
             parts.append(rf"\phantom{{-}}{bold}" if kind == "mean" and not text.startswith("-") else bold)
         return "$" + r" \mid ".join(parts) + "$"
