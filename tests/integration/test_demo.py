@@ -199,7 +199,7 @@ def test_second_suite_in_one_domain_is_refused(tmp_path: Path, monkeypatch: pyte
             second = start_demo("--output", str(tmp_path / "second"))
             text, _ = second.communicate(timeout=60)
             assert second.returncode == 2
-            assert f"of another suite run in ROS domain {domain} already" in text
+            assert f"another suite runs in ROS domain {domain} already" in text
             assert not list((tmp_path / "second").iterdir())
         finally:
             os.kill(first.pid, signal.SIGINT)

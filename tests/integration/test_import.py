@@ -139,7 +139,7 @@ def test_packets_without_an_acceleration_cost_that_only(raw: Path, tmp_path: Pat
     assert lost.sum() == run.auxiliary.missing["acceleration_y"] == 50
     np.testing.assert_array_equal(run.log.acceleration_y[~lost], whole.acceleration_y[~lost])
     np.testing.assert_array_equal(run.log.acceleration_x, whole.acceleration_x)
-    assert any("acceleration_y: 50 of" in warning and "it is not known there" in warning for warning in run.warnings)
+    assert any("acceleration_y: 50 of" in warning and "it is unknown there" in warning for warning in run.warnings)
 
 
 def test_the_bag_of_a_corrected_run_holds_what_was_recorded(raw: Path, imported: Path, leaf: VehicleParameters,

@@ -290,7 +290,7 @@ def _modes(table: SignalTable, overrides: Mapping[str, str]) -> dict[str, tuple[
     for key, text in overrides.items():
         message, _, kind = key.partition(".")
         if message not in modes or kind not in ("", "counter", "checksum"):
-            raise TableError(f"check {key}: MESSAGE, MESSAGE.counter or MESSAGE.checksum expected; messages are "
+            raise TableError(f"check {key}: expected MESSAGE, MESSAGE.counter or MESSAGE.checksum; messages are "
                              f"{', '.join(modes)}")
         if text not in list(Mode):
             raise TableError(f"check {key}: {text!r} is not one of {', '.join(Mode)}")

@@ -51,7 +51,7 @@ PARAMETERS = (
     Parameter("signals_file", "", "table from DBC signals to canonical names, signs, units and checks"),
     Parameter("vehicle_file", "", "vehicle parameters, for steering_ratio and steering_wheel_offset"),
     Parameter("needed_messages", [], "messages required on the bus, instead of those marked in the table"),
-    Parameter("checks", [], "MESSAGE=off|warn|drop, or MESSAGE.counter=..., MESSAGE.checksum=..., over the table"),
+    Parameter("checks", [], "MESSAGE=off|warn|drop, MESSAGE.counter=... or MESSAGE.checksum=..., instead of the table"),
     Parameter("steering_sign", 1, "+1: decoded sensor is left positive; -1: right positive", choices=(1, -1)),
     Parameter("steering_ratio", math.nan, "steering wheel to road wheel; NaN: from vehicle_file", "1", 1.0, 60.0),
     Parameter("steering_wheel_offset", math.nan, "signed sensor reading when driving straight, left +; NaN: from "

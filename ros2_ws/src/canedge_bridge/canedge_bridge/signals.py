@@ -328,7 +328,7 @@ def _check(entry: Entry, dbc: DbcMessage, dbc_path: Path, row: Entry, with_rule:
     shift = signal.start % 8 - (signal.length - 1 if signal.byte_order == "big_endian" else 0)
     if signal.is_signed or signal.is_float or shift < 0 or shift + signal.length > 8:
         raise TableError(f"{entry.origin}: {entry.path}.signal: {signal.name} cannot be a counter or checksum: "
-                         f"in {dbc_path} it is not unsigned and inside one byte")
+                         f"it must be unsigned and within one byte in {dbc_path}")
     if rule is not None and rule.bits != signal.length:
         raise TableError(f"{entry.origin}: {entry.path}.rule: needs {rule.bits} bits, "
                          f"{signal.name} has {signal.length}")

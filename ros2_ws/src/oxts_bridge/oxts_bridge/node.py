@@ -50,8 +50,8 @@ PARAMETERS = (
               choices=(NCOM, RECEIVE)),
     Parameter("status_period", 1.0, "ins/status at least this often, and at every change of mode", "s", 0.05, 60.0),
     Parameter("silence_after", 1.0, "no packet for this long is an error", "s", 0.05, 60.0),
-    Parameter("angular_velocity_stddev", 0.0, "for covariances, the unit sends none; 0: unknown", "rad/s", 0.0, 10.0),
-    Parameter("linear_acceleration_stddev", 0.0, "for covariances, the unit sends none; 0: unknown", "m/s^2", 0.0,
+    Parameter("angular_velocity_stddev", 0.0, "for covariances; the unit sends none; 0: unknown", "rad/s", 0.0, 10.0),
+    Parameter("linear_acceleration_stddev", 0.0, "for covariances; the unit sends none; 0: unknown", "m/s^2", 0.0,
               100.0),
 )
 

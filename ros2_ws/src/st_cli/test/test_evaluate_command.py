@@ -133,7 +133,7 @@ def test_wrong_options_say_so_in_one_line(folder, tmp_path, arguments, words):
 @pytest.mark.parametrize(("run", "words"), [
     ("none.csv", "none.csv: the file or folder does not exist"),
     ("empty", "no recording is in this folder"),
-    ("data/notes.txt", "the extension .txt is not one of a recording"),
+    ("data/notes.txt", "the extension .txt is not that of a recording"),
 ])
 def test_nothing_to_evaluate_leaves_nothing(folder, tmp_path, run, words):
     base, _ = folder

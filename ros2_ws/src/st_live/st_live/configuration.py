@@ -119,7 +119,7 @@ def load_model(model: Path | None, effects: Path | None, car: VehicleParameters,
     """
     if model is None:
         if effects is not None:
-            raise SuiteError(f"--effects {effects}: only a --model uses effects; give one")
+            raise SuiteError(f"--effects {effects}: used with a --model only; give a model file")
         return MODELS["nonlinear"]
     if effects is not None:
         load_folder(str(effects.absolute()))

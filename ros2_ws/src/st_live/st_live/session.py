@@ -177,8 +177,8 @@ def _check_no_other_suite(monitor: Monitor, domain: int, allowed: int) -> None:
     counts = Counter(monitor.node_names())
     others = [name for _, name in NODES if counts[name] > allowed]
     if others:
-        raise SuiteError(f"{', '.join(others)} of another suite run in ROS domain {domain} already: end that one, or "
-                         "set ROS_DOMAIN_ID to another number")
+        raise SuiteError(f"another suite runs in ROS domain {domain} already ({', '.join(others)}): end it, or set "
+                         "ROS_DOMAIN_ID to another number")
 
 
 def start_nodes(suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]],

@@ -276,7 +276,7 @@ def _print_conclusion(result: Verification, tolerance: float, console: Console) 
         where = f"; largest difference of a path: {worst.model} at {time} UTC"
     console.print(f"{verdict}: {result.n_starts} predictions and {scores} scores compared, largest difference "
                   f"{result.largest * 1000:.3g} mm (limit {tolerance * 1000:g} mm), {disagree} scores complete on one "
-                  f"side only, {cut} more cut off by the end of the nodes{where}", highlight=False, soft_wrap=True)
+                  f"side only, {cut} more incomplete because the nodes ended{where}", highlight=False, soft_wrap=True)
     settling = sum(c.n_settling for c in result.comparisons)
     console.print(f"[dim]{settling} predictions not compared: the filter of the forward acceleration still depends "
                   f"on the first sample each node received[/dim]", highlight=False, soft_wrap=True)

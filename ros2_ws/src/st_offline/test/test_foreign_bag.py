@@ -96,11 +96,11 @@ def test_the_hand_wheel_becomes_the_road_wheels_by_the_vehicle_file(tmp_path):
 @pytest.mark.parametrize(("topic", "field", "said"), [
     ("/angle", "data", "it contains no message of /angle, but /joints, /notes, /odom, /rack, /steering_angle"),
     ("/rack", "data", "no 'data'; it has header, vector"),
-    ("/rack", "vector.y.z", "no 'z'; nothing is below it"),
+    ("/rack", "vector.y.z", "no 'z'; it has no fields"),
     ("/rack", "vector", "is not a number"),
     ("/notes", "data", "is not a number"),
     ("/joints", "position", "'position' of /joints is a list of 2; add the index, as position.0"),
-    ("/joints", "position.2", "no '2'; nothing is below it"),
+    ("/joints", "position.2", "no '2'; it has no fields"),
 ])
 def test_what_is_no_angle_is_refused_by_name(tmp_path, topic, field, said):
     folder = bag(tmp_path / "drive")

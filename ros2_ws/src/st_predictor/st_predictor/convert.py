@@ -126,7 +126,7 @@ def read_trajectory(message: Prediction | PlannedPrediction) -> tuple[int, Traje
     """(start_ns, trajectory) of a prediction message, or why it cannot be used."""
     columns = [message.x, message.y, message.velocity_x, message.velocity_y, message.yaw, message.yaw_rate]
     if len({len(c) for c in columns}) != 1 or len(message.x) < 2:
-        return "its arrays are of different or too small length"
+        return "its arrays differ in length or have fewer than two points"
     if not (math.isfinite(message.step) and message.step > 0.0):
         return f"its step is {message.step:g} s"
     states = np.array(columns).T

@@ -64,7 +64,7 @@ EVALUATOR = (
     _MAXIMUM_GAP,
     _FILTER_CUTOFF,
     _MAP_FRAME,
-    Parameter("output_directory", "", "bag of errors and summaries, a new or empty directory; empty: none is written"),
+    Parameter("output_directory", "", "bag of errors and summaries, a new or empty directory; empty: no bag"),
     _NUMBER,
 )
 

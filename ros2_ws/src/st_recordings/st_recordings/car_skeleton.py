@@ -129,7 +129,7 @@ def problems(folder: str) -> list[str]:
     """
     path = Path(folder)
     if "/" in folder and not path.is_dir():
-        raise RunError(path, "the folder does not exist", f"st car new {folder} writes one")
+        raise RunError(path, "the folder does not exist", f"create it with st car new {folder}")
     found = []
     try:
         car = load_car(folder)
@@ -184,8 +184,9 @@ def _vehicle_problems(file: Path) -> list[str]:
     step = PredictionSettings().step
     needed = slip_speed_needed(("linear", "nonlinear"), vehicle, STABILITY_SPEEDS, step)
     if needed is None:
-        return [f"{file}: mass, yaw_inertia, cornering_stiffness_front, cornering_stiffness_rear: this car is unstable "
-                f"at any minimum_slip_speed with integration steps of {1e3 * step:g} ms; is one in another unit?"]
+        return [f"{file}: mass, yaw_inertia, cornering_stiffness_front, cornering_stiffness_rear: this car is "
+                f"unstable at any minimum_slip_speed with integration steps of {1e3 * step:g} ms; is one of them in "
+                "another unit?"]
     if needed <= vehicle.minimum_slip_speed:
         return []
     return [f"{file}: minimum_slip_speed: {vehicle.minimum_slip_speed:g} m/s is too low for integration steps of "
@@ -217,7 +218,7 @@ def _bus_problems(car: Car) -> list[str]:
         return [str(error)]
     if not any(signal.name == "steering_wheel_angle" for message in table.messages.values()
                for signal in message.signals):
-        return [f"{car.signals}: messages: no signal of {car.dbc.name} is named steering_wheel_angle, which every "
+        return [f"{car.signals}: messages: no signal of {car.dbc.name} is mapped to steering_wheel_angle, which every "
                 "prediction needs"]
     return []
 
@@ -232,7 +233,7 @@ def _unused_speeds(car: Car) -> list[str]:
     unused = [f"{message.name}.{signal.name}" for message in table.database.messages for signal in message.signals
               if "speed" in signal.name.lower() and unit_named("speed", signal.unit or "") and
               not message.name.startswith("RT_")]
-    return [f"{car.signals}: no speed signal is in it, and {car.dbc.name} has {', '.join(unused[:4])}: name one "
+    return [f"{car.signals}: it has no speed signal, but {car.dbc.name} has {', '.join(unused[:4])}: name one "
             "vehicle_speed (or wheel_speed_rear_left, ...); it aligns the clocks of INS and CAN log better than the "
             "steering"] if unused else []
 

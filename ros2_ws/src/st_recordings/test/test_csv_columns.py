@@ -257,7 +257,7 @@ def test_a_hole_in_an_acceleration_costs_nothing_else(tmp_path: Path) -> None:
     assert np.isnan(drive.log.acceleration_y).sum() == 10
     assert_whole(drive.log, but=("acceleration_y",))
     assert drive.auxiliary.missing == {"acceleration_y": 10}
-    assert "10 of 60 rows (17 %) have no number; it is not known there" in drive.warnings[0]
+    assert "10 of 60 rows (17 %) have no number; it is unknown there" in drive.warnings[0]
 
 
 def test_a_channel_that_is_mostly_bad_is_said(tmp_path: Path) -> None:
@@ -268,7 +268,7 @@ def test_a_channel_that_is_mostly_bad_is_said(tmp_path: Path) -> None:
     said = "\n".join(drive.warnings)
     assert "y (column y): 40 of 60 rows (67 %) have no number, more than half; these samples of the INS were" in said
     assert "acceleration_x (column ax): 40 of 60 rows (67 %) have no number, more than half; it is not used" in said
-    assert "steering_wheel_angle (column swa) has no number in more than half of the rows; it is not used" in said
+    assert "steering_wheel_angle (column swa) has no number in more than half of the rows; the road wheel" in said
     assert drive.log.acceleration_x is None and drive.log.steering_wheel_angle is None
     assert (len(drive.log.x), len(drive.log.road_wheel_angle)) == (20, N)
     with pytest.raises(RunError, match="it contains fewer than two usable rows: y has no number in 59 of 60"):
@@ -282,7 +282,7 @@ def test_rows_without_a_time_and_out_of_order_are_counted_and_handed_on(tmp_path
     assert drive.auxiliary.missing == {"time": 2}
     stamps = drive.auxiliary.stamps["INS"]
     assert len(stamps) == N - 2 and (np.diff(stamps) == 0).sum() == 1 and (np.diff(stamps) < 0).sum() == 1
-    assert any("2 of 58 rows (3.4 %) are not newer than all before" in w for w in drive.warnings)
+    assert any("2 of 58 rows (3.4 %) are not later than all before" in w for w in drive.warnings)
     assert any("time (column t): 2 of 60 rows (3.3 %) have no number; these rows" in w for w in drive.warnings)
 
 

@@ -146,7 +146,7 @@ TABLES: list[tuple[str, Callable[[DriveLog], str], str, str]] = [
     ("american.csv", american, "utf-8", ""),
     ("last.csv", last_stamp, "utf-8", r"the last of \d+ rows is 300\.\d+ s after the one before"),
     ("geographic.csv", geographic, "utf-8", ""),
-    ("held.csv", lambda log: geographic(log, 5), "utf-8", r"about 20 Hz; they were interpolated"),
+    ("held.csv", lambda log: geographic(log, 5), "utf-8", r"about 20 Hz; the others were interpolated"),
     ("datenum.csv", lambda log: stamped(log, lambda s: f"{739000.5 + s / 86400:.12f}"), "utf-8", "days of MATLAB"),
     ("pm.csv", lambda log: stamped(log, lambda s: clock((43190 + s) % 43200) + " AP"[1 + (s < 10)] + "M"), "utf-8", ""),
     ("day_first.csv", lambda log: stamped(log, lambda s: f"25/04/2026 {clock(43200 + s)}"), "utf-8", ""),
@@ -214,7 +214,7 @@ def test_whole_seconds_for_many_rows_are_named(tmp_path: Path, drive) -> None:
     file = tmp_path / "whole.csv"
     file.write_text(stamped(drive[1], lambda s: clock(43200 + s)[:8]))
     run = read(find_runs([file])[0], CAR)
-    assert any("holds whole seconds, each for many rows; export fractions" in warning for warning in run.warnings)
+    assert any("has whole seconds only, each in many rows; export fractions" in warning for warning in run.warnings)
 
 
 def test_a_clock_set_back_half_way_costs_half_and_is_reported_with_its_share(tmp_path: Path, drive) -> None:

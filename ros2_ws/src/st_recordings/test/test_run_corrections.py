@@ -123,7 +123,7 @@ def test_columns_and_units_are_of_csv_only(tmp_path: Path) -> None:
     (tmp_path / "bag").mkdir()
     for key in ("columns", "units"):
         (tmp_path / "run.yaml").write_text(f"bag: bag\n{key}: {{yaw: deg}}\n")
-        with pytest.raises(RunError, match=rf"run\.yaml: {key}: only a csv or vbo has columns; .* correct: changes"):
+        with pytest.raises(RunError, match=rf"run\.yaml: {key}: only a csv or vbo has columns; .* use `correct:`"):
             read(find_runs([tmp_path / "run.yaml"])[0])
 
 

@@ -101,12 +101,12 @@ def test_a_folder_of_everything(tmp_path: Path) -> None:
     [
         ("nowhere.ncom", "the file or folder does not exist; looked for in /"),
         ("note.txt", r"the file or folder does not exist; looked for in .*, did you mean notes\.txt\?"),
-        ("notes.doc", r"the extension \.doc is not one of a recording; known are .*\.ncom"),
-        ("table.txt", r"the extension \.txt is not one of a recording; rename it to \.csv if it is a table"),
-        ("capture.pcap", r"the extension \.pcap is not one of a recording; for NCOM over UDP, rename it to \.ncom"),
-        ("unit.rd", r"the extension \.rd is not one of a recording; .* convert it to NCOM"),
-        ("logger.vbb", r"the extension \.vbb is not one of a recording; export it as \.vbo"),
-        ("car.dbc", r"the extension \.dbc is not one of a recording; a DBC belongs to --dbc"),
+        ("notes.doc", r"the extension \.doc is not that of a recording; known are .*\.ncom"),
+        ("table.txt", r"the extension \.txt is not that of a recording; rename it to \.csv if it is a text table"),
+        ("capture.pcap", r"the extension \.pcap is not that of a recording; for NCOM over UDP, rename it to \.ncom"),
+        ("unit.rd", r"the extension \.rd is not that of a recording; .* convert it to NCOM"),
+        ("logger.vbb", r"the extension \.vbb is not that of a recording; export it as \.vbo"),
+        ("car.dbc", r"the extension \.dbc is not that of a recording; give a DBC with --dbc"),
         ("folder", "no recording is in this folder"),
     ],
 )
@@ -132,7 +132,7 @@ def test_a_table_with_foreign_columns_and_its_can_log_are_a_run(tmp_path: Path) 
             read(run, leaf)
     touch(tmp_path, "b.log", content=FRAMES)
     alone = find_runs([tmp_path / "b.log"])
-    assert "name columns that are not recognised in a.csv, as columns:" in str(alone[0].problem)
+    assert "name unrecognised columns of a.csv, as columns:" in str(alone[0].problem)
 
 
 def test_one_run_yaml_for_each_drive_of_a_folder(tmp_path: Path) -> None:
@@ -210,7 +210,7 @@ def test_run_yaml(tmp_path: Path) -> None:
         ("[", "invalid YAML"),
         ("- a", "is not a YAML mapping"),
         ("ins: x.ncom\ncan: 1.log\nspeed: 3", "key speed is not known; known keys are name, ins"),
-        ("can: 1.log", "one of the keys ins, bag, csv and vbo"),
+        ("can: 1.log", "exactly one of the keys ins, bag, csv and vbo"),
         ("ins: y.ncom\ncan: 1.log", "ins: there is no 'y.ncom' in its folder"),
         ("csv: e*.csv", r"csv: no file in its folder matches 'e\*\.csv'"),
         ("csv: [d.csv, 3]", "csv: expected a file or a list of files"),

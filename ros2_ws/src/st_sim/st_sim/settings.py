@@ -45,7 +45,7 @@ class Setting:
 
 _TABLE = (
     # Hand wheel -> mean road-wheel angle. Left positive everywhere.
-    ("steering_ratio_factor", "steering", 1.0, 0.5, 2.0, "1", "true steering ratio over that of the vehicle file"),
+    ("steering_ratio_factor", "steering", 1.0, 0.5, 2.0, "1", "true steering ratio relative to the vehicle file"),
     ("steering_offset", "steering", 0.0, -0.1, 0.1, "rad", "road-wheel angle with a straight hand wheel"),
     ("steering_delay", "steering", 0.0, 0.0, 0.5, "s", "dead time hand wheel to rack"),
     ("steering_lag", "steering", 0.0, 0.0, 0.5, "s", "first-order lag, hand wheel to rack"),
@@ -85,7 +85,7 @@ _TABLE = (
     ("driver_tremor", "driver", 0.0, 0.0, 0.2, "rad", "standard deviation of random steering, at the hand wheel"),
     # INS. Noise 1 = RT3000 with RTK on a normal road.
     ("ins_noise", "ins", 0.0, 0.0, 10.0, "1", "noise, in multiples of the unit's normal noise"),
-    ("ins_latency", "ins", 0.0, 0.0, 0.5, "s", "measurement to datagram; the time stamp is not affected"),
+    ("ins_latency", "ins", 0.0, 0.0, 0.5, "s", "delay from measurement to datagram; the stamp is not affected"),
     ("ins_time_error", "ins", 0.0, -0.5, 0.5, "s", "error added to the time stamp"),
     ("ins_misalignment", "ins", 0.0, -0.1, 0.1, "rad", "heading error of the unit, left +"),
     ("ins_lever_error", "ins", 0.0, -1.0, 1.0, "m", "true position of the unit ahead of that in the vehicle file"),
@@ -96,7 +96,7 @@ _TABLE = (
     ("ins_outage_every", "ins", 0.0, 0.0, 3600.0, "s", "silent for 1 s at every multiple; 0 never"),
     # CAN.
     ("steering_sensor_noise", "can", 0.0, 0.0, 0.1, "rad", "standard deviation at the hand wheel, before rounding"),
-    ("steering_sensor_latency", "can", 0.0, 0.0, 0.5, "s", "sample to frame"),
+    ("steering_sensor_latency", "can", 0.0, 0.0, 0.5, "s", "delay from sample to frame"),
     ("wheel_speed_scale", "can", 1.0, 0.8, 1.2, "1", "factor on the four wheel speeds"),
     ("can_frame_loss", "can", 0.0, 0.0, 0.9, "1", "share of frames lost; counters continue"),
     ("can_outage_every", "can", 0.0, 0.0, 3600.0, "s", "silent for 1 s at every multiple; 0 never"),

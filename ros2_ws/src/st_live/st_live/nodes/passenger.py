@@ -222,7 +222,7 @@ def main() -> int:
     parser.add_argument("--vehicle", type=Path, required=True)
     parser.add_argument("--map-frame", default="map")
     parser.add_argument("--title", default="run")
-    parser.add_argument("--address", default="127.0.0.1", help="of this host, to listen on")
+    parser.add_argument("--address", default="127.0.0.1", help="local address to listen on")
     parser.add_argument("--port", type=int, default=0, help="0: a free one")
     options = parser.parse_args()
     car = read_vehicle(options.vehicle)

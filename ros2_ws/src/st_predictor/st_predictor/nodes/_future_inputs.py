@@ -128,7 +128,7 @@ class CourseInput:
             return Check("course", diagnostics.OK, f"inputs are held: {forecast.reason}", self._counts)
         shares = {"share of curvature": forecast.curvature_share, "share of speed": forecast.speed_share}
         text = ", ".join(f"{name} {share:.0%}" for name, share in shares.items())
-        return Check("course", diagnostics.OK, f"used, {text}; the others are held inputs", self._counts | shares)
+        return Check("course", diagnostics.OK, f"used, {text}; the rest is held inputs", self._counts | shares)
 
 
 def _with_search_tree(course: Course) -> Course:

@@ -54,7 +54,7 @@ def read_can_logs(files: Sequence[Path]) -> CanLog:
         raise errors[0] if errors else RunError("CAN log", "no file given")
     used = tuple(log.files[0] for log in logs)
     if len({log.absolute for log in logs}) > 1:
-        raise RunError(used[0], "its times and those of another log differ: UTC, and time since the start of the log",
+        raise RunError(used[0], "some logs of the run have UTC, others count from their own start",
                        "give them one by one")
     warnings = [f"{log.files[0]}: {note}" for log in logs for note in log.warnings]
     frames, repeated = without_duplicates(merged([log.frames for log in logs]))
@@ -118,7 +118,7 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> Frames:
     if kind.name == "candump" and frames.time_ns[0] == 0 and len(steps) and (
             (steps < 0).mean() > MIN_FALLING_SHARE or not steps.any()):
         frames = replace(frames, time_ns=np.cumsum(frames.time_ns))
-        format_notes.append("its times are those since the frame before (candump -t d); they were added up")
+        format_notes.append("its times are relative to the previous frame (candump -t d); they were summed")
     frames, clock_steps = without_clock_steps(frames)
     notes += [*format_notes, *clock_step_notes(clock_steps)]
     return merged([frames])

@@ -271,8 +271,8 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], no
         values[rows[last:]] = values[rows[last]] + slope * (seconds[last:] - seconds[last])
         columns[name] = values
     rate = (fresh.sum() - 1) / max(seconds[fresh][-1] - seconds[0], 1e-9)
-    notes.append(f"{table.file}: positions are new in {share(int(fresh.sum()), len(rows), 'rows')}, about {rate:.0f} "
-                 "Hz; they were interpolated between")
+    notes.append(f"{table.file}: positions change in {share(int(fresh.sum()), len(rows), 'rows')}, about {rate:.0f} "
+                 "Hz; the others were interpolated")
 
 
 def _use_steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehicleParameters | None,
@@ -290,7 +290,7 @@ def _use_steering(table: Table, columns: dict[str, np.ndarray], vehicle: Vehicle
         return (WHEEL,)
     if WHEEL in columns and _lost_samples(columns[WHEEL]) > 0.5 * len(columns[WHEEL]):
         notes.append(f"{table.file}: {WHEEL} (column {table.sources[WHEEL].name}) has no number in more than half of "
-                     "the rows; it is not used, but the road wheel angle is")
+                     "the rows; the road wheel angle is used instead")
         return (ROAD,)
     return (ROAD, WHEEL) if WHEEL in columns else (ROAD,)
 
@@ -310,7 +310,7 @@ def _count_missing(table: Table, columns: Mapping[str, np.ndarray], steering: tu
         if name == "time":
             consequence = "these rows were left out"
         elif name in OPTIONAL_INS_SIGNALS:
-            consequence = "it is not used" if half else "it is not known there"
+            consequence = "it is not used" if half else "it is unknown there"
         else:
             consequence = f"these samples of the {'steering' if name in steering else 'INS'} were left out"
         column = f" (column {source.name})" if source else ""

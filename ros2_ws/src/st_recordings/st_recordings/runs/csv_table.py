@@ -177,8 +177,8 @@ def _usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_t
     used[usable] = True
     warnings += [f"{file}: {note}" for note in notes]
     if 2 * used.sum() < len(used) and not (time_ns % 10**9).any():
-        warnings.append(f"{file}: column {source.name} holds whole seconds, each for many rows; export fractions of a "
-                        "second")
+        warnings.append(f"{file}: column {source.name} has whole seconds only, each in many rows; export fractions of "
+                        "a second")
     if not source.stated and used.sum() > 2 and (step := float(np.median(np.diff(time_ns[used])) * 1e-9)) > 1.0:
         warnings.append(f"{file}: its times are {step:g} s apart; if they are not seconds, declare their unit in a "
                         "run.yaml, as units: {t: ms}")

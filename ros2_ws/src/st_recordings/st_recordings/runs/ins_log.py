@@ -110,7 +110,7 @@ def _finite(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.nda
 def usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list[str]]:
     """(rows of strictly rising time, warnings with the share that is not used).
 
-    Single rows that are not newer than all before are left out. Where that costs more than MAX_LOST_SHARE, the clock
+    Single rows that are not later than all before are left out. Where that costs more than MAX_LOST_SHARE, the clock
     was set back while recording: only the longest stretch without a step back is used. A first or last row with
     a stamp far from the others is left out. time_ns: (n,) int64 in the order of the recording. what: noun for the
     rows, plural.
@@ -127,7 +127,7 @@ def usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list[str]]:
         notes.append(f"the clock was set back {often} by {back[0]:.3f} s: "
                      f"{share(n - len(rows), n, what)} are not used; split the recording to use them")
     elif lost:
-        notes.append(f"{share(lost, n, what)} are not newer than all before; they were left out")
+        notes.append(f"{share(lost, n, what)} are not later than all before; they were left out")
     steps = np.diff(time_ns[rows])
     if len(rows) > 10 and steps[-1] > MAX_LAST_STEP * np.median(steps):
         notes.append(f"the last of {n} {what} is {steps[-1] * 1e-9:.3f} s after the one before; it was left out")

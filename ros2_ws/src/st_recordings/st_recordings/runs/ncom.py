@@ -108,7 +108,7 @@ def _damage_warnings(columns: file_decoder.Columns, file: Path) -> list[str]:
     counters = columns.counters
     lost = []
     if counters.skipped_bytes:
-        lost.append(f"{share(counters.skipped_bytes, file.stat().st_size, 'bytes')} belong to no packet")
+        lost.append(f"{share(counters.skipped_bytes, file.stat().st_size, 'bytes')} are not part of a packet")
     if counters.checksum_errors:
         lost.append(f"{counters.checksum_errors} packets have a wrong checksum")
     if counters.duplicates:

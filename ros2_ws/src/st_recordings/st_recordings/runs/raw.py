@@ -103,7 +103,7 @@ def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
     missing = {name: int(np.isnan(values).sum()) for name, values in accelerations.items()}
     missing = {name: count for name, count in missing.items() if count < len(ins.time_ns)}  # else it was not recorded
     warnings += [f"{source.where}: {name}: {share(count, len(ins.time_ns), 'samples')} have no value; "
-                 f"it is not {'known there' if is_mostly_known(accelerations[name]) else 'used'}"
+                 f"it is {'unknown there' if is_mostly_known(accelerations[name]) else 'not used'}"
                  for name, count in missing.items() if count]
     missing["road_wheel_angle"] = int((~steering.valid).sum())
     log = drive_log(

@@ -52,8 +52,8 @@ def _one(path: Path, content: Mapping[str, Any]) -> RunSource:
     file_keys = [key for key in _FILE_KEYS if key in content]
     if len(file_keys) != 1:
         known = f"{', '.join(_FILE_KEYS[:-1])} and {_FILE_KEYS[-1]}"
-        raise RunError(path, f"one of the keys {known} must name the file of the INS measurements",
-                       "or each, to read several recordings alike")
+        raise RunError(path, f"exactly one of the keys {known} must name the file of the INS measurements",
+                       "or use each, to read several recordings in the same way")
     files = _parts(path, file_keys[0], content[file_keys[0]])
     default = path.parent.name if path.name == RUN_FILE else path.name.removesuffix(RUN_SUFFIX)
     name = str(content.get("name", default))  # results are stored under it
@@ -103,8 +103,8 @@ def _run(path: Path, content: Mapping[str, Any], name: str, key: str, files: tup
         raise RunError(path, "no CAN log under the key can", "list the logs, a folder of them, or a pattern")
     for setting in ("columns", "units"):
         if setting in content and key not in TABLE_KEYS:
-            raise RunError(path, f"{setting}: only a csv or vbo has columns; the units of others are known",
-                           "correct: changes values of every kind of recording")
+            raise RunError(path, f"{setting}: only a csv or vbo has columns; the units of others are fixed",
+                           "use `correct:` to change values of other recordings")
     settings = {setting: read(path, content[setting]) for setting, read in _SETTINGS.items()
                 if setting in content and (setting != "offset" or content[setting] is not None)}
     if "columns" in content or "units" in content:

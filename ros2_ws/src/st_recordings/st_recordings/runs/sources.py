@@ -30,14 +30,13 @@ TABLE_EXTENSIONS = (".txt", ".tsv", ".dat", ".xls", ".xlsx", ".ods", ".mat", ".p
 """Tables of other programs; a text table is read if it is renamed to .csv."""
 UNKNOWN_ADVICE = {
     ".bag": "convert the ROS 1 bag with rosbags-convert",
-    ".dbc": "a DBC belongs to --dbc or into the folder of --car",
+    ".dbc": "give a DBC with --dbc, or put it into the folder of --car",
     ".rd": "this is raw data of an OxTS unit: convert it to NCOM with the software of the unit",
     ".vbb": "export it as .vbo with the software of the logger",
     **dict.fromkeys((".gz", ".zip", ".7z", ".bz2", ".xz", ".zst"), "unpack it first"),
     **dict.fromkeys((".pcap", ".pcapng"),
                     "for NCOM over UDP, rename it to .ncom: bytes between the packets are skipped"),
-    **dict.fromkeys(TABLE_EXTENSIONS, "rename it to .csv if it is a table of text with a line of names; else export it "
-                    "as such a table"),
+    **dict.fromkeys(TABLE_EXTENSIONS, "rename it to .csv if it is a text table with a header line; else export one"),
 }
 """What to do with a file that no reader knows, by extension."""
 
@@ -137,7 +136,7 @@ def _from_files(files: Sequence[Path], given: bool) -> list[RunSource]:
 def _unknown_file(file: Path) -> RunSource:
     known = sorted({*CAN_EXTENSIONS, *(e for reader in READERS.values() for e in reader.extensions)})
     advice = UNKNOWN_ADVICE.get(file.suffix.lower(), f"known are {', '.join(known)}, folders of bags, and run.yaml")
-    return _failed(file, RunError(file, f"the extension {file.suffix or '(none)'} is not one of a recording", advice))
+    return _failed(file, RunError(file, f"the extension {file.suffix or '(none)'} is not that of a recording", advice))
 
 
 def _unmatched(recordings: Sequence[Path], readers: dict[Path, Reader], logs: Sequence[Path]) -> Iterator[RunSource]:
@@ -156,7 +155,7 @@ def _unmatched(recordings: Sequence[Path], readers: dict[Path, Reader], logs: Se
                   if csv.accepts(f) and not (csv.has_drive(f) or csv.is_ins_only(f))]
         advice = "give both, or list the files of the run in a run.yaml"
         if tables:
-            advice += f"; it can name columns that are not recognised in {tables[0]}, as columns: {{x: NAME, ...}}"
+            advice += f"; it can also name unrecognised columns of {tables[0]}, as columns: {{x: NAME, ...}}"
         yield _failed(file, RunError(file, "no INS recording (.ncom, CSV, VBO, bag) belongs to this CAN log", advice))
 
 

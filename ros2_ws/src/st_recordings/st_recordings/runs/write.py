@@ -54,7 +54,7 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
     that cannot be read or aligned, one that is refused, or a bag that cannot be written.
     """
     if source.problem is None and source.kind != "ncom":
-        raise RunError(source.where, f"import writes NCOM packets and CAN frames, this is a run of kind {source.kind}",
+        raise RunError(source.where, f"import writes NCOM packets and CAN frames; this is a run of kind {source.kind}",
                        "evaluate, check, identify and discover read it directly")
     run = read_raw(source, settings, read_ins)
     drive = apply_run_file(source, as_drive(source, vehicle, settings, run), vehicle)
@@ -82,7 +82,7 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
         raise RunError(directory, writer.error, "free some space and import again")
     warnings = list(drive.warnings)
     if drive.auxiliary.corrected:
-        warnings.append(f"{directory}: has the data as recorded; repeat the corrections of its run.yaml in a "
+        warnings.append(f"{directory}: contains the data as recorded; repeat the corrections of its run.yaml in a "
                         "run.yaml of the bag (bag: ...)")
     return Imported(directory, counts, (blocks.end_ns - blocks.start_ns) * 1e-9, run, tuple(warnings), findings)
 
