@@ -111,5 +111,5 @@ def refused_alignment(*reasons: str) -> Alignment:
 
 def describe_step(size: float, when: float) -> str:
     """Reason of a verdict for a step of a clock by `size` [s] at `when` [s]."""
-    return (f"a clock steps by {size * 1e3:+.0f} ms about {when:+.0f} s from the middle of the common time: "
+    return (f"a clock steps by {size * 1e3:+.0f} ms about {round(when):+d} s from the middle of the common time: "
             "align the parts before and after it by themselves")

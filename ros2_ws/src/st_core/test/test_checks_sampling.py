@@ -24,15 +24,18 @@ def found(log, car=None, auxiliary=None):
 def test_resolution_of_rounded_values(step):
     time = np.arange(0.0, 20.0, 0.01)
     values = 30.0 * step * np.sin(time) + step * np.random.default_rng(0).standard_normal(len(time))
-    assert resolution(np.round(values / step) * step) == pytest.approx(step, rel=1e-6)
-    assert resolution(values) == 0.0
+    assert resolution(time, np.round(values / step) * step) == pytest.approx(step, rel=1e-6)
+    assert resolution(time, values) == 0.0
 
 
 def test_an_even_motion_is_not_rounded():
     time = np.arange(0.0, 20.0, 0.01)
-    assert resolution(12.3 * time) == 0.0
-    assert resolution(np.sin(time)) == 0.0
-    assert resolution(np.zeros(100)) == 0.0
+    assert resolution(time, 12.3 * time) == 0.0
+    assert resolution(time, np.sin(time)) == 0.0
+    assert resolution(time, np.zeros(len(time))) == 0.0
+    noise = np.random.default_rng(0).normal(0.0, 1e-3, len(time))
+    lost = np.delete(np.arange(len(time)), np.arange(5, len(time), 11))  # as packets of a UDP stream
+    assert resolution(time[lost], (12.3 * time + noise)[lost]) == 0.0
 
 
 def test_channels_say_what_was_recorded(leaf):

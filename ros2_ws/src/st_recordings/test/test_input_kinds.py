@@ -426,6 +426,19 @@ def test_steering_frames_without_a_usable_value_are_no_gap_of_the_logger(tmp_pat
     assert found["time_gaps"].value == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.parametrize(("name", "warning"), [
+    ("run.log", r"\d+\.\d of 2\d\.\d s of the INS \(5\d %\) are not used: the steering was not recorded then"),
+    ("run.ncom", r"\d+\.\d of 2\d\.\d s of the steering \(5\d %\) are not used: the INS was not recorded then"),
+])
+def test_a_file_that_ends_early_costs_the_rest_of_the_other(tmp_path: Path, drive, name: str, warning: str) -> None:
+    """Whatever the format, no mark of its own shows that it is cut."""
+    for file in ("run.ncom", "run.log"):
+        content = (drive[0] / file).read_bytes()
+        (tmp_path / file).write_bytes(content[: content.rindex(b"\n", 0, len(content) * 45 // 100) + 1] if file == name
+                                      else content)
+    assert any(re.search(warning, text) for text in read(find_runs([tmp_path])[0], CAR).warnings)
+
+
 def test_the_clock_of_a_vbo_is_aligned_with_a_can_log(tmp_path: Path, drive) -> None:
     """Also of one with a steering column, which is a whole drive for other commands."""
     (tmp_path / "run.vbo").write_text(vbo(drive[1]))

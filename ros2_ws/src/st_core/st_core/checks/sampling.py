@@ -20,6 +20,7 @@ SPACING_TOLERANCE = 0.05  # relative; of its mean spacing, which a gap would shi
 MIN_FREEZE_TIME = 1.5  # s without any change
 FREEZE_PAUSE_RATIO = 10.0  # times the channel's usual pause without any change
 DISPENSABLE_CHANNELS = ("velocity_y", "acceleration_x", "acceleration_y")  # paths can be scored without them
+MAX_STEP_RATIO = 1.5  # times the median spacing, up to which no sample is lost between two
 MAX_GYRO_BIAS = 0.02  # rad/s; turns by less do not make a constant yaw look frozen
 
 
@@ -33,7 +34,7 @@ def describe_channels(motion: Motion, auxiliary: AuxiliaryData) -> dict[str, Cha
         spacing = np.diff(time)
         channels[name] = Channel(
             unit, len(values), float(1.0 / np.median(spacing)), int((spacing > MAX_GAP).sum()),
-            float(spacing.max()), white_noise(values) if len(values) > 3 else 0.0, resolution(values),
+            float(spacing.max()), white_noise(values) if len(values) > 3 else 0.0, resolution(time, values),
             float(np.mean(np.diff(values) == 0.0)), int(auxiliary.missing.get(name, 0)))
     return channels
 
@@ -48,16 +49,22 @@ def _channel_series(motion: Motion, name: str) -> tuple[np.ndarray, np.ndarray |
     return motion.time[known], values[known]
 
 
-def resolution(values: np.ndarray) -> float:
-    """Smallest step of values that lie on a grid, in their unit; 0 where they do not."""
-    steps = np.abs(np.diff(values))
-    steps = steps[steps > 0.0]
+def resolution(time: np.ndarray, values: np.ndarray) -> float:
+    """Smallest step of values that lie on a grid, in their unit; 0 where they do not. time: rising [s].
+
+    Steps over lost samples do not count: those of a uniform motion are multiples of one step.
+    """
+    if len(values) < 2:
+        return 0.0
+    spacing = np.diff(time)
+    steps = np.abs(np.diff(values))[spacing < MAX_STEP_RATIO * float(np.median(spacing))]
+    all_change, steps = bool((steps > 0.0).all()), steps[steps > 0.0]
     if len(steps) < 20:
         return 0.0
     smallest = float(np.percentile(steps, 2))
     multiples = steps / smallest
     # A uniform motion without noise has equal steps, too; rounded values also repeat, or step by different multiples.
-    if len(steps) == len(values) - 1 and float(np.ptp(multiples)) < 0.5:
+    if all_change and float(np.ptp(multiples)) < 0.5:
         return 0.0
     grid = np.abs(multiples - np.round(multiples)) < 0.1
     small = multiples < 4.5  # larger multiples fit any grid
@@ -282,7 +289,7 @@ IN_UNIT_OF_RELATED = ("velocity_x", "acceleration_x", "acceleration_y", "yaw_rat
 
 def _check_resolution(name: str, motion: Motion, speed: float) -> list[Finding]:
     """Finding of a channel whose rounding moves a start: standard deviation resolution / sqrt(12)."""
-    step = resolution(getattr(motion, name))
+    step = resolution(motion.time, getattr(motion, name))
     distance, grows_with_speed = POSITION_EFFECT[name]
     effect = step / np.sqrt(12.0) * distance * (speed if grows_with_speed else 1.0)
     if effect < LIMITS.min_reported_effect:

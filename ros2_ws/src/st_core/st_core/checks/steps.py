@@ -36,7 +36,7 @@ def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
     jitter = _check_jitter(motion, along)
     if jitter:
         return motion.with_(time=_even_stamps(motion.time)), jitter
-    rounding = max(resolution(motion.x), resolution(motion.y))
+    rounding = max(resolution(motion.time, motion.x), resolution(motion.time, motion.y))
     stale, findings = _check_stale(motion, errors, along, rounding)
     findings += _check_jumps(motion, errors, stale, rounding)
     return motion, findings + (_check_noise(motion, errors) if rounding == 0.0 else [])

@@ -10,12 +10,16 @@ import numpy as np
 from st_core.checks.plausibility import without_implausible
 from st_core.corrections import Correction, apply_corrections, describe_corrections
 from st_core.errors import StCoreError
+from st_core.log import DriveLog
 from st_core.sideslip import with_steady_sideslip
 from st_core.vehicle import VehicleParameters
 
 from .errors import RunError, log_warnings
 from .readers import READERS
 from .run_types import LoadedRun, ReadSettings, RunSource
+
+MIN_UNCOVERED_TIME, MIN_UNCOVERED_SHARE = 1.0, 0.01
+"""s, and share of a recording, above which it is reported that the other was not recorded at the same time."""
 
 
 def read(source: RunSource, vehicle: VehicleParameters | None = None,
@@ -44,6 +48,8 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
                 "cornering with the vehicle file")
         loaded = replace(loaded, log=log, warnings=(*loaded.warnings, text))
     check_common_time(source, loaded.log.ins_time_ns, loaded.log.steering_time_ns)
+    notes = tuple(f"{source.where}: {note}" for note in uncovered(loaded.log))
+    loaded = replace(loaded, warnings=(*loaded.warnings, *notes))
     log_warnings(loaded.warnings)
     return replace(loaded, provenance={**loaded.provenance, "files": digests.result()})
 
@@ -90,6 +96,15 @@ def check_common_time(source: RunSource, ins_ns: np.ndarray, steering_ns: np.nda
     if min(ins_ns[-1], steering_ns[-1]) <= max(ins_ns[0], steering_ns[0]):
         raise RunError(source.where, "INS and steering were not recorded at the same time",
                        "check that the files belong to one drive (and the offset, if it was given by hand)")
+
+
+def uncovered(log: DriveLog) -> list[str]:
+    """What INS and steering recorded without the other, with its share."""
+    spans = {"INS": log.ins_time_ns, "steering": log.steering_time_ns}
+    seconds = {name: float(time[-1] - time[0]) * 1e-9 for name, time in spans.items()}
+    return [f"{alone:.1f} of {seconds[name]:.1f} s of the {name} ({100.0 * alone / seconds[name]:.0f} %) are not used: "
+            f"the {other} was not recorded then" for name, other in (("INS", "steering"), ("steering", "INS"))
+            if (alone := seconds[name] - log.overlap) > max(MIN_UNCOVERED_TIME, MIN_UNCOVERED_SHARE * seconds[name])]
 
 
 def file_hashes(paths: Iterable[Path]) -> dict[str, str]:
