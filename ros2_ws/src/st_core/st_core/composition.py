@@ -43,7 +43,7 @@ class Composed:
 
 
 @dataclass(frozen=True)
-class _Place:
+class _Layout:
     """Index of the theta of an effect in p, and (begin, end) of its entries in w and in the state."""
 
     effect: type[Effect]
@@ -58,47 +58,47 @@ def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composed:
     own = tuple(e for e in effects if e.lifts or any(getattr(e, hook) for hook in ("inputs", *EQUATION_HOOKS)))
     if not own:
         return Composed((), base.inputs, base.rhs)
-    places = _places(own)
+    layouts = _layouts(own)
     signals = tuple(dict.fromkeys(name for effect in own for name in effect.signals))
-    changed_inputs = _changed_inputs(places, signals)
+    changed_inputs = _changed_inputs(layouts, signals)
     if not any(e.lifts or getattr(e, hook) for e in own for hook in EQUATION_HOOKS):
         return Composed(own, _inputs_only(base.inputs, changed_inputs), _rhs_of_base(base.rhs), signals=signals)
-    base_begin = places[-1].given[1]
-    geometric_slips, base_forces, motion = _dynamics(base, places, base_begin)
-    rhs = _rhs(geometric_slips, _chain(_unchanged_slips, _add_slip_angles, places, "slip_angles"),
-               _chain(base_forces, _add_axle_forces, places, "axle_forces"), motion,
-               _chain(_no_acceleration, _add_acceleration, places, "acceleration"),
-               _chain(_nothing, _add_rates, places, "rates"))
+    base_begin = layouts[-1].given[1]
+    geometric_slips, base_forces, motion = _dynamics(base, layouts, base_begin)
+    rhs = _rhs(geometric_slips, _chain(_unchanged_slips, _add_slip_angles, layouts, "slip_angles"),
+               _chain(base_forces, _add_axle_forces, layouts, "axle_forces"), motion,
+               _chain(_no_acceleration, _add_acceleration, layouts, "acceleration"),
+               _chain(_nothing, _add_rates, layouts, "rates"))
     if base.axles is None:
-        rhs = _blended(base.rhs, rhs, base_begin, _lift(places).index)
+        rhs = _blended(base.rhs, rhs, base_begin, _lift(layouts).index)
     extra_states = tuple(f"{e.name}.{name}" for e in own for name in e.extra_states)
-    start = _start(_chain(_nothing, _add_start, places, "extra_states"), geometric_slips) if extra_states else None
-    force = _chain(_no_force, _add_specific_force, places, "specific_force")
-    return Composed(own, _inputs(base.inputs, changed_inputs, _given(places, signals)), rhs, start,
+    start = _start(_chain(_nothing, _add_start, layouts, "extra_states"), geometric_slips) if extra_states else None
+    force = _chain(_no_force, _add_specific_force, layouts, "specific_force")
+    return Composed(own, _inputs(base.inputs, changed_inputs, _given(layouts, signals)), rhs, start,
                     None if force is _no_force else _specific_force(force), extra_states, signals)
 
 
-def _places(own: tuple[type[Effect], ...]) -> list[_Place]:
-    places, w, state = [], 2, STATES
+def _layouts(own: tuple[type[Effect], ...]) -> list[_Layout]:
+    layouts, w, state = [], 2, STATES
     for index, effect in enumerate(own):
         given = (w, w + len(effect.prepared or effect.signals))
         extra = (state, state + len(effect.extra_states))
         w, state = given[1], extra[1]
-        places.append(_Place(effect, index, given, extra))
-    return places
+        layouts.append(_Layout(effect, index, given, extra))
+    return layouts
 
 
-def _chain(function, add, places: list[_Place], attribute: str):
-    """The function extended by `add(function, place)` for each effect that has the attribute."""
-    for place in places:
-        if getattr(place.effect, attribute):
-            function = add(function, place)
+def _chain(function, add, layouts: list[_Layout], attribute: str):
+    """The function extended by `add(function, layout)` for each effect that has the attribute."""
+    for layout in layouts:
+        if getattr(layout.effect, attribute):
+            function = add(function, layout)
     return function
 
 
-def _lift(places: list[_Place]) -> _Place:
-    """Place of the effect that adds dynamics to a kinematic base."""
-    return next(place for place in places if place.effect.lifts and place.effect.lifts[0] == "kinematic")
+def _lift(layouts: list[_Layout]) -> _Layout:
+    """Layout of the effect that adds dynamics to a kinematic base."""
+    return next(layout for layout in layouts if layout.effect.lifts and layout.effect.lifts[0] == "kinematic")
 
 
 # The functions returned below refer to plain functions and integers only, which compilers can inline.
@@ -107,10 +107,10 @@ def _instant(state, w, p):
     return Instant(state[0], state[1], state[2], state[3], state[4], state[5], w[0], w[1], w, p)
 
 
-def _dynamics(base: Model, places: list[_Place], base_begin: int):
+def _dynamics(base: Model, layouts: list[_Layout], base_begin: int):
     """Functions slips(at), forces(slip_front, slip_rear, at), motion(force_front, force_rear, at) of the dynamics."""
     if base.axles is None:
-        lift, axles = _lift(places), linear_tyre.AXLES
+        lift, axles = _lift(layouts), linear_tyre.AXLES
         index, (begin, end) = lift.index, lift.given
 
         def w_and_p(at):
@@ -220,28 +220,28 @@ def _unchanged_inputs(angle, acceleration, p, signals):
     return angle, acceleration
 
 
-def _changed_inputs(places: list[_Place], signals: tuple[str, ...]):
-    def add(previous, place):
-        hook, index, pick = place.effect.inputs, place.index, _pick(signals, place.effect.signals)
+def _changed_inputs(layouts: list[_Layout], signals: tuple[str, ...]):
+    def add(previous, layout):
+        hook, index, pick = layout.effect.inputs, layout.index, _pick(signals, layout.effect.signals)
 
         def changed(angle, acceleration, p, signals):
             angle, acceleration = previous(angle, acceleration, p, signals)
             return hook(angle, acceleration, pick(signals), p.effects[index])
         return changed
 
-    return _chain(_unchanged_inputs, add, places, "inputs")
+    return _chain(_unchanged_inputs, add, layouts, "inputs")
 
 
 def _pass_signals(angle, acceleration, signals, theta):
     return signals
 
 
-def _given(places: list[_Place], signals: tuple[str, ...]):
+def _given(layouts: list[_Layout], signals: tuple[str, ...]):
     given = _nothing
-    for place in places:
-        if place.effect.prepare or place.effect.signals:
-            given = _add_given(given, place.effect.prepare or _pass_signals, place.index,
-                               _pick(signals, place.effect.signals))
+    for layout in layouts:
+        if layout.effect.prepare or layout.effect.signals:
+            given = _add_given(given, layout.effect.prepare or _pass_signals, layout.index,
+                               _pick(signals, layout.effect.signals))
     return given
 
 
@@ -258,8 +258,8 @@ def _unchanged_slips(slip_front, slip_rear, state, at):
     return slip_front, slip_rear
 
 
-def _add_slip_angles(previous, place):
-    hook, index, (begin, end), (first, last) = place.effect.slip_angles, place.index, place.given, place.extra
+def _add_slip_angles(previous, layout):
+    hook, index, (begin, end), (first, last) = layout.effect.slip_angles, layout.index, layout.given, layout.extra
 
     def slips(slip_front, slip_rear, state, at):
         front, rear = previous(slip_front, slip_rear, state, at)
@@ -267,8 +267,8 @@ def _add_slip_angles(previous, place):
     return slips
 
 
-def _add_axle_forces(previous, place):
-    hook, index, (begin, end) = place.effect.axle_forces, place.index, place.given
+def _add_axle_forces(previous, layout):
+    hook, index, (begin, end) = layout.effect.axle_forces, layout.index, layout.given
 
     def forces(slip_front, slip_rear, at):
         return hook(previous, slip_front, slip_rear, at, at.w[begin:end], at.p.effects[index])
@@ -280,8 +280,8 @@ def _no_acceleration(at):
     return zero, zero, zero
 
 
-def _add_acceleration(previous, place):
-    hook, index, (begin, end) = place.effect.acceleration, place.index, place.given
+def _add_acceleration(previous, layout):
+    hook, index, (begin, end) = layout.effect.acceleration, layout.index, layout.given
 
     def acceleration(at):
         x, y, yaw = previous(at)
@@ -290,8 +290,8 @@ def _add_acceleration(previous, place):
     return acceleration
 
 
-def _add_rates(previous, place):
-    hook, index, (begin, end), (first, last) = place.effect.rates, place.index, place.given, place.extra
+def _add_rates(previous, layout):
+    hook, index, (begin, end), (first, last) = layout.effect.rates, layout.index, layout.given, layout.extra
 
     def rates(state, slips, forces, at):
         own = hook(state[first:last], slips, forces, at, at.w[begin:end], at.p.effects[index])
@@ -299,10 +299,10 @@ def _add_rates(previous, place):
     return rates
 
 
-def _add_start(previous, place):
-    hook, index, (begin, end) = place.effect.start, place.index, place.given
+def _add_start(previous, layout):
+    hook, index, (begin, end) = layout.effect.start, layout.index, layout.given
     if hook is None:
-        hook = _zeros(len(place.effect.extra_states))
+        hook = _zeros(len(layout.effect.extra_states))
 
     def start(slips, at):
         return *previous(slips, at), *hook(slips, at, at.w[begin:end], at.p.effects[index])
@@ -321,8 +321,8 @@ def _no_force(at):
     return zero, zero
 
 
-def _add_specific_force(previous, place):
-    hook, index, (begin, end) = place.effect.specific_force, place.index, place.given
+def _add_specific_force(previous, layout):
+    hook, index, (begin, end) = layout.effect.specific_force, layout.index, layout.given
 
     def specific_force(at):
         x, y = previous(at)

@@ -21,7 +21,7 @@ class Provenance:
     data: str = ""
     date: str = ""
 
-    def words(self) -> str:
+    def entries(self) -> str:
         """The entries for a vehicle file, each preceded by a comma."""
         parts = [] if self.uncertainty is None else [f"uncertainty: {number(self.uncertainty)}"]
         parts += [f"{key}: {quoted(getattr(self, key))}" for key in TEXTS if getattr(self, key)]

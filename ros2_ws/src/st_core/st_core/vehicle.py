@@ -289,7 +289,7 @@ class VehicleParameters:
     def _line(self, key: str, value: float, quantity: Quantity, prefix: str) -> str:
         source = self.sources.get(prefix + key, "default" if not quantity.required else "not stated")
         return (f"{key}: {{value: {number(value)}, unit: {quoted(quantity.si_unit)}, source: {quoted(source)}"
-                f"{self.provenance.get(prefix + key, Provenance()).words()}}}")
+                f"{self.provenance.get(prefix + key, Provenance()).entries()}}}")
 
     @cached_property
     def hash(self) -> str:

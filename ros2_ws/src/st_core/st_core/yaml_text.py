@@ -47,9 +47,9 @@ class _Loader(yaml.SafeLoader):
             if not isinstance(key, str):
                 split = node.flow_style and type(key) is int and not value_node.value  # {x: 1,5}
                 comma = "; write decimal points, not commas" if split else ""
-                raise ConfigurationError(f"{_shown(key)}: a key must be a text (line {line}){comma}")
+                raise ConfigurationError(f"{_shortened(key)}: a key must be a string (line {line}){comma}")
             if not key.isprintable():
-                raise ConfigurationError(f"{_shown(key)}: a key must be printable (line {line})")
+                raise ConfigurationError(f"{_shortened(key)}: a key must be printable (line {line})")
             if key in seen:
                 raise ConfigurationError(f"{key}: given twice (line {line}); remove one")
             seen.add(key)
@@ -60,9 +60,9 @@ class _Loader(yaml.SafeLoader):
         try:
             value = yaml.SafeLoader.yaml_constructors[node.tag](self, node)
         except (ValueError, OverflowError) as error:
-            raise ConfigurationError(f"{_shown(node.value)}: {error} (line {node.start_mark.line + 1})") from None
+            raise ConfigurationError(f"{_shortened(node.value)}: {error} (line {node.start_mark.line + 1})") from None
         if isinstance(value, int) and abs(value) > LARGEST_INTEGER:
-            raise ConfigurationError(f"{_shown(node.value)}: too large a number (line {node.start_mark.line + 1})")
+            raise ConfigurationError(f"{_shortened(node.value)}: too large a number (line {node.start_mark.line + 1})")
         return value
 
 
@@ -88,7 +88,7 @@ def load(text: str) -> Any:
         raise ConfigurationError(f"not valid YAML: more than {MAX_NESTING} levels of nesting") from None
 
 
-def _shown(value: Any) -> str:
+def _shortened(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 80 else text[:77] + "..."
 

@@ -8,7 +8,7 @@ from discovery_drives import linear_problem
 from st_core.discovery.evidence import against_file, covariance
 from st_core.discovery.fit import Problem
 from st_core.discovery.settings import DiscoverySettings
-from st_core.discovery.space import Known, Space, known_quantities, prior_deviations
+from st_core.discovery.space import FileQuantity, Space, known_quantities, prior_deviations
 from st_core.provenance import Provenance
 from st_core.vehicle import DEFAULT_UNCERTAINTIES, TYRES
 
@@ -41,7 +41,7 @@ def test_quantity_an_effect_changes(leaf, base, effect, key, slope):
 def test_a_load_is_on_top_of_what_was_weighed(leaf):
     space = Space("nonlinear", DiscoverySettings())
     i = space.indices("load")[0]
-    assert known_quantities(space, leaf)[i] is None and space.on_top == ("load",)
+    assert known_quantities(space, leaf)[i] is None and space.additions == ("load",)
     assert space.deviation[i] * space.scale[i] == 250.0 and np.isinf(np.delete(space.deviation, i)).all()
 
 
@@ -55,9 +55,10 @@ def test_linear_base_lacks_all_of_the_height_and_is_not_held_to_none(leaf):
 
 def _held(problem: Problem, deviation: float) -> Problem:
     """The problem with the mass known to `deviation` usual sizes."""
-    quantities: list[Known | None] = [None] * len(problem.space)
+    quantities: list[FileQuantity | None] = [None] * len(problem.space)
     i = problem.space.indices("mass")[0]
-    quantities[i] = Known("mass", "kg", 1600.0, deviation * problem.space.scale[i] * 1600.0, 1600.0, True, 1600.0)
+    quantities[i] = FileQuantity("mass", "kg", 1600.0, deviation * problem.space.scale[i] * 1600.0, 1600.0, True,
+                                 1600.0)
     held = Problem(problem.loss, problem.start, problem.block, quantities=tuple(quantities))
     held.renew_design(held.start)
     return held

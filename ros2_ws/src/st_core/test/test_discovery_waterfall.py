@@ -28,7 +28,7 @@ def explained():
     final = fitted(problem, *TRUTH)
     problem.loss.rescale(final.vector)
     final = fitted(problem, *TRUTH)
-    ends = waterfall.Ends(problem, 0)
+    ends = waterfall.HorizonErrors(problem, 0)
     steps, base = waterfall.steps(problem, final, list(TRUTH), ends, {})
     return problem, final, ends, steps, base
 
@@ -109,7 +109,7 @@ def test_budget_lines(explained):
 def test_budget_of_one_part_is_the_same_first_and_last():
     problem = linear_problem(FEW, {"mass": 3.0}, 2)
     final = fitted(problem, "mass")
-    ends = waterfall.Ends(problem, 0)
+    ends = waterfall.HorizonErrors(problem, 0)
     _, base = waterfall.steps(problem, final, ["mass"], ends, {})
     part, rest = waterfall.budget(problem, base, final, final, None, ends)
     assert (part.part, part.last, part.loss_last) == ("vehicle parameters", part.first, part.loss_first)

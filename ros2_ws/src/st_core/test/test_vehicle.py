@@ -140,7 +140,7 @@ def test_a_derived_scale_follows_the_stiffness_of_a_saved_file(leaf):
     (changed("mass", "source:", "origin:"), "mass.origin: unknown key"),
     (changed("mass", "paper, vehicle parameter table: four wheel scales, driver included", ""), "mass: source ''"),
     (LEAF + "wheelbase: {value: 2.0, unit: m, source: test}\n", "wheelbase: given twice"),
-    (LEAF + "? [a, b]\n: 1\n", "['a', 'b']: a key must be a text"),
+    (LEAF + "? [a, b]\n: 1\n", "['a', 'b']: a key must be a string"),
     (LEAF + "mass: {value: [\n", "not valid YAML, line"),
     (LEAF.replace("tyre_rear:\n", "tyre_rear: 3\nspare:\n"), "spare: unknown key"),
     (LEAF.partition("tyre_rear:")[0] + "tyre_rear: 3\n", "tyre_rear: not a mapping"),

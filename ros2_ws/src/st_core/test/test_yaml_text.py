@@ -19,9 +19,9 @@ def test_plain_values():
 @pytest.mark.parametrize(("text", "message"), [
     ("a: [", "not valid YAML, line 1: "),
     ("a: 1\na: 2", "a: given twice (line 2); remove one"),
-    ("1: 2", "1: a key must be a text (line 1)"),
-    ("a: {value: 1,5}", "5: a key must be a text (line 1); write decimal points, not commas"),
-    ("[a, b]: 2", "['a', 'b']: a key must be a text (line 1)"),
+    ("1: 2", "1: a key must be a string (line 1)"),
+    ("a: {value: 1,5}", "5: a key must be a string (line 1); write decimal points, not commas"),
+    ("[a, b]: 2", "['a', 'b']: a key must be a string (line 1)"),
     ("<<: {a: 1}", "merging (<<) is not allowed (line 1)"),
     ('"a\\nb": 1', "'a\\nb': a key must be printable (line 1)"),
     ('"\\e[2J": 1', "a key must be printable"),

@@ -51,9 +51,9 @@ class Axles:
 
     def _regressions(self) -> tuple[AxleRegression, AxleRegression]:
         """Slip and force of both axles, with the answer's effects of steering, sensors and load only."""
-        logs, on_top = [], self.problem.space.on_top
+        logs, additions = [], self.problem.space.additions
         model = self.model.only(e for e in self.model.effects
-                                if e.kind == "sensors" or e.slot == "steering" or e.name in on_top)
+                                if e.kind == "sensors" or e.slot == "steering" or e.name in additions)
         car, p = model.effective_vehicle(self.vehicle), model.parameters(self.vehicle)
         for run in self.runs:
             log = correct_log(model, run)
@@ -108,7 +108,7 @@ class Axles:
         low.
         """
         space, found = self.problem.space, []
-        base = base.with_values({name: space.values(name, self.fit.vector) for name in space.on_top})
+        base = base.with_values({name: space.values(name, self.fit.vector) for name in space.additions})
         for one in self.regressions if self.sideslip else ():
             if not one.usable:
                 continue

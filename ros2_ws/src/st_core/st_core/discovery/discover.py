@@ -140,7 +140,7 @@ class _Work:
         found = search.run()
         whole, fit = self._corrected(found, parts)
         self._tick("explaining")()
-        ends = waterfall.Ends(whole, settings.seed)
+        ends = waterfall.HorizonErrors(whole, settings.seed)
         varied = self._varying_effects(found, parts)
         floor = self._floor(by_column)
         names = self._names(search, found, parts, floor)
@@ -352,7 +352,7 @@ class _Work:
 
     def _effective(self, whole: Problem, fit: Fit, found: Found) -> tuple[FoundEffect, ...]:
         """The effective corrections: effects of the fit that are not in the answer."""
-        ends = waterfall.Ends(whole, self.settings.seed)
+        ends = waterfall.HorizonErrors(whole, self.settings.seed)
         return tuple(FoundEffect(n, get_effect(n).kind, waterfall.parameters(whole, fit, n, {}), (),
                                  ends.position_without(fit, n), {})
                      for n in fit.names if n not in found.fit.names)

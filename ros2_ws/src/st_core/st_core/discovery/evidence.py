@@ -190,7 +190,7 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
                     library_p_value(own, gain, scores, len(problem.space.hypotheses)),
                     null_p_value(problem, fit, effect),
                     shares(problem, rows, after), overall, somewhere, residual_over_noise(problem, after),
-                    distance_to_bound(problem, fit, effect), problem.healthy, effect_size(problem, fit, effect),
+                    distance_to_bound(problem, fit, effect), problem.healthy_gain, effect_size(problem, fit, effect),
                     *sensor_p_values(problem, fit, effect, sensors), against_file(problem, fit, effect),
                     {name: agreement(problem, fit, effect, *level) for name, level in levels.items()})
 

@@ -106,8 +106,8 @@ class Problem:
 
     start: (p,) first vector of a search. prior: (p, p) curvature about `start` of the parameters outside the set, from
     reference drives; None: these stay at the start, except the gain of the accelerometer. block: (n,) number of the
-    block of each window. noise: (c,) error of each column from noise alone [SI]. healthy: largest gain per scored error
-    between drives of the healthy car.
+    block of each window. noise: (c,) error of each column from noise alone [SI]. healthy_gain: largest gain per scored
+    error between drives of the healthy car.
 
     quantities: (p,) quantity of the vehicle file that each parameter changes. Its standard deviation s enters the loss
     as a Gaussian prior, 0.5 design (x / s)^2. design [1]: number of scored errors that count as one independent error,
@@ -115,9 +115,9 @@ class Problem:
     """
 
     def __init__(self, loss: Loss, start: np.ndarray, block: np.ndarray, prior: np.ndarray | None = None,
-                 noise: np.ndarray | None = None, healthy: float = 0.0, quantities: Quantities | None = None):
+                 noise: np.ndarray | None = None, healthy_gain: float = 0.0, quantities: Quantities | None = None):
         self.loss, self.space, self.start, self.prior = loss, loss.space, start, prior
-        self.errors, self.healthy, self.design = loss.errors, healthy, 1.0
+        self.errors, self.healthy_gain, self.design = loss.errors, healthy_gain, 1.0
         self.set_quantities((None,) * len(self.space) if quantities is None else quantities)
         self.noise = np.zeros(len(self.errors.windows.columns)) if noise is None else noise
         self.block, self.blocks = block, int(block.max()) + 1
@@ -128,8 +128,8 @@ class Problem:
         """Set the quantity of the vehicle file that each parameter changes. With a reference, its drives contain the
         load of the car."""
         self.quantities = quantities
-        on_top = self.space.deviation if self.prior is None else np.inf
-        self._deviation = np.minimum(prior_deviations(quantities, self.space.scale), on_top)
+        addition_deviation = self.space.deviation if self.prior is None else np.inf
+        self._deviation = np.minimum(prior_deviations(quantities, self.space.scale), addition_deviation)
 
     @cached_property
     def size_of_start(self) -> np.ndarray:

@@ -69,7 +69,7 @@ class Search:
         first = self._step_from(p.fit((), p.everything(p.start)))
         assert first is not None  # no set was visited before
         answers: list[Found | None] = [first]
-        library = [n for n in p.space.hypotheses if n not in p.space.on_top]
+        library = [n for n in p.space.hypotheses if n not in p.space.additions]
         physics = [n for n in library if get_effect(n).kind == "physics"]
         for names in ([*first.fit.names, *physics], [n for n in library if not get_effect(n).members]):
             start = self._prune(first.fit.vector, list(dict.fromkeys(names)))
@@ -87,7 +87,7 @@ class Search:
         nearer to the vehicle file get it as an alternative, and the set with it counts as hardly worse.
         """
         p, names = self.problem, found.fit.names
-        for other in (n for n in p.space.on_top if n not in names):
+        for other in (n for n in p.space.additions if n not in names):
             if p.space.overlaps(other, names) or not names:
                 continue
             _, vector = found.scores.gains.get(other, (None, found.fit.vector))
@@ -197,7 +197,7 @@ class Search:
         least = max(limits.negligible * p.number, CONTENDER_SHARE * largest)
         # A load is tried only in exchange for an effect that acts alike.
         ranked = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum())
-                  if gains[e][0].sum() > CONTENDER_SHARE * least and e not in p.space.on_top]
+                  if gains[e][0].sum() > CONTENDER_SHARE * least and e not in p.space.additions]
         # Significant effects come first: with much noise, others gain more by chance.
         library = len(p.space.hypotheses)
         significant = [e for e in ranked

@@ -43,7 +43,7 @@ class Space:
 
     hypotheses: names of the searched effects. null: (p,) vector of the base; scale, low, high: (p,) usual sizes and
     bounds. deviation: (p,) prior standard deviation of additions to the measured car, as a load [usual sizes], inf of
-    all others; on_top: names of the effects with additions.
+    all others; additions: names of the effects with additions.
     """
 
     def __init__(self, base: str | Model, settings: DiscoverySettings, more: Sequence[str] = (),
@@ -63,10 +63,11 @@ class Space:
                           for (e, p), null in zip(self.model.free, self.null[:-1], strict=True))
         deviations = (p.deviation / f.usual for (_, p), f in zip(self.model.free, self.free, strict=True))
         self.deviation = np.array([*deviations, np.inf])
-        self.on_top = tuple(n for n in self.hypotheses
+        self.additions = tuple(n for n in self.hypotheses
                             if any(p.deviation < math.inf for p in get_effect(n).parameters))
         self.effect_of = np.array([f.effect for f in self.free] + [GAIN])
-        self._places = {name: np.flatnonzero(self.effect_of == name).tolist() for name in dict.fromkeys(self.effect_of)}
+        self._indices = {name: np.flatnonzero(self.effect_of == name).tolist()
+                         for name in dict.fromkeys(self.effect_of)}
         self.scale = np.array([f.usual for f in self.free] + [GAIN_USUAL])
         self.sign = np.array([f.sign for f in self.free] + [1.0])
         self.low = np.array([f.bounds[0] for f in self.free] + [GAIN_BOUNDS[0]])
@@ -85,7 +86,7 @@ class Space:
 
     def indices(self, *names: str) -> np.ndarray:
         """Increasing indices of the parameters of effects in the vector."""
-        return np.array(sorted({i for name in names for i in self._places.get(name, ())}), int)
+        return np.array(sorted({i for name in names for i in self._indices.get(name, ())}), int)
 
     def values(self, name: str, vector: np.ndarray) -> dict[str, float]:
         """Values of an effect in a vector, by parameter."""
@@ -119,7 +120,7 @@ def _chosen(usable: Sequence[str], settings: DiscoverySettings, known: Sequence[
 
 
 @dataclass(frozen=True)
-class Known:
+class FileQuantity:
     """A quantity of the vehicle file that a parameter of an effect changes.
 
     value, deviation [SI]: of the file. slope: change of the quantity per unit of the parameter. stated: whether the
@@ -144,7 +145,7 @@ class Known:
         return abs(self.at(change) - self.value) / self.deviation
 
 
-Quantities = tuple[Known | None, ...]
+Quantities = tuple[FileQuantity | None, ...]
 
 
 def known_quantities(space: Space, vehicle: VehicleParameters) -> Quantities:
@@ -158,7 +159,7 @@ def prior_deviations(known: Quantities, scale: np.ndarray) -> np.ndarray:
                      for k, s in zip(known, scale, strict=True)])
 
 
-def _known(space: Space, vehicle: VehicleParameters, i: int) -> Known | None:
+def _known(space: Space, vehicle: VehicleParameters, i: int) -> FileQuantity | None:
     """Of one parameter: as it declares, else by the finite difference of the effect's `fold`."""
     free = space.free[i]
     effect = get_effect(free.effect)
@@ -184,10 +185,10 @@ def _known(space: Space, vehicle: VehicleParameters, i: int) -> Known | None:
     return None
 
 
-def _of(vehicle: VehicleParameters, key: str, slope: float, absent: float) -> Known | None:
+def _of(vehicle: VehicleParameters, key: str, slope: float, absent: float) -> FileQuantity | None:
     """None for a quantity without a standard deviation."""
     deviation = vehicle.uncertainty(key)
     stated = vehicle.provenance.get(key)
     known = quantity(key)
-    return Known(key, known.si_unit if known else "1", value_of(vehicle, key), deviation, slope,
+    return FileQuantity(key, known.si_unit if known else "1", value_of(vehicle, key), deviation, slope,
                  bool(stated and stated.uncertainty), absent) if deviation else None

@@ -103,4 +103,4 @@ def evidence_of(problem: Problem, fit: Fit, v: Varying, levels: Mapping[str, Lev
         own[inside] -= np.tensordot(step, slopes[:, inside], 1)
     overall, somewhere = error_reductions(problem.position(rows) - problem.position(own), levels.get("condition"))
     return Evidence(v.name, v.gain, v.p_value, shares=shares(problem, rows, own), position=overall,
-                    position_somewhere=somewhere, healthy_gain=problem.healthy)
+                    position_somewhere=somewhere, healthy_gain=problem.healthy_gain)

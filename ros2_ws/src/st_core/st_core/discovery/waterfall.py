@@ -16,7 +16,7 @@ from .result import PARTS, BudgetLine, Change, ChannelError, FittedParameter, St
 RESAMPLES = 400  # bootstrap samples of whole blocks, for 95 % intervals
 
 
-class Ends:
+class HorizonErrors:
     """Errors at the end of the horizon on held-out driving."""
 
     def __init__(self, problem: Problem, seed: int):
@@ -117,7 +117,7 @@ def _over_parts(collected: Mapping[str, tuple[float, float]]) -> float:
     return TWO_SIDED * float(np.sqrt(between + error**2))
 
 
-def steps(problem: Problem, final: Fit, order: Sequence[str], ends: Ends,
+def steps(problem: Problem, final: Fit, order: Sequence[str], ends: HorizonErrors,
           levels: Mapping[str, Level]) -> tuple[list[Step], Fit]:
     """The steps from the base to the answer, one effect at a time, and the fit of the base. Restores the scale of the
     loss."""
@@ -148,7 +148,7 @@ def steps(problem: Problem, final: Fit, order: Sequence[str], ends: Ends,
     return collected, base
 
 
-def gaps(ends: Ends, base: Fit, final: Fit, floor: Mapping[str, float]) -> dict[str, ChannelError]:
+def gaps(ends: HorizonErrors, base: Fit, final: Fit, floor: Mapping[str, float]) -> dict[str, ChannelError]:
     """Errors before and after by channel, and of the position after 5 s."""
     before, after, result = ends.of(base), ends.of(final), {}
     for channel in after:
@@ -173,9 +173,10 @@ def leave_one_out(problem: Problem, fit: Fit) -> dict[str, dict[str, dict[str, f
                                for n in fit.names} for k, step in steps.items()}
 
 
-def budget(problem: Problem, base: Fit, final: Fit, whole: Fit, bound: Fit | None, ends: Ends) -> list[BudgetLine]:
+def budget(problem: Problem, base: Fit, final: Fit, whole: Fit, varying: Fit | None,
+           ends: HorizonErrors) -> list[BudgetLine]:
     """Contribution of each part when added last and when added first, to the mean position error after 5 s and to the
-    loss at the scale of the answer. whole: fit with effective corrections. bound: fit with an effect that varies over
+    loss at the scale of the answer. whole: fit with effective corrections. varying: fit with an effect that varies over
     the driving."""
     def size(fit: Fit) -> tuple[float, float]:
         """(mean position error [m], loss per scored error)."""
@@ -204,7 +205,7 @@ def budget(problem: Problem, base: Fit, final: Fit, whole: Fit, bound: Fit | Non
         without = size(fitted(others)) if others else start
         alone = size(fitted(own)) if others else end
         lines.append(line(part, tuple(np.subtract(without, end)), tuple(np.subtract(start, alone))))
-    for part, fit in zip(PARTS[len(EFFECT_KINDS):], (whole if whole is not final else None, bound), strict=False):
+    for part, fit in zip(PARTS[len(EFFECT_KINDS):], (whole if whole is not final else None, varying), strict=False):
         if fit is not None:
             more = size(fit)
             less = end[0] - min(more[0], end[0]), end[1] - min(more[1], end[1])

@@ -20,7 +20,7 @@ from .where_parts import (
     CELL_SIZE,
     EVERYWHERE,
     FALSE_DISCOVERY_RATE,
-    MIN_STEP_RATIO,
+    MIN_ERROR_RATIO,
     PERMUTATIONS,
     BinExcess,
     Cell,
@@ -112,11 +112,11 @@ def _of_run(log: DriveLog, seconds: np.ndarray, horizon: float) -> dict[str, np.
 
 
 def _significant(found: list[Cell]) -> list[Cell]:
-    """Those significant by Benjamini and Hochberg over all, and at least MIN_STEP_RATIO in size."""
+    """Those significant by Benjamini and Hochberg over all, and at least MIN_ERROR_RATIO in size."""
     if not found:
         return []
     adjusted = stats.false_discovery_control([c.p for c in found], method="bh")
-    return [c for c, q in zip(found, adjusted, strict=True) if q <= FALSE_DISCOVERY_RATE and c.step >= MIN_STEP_RATIO]
+    return [c for c, q in zip(found, adjusted, strict=True) if q <= FALSE_DISCOVERY_RATE and c.ratio >= MIN_ERROR_RATIO]
 
 
 def _statements(channel: str, bins: Sequence[BinExcess], parts: Sequence[Part], places: Sequence[Cell],
@@ -145,9 +145,9 @@ def _groups(mine: Sequence[BinExcess]) -> list[list[BinExcess]]:
                                             key=lambda b: b.range.quantity):
         current: list[BinExcess] = []
         for one in of_quantity:
-            alike = current and one.range.low == current[-1].range.high and one.range.low is not None and (
+            similar = current and one.range.low == current[-1].range.high and one.range.low is not None and (
                 max(one.excess, current[-1].excess) <= 1.5 * min(one.excess, current[-1].excess))
-            if one.significant and alike:
+            if one.significant and similar:
                 current.append(one)
             else:
                 groups.append(current)
@@ -180,14 +180,14 @@ def _range_statement(group: Sequence[BinExcess], mine: Sequence[BinExcess], whol
 
 
 def _part_statement(part: Part, whole: BinExcess, samples: Samples) -> ErrorCondition:
-    """Statement on a stretch of a run; its excess is that of the channel times the step of the part."""
+    """Statement on a stretch of a run; its excess is that of the channel times its ratio."""
     last = float(samples.time[samples.run == part.run].max())
     name = samples.names[part.run]
     when = (f"from {part.start:.0f} s on" if part.end >= last - 1.0 else f"until {part.end:.0f} s" if part.start < 2.0
             else f"from {part.start:.0f} to {part.end:.0f} s")
-    text = f"run {name}, {when}: {part.step:.1f} times the error of the rest of the run under similar conditions"
-    return ErrorCondition(part.channel, text, whole.excess * part.step,
-                          (whole.interval[0] * part.step, whole.interval[1] * part.step))
+    text = f"run {name}, {when}: {part.ratio:.1f} times the error of the rest of the run under similar conditions"
+    return ErrorCondition(part.channel, text, whole.excess * part.ratio,
+                          (whole.interval[0] * part.ratio, whole.interval[1] * part.ratio))
 
 
 def _place_statements(places: Sequence[Cell], whole: BinExcess) -> list[ErrorCondition]:
@@ -203,9 +203,9 @@ def _place_statements(places: Sequence[Cell], whole: BinExcess) -> list[ErrorCon
             remaining = [c for c in remaining if c not in near]
         x, y = (float(np.mean([getattr(c, axis) for c in cluster])) for axis in ("x", "y"))
         reach = max(math.hypot(c.x - x, c.y - y) for c in cluster) + 0.5 * CELL_SIZE
-        step = float(np.mean([c.step for c in cluster]))
+        ratio = float(np.mean([c.ratio for c in cluster]))
         low, high = (float(np.mean([c.interval[k] for c in cluster])) for k in (0, 1))
         text = f"within {reach:.0f} m of east {x:.0f} m, north {y:.0f} m, on every pass"
-        statements.append(ErrorCondition(whole.channel, text, whole.excess * step,
+        statements.append(ErrorCondition(whole.channel, text, whole.excess * ratio,
                                          (whole.excess * low, whole.excess * high)))
     return sorted(statements, key=lambda s: -s.excess)[:2]

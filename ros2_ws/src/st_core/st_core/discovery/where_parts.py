@@ -36,7 +36,7 @@ MIN_FLOOR_RATIO = 1.25  # error over the floor from which a bin is relevant
 CELL_SIZE = 20.0  # m, side of a cell of the map
 MIN_PART_DURATION = 8.0  # s, of a part between change points
 MAX_P_VALUE = 0.01  # of a change point
-MIN_STEP_RATIO = 1.5  # of root mean squares
+MIN_ERROR_RATIO = 1.5  # of root mean squares
 MAX_CHANGES = 3  # of a run and channel
 PERMUTATIONS = 299  # they resolve a p-value of 0.01
 
@@ -86,25 +86,26 @@ class BinExcess:
 
 @dataclass(frozen=True)
 class Part:
-    """A stretch of a run, [s] after its first measurement. step: error over that of the rest of the run under similar
-    conditions, root mean square."""
+    """A stretch of a run, [s] after its first measurement. ratio: of the error to that of the rest of the run under
+    similar conditions, root mean square."""
 
     channel: str
     run: int
     start: float
     end: float
-    step: float
+    ratio: float
     p: float
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A square of CELL_SIZE, centre in the map frame [m]. step: error over that elsewhere under similar conditions."""
+    """A square of CELL_SIZE, centre in the map frame [m]. ratio: of the error to that elsewhere under similar
+    conditions."""
 
     channel: str
     x: float
     y: float
-    step: float
+    ratio: float
     interval: tuple[float, float]
     p: float
 
@@ -254,9 +255,9 @@ def changes(samples: Samples, channel: str, noise: float, block: float, seed: in
         p = max(q for _, q in edges)
         for a, b in itertools.pairwise(cuts):
             rest = np.concatenate((values[:a], values[b:]))
-            step = math.exp(0.5 * float(values[a:b].mean() - rest.mean()))
-            if step >= MIN_STEP_RATIO:
-                parts.append(Part(channel, int(run), float(time[a]), float(time[b - 1] + 1.0), step, p))
+            ratio = math.exp(0.5 * float(values[a:b].mean() - rest.mean()))
+            if ratio >= MIN_ERROR_RATIO:
+                parts.append(Part(channel, int(run), float(time[a]), float(time[b - 1] + 1.0), ratio, p))
     return parts
 
 
@@ -268,11 +269,11 @@ def _seconds(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _edges(values: np.ndarray, first: int, last: int, block: int, rng: np.random.Generator, resamples: int,
-           most: int) -> list[tuple[int, float]]:
-    """(index, p-value) of at most `most` change points of values[first:last]."""
+           max_changes: int) -> list[tuple[int, float]]:
+    """(index, p-value) of at most `max_changes` change points of values[first:last]."""
     part = values[first:last]
     shortest = round(MIN_PART_DURATION)
-    if most < 1 or len(part) < 2 * shortest:
+    if max_changes < 1 or len(part) < 2 * shortest:
         return []
     sizes = _cusum(part[None])[0]
     at = int(np.argmax(sizes[shortest:-shortest])) + shortest if len(part) > 2 * shortest else shortest
@@ -286,8 +287,8 @@ def _edges(values: np.ndarray, first: int, last: int, block: int, rng: np.random
     if p > MAX_P_VALUE:
         return []
     middle = first + at
-    return [(middle, p), *_edges(values, first, middle, block, rng, resamples, most - 1),
-            *_edges(values, middle, last, block, rng, resamples, most - 1)][:most]
+    return [(middle, p), *_edges(values, first, middle, block, rng, resamples, max_changes - 1),
+            *_edges(values, middle, last, block, rng, resamples, max_changes - 1)][:max_changes]
 
 
 def _cusum(rows: np.ndarray) -> np.ndarray:

@@ -54,12 +54,12 @@ class Signals(LogSignals):
         low, high = np.maximum(seconds - STEP, 0.0), np.minimum(seconds + STEP, seconds[-1:])
         ends = [np.interp(t, seconds, log.velocity_x) for t in (low, high)]
         self.velocity_x_dot = (ends[1] - ends[0]) / np.maximum(high - low, STEP)
-        self._places: OrderedDict[tuple, tuple] = OrderedDict()
+        self._lookups: OrderedDict[tuple, tuple] = OrderedDict()
 
     def of(self, log: DriveLog) -> "Signals":
         if not same(log, self.log, "ins_time_ns", "velocity_x"):
             other = Signals(log, self.maximum_gap)
-            other._places = self._places
+            other._lookups = self._lookups
             return other
         other = copy(self)
         other.log = log
@@ -67,11 +67,11 @@ class Signals(LogSignals):
 
     def _find_neighbours(self, times: np.ndarray, requested: np.ndarray) -> Neighbours:
         key = _memory(times), _memory(requested)
-        known = self._places.pop(key, None)
+        known = self._lookups.pop(key, None)
         # The memory may have been reused for other values; comparing takes a hundredth of a search.
         if known is None or not (np.array_equal(known[0], times) and np.array_equal(known[1], requested)):
             known = times.copy(), requested.copy(), super()._find_neighbours(times, requested)
-        return _remember(self._places, key, known, LOOKUP_CACHE_SIZE)[2]
+        return _remember(self._lookups, key, known, LOOKUP_CACHE_SIZE)[2]
 
 
 class Batch(LogBatch):
@@ -207,8 +207,8 @@ class Windows:
 
         gain [1]: relative excess of the accelerometer over the motion, as from body roll.
         """
-        shown, true = self._predicted_readings(model, gain)
-        parts = [part for channel in self.channels for part in channel.residuals(self._measured, shown, true)]
+        readings, true = self._predicted_readings(model, gain)
+        parts = [part for channel in self.channels for part in channel.residuals(self._measured, readings, true)]
         return np.stack(parts, axis=-1)
 
     def _predicted_readings(self, model: AugmentedModel, gain: float) -> tuple[Measured, Measured]:
@@ -216,8 +216,8 @@ class Windows:
         2 STEP, like the measurements. The gain applies to the true specific force, before the sensor errors."""
         states = self._batch.predict(model, self.vehicle).states
         with np.errstate(all="ignore"):
-            shown = faultless_readings(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)))
-            before, true, after = (Measured(*(value[:, i] for value in shown)) for i in self._around)
+            readings = faultless_readings(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)))
+            before, true, after = (Measured(*(value[:, i] for value in readings)) for i in self._around)
             turning = [e.velocity_x * e.yaw_rate for e in (before, true, after)]
             a_y = (after.velocity_y - before.velocity_y) / (2 * STEP) + (
                 turning[0] + 4.0 * turning[1] + turning[2]) / 6.0

@@ -295,7 +295,7 @@ def _entry(change: Sequence[float], source: str, about: Provenance) -> Callable[
         spread = (change[3] - change[2]) / (2 * 1.96) if ends else 0.0
         known = replace(about, uncertainty=float(f"{spread / factor:.3g}") if spread > 0.0 else None)
         return (f"{{value: {after}, unit: {quoted(unit)}, source: {quoted(f'{source}{interval}; before {before}')}"
-                f"{known.words()}}}")
+                f"{known.entries()}}}")
     return entry
 
 

@@ -150,7 +150,7 @@ def vehicle_text(file: Path, car: VehicleParameters, found: Sequence[Identificat
         about = car.provenance.get(key, Provenance())
         about = replace(about, uncertainty=None if about.uncertainty is None else about.uncertainty / factor)
         return (f"{{value: {number(value_of(car, key) / factor)}, unit: {quoted(unit)}, "
-                f"source: {quoted(car.sources[key])}{about.words()}}}")
+                f"source: {quoted(car.sources[key])}{about.entries()}}}")
 
     try:
         text = file.read_text(encoding="utf-8")
