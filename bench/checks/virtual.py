@@ -16,7 +16,7 @@ from st_sim.scenarios import load
 from st_sim.sensors import Ins, InsReading, SteeringSensor, read_wheel_speeds
 from st_sim.settings import Settings, resolve
 from st_sim.simulation import SimulatedCar
-from st_sim.stream import STEERING, TICK_MS, WHEELS
+from st_sim.stream import STEERING_SCHEDULE, TICK_MS, WHEEL_SCHEDULE
 
 from .recording import Recording, with_good_quality
 
@@ -52,9 +52,9 @@ def virtual_drive(scenario: str, seed: int, seconds: float) -> Recording:
         if now % INS_MS == 0:
             readings.append(ins.read(source.truth()))
             exact.append(noiseless.read(source.truth()))
-        if now % STEERING[0] == STEERING[1]:
+        if now % STEERING_SCHEDULE[0] == STEERING_SCHEDULE[1]:
             hand.append((now / 1000 + settings["steering_sensor_latency"], sensor.read(source.truth())))
-        if now % WHEELS[0] == WHEELS[1]:
+        if now % WHEEL_SCHEDULE[0] == WHEEL_SCHEDULE[1]:
             # The rear wheels: they do not travel further than the car in a turn.
             wheels.append((now / 1000, sum(read_wheel_speeds(source.truth(), settings).wheels[2:]) / 2))
     log = _log(drive_name(scenario), readings, np.array(hand), vehicle)

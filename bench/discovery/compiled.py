@@ -24,9 +24,9 @@ from .pushes import Law, push
 
 DECIDE = 5
 """Steps between two decisions of hand and foot, and between two samples: 0.01 s."""
-FASTEST_HAND = 8.0
+MAX_HAND_RATE = 8.0
 """rad/s at the hand wheel."""
-SPEED_GAIN, HARDEST_BRAKING, HARDEST_DRIVE, JERK = 1.2, 7.0, 3.5, 10.0
+SPEED_GAIN, MAX_BRAKING, MAX_DRIVE, JERK = 1.2, 7.0, 3.5, 10.0
 """1/s, m/s^2, m/s^2, m/s^3 of the foot, as the driver of st_sim."""
 RECORDED = STATES + 4
 """State, then the derivatives of v_x, v_y, yaw rate and z."""
@@ -121,7 +121,7 @@ def foot(pedal, speed, acceleration, motion, rear, wheelbase):
     vx, vy, r, steer = motion
     bend = abs(vx * r * sin(steer)) * rear / wheelbase
     target = acceleration + SPEED_GAIN * (speed - vx) + bend - vy * r
-    target = min(max(target, -HARDEST_BRAKING), HARDEST_DRIVE)
+    target = min(max(target, -MAX_BRAKING), MAX_DRIVE)
     most = JERK * DECIDE * STEP
     return pedal + min(max(target - pedal, -most), most)
 
@@ -163,7 +163,7 @@ def _loop(state, options, c, road, law, body, first, delayed, gusts, hand, yaw, 
         pedal = foot(pedal, speed[k], acceleration[k], (s[VX], s[VY], s[YAW_RATE], s[RACK]), rear, wheelbase)
         force = mass * pedal
         for step in range(DECIDE):
-            angle += min(max(target - angle, -FASTEST_HAND * STEP), FASTEST_HAND * STEP)
+            angle += min(max(target - angle, -MAX_HAND_RATE * STEP), MAX_HAND_RATE * STEP)
             if step == 0:
                 out[k, RECORDED] = angle
             friction, bank, grade = road_at(road, s[X], s[YAW])

@@ -20,7 +20,7 @@ from st_sim.dynamics import A_X, A_Y, A_Y_RATE, STATES, VX, VY, WIND_ARM, YAW, Y
 from st_sim.environment import GUST_TIME, normal_stream, road_at, road_of
 from vehiclemodels.init_mb import init_mb
 
-from .compiled import FASTEST_HAND, NO_LAW, RECORDED, Programme, Recording, Stopped, compiled, foot
+from .compiled import MAX_HAND_RATE, NO_LAW, RECORDED, Programme, Recording, Stopped, compiled, foot
 from .multibody_car import complete, cornering_stiffness, dynamics, nominal_car, parameters_of, rest_pitch, static_loads
 from .pushes import REAR_CURVE, Law, push
 from .pushes import Car as Body
@@ -197,7 +197,7 @@ def _loop(state, o, p, slippery, road, law, body, first, delayed, gusts, hand, y
         motion = (x[P_VX], x[P_VY], x[P_YAW_RATE], x[P_STEER])
         pedal = foot(pedal, speed[k], acceleration[k], motion, o.to_rear, o.wheelbase)
         for step in range(DECIDE):
-            angle += min(max(target - angle, -FASTEST_HAND * STEP), FASTEST_HAND * STEP)
+            angle += min(max(target - angle, -MAX_HAND_RATE * STEP), MAX_HAND_RATE * STEP)
             if step == SENSED:
                 row[RECORDED] = angle
             friction, bank, grade = road_at(road, x[0], x[P_YAW])

@@ -80,7 +80,7 @@ class Plausibility:
     def accepts(self, si: float, time_ns: int) -> bool:
         """Whether this value [SI] is in range and reachable from the previous value or from the last accepted one.
 
-        A single outlier thus costs one frame, as does a true step. Values out of range are no reference.
+        A single outlier thus costs one frame, as does a true step. Values out of range are not used as a reference.
         """
         value = si / self._spec.factor
         in_range = self._spec.minimum <= value <= self._spec.maximum

@@ -222,11 +222,12 @@ def _without_gravity(columns: Columns, velocity: np.ndarray, heading: np.ndarray
     w = 1 - ECCENTRICITY_SQUARED * s**2
     normal = SEMI_MAJOR_AXIS / np.sqrt(w)
     meridian = normal * (1 - ECCENTRICITY_SQUARED) / w
-    turn_north = 2 * EARTH_RATE * c + east / (normal + height)
-    turn_east = -north / (meridian + height)
-    turn_down = -2 * EARTH_RATE * s - east * s / c / (normal + height)
-    correction = np.array([-(turn_east * down - turn_down * east), -(turn_down * north - turn_north * down),
-                           gravity(latitude, height) - (turn_north * east - turn_east * north)])
+    rotation_north = 2 * EARTH_RATE * c + east / (normal + height)
+    rotation_east = -north / (meridian + height)
+    rotation_down = -2 * EARTH_RATE * s - east * s / c / (normal + height)
+    correction = np.array([-(rotation_east * down - rotation_down * east),
+                           -(rotation_down * north - rotation_north * down),
+                           gravity(latitude, height) - (rotation_north * east - rotation_east * north)])
     return acceleration + _apply_transposed(level, _to_level_heading(correction, heading))
 
 

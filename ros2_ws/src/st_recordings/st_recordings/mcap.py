@@ -32,7 +32,7 @@ CHUNK_SIZE = 1024 * 1024
 FLUSH_PERIOD = 0.5
 """s. A killed process loses at most the last second: half of it here, half by delays of the caller."""
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""After these, chunks are given up, newest first, until the index fits. After others everything written is kept."""
+"""Errors after which the newest chunks are dropped until the index fits; after others all written data is kept."""
 _MESSAGE_RECORD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 _MESSAGE_HEAD_LENGTH = 22  # bytes of it after opcode and length
 

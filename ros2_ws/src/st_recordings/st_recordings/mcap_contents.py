@@ -32,7 +32,7 @@ from mcap.records import (
 from mcap.stream_reader import get_chunk_data_stream
 
 DROPPABLE_CHUNKS = 100
-"""The newest chunks, which can be given up again when the disk is full; older ones stay."""
+"""Number of newest chunks that can be dropped when the disk is full."""
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")  # opcode, length of what follows
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time

@@ -180,7 +180,7 @@ def _is_closed(stream: BinaryIO, size: int, contents: Contents, found: FileRepor
 
 
 def _good_records(stream: BinaryIO, size: int, contents: Contents, found: FileReport) -> Iterator[bytes]:
-    """Yields the undamaged records of the data section and adds them to `contents`, at their place in a new file."""
+    """Yields the undamaged records of the data section and adds them to `contents`, at their offset in a new file."""
     kept = end = len(MAGIC)
     found.damaged_records = 0
     chunk_left_out = False

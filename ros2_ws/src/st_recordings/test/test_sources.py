@@ -154,7 +154,7 @@ def test_one_run_yaml_for_each_drive_of_a_folder(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("text", "error"), [
-    ("each: '*.csv'\nname: x\n", "name belongs to one run, and each describes several"),
+    ("each: '*.csv'\nname: x\n", "name belongs to one run, and `each` describes several"),
     ("each: '*.csv'\nleave_out: [[1, 2]]\n", "leave_out belongs to one run"),
     ("each: '*.tdms'\n", r"no file in its folder matches '\*.tdms'"),
     ("each: '*.txt'\n", "a.txt is not a recording"),

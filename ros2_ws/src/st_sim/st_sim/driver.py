@@ -13,17 +13,17 @@ from .scenarios import Plan
 from .settings import Settings
 
 SAMPLING_TIME = 0.01  # s
-PREVIEW_TIME, SHORTEST_PREVIEW = 0.8, 4.0  # s, m
+PREVIEW_TIME, MIN_PREVIEW = 0.8, 4.0  # s, m
 ANTICIPATION = 0.18  # s by which the curvature is steered early, to compensate the lag of hand, steering and tyres
 HAND_TIME = 0.08  # s, time constant of the hand
-FASTEST_HAND, FURTHEST_HAND = 8.0, 9.5
+MAX_HAND_RATE, MAX_HAND_ANGLE = 8.0, 9.5
 """rad/s and rad at the hand wheel: 460 deg/s is fast for a person, 540 deg is the end stop."""
 TREMOR_TIME = 0.4  # s, correlation time of random steering
 INTEGRAL_STEER, INTEGRAL_LIMIT = 0.015, 0.03
 SPEED_GAIN, SPEED_INTEGRAL = 1.2, 0.5
-SLOWEST_STEERING = 0.5  # m/s. Below, the hand wheel is held, because the course angle is not defined
+MIN_STEERING_SPEED = 0.5  # m/s. Below, the hand wheel is held, because the course angle is not defined
 JERK = 10.0  # m/s^3, of the pedals
-HARDEST_BRAKING, HARDEST_DRIVE, HOLDING_BRAKE = 7.0, 3.5, 2.0  # m/s^2
+MAX_BRAKING, MAX_DRIVE, HOLDING_BRAKE = 7.0, 3.5, 2.0  # m/s^2
 
 
 class Driver:
@@ -55,7 +55,7 @@ class Driver:
             self._next = time + SAMPLING_TIME
             self._decide(plant, time)
         move = (self._target + self._tremor - self.steering_wheel_angle) * step / HAND_TIME
-        fastest = FASTEST_HAND * step
+        fastest = MAX_HAND_RATE * step
         self.steering_wheel_angle += min(max(move, -fastest), fastest)
 
     def _decide(self, plant: Plant, time: float) -> None:
@@ -66,12 +66,12 @@ class Driver:
         if callable(demand.steer):
             self._target = demand.steer(self.car.wheelbase) * self.car.steering_ratio
         elif demand.steer == "path":
-            steers = speed > SLOWEST_STEERING
+            steers = speed > MIN_STEERING_SPEED
             if self._holding and steers:
                 self._continue_from_here(s)
             if steers:
                 angle = self._steer_along(s, speed) * self.car.steering_ratio
-                self._target = min(max(angle, -FURTHEST_HAND), FURTHEST_HAND)
+                self._target = min(max(angle, -MAX_HAND_ANGLE), MAX_HAND_ANGLE)
                 self._holding = False
         else:
             self._holding = True
@@ -98,7 +98,7 @@ class Driver:
         road = self.plan.path.pose(self.distance)
         offset = math.cos(road.yaw) * (s[Y] - road.y) - math.sin(road.yaw) * (s[X] - road.x)
         course = math.remainder(s[YAW] + math.atan2(s[VY], speed) - road.yaw, 2 * math.pi)
-        preview = max(SHORTEST_PREVIEW, PREVIEW_TIME * speed)
+        preview = max(MIN_PREVIEW, PREVIEW_TIME * speed)
         self._steer_sum += INTEGRAL_STEER * offset * SAMPLING_TIME
         self._steer_sum = min(max(self._steer_sum, -INTEGRAL_LIMIT), INTEGRAL_LIMIT)
         bend = self.plan.path.curvature(self.distance + ANTICIPATION * speed)
@@ -117,6 +117,6 @@ class Driver:
         # Cornering resistance: the side force of the front tyres times the steer angle.
         cornering = abs(s[VX] * s[YAW_RATE] * math.sin(s[RACK])) * plant.to_rear / self.car.wheelbase
         target = acceleration + SPEED_GAIN * error + self._speed_sum + cornering - s[VY] * s[YAW_RATE]
-        target = min(max(target, -HARDEST_BRAKING), HARDEST_DRIVE)
+        target = min(max(target, -MAX_BRAKING), MAX_DRIVE)
         self._pedal += min(max(target - self._pedal, -JERK * SAMPLING_TIME), JERK * SAMPLING_TIME)
         self.drive_force = self._mass * self._pedal

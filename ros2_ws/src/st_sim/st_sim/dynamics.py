@@ -16,7 +16,7 @@ WIND_ARM = 0.25  # m, centre of side wind ahead of the CG
 BRAKE_SHARE_FRONT = 0.65
 ROLL_SHARE_FRONT = 0.55  # share of the lateral load transfer at the front axle
 MINIMUM_LOAD = 50.0  # N. Lower limit of a wheel load, also of a lifted wheel, to avoid division by zero
-LOWEST_SLIP_SPEED = 0.5
+MIN_SLIP_SPEED = 0.5
 """m/s. Lower limit of the denominator of slip: as low as the step allows (the paper's models use 3 m/s)."""
 CREEP_SPEED = 2.5  # m/s. Below, CREEP_DAMPING is added to a relaxing tyre, which is a spring with little damping there
 CREEP_DAMPING = 0.17  # s/m, slip per sliding speed
@@ -146,9 +146,9 @@ def wheel(contact: tuple[float, float, float], law: TyreLaw, friction: float, lo
     """
     relaxation, combined, fastest = contact
     speed = abs(along)
-    steady = across / (speed if speed > LOWEST_SLIP_SPEED else LOWEST_SLIP_SPEED)
+    steady = across / (speed if speed > MIN_SLIP_SPEED else MIN_SLIP_SPEED)
     if relaxation:
-        inverse_time = (speed if speed > LOWEST_SLIP_SPEED else LOWEST_SLIP_SPEED) / relaxation
+        inverse_time = (speed if speed > MIN_SLIP_SPEED else MIN_SLIP_SPEED) / relaxation
         rate = (inverse_time if inverse_time < fastest else fastest) * (steady - slip)
         if speed < CREEP_SPEED:
             slip += CREEP_DAMPING * across * (1.0 - speed / CREEP_SPEED)

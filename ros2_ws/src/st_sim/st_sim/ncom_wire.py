@@ -22,7 +22,7 @@ UNIX_OF_GPS_EPOCH_NS = 315_964_800_000_000_000
 LEAP_SECONDS_NS = 18_000_000_000  # GPS is ahead of UTC by 18 s since 2017
 
 # Navigation status without any valid data, and with inertial data only.
-NOTHING, RAW = 0, 1
+NO_DATA, RAW_IMU = 0, 1
 _INVALID = (math.nan, math.nan, math.nan)
 
 
@@ -84,8 +84,8 @@ class NcomWire:
             milliseconds=milliseconds if status >= INITIALISING else 0,
             navigation_status=status,
             # Body axes FLU -> FRD.
-            acceleration=(force_x, -force_y, -force_z) if status >= RAW else _INVALID,
-            angular_rate=(roll_rate, -pitch_rate, -yaw_rate) if status >= RAW else _INVALID,
+            acceleration=(force_x, -force_y, -force_z) if status >= RAW_IMU else _INVALID,
+            angular_rate=(roll_rate, -pitch_rate, -yaw_rate) if status >= RAW_IMU else _INVALID,
             latitude=0.0, longitude=0.0, altitude=0.0, channel=channel, batch_s=batch_s,
         )
         if status >= INITIALISING:
@@ -151,10 +151,9 @@ def schedule() -> list[int]:
 
     def put(channels: tuple[int, ...], period: int) -> None:
         for channel in channels:
-            places = (p for p in range(period) if all(slots[q] is None for q in range(p, CYCLE, period)))
-            first = next(places)
-            for place in range(first, CYCLE, period):
-                slots[place] = channel
+            phases = (p for p in range(period) if all(slots[q] is None for q in range(p, CYCLE, period)))
+            for slot in range(next(phases), CYCLE, period):
+                slots[slot] = channel
 
     put(_EVERY_10, 10)
     put(_EVERY_25, 25)

@@ -26,7 +26,7 @@ from .dynamics import (
     A_Y,
     A_Y_RATE,
     COMPLIANCE_ANGLE,
-    LOWEST_SLIP_SPEED,
+    MIN_SLIP_SPEED,
     PITCH_TIME,
     RACK,
     S_FL,
@@ -185,7 +185,7 @@ class Plant:
         s, moving = self.state, not self.parked
         rates, wheels = derivative(s, s[RACK], drive_force, self.here, self.constants)
         road_wheel_angle, lateral, longitudinal, load, across_speeds, along_speeds = wheels
-        slip = [atan2(across, max(abs(along), LOWEST_SLIP_SPEED))
+        slip = [atan2(across, max(abs(along), MIN_SLIP_SPEED))
                 for across, along in zip(across_speeds, along_speeds, strict=True)]
         speeds = [along * (1 + self._wheel_slip * force / wheel_load)
                   for along, force, wheel_load in zip(along_speeds, longitudinal, load, strict=True)]

@@ -15,10 +15,10 @@ from st_core.manoeuvres import CATALOGUE, Lines, Manoeuvre
 from .path import Path, Piece, SpeedProfile, lane_shift, straight, turn
 from .settings import SimulationError, read_document
 
-Hands = Callable[[float], float]  # wheelbase of the car [m] -> road-wheel angle [rad, left +]
+OpenLoopSteering = Callable[[float], float]  # wheelbase of the car [m] -> road-wheel angle [rad, left +]
 
 LONGEST_ROAD = 20_000.0  # m, of one round from a file
-FASTEST = 100.0  # m/s
+MAX_SPEED = 100.0  # m/s
 PEDAL_LEAD = 0.15  # s by which the pedals move before the speed has to change
 SPEED_SLACK = 0.15  # m/s by which the target may fall below the speed while braking
 
@@ -32,7 +32,7 @@ class Demand:
 
     speed: float
     acceleration: float
-    steer: str | Hands = "path"
+    steer: str | OpenLoopSteering = "path"
 
 
 class Plan(Protocol):
@@ -110,8 +110,8 @@ class OpenLoopPlan:
         return self._manoeuvre.speed
 
     def demand(self, time: float, distance: float, speed: float) -> Demand:
-        hands = partial(self._manoeuvre.steering, time)
-        return Demand(self._manoeuvre.speed, 0.0, (lambda wheelbase: float(hands(wheelbase))) if time >= 0 else "path")
+        angle = partial(self._manoeuvre.steering, time)
+        return Demand(self._manoeuvre.speed, 0.0, (lambda wheelbase: float(angle(wheelbase))) if time >= 0 else "path")
 
 
 def plan_of(manoeuvre: Manoeuvre) -> Plan:
@@ -206,8 +206,8 @@ def _pieces(row: dict[str, Any]) -> list[Piece]:
     values = {key: float(value) for key, value in row.items()}
     kind = next(key for key in ("straight", "turn", "shift") if key in values)
     size, speed = values.pop(kind), values.pop("speed")
-    if not 0 < speed <= FASTEST:
-        raise ValueError(f"speed {speed:g} is not above 0 and at most {FASTEST:g} m/s")
+    if not 0 < speed <= MAX_SPEED:
+        raise ValueError(f"speed {speed:g} is not above 0 and at most {MAX_SPEED:g} m/s")
     if kind == "turn":
         pieces = turn(values.pop("radius"), size, speed, values.pop("blend", 0.0))
     else:

@@ -13,7 +13,7 @@ from .settings import Settings
 
 OUTAGE_LENGTH = 1.0  # s
 ROUGH_SPEED = 5.0  # m/s, speed from which vibration noise is full; at rest it is a tenth
-SLOWEST_WHEEL, SLOWEST_VEHICLE = 1.1 / 3.6, 2.8 / 3.6
+MIN_WHEEL_SPEED, MIN_VEHICLE_SPEED = 1.1 / 3.6, 2.8 / 3.6
 """m/s, below which wheel speeds and vehicle speed are sent as 0 (as in recordings of this car family)."""
 
 
@@ -171,8 +171,8 @@ class WheelSpeeds:
 
 
 def read_wheel_speeds(truth: Truth, settings: Settings) -> WheelSpeeds:
-    wheels = tuple(_unsigned(w * settings["wheel_speed_scale"], SLOWEST_WHEEL) for w in truth.wheel_speed)
-    return WheelSpeeds(wheels, _unsigned(truth.velocity_x, SLOWEST_VEHICLE))
+    wheels = tuple(_unsigned(w * settings["wheel_speed_scale"], MIN_WHEEL_SPEED) for w in truth.wheel_speed)
+    return WheelSpeeds(wheels, _unsigned(truth.velocity_x, MIN_VEHICLE_SPEED))
 
 
 def _unsigned(speed: float, slowest: float) -> float:

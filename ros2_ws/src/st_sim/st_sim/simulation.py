@@ -3,7 +3,7 @@
 from math import sin
 
 from .car import Car
-from .driver import FASTEST_HAND, HARDEST_BRAKING, HARDEST_DRIVE, Driver
+from .driver import MAX_BRAKING, MAX_DRIVE, MAX_HAND_RATE, Driver
 from .plant import A_Y_RATE, DRIVE, RACK, VX, VY, YAW, YAW_RATE, Plant, Truth, X, Y, Z
 from .scenarios import Plan
 from .settings import Settings
@@ -92,7 +92,7 @@ class ControlledCar:
         cornering resistance compensated; drag, slopes and tyre limits are not.
         """
         plant, target = self.plant, road_wheel_angle * self.car.steering_ratio
-        fastest = FASTEST_HAND * plant.time_step
+        fastest = MAX_HAND_RATE * plant.time_step
         for _ in range(round(duration / plant.time_step)):
             self.steering_wheel_angle += min(max(target - self.steering_wheel_angle, -fastest), fastest)
             plant.step(self.steering_wheel_angle, self._drive_force(velocity_x_dot))
@@ -103,4 +103,4 @@ class ControlledCar:
         s = self.plant.state
         resistance = abs(s[VX] * s[YAW_RATE] * sin(s[RACK])) * self.car.cg_to_rear_axle / self.car.wheelbase
         target = velocity_x_dot + resistance - s[VY] * s[YAW_RATE]
-        return self.car.mass * min(max(target, -HARDEST_BRAKING), HARDEST_DRIVE)
+        return self.car.mass * min(max(target, -MAX_BRAKING), MAX_DRIVE)

@@ -13,7 +13,7 @@ from canedge_bridge.transport import open_bus
 from oxts_bridge.ncom import INITIALISING, LOCKED, LOCKING
 
 from .can_wire import FRAME_TIME, Background, CanWire, Frame
-from .ncom_wire import NOTHING, RAW, NcomWire
+from .ncom_wire import NO_DATA, RAW_IMU, NcomWire
 from .plant import Truth
 from .sensors import Ins, Loss, SteeringSensor, read_wheel_speeds
 from .settings import Settings, SimulationError
@@ -21,10 +21,10 @@ from .settings import Settings, SimulationError
 TICK_MS = 2
 TRUTH_PERIOD_MS = 10
 # (period, phase) in ms: the control units of the car are not synchronous with the INS.
-STEERING, WHEELS, GEAR = (10, 2), (20, 6), (60, 8)
+STEERING_SCHEDULE, WHEEL_SCHEDULE, GEAR_SCHEDULE = (10, 2), (20, 6), (60, 8)
 INS_CAN_DELAY = 0.0015  # s from the datagram to the first frame on CAN
-EARLY = 0.0003  # s. A frame due within this time is sent at once, as exact as on a bus
-LATE = 0.005  # s after the deadline, from which on an output counts as late
+EARLY_TOLERANCE = 0.0003  # s. A frame due within this time is sent at once, as exact as on a bus
+LATE_THRESHOLD = 0.005  # s after the deadline, from which on an output counts as late
 
 
 class Kind(IntEnum):
@@ -61,7 +61,7 @@ class StartUp:
         """Navigation status and delay [s] of the epoch measured at `time` [s]; None: not sent."""
         if time < self.RAW_UNTIL:
             sent = round(time * 1000) % 100 == 0
-            return (NOTHING if time < self.NOTHING_UNTIL else RAW, 0.0) if sent else None
+            return (NO_DATA if time < self.NOTHING_UNTIL else RAW_IMU, 0.0) if sent else None
         if time < self.SILENT_UNTIL:
             return None
         if time < self.INITIALISING_UNTIL:
@@ -106,13 +106,13 @@ class Stream:
                 self._push(time, Kind.TRUTH, truth)
         elif now % TRUTH_PERIOD_MS == 0:
             self._push(time, Kind.TRUTH, self._source.truth())
-        if now % STEERING[0] == STEERING[1]:
+        if now % STEERING_SCHEDULE[0] == STEERING_SCHEDULE[1]:
             truth = self._source.truth()
             frames = self._can.steering(self._steering.read(truth), truth.steering_wheel_rate)
             self._send_frames(frames, time + self._settings["steering_sensor_latency"])
-        if now % WHEELS[0] == WHEELS[1]:
+        if now % WHEEL_SCHEDULE[0] == WHEEL_SCHEDULE[1]:
             self._send_frames(self._can.wheel_speeds(read_wheel_speeds(self._source.truth(), self._settings)), time)
-        if now % GEAR[0] == GEAR[1]:
+        if now % GEAR_SCHEDULE[0] == GEAR_SCHEDULE[1]:
             self._send_frames(self._can.gear(self._source.truth().gear), time)
         if self._background:
             for ms in range(now, now + TICK_MS):
@@ -201,7 +201,7 @@ def send(outputs: Iterable[Output], send_ncom: Callable[[bytes], object], send_f
         deadline = time.monotonic() if started is None else started + output.due
         wait = deadline - time.monotonic()
         # Frames of one instant are sent together; a packet is never sent before its time of measurement.
-        if wait > (0.0 if output.kind is Kind.NCOM else EARLY):
+        if wait > (0.0 if output.kind is Kind.NCOM else EARLY_TOLERANCE):
             time.sleep(wait)
         if stopped():
             break
@@ -216,5 +216,5 @@ def send(outputs: Iterable[Output], send_ncom: Callable[[bytes], object], send_f
             send_frame(output.payload, due)
         delay = time.monotonic() - deadline
         report.worst_delay = max(report.worst_delay, delay)
-        report.late += delay > LATE
+        report.late += delay > LATE_THRESHOLD
     return due

@@ -1,4 +1,4 @@
-"""CAN logs in text and binary formats, read with python-can; a line that cannot be read costs only itself."""
+"""CAN logs in text and binary formats, read with python-can; an unreadable line is skipped."""
 
 import codecs
 import re
@@ -71,8 +71,8 @@ class Lines:
 
 @dataclass(frozen=True)
 class Format:
-    """A text or binary log. extensions: lower case. mark: tests the head of a file for it. messages: yields
-    python-can messages in the order of the file and appends notes on what is wrong, without the file's name."""
+    """A text or binary log. extensions: lower case. mark: whether the first bytes of a file are of this format.
+    messages: yields python-can messages in the order of the file and appends notes, without the file's name."""
 
     name: str
     extensions: tuple[str, ...]
@@ -98,7 +98,7 @@ def _text_reader(make: Callable[[Lines, list[str]], Any], converter: Callable[[]
                     break
                 except Exception:  # readers of python-can raise whatever int() and indexing raise
                     if bad and bad[-1] == lines.position:
-                        break  # at the end of the file, for what its header lacks
+                        break  # no progress: the end of a file with an incomplete header
                     bad.append(lines.position)
                     if restart:
                         lines.unread(restart)
@@ -113,7 +113,7 @@ def _text_reader(make: Callable[[Lines, list[str]], Any], converter: Callable[[]
 
 
 def _candump_line(line: str) -> str:
-    """A line that candump printed on the screen, as it is in its log (-l)."""
+    """Converts a line printed by candump to the format of its log (-l)."""
     match = _SCREEN_LINE.match(line)
     if match is None:
         return line
@@ -131,7 +131,7 @@ def _asc(lines: Lines, notes: list[str]) -> Any:
     class Reader(base):
         def _extract_header(self) -> None:
             super()._extract_header()
-            if _ASC_STAMP.match(lines.last):  # the header has no last line, and the first frame was read in its place
+            if _ASC_STAMP.match(lines.last):  # the header has no end line: the first frame was consumed
                 lines.unread(lines.last)
 
         def _datetime_to_timestamp(self, text: str) -> float:

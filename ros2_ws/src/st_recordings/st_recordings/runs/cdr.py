@@ -1,5 +1,5 @@
-"""ROS messages as columns: to serialised bytes (CDR) and back without a Python object per message, and straight out of
-the chunks of an MCAP file.
+"""Converts ROS messages between columns and serialised bytes (CDR) without a Python object per message, and reads
+columns directly from the chunks of an MCAP file.
 
 Messages of one type with the same texts and sequence lengths are rows of bytes of one layout. The offset of each number
 follows from the definition and one example.
@@ -59,7 +59,7 @@ def typestore(definitions: Path) -> Typestore:
 
 
 def with_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]], types: Iterable[str]) -> Typestore:
-    """The store with some types, and the types they use, as a recording defines them; itself where none differs.
+    """The store with some types as a recording defines them; the same store where none differs.
 
     definitions: of the recording (bag_storage.Storage.definitions). A definition that cannot be parsed is ignored: the
     type is then that of the store, or unknown.
@@ -108,7 +108,7 @@ class Layout:
     """
 
     def __init__(self, store: Typestore, type_name: str, example: Any):
-        """Raises ValueError for a type with wide texts, which no message of the suite has."""
+        """Raises ValueError for a type with wide strings, which no message of the suite has."""
         self._store = store
         self.template = np.frombuffer(bytes(store.serialize_cdr(example, type_name)), np.uint8)
         self.fields: dict[str, Field] = {}

@@ -39,7 +39,7 @@ CHANNELS = {"ins_velocity_x": "velocity_x", "ins_yaw_rate": "yaw_rate", "ins_yaw
 def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, search: tuple[float, float] | None = None,
                  latency: tuple[float, float] = INS_ON_CAN,
                  steering_sign: int = 1) -> tuple[Alignment, list[SharedSignal]]:
-    """(alignment of the log to the INS, the signals it rests on or can be judged by).
+    """(alignment of the log to the INS, the signals it is based on or can be checked with).
 
     Uses `offset` [s] (INS minus CAN clock) if given; else the INS's own time frame on CAN, checked against the shared
     signals; else these; else a substitute, never better than doubtful. search: bounds of the offset [s]. latency: of
@@ -178,9 +178,9 @@ def _align_by_checked_time_frame(frames: Signal, pairs: list[SharedSignal], late
                                  TIME_FRAME_RESOLUTION.get(frames.message, 0.01), *latency)
     if not pairs:
         return result
-    # Near the time frame's own answer: on a proving ground the same lap fits many times.
+    # Near the offset of the time frame only: repeated laps fit at many offsets.
     offset = result.offset_at_ns(result.at_ns) * 1e-9
-    # The first message of velocity, yaw rate and yaw; a second one of the same confirms nothing.
+    # The first message of velocity, yaw rate and yaw; a second one of the same adds nothing.
     firsts = list({pair.name.partition(" (")[0]: pair for pair in reversed(pairs)}.values())[::-1]
     check = align(firsts, search=(offset - CHECK_SEARCH, offset + CHECK_SEARCH))
     if check.verdict is Verdict.REFUSED:

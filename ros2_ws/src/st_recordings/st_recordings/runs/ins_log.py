@@ -1,4 +1,4 @@
-"""An INS recording in the axes of the suite, whatever instrument wrote it; usable time stamps; speed by the wheels."""
+"""An INS recording in the axes of the suite, of any instrument; usable time stamps; vehicle speed from the wheels."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,16 +11,16 @@ from st_core.timeseries import interpolate
 
 from .errors import share
 
-# The unsteered axle shows the speed of the car best; then the other axle, then the car's own signal of both.
+# The unsteered axle gives the speed of the car best; then the other axle, then the car's own signal of both.
 _SPEEDS = (("wheel_speed_rear_left", "wheel_speed_rear_right"), ("wheel_speed_front_left", "wheel_speed_front_right"),
            ("vehicle_speed",))
 SPEEDS = tuple(name for names in _SPEEDS for name in names)
-MAX_WHEEL_GAP_NS = 100_000_000  # two wheels are compared at instants between samples no further apart
+MAX_WHEEL_GAP_NS = 100_000_000  # longest gap over which the speed of a wheel is interpolated
 LATEST_TIME = 9.0e9  # s since 1970, year 2255; whole nanoseconds do not reach much further
 MAX_LOST_SHARE = 0.01
 """Share of rows not newer than all before, above which the clock was set back, and only one stretch is used."""
-MAX_LAST_STEP = 10.0
-"""Median steps from the last but one row to the last, above which the last stamp is wrong."""
+MAX_END_STEP = 10.0
+"""Ratio of the first or last time step to the median one, above which that stamp is wrong."""
 
 
 @dataclass(frozen=True)
@@ -129,10 +129,10 @@ def usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list[str]]:
     elif lost:
         notes.append(f"{share(lost, n, what)} are not later than all before; they were left out")
     steps = np.diff(time_ns[rows])
-    if len(rows) > 10 and steps[-1] > MAX_LAST_STEP * np.median(steps):
+    if len(rows) > 10 and steps[-1] > MAX_END_STEP * np.median(steps):
         notes.append(f"the last of {n} {what} is {steps[-1] * 1e-9:.3f} s after the one before; it was left out")
         rows = rows[:-1]
-    if len(rows) > 10 and steps[0] > MAX_LAST_STEP * np.median(steps):
+    if len(rows) > 10 and steps[0] > MAX_END_STEP * np.median(steps):
         notes.append(f"the first of {n} {what} is {steps[0] * 1e-9:.3f} s before the one after; it was left out")
         rows = rows[1:]
     return rows, notes

@@ -76,7 +76,7 @@ class Messages:
 
 
 class Serialiser:
-    """Makes the messages of a run."""
+    """Serialises the messages of a run."""
 
     def __init__(self, store: Typestore):
         """store: types of ROS and of the suite."""

@@ -30,7 +30,7 @@ def is_run_file(path: Path) -> bool:
 
 
 def read_run_file(path: Path) -> list[RunSource]:
-    """The run that a run.yaml describes, or several read alike, under the key each. Raises RunError."""
+    """The run that a run.yaml describes, or the runs under its key `each`. Raises RunError."""
     content = _content(path)
     return _each(path, content) if "each" in content else [_one(path, content)]
 
@@ -53,7 +53,7 @@ def _one(path: Path, content: Mapping[str, Any]) -> RunSource:
     if len(file_keys) != 1:
         known = f"{', '.join(_FILE_KEYS[:-1])} and {_FILE_KEYS[-1]}"
         raise RunError(path, f"exactly one of the keys {known} must name the file of the INS measurements",
-                       "or use each, to read several recordings in the same way")
+                       "or use `each` to read several recordings in the same way")
     files = _parts(path, file_keys[0], content[file_keys[0]])
     default = path.parent.name if path.name == RUN_FILE else path.name.removesuffix(RUN_SUFFIX)
     name = str(content.get("name", default))  # results are stored under it
@@ -65,7 +65,7 @@ def _one(path: Path, content: Mapping[str, Any]) -> RunSource:
 def _each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
     """One run of each file, with the CAN logs of its stem; a file NAME.csv with a NAME.run.yaml is read by that."""
     if keys := [key for key in content if key in _KEYS_OF_ONE_RUN]:
-        raise RunError(path, f"{keys[0]} belongs to one run, and each describes several",
+        raise RunError(path, f"{keys[0]} belongs to one run, and `each` describes several",
                        "write a NAME.run.yaml for that run")
     files = dict.fromkeys(_matching(path, "each", content["each"]))
     if not files:
