@@ -100,7 +100,7 @@ def test_a_file_with_one_of_two_alternatives_names_the_other(logs):
     assert any("the first of yaw inertia × 0.8600 or mass × 1.020; these drives do not separ" in t for t in reported)
     more = replace(found, minor=found.effects)
     reported = report_text.to_do(more, replace(corrected, text="name: x", error=(0.33, 0.31)))
-    assert any("alone it reduces the position error after 5 s by 6%" in t for t in reported)
+    assert any("vehicle.yaml alone reduces the position error after 5 s by 6%, with model" in t for t in reported)
 
 
 def test_recordings_are_to_be_corrected_only_if_a_correction_exists(logs):
@@ -217,7 +217,7 @@ def test_errors_of_the_recordings_come_before_the_answer_is_used(logs):
 def test_a_combination_that_differs_from_the_file_is_reported_when_no_effect_of_it_is_named(logs):
     stiffness = Combination("front cornering stiffness over mass", "N/(rad kg)", 36.0, (30.0, 40.0), 45.0,
                             ("front_stiffness", "steering_compliance"))
-    understeer = Combination("understeer gradient K", "s^2/m^2", 0.003, (0.0025, 0.004), 0.002, ("front_stiffness",))
+    understeer = Combination("stability factor K", "s^2/m^2", 0.003, (0.0025, 0.004), 0.002, ("front_stiffness",))
     found = replace(discovery(logs, STEPS, 1.72), combinations=(stiffness, understeer))
     text = "front cornering stiffness over mass 0.80 (0.67 to 0.89) times the vehicle file value"
     assert text in report_text.title(found)

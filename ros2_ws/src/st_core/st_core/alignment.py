@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from statistics import median_high
 from typing import NamedTuple
 
-from .handling import understeer_coefficient
+from .handling import stability_factor
 from .timeseries import NANOSECOND, TimeSeries, low_pass_step
 from .types import ControlInput, InsSample
 from .vehicle import VehicleParameters
@@ -197,7 +197,7 @@ class FrozenSteeringDetector:
     """Detects a frozen steering angle from measurements in the order of arrival; see the module for the criterion."""
 
     def __init__(self, vehicle: VehicleParameters):
-        self._wheelbase, self._understeer = vehicle.wheelbase, understeer_coefficient(vehicle)
+        self._wheelbase, self._understeer = vehicle.wheelbase, stability_factor(vehicle)
         self._angle, self._since_ns, self._newest_ns = math.nan, 0, 0
         self._implied, self._implied_ns = math.nan, 0
         self._low, self._high = math.inf, -math.inf

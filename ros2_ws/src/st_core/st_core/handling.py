@@ -10,7 +10,7 @@ from .tyres import GRAVITY
 from .vehicle import VehicleParameters
 
 
-def understeer_coefficient(car: VehicleParameters) -> float:
+def stability_factor(car: VehicleParameters) -> float:
     """K = m (l_r C_r - l_f C_f) / (l^2 C_f C_r) [s^2/m^2]; > 0: understeer.
 
     Source: Guiggiani, The Science of Vehicle Dynamics, ch. 6.
@@ -78,7 +78,7 @@ PLAUSIBLE = (
     Range("cg_height", "CG height over the wheelbase", "1", 0.1, 0.33, lambda car: car.cg_height / car.wheelbase,
           f"{_INERTIA}; racing cars from 0.1"),
     Range("cornering_stiffness_front, cornering_stiffness_rear", "understeer gradient", "deg/g", -1.0, 8.0,
-          lambda car: float(np.rad2deg(understeer_coefficient(car) * car.wheelbase * GRAVITY)), _TYPICAL),
+          lambda car: float(np.rad2deg(stability_factor(car) * car.wheelbase * GRAVITY)), _TYPICAL),
     Range("steering_ratio", "steering ratio", "1", 9.0, 26.0, lambda car: car.steering_ratio,
           "steering systems of passenger cars 11 to 22, vans to 25"),
     *(Range(f"cornering_stiffness_{axle}", f"cornering stiffness of the {axle} axle over its load", "1/rad", 4.0,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .errors import StCoreError
-from .handling import understeer_coefficient
+from .handling import stability_factor
 from .models import Model
 from .readings import has_memory, wheel_angles_ahead
 from .timeseries import NANOSECOND, half_step_grid, interpolate
@@ -70,7 +70,7 @@ class PlannedInputs:
 
             delta = L (1 + K v^2) k,    velocity_x_dot = dv/dt
 
-        K: `handling.understeer_coefficient`, the linear car in a steady turn, 0 for models without tyres. Quasi-static:
+        K: `handling.stability_factor`, the linear car in a steady turn, 0 for models without tyres. Quasi-static:
         in a fast change of curvature the path is late by the response time of the car, about 0.1 s.
         """
         speed, curvature = np.asarray(speed, float), np.asarray(curvature, float)
@@ -96,7 +96,7 @@ def steady_state_steering(speed: np.ndarray, curvature: np.ndarray, vehicle: Veh
 
         delta = L (1 + K v^2) k            Source: Guiggiani, The Science of Vehicle Dynamics, ch. 6.
     """
-    return vehicle.wheelbase * (1.0 + understeer_coefficient(vehicle) * speed * speed) * curvature
+    return vehicle.wheelbase * (1.0 + stability_factor(vehicle) * speed * speed) * curvature
 
 
 def path_inputs(speed: np.ndarray, curvature: np.ndarray, seconds: np.ndarray,

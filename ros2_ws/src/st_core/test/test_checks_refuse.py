@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from driven import drive, weave
 from st_core.checks import Severity, check
-from st_core.handling import understeer_coefficient
+from st_core.handling import stability_factor
 
 DEGREES = 57.29577951308232
 
@@ -57,7 +57,7 @@ def test_the_sign_shows_in_bends_that_are_too_wide_for_the_size(leaf):
 def test_understeer_of_a_fast_car_is_no_unit(leaf):
     soft = replace(leaf, cornering_stiffness_front=0.6 * leaf.cornering_stiffness_front)
     fast = drive(soft, 24.0, weave(0.03), 40.0)
-    assert 24.0**2 * understeer_coefficient(soft) > 0.8
+    assert 24.0**2 * stability_factor(soft) > 0.8
     assert errors(fast, soft) == {}
     hand = errors(replace(fast, road_wheel_angle=fast.steering_wheel_angle), soft)["steering_scale"]
     assert "the angle of the steering wheel" in hand.text

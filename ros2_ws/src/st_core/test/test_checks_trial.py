@@ -9,7 +9,7 @@ from st_core.checks import Finding, Severity
 from st_core.checks.finding import Advice
 from st_core.checks.trial import try_corrections
 from st_core.corrections import Correction, apply_corrections
-from st_core.handling import understeer_coefficient
+from st_core.handling import stability_factor
 
 FAULTS = {
     "yaw_rate": {"scale": 20.0}, "yaw": {"add": 0.2}, "velocity": {"scale": 1.05}, "velocity_x": {"scale": 1.05},
@@ -54,7 +54,7 @@ def test_on_a_circle_no_steering_excuses_a_wrong_correction(leaf, ahead):
     """Gain and offset of the steering look alike there: unbounded, they would explain any error."""
     speed, turning = 8.0, 0.5
     circle = exact_drive(leaf, 60.0, speed=Sines(speed, ()), turning=Sines(turning, ()))
-    angle = leaf.wheelbase * turning / speed * (1.0 + understeer_coefficient(leaf) * speed**2)
+    angle = leaf.wheelbase * turning / speed * (1.0 + stability_factor(leaf) * speed**2)
     circle = replace(circle, steering_wheel_angle=None, road_wheel_angle=np.full(len(circle.road_wheel_angle), angle))
     (refuted,) = try_corrections([finding(Severity.WARNING, position={"ahead": ahead})], circle, leaf)
     assert refuted.severity is Severity.NOTE and not refuted.advice.entry and refuted.tried[1] > 1.0 > refuted.tried[0]

@@ -18,7 +18,7 @@ from st_core.types import ControlInput, VehicleState
 def test_steady_state_yaw_rate_three_ways(car, model, speed):
     angle = 1e-4  # small, so that the closed form and the tyre's slope hold
     # r = v delta / (l (1 + K v^2))
-    closed = speed * angle / (car.wheelbase * (1.0 + handling.understeer_coefficient(car) * speed * speed))
+    closed = speed * angle / (car.wheelbase * (1.0 + handling.stability_factor(car) * speed * speed))
     simulated = predict(model, car, VehicleState(0.0, 0.0, speed, 0.0, 0.0, 0.0), ControlInput(angle, 0.0), 20.0)
     equations = MODELS[model]
     p = equations.parameters(car)
@@ -60,8 +60,8 @@ def test_decay_of_the_simulation_is_the_slowest_eigenvalue(leaf):
 
 def test_oversteering_car_is_unstable_past_its_critical_speed(leaf):
     loose = replace(leaf, cornering_stiffness_front=120000.0, cornering_stiffness_rear=60000.0)
-    assert handling.understeer_coefficient(leaf) > 0.0 > handling.understeer_coefficient(loose)
-    critical = math.sqrt(-1.0 / handling.understeer_coefficient(loose))
+    assert handling.stability_factor(leaf) > 0.0 > handling.stability_factor(loose)
+    critical = math.sqrt(-1.0 / handling.stability_factor(loose))
     assert np.linalg.eigvals(handling.linear_system(critical * 0.99, loose)[0]).real.max() < 0.0
     assert np.linalg.eigvals(handling.linear_system(critical * 1.01, loose)[0]).real.max() > 0.0
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..handling import linear_system, rear_slip_coefficient, understeer_coefficient
+from ..handling import linear_system, rear_slip_coefficient, stability_factor
 from ..vehicle import VehicleParameters
 from .agreement import ZERO, Agreement, agreement
 from .finding import HORIZON, LIMITS, Advice, Finding, Identity, Severity
@@ -84,7 +84,7 @@ def _understeer_factor(speed: np.ndarray, derived: np.ndarray, vehicle: VehicleP
     weight = np.square(derived[known])
     if not weight.any():
         return 1.0
-    return 1.0 + max(understeer_coefficient(vehicle), 0.0) * float(np.average(np.square(speed[known]), weights=weight))
+    return 1.0 + max(stability_factor(vehicle), 0.0) * float(np.average(np.square(speed[known]), weights=weight))
 
 
 def response_time(vehicle: VehicleParameters, speed: float) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 from ..augmented import AugmentedModel
 from ..effects import COMBINATIONS, EFFECTS
 from ..errors import StCoreError
-from ..handling import understeer_coefficient
+from ..handling import stability_factor
 from ..identification.axle_curve import axle_curve, axle_force, draw_models, force_error
 from ..identification.cornering_stiffness import AXLES, AxleRegression, axle_regressions
 from ..log import DriveLog
@@ -132,7 +132,7 @@ def _combined(model: AugmentedModel, vehicle: VehicleParameters) -> np.ndarray:
     limits = VEHICLE_QUANTITIES["cornering_stiffness_front"]  # which a random draw may exceed
     front, rear = (min(max(float(axle_force(model, vehicle, axle, np.array([SMALL_SLIP]))[0]) / SMALL_SLIP,
                            limits.minimum), limits.maximum) for axle in AXLES)
-    understeer = understeer_coefficient(replace(car, cornering_stiffness_front=front, cornering_stiffness_rear=rear))
+    understeer = stability_factor(replace(car, cornering_stiffness_front=front, cornering_stiffness_rear=rear))
     gain = GAIN_SPEED / (car.wheelbase * (1.0 + understeer * GAIN_SPEED**2))
     w = model.inputs(1.0 / vehicle.steering_ratio, 0.0, model.parameters(vehicle))
     return np.array([front / car.mass, rear / car.mass, understeer, gain * float(w[0])])

@@ -75,7 +75,8 @@ def judge(e: Evidence, limits: Limits) -> Reason:
         return Reason(FILE, e.name, {"value": known.value, "file": known.file, "deviation": known.deviation,
                                      "deviations": known.deviations, "limit": limits.max_file_deviation},
                       f"the best fit has {known.key} {_with_unit(known, known.value)}, the vehicle file "
-                      f"{known.file:.3g} ± {_with_unit(known, known.deviation)}: another cause imitates it")
+                      f"{_digits(known.file)} ± {_with_unit(known, known.deviation)}: check it; if it is "
+                      "right, another cause acts like it")
     if e.bound_distance < limits.at_bound:
         return Reason(BOUND, e.name, {"distance": e.bound_distance, "bound": limits.at_bound},
                       "its value is at a bound, so the best fit is beyond the physical range")
@@ -106,7 +107,11 @@ def _varying(e: Evidence, limits: Limits) -> Reason | None:
 def _with_unit(known: AgainstFile, number: float) -> str:
     """A value of the quantity, with its unit."""
     unit = "" if known.unit == "1" else f" {known.unit}"
-    return f"{number:.3g}{unit}"
+    return f"{_digits(number)}{unit}"
+
+
+def _digits(number: float) -> str:
+    return f"{number:.0f}" if abs(number) >= 100.0 else f"{number:.3g}"
 
 
 def _by_chance(e: Evidence, limits: Limits) -> Reason | None:
@@ -227,11 +232,11 @@ def alternative(rival: Rival, limits: Limits) -> Reason:
                "unexplained_share": limits.unexplained_share}
     unexplained = rival.evidence.noise_ratio > limits.max_noise_ratio and rival.deficit < limits.unexplained_share
     gain = f"instead of {rival.instead.replace('_', ' ')} it has {rival.share:.0%} of that gain"
-    no_worse = f"p = {rival.p_no_worse:.2g} that it is not worse"
+    no_worse = f"p = {rival.p_no_worse:.2g} for the hypothesis that it is as good"
     if rival.share < limits.min_rival_gain or (rival.p_no_worse < limits.undecided_p and not unexplained):
         return Reason("explains less", rival.name, figures, f"{gain}; {no_worse}")
     if rival.shared:
-        gain = f"together with {rival.instead.replace('_', ' ')} it has the gain of that alone"
+        gain = f"together with {rival.instead.replace('_', ' ')} it gains no more than that alone"
     elif verdict.rule not in (STATED, IRRELEVANT):
         return verdict
     return Reason("alternative", rival.name, figures, f"{gain}; {no_worse}")

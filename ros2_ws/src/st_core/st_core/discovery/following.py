@@ -8,7 +8,7 @@ import numpy as np
 
 from ..augmented import AugmentedModel, augment
 from ..errors import StCoreError
-from ..handling import understeer_coefficient
+from ..handling import stability_factor
 from ..log import OPTIONAL_INS_SIGNALS, DriveLog
 from ..manoeuvres import CATALOGUE, Manoeuvre
 from ..models import Model
@@ -40,7 +40,7 @@ def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameter
     """
     lead, steps = round(LEAD_TIME / PERIOD), round(manoeuvre.duration / PERIOD)
     times = 0.5 * PERIOD * np.arange(-2 * lead, 2 * steps + 1)
-    understeer = max(vehicle.wheelbase * understeer_coefficient(vehicle), 0.0)
+    understeer = max(vehicle.wheelbase * stability_factor(vehicle), 0.0)
     since_start = np.maximum(times, 0.0)
     angle = manoeuvre.steering(since_start, vehicle.wheelbase, understeer)
     angle = angle * np.clip(2.0 + times / LEAD_TIME * 2.0, 0.0, 1.0)

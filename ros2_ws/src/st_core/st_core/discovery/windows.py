@@ -208,7 +208,8 @@ class Windows:
         gain [1]: relative excess of the accelerometer over the motion, as from body roll.
         """
         readings, true = self._predicted_readings(model, gain)
-        parts = [part for channel in self.channels for part in channel.residuals(self._measured, readings, true)]
+        with np.errstate(all="ignore"):  # of predictions that diverge
+            parts = [part for channel in self.channels for part in channel.residuals(self._measured, readings, true)]
         return np.stack(parts, axis=-1)
 
     def _predicted_readings(self, model: AugmentedModel, gain: float) -> tuple[Measured, Measured]:

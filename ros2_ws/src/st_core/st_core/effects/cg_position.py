@@ -12,7 +12,7 @@ class CgPosition(Effect):
     excited_by = "cornering with the sideslip measured, at two speeds"
     kind, slot = "vehicle parameters", "body"
     twins = ("rear_stiffness", "front_stiffness", "sensor_lever_arm")
-    combinations = ("rear cornering stiffness over mass", "understeer gradient K")
+    combinations = ("rear cornering stiffness over mass", "stability factor K")
     applies_to = ANY
     parameters = (
         Parameter("shift", "m", null=0.0, initial=0.1, bounds=(-0.5, 0.5),

@@ -26,7 +26,7 @@ class FrontStiffness(Effect):
     excited_by = "cornering at two speeds, or transients; one steady speed makes it a steering gain"
     kind, slot = "vehicle parameters", "front axle"
     twins = ("steering_compliance", "steering_ratio", "roll_steer", "mass", "friction", "tyre_stiffness")
-    combinations = ("front cornering stiffness over mass", "understeer gradient K", "steady-state yaw gain at 20 m/s")
+    combinations = ("front cornering stiffness over mass", "stability factor K", "steady-state yaw gain at 20 m/s")
     ratio_to = "mass"
     parameters = (stiffness_factor(0.9),)
 

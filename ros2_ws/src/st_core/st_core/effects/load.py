@@ -19,7 +19,7 @@ class Load(Effect):
     kind, slot = "vehicle parameters", "body"
     twins = ("mass", "cg_position", "rear_stiffness", "tyre_stiffness", "yaw_inertia")
     combinations = ("front cornering stiffness over mass", "rear cornering stiffness over mass",
-                    "understeer gradient K")
+                    "stability factor K")
     parameters = (
         Parameter("mass", "kg", null=0.0, initial=150.0, bounds=(0.0, 800.0),
                   meaning="mass of the load, as if over the rear axle",

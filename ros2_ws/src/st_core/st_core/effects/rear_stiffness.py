@@ -11,7 +11,7 @@ class RearStiffness(Effect):
     excited_by = "cornering with the sideslip measured, and sweeps; it sets the damping in yaw"
     kind, slot = "vehicle parameters", "rear axle"
     twins = ("front_stiffness", "cg_position", "friction", "tyre_stiffness")
-    combinations = ("rear cornering stiffness over mass", "understeer gradient K", "steady-state yaw gain at 20 m/s")
+    combinations = ("rear cornering stiffness over mass", "stability factor K", "steady-state yaw gain at 20 m/s")
     ratio_to = "mass"
     parameters = (stiffness_factor(0.85),)
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..handling import understeer_coefficient
+from ..handling import stability_factor
 from ..log import DriveLog
 from ..regression import Spread, blocks
 from ..timeseries import filtered_derivative
@@ -75,7 +75,7 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
 
 def _straight_windows(run: RunSamples, vehicle: VehicleParameters, minimum_speed: float) -> np.ndarray:
     """(time, offset [rad]) of the steady straight windows of a run, (n, 2)."""
-    understeer = understeer_coefficient(vehicle)
+    understeer = stability_factor(vehicle)
     rows = []
     for start in np.arange(run.time[0], run.time[-1] - WINDOW, WINDOW):
         part = slice(*np.searchsorted(run.time, (start, start + WINDOW)))

@@ -10,6 +10,8 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 from st_core.discovery import Discovery
+from st_core.discovery.axles import SMALL_SLIP
+from st_core.discovery.decision import MINOR
 from st_core.discovery.result import plain_data
 from st_core.model_file import Interval, ModelFile, Provenance
 from st_core.vehicle import quantity
@@ -83,7 +85,7 @@ def model_file(found: Discovery, request: Request, update: VehicleUpdate) -> Mod
     stated = {e.name: e.parameters for e in found.effects}
     whole = ModelFile.of(update.model, update.vehicle, about, intervals, "st discover: found in the runs")
     learnt = "st discover: the healthy car's, from the reference drives" if request.healthy else "part of the base"
-    minor = {e.name for e in found.minor}
+    minor = {r.subject: r.text for r in found.reasons if r.rule == MINOR}
     kept = {}
     for effect in update.model.effects:
         name, values = effect.name, update.model.values[effect.name]
@@ -96,7 +98,7 @@ def model_file(found: Discovery, request: Request, update: VehicleUpdate) -> Mod
             kept[name] = whole.effects[name]
             continue
         source = ("st discover: effective correction" if effective else
-                  "st discover: too small to be named" if name in minor else learnt)
+                  f"st discover: not named: {minor[name]}" if name in minor else learnt)
         kept[name] = {p.name: replace(whole.effects[name][p.name], source=source, effective=effective,
                                       interval=None if effective else whole.effects[name][p.name].interval)
                       if p.fit else whole.effects[name][p.name] for p in effect.parameters}
@@ -140,6 +142,7 @@ def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Tabl
                      f"{c.interval[0]:.4g} to {c.interval[1]:.4g}", f"{c.file:.4g}")
                     for c in sorted(found.combinations, key=lambda c: -abs(c.value - c.file)
                                     / max(c.interval[1] - c.interval[0], 1e-12))]
+    expected = "the noise" if found.start == "vehicle file" else "that of the reference drives"
     narrow = [
         Table("Corrections of the vehicle file", "The values and intervals of the effects, in the keys and SI units of "
               "the file.", ("key", "file given", "vehicle.yaml", "95 %"), changes),
@@ -150,11 +153,13 @@ def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Tabl
         Table("Parts of the error", "Mean position error after 5 s. Last: reduction when all other parts are in the "
               "model; first: when it is the only one. Loss: of the sum that the fit minimises. Unexplained includes "
               "noise.", ("part", "last", "first", "loss, last", "loss, first"), parts),
-        Table("Where the base model has the largest errors", "", ("error of", "where", "times the expected (95 %)"),
+        Table("Where the base model has the largest errors", "", ("error of", "where", f"times {expected} (95 %)"),
               where),
         Table("What acts together", "Predictions depend on these. A single effect has another interval: it also "
-              "depends on the deviations of the vehicle file.", ("combination", "value", "95 %", "vehicle file"),
-              combinations)]
+              "depends on the deviations of the vehicle file. Cornering stiffness: secant at "
+              f"{math.degrees(SMALL_SLIP):.1f}° of slip. Stability factor: road-wheel angle = wheelbase / radius "
+              "(1 + K v²). Yaw gain: yaw rate per steering-wheel angle.",
+              ("combination", "value", "95 %", "vehicle file"), combinations)]
     return {"narrow": [one for one in narrow if one.rows], "wide": [one for one in _wide_tables(found) if one.rows]}
 
 
@@ -166,7 +171,8 @@ def _wide_tables(found: Discovery) -> list[Table]:
     hidden = [(plain(n.name), n.reason, n.manoeuvre) for n in sorted(
         found.not_testable, key=lambda n: report_text.rank(n.name))[:MAX_ROWS]]
     options = found.next_manoeuvre.options if found.next_manoeuvre else {}
-    driven = ", ".join(f"{name} {strength:.1f}" for name, strength in sorted(options.items(), key=lambda o: -o[1]))
+    driven = ", ".join(f"{name} {report_text.separation(strength)}"
+                       for name, strength in sorted(options.items(), key=lambda o: -o[1]))
     return [
         Table("Names that are not separable", "Apart: what the first leaves unexplained of the second."
               + (f" After the next drive, of the pair it separates least: {driven}." if driven else ""),

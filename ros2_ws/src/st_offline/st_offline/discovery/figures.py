@@ -201,7 +201,8 @@ def agreement(scene: Scene) -> Drawn | None:
             _draw_ratios(axes, [(row, v) for level, row, v in ratios if level not in crowded])
             for _, row, v in (one for one in ratios if one[0] in crowded):
                 axes.plot(np.clip(v.ratio, *axes.get_xlim()), row, "|", ms=7, color=AFTER, alpha=0.6)
-            axes.set_title(textwrap.fill(quantities.plain(effect.name), 64 // len(effects)), fontsize=8)
+            title = textwrap.fill(quantities.plain(effect.name), 64 // len(effects), break_long_words=False)
+            axes.set_title(title, fontsize=8)
         for row in (row for row in range(1, len(labels)) if labels[row - 1][0] != labels[row][0]):
             for axes in panels[0]:
                 axes.axhline(row - 0.5, color=TEXT, lw=0.5)

@@ -108,7 +108,7 @@ def fitted(name: str, numbers: Mapping[str, float]) -> str:
 
 def change(size_of: float, unit: str) -> str:
     """A deviation from null: factors in per cent."""
-    return f"{100 * abs(size_of):.3g} %" if unit == "1" else size(abs(size_of), unit)
+    return f"{100 * abs(size_of):.2g} %" if unit == "1" else size(abs(size_of), unit)
 
 
 TERMS = {

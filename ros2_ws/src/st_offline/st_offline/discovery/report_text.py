@@ -30,12 +30,13 @@ MAX_PARTS = 6
 MAX_INVISIBLE = 4  # effects named in a sentence; the table has all
 MAX_KEYS = 3  # of a vehicle file in a sentence; the table has all
 MIN_CHANGE = 0.005  # m; a step that changes the position by less is described by the channel it changes most
+MAX_SEPARATION = 10.0  # standard deviations
 MAX_RATIO = 1000.0  # of the expected error: beyond that predictions diverge
 Z95 = 1.96
 LIMITS = Limits()
 UNEXPLAINED = "a residual remains that no effect of the library explains"
 EFFECT_HEAD = ("effect", "value (95 % interval)", "5 s position error without it", "reduces most", "significant in")
-EFFECT_NOTE = ("All values: complete model, held-out drives. Without it: this effect removed, the others refitted. An "
+EFFECT_NOTE = ("Errors: complete model, held-out drives. Without it: this effect removed, the others refitted. An "
                "effect is named if it is significant and reduces the error of a channel by "
                f"{100 * LIMITS.relevant:g} % of its baseline, or the 5 s position error by "
                f"{LIMITS.relevant_position:g} m, over all driving or in one driving condition, or if it is a sensor "
@@ -109,14 +110,16 @@ def _errors(found: Discovery) -> str:
         ratio = 100.0 * (one.augmented / one.base - 1.0)
         return f"{channel(name)} error {size(one.base, one.unit)} to {size(one.augmented, one.unit)} ({ratio:+.0f} %)"
     after = "" if found.model is None else f" → {metres(gap.augmented)}"
-    return f"5 s position error {metres(gap.base)}{after} (held-out)"
+    more = len(found.minor) + len(found.effective) if found.effects else 0
+    others = f", with {more} more effect{'' if more == 1 else 's'} that {'is' if more == 1 else 'are'} not named"
+    return f"5 s position error {metres(gap.base)}{after} (held-out{others if more else ''})"
 
 
 def summary(found: Discovery, update: VehicleUpdate | None, findings: Mapping[str, Sequence[Finding]]
             ) -> list[tuple[str, str]]:
     """(name, text) below the title: residual, inseparable and invisible effects, errors of the recordings, what to do.
     findings: of the checks, by run."""
-    unknown = [residual(found), not_separable(found), not_visible(found)]
+    unknown = [residual(found), not_separable(found), *refuted(found), not_visible(found)]
     serious = [(one, names) for one, names in group_by_name(findings) if one.severity is not Severity.NOTE]
     recordings = ""
     if serious:
@@ -236,7 +239,7 @@ def pair_rows(found: Discovery) -> list[tuple[str, ...]]:
                         and f"{plain(pair.first)} it " in r.text), {})
         rows.append((plain(pair.first), plain(pair.second), *(f"{figures[key]:{form}}" if key in figures else "-" for
                      key, form in (("share", ".0%"), ("less", ".1%"), ("no_worse", ".2g"))),
-                     f"{pair.cosine:.3f}", f"{pair.strength:.1f}"))
+                     f"{pair.cosine:.3f}", separation(pair.strength)))
     return rows
 
 
@@ -251,6 +254,16 @@ def not_visible(found: Discovery) -> str:
     return f"not detectable in these drives: {names}{f' and {more} more' if more > 0 else ''}" if names else ""
 
 
+def refuted(found: Discovery) -> list[str]:
+    """Quantities of the vehicle file that the best fit contradicts."""
+    return [f"{plain(r.subject)}: {r.text}" for r in found.reasons if r.rule == FILE]
+
+
+def separation(strength: float) -> str:
+    """A separation [standard deviations]; large ones are beyond the linear range of the prediction."""
+    return f"{strength:.1f}" if strength < MAX_SEPARATION else f"more than {MAX_SEPARATION:g}"
+
+
 def visible(found: Discovery) -> str:
     """The smallest detectable size of each effect in these drives, vehicle parameters first."""
     best: dict[str, Power] = {}
@@ -259,7 +272,7 @@ def visible(found: Discovery) -> str:
             best.setdefault(power.effect, power)
     ranked = sorted(best.values(), key=lambda p: rank(p.effect))
     sizes = [f"{plain(p.effect)} of {change(p.size, p.unit)}" for p in ranked]
-    return f"detectable: {', '.join(sizes)}" if sizes else ""
+    return f"detectable, one at a time: {', '.join(sizes)}" if sizes else ""
 
 
 def rank(name: str) -> tuple[bool, int]:
@@ -276,18 +289,16 @@ def next_drive(found: Discovery) -> str:
     first, second = map(plain, n.separates)
     now = next((p.strength for p in found.separability if {p.first, p.second} == set(n.separates)), 0.0)
     return (f"next drive {n.name}, {n.times} times {n.duration:.0f} s at {n.speed:.1f} m/s: would separate {first} and "
-            f"{second} by {n.strength:.1f} σ of the noise (these drives: {now:.1f} σ; required: {MIN_SEPARATION:g} σ, "
-            "more if the residual exceeds the noise)")
+            f"{second} by {separation(n.strength)} σ of the noise (these drives: {separation(now)} σ; required: "
+            f"{MIN_SEPARATION:g} σ, more if the residual exceeds the noise)")
 
 
 def assumed(found: Discovery) -> list[str]:
-    """Quantities of the vehicle file used as priors with their deviations, and effects that contradict them."""
+    """Quantities of the vehicle file used as priors with their deviations."""
     known = [f"{a.key} {decimal(a.value, _digits(a.deviation))} ± {decimal(a.deviation, _digits(a.deviation))} "
              f"{a.unit.removesuffix('1')}".rstrip() + ("" if a.stated else " (default)")
              for a in found.assumed if not a.key.startswith("tyre_")]
-    lines = [f"{', '.join(known)}; to override, set `uncertainty` in the entry of the vehicle file"] if known else []
-    refuted = {r.subject: r.text for r in found.reasons if r.rule == FILE}
-    return [*lines, *(f"{plain(name)}: {text}" for name, text in refuted.items())]
+    return [f"{', '.join(known)}; to override, set `uncertainty` in the entry of the vehicle file"] if known else []
 
 
 def _digits(deviation: float) -> int:
@@ -330,7 +341,10 @@ def _vehicle_lines(found: Discovery, update: VehicleUpdate | None) -> list[str]:
         slip = {key: change for key, change in update.changes.items() if key == SLIP_SPEED}
         entries = keys(changes) if len(changes) <= MAX_KEYS else f"{len(changes)} entries are corrected"
         stable = f"; {keys(slip)}, for stable steps of 50 ms" if slip else ""
-        alone = (f"; alone it reduces the position error after 5 s by {1.0 - update.error[1] / update.error[0]:.0%}"
+        gap = found.gap.get("position_5s")
+        together = f", with model.yaml by {1.0 - gap.augmented / gap.base:.0%}" if gap and gap.base > 0.0 else ""
+        alone = (f"; vehicle.yaml alone reduces the position error after 5 s by "
+                 f"{1.0 - update.error[1] / update.error[0]:.0%}{together}"
                  if (found.minor or found.effective) and update.error[0] > 0.0 else "")
         lines.append(f"use vehicle.yaml: {entries}, for {', '.join(map(plain, update.folded))}{stable}{alone}")
         lines += [f"vehicle.yaml contains the first of {with_alternatives(found, e)}; these drives do not separate "
@@ -349,9 +363,9 @@ def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
     rest = [e for e in found.effects if update is None or e.name not in update.folded]
     sensors = [plain(e.name) for e in rest if e.kind == "sensors"]
     if sensors:
-        lines.append(f"{', '.join(sensors)}: model.yaml corrects for it; when the sensors are repaired, or the "
-                     "recordings corrected in run.yaml, run st discover again: this model would correct twice")
-    others = [plain(e.name) for e in rest if e.kind != "sensors" and (update is None or e.name not in update.kept)]
+        lines.append(f"{', '.join(sensors)}: either use model.yaml, or correct the sensors or the recordings "
+                     "(run.yaml) and run st discover again; both would correct twice")
+    others = [plain(e.name) for e in rest if update is None or e.name not in update.kept]
     if others:
         lines.append(f"predict with model.yaml, which adds {', '.join(others)}")
     if found.signature and found.effects:
@@ -388,7 +402,7 @@ def details(found: Discovery, update: VehicleUpdate | None) -> list[tuple[str, l
     why = {r.subject: r.text for r in found.reasons if r.rule in (MINOR, FORCES)}
     minor = [f"{with_alternatives(found, e)}: {why[e.name]}" for e in by_size(found.minor) if e.name in why]
     lines = [*((role, [text]) for role, text in drives(found)), ("meaning", meaning(found)),
-             ("certainty", certainty(found)), ("not named", minor), ("what to do", to_do(found, update)[1:]),
+             ("tests passed", certainty(found)), ("not named", minor), ("what to do", to_do(found, update)[1:]),
              ("effective corrections", corrections(found)), ("taken from the vehicle file", assumed(found)),
              ("varying, not named", list(map(varying, found.varying))), ("these drives", [visible(found)])]
     return [(question, texts) for question, answer in lines if (texts := [text for text in answer if text])]
@@ -400,7 +414,8 @@ def condition(w: ErrorCondition) -> tuple[str, str]:
     where = before.get(w.condition.split()[0], "in ") + w.condition.replace("^2", "²")
     if w.excess > MAX_RATIO:
         return where, f"more than {MAX_RATIO:g}"
-    return where, f"{w.excess:.1f} ({w.interval[0]:.1f} to {min(w.interval[1], MAX_RATIO):.1f})"
+    low, high = w.interval
+    return where, f"{w.excess:.1f} ({f'{low:.1f} to {high:.1f}' if high < MAX_RATIO else f'more than {low:.1f}'})"
 
 
 def worst_channel(found: Discovery, channels: Sequence[str]) -> str:
