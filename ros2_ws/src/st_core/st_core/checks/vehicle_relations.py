@@ -4,7 +4,10 @@ Steering: a car without slip steers atan(L r / v_x). Ratio and wheelbase of a re
 understeer at 20 m/s may nearly double it, a wrong unit makes it 57 times as large. Rear axle: that of a slow car moves
 in its heading, so at the INS point
 
-    v_y = -a v_x + d r - s v_x^2 r      a: heading reported too far left, d: ahead of the rear axle, s: slip of the rear
+    v_y = -a v_x + d r - s v_x^2 r - e d(v_x r)/dt
+
+a: heading reported too far left, d: ahead of the rear axle, s: slip of the rear, e: sideways shift of the point as the
+body rolls, per lateral acceleration; slip that builds up late acts like it.
 """
 
 from dataclasses import replace
@@ -186,7 +189,8 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> Comparison:
     if abs(float(forward @ rate)) > MAX_COSINE * float(np.linalg.norm(forward) * np.linalg.norm(rate)):
         return [], {}, None  # on one circle heading, point and slip of the axle are confounded
     problem = Regression(over.time[use], lateral[:, None], {
-        "heading": -forward[:, None], "point": rate[:, None], "slip": -(forward**2 * rate)[:, None]})
+        "heading": -forward[:, None], "point": rate[:, None], "slip": -(forward**2 * rate)[:, None],
+        "roll": -(over.change(motion.velocity_x * motion.yaw_rate)[use] / WINDOW)[:, None]})
     found = _fit_rear_axle(problem, vehicle, has_varying_speed(forward))
     declared = vehicle.cg_to_rear_axle + vehicle.cg_to_ins_x
     heading = with_systematic("heading_misaligned", found["heading"])
@@ -201,18 +205,19 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> Comparison:
 
 
 def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, separable: bool) -> dict[str, Estimate]:
-    """heading [rad], point [m ahead of the rear axle], slip [s^2/m].
+    """heading [rad], point [m ahead of the rear axle], slip [s^2/m] and roll [s^2].
 
     separable: whether the speed varies. Where slip and point are confounded, the slip is that of the vehicle file,
     within half of its value.
     """
     expected = rear_slip_coefficient(vehicle)
     if separable:
-        free = problem.estimates(("heading", "point", "slip"))
+        free = problem.estimates(("heading", "point", "slip", "roll"))
         if free["slip"].deviation < 0.25 * expected:
             return free
     middle, low, high = (
-        Regression(problem.time, problem.residual({"slip": slip}), problem.columns).estimates(("heading", "point"))
+        Regression(problem.time, problem.residual({"slip": slip}), problem.columns).estimates(
+            ("heading", "point", "roll"))
         for slip in (expected, 0.5 * expected, 1.5 * expected))
     return {"slip": Estimate(expected, 0.25 * expected, (0.5 * expected, 1.5 * expected)), **{
         name: estimate.widened(max(abs(other[name].value - estimate.value) for other in (low, high)))
