@@ -3,9 +3,10 @@
 The rear axle of a slow car moves in its heading, apart from a little slip. At the INS, d_x ahead of the CG and turned
 by gamma to the left,
 
-    v_y = -gamma v_x + (l_r + d_x) r - s v_x^2 r,    s = m l_f / (L C_r)
+    v_y = -gamma v_x + (l_r + d_x) r - s v_x^2 r - e v_x dr/dt,    s = m l_f / (L C_r)
 
-Straights show gamma, bends d_x, bends at two speeds the slip s. How far the INS is off the centreline, d_y, changes
+Straights show gamma, bends d_x, bends at two speeds the slip s. e: sideways motion of an INS above the roll axis as the
+body rolls; yaw inertia and relaxation of the slip act like it. How far the INS is off the centreline, d_y, changes
 its forward speed in bends to one side against the other:
 
     phi + c phi^3 = delta - K v_x r,    phi = atan(L r / (v_x + r d_y))
@@ -51,18 +52,18 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
     require_coverage(covered, "Drive slowly (2 to 8 m/s): straight on, and bends to both sides.")
     columns = [_columns(run, mask, vehicle) for run, mask in kept]
     run_of = np.concatenate([np.full(len(c), i) for i, c in enumerate(columns)])
-    time, speed, across, rate, angle = np.concatenate(columns).T
+    time, speed, across, rate, rate_dot, angle = np.concatenate(columns).T
     group = blocks(run_of, time)
     used = tuple(run.name for run, c in zip(runs, columns, strict=True) if len(c))
 
-    regressors = np.stack([speed, rate, speed**2 * rate], axis=1)
+    regressors = np.stack([speed, rate, speed**2 * rate, speed * rate_dot], axis=1)
     theta, spread, _ = group.regression(regressors, across)
     estimates = [_estimate("cg_to_ins_x", theta[1] - vehicle.cg_to_rear_axle, spread, 1, 1.0, "m", used,
                            f"{theta[1]:.3f} m ahead of the rear axle", 0.1),
                  _estimate(MISALIGNMENT, -theta[0], spread, 0, 1.0, "rad", used,
                            f"{np.rad2deg(-theta[0]):+.2f} deg, reported heading against the car's axis", 0.005)]
     correlation = correlation_of(spread.covariance[np.ix_([1, 0], [1, 0])] * np.array([[1, -1], [-1, 1]]))
-    together = correlation_of(spread.covariance)[1:, 1:]
+    together = correlation_of(spread.covariance)[1:3, 1:3]
     warnings = [*noticed, *describe_correlations(["lever arm", "rear slip"], together),
                 _compare_rear_slip(theta[2], spread.covariance[2, 2], vehicle)]
     across_estimate = _lateral_position(speed, rate, angle, group, vehicle, used)
@@ -74,7 +75,8 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
         wide[:2, :2] = correlation
         correlation = wide
     figure = {"curvature": rate / speed, "speed": speed, "run": run_of, "names": tuple(run.name for run in runs),
-              "slope": across / speed - theta[2] * speed * rate, "residual": across - regressors @ theta,
+              "slope": across / speed - theta[2] * speed * rate - theta[3] * rate_dot,
+              "residual": across - regressors @ theta,
               "theta": theta}
     rejected = tuple((run.name, f"{len(run) - int(mask.sum())} of {len(run)} samples outside {MINIMUM_SPEED:g} to "
                       f"{MAXIMUM_SPEED:g} m/s or beyond {MAXIMUM_ACCELERATION:g} m/s^2")
@@ -84,13 +86,14 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
 
 
 def _columns(run: RunSamples, mask: np.ndarray, vehicle: VehicleParameters) -> np.ndarray:
-    """(time, v_x, v_y, r, delta) at the INS, every SAMPLE_INTERVAL."""
+    """(time, v_x, v_y, r, dr/dt, delta) at the INS, every SAMPLE_INTERVAL."""
     where = np.flatnonzero(mask)
     if len(where):
         where = where[np.unique(np.floor(run.time[where] / SAMPLE_INTERVAL), return_index=True)[1]]
     rate = run.yaw_rate[where]
     return np.stack([run.time[where], run.velocity_x[where] - rate * vehicle.cg_to_ins_y,
-                     run.velocity_y[where] + rate * vehicle.cg_to_ins_x, rate, run.road_wheel_angle[where]], axis=1)
+                     run.velocity_y[where] + rate * vehicle.cg_to_ins_x, rate, run.yaw_acceleration[where],
+                     run.road_wheel_angle[where]], axis=1)
 
 
 def _lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.ndarray, group: Blocks, vehicle: VehicleParameters,
