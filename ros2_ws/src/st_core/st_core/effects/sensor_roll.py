@@ -1,0 +1,45 @@
+"""Motion of the INS point as the body rolls: an antenna on the roof moves to the outside of the bend.
+
+    y_point = y - shift a_y,   v_y there is v_y - shift v_x r_dot,   v_x there is v_x + shift a_y r,   a_y = v_x r
+
+shift = height of the point above the roll axis, times the roll angle per lateral acceleration. Steady roll: the delay
+of the body, some 50 ms, is not included, nor is the change of speed in r_dot. A single live sample has no yaw
+acceleration; its lateral velocity is left uncorrected. Source: rigid-body kinematics, velocity of a point.
+"""
+
+from ..ops import cos, sin
+from ._base import ANY, Effect, Parameter, register
+
+
+def displaced(m, shift, speed):
+    """Readings of a point that is displaced by -shift a_y to the left; speed [m/s]: of the car, for a_y."""
+    aside = -shift * speed * m.yaw_rate
+    return m._replace(x=m.x - sin(m.yaw) * aside, y=m.y + cos(m.yaw) * aside,
+                      velocity_x=m.velocity_x - aside * m.yaw_rate,
+                      velocity_y=m.velocity_y - shift * speed * m.yaw_acceleration)
+
+
+@register
+class SensorRoll(Effect):
+    name = "sensor_roll"
+    physics = "INS point displaced by shift a_y to the outside of the bend as the body rolls; v_y there - shift v_x r_dot"
+    excited_by = "sweeps and bends taken briskly: v_y of the INS jumps as a bend begins"
+    kind, slot = "sensors", "position"
+    twins = ("yaw_inertia", "tyre_relaxation")
+    needs = ("velocity_y",)
+    applies_to = ANY
+    order = 5  # the point moves first, then its readings err
+    parameters = (
+        Parameter("shift", "m s^2/m", null=0.0, initial=0.005, bounds=(-0.005, 0.04),
+                  meaning="outward per lateral acceleration: height above the roll axis times roll gradient",
+                  source="roll 0.3-0.8 deg per m/s^2; 0.3 m above the roll axis (seat) to 1.5 m (roof of a van)"),
+    )
+
+    @staticmethod
+    def observe(measured, theta):
+        return displaced(measured, theta.shift, measured.velocity_x)
+
+    @staticmethod
+    def correct(measured, theta):
+        speed = measured.velocity_x / (1.0 + theta.shift * measured.yaw_rate**2)
+        return displaced(measured, -theta.shift, speed)
