@@ -55,7 +55,7 @@ class Limits:
     negligible: float = 0.01
     min_rival_gain: float = field(default=0.5, metadata=stored_as("rival"))
     max_file_deviation: float = field(default=3.0, metadata=stored_as("file"))
-    min_peak_force: float = field(default=0.8, metadata=stored_as("peak"))
+    min_peak_force: float = field(default=0.98, metadata=stored_as("peak"))
     at_bound: float = field(default=0.05, metadata=stored_as("bound"))
     unexplained_share: float = 0.2
     max_noise_ratio: float = field(default=2.0, metadata=stored_as("left"))
