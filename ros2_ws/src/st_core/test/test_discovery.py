@@ -228,7 +228,7 @@ def test_without_a_lateral_velocity_no_ins_position_or_misalignment_is_searched(
     channels = tuple(c for c in SETTINGS.channels if c != "velocity_y")
     everything, without = (Space("nonlinear", settings).hypotheses
                            for settings in (SETTINGS, replace(SETTINGS, channels=channels)))
-    assert {*everything} - {*without} == {"sensor_lever_arm", "heading_misalignment"}
+    assert {*everything} - {*without} == {"sensor_lever_arm", "sensor_roll", "heading_misalignment"}
 
 
 FLYWHEEL = '''"""A flywheel that stabilises the car: r_dot = r_dot - gain r v_y^2."""

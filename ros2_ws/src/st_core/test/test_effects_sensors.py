@@ -98,6 +98,19 @@ def test_lever_arm_moves_the_point_that_is_measured(leaf):
     assert there.velocity_x - here.velocity_x == pytest.approx(0.2 * 0.25)
 
 
+def test_a_point_above_the_roll_axis_has_the_velocity_of_its_displaced_position():
+    time = np.arange(0.0, 4.0, 0.001)
+    rate, yaw, speed = 0.3 * np.sin(2.0 * time), 0.15 - 0.15 * np.cos(2.0 * time), 15.0
+    x, y = (np.cumsum(speed * direction) * 0.001 for direction in (np.cos(yaw), np.sin(yaw)))
+    true = Measured(x, y, yaw, speed + 0.0 * time, 0.0 * time, rate, 0.0, 0.0, 0.6 * np.cos(2.0 * time))
+    shown = augment("kinematic", {"sensor_roll": {"shift": 0.01}}).observe(true)
+    _, left = map_to_body(shown.x - x, shown.y - y, yaw)
+    np.testing.assert_allclose(left, -0.01 * speed * rate, atol=1e-9)  # to the outside of the bend
+    forward, left = map_to_body(np.gradient(shown.x, time), np.gradient(shown.y, time), yaw)
+    np.testing.assert_allclose(np.stack((forward, left))[:, 5:-5],
+                               np.stack((shown.velocity_x, shown.velocity_y))[:, 5:-5], atol=0.01)
+
+
 def test_logs_and_samples_are_corrected_alike():
     model = augment("nonlinear", ["heading_misalignment", "speed_scale", "yaw_rate_scale", "yaw_rate_bias"])
     time_ns = np.arange(5, dtype=np.int64) * 10_000_000
