@@ -75,9 +75,8 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
         wide[:2, :2] = correlation
         correlation = wide
     figure = {"curvature": rate / speed, "speed": speed, "run": run_of, "names": tuple(run.name for run in runs),
-              "slope": across / speed - theta[2] * speed * rate - theta[3] * rate_dot,
-              "residual": across - regressors @ theta,
-              "theta": theta}
+              "slope": across / speed - theta[2] * speed * rate - theta[3] * rate_dot, "theta": theta,
+              "residual": across - regressors @ theta}
     rejected = tuple((run.name, f"{len(run) - int(mask.sum())} of {len(run)} samples outside {MINIMUM_SPEED:g} to "
                       f"{MAXIMUM_SPEED:g} m/s or beyond {MAXIMUM_ACCELERATION:g} m/s^2")
                      for run, mask in kept if not mask.all())
