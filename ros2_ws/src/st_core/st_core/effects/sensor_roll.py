@@ -22,7 +22,7 @@ def displaced(m, shift, speed):
 @register
 class SensorRoll(Effect):
     name = "sensor_roll"
-    physics = "INS point displaced by shift a_y to the outside of the bend as the body rolls; v_y there - shift v_x r_dot"
+    physics = "INS point moves shift a_y to the outside of the bend as the body rolls; v_y there - shift v_x r_dot"
     excited_by = "sweeps and bends taken briskly: v_y of the INS jumps as a bend begins"
     kind, slot = "sensors", "position"
     twins = ("yaw_inertia", "tyre_relaxation")
