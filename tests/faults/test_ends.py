@@ -37,7 +37,7 @@ def free_port() -> int:
 @pytest.mark.parametrize("ignoring", [False, True], ids=["in front", "in the background"])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_nodes_end_with_their_launch(tmp_path: Path, number: int, ignoring: bool) -> None:
-    (prefix,) = re.findall(r'^ENDS_WITH_US = "(.*)"', CAR_LAUNCH.read_text(), re.MULTILINE)
+    (prefix,) = re.findall(r'^PARENT_DEATH = "(.*)"', CAR_LAUNCH.read_text(), re.MULTILINE)
     processes, port = Processes(tmp_path), free_port()
     try:
         node = [executable("oxts_bridge", "oxts_bridge"), "--ros-args", "-p", f"udp_port:={port}"]

@@ -80,7 +80,7 @@ class CanedgeBridge(Node):
             self._can_frames = self.create_publisher(CanFrames, "can/frames", QOS)
             self._frames_timer = self.create_timer(FRAMES_PERIOD, self._publish_frames)
         self._receiver = Receiver(
-            self._open, self._on_frame, on_state=self._on_state, on_error=self._on_trouble,
+            self._open, self._on_frame, on_state=self._on_state, on_error=self._on_error,
             silence=settings.silence_after,
             network_interface=settings.channel if settings.interface == "socketcan" else "")
         bus_name = f"{settings.interface}:{settings.channel}"
@@ -148,7 +148,7 @@ class CanedgeBridge(Node):
         if rclpy.ok():
             self._bus_changed.trigger()
 
-    def _on_trouble(self, error: Exception) -> None:
+    def _on_error(self, error: Exception) -> None:
         # At shutdown the context is destroyed before the thread ends; failures then are expected.
         if rclpy.ok():
             self.get_logger().error(f"a frame could not be processed: {error!r}", throttle_duration_sec=5.0)

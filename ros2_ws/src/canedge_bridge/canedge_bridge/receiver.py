@@ -73,7 +73,7 @@ class Receiver:
                  on_error: Callable[[Exception], None] = lambda error: None,
                  silence: float = 1.0, network_interface: str = ""):
         self._open_bus, self._on_frame, self._on_state = open_bus, on_frame, on_state
-        self._on_trouble, self._silence, self._network_interface = on_error, silence, network_interface
+        self._on_error, self._silence, self._network_interface = on_error, silence, network_interface
         self._status = ReceiverStatus()
         self._delays: deque[int] = deque(maxlen=512)
         self._lock = threading.Lock()
@@ -119,7 +119,7 @@ class Receiver:
             try:
                 bus.shutdown()
             except Exception as error:  # a removed device may fail to close
-                self._on_trouble(error)
+                self._on_error(error)
 
     def _receive(self, bus: can.BusABC) -> None:
         frame = bus.recv(_RECEIVE_TIMEOUT)
@@ -141,7 +141,7 @@ class Receiver:
         except Exception as error:
             with self._lock:
                 self._status.callback_errors += 1
-            self._on_trouble(error)
+            self._on_error(error)
 
     def _count_data_frame(self, time_ns: int, now_ns: int) -> None:
         status = self._status
@@ -203,7 +203,7 @@ class Receiver:
             try:
                 self._on_state(state, reason)
             except Exception as error:  # a failing callback must not end the thread either
-                self._on_trouble(error)
+                self._on_error(error)
 
 
 def _errno(error: BaseException) -> int | None:

@@ -18,7 +18,7 @@ from typing import ClassVar
 from urllib.parse import quote
 
 from rich.console import Console
-from st_ros.scheduling import lower
+from st_ros.scheduling import lower_priority
 
 from .suite import VIEW_NICE, Processes, SuiteError
 
@@ -74,7 +74,7 @@ class _Handler(BaseHTTPRequestHandler):
         """No log of requests."""
 
 
-def settings_of_rerun(folder: Path) -> dict[str, str]:
+def rerun_environment(folder: Path) -> dict[str, str]:
     """Environment of a Rerun that keeps its own files in `folder`, with usage data switched off."""
     (folder / "rerun").mkdir(parents=True, exist_ok=True)
     (folder / "rerun" / "analytics.json").write_text(json.dumps({
@@ -91,7 +91,7 @@ class RecordingView:
 
     def __init__(self, folder: Path, file: Path):
         check_rerun("st view")
-        lower(VIEW_NICE)
+        lower_priority(VIEW_NICE)
         with socket.socket() as probe:
             probe.bind((LOOPBACK, 0))
             source = probe.getsockname()[1]
@@ -101,7 +101,7 @@ class RecordingView:
         recording = f"http://{LOOPBACK}:{self._page.server_port}{RECORDING}"
         self.url = f"http://{LOOPBACK}:{self._page.server_port}/?url={quote(recording, safe='')}"
         self._processes = Processes(folder)
-        self._processes.environment |= settings_of_rerun(folder / "settings")
+        self._processes.environment |= rerun_environment(folder / "settings")
         # The program itself: the command `rerun` is a script, whose end would leave the program running. For an address
         # it starts no server of recordings, which would need 3 % of a core while idle.
         found = importlib.util.find_spec("rerun_cli")

@@ -5,7 +5,7 @@ of the terminal, so that Ctrl-C reaches only this process, which then ends the c
 killed, the kernel interrupts the children (parent-death signal, set by util-linux' setpriv).
 
 Priorities on a busy computer: bridges and predictor, then recorder and evaluator, then the views. Bridges and predictor
-may get real-time scheduling (`st live --realtime`); the others lower their priority (st_ros.scheduling.lower).
+may get real-time scheduling (`st live --realtime`); the others lower their priority (st_ros.scheduling.lower_priority).
 """
 
 import os

@@ -37,7 +37,7 @@ from st_recordings.runs.bag import read_bag, was_interrupted
 from .configuration import TRUNCATED, recordings_of
 from .suite import SuiteError
 
-OTHER_MODES: tuple[Mode, ...] = ("plan", "course")
+PLANNED_MODES: tuple[Mode, ...] = ("plan", "course")
 # Each node starts its filter of the forward acceleration with the first sample it receives, which may differ.
 # After this many time constants 2e-9 of the difference remains.
 SETTLING_TIME_CONSTANTS = 20.0
@@ -101,7 +101,7 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     car, recorded, source = configuration_of(drive.records, vehicle)
     settings = _settings(recorded)
     scores = read_scores(score_bags, progress)
-    others = {mode: read_planned(bag, mode, progress) for mode in OTHER_MODES}
+    others = {mode: read_planned(bag, mode, progress) for mode in PLANNED_MODES}
     signals = LogSignals(drive.log, settings.maximum_gap, settings.filter_cutoff)
     truncated = [TRUNCATED.format(file, "compared") for file in dict.fromkeys((bag, *score_bags))
                  if was_interrupted(file)]
@@ -112,7 +112,7 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
         except ConfigurationError:
             warnings.append(f"predictions of {name} are not compared: the library has no model of this name")
             continue
-        model_scores = {mode: scores[name, mode] for mode in (*MODES, *OTHER_MODES) if (name, mode) in scores}
+        model_scores = {mode: scores[name, mode] for mode in (*MODES, *PLANNED_MODES) if (name, mode) in scores}
         planned = {mode: by_model[name] for mode, by_model in others.items() if name in by_model}
         comparisons.append(_compare(model, car, signals, live, planned, model_scores, settings.filter_cutoff, progress))
     expected = configuration_hash(car, settings)
@@ -265,7 +265,7 @@ def _print_conclusion(result: Verification, tolerance: float, console: Console) 
     passed = result.largest <= tolerance and not disagree
     if n_planned := sum(c.n_planned for c in result.comparisons):
         largest = max(c.planned for c in result.comparisons)
-        n_scores = sum(c.n_scores.get(mode, 0) for c in result.comparisons for mode in OTHER_MODES)
+        n_scores = sum(c.n_scores.get(mode, 0) for c in result.comparisons for mode in PLANNED_MODES)
         console.print(f"{n_planned} predictions and {n_scores} scores with inputs of a plan or course are among them, "
                       f"largest difference of a path {largest * 1000:.3g} mm", highlight=False, soft_wrap=True)
     verdict = "[green]live equals offline[/green]" if passed else "[red]live differs from offline[/red]"

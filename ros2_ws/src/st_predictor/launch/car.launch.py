@@ -22,7 +22,7 @@ SIGNALS = LaunchConfiguration("signals")
 PARAMETERS = LaunchConfiguration("parameters")
 OUTPUT = LaunchConfiguration("output")
 # launch passes only SIGINT on. With this prefix the kernel interrupts the nodes however launch ends.
-ENDS_WITH_US = "setpriv --pdeathsig INT"
+PARENT_DEATH = "setpriv --pdeathsig INT"
 
 
 class CarFile(Substitution):
@@ -58,7 +58,7 @@ def suite_node(package, executable, *overrides, **options):
     words = ["--params-file", PARAMETERS, *(word for pair in (clock, *overrides) for word in pair)]
     return Node(
         package=package, executable=executable, name=executable, exec_name=executable, output="screen",
-        ros_arguments=words, respawn=LaunchConfiguration("respawn"), respawn_delay=2.0, prefix=ENDS_WITH_US, **options)
+        ros_arguments=words, respawn=LaunchConfiguration("respawn"), respawn_delay=2.0, prefix=PARENT_DEATH, **options)
 
 
 def steering_of(context):

@@ -26,7 +26,7 @@ from .map_drawing import BAND_MODE, Path, ribbon
 QUATERNION_TOLERANCE = 0.01
 # rmw's own value for "never"; rclpy turns it into this many nanoseconds or more.
 _NEVER_NS = 9_223_372_036 * 1_000_000_000
-OTHER_MODES: tuple[Mode, ...] = ("plan", "course")  # inputs over the horizon other than held ones
+PLANNED_MODES: tuple[Mode, ...] = ("plan", "course")  # modes of st_msgs/PlannedPrediction
 
 
 def ins_sample(message: Odometry, map_frame: str) -> InsSample | str:

@@ -109,12 +109,12 @@ def load_model(values: SimpleNamespace, vehicle: VehicleParameters) -> ModelFile
     Raises ConfigurationError naming the file and the key, also when its values are of another car than `vehicle`.
     """
     if values.effects_directory:
-        checked(values, lambda: load_folder(values.effects_directory), "effects_directory: ")
+        translate_errors(values, lambda: load_folder(values.effects_directory), "effects_directory: ")
     if not values.model_file:
         return None
     file = _read(values, "model_file", ModelFile.from_yaml)
     prefix = f"model_file: {values.model_file}: "
-    checked(values, lambda: file.check_vehicle(vehicle, values.vehicle_file), prefix)
+    translate_errors(values, lambda: file.check_vehicle(vehicle, values.vehicle_file), prefix)
     return file
 
 
@@ -136,16 +136,16 @@ def _read(values: SimpleNamespace, parameter: str, parse: Callable[[str, str], T
         raise ConfigurationError(f"{values.where}{prefix}{name}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise ConfigurationError(f"{values.where}{prefix}{name} is not a text file") from None
-    return checked(values, lambda: parse(text, name), prefix)
+    return translate_errors(values, lambda: parse(text, name), prefix)
 
 
 def prediction_settings(values: SimpleNamespace) -> PredictionSettings:
     """The st_core settings among a node's parameters. Raises ConfigurationError if they are inconsistent."""
     names = PredictionSettings.__dataclass_fields__.keys() & vars(values).keys()
-    return checked(values, lambda: PredictionSettings(**{name: getattr(values, name) for name in names}))
+    return translate_errors(values, lambda: PredictionSettings(**{name: getattr(values, name) for name in names}))
 
 
-def checked(values: SimpleNamespace, make: Callable[[], T], prefix: str = "") -> T:
+def translate_errors(values: SimpleNamespace, make: Callable[[], T], prefix: str = "") -> T:
     """The result of `make`; a ConfigurationError of st_core becomes the one that ends a start with status 2.
 
     prefix: start of the message.

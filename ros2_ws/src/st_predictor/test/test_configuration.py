@@ -100,8 +100,8 @@ def test_no_process_outlives_the_launch() -> None:
     for file in LAUNCH_FILES:
         for call in calls(file, "Node", "ExecuteProcess"):
             given = {k.arg: ast.unparse(k.value) for k in call.keywords}
-            assert given["prefix"] in ("ENDS_WITH_US", "'setpriv --pdeathsig INT'"), file.name
-    assert "ENDS_WITH_US = \"setpriv --pdeathsig INT\"" in (LAUNCH / "car.launch.py").read_text()
+            assert given["prefix"] in ("PARENT_DEATH", "'setpriv --pdeathsig INT'"), file.name
+    assert "PARENT_DEATH = \"setpriv --pdeathsig INT\"" in (LAUNCH / "car.launch.py").read_text()
 
 
 def test_launch_arguments_that_are_used_are_declared() -> None:

@@ -94,7 +94,7 @@ def test_a_course_from_another_origin_of_the_map_is_moved(node, course: Course, 
 
 
 @pytest.mark.parametrize(("fault", "level", "reason"), [
-    ("another place", WARN, "of another place: the map origins are 11.1 km apart"),
+    ("another place", WARN, "recorded elsewhere: the map origins are 11.1 km apart"),
     ("origin unknown", WARN, "the map origins are nan km apart"),
     ("other direction", 0, "no earlier drive near the car in its direction"),
     ("too far to the side", 0, "no earlier drive near the car"),

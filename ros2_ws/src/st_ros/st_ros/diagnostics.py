@@ -36,7 +36,7 @@ class Diagnostics:
     def publish(self) -> None:
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
-        now = scheduling.own()
+        now = scheduling.current()
         values = {"policy": now.policy, "priority": now.priority, "nice": now.nice}
         if now.autogroup is not None:
             values["autogroup"] = now.autogroup

@@ -37,7 +37,7 @@ class Scheduling:
         return f"{self.policy}, nice {self.nice}{group}"
 
 
-def own() -> Scheduling:
+def current() -> Scheduling:
     """Scheduling of this process at the moment."""
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     priority = os.sched_getparam(0).sched_priority if policy in _REALTIME else 0
@@ -45,10 +45,10 @@ def own() -> Scheduling:
                       _autogroup())
 
 
-def lower(nice: int) -> None:
+def lower_priority(nice: int) -> None:
     """Lower the priority: a nice value of at least `nice` for the process, and for its session if it leads one.
 
-    nice: 5 leaves a third of an equal share, 10 a tenth, 15 a thirtieth. Never raises; `own` reports the result.
+    nice: 5 leaves a third of an equal share, 10 a tenth, 15 a thirtieth. Never raises; `current` reports the result.
     """
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, max(nice, os.getpriority(os.PRIO_PROCESS, 0)))

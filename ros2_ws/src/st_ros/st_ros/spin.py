@@ -46,7 +46,7 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice:
         gc.collect()
         gc.freeze()
         if nice:
-            scheduling.lower(nice)
+            scheduling.lower_priority(nice)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         while not stop.requested and rclpy.ok() and not getattr(node, "finished", False):

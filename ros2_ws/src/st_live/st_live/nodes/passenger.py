@@ -46,16 +46,16 @@ TOPICS = {
     "predictor/status": "status", "ins/status": "ins_status", "ins/odometry": "odometry",
     "vehicle/steering": "steering",
     **{f"predictor/{model}/prediction": "prediction" for model in MODELS},
-    **{f"predictor/{model}/{mode}": mode for mode in convert.OTHER_MODES for model in MODELS},
+    **{f"predictor/{model}/{mode}": mode for mode in convert.PLANNED_MODES for model in MODELS},
     "evaluator/errors": "error", "/diagnostics": "diagnostics",
 }
 PERIOD = 0.1  # s between frames
 TYPES = {"status": PredictorStatus, "ins_status": InsStatus, "odometry": Odometry, "steering": Steering,
          "prediction": Prediction, "plan": PlannedPrediction, "course": PlannedPrediction, "error": PredictionError,
          "diagnostics": DiagnosticArray}
-# Queue depth by kind of message, else NEWEST; all scores of one instant arrive together.
+# Queue depth by kind of message, else DEFAULT_DEPTH; all scores of one instant arrive together.
 DEPTH = {"error": 200, "diagnostics": 50}
-NEWEST = 3
+DEFAULT_DEPTH = 3
 
 
 class PassengerFrames:
@@ -77,7 +77,7 @@ class PassengerFrames:
         self._errors: dict[str, dict[str, tuple[float, dict[str, float]]]] = {mode: {} for mode in INPUTS}
         self._health: dict[str, tuple[float, float, dict[str, tuple[int, str]]]] = {}  # received, timeout [s], checks
         self._handlers: dict[str, Callable[[Any, float], None]] = {
-            name: partial(self._take_prediction, mode=name) if name in convert.OTHER_MODES
+            name: partial(self._take_prediction, mode=name) if name in convert.PLANNED_MODES
             else getattr(self, f"_take_{name}") for name in set(TOPICS.values())}
 
     def take(self, topic: str, message: Any, now: float) -> None:
@@ -199,7 +199,7 @@ class PassengerNode(Node):
 
     def _subscribe(self, topic: str) -> PolledSubscription:
         kind = TOPICS[topic]
-        qos = QoSProfile(depth=DEPTH.get(kind, NEWEST), reliability=ReliabilityPolicy.BEST_EFFORT)
+        qos = QoSProfile(depth=DEPTH.get(kind, DEFAULT_DEPTH), reliability=ReliabilityPolicy.BEST_EFFORT)
         return PolledSubscription(self, TYPES[kind], topic, qos)
 
     def _show(self) -> None:

@@ -20,7 +20,7 @@ from st_ros import diagnostics
 from st_ros.diagnostics import Check
 
 from .. import params
-from ..convert import OTHER_MODES
+from ..convert import PLANNED_MODES
 
 AXES = ("along", "across", "yaw")
 
@@ -40,11 +40,12 @@ class PredictionBands:
         file = params.load_bands(values)
         if file is not None:
             prefix = f"bands_file: {values.bands_file}: "
-            params.checked(values, lambda: file.check(vehicle, file_hashes, EvaluationSettings(settings)), prefix)
+            evaluation = EvaluationSettings(settings)
+            params.translate_errors(values, lambda: file.check(vehicle, file_hashes, evaluation), prefix)
             self._text = f"calibrated on {file.runs} runs"
         if values.adaptive_bands:
             time = settings.step * np.arange(1, settings.steps + 1)
-            self._adaptive = AdaptiveBands(time, list(file_hashes), (*MODES, *OTHER_MODES), file)
+            self._adaptive = AdaptiveBands(time, list(file_hashes), (*MODES, *PLANNED_MODES), file)
             self._messages = BandMessages(self._adaptive.half_widths)
             self._scorer = Evaluator(vehicle, settings, 0.0, models, runners)
         elif file is not None:

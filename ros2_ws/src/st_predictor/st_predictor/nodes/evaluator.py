@@ -46,7 +46,7 @@ class EvaluatorNode(Node):
         self._vehicle = params.load_vehicle(values)
         self._file = params.load_model(values, self._vehicle)
         own = [self._file.model()] if self._file else []
-        self._models = params.checked(values, lambda: [get_model(m).name for m in (*values.models, *own)])
+        self._models = params.translate_errors(values, lambda: [get_model(m).name for m in (*values.models, *own)])
         settings = params.prediction_settings(values)
         self._core = Evaluator(self._vehicle, settings, HISTORY_SPAN, own)
         self._consistency = Consistency(self._vehicle)
@@ -65,7 +65,7 @@ class EvaluatorNode(Node):
             **{("forecast", model): PolledSubscription(self, Prediction, f"predictor/{model}/prediction", qos)
                for model in self._models},
             **{(mode, model): PolledSubscription(self, PlannedPrediction, f"predictor/{model}/{mode}", qos)
-               for mode in convert.OTHER_MODES for model in self._models}}
+               for mode in convert.PLANNED_MODES for model in self._models}}
         error_qos = QoSProfile(depth=ERROR_DEPTH)
         self._error_publisher = self.create_publisher(PredictionError, "evaluator/errors", error_qos)
         self._summary_publisher = self.create_publisher(ErrorSummary, "evaluator/summary", LATCHED)

@@ -121,9 +121,9 @@ class PredictorNode(Node):
         settings = params.prediction_settings(values)
         file = params.load_model(values, self._vehicle)
         models = [*values.models, *([file.model()] if file else [])]
-        loaded = params.checked(values, lambda: [get_model(model) for model in models])
+        loaded = params.translate_errors(values, lambda: [get_model(model) for model in models])
         runners, backend = compile_models(loaded if values.compiled else (), self._vehicle, settings)
-        self._core = params.checked(values, lambda: Predictor(self._vehicle, loaded, settings, runners))
+        self._core = params.translate_errors(values, lambda: Predictor(self._vehicle, loaded, settings, runners))
         self._hash = dict.fromkeys(self._core.models, configuration_hash(self._vehicle, settings))
         file_hashes = dict.fromkeys(self._core.models, "")
         if file:
@@ -140,7 +140,7 @@ class PredictorNode(Node):
             for model in self._core.models
         }
         self._other_outputs = {(mode, model): self.create_publisher(PlannedPrediction, f"predictor/{model}/{mode}", qos)
-                               for mode in convert.OTHER_MODES for model in self._core.models}
+                               for mode in convert.PLANNED_MODES for model in self._core.models}
         self._status_publisher = self.create_publisher(PredictorStatus, "predictor/status", LATCHED)
 
     def _add_ins(self, sample: InsSample) -> bool:

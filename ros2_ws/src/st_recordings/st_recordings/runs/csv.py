@@ -65,10 +65,10 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
     _require_columns(table, (*INS_SIGNALS, ROAD))
     notes = list(table.warnings)
     columns, origin = _with_derived(table, notes)
-    used = _use_steering(table, columns, vehicle, steering, notes)
-    missing = _count_missing(table, columns, used, notes)
+    steering_channels = _use_steering(table, columns, vehicle, steering, notes)
+    missing = _count_missing(table, columns, steering_channels, notes)
     ins = table.used & all_known(columns, INS_SIGNALS)
-    steered = table.used & all_known(columns, used)
+    steered = table.used & all_known(columns, steering_channels)
     if min(ins.sum(), steered.sum()) < 2:
         reason = ""
         if missing:
@@ -80,13 +80,13 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
     values = {name: columns[name][ins] for name in INS_SIGNALS}
     values["yaw"] = np.unwrap(yaw_scale * values["yaw"])
     values |= {name: columns[name][ins] for name in OPTIONAL_INS_SIGNALS if is_mostly_known(columns.get(name))}
-    values |= {name: columns[name][steered] for name in {ROAD, *used}}
+    values |= {name: columns[name][steered] for name in {ROAD, *steering_channels}}
     log = drive_log(file, file.stem, ins_time_ns=table.time_ns[ins], steering_time_ns=table.time_ns[steered], **values)
     speeds = {name: (table.time_ns[table.used], columns[name][table.used]) for name in SPEEDS if name in columns}
     first, last = np.flatnonzero(table.used)[[0, -1]]
     extras = AuxiliaryData({"INS": table.time_ns[first : last + 1]}, missing, car_speed(speeds))
     sources = {channel: f"{source.name} [{source.unit}{'' if source.stated else ', assumed'}]"
-              for channel, source in table.sources.items()}
+               for channel, source in table.sources.items()}
     provenance = {"columns": sources, **({"origin": list(origin)} if origin else {})}
     return LoadedRun(log, provenance, warnings=tuple(notes), auxiliary=extras)
 
@@ -97,12 +97,12 @@ def ins_of(table: Table, needed: Sequence[str] = INS_SIGNALS) -> InsLog:
     _require_columns(table, needed, ", `can: [CAN LOGS]`")
     notes = list(table.warnings)
     columns, origin = _with_derived(table, notes)
-    used = [name for name in INS_SIGNALS if name in columns
-            and (name in needed or (name == "yaw" and np.isfinite(columns[name]).any()))]
-    rows = table.used & all_known(columns, used)
+    channels = [name for name in INS_SIGNALS if name in columns
+                and (name in needed or (name == "yaw" and np.isfinite(columns[name]).any()))]
+    rows = table.used & all_known(columns, channels)
     if rows.sum() < 2:
         raise RunError(table.file, "it contains fewer than two usable rows", "remove it from the command")
-    reported = {name: columns[name] for name in (*used, *OPTIONAL_INS_SIGNALS) if name in columns}
+    reported = {name: columns[name] for name in (*channels, *OPTIONAL_INS_SIGNALS) if name in columns}
     _count_missing(table, reported, (), notes)
     values = {name: columns[name][rows] for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS) if name in columns}
     if "yaw" in values:

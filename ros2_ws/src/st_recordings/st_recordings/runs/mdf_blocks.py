@@ -14,7 +14,7 @@ _HEADER = 24  # name, reserved, length, number of links
 _UNFINISHED_MARK = b"UnFinMF "
 _COUNTERS_UNFINISHED, _LENGTH_UNFINISHED, _LIST_UNFINISHED = 1, 4, 16  # flags of an unfinalised file
 _MAX_INFLATION = 1032  # limit of the deflate algorithm
-_MAX_PACKING = 5  # highest compression method; odd ones transpose the records first
+_MAX_COMPRESSION_METHOD = 5  # highest compression method; odd ones transpose the records first
 _MAX_RECORD_SIZE = 65536  # bytes; a CAN FD frame has about 90
 _VARIABLE_LENGTH_GROUP, _BUS_EVENT, _REMOTE_MASTER = 1, 2, 8  # flags of a channel group
 VALUE_ELSEWHERE, _MASTER, VIRTUAL = 1, 2, (3, 6)  # types of a channel
@@ -225,7 +225,7 @@ class _BlockWalk:
 
     def _unpacked_size(self, block: _Block, kind: bytes) -> int:
         content, method, columns, unpacked, packed = struct.unpack_from("<2sBxIQQ", self._data, block.content)
-        if content != kind or method > _MAX_PACKING or (method % 2 and not columns):
+        if content != kind or method > _MAX_COMPRESSION_METHOD or (method % 2 and not columns):
             raise DamageError(f"the block at byte {block.at} is compressed by an unknown method")
         if block.content + 24 + packed > block.end or unpacked > _MAX_INFLATION * packed:
             raise DamageError(f"the block at byte {block.at} cannot hold the {unpacked} bytes it claims")
