@@ -256,6 +256,7 @@ def _frames(name: str, signal: Any, bus: int, start_ns: int, channels: Mapping[s
     extended = member("IDE").astype(bool) | (identifier > 0x7FF)
     length = _lengths(member("DataLength"), channels["DataLength"]) if "DataLength" in members else \
         FD_LENGTHS[member("DLC", 8) & 15]
+    length = np.minimum(length, payload.shape[1])  # the codes 9 to 15 of a classic frame also mean 8 bytes
     flags = np.full(n, _FLAGS_OF_KIND[name], np.uint8)
     flags[member("Dir").astype(bool)] |= SENT
     flags[member("EDL").astype(bool)] |= FD
