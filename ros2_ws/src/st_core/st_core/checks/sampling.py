@@ -146,7 +146,7 @@ def _check_stamps(signal: str, stamps: np.ndarray) -> list[Finding]:
     for name, back, lost in (("time_order", step < 0, old), ("time_duplicates", step == 0, step == 0)):
         if not back.any():
             continue
-        count, share = int(lost.sum()), float(lost.mean())
+        count, share = int(lost.sum()), float(lost.sum()) / len(stamps)
         largest = -float(step.min()) * 1e-9
         reset = name == "time_order" and largest > MAX_GAP
         where = tuple((float(t), float(t)) for t in (newest[back] - stamps[0])[:20] * 1e-9)
