@@ -525,6 +525,13 @@ def test_a_bag_of_another_encoding_is_named(tmp_path: Path, drive) -> None:
         read(find_runs([file])[0], CAR)
 
 
+def test_another_definition_of_a_known_type_is_named(tmp_path: Path, drive) -> None:
+    file = write_bag(tmp_path / "a.mcap", drive[1], 0, 5, compression=CompressionType.NONE, enable_crcs=False)
+    file.write_bytes(file.read_bytes().replace(b"Vector3 linear", b"Vector3 planar"))
+    with pytest.raises(RunError, match=r"its definition of nav_msgs/msg/Odometry is not that of ROS 2: .*linear"):
+        read(find_runs([file])[0], CAR)
+
+
 def test_a_changed_byte_in_a_bag_is_named(tmp_path: Path, drive) -> None:
     file = write_bag(tmp_path / "a.mcap", drive[1], compression=CompressionType.NONE)
     content = bytearray(file.read_bytes())

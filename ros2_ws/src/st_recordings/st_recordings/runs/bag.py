@@ -16,7 +16,7 @@ from ..bag_metadata import read_information
 from ..paths import project_root
 from .bag_storage import EXTENSIONS, Storage, Topic, missing_files, open_storage, storage_files
 from .cdr import CAN_FRAMES, DAMAGE, NCOM, ODOMETRY, STEERING, field_of, summary_of, typestore, with_definitions
-from .errors import RunError, check_readable, share
+from .errors import RunError, check_readable, share, short
 from .ins_log import InsLog, planar, usable_rows, yaw_of
 from .reconstruct import (
     RECONSTRUCTED,
@@ -261,7 +261,12 @@ def _find_topic(path: Path, topics: Sequence[Topic], type_name: str, name: str |
 
 def _read_one_by_one(path: Path, storage: Storage, topic: Topic, fields: Sequence[str],
                      store: Typestore) -> dict[str, np.ndarray]:
-    rows = [[field_of(message, field) for field in fields] for _, message in deserialise(path, storage, topic, store)]
+    try:
+        rows = [[field_of(message, field) for field in fields]
+                for _, message in deserialise(path, storage, topic, store)]
+    except AttributeError as error:
+        raise RunError(path, f"its definition of {topic.type_name} is not that of ROS 2: {short(error)}",
+                       "name a topic of the right type") from None
     return {field: np.array([row[k] for row in rows]) for k, field in enumerate(fields)}
 
 

@@ -287,7 +287,7 @@ class _GatheredFields:
                 self.is_uniform = False
                 return
         layout = self._layout
-        self.is_uniform = layout.fits(buffer, starts, sizes)
+        self.is_uniform = layout.fields.keys() >= {*self._fields} and layout.fits(buffer, starts, sizes)
         if self.is_uniform:
             self.parts.append({field: layout.column(buffer, starts, field) for field in self._fields})
 
