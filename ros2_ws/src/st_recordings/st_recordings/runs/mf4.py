@@ -256,15 +256,14 @@ def _frames(name: str, signal: Any, bus: int, start_ns: int, channels: Mapping[s
     extended = member("IDE").astype(bool) | (identifier > 0x7FF)
     length = _lengths(member("DataLength"), channels["DataLength"]) if "DataLength" in members else \
         FD_LENGTHS[member("DLC", 8) & 15]
-    length = np.minimum(length, payload.shape[1])  # the codes 9 to 15 of a classic frame also mean 8 bytes
     flags = np.full(n, _FLAGS_OF_KIND[name], np.uint8)
     flags[member("Dir").astype(bool)] |= SENT
     flags[member("EDL").astype(bool)] |= FD
     return Frames(
         time_ns=start_ns + np.round(seconds * 1e9).astype(np.int64),
         id=identifier & 0x1FFF_FFFF | np.where(extended, np.uint32(EXTENDED), np.uint32(0)),
-        payload=np.ascontiguousarray(payload),
-        length=length.astype(np.uint8), bus=member("BusChannel", bus).astype(np.uint8), flags=flags,
+        payload=np.ascontiguousarray(payload), bus=member("BusChannel", bus).astype(np.uint8), flags=flags,
+        length=np.minimum(length, payload.shape[1]).astype(np.uint8),  # codes 9 to 15 of a classic frame also mean 8
     )
 
 
