@@ -24,7 +24,7 @@ from st_core.log_evaluation import EvaluationSettings
 from st_core.models import Model, get_model
 from st_core.vehicle import VehicleParameters
 from st_offline.bands.bands_report import finished_shares, share_rows, share_sums
-from st_offline.bands.scoring import finished, pooled_sums, question_sums
+from st_offline.bands.scoring import band_sums, finished, pooled_sums
 from st_recordings.paths import config, project_root
 from st_recordings.runs import find_runs, read
 
@@ -280,7 +280,7 @@ def tested(band: Band, known: Sequence[ErrorSamples], new: Sequence[ErrorSamples
     seen, entries = CalibrationDomain.of([one.conditions for one in known]), []
     for one in new:
         rows = seen(one.conditions)
-        sums = question_sums(band, one.conditions[rows], one.errors[question][rows].astype(float))
+        sums = band_sums(band, one.conditions[rows], one.errors[question][rows].astype(float))
         entries.append(sums | {"without_band": int((~rows).sum())})
     return entries
 

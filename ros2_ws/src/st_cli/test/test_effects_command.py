@@ -104,7 +104,7 @@ def test_drives_are_identified_with_a_proposed_effect(law, tmp_path):
     assert "proposed_rear_steer" in json.dumps(message)
     refused = st("identify", "steering-offset", drive, "--model", law / "proposed.yaml", "--effects", law / "effects",
                  "--output", tmp_path / "no")
-    assert refused.exit_code == 2 and "steering-offset predicts nothing" in refused.output
+    assert refused.exit_code == 2 and "steering-offset uses no model" in refused.output
 
 
 def test_the_file_reads_back_as_the_model_that_was_written(law):

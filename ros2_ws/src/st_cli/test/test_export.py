@@ -125,11 +125,11 @@ def test_bands_are_written_as_functions_of_state_and_inputs(tmp_path):
         np.testing.assert_allclose(np.array(written(STATE, INPUTS, 0.02)),
                                    bands.half_widths("linear", "hindsight", here, level)[0, 1:], rtol=1e-9)
     refused = run("kinematic", "--bands", file, "--output", tmp_path / "other")
-    assert refused.exit_code == 2 and "bands: none of kinematic, only of linear" in refused.output
+    assert refused.exit_code == 2 and "the bands have no entry for model kinematic, only for linear" in refused.output
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
-    (["bicycle"], "bicycle: there are kinematic, linear, nonlinear, or a model file (.yaml)"),
+    (["bicycle"], "bicycle: unknown model; use kinematic, linear, nonlinear or a model file (.yaml)"),
     (["linear", "--free", "road_bank.angle"], "'road_bank.angle' is not a parameter"),
     (["none.yaml"], "No such file"),
 ])

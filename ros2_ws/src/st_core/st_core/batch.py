@@ -47,8 +47,7 @@ class LogPrediction:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A drive as a model takes it. sampled: road wheel angle and velocity_x_dot, by block laid out; or at other times.
-    """
+    """A drive corrected for a model. sampled: its road wheel angle and velocity_x_dot, laid out, by block."""
 
     signals: LogSignals
     sampled: dict[Hashable, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
@@ -83,16 +82,16 @@ class LogBatch:
         self.signals = log if isinstance(log, LogSignals) else LogSignals(log, maximum_gap, filter_cutoff, acceleration)
         self.starts_ns = np.asarray(starts_ns, np.int64).ravel()
         self.step, self.steps = step, step_count(horizon, step)
-        self.points = self._numbers(points)
-        self._inputs, self._substeps, self.others = inputs, substeps, dict(signals or {})
-        self._unique, first, self._place = np.unique(self.starts_ns, return_index=True, return_inverse=True)
+        self.points = self._point_numbers(points)
+        self._inputs, self._substeps, self.extra_signals = inputs, substeps, dict(signals or {})
+        self._unique, first, self._inverse = np.unique(self.starts_ns, return_index=True, return_inverse=True)
         if not isinstance(inputs, str):
             self._ahead = self._check_planned(inputs, substeps, first)
         self._speeds = self._occurring_speeds()
         self._recorded = Recording(self.signals)
-        self._only: dict[tuple[int, bool], list[Block]] = {}
+        self._single_block: dict[tuple[int, bool], list[Block]] = {}
 
-    def _numbers(self, points: Sequence[float] | None) -> np.ndarray:
+    def _point_numbers(self, points: Sequence[float] | None) -> np.ndarray:
         if points is None:
             return np.arange(self.steps + 1)
         requested = np.asarray(points, float).ravel()
@@ -131,19 +130,20 @@ class LogBatch:
         """States of one model at the horizon points, (n, k, 6)."""
         model = get_model(model)
         for name in model.signals:
-            if name not in self.others:
+            if name not in self.extra_signals:
                 raise ConfigurationError(f"model {model.name} needs the signal {name}, which was not given")
         count = self._count_substeps(model, vehicle)
         car, p = model.effective_vehicle(vehicle), model.parameters(vehicle)
         recording = self.recording(model)
-        apart = not isinstance(self._inputs, str) or (self._inputs == "held" and has_memory(model))
+        separate = not isinstance(self._inputs, str) or (self._inputs == "held" and has_memory(model))
         signals = recording.signals
         result = np.full((len(self.points), len(STATE_NAMES), len(self._unique)), np.nan)
-        for block in self._blocks(count, apart):
-            values = self._sample_apart(block, signals, model) if apart else self._sample(block, recording, model)
+        for block in self._blocks(count, separate):
+            values = (self._sample_separately(block, signals, model) if separate else
+                      self._sample(block, recording, model))
             states = signals.states_at(block.starts_ns, car).T
             result[:, :, block.rows] = self._advance(block, values, states, model, p, count)
-        states = result if np.array_equal(self._unique, self.starts_ns) else result[:, :, self._place]
+        states = result if np.array_equal(self._unique, self.starts_ns) else result[:, :, self._inverse]
         return LogPrediction(model, vehicle, self.starts_ns, self.time, states.transpose(2, 0, 1))
 
     def errors(self, prediction: LogPrediction) -> np.ndarray:
@@ -158,21 +158,21 @@ class LogBatch:
         stability.warn_if_too_long(model, vehicle, self._speeds, self.step / self._substeps)
         return self._substeps
 
-    def _blocks(self, count: int, apart: bool) -> Iterable[Block]:
+    def _blocks(self, count: int, separate: bool) -> Iterable[Block]:
         """Cached if there is only one."""
-        if (count, apart) not in self._only:
-            blocks = self._planned(count, apart)
-            begun = list(islice(blocks, 2))
-            if len(begun) > 1:
-                return chain(begun, blocks)
-            self._only[count, apart] = begun
-        return self._only[count, apart]
+        if (count, separate) not in self._single_block:
+            blocks = self._planned(count, separate)
+            first_two = list(islice(blocks, 2))
+            if len(first_two) > 1:
+                return chain(first_two, blocks)
+            self._single_block[count, separate] = first_two
+        return self._single_block[count, separate]
 
-    def _planned(self, count: int, apart: bool) -> Iterator[Block]:
+    def _planned(self, count: int, separate: bool) -> Iterator[Block]:
         # Held inputs are needed at the start alone, unless the wheels still follow what the steering did before it.
-        throughout = self._inputs == "measured" or apart
+        throughout = self._inputs == "measured" or separate
         instants = half_step_grid(0, self.steps * count, self.step / count) if throughout else np.zeros(1, np.int64)
-        return plan(self._unique, instants, self._backend.LANES, share=not apart)
+        return plan(self._unique, instants, self._backend.LANES, share=not separate)
 
     def recording(self, model: Model) -> Recording:
         """The drive with the sensor and steering corrections of the model applied."""
@@ -196,10 +196,10 @@ class LogBatch:
                 acceleration = known[1]
         if block.shared:
             recording.sampled[key] = angle, acceleration
-        others = [block.laid_out(signals.sample(*self.others[name], times_ns)) for name in model.signals]
+        others = [block.laid_out(signals.sample(*self.extra_signals[name], times_ns)) for name in model.signals]
         return [angle, acceleration, *others]
 
-    def _sample_apart(self, block: Block, signals: LogSignals, model: Model) -> list[np.ndarray]:
+    def _sample_separately(self, block: Block, signals: LogSignals, model: Model) -> list[np.ndarray]:
         """As `_sample`, of planned inputs, or of held ones for a model with memory; block: not shared."""
         times, raw = block.times_ns, self.signals.log
         if isinstance(self._inputs, str):
@@ -215,7 +215,8 @@ class LogBatch:
             angle = np.array([wheel_angles_ahead(model, raw.steering_time_ns, raw.road_wheel_angle, *column,
                                                 signals.maximum_gap)
                               for column in zip(times.T, angle.T, strict=True)]).T
-        others = [np.broadcast_to(signals.sample(*self.others[name], times[0]), times.shape) for name in model.signals]
+        others = [np.broadcast_to(signals.sample(*self.extra_signals[name], times[0]), times.shape)
+                  for name in model.signals]
         return [block.laid_out(v) for v in (angle, acceleration, *others)]
 
     def _table(self, block: Block, values: list[np.ndarray], model: Model, p: Any) -> np.ndarray:

@@ -19,10 +19,10 @@ STANDSTILL_SPEED = 0.5  # m/s; a car that is never faster does not move
 class Channel:
     """One measured quantity.
 
-    words: name in reports. unit: SI. smallest [unit]: resolution of an INS; smaller errors are not distinguished.
+    words: name in reports. unit: SI. resolution [unit]: of an INS; smaller errors are not distinguished.
     signals: fields of DriveLog that measure it. columns: in which it is scored. Both default to `name`.
-    predicted(shown, true): reading of the sensor, from `effects.Measured` with and without the errors of the INS;
-    None for the field `name` of `shown`. errors(measured, shown): by column; None for measured minus predicted.
+    predicted(readings, true): reading of the sensor, from `effects.Measured` with and without the errors of the INS;
+    None for the field `name` of `readings`. errors(measured, readings): by column; None for measured minus predicted.
     smoothed: measured and predicted are averaged over 0.1 s. adds_up: its errors grow over the horizon.
     zero_is_none: a recording that does not have it is 0 throughout.
     noise(log, step, x, y, yaw, v_x, v_y, r): standard deviation of the errors at the end of windows due to noise alone,
@@ -33,7 +33,7 @@ class Channel:
     name: str
     words: str
     unit: str
-    smallest: float
+    resolution: float
     signals: tuple[str, ...] = ()
     columns: tuple[str, ...] = ()
     predicted: Callable[[Any, Any], Any] | None = None
@@ -55,21 +55,21 @@ class Channel:
         zero_is_none = self.zero_is_none and bool((np.abs(log.velocity_x) > STANDSTILL_SPEED).any())
         return all(v is not None and np.isfinite(v).any() and not (zero_is_none and not v.any()) for v in values)
 
-    def reading(self, shown: Any, true: Any) -> Any:
+    def reading(self, readings: Any, true: Any) -> Any:
         """Predicted reading of the sensor [unit]."""
-        return self.predicted(shown, true) if self.predicted else getattr(shown, self.name)
+        return self.predicted(readings, true) if self.predicted else getattr(readings, self.name)
 
-    def residuals(self, measured: Mapping[str, np.ndarray], shown: Any, true: Any) -> tuple[np.ndarray, ...]:
+    def residuals(self, measured: Mapping[str, np.ndarray], readings: Any, true: Any) -> tuple[np.ndarray, ...]:
         """Measured minus predicted [unit], one for each column."""
-        return self.errors(measured, shown) if self.errors else (measured[self.name] - self.reading(shown, true),)
+        return self.errors(measured, readings) if self.errors else (measured[self.name] - self.reading(readings, true),)
 
     def noise_errors(self, log: Any, *motion: Any) -> tuple[float, ...]:
         """Errors due to noise alone [unit], one for each column."""
         return self.noise(log, *motion) if self.noise else (white_noise(getattr(log, self.name)),)
 
 
-def _position_residuals(measured: Mapping[str, np.ndarray], shown: Any) -> tuple[np.ndarray, ...]:
-    longitudinal, lateral = map_to_body(measured["x"] - shown.x, measured["y"] - shown.y, measured["yaw"])
+def _position_residuals(measured: Mapping[str, np.ndarray], readings: Any) -> tuple[np.ndarray, ...]:
+    longitudinal, lateral = map_to_body(measured["x"] - readings.x, measured["y"] - readings.y, measured["yaw"])
     return lateral, longitudinal
 
 
@@ -87,9 +87,9 @@ def _heading_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, u: Any, v: A
     return (_spread(wrap_angle(yaw[:, -1] - yaw[:, 0] - _integral(rate, step))),)
 
 
-def _spread(off: np.ndarray) -> float:
-    off = off[np.isfinite(off)]
-    return robust_deviation(off) if len(off) else 0.0
+def _spread(errors: np.ndarray) -> float:
+    errors = errors[np.isfinite(errors)]
+    return robust_deviation(errors) if len(errors) else 0.0
 
 
 def _integral(values: np.ndarray, step: float) -> np.ndarray:
@@ -100,7 +100,7 @@ CHANNELS: Mapping[str, Channel] = {channel.name: channel for channel in (
     Channel("velocity_y", "lateral velocity", "m/s", 1e-3, zero_is_none=True),
     Channel("yaw_rate", "yaw rate", "rad/s", 2e-4, smoothed=True),
     Channel("acceleration_y", "lateral acceleration", "m/s^2", 5e-3, smoothed=True),
-    Channel("yaw", "heading", "rad", 1e-4, errors=lambda m, shown: (wrap_angle(m["yaw"] - shown.yaw),),
+    Channel("yaw", "heading", "rad", 1e-4, errors=lambda m, readings: (wrap_angle(m["yaw"] - readings.yaw),),
             adds_up=True, noise=_heading_noise),
     Channel("position", "position", "m", 1e-3, ("x", "y"), ("position_lateral", "position_longitudinal"),
             errors=_position_residuals, adds_up=True, noise=_position_noise),

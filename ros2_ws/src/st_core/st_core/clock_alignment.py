@@ -137,7 +137,7 @@ def _usable_signals(signals: Sequence[SharedSignal]) -> tuple[list[SharedSignal]
             continue
         values = [v[k] for v, k in zip((signal.reference, signal.other), known, strict=True)]
         spread = min(float(np.std(np.unwrap(v) if signal.angle else v)) for v in values)
-        if spread <= signal.smallest:
+        if spread <= signal.min_deviation:
             reasons.append(f"{signal.name} hardly varies (standard deviation {spread:.3g})")
             continue
         usable.append(signal)

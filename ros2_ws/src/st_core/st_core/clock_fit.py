@@ -140,7 +140,8 @@ class Fit:
 def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0, free_drift: bool = True) -> Fit:
     """Offset and drift by Gauss-Newton with soft-L1 weights, with a gain and a bias for every signal.
 
-        residual_k(t) = reference_k(t + offset + drift (t - middle)) - gain_k other_k(t) - bias_k,   over its own spread
+        residual_k(t) = reference_k(t + offset + drift (t - middle)) - gain_k other_k(t) - bias_k,   each over its
+        spread
 
     The gain absorbs the scale of a wheel speed, the bias a gyro offset. The deviations are a sandwich estimate over
     blocks of 5 s, since residuals are autocorrelated. A weak prior (100 ppm) limits the drift of short recordings.

@@ -28,7 +28,7 @@ class SharedSignal:
     times: int64 ns, strictly increasing. Values share sign and, up to a gain and a bias, scale.
     angle: the values are an angle [rad], wrapped or not, with a zero of its own on each side; its rate is compared.
     latency: the other recording stamps the value this late after the instant it was true [s], with its uncertainty.
-    smallest: standard deviation below which the signal is taken as constant [unit of the values].
+    min_deviation: standard deviation below which the signal is taken as constant [unit of the values].
     """
 
     name: str
@@ -38,7 +38,7 @@ class SharedSignal:
     other: np.ndarray
     latency: float = 0.0
     latency_uncertainty: float = 0.0
-    smallest: float = 0.0
+    min_deviation: float = 0.0
     angle: bool = False
 
 

@@ -142,7 +142,7 @@ def brake_in_turn(speed: float, lateral: float, cruise: float = 8.0, braking: fl
     period = sum(seconds for seconds, _ in pedals)
     return Manoeuvre("brake_in_turn", speed, lateral, Lines(((period, 1.0, 1.0),)), period, 2, pedals, follows=True,
                      meaning=f"R = {speed**2 / abs(lateral):.0f} m at {abs(lateral):g} m/s^2, braking at {braking:g} "
-                             "m/s^2 with the hands still")
+                             "m/s^2 with the steering wheel held")
 
 
 def lane_change(speed: float, lateral: float, width: float = 3.5) -> Manoeuvre:
@@ -168,7 +168,7 @@ def slalom(speed: float, lateral: float, frequency: float = 0.5, waves: int = 12
 def weave(speed: float, lateral: float, waves: float = 6.0) -> Manoeuvre:
     """Sine steering at 0.25 Hz and a small amplitude about the centre."""
     return Manoeuvre("weave", speed, lateral, Sine(0.25, 0.25, 4 * waves), 4 * waves,
-                     meaning=f"gentle sine steering of 0.25 Hz about the middle at {speed:g} m/s")
+                     meaning=f"gentle sine steering of 0.25 Hz about the centre at {speed:g} m/s")
 
 
 def circle(speed: float, lateral: float, hold: float = 10.0, ramp: float = 2.0) -> Manoeuvre:
@@ -176,7 +176,7 @@ def circle(speed: float, lateral: float, hold: float = 10.0, ramp: float = 2.0) 
     return Manoeuvre("circle", speed, lateral,
                      _both_sides((ramp, 0.0, 1.0), (hold, 1.0, 1.0), (ramp, 1.0, 0.0), (1.0, 0.0, 0.0)),
                      2 * (hold + 2 * ramp + 1.0), meaning=f"steady circles to both sides, {speed:g} m/s and "
-                                                          f"{abs(lateral):g} m/s^2, with still hands")
+                                                          f"{abs(lateral):g} m/s^2, with the steering wheel held")
 
 
 def there_and_back(speed: float, lateral: float, straight: float = 10.0, ramp: float = 1.0) -> Manoeuvre:

@@ -5,8 +5,8 @@ prediction by that angle. Instead, the sideslip of steady cornering is used, whi
 
     v_y = r (l_r - m l_f v_x^2 / (l C_r) + d_x),    beta = atan(v_y / v_x),    heading = course - beta
 
-r: yaw rate, d_x: from the CG forward to the antenna. What is measured of the sideslip is then only what the file says,
-so stiffnesses, lever arm and misalignment cannot be identified from it: `DriveLog.sideslip_measured`.
+r: yaw rate, d_x: from the CG forward to the antenna. The sideslip is then not measured but follows from the file, so
+stiffnesses, lever arm and misalignment cannot be identified from it: `DriveLog.sideslip_measured`.
 Checked by: test_sideslip.py.
 """
 
@@ -26,8 +26,9 @@ RATE_WIDTH_NS = 200_000_000
 """ns over which the yaw rate is averaged: one that is derived from the course is noisy."""
 MAX_DERIVATIVE_ERROR = 1e-6  # rad/s; a gyroscope differs by its noise
 MAX_COURSE_ERROR = 0.0015
-"""rad, root mean square of what depends on the yaw rate in direction of the displacement minus yaw: more is sideslip.
-Genesis drives with the heading of the INS: 0.003 (INS above the rear axle) to 0.03; courses of a GNSS: to 0.0004."""
+"""rad, root mean square of the part of (direction of the displacement - yaw) that depends on the yaw rate; more is
+sideslip. Genesis drives with the heading of the INS: 0.003 (INS above the rear axle) to 0.03; courses of a GNSS: to
+0.0004."""
 
 
 def steady_velocity_y(log: DriveLog, vehicle: VehicleParameters) -> np.ndarray:
@@ -37,7 +38,7 @@ def steady_velocity_y(log: DriveLog, vehicle: VehicleParameters) -> np.ndarray:
 
 
 def with_steady_sideslip(log: DriveLog, vehicle: VehicleParameters) -> DriveLog:
-    """The drive with heading and lateral velocity of steady cornering, where its yaw is the course; else the drive."""
+    """The drive with heading and lateral velocity of steady cornering, if its yaw is the course; else unchanged."""
     if log.velocity_y.any() or len(log.ins_time_ns) < 3:
         return log
     fast = log.velocity_x > MIN_SPEED
@@ -59,20 +60,20 @@ def _derivative(log: DriveLog, yaw: np.ndarray) -> np.ndarray:
 
 
 def _is_derived(log: DriveLog) -> bool:
-    """Whether the yaw rate is the derivative of yaw, but next to samples left out: no gyroscope was recorded."""
+    """Whether the yaw rate is the derivative of yaw, except at gaps: no gyroscope was recorded."""
     return float(np.median(np.abs(_derivative(log, log.yaw) - log.yaw_rate))) < MAX_DERIVATIVE_ERROR
 
 
 def _is_course(log: DriveLog, yaw_rate: np.ndarray, fast: np.ndarray) -> bool:
-    """Whether yaw is the direction of the displacement. Any sideslip at a fixed point is a r / v + b r v, nearly."""
+    """Whether yaw is the direction of the displacement. Sideslip anywhere on the car is nearly a r / v + b r v."""
     time = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
     ends = time - 0.5 * COURSE_TIME, time + 0.5 * COURSE_TIME
     east, north = (np.subtract(*(np.interp(t, time, values) for t in ends[::-1])) for values in (log.x, log.y))
     use = fast & (ends[0] >= time[0]) & (ends[1] <= time[-1]) & (np.hypot(east, north) > MIN_SPEED * COURSE_TIME)
     if not use.any():
         return False
-    apart = wrap_angle(np.arctan2(north, east) - log.yaw)[use]
+    difference = wrap_angle(np.arctan2(north, east) - log.yaw)[use]
     rate, speed = yaw_rate[use], log.velocity_x[use]
     regressors = np.stack([rate / speed, rate * speed, np.ones_like(rate)], axis=1)
-    coefficients = np.linalg.lstsq(regressors, apart, rcond=None)[0]
+    coefficients = np.linalg.lstsq(regressors, difference, rcond=None)[0]
     return float(np.std(regressors @ coefficients)) < MAX_COURSE_ERROR

@@ -97,30 +97,30 @@ def _shared(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int,
     """Runs one after the other in a block; the columns that a window extends into are unused between them."""
     pieces = []
     for rows, spacing, cover in runs:
-        place = (starts_ns[rows] - starts_ns[rows.start]) // (int(instants_ns[1]) * spacing)
+        column = (starts_ns[rows] - starts_ns[rows.start]) // (int(instants_ns[1]) * spacing)
         for first in range(0, cover, SHARED_BLOCK):
-            begin, end = np.searchsorted(place, (first, first + SHARED_BLOCK))
-            pieces.append((slice(rows.start + int(begin), rows.start + int(end)), spacing, place[begin:end] - first,
+            begin, end = np.searchsorted(column, (first, first + SHARED_BLOCK))
+            pieces.append((slice(rows.start + int(begin), rows.start + int(end)), spacing, column[begin:end] - first,
                            int(starts_ns[rows.start]) + first * int(instants_ns[1]) * spacing))
-    together: list[tuple] = []
+    group: list[tuple] = []
     number = 0
     for piece in pieces:
-        if together and (together[0][1] != piece[1] or sum(_wide(p, instants_ns) for p in (*together, piece))
+        if group and (group[0][1] != piece[1] or sum(_width(p, instants_ns) for p in (*group, piece))
                          > SHARED_BLOCK):
-            yield _joined(number, together, instants_ns, lanes)
-            together, number = [], number + 1
-        together.append(piece)
-    yield _joined(number, together, instants_ns, lanes)
+            yield _joined(number, group, instants_ns, lanes)
+            group, number = [], number + 1
+        group.append(piece)
+    yield _joined(number, group, instants_ns, lanes)
 
 
-def _wide(piece: tuple, instants_ns: np.ndarray) -> int:
-    _, spacing, place, _ = piece
-    return int(place[-1]) + 1 + _reach(spacing, instants_ns)
+def _width(piece: tuple, instants_ns: np.ndarray) -> int:
+    _, spacing, column, _ = piece
+    return int(column[-1]) + 1 + _reach(spacing, instants_ns)
 
 
 def _joined(number: int, pieces: list[tuple], instants_ns: np.ndarray, lanes: int) -> Block:
     half, spacing = int(instants_ns[1]), pieces[0][1]
-    width = [_wide(piece, instants_ns) for piece in pieces]
+    width = [_width(piece, instants_ns) for piece in pieces]
     first = np.concatenate(([0], np.cumsum(width)))
     count = int(first[-1]) - _reach(spacing, instants_ns)
     columns = _padded(count, lanes)
@@ -128,7 +128,7 @@ def _joined(number: int, pieces: list[tuple], instants_ns: np.ndarray, lanes: in
     indices = sum(width)
     times = [origin + half * np.arange(w * spacing) for (*_, origin), w in zip(pieces, width, strict=True)]
     starts = np.concatenate([t[::spacing] for t in times])[:count]
-    selected = np.concatenate([place + f for (_, _, place, _), f in zip(pieces, first, strict=False)])
+    selected = np.concatenate([column + f for (_, _, column, _), f in zip(pieces, first, strict=False)])
     k = np.arange(len(instants_ns))
     return Block(number, slice(pieces[0][0].start, pieces[-1][0].stop), selected, starts, np.concatenate(times),
                  (k % spacing) * indices + k // spacing, columns, spacing)
@@ -140,9 +140,9 @@ def _own(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int) -> Iterator
     for number, first in enumerate(range(0, len(starts_ns), size)):
         starts = starts_ns[first:first + size]
         columns = _padded(len(starts), lanes)
-        made_up = np.pad(starts, (0, columns - len(starts)), mode="edge")
+        padded = np.pad(starts, (0, columns - len(starts)), mode="edge")
         yield Block(number, slice(first, first + len(starts)), np.arange(len(starts)), starts,
-                    instants_ns[:, None] + made_up, np.arange(count) * columns, columns)
+                    instants_ns[:, None] + padded, np.arange(count) * columns, columns)
 
 
 def _padded(count: int, lanes: int) -> int:

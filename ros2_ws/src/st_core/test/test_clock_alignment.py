@@ -145,7 +145,7 @@ def test_a_clock_that_was_set_on_the_way_is_found(step: float, verdict: str) -> 
 def test_constant_signals_are_refused() -> None:
     time = nanoseconds(np.arange(0, 100, 0.01))
     steady = np.full(len(time), 20.0) + np.random.default_rng(8).normal(0, 0.005, len(time))
-    result = align([SharedSignal("speed", time, steady, time, steady, smallest=0.3)])
+    result = align([SharedSignal("speed", time, steady, time, steady, min_deviation=0.3)])
     assert result.verdict is Verdict.REFUSED
     assert "hardly varies" in result.reasons[0]
     assert align([]).reasons == ("the recordings share no signal",)

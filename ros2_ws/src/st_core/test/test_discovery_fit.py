@@ -97,7 +97,7 @@ def test_scale_is_what_two_thirds_of_the_errors_are_below():
 
 def test_scale_stops_at_the_resolution_of_the_sensors():
     problem = small_noise(linear_problem(FEW, {}, 1), 1e-9)
-    smallest = [OF_COLUMN[column].smallest for column in COLUMNS] * 4
+    smallest = [OF_COLUMN[column].resolution for column in COLUMNS] * 4
     np.testing.assert_array_equal(problem.loss.scale, smallest)
 
 

@@ -34,7 +34,7 @@ def load_model(name: str, vehicle: VehicleParameters, origin: str, requested: bo
     """
     if not name.endswith((".yaml", ".yml")):
         if name not in MODELS:
-            raise ConfigurationError(f"{name}: there are {', '.join(MODELS)}, or a model file (.yaml)")
+            raise ConfigurationError(f"{name}: unknown model; use {', '.join(MODELS)} or a model file (.yaml)")
         return get_model(name), vehicle
     file = ModelFile.from_yaml(Path(name).read_text(encoding="utf-8"), name)
     if requested or file.vehicle is None:
@@ -65,8 +65,8 @@ def export(model: Model, vehicle: VehicleParameters, folder: Path, kind: Format,
         found = {(mode, level): band for (name, mode), band in bands.bands.items() if name == model.name
                  for level in band.factors if level in LEVELS}
         if not found:
-            raise ConfigurationError(f"bands: none of {model.name}, only of {', '.join(bands.models)}; calibrate with "
-                                     "it")
+            raise ConfigurationError(f"the bands have no entry for model {model.name}, only for "
+                                     f"{', '.join(bands.models)}; calibrate them with --model {model.name}")
         for (mode, level), band in found.items():
             name = f"{model.name}_band_{mode}_{100 * level:.0f}"
             files.append(folder / f"{name}.casadi")

@@ -1,4 +1,4 @@
-"""Report pages: one template for all of them. Nothing is loaded, every name is escaped."""
+"""Report pages: one template for all of them. A page loads no other file; every name is escaped."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from .checking import check_report
 DARK = {"kinematic": "#6cb4ee", "linear": "#ffa657", "nonlinear": "#d08be0", "augmented": "#3fd0a4"}
 
 
-WORDS = 30  # letters; a column of longer texts wraps
+MAX_UNWRAPPED = 30  # letters; a column with a longer text wraps
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ def columns(head: Sequence[str], rows: Iterable[Sequence[Any]], names: int) -> l
     for k, (title, cells) in enumerate(zip(head, zip(*rows, strict=True), strict=True)):
         texts = [str(cell) for cell in cells]
         if any(text not in ("", "-") for text in texts):
-            long, text = max(map(len, texts)) > WORDS, k < names or any(one[:1].isalpha() for one in texts)
+            long, text = max(map(len, texts)) > MAX_UNWRAPPED, k < names or any(one[:1].isalpha() for one in texts)
             found.append((title, "words" if long else "name" if text else "", cells))
     return found
 

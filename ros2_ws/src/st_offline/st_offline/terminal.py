@@ -15,7 +15,7 @@ def progress_bars(console: Console) -> Progress:
 
 
 def rows_table(rows: Sequence[Mapping[str, str]], **options) -> Table:
-    """Columns by the titles of the rows. options: of rich's Table."""
+    """Table with the keys of the first row as titles. options: of rich's Table."""
     table = Table(box=None, **options)
     for title in rows[0] if rows else ():
         # Names of models are short identifiers: broken in two they cannot be copied.

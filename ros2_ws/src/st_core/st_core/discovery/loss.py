@@ -86,7 +86,7 @@ class Loss:
         self.errors, self.space = errors, errors.space
         self.known = errors.windows.known & np.isfinite(errors.at(at)).any(axis=1)[:, None]
         self.number = int(self.known.sum())
-        self.smallest = np.tile([OF_COLUMN[c].smallest for c in errors.windows.columns], len(errors.windows.time))
+        self.resolution = np.tile([OF_COLUMN[c].resolution for c in errors.windows.columns], len(errors.windows.time))
         self.scale = self.scale_of(at)
 
     def scale_of(self, vector: np.ndarray) -> np.ndarray:
@@ -95,7 +95,7 @@ class Loss:
         rows[self.known & ~np.isfinite(rows)] = np.inf
         with np.errstate(all="ignore"):
             size = np.nanquantile(rows, 0.683, axis=0)
-        return np.clip(np.nan_to_num(size, nan=1.0, posinf=1e3), self.smallest, 1e3)
+        return np.clip(np.nan_to_num(size, nan=1.0, posinf=1e3), self.resolution, 1e3)
 
     def rescale(self, vector: np.ndarray) -> None:
         self.scale = self.scale_of(vector)

@@ -69,7 +69,7 @@ class RunWindows(Windows):
         super().__init__(runs, vehicle, settings)
         if len(self):
             time_ns = self.joined.ins_time_ns
-            self._batch.others["run_time"] = time_ns, run_time(self, time_ns)
+            self._batch.extra_signals["run_time"] = time_ns, run_time(self, time_ns)
 
 
 class RelationFits:

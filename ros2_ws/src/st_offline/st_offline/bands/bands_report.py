@@ -62,7 +62,7 @@ def band_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
             worst, widths = one["worst_cell"], list((one["half_width"].get(top) or {}).values())
             scores, crps = one["interval_score"].get(top), one["crps"]
             rows.append({
-                "model": model, "question": {"hindsight": "model", "forecast": "forecast"}[mode],
+                "model": model, "inputs": mode,
                 "starts": str(one["starts"]), "no band": str(one["without_band"]),
                 "50 % covers": _share(one["coverage"].get("0.5")),
                 f"{_percent(top)} covers": _share(one["coverage"].get(top)),
@@ -114,7 +114,7 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
         content = finished(pooled)
         rows = band_rows(content)
         for title, columns in _terminal_tables(_top_level(content)).items():
-            shown = [{column: row[column] for column in ("model", "question", *columns)} for row in rows]
+            shown = [{column: row[column] for column in ("model", "inputs", *columns)} for row in rows]
             console.print(rows_table(shown, title=title, width=min(console.width, 120)), highlight=False)
         if known := content["known_recordings"]:
             line(f"[yellow]{len(known)} of the files were used for calibration: not a test of the bands[/yellow]",

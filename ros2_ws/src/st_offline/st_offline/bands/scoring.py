@@ -34,7 +34,7 @@ class Scorer:
             scored = np.isfinite(errors).all(axis=(1, 2))
             rows = scored & inside
             band = self._bands.bands[model, mode]
-            entry = question_sums(band, conditions[rows], to_predicted_frame(errors[rows][:, 1:]))
+            entry = band_sums(band, conditions[rows], to_predicted_frame(errors[rows][:, 1:]))
             entry["without_band"] = int((scored & ~inside).sum())
             self._sums.append({"models": {model: {mode: entry}}})
 
@@ -64,9 +64,9 @@ class AdaptiveScorer:
         conditions = conditions_at(self._signals, starts_ns)
         inside = np.isfinite(conditions).all(axis=1) if self._bands is None else self._bands.domain(conditions)
         late = (starts_ns - self._first) * 1e-9 >= self.LATE
-        for question, errors in block.errors.items():
-            band = None if self._bands is None else self._bands.bands.get(question)
-            adaptive = self._adaptive.setdefault(question, AdaptiveBand(self._time, band, LEVELS))
+        for key, errors in block.errors.items():
+            band = None if self._bands is None else self._bands.bands.get(key)
+            adaptive = self._adaptive.setdefault(key, AdaptiveBand(self._time, band, LEVELS))
             rotated = to_predicted_frame(errors[inside][:, 1:])
             factors, scales = adaptive.follow(starts_ns[inside], conditions[inside], rotated)
             scored = np.isfinite(rotated).all(axis=(1, 2))
@@ -76,7 +76,7 @@ class AdaptiveScorer:
             entry = {"starts": len(score), "coverage": {key: int(one.sum()) for key, one in covered.items()},
                      "late_starts": int(late_rows.sum()),
                      "late_coverage": {key: int(one[late_rows].sum()) for key, one in covered.items()}}
-            self._sums.append({question[0]: {question[1]: entry}})
+            self._sums.append({key[0]: {key[1]: entry}})
 
     def sums(self) -> Sums:
         """{"adaptive": {model: {mode: counts}}}."""
@@ -90,13 +90,13 @@ def finished_adaptive(sums: Sums) -> dict[str, Any]:
                     for mode, one in modes.items()} for model, modes in sums.get("adaptive", {}).items()}
 
 
-def shown_levels(band: Band) -> list[float]:
+def scored_levels(band: Band) -> list[float]:
     """Levels that are scored: those of LEVELS; of a band from too few runs for the last, its highest below that."""
     return sorted({*(level for level in LEVELS if level in band.factors),
                    max(level for level in band.factors if level <= LEVELS[-1])})
 
 
-def question_sums(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sums:
+def band_sums(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sums:
     """Sums over starts with a band. conditions: (n, 4); errors: (n, points, 3) in the predicted frame, without the
     start.
 
@@ -108,7 +108,7 @@ def question_sums(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sum
 
     scale, size = band.scale(conditions), np.abs(errors)
     ratio = size / scale
-    time, levels = band.scale.time, shown_levels(band)
+    time, levels = band.scale.time, scored_levels(band)
     # Rounded: 20 steps of 0.05 s are 1.0000000000000002 s.
     second = np.ceil(np.round(time, 6)).astype(int)
     whole = [k for k in range(len(time)) if abs(time[k] - round(time[k])) < 1e-6]

@@ -72,11 +72,11 @@ def unit_symbol(text: str) -> str:
     return "" if text == "1" else text.replace("^2", "²")
 
 
-def format_value(value: float | None, interval: Sequence[float] | None = None, of: str = "1") -> str:
+def format_value(value: float | None, interval: Sequence[float] | None = None, unit: str = "1") -> str:
     """An estimate with the significant digits of its interval, such as "57.30 ± 0.02 m"; empty for none."""
     if value is None:
         return ""
-    ending = f" {unit_symbol(of)}" if unit_symbol(of) else ""
+    ending = f" {unit_symbol(unit)}" if unit_symbol(unit) else ""
     if interval is None or not interval[1] > interval[0]:
         return f"{value:.4g}{ending}"
     low, high = value - interval[0], interval[1] - value
@@ -89,8 +89,8 @@ def format_value(value: float | None, interval: Sequence[float] | None = None, o
 def format_quantity(name: str, value: Sequence[float]) -> str:
     """An estimate (value, low, high) as text, by the name of the finding it would be."""
     kind = name.rpartition("_")[2]
-    of = QUANTITY_UNITS.get(name, "s" if kind == "lag" else "1")
-    return format_value(value[0], value[1:], of)
+    unit = QUANTITY_UNITS.get(name, "s" if kind == "lag" else "1")
+    return format_value(value[0], value[1:], unit)
 
 
 def describe_stretches(finding: Finding) -> str:

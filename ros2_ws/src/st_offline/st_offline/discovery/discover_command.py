@@ -45,7 +45,7 @@ def run_command(request: Request, console: Console) -> int:
         drives, healthy = _read(request, progress)
         request = replace(request, drives=drives, healthy=healthy, own_effects=own)
         marks.append(time.perf_counter())
-        found, earlier = _answer(request, base, progress)
+        found, from_cache = _answer(request, base, progress)
         request = replace(request, drives=[replace(d, log=delayed([d.log], found.clock_errors)[0]) if d.log else d
                                            for d in drives])
         marks.append(time.perf_counter())
@@ -70,7 +70,7 @@ def run_command(request: Request, console: Console) -> int:
         report = relation_report(relations, found, request.vehicle, str(folder)) if relations else None
         files = write_results(found, request, update, folder, drawn, seconds, relations, report)
     recordings = (*drives, *healthy)
-    show(found, update, recordings, files, earlier, console, report)
+    show(found, update, recordings, files, from_cache, console, report)
     return 1 if any(d.problem for d in recordings) else 0
 
 
@@ -86,7 +86,7 @@ def base_model(name: str, vehicle: VehicleParameters, vehicle_file: str) -> Mode
     """The base model of a name or a model file. Raises ConfigurationError."""
     if not name.endswith((".yaml", ".yml")):
         if name not in MODELS:
-            raise ConfigurationError(f"--base {name}: there are {', '.join(MODELS)}, or a model file (.yaml)")
+            raise ConfigurationError(f"--base {name}: unknown model; use {', '.join(MODELS)} or a model file (.yaml)")
         return get_model(name)
     try:
         text = Path(name).read_text(encoding="utf-8")

@@ -126,7 +126,7 @@ def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Tabl
     metres = quantities.metres
     channels = []
     for name, g in sorted(found.gap.items(), key=lambda item: item[1].augmented / max(item[1].base, 1e-12)):
-        up, unit = quantities.factor(g.unit), quantities.shown_unit(g.unit)
+        up, unit = quantities.factor(g.unit), quantities.display_unit(g.unit)
         base, after, floor, worst, low, high = (f"{up * x:.3g}" for x in (
             g.base, g.augmented, g.floor, g.worst, *g.interval))
         channels.append((f"{quantities.channel(name)}, {unit}", base, after, f"{low} to {high}", floor,
@@ -202,10 +202,10 @@ MAX_ADVICE = 3  # sentences on the terminal; the page has all
 
 
 def show(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Drive], files: Mapping[str, Path],
-         earlier: bool, console: Console, relation: RelationReport | None = None) -> None:
+         from_cache: bool, console: Console, relation: RelationReport | None = None) -> None:
     """Print the answer, the values of its effects, what to do, and the files.
 
-    recordings: all runs, with those that could not be used. earlier: the answer is from the cache. relation: the
+    recordings: all runs, with those that could not be used. from_cache: whether the answer is. relation: the
     search for a relation beyond the library.
     """
     def print_line(name: str, text: str) -> None:
@@ -230,6 +230,6 @@ def show(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Dr
     for drive in recordings:
         if drive.problem:
             report_problem(drive.name, drive.problem, console)
-    if earlier:
+    if from_cache:
         console.print("[dim]Cached answer to the same inputs; --fresh repeats the search.[/dim]")
     list_files({file: FILE_MEANINGS[name] for name, file in files.items()}, console)

@@ -148,7 +148,7 @@ def maps(scene: Scene) -> Drawn | None:
             axes.set_xlabel("east, m")
         panels[0][0].set_ylabel("north, m")
         bar = figure.colorbar(points, ax=list(panels[0]))
-        bar.set_label(f"{quantities.channel(scene.channel)} error, {quantities.shown_unit(unit)}")
+        bar.set_label(f"{quantities.channel(scene.channel)} error, {quantities.display_unit(unit)}")
         title = f"{log.name}: where on the track the {quantities.channel(scene.channel)} is wrong"
         return finish(figure, scene.output, "map", title, "Every point is one prediction, coloured by its error; the "
                       "same colours on both sides.")
@@ -265,4 +265,4 @@ def relation_figure(one: Relation, output: FigureOutput) -> Drawn:
 
 def display_unit(unit: str) -> tuple[float, str]:
     """(factor, unit) in which a curve is drawn."""
-    return (100.0, "%") if unit == "1" else (quantities.factor(unit), quantities.shown_unit(unit))
+    return (100.0, "%") if unit == "1" else (quantities.factor(unit), quantities.display_unit(unit))

@@ -20,7 +20,7 @@ def factor(unit: str) -> float:
     return _DISPLAY.get(unit, ("", 1.0))[1]
 
 
-def shown_unit(unit: str) -> str:
+def display_unit(unit: str) -> str:
     """The unit of reports."""
     return _DISPLAY.get(unit, (unit.replace("^2", "²"), 1.0))[0]
 
@@ -36,9 +36,9 @@ def plain(name: str) -> str:
 
 
 def with_unit(number: str, unit: str) -> str:
-    """unit: SI; angles are shown in degrees."""
-    shown = "" if unit == "1" else shown_unit(unit)
-    return f"{number}{'' if not shown or shown.startswith('°') else ' '}{shown}"
+    """unit: SI; angles in degrees."""
+    text = "" if unit == "1" else display_unit(unit)
+    return f"{number}{'' if not text or text.startswith('°') else ' '}{text}"
 
 
 def size(value: float, unit: str) -> str:
@@ -68,13 +68,14 @@ def decimal(number: float, decimals: int) -> str:
     return f"{number:.{max(significant, 1)}g}"
 
 
-def value(p: FittedParameter, of: Parameter | None = None, interval: bool = True) -> str:
+def value(p: FittedParameter, parameter: Parameter | None = None, interval: bool = True) -> str:
     """Value and 95 % interval, in significant digits; with the null 1 as a factor.
 
-    of: the parameter of the effect; a value on one of its bounds is reported as such. The interval may cross a bound.
+    parameter: that of the effect; a value on one of its bounds is reported as such. The interval may cross a bound.
     """
-    usual = abs(of.initial - of.null) if of else 0.0
-    edges = [] if of is None or of.shape else [edge for edge in of.bounds if edge not in (of.null, of.theory)]
+    usual = abs(parameter.initial - parameter.null) if parameter else 0.0
+    edges = [] if parameter is None or parameter.shape else [
+        edge for edge in parameter.bounds if edge not in (parameter.null, parameter.theory)]
     number, *ends = (decimal(x * factor(p.unit), digits(p)) for x in (p.value, *p.interval))
     text = f"× {number}" if p.unit == "1" and p.null == 1.0 else with_unit(number, p.unit)
     on_bound = " on its bound" if any(abs(p.value - edge) < ON_BOUND * usual for edge in edges) else ""
@@ -100,15 +101,15 @@ def fitted(name: str, numbers: Mapping[str, float]) -> str:
     for key, number in numbers.items():
         unit, null = (known[key].unit, known[key].null) if key in known else ("1", 0.0)
         decimals = max(2, 1 - math.floor(math.log10(abs(number - null)))) if number != null else 2
-        shown = (f"× {number:.{decimals}f}" if (unit, null) == ("1", 1.0) else
-                 with_unit(f"{float(f'{number * factor(unit):.2g}'):g}", unit))
-        texts.append(f"{plain(key) + ' ' if len(numbers) > 1 else ''}{shown}")
+        text = (f"× {number:.{decimals}f}" if (unit, null) == ("1", 1.0) else
+                with_unit(f"{float(f'{number * factor(unit):.2g}'):g}", unit))
+        texts.append(f"{plain(key) + ' ' if len(numbers) > 1 else ''}{text}")
     return ", ".join(texts)
 
 
-def change(size_of: float, unit: str) -> str:
+def change(deviation: float, unit: str) -> str:
     """A deviation from null: factors in per cent."""
-    return f"{100 * abs(size_of):.2g} %" if unit == "1" else size(abs(size_of), unit)
+    return f"{100 * abs(deviation):.2g} %" if unit == "1" else size(abs(deviation), unit)
 
 
 TERMS = {

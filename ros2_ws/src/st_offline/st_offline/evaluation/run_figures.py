@@ -131,9 +131,9 @@ def _measured_path(axes: plt.Axes, drawing: Drawing, start_ns: int, length: floa
     half = 0.5 * max(np.ptp(x), np.ptp(y)) * 1.15 + 2.0
     middle = 0.5 * (x.min() + x.max()), 0.5 * (y.min() + y.max())
     near = (np.abs(log.x - middle[0]) < half) & (np.abs(log.y - middle[1]) < half)
-    shown = np.flatnonzero(near)[:: max(1, int(near.sum()) // 400)]
-    passes = np.flatnonzero(np.diff(np.cumsum(~near)[shown])) + 1  # it was elsewhere in between
-    axes.plot(*(np.insert(v[shown], passes, np.nan) for v in (log.x, log.y)), color=MEASURED_COLOUR, lw=0.8, alpha=0.5)
+    drawn = np.flatnonzero(near)[:: max(1, int(near.sum()) // 400)]
+    passes = np.flatnonzero(np.diff(np.cumsum(~near)[drawn])) + 1  # it was elsewhere in between
+    axes.plot(*(np.insert(v[drawn], passes, np.nan) for v in (log.x, log.y)), color=MEASURED_COLOUR, lw=0.8, alpha=0.5)
     every = max(1, len(log.x[around]) // 200)
     axes.plot(log.x[around][::every], log.y[around][::every], color=MEASURED_COLOUR, lw=1.2)
     every = max(1, len(x) // 100)
@@ -239,7 +239,7 @@ def slip(drawing: Drawing) -> Drawn | None:
             grid[0, column].plot(evaluation.horizon, np.degrees(slips[column]), **drawing.line(model.name))
             grid[1, column].plot(evaluation.horizon, forces[column] / 1000.0, **drawing.line(model.name))
         front, rear = (f"{np.degrees(s[-1]):.2f}°" for s in slips)
-        ends.append(f"{model.name} {front} in front and {rear} behind, {1e-3 * sum(f[-1] for f in forces):.1f} kN")
+        ends.append(f"{model.name} {front} front and {rear} rear slip, {1e-3 * sum(f[-1] for f in forces):.1f} kN")
     for column, axle in enumerate(AXLES):
         for axes in grid[:, column]:
             axes.axhline(0, color=TEXT, lw=0.6)

@@ -163,8 +163,8 @@ def _ellipse(axes: plt.Axes, found: Identification, pair: Sequence[Estimate]) ->
     """95 % region of two estimates by the covariance of the fit."""
     data, names = found.figure, [e.parameter for e in pair]
     index = [data["names"].index(name) for name in names]
-    values, axes_of = np.linalg.eigh(data["covariance"][np.ix_(index, index)])
-    size = axes_of * np.sqrt(chi2.ppf(0.95, 2) * np.maximum(values, 0.0))
+    values, directions = np.linalg.eigh(data["covariance"][np.ix_(index, index)])
+    size = directions * np.sqrt(chi2.ppf(0.95, 2) * np.maximum(values, 0.0))
     angle = np.linspace(0.0, 2.0 * np.pi, 121)
     x, y = size @ np.stack([np.cos(angle), np.sin(angle)])
     axes.plot((pair[0].value + x) * _unit(names[0])[0], (pair[1].value + y) * _unit(names[1])[0], color=BETTER, lw=1,
@@ -207,7 +207,7 @@ def experiment(name: str, what: str, needs: str, compute: Callable[..., Identifi
     """Experiment from drives. compute: function of (logs, vehicle); predicts: whether it also takes a model, base."""
     def identify(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
         if not predicts and setup.model is not MODELS["nonlinear"]:
-            raise IdentificationError(f"{name} predicts nothing, so it has no use for a --model")
+            raise IdentificationError(f"{name} uses no model: remove --model")
         logs: list[DriveLog] = []
         failed: dict[str, Exception] = {}
         warnings: dict[str, None] = {}  # each once, in order

@@ -155,7 +155,7 @@ def _is_moving(time_ns: np.ndarray, speed_time_ns: np.ndarray, speed: np.ndarray
 
 def _opposite_sign_note(pairs: list[SharedSignal], result: Alignment, search: tuple[float, float] | None) -> str:
     """Reports that the opposite sign of the steering would explain a refusal; empty where it does not."""
-    if result.verdict is not Verdict.REFUSED or pairs[0].smallest != MIN_VARIATION["curvature"]:
+    if result.verdict is not Verdict.REFUSED or pairs[0].min_deviation != MIN_VARIATION["curvature"]:
         return ""
     opposite = align([replace(pairs[0], other=-pairs[0].other)], search=search)
     return "" if opposite.verdict is Verdict.REFUSED else (
