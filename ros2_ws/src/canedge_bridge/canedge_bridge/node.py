@@ -11,14 +11,13 @@ from types import SimpleNamespace
 import can
 import rclpy
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from st_core.errors import StCoreError
 from st_core.vehicle import VehicleParameters
 from st_msgs.msg import CanFrames, InsOnCan, Steering, WheelSpeeds
 from st_ros import parameters, spin
 from st_ros.diagnostics import Diagnostics
 from st_ros.parameters import ConfigurationError, Parameter
-from st_ros.polling import OnDemandPublisher, from_nanoseconds
+from st_ros.polling import SAMPLE_QOS, OnDemandPublisher, from_nanoseconds
 from std_msgs.msg import Header
 
 from .decode import Decoded, Decoder, SteeringCalibration
@@ -27,8 +26,6 @@ from .receiver import BusState, Receiver
 from .table_reader import TableError
 from .transport import check_channel, id_filters, open_bus
 
-# Depth: four seconds at 250 Hz, which a subscriber that was blocked (busy machine, suspended laptop) still receives.
-QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 FRAMES_PERIOD = 0.1  # s; raw frames are not time-critical
 
 _LITTLE_ENDIAN = b"\0\1\0\0"  # header of a CDR message
@@ -71,13 +68,13 @@ class CanedgeBridge(Node):
         self._decoder = _make_decoder(settings)
         self._calibration = self._make_calibration()
         self._latency_ns = round(settings.steering_latency * 1e9)
-        self._steering = self.create_publisher(Steering, "vehicle/steering", QOS)
-        self._wheel_speeds = OnDemandPublisher(self.create_publisher(WheelSpeeds, "vehicle/wheel_speeds", QOS))
-        self._ins_on_can = OnDemandPublisher(self.create_publisher(InsOnCan, "vehicle/ins_on_can", QOS))
+        self._steering = self.create_publisher(Steering, "vehicle/steering", SAMPLE_QOS)
+        self._wheel_speeds = OnDemandPublisher(self.create_publisher(WheelSpeeds, "vehicle/wheel_speeds", SAMPLE_QOS))
+        self._ins_on_can = OnDemandPublisher(self.create_publisher(InsOnCan, "vehicle/ins_on_can", SAMPLE_QOS))
         self._frames: list[bytes] = []
         self._frames_lock = threading.Lock()
         if settings.publish_frames:
-            self._can_frames = self.create_publisher(CanFrames, "can/frames", QOS)
+            self._can_frames = self.create_publisher(CanFrames, "can/frames", SAMPLE_QOS)
             self._frames_timer = self.create_timer(FRAMES_PERIOD, self._publish_frames)
         self._receiver = Receiver(
             self._open, self._on_frame, on_state=self._on_state, on_error=self._on_error,

@@ -12,11 +12,11 @@ from geometry_msgs.msg import TransformStamped, TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus, TimeReference
 from st_msgs.msg import InsStatus, Ncom, Trigger
-from st_ros.polling import OnDemandPublisher
+from st_ros.polling import LATCHED, SAMPLE_QOS, OnDemandPublisher
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
@@ -31,10 +31,6 @@ from .stream import Received
 UNKNOWN_VARIANCE = 1e6
 _UNKNOWN_BLOCK = (UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, UNKNOWN_VARIANCE)
 
-# Depth: four seconds at 250 Hz, so that a briefly blocked subscriber (busy machine, suspended laptop) loses nothing.
-QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
-TF_QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
-LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 TYPES = {"ncom": Ncom, "odometry": Odometry, "imu": Imu, "nav_sat_fix": NavSatFix,
          "velocity": TwistWithCovarianceStamped, "time_reference": TimeReference, "trigger": Trigger}
 
@@ -49,12 +45,12 @@ class Publishers:
         self._node, self._settings = node, settings
         self._publishers: list[Publisher] = []
         self._out = {
-            name: OnDemandPublisher(self._create(type_, f"ins/{name}", QOS) if name in settings.topics else None)
+            name: OnDemandPublisher(self._create(type_, f"ins/{name}", SAMPLE_QOS) if name in settings.topics else None)
             for name, type_ in TYPES.items()
         }
         self._status = self._create(InsStatus, "ins/status", LATCHED) if "status" in settings.topics else None
         self._origin = self._create(NavSatFix, "ins/origin", LATCHED) if "origin" in settings.topics else None
-        self._tf = OnDemandPublisher(self._create(TFMessage, "/tf", TF_QOS) if settings.publish_tf else None)
+        self._tf = OnDemandPublisher(self._create(TFMessage, "/tf", 100) if settings.publish_tf else None)
         self._tf_static = self._create(TFMessage, "/tf_static", LATCHED) if settings.publish_tf else None
         self._clock = self._create(Clock, "/clock", 10) if settings.publish_clock else None
         frame = settings.ins_frame

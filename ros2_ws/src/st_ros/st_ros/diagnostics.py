@@ -10,6 +10,7 @@ from rclpy.node import Node
 from . import scheduling
 
 OK, WARN, ERROR, STALE = 0, 1, 2, 3
+PERIOD = 1.0  # s
 
 
 @dataclass(frozen=True)
@@ -23,15 +24,15 @@ class Check:
 
 
 class Diagnostics:
-    """Publishes the checks of `collect()` and the scheduling of the process, every `period` [s] of the node's clock."""
+    """Publishes the checks of `collect()` and the scheduling of the process, once a second of the node's clock."""
 
-    def __init__(self, node: Node, hardware_id: str, collect: Callable[[], list[Check]], period: float = 1.0):
+    def __init__(self, node: Node, hardware_id: str, collect: Callable[[], list[Check]]):
         self._node = node
         self._hardware_id = hardware_id
         self._collect = collect
         self._levels: dict[str, int] = {}
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._timer = node.create_timer(period, self.publish)
+        self._timer = node.create_timer(PERIOD, self.publish)
 
     def publish(self) -> None:
         message = DiagnosticArray()

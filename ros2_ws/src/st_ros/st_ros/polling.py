@@ -22,6 +22,8 @@ UNRESOLVED_PREFIX = "_NODE_NAME"
 UNRESOLVED_NODE = "a node without a name yet"
 # Interval between counts of a publisher's subscribers [s]: one count costs as much as filling a message.
 SUBSCRIBER_COUNT_PERIOD = 0.05
+# Depth: four seconds at 250 Hz, so that a briefly blocked subscriber (busy machine, suspended laptop) loses nothing.
+SAMPLE_QOS = QoSProfile(depth=1000)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # late subscribers get the newest message
 
 

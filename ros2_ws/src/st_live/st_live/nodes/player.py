@@ -28,8 +28,7 @@ from rosgraph_msgs.msg import Clock
 from st_msgs.msg import Prediction, PredictionError, PredictorStatus, Steering
 from st_recordings.runs.bag import definitions_folder
 from st_recordings.runs.cdr import typestore
-from st_recordings.runs.reconstruct import stamp_of as instant_of
-from st_recordings.runs.reconstruct import steering_value
+from st_recordings.runs.reconstruct import stamp_of, steering_value
 from st_recordings.runs.run_types import SteeringField
 from st_ros import spin
 from st_ros.polling import LATCHED, PolledSubscription, from_nanoseconds, message_class, wait_for_any
@@ -77,13 +76,13 @@ class Follower:
             wait_for_any(self._node, subscriptions, max(end - time.monotonic(), 0.0))
 
 
-def stamp_of(data: bytes) -> int:
+def header_stamp(data: bytes) -> int:
     """header.stamp [ns] of a serialised message that begins with a header."""
     seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
     return seconds * 1_000_000_000 + nanoseconds
 
 
-def issued_at_of(data: bytes) -> int:
+def issued_at(data: bytes) -> int:
     """issued_at [ns] of a serialised st_msgs/Prediction: the field after the header."""
     (length,) = struct.unpack_from("<I", data, 12)
     seconds, nanoseconds = struct.unpack_from("<iI", data, 16 + -(-length // 4) * 4)
@@ -108,9 +107,9 @@ class Player:
         self._clock = self._node.create_publisher(Clock, "/clock", QoSProfile(depth=DEPTH))
         self._followers = [] if self._rate > 0 else [
             # One tick ahead, so that exactly one is due. It ends with a prediction, or with a status if there is none.
-            Follower(self._node, {f"predictor/{options.models[-1]}/prediction": (Prediction, issued_at_of),
-                                  "predictor/status": (PredictorStatus, stamp_of)}, 1.0 / options.tick_rate),
-            Follower(self._node, {"evaluator/errors": (PredictionError, stamp_of)}, options.horizon + SCORE_DELAY),
+            Follower(self._node, {f"predictor/{options.models[-1]}/prediction": (Prediction, issued_at),
+                                  "predictor/status": (PredictorStatus, header_stamp)}, 1.0 / options.tick_rate),
+            Follower(self._node, {"evaluator/errors": (PredictionError, header_stamp)}, options.horizon + SCORE_DELAY),
         ]
         self._reported_at = 0.0
 
@@ -163,7 +162,7 @@ class Player:
         wheel = value if field.quantity == "wheel" else math.nan
         converted = Steering(steering_wheel_angle=wheel, road_wheel_angle=(value - self._offset) / self._ratio,
                               valid=math.isfinite(value))
-        converted.header.stamp = from_nanoseconds(instant_of(message, log_ns))
+        converted.header.stamp = from_nanoseconds(stamp_of(message, log_ns))
         return converted
 
     def _wait_for_subscribers(self, publishers: Sequence[Publisher]) -> bool:
