@@ -47,7 +47,7 @@ def manual_alignment(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal]
     if check.verdict is Verdict.REFUSED:
         return given
     difference = check.offset_ns * 1e-9 - offset
-    reason = f"the offset was given by hand; the shared signals put it {difference * 1e3:+.0f} ms away, mid-log"
+    reason = f"the offset was given by hand; the shared signals differ from it by {difference * 1e3:+.0f} ms, mid-log"
     close = abs(difference) < max(2 * check.offset_deviation, 0.01)
     return replace(given, verdict=Verdict.GOOD if close else Verdict.DOUBTFUL, reasons=(reason,), signals=check.signals,
                    peak=check.peak, second_peak=check.second_peak, overlap=check.overlap)
@@ -94,7 +94,7 @@ def _align_with_overlap(fine: Sequence[Pair], pairs: dict[float, list[Pair]], us
     span = (search[0] - epoch, search[1] - epoch) if search else (-np.inf, np.inf)
     coarse = coarse_offset(fine, needed, 2.0, span)
     if coarse is None:
-        return refused_alignment(*reasons, f"at no offset do the recordings share {needed:.0f} s of like motion")
+        return refused_alignment(*reasons, f"at no offset do the recordings share {needed:.0f} s of similar motion")
     (first, second), (r_first, r_second) = coarse
     # The fit is centred in the overlap, where offset and drift hardly correlate.
     low = max(min(p.other.origin for p in fine), min(p.reference.origin for p in fine) - first)
@@ -194,7 +194,7 @@ def _with_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other
         if abs(row.difference) > max(MAX_DISAGREEMENT, 3 * row.deviation):
             doubts.append(f"{row.name} alone gives an offset {row.difference * 1e3:+.1f} ms away")
     if abs(result.drift_ppm) - 2.0 * (result.drift_deviation or 0.0) > UNUSUAL_DRIFT_PPM:
-        doubts.append(f"a drift of {result.drift_ppm:.0f} ppm is more than two quartz clocks have")
+        doubts.append(f"a drift of {result.drift_ppm:.0f} ppm exceeds that of quartz clocks")
     lags = window_lags(pairs, solution.offset, STEP_SEARCH[weakest < GOOD_PEAK])
     step = find_clock_step(lags)
     if step:
@@ -279,7 +279,7 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
     A robust straight line (soft L1) through the medians per second.
     """
     if len(other_time_ns) < 2:
-        return refused_alignment("the time frames hold no time (the unit had not locked yet?)")
+        return refused_alignment("the time frames contain no time (the unit had not locked yet?)")
     if abs(int(other_time_ns[-1]) - int(other_time_ns[0])) * 1e-9 > MAX_SPAN:
         return refused_alignment("the log spans days: its clock was set during the recording")
     o0, r0 = int(other_time_ns[0]), int(reference_time_ns[0])
@@ -310,7 +310,7 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
         doubts.append(f"the time frames do not lie on one line: {residual[worst] * 1e3:+.0f} ms at "
                       f"{time[worst] - middle:+.0f} s from the middle (a clock was set?)")
     if abs(result.drift_ppm) - 2.0 * (result.drift_deviation or 0.0) > UNUSUAL_DRIFT_PPM:
-        doubts.append(f"a drift of {result.drift_ppm:.0f} ppm is more than two quartz clocks have")
+        doubts.append(f"a drift of {result.drift_ppm:.0f} ppm exceeds that of quartz clocks")
     return result.doubted(*doubts)
 
 

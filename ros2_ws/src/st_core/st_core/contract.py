@@ -66,7 +66,7 @@ def _check_null(effect: type[Effect], vehicle: VehicleParameters) -> str:
         model = neutral(active)
         off = float(np.abs(_predict_floats(model, vehicle) - _predict_floats(base, vehicle)).max())
         if np.isnan(off) or off > 0.0:
-            return f"at null the {base.name} model moves by {off:.3g}; the path must be the base's to the last bit"
+            return f"at null the path of the {base.name} model changes by {off:.3g}; it must be equal to the last bit"
         readings = model.observe(READING), model.correct(READING)
         if readings != (READING, READING) or model.effective_vehicle(vehicle) != vehicle:
             return "at null a reading or the car is changed"
@@ -153,12 +153,12 @@ def _check_correction(effect: type[Effect], vehicle: VehicleParameters) -> str:
     if effect.observe is None:
         return ""
     _, model = next(_models(effect))
-    shown = np.array(model.observe(READING), float)
-    back = np.array(model.correct(Measured(*shown)), float)
-    error, change = np.abs(back - READING).max(), np.abs(shown - READING).max()
+    observed = np.array(model.observe(READING), float)
+    back = np.array(model.correct(Measured(*observed)), float)
+    error, change = np.abs(back - READING).max(), np.abs(observed - READING).max()
     if error <= CORRECTION_RESIDUAL * change:
         return ""
-    return f"{error:.3g} of the {change:.3g} by observe() remain after correct()"
+    return f"observe() changes a reading by {change:.3g}, of which {error:.3g} remain after correct()"
 
 
 REQUIREMENTS = {

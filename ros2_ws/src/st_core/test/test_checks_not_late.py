@@ -45,7 +45,7 @@ def test_what_repeats_but_once_in_a_while_differs_keeps_its_one_lag():
         return np.sin(2.0 * np.pi * t) * (1.0 + 0.5 * np.sin(t / 3.0)) + 0.5 * np.sin(t / 1.3)
     measured = varied(time - 0.9) + 0.1 * np.random.default_rng(0).standard_normal(len(time))
     found = agreement(time, varied(time), time, measured, 1.5)
-    assert found.lag.value == pytest.approx(0.9, abs=0.01) and found.others == ()
+    assert found.lag.value == pytest.approx(0.9, abs=0.01) and found.other_lags == ()
 
 
 @pytest.mark.parametrize("period", [1.03, 0.71])
@@ -56,7 +56,7 @@ def test_a_period_beside_the_grid_of_the_search_decides_nothing(period):
         found = agreement(time, np.sin(2.0 * np.pi * time / period), time,
                           np.sin(2.0 * np.pi * (time - 0.023) / period) + noise, 1.5)
         assert found.lag.value == pytest.approx(0.023, abs=0.005)
-        periods = (np.array(found.others) - 0.023) / period
+        periods = (np.array(found.other_lags) - 0.023) / period
         assert len(periods) and np.abs(periods - np.round(periods)).max() < 0.01 and np.abs(periods).min() > 0.5
 
 

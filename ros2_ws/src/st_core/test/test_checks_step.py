@@ -56,7 +56,7 @@ def test_the_value_told_cures_it(car, log, name, lighter):
             continue
         if finding.advice.kind == "vehicle":
             assert printed(finding) == finding.value and finding.unit == "m/s"
-            assert ("run st discover again" in finding.advice.line) is not isinstance(model, str)
+            assert ("rerun st discover" in finding.advice.line) is not isinstance(model, str)
             corrected = replace(stiff, minimum_slip_speed=printed(finding))
             assert step_too_long([model], corrected, log, STEP) is None
             findings += 1

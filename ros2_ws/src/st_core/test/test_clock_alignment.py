@@ -196,7 +196,7 @@ def test_an_offset_given_by_hand_is_kept_and_commented_on() -> None:
     right, wrong = (manual_alignment(offset, EPOCH_NS, signals) for offset in (2_001_000_000, 1_600_000_000))
     assert (right.verdict, right.offset_ns) == (Verdict.GOOD, 2_001_000_000)
     assert (wrong.verdict, wrong.offset_ns) == (Verdict.DOUBTFUL, 1_600_000_000)
-    assert "put it +400 ms away" in wrong.reasons[0]
+    assert "differ from it by +400 ms" in wrong.reasons[0]
     assert "could not be checked" in manual_alignment(0, EPOCH_NS).reasons[0]
 
 

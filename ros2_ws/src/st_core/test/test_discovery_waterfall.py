@@ -6,7 +6,14 @@ from discovery_drives import COLUMNS, linear_problem, recorded
 from st_core.discovery import DiscoverySettings, Limits, certificate, waterfall
 from st_core.discovery.evidence import screen
 from st_core.discovery.fit import Problem
-from st_core.discovery.following import MIN_SEPARATION, apart, catalogue, following, separability, shows
+from st_core.discovery.following import (
+    MIN_SEPARATION,
+    catalogue,
+    most_informative,
+    next_manoeuvre,
+    separability,
+    separation,
+)
 from st_core.discovery.loss import Errors, Loss
 from st_core.discovery.result import FoundEffect
 from st_core.discovery.space import Space
@@ -220,7 +227,7 @@ def test_what_one_effect_leaves_of_another(cosine, left):
     h[one, one], h[other, other], h[one, other], h[other, one] = 9.0, 4.0, 6.0 * cosine, 6.0 * cosine
     values = np.zeros(len(problem.space))
     values[one] = 2.0
-    told = apart(h, problem, (), "mass", "road_bank", values, 8.0)
+    told = separation(h, problem, (), "mass", "road_bank", values, 8.0)
     assert told[0] == pytest.approx(cosine, abs=1e-6)
     assert told[1] == pytest.approx(np.sqrt(2.0 * 4.0 * 9.0 * left / 8.0), abs=1e-3)
 
@@ -244,12 +251,12 @@ def test_suggested_drive_tells_the_pair_apart(leaf):
     design = screen(problem, fit, np.random.default_rng(0)).design
     before, = separability(problem, fit, answer, design)
     options = catalogue(problem, fit)
-    told = following(problem, fit, answer, options, design)
+    told = next_manoeuvre(problem, fit, answer, options, design)
     assert told.separates == ("yaw_inertia", "steering_lag") and told.name in {m.name for m in CATALOGUE}
     assert told.strength == max(told.options.values()) >= MIN_SEPARATION and told.strength > before.strength
     more, again = driven(leaf, ("weave", *[told.name] * told.times), true, ("yaw_inertia",))
     more.loss.scale = problem.loss.scale
     after, = separability(more, again, answer, design)
     assert after.strength == pytest.approx(told.strength, rel=0.5)
-    assert following(problem, fit, [effect_of("yaw_inertia")], options, design) is None  # nothing to tell apart
-    assert shows(problem, "friction", options) == "ramp_to_limit"
+    assert next_manoeuvre(problem, fit, [effect_of("yaw_inertia")], options, design) is None  # nothing to tell apart
+    assert most_informative(problem, "friction", options) == "ramp_to_limit"

@@ -50,13 +50,13 @@ def squared_contributions(model: Model, vehicle: VehicleParameters, signals: Log
                               settings.prediction.minimum_speed)
     starts = starts[evenly_spaced(len(starts), STARTS)]
 
-    def batch(of: LogSignals) -> LogBatch:
-        return LogBatch(of, starts, settings.prediction.horizon, settings.prediction.step, points=seconds.tolist())
+    def batch(drive: LogSignals) -> LogBatch:
+        return LogBatch(drive, starts, settings.prediction.horizon, settings.prediction.step, points=seconds.tolist())
 
-    def path(of: LogSignals, with_: Model, car: VehicleParameters) -> np.ndarray:
-        states = batch(of).predict(with_, car).states
+    def path(drive: LogSignals, changed: Model, car: VehicleParameters) -> np.ndarray:
+        states = batch(drive).predict(changed, car).states
         with np.errstate(all="ignore"):
-            seen = readings(with_, car, tuple(np.moveaxis(states, -1, 0)))
+            seen = readings(changed, car, tuple(np.moveaxis(states, -1, 0)))
             return np.stack([seen.x, seen.y, seen.yaw])
 
     measured = batch(signals)
@@ -74,9 +74,9 @@ def squared_contributions(model: Model, vehicle: VehicleParameters, signals: Log
             path(_shifted(signals, name, -sigma, settings), model, vehicle),
             path(_shifted(signals, name, sigma, settings), model, vehicle))
     squares: dict[Cause, np.ndarray] = {}
-    for cause, (one, other) in ends.items():
-        moved = np.stack([*map_to_body(0.5 * (other[0] - one[0]), 0.5 * (other[1] - one[1]), base[2]),
-                          wrap_angle(other[2] - one[2]) * 0.5], axis=-1)[complete]
+    for cause, (low_end, high_end) in ends.items():
+        moved = np.stack([*map_to_body(0.5 * (high_end[0] - low_end[0]), 0.5 * (high_end[1] - low_end[1]), base[2]),
+                          wrap_angle(high_end[2] - low_end[2]) * 0.5], axis=-1)[complete]
         if (moved != 0.0).any():
             squares[cause] = np.square(moved).sum(axis=0)
     position = 0.5 * (noise["x"] ** 2 + noise["y"] ** 2)

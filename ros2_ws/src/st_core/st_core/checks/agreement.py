@@ -26,10 +26,11 @@ GRID_LOSS = 0.1  # of the variance, by which a maximum half a grid step away is 
 class Agreement:
     """Lag [s], scale [1] and bias [unit] of a measured quantity against a derived one.
 
-    correlation: at that lag; correlation_now: without a lag. spread: standard deviation of the derived quantity. time,
-    measured, derived: the filtered series at that lag, for a figure. others: further lags [s] that fit no worse, within
-    chance, as the drive repeats itself. is_late: whether the usual lag fits significantly worse. determines_lag:
-    whether lags LAG_TEST_SHIFT away fit significantly worse; a drive that changes slowly determines none.
+    correlation: at that lag; correlation_without_lag: at none. spread: standard deviation of the derived quantity.
+    time, measured, derived: the filtered series at that lag, for a figure. other_lags: further lags [s] that fit no
+    worse, within chance, as the drive repeats itself. is_late: whether the usual lag fits significantly worse.
+    determines_lag: whether lags LAG_TEST_SHIFT away fit significantly worse; a drive that changes slowly determines
+    none.
     """
 
     lag: Estimate
@@ -40,9 +41,9 @@ class Agreement:
     time: np.ndarray
     measured: np.ndarray
     derived: np.ndarray
-    others: tuple[float, ...] = ()
+    other_lags: tuple[float, ...] = ()
     is_late: bool = True
-    correlation_now: float = 0.0
+    correlation_without_lag: float = 0.0
     determines_lag: bool = True
 
 

@@ -106,7 +106,7 @@ def format_magnitude(estimate: Estimate) -> str:
 
 def format_alternative_lags(found: Agreement, response: float = 0.0) -> str:
     """Other lags that fit equally well, as text; response: lag of the car, added to them [s]."""
-    others = sorted(lag + response for lag in found.others)
+    others = sorted(lag + response for lag in found.other_lags)
     text = " or ".join(f"{'lags' if lag > 0.0 else 'leads'} by {abs(lag):.2f} s" for lag in others)
     return f" (or {text}: the drive repeats itself, and that fits as well)" if text else ""
 
@@ -187,7 +187,7 @@ def yaw_rate_lag(motion: Motion) -> float:
     if found is None or not (found.is_late and found.lag.significant) or abs(found.lag.value) < LIMITS.grave_lag:
         return 0.0
     # A yaw rate of the opposite sign also fits half a period later.
-    hidden = abs(found.correlation_now) < found.correlation - 0.05
+    hidden = abs(found.correlation_without_lag) < found.correlation - 0.05
     return found.lag.value if found.correlation >= LIMITS.correlation and hidden else 0.0
 
 

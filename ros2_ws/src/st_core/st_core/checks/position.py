@@ -89,10 +89,10 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
         problem = residual_regression(corrected)
         if len(problem.time) < MIN_WINDOWS:
             return motion, [], {}
-        least = {name: max(LIMITS.min_reported_effect / max(problem.effect(name, 1.0, HORIZON, WINDOW), 1e-9),
-                           _min_reported(name)) for name in problem.columns}
-        refined = _refine_causes(problem, found, least, has_varying_speed(motion.velocity_x))
-        found = {name: estimate for name, estimate in refined.items() if is_relevant(estimate, least[name])}
+        min_values = {name: max(LIMITS.min_reported_effect / max(problem.effect(name, 1.0, HORIZON, WINDOW), 1e-9),
+                                _min_reported(name)) for name in problem.columns}
+        refined = _refine_causes(problem, found, min_values, has_varying_speed(motion.velocity_x))
+        found = {name: estimate for name, estimate in refined.items() if is_relevant(estimate, min_values[name])}
         corrected = _without_causes(motion, found)
         if not found:
             break
@@ -135,8 +135,8 @@ def positions_confirm_yaw_lag(motion: Motion, earlier: Motion, late: float) -> b
         return False
     causes = ("x_scale", "y_scale", "position_lag")
     (before, misfit, _), (after, misfit_after, _) = problem.fit(causes), corrected.fit(causes)
-    most = MAX_RESIDUAL_LAG if late > 0.0 else MAX_RESIDUAL_LEAD
-    explained = abs(after["position_lag"]) < most * abs(before["position_lag"])
+    max_ratio = MAX_RESIDUAL_LAG if late > 0.0 else MAX_RESIDUAL_LEAD
+    explained = abs(after["position_lag"]) < max_ratio * abs(before["position_lag"])
     return MIN_LOSS_RATIO**2 * misfit_after < misfit or (explained and misfit_after < MIN_LOSS_RATIO * misfit)
 
 
@@ -180,11 +180,11 @@ def with_sign_alternative(findings: list[Finding], recorded: Motion, corrected: 
             if finding.name in names else finding for finding in findings]
 
 
-def _refine_causes(problem: Regression, found: dict[str, Estimate], least: dict[str, float],
+def _refine_causes(problem: Regression, found: dict[str, Estimate], min_values: dict[str, float],
                    speed_varies: bool) -> dict[str, Estimate]:
     """Refined values of the causes found before, and further causes."""
     excluded = {*found, *(twin for name in found for twin in CONFOUNDED.get(name, ()))}
-    free = {name: value for name, value in least.items() if name not in excluded}
+    free = {name: value for name, value in min_values.items() if name not in excluded}
     more = _find_causes(problem, {name: value for name, value in free.items() if name not in BIASES}, tuple(found))
     _, scale, _ = problem.fit((*found, *more))
     loss = problem.loss((*found, *more), scale)

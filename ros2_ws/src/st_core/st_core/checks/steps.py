@@ -19,7 +19,7 @@ from .sampling import resolution
 
 OUTLIER_SIGMAS = 6.0  # robust standard deviations beyond which a step is not noise
 MIN_NOISE = 0.05  # m; RTK positions have 2 cm, and those of an INS far less from sample to sample
-MIN_JUMP = 0.2  # m; the way in 10 ms at 20 m/s
+MIN_JUMP = 0.2  # m; the distance in 10 ms at 20 m/s
 MAX_LISTED_JUMPS = 50
 JUMP_MARGIN = 0.5 * MAX_GAP + 0.01  # s to both sides of a jump, so that a gap remains; rounded to 10 ms
 MIN_STALE_SAMPLES, WARNING_STALE_SHARE = 5, 0.05  # with this share, one start in twenty is wrong

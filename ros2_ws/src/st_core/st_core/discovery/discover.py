@@ -19,7 +19,7 @@ from .clocks import MAX_CLOCK_DEVIATION, clock_errors, delayed
 from .decision import Rival
 from .evidence import Evidence, Joint, joint, library_p_value, share_of
 from .fit import Fit, Problem
-from .following import Catalogue, catalogue, following, separability, shows
+from .following import Catalogue, catalogue, most_informative, next_manoeuvre, separability
 from .levels import Level, levels, sites
 from .loss import Errors, Loss
 from .reference import learn
@@ -163,7 +163,7 @@ class _Work:
             varying=tuple(v for v, _ in varied), steps=tuple(steps), gap=gap, gap_named=gap_named, budget=tuple(lines),
             reasons=(why, *self._reasons(found, names.verdicts)), candidates=self._candidates(found, names.verdicts),
             where=statements, not_testable=untestable,
-            next_manoeuvre=following(problem, found.fit, effects, driven, found.scores.design) if driven else None,
+            next_manoeuvre=next_manoeuvre(problem, found.fit, effects, driven, found.scores.design) if driven else None,
             separability=separability(problem, found.fit, effects, found.scores.design), certificate=power,
             signature=self._residual_signature(residual, statements), runs=self._run_table(),
             start="reference" if self.reference else "vehicle file", base=space.at(base.vector),
@@ -445,7 +445,7 @@ class _Work:
             if name in stated or max((p.probability for p in powers), default=0.0) >= self.limits.detection_power:
                 continue
             largest = max(powers, key=lambda p: p.size)
-            drive = shows(problem, name, driven) if driven else ""
+            drive = most_informative(problem, name, driven) if driven else ""
             other = certificate.confounded_with(problem, found.fit, name, scores, self.limits)
             why = (f"in these drives it cannot be separated from {other.replace('_', ' ')}; it is visible" if other
                    else "it is visible")

@@ -98,7 +98,7 @@ def catalogue(problem: Problem, fit: Fit) -> Catalogue:
     return result
 
 
-def apart(h: np.ndarray, problem: Problem, rest: Sequence[str], first: str, second: str, values: np.ndarray,
+def separation(h: np.ndarray, problem: Problem, rest: Sequence[str], first: str, second: str, values: np.ndarray,
           design: float) -> tuple[float, float]:
     """(cosine of the effects on the errors, part of `first` that `second` does not explain [standard deviations]) under
     a curvature. values: (p,) distance from null [usual sizes]. design: design effect."""
@@ -121,12 +121,12 @@ def separability(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], des
     found = []
     for effect in effects:
         rest = tuple(n for n in fit.names if n != effect.name)
-        found += [Separability(effect.name, other, *apart(h, problem, rest, effect.name, other, values, design))
+        found += [Separability(effect.name, other, *separation(h, problem, rest, effect.name, other, values, design))
                   for other in effect.alternatives]
     return tuple(found)
 
 
-def following(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], driven: Catalogue,
+def next_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], driven: Catalogue,
               design: float) -> NextManoeuvre | None:
     """The manoeuvre with the largest minimum separation over all pairs; None below MIN_SEPARATION."""
     pairs = [(e.name, other) for e in effects for other in e.alternatives]
@@ -139,7 +139,7 @@ def following(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], driven
         strengths = {}
         for first, second in pairs:
             rest = tuple(n for n in fit.names if n != first)
-            strengths[first, second] = apart(h + more, problem, rest, first, second, values, design)[1]
+            strengths[first, second] = separation(h + more, problem, rest, first, second, values, design)[1]
         pair = min(strengths, key=strengths.__getitem__)
         weakest[name] = strengths[pair], pair
     name = max(weakest, key=lambda n: weakest[n][0], default="")
@@ -151,7 +151,7 @@ def following(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], driven
                          chosen.speed, f"{pair[0]} and {pair[1]} differ most there of all manoeuvres of the catalogue")
 
 
-def shows(problem: Problem, effect: str, driven: Catalogue) -> str:
+def most_informative(problem: Problem, effect: str, driven: Catalogue) -> str:
     """The manoeuvre with the most information on an effect; "" without any."""
     own = problem.space.indices(effect)
     strength = {}

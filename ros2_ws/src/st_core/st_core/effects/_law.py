@@ -68,7 +68,7 @@ def curve(u, theta):
             + theta.c6 * (bump(t - 5.0) + p * bump(s - 5.0)) + theta.c7 * (bump(t - 6.0) + p * bump(s - 6.0)))
 
 
-def of_motion(at, theta):
+def weighted_motion(at, theta):
     """u without the slip angles, which are not arguments of all hooks."""
     return (theta.in_steering * at.road_wheel_angle + theta.in_acceleration_y * at.velocity_x * at.yaw_rate
             + theta.in_acceleration_x * at.velocity_x_dot + theta.in_speed * at.velocity_x
@@ -76,13 +76,13 @@ def of_motion(at, theta):
             + theta.in_position_x * at.x + theta.in_position_y * at.y)
 
 
-def times(at, theta):
+def factor_of_curve(at, theta):
     """Factor on the curve."""
     return (theta.by_one + theta.by_steering * at.road_wheel_angle
             + theta.by_acceleration_y * at.velocity_x * at.yaw_rate)
 
 
-def of_readings(measured, theta):
+def curve_of_readings(measured, theta):
     """f of the readings."""
     return curve(theta.in_acceleration_y * measured.velocity_x * measured.yaw_rate
                  + theta.in_speed * measured.velocity_x + theta.in_yaw_rate * measured.yaw_rate, theta)
@@ -120,28 +120,28 @@ class Law(Effect):
 
     @staticmethod
     def slip_angles(slip_front, slip_rear, extra, at, given, theta):
-        y = curve(of_motion(at, theta) + theta.in_slip_front * slip_front + theta.in_slip_rear * slip_rear, theta)
-        y = y * times(at, theta)
+        y = curve(weighted_motion(at, theta) + theta.in_slip_front * slip_front + theta.in_slip_rear * slip_rear, theta)
+        y = y * factor_of_curve(at, theta)
         # A wheel turned to the left slides less to the left.
         return slip_front - theta.to_front_steer * y, slip_rear - theta.to_rear_steer * y
 
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, at, given, theta):
-        u = of_motion(at, theta) + theta.in_slip_front * slip_front + theta.in_slip_rear * slip_rear
+        u = weighted_motion(at, theta) + theta.in_slip_front * slip_front + theta.in_slip_rear * slip_rear
         return changed_forces(forces, slip_front, slip_rear, at, curve(u, theta), theta)
 
     @staticmethod
     def acceleration(at, given, theta):
-        y = curve(of_motion(at, theta), theta) * times(at, theta)
+        y = curve(weighted_motion(at, theta), theta) * factor_of_curve(at, theta)
         return 0.0 * y, theta.to_side_force * y, theta.to_yaw_moment * y
 
     @staticmethod
     def observe(measured, theta):
-        return _add_to_readings(measured, of_readings(measured, theta), theta)
+        return _add_to_readings(measured, curve_of_readings(measured, theta), theta)
 
     @staticmethod
     def correct(measured, theta):
-        return _add_to_readings(measured, -of_readings(measured, theta), theta)
+        return _add_to_readings(measured, -curve_of_readings(measured, theta), theta)
 
 
 @unlisted
@@ -160,18 +160,18 @@ class LawMemory(Effect):
 
     @staticmethod
     def slip_angles(slip_front, slip_rear, extra, at, given, theta):
-        rate = (with_memory(at, theta) - extra[0]) / theta.tau
-        y = curve(of_motion(at, theta) + theta.in_lagging * extra[0] + theta.in_rate * rate, theta)
-        y = y * (times(at, theta) + theta.by_rate * rate)
+        rate = (remembered_quantity(at, theta) - extra[0]) / theta.tau
+        y = curve(weighted_motion(at, theta) + theta.in_lagging * extra[0] + theta.in_rate * rate, theta)
+        y = y * (factor_of_curve(at, theta) + theta.by_rate * rate)
         return slip_front - theta.to_front_steer * y, slip_rear - theta.to_rear_steer * y
 
     @staticmethod
     def start(slips, at, given, theta):
-        return (with_memory(at, theta),)
+        return (remembered_quantity(at, theta),)
 
     @staticmethod
     def rates(extra, slips, forces, at, given, theta):
-        return ((with_memory(at, theta) - extra[0]) / theta.tau,)
+        return ((remembered_quantity(at, theta) - extra[0]) / theta.tau,)
 
 
 @unlisted
@@ -197,7 +197,7 @@ class LawTimed(Effect):
         return changed_forces(forces, slip_front, slip_rear, at, curve(given[0], theta), theta)
 
 
-def with_memory(at, theta):
+def remembered_quantity(at, theta):
     """q of a law with memory."""
     return theta.of_steering * at.road_wheel_angle + theta.of_acceleration_y * at.velocity_x * at.yaw_rate
 

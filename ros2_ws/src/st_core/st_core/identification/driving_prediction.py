@@ -77,7 +77,7 @@ def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
     """
     settings = settings or DrivingFitSettings()
     names = tuple(dict.fromkeys((*STIFFNESSES, *also, *nuisance)))
-    logs, noticed = prepare_drives(logs, vehicle)
+    logs, notices = prepare_drives(logs, vehicle)
     needs = REQUIRED_COVERAGE | ({"speed": (5.0, 2)} if RATIO in names else {})
     covered = driving_coverage(logs, needs, settings.minimum_speed)
     require_coverage(covered, "Drive bends to both sides, at two speeds or more, with a lateral acceleration of 1 to 4 "
@@ -95,7 +95,7 @@ def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
         verdict = f"{estimate.verdict} {kind} over slip angles up to {np.rad2deg(slip):.1f} deg; {model_error}."
         estimates.append(replace(estimate, verdict=verdict))
     return replace(result, estimates=(*estimates, *result.estimates[len(STIFFNESSES):]),
-                   warnings=(*noticed, *result.warnings))
+                   warnings=(*notices, *result.warnings))
 
 
 def slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model,
@@ -112,10 +112,10 @@ def slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehicleParameters,
         return {}
     if low.acceleration > MAX_RANGE_RATIO * fit.acceleration:
         return {}
-    places = {name: fit.names.index(name) for name in STIFFNESSES}
+    indices = {name: fit.names.index(name) for name in STIFFNESSES}
     return {name: extrapolation_uncertainty(*(
         (float(result.values[k]), float(result.spread.covariance[k, k]), result.acceleration) for result in (fit, low)))
-        for name, k in places.items()}
+        for name, k in indices.items()}
 
 
 def driven_slip(logs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DrivingFitSettings) -> np.ndarray:
@@ -149,7 +149,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, b
 
     Raises IdentificationError without transients: half a second of r_dot above 0.3 rad/s^2 to either side.
     """
-    logs, noticed = prepare_drives(logs, vehicle)
+    logs, notices = prepare_drives(logs, vehicle)
     runs = [run_samples(log, vehicle, cutoff=5.0) for log in logs]
     fast = [run.yaw_acceleration[run.velocity_x >= settings.minimum_speed] for run in runs]
     covered = (*driving_coverage(logs, {"speed": (5.0, 1), "lateral acceleration": (1.0, 3)}, settings.minimum_speed),
@@ -164,7 +164,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, b
     method = f"multi-step prediction of transients, {describe_model(base)}"
     result = make_identification("yaw-inertia", vehicle, fit, method, INERTIA_NAMES[:4], covered, timing)
     inertia = result["yaw_inertia"]
-    warnings = [*noticed, *result.warnings]
+    warnings = [*notices, *result.warnings]
     implausible = [text for text in objections(replace(vehicle, yaw_inertia=max(inertia.value, 10.0)))
                    if text.startswith("yaw_inertia")]
     if implausible:
