@@ -306,6 +306,12 @@ def test_a_correction_is_offered_only_if_there_is_one():
     assert correct.startswith("Correct: `st check a/run.yaml --propose-correction run.yaml`, with the other options")
 
 
+def test_one_kind_in_two_channels_is_two_findings():
+    steering = Finding("sentinel_values", Severity.WARNING, ("road_wheel_angle",), "road_wheel_angle is -9999", -9999.0)
+    speed = replace(steering, channels=("velocity_x",), text="velocity_x is -9999")
+    assert [names for _, names in group_by_name({"a": [steering, speed], "b": [speed]})] == [["a"], ["a", "b"]]
+
+
 def test_a_lag_and_a_lead_are_not_one_finding():
     late = Finding("yaw_rate_lag", Severity.WARNING, ("yaw_rate",), "yaw_rate lags yaw", 0.08, "s", effect=0.1)
     early = replace(late, text="yaw_rate leads yaw", value=-0.05, effect=0.2)

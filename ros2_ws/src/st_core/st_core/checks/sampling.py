@@ -11,6 +11,8 @@ from .motion import MAX_GAP, Motion, spans, stretches
 UNITS = {"x": "m", "y": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m/s", "yaw_rate": "rad/s",
          "acceleration_x": "m/s^2", "acceleration_y": "m/s^2", "road_wheel_angle": "rad"}
 STEERING = ("road_wheel_angle", "steering_wheel_angle")
+STAMPS_OF = {"INS": ("time",), "steering": ("road_wheel_angle",)}
+"""Signal -> channels of a finding about its stamps."""
 MIN_HELD_SHARE = 0.7  # share of the changes that come at one interval in a channel held at a lower rate
 MIN_HELD_RATE = 15.0  # Hz; positions held at a lower rate are half a metre old at 15 m/s, on average a quarter
 NOTE_SHARE = 0.01  # share of rows below which a fault of single rows is a note
@@ -159,7 +161,8 @@ def _check_stamps(signal: str, stamps: np.ndarray) -> list[Finding]:
                     f"{'go back' if name == 'time_order' else 'are there twice'}; those rows were left out")
             advice = "look at how the rows were stamped and merged"
         severity = Severity.WARNING if reset or share > NOTE_SHARE else Severity.NOTE
-        findings.append(Finding(name, severity, ("time",), text, share, where=where, advice=Advice("look", advice)))
+        findings.append(Finding(name, severity, STAMPS_OF[signal], text, share, where=where,
+                                advice=Advice("look", advice)))
     return findings
 
 
@@ -178,8 +181,8 @@ def _check_gaps(signal: str, time: np.ndarray, left_out: Sequence[tuple[float, f
     severity = Severity.WARNING if share > MAX_GAP_SHARE else Severity.NOTE
     text = (f"{len(long)} gap{'s' if len(long) > 1 else ''} of the {signal}, {missing:.2f} s in all, longest "
             f"{spacing[long].max():.2f} s: nothing is scored there")
-    return [Finding("time_gaps", severity, ("time",) if signal == "INS" else ("road_wheel_angle",), text, missing, "s",
-                    where=where, advice=Advice("look", "look at the logger: lost packets, a full buffer, a restart"))]
+    return [Finding("time_gaps", severity, STAMPS_OF[signal], text, missing, "s", where=where,
+                    advice=Advice("look", "look at the logger: lost packets, a full buffer, a restart"))]
 
 
 def find_stuck_channels(motion: Motion, channels: Mapping[str, Channel]) -> list[Finding]:

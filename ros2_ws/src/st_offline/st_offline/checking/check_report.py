@@ -274,14 +274,15 @@ def print_runs(runs: Sequence[CheckedRun], console: Console) -> None:
 
 
 def group_by_name(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, list[str]]]:
-    """Findings grouped by name and sign, gravest and largest first: (that of the largest effect, names of its runs).
+    """Findings grouped by name, channels and sign, gravest and largest first: (that of the largest effect, its runs).
 
     A lag and a lead, or an offset to the left and one to the right, are two findings: the text states the side.
     """
-    found: dict[tuple[str, bool], list[tuple[Finding, str]]] = {}
+    found: dict[tuple[str, tuple[str, ...], bool], list[tuple[Finding, str]]] = {}
     for name, findings in runs.items():
         for finding in findings:
-            found.setdefault((finding.name, (finding.value or 0.0) < 0.0), []).append((finding, name))
+            key = finding.name, finding.channels, (finding.value or 0.0) < 0.0
+            found.setdefault(key, []).append((finding, name))
 
     def order(finding: Finding) -> tuple[int, float]:
         unknown = math.inf if finding.severity is Severity.ERROR else 0.0
