@@ -205,13 +205,13 @@ def test_straight_driving_is_reported_as_not_sufficient(tmp_path):
     content, message = answer(tmp_path, weave(30.0, curvature=1e-9), weave(30.0, 10.0, 1e-9))
     assert content["outcome"] in ("not_testable", "none") and not content["effects"]
     assert {"friction", "mass", "front_stiffness"} <= {n["name"] for n in content["not_testable"]}
-    assert "straight driving" in message and "two runs: whether runs agree is unknown" in message
+    assert "straight driving" in message and "two runs only" in message
 
 
 @pytest.mark.slow
 def test_one_bend_and_one_run_are_reported(tmp_path):
     _, message = answer(tmp_path, circle(40.0))
-    assert "bends to one side only" in message and "one run: whether runs agree is unknown" in message
+    assert "turns to one side only" in message and "one run only" in message
     assert "suspect: 1 run, 40 s: 0 40 s" in message and "reference: none" in message
 
 

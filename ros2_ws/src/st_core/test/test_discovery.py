@@ -351,7 +351,7 @@ def test_value_on_a_bound_is_no_name(leaf):
     found = discover(logs, leaf, settings=replace(FEW, effects=("yaw_rate_scale",), channels=("yaw_rate", "position")))
     assert found.outcome == "unknown" and found.effects == ()
     (candidate,) = found.candidates
-    assert candidate.verdict == "on a bound" and "its value is on a bound" in candidate.why
+    assert candidate.verdict == "on a bound" and "its value is at a bound" in candidate.why
     assert candidate.parameters["factor"] == pytest.approx(1.25)
 
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..effects.steering_delay import SteeringDelay
 from ..log import DriveLog
 from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
@@ -20,7 +21,6 @@ from .settings import DiscoverySettings
 from .space import Space, known_quantities
 from .windows import Windows
 
-DELAY = "steering_delay"
 MAX_CLOCK_DEVIATION = 0.01  # s; a third of a usual delay of the steering
 ROUNDS = 3  # of the joint fit, each with the corrected stamps
 
@@ -36,9 +36,9 @@ def clock_errors(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Sp
     """
     prior_deviation = np.array([deviations.get(run.name, 0.0) for run in runs])
     free = np.flatnonzero(prior_deviation > MAX_CLOCK_DEVIATION).tolist()
-    if len(runs) < 2 or not free or not len(space.indices(DELAY)):
+    if len(runs) < 2 or not free or not len(space.indices(SteeringDelay.name)):
         return {}
-    k, delay = int(space.indices(DELAY)[0]), np.zeros(len(free))
+    k, delay = int(space.indices(SteeringDelay.name)[0]), np.zeros(len(free))
     scale, vector, quantities = space.scale[k], space.null, known_quantities(space, vehicle)
     for _ in range(ROUNDS):
         found = {runs[i].name: float(d) for i, d in zip(free, delay, strict=True)}

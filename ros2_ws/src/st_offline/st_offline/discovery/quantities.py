@@ -109,7 +109,7 @@ def fitted(name: str, numbers: Mapping[str, float]) -> str:
 
 def change(deviation: float, unit: str) -> str:
     """A deviation from null: factors in per cent."""
-    return f"{100 * abs(deviation):.2g} %" if unit == "1" else size(abs(deviation), unit)
+    return f"{float(f'{100 * abs(deviation):.2g}'):g} %" if unit == "1" else size(abs(deviation), unit)
 
 
 TERMS = {
