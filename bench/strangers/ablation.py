@@ -40,7 +40,7 @@ LINES = project_root() / ".st" / "strangers" / "ablation.jsonl"
 DIVERSE = ("light_ev_ratio", "suv_worn_rear", "van_lever", "escort_ratio", "saloon_worn_front", "bmw_320i_gyro_bias",
            "hatchback_load", "light_ev_load", "estate_healthy")
 FACTORS = (0.5, 2.0)
-LIMITS = ("file", "size", "peak", "unexplained_share", "left")
+LIMITS = ("max_file_deviation", "min_relative_size", "min_peak_force", "unexplained_share", "max_noise_ratio")
 IN_SEARCH = {"MAX_QUADRATIC_RISE": fit, "MAX_SCALED": fit, "DIVERGED": fit, "MIN_CURVATURE": evidence,
              "PART_PRIOR": evidence, "MIN_INFORMATION_SHARE": evidence, "NU": loss, "DIFFERENCE_STEP": loss,
              "MAX_SCALED_ERROR": loss,
@@ -48,7 +48,7 @@ IN_SEARCH = {"MAX_QUADRATIC_RISE": fit, "MAX_SCALED": fit, "DIVERGED": fit, "MIN
 CONSTANTS = {"UNSELECTED_DEVIATION": evidence, "MIN_FORCE_CHANGE": axles, "MAX_SLIP": axles, "SMALL_SLIP": axles,
              "DRAWS": axles, "GAIN_SPEED": axles, **IN_SEARCH}
 NUMBERS = (*LIMITS, "model_error", *CONSTANTS)
-SEARCHED = ("file", "size", *IN_SEARCH)
+SEARCHED = ("max_file_deviation", "min_relative_size", *IN_SEARCH)
 """Numbers that act during the search; all others after it."""
 
 
@@ -78,7 +78,7 @@ def answers(name: str, numbers: Sequence[str]) -> Iterator[dict[str, Any]]:
         truth = write(cases("development")[name], folder)
         vehicle = read_vehicle(folder / "car" / "vehicle.yaml")
         logs = [read_csv(path, vehicle).log for path in sorted((folder / "drives").glob("*.csv"))]
-    work = Work(logs, vehicle, "nonlinear", (), DiscoverySettings(), None, {}, 1)
+    work = Work(logs, vehicle, "nonlinear", (), DiscoverySettings(), None, {}, 1, {})
     searched = _searched(work)
     usual = _counts(work, searched, truth)
     yield {"case": name, "number": "", "factor": 1.0, "changed": False, **usual}

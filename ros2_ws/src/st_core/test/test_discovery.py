@@ -372,8 +372,11 @@ def test_runs_too_short_are_refused_in_words(leaf):
 
 def test_car_that_stands_is_refused_in_words(leaf):
     log = recorded(leaf, {}, 9, ("step",))[0]
+    stands = replace(log, velocity_x=0.0 * log.velocity_x)
     with pytest.raises(StCoreError, match="drive longer, above walking speed"):
-        discover([replace(log, velocity_x=0.0 * log.velocity_x)], leaf, settings=FEW)
+        discover([stands], leaf, settings=FEW)
+    with pytest.raises(StCoreError, match="drive longer, above walking speed"):
+        discover([stands, replace(stands, name="2")], leaf, settings=SETTINGS, clocks={log.name: 0.02, "2": 0.02})
 
 
 def test_log_with_nan_is_refused_in_words(leaf):

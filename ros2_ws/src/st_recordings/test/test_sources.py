@@ -153,6 +153,16 @@ def test_one_run_yaml_for_each_drive_of_a_folder(tmp_path: Path) -> None:
             read(runs["e"], leaf)
 
 
+def test_each_leaves_drives_to_a_run_file_of_their_own(tmp_path: Path) -> None:
+    touch(tmp_path, "a.csv", "b.csv", "c.csv", "sub/drive.csv", content=DRIVE)
+    touch(tmp_path, "a.log", content="notes of the driver\n")
+    touch(tmp_path, "all.run.yaml", content="each: ['[ab].csv', 'sub/*.csv']\n")
+    touch(tmp_path, "b.run.yaml", content="csvv: b.csv\n")
+    touch(tmp_path, "sub/run.yaml", content="csv: drive.csv\n")
+    runs = by_name(find_runs([tmp_path]))
+    assert {*runs} == {"a", "b.run.yaml", "c", "sub"} and runs["a"].can == () and runs["b.run.yaml"].problem
+
+
 @pytest.mark.parametrize(("text", "error"), [
     ("each: '*.csv'\nname: x\n", "name belongs to one run, and `each` describes several"),
     ("each: '*.csv'\nleave_out: [[1, 2]]\n", "leave_out belongs to one run"),

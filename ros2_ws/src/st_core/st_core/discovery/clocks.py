@@ -43,6 +43,8 @@ def clock_errors(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Sp
     for _ in range(ROUNDS):
         found = {runs[i].name: float(d) for i, d in zip(free, delay, strict=True)}
         windows = Windows(delayed(runs, found), vehicle, settings)
+        if not len(windows):  # the search reports it
+            return {}
         loss = Loss(Errors(windows, space, threads), vector)
         vector, prior = fit_library(loss, windows, weak_prior(space), quantities, vector, tick)
         problem = Problem(loss, space.null, windows.block, prior)

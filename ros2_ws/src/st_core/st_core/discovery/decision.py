@@ -181,7 +181,7 @@ def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) ->
                       "extends beyond the physical range: kept, not named")
     if checks.peak_force_share < limits.min_peak_force:
         return Reason(MINOR, e.name, {"driven": checks.peak_force_share, "peak": limits.min_peak_force},
-                      f"the drives reach {checks.peak_force_share:.0%} of the peak force: the curve is reported up to "
+                      f"the drives reach {checks.peak_force_share:.1%} of the peak force: the curve is reported up to "
                       "there, without a peak")
     if e.position < -limits.relevant_position and not by_sensors:
         return Reason(MINOR, e.name, {"position": e.position, "relevant_position": limits.relevant_position},

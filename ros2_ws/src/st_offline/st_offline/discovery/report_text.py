@@ -256,7 +256,8 @@ def not_visible(found: Discovery) -> str:
 
 def refuted(found: Discovery) -> list[str]:
     """Quantities of the vehicle file that the best fit contradicts."""
-    return [f"{plain(r.subject)}: {r.text}" for r in found.reasons if r.rule == FILE]
+    texts = {r.subject: r.text for r in found.reasons if r.rule == FILE}
+    return [f"{plain(name)}: {text}" for name, text in texts.items()]
 
 
 def separation(strength: float) -> str:

@@ -70,24 +70,26 @@ def _each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
     files = dict.fromkeys(_matching(path, "each", content["each"]))
     if not files:
         raise RunError(path, f"each: no file in its folder matches {content['each']!r}")
-    return [_of_own_file(file) or _of_each(path, content, file) for file in files]
+    return [_of_own_file(path, file) or _of_each(path, content, file) for file in files]
 
 
-def _of_own_file(file: Path) -> RunSource | None:
-    """The run of a recording with a run.yaml of its stem that describes it alone."""
-    own = file.with_name(file.stem + RUN_SUFFIX)
-    try:
-        content = _content(own) if own.exists() else {"each": ""}
-        return None if "each" in content else _one(own, content)
-    except RunError as error:
-        return RunSource(own.name, "", (own,), problem=error, run_file=own)
+def _of_own_file(path: Path, file: Path) -> RunSource | None:
+    """The run of a recording with a run.yaml of its own, of its stem or in its folder; path: of the one with `each`."""
+    for own in (file.with_name(file.stem + RUN_SUFFIX), file.with_name(RUN_FILE)):
+        try:
+            content = _content(own) if own.exists() and own != path else {"each": ""}
+            if "each" not in content and file in (run := _one(own, content)).files:
+                return run
+        except RunError as error:
+            return RunSource(own.name, "", (own,), problem=error, run_file=own)
+    return None
 
 
 def _of_each(path: Path, content: Mapping[str, Any], file: Path) -> RunSource:
     reader = reader_of(file)
     if reader is None:
         raise RunError(path, f"each: {file.name} is not a recording")
-    logs = logs_of(file, sorted(file.parent.iterdir()))
+    logs = [log for log in logs_of(file, sorted(file.parent.iterdir())) if is_can_log(log)]
     if reader.needs_can and not logs:
         raise RunError(path, f"each: no CAN log has the stem of {file.name}",
                        "list the files of each run in a run.yaml")

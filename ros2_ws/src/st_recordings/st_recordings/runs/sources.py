@@ -82,10 +82,11 @@ def _in_folder(folder: Path) -> list[RunSource]:
                 files.append(path)
         elif is_run_file(path):
             described = [run.run_file for run in runs]  # by a run.yaml with `each`, too
-            found = [run for run in _from_run_file(path) if run.run_file not in described]
-            runs += found
+            found = _from_run_file(path)
+            runs += [run for run in found if run.run_file not in described]
             taken.update(file for run in found for file in (*run.files, *run.can))
-            if any(run.problem for run in found):  # its files are no runs of their own: one mistake is reported once
+            # The files of a wrong run.yaml are no runs of their own: one mistake is reported once.
+            if any(run.problem and run.run_file == path for run in found):
                 stem = path.name.removesuffix(RUN_SUFFIX)
                 taken.update(f for f in path.parent.iterdir()
                              if f.is_file() and (path.name == RUN_FILE or f.stem == stem))
