@@ -159,8 +159,11 @@ def test_each_leaves_drives_to_a_run_file_of_their_own(tmp_path: Path) -> None:
     touch(tmp_path, "all.run.yaml", content="each: ['[ab].csv', 'sub/*.csv']\n")
     touch(tmp_path, "b.run.yaml", content="csvv: b.csv\n")
     touch(tmp_path, "sub/run.yaml", content="csv: drive.csv\n")
+    touch(tmp_path, "parts/p1.csv", "parts/p2.csv", content=DRIVE)
+    touch(tmp_path, "parts/run.yaml", content="each: '*.csv'\n")
+    touch(tmp_path, "parts/session.run.yaml", content="csv: [p1.csv, p2.csv]\n")
     runs = by_name(find_runs([tmp_path]))
-    assert {*runs} == {"a", "b.run.yaml", "c", "sub"} and runs["a"].can == () and runs["b.run.yaml"].problem
+    assert {*runs} == {"a", "b.run.yaml", "c", "sub", "session"} and runs["a"].can == () and runs["b.run.yaml"].problem
 
 
 @pytest.mark.parametrize(("text", "error"), [

@@ -197,9 +197,10 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> Comparison:
     point = with_systematic("measuring_point", found["point"].shifted(-declared))
     findings = [finding for finding in (_heading_finding(heading, forward), _point_finding(point, motion, vehicle))
                 if finding]
+    motion_of_axle = sum(found[name].value * problem.columns[name][:, 0] for name in ("slip", "roll"))
     panel = Identity("velocity_y", "lateral velocity: measured against that of a rear axle that follows", "m/s",
                      "velocity_y", "rear axle at the declared distance", over.time[use], lateral,
-                     declared * rate - found["slip"].value * forward**2 * rate,
+                     declared * rate + motion_of_axle,
                      ("heading_misaligned", "measuring_point"))
     return findings, {"heading_misaligned": heading, "measuring_point": point}, panel
 

@@ -89,11 +89,12 @@ def _of_each(path: Path, content: Mapping[str, Any], file: Path) -> RunSource:
     reader = reader_of(file)
     if reader is None:
         raise RunError(path, f"each: {file.name} is not a recording")
-    logs = [log for log in logs_of(file, sorted(file.parent.iterdir())) if is_can_log(log)]
+    whole = reader.kind == "csv" and reader.has_drive(file)
+    logs = [] if whole else [log for log in logs_of(file, sorted(file.parent.iterdir())) if is_can_log(log)]
     if reader.needs_can and not logs:
         raise RunError(path, f"each: no CAN log has the stem of {file.name}",
                        "list the files of each run in a run.yaml")
-    return _run(path, content, file.stem, reader.key, (file,), logs)
+    return _run(path, content, file.name if file.is_dir() else file.stem, reader.key, (file,), logs)
 
 
 def _run(path: Path, content: Mapping[str, Any], name: str, key: str, files: tuple[Path, ...],

@@ -92,6 +92,7 @@ def _in_folder(folder: Path) -> list[RunSource]:
                              if f.is_file() and (path.name == RUN_FILE or f.stem == stem))
         else:
             files.append(path)
+    runs = [run for run in runs if not any({*run.files} < {*other.files} for other in runs)]  # of `each`, parts of one
     loose = [path for path in files if path not in taken or path.is_dir()]
     return runs + _from_files([path for path in loose if _may_be_in_a_run(path, files)], given=False)
 
