@@ -126,10 +126,7 @@ class Loss:
     def quadratic(self, rows: np.ndarray, slopes: np.ndarray) -> Quadratic:
         """About the vector with these errors (n, m) and slopes (p, n, m)."""
         z = self.scaled(rows)
-        far = MAX_SCALED_ERROR / DIFFERENCE_STEP
-        j = np.where(self.known, np.clip(np.nan_to_num(slopes / self.scale, nan=0.0, posinf=0.0, neginf=0.0),
-                                         -far, far), 0.0)
-        j = np.where(np.abs(z) < MAX_SCALED_ERROR, j, 0.0)  # a diverged window has no slopes
+        j = self._scaled_slopes(slopes, z)
         w = weight(z)
         jw = np.moveaxis(j * w, 1, 0)  # (n, p, m)
         return Quadratic(rho(z).sum(axis=1), (jw @ z[:, :, None])[:, :, 0], jw @ np.transpose(j, (1, 2, 0)))
@@ -137,7 +134,13 @@ class Loss:
     def curvature(self, rows: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """(p, p) half the second derivative of the loss for errors linear in the parameters; outliers reduce it."""
         z = self.scaled(rows)
-        j = np.where(self.known & (np.abs(z) < MAX_SCALED_ERROR), np.nan_to_num(slopes / self.scale), 0.0)
+        j = self._scaled_slopes(slopes, z)
         bend = 0.5 * (NU + 1.0) * (NU - np.square(z)) / np.square(NU + np.square(z))
         flat = j.reshape(len(j), -1)
         return (flat * bend.ravel()) @ flat.T
+
+    def _scaled_slopes(self, slopes: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """(p, n, m) slopes over the scale, of limited size; 0 where not measured or in a window that diverges."""
+        far = MAX_SCALED_ERROR / DIFFERENCE_STEP
+        j = np.clip(np.nan_to_num(slopes / self.scale, nan=0.0, posinf=0.0, neginf=0.0), -far, far)
+        return np.where(self.known & (np.abs(z) < MAX_SCALED_ERROR), j, 0.0)
