@@ -191,7 +191,7 @@ def test_figures_of_the_driving_are_drawn_from_errors(tmp_path):
     before, after = (window_errors(long, model, CAR, settings) for model in (found.base, found.model))
     one = Scene(found, long, before, after, FigureOutput(tmp_path, ("png",)))
     drawn = maps(one)
-    assert drawn.key == "map" and "with all identified effects" in drawn.svg
+    assert drawn.key == "map" and "complete model" in drawn.svg
 
 
 def test_a_negative_delay_is_named_before_anything_else_is_done(logs):

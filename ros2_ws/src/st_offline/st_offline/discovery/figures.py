@@ -74,12 +74,12 @@ def waterfall(scene: Scene) -> Drawn | None:
         axes.barh(len(steps) + 1, last, color=AFTER, height=0.62)
         _label(axes, last, len(steps) + 1, quantities.metres(last))
         axes.axvline(floor, color=MEASURED_COLOUR, lw=1.4, ls="--")
-        axes.set_yticks(range(len(steps) + 2), [*rows, "with all identified effects"])
+        axes.set_yticks(range(len(steps) + 2), [*rows, "complete model"])
         axes.set(ylim=(len(steps) + 1.6, -0.6), xlim=(0.0, 1.16 * max(first, *(s.position_5s.base for s in steps))),
                  xlabel="mean position error after 5 s on held-out driving, m")
         rises = any(s.position_5s.augmented > s.position_5s.base for s in steps)
         handles = [Patch(color=scene.colour, label=f"{scene.found.base.base.name} model"),
-                   Patch(color=AFTER, label="with all identified effects"),
+                   Patch(color=AFTER, label="complete model"),
                    Patch(color=AFTER, alpha=0.65, label="reduction"),
                    *([Patch(color=BAD, alpha=0.65, label="increase")] if rises else []),
                    Line2D([], [], color=MEASURED_COLOUR, ls="--", label="noise alone")]
@@ -113,7 +113,7 @@ def axle_curves(scene: Scene) -> Drawn | None:
         panels[0][0].set_ylabel("lateral force, kN")
         panels[1][0].set_ylabel("samples, %")
         handles = [Line2D([], [], color=scene.colour, ls="--", label="vehicle file"),
-                   Line2D([], [], color=AFTER, label="with all identified effects"),
+                   Line2D([], [], color=AFTER, label="complete model"),
                    Patch(color=AFTER, alpha=0.25, label="90 % interval")]
         figure.legend(handles=handles, loc="outside lower left", ncols=3)
         return finish(figure, scene.output, "axle_curves", "Axle force versus slip angle, within the driven range",
@@ -144,7 +144,7 @@ def maps(scene: Scene) -> Drawn | None:
                                   vmin=0.0, vmax=top)
             if _aspect(log) > MIN_ASPECT:
                 axes.set_aspect("equal", adjustable="box")
-            axes.set_title("base model" if name == "before" else "with all identified effects", fontsize=9)
+            axes.set_title("base model" if name == "before" else "complete model", fontsize=9)
             axes.set_xlabel("east, m")
         panels[0][0].set_ylabel("north, m")
         bar = figure.colorbar(points, ax=list(panels[0]))
