@@ -118,6 +118,18 @@ def test_two_effects_are_both_found(leaf):
 
 
 @pytest.mark.slow
+def test_an_effect_of_forward_steps_alone_changes_no_answer_without_it(leaf):
+    runs, library = recorded(leaf, TWO, 4), Space("nonlinear", SETTINGS).hypotheses
+    forward = {name for name in library if EFFECTS[name].forward_only}
+    rest = tuple(name for name in library if name not in forward)
+    everything, without = (discover(runs, leaf, settings=replace(SETTINGS, effects=one)) for one in (library, rest))
+    assert forward and names(everything) == names(without)
+    for one, other in zip(everything.effects, without.effects, strict=True):
+        for name, parameter in one.parameters.items():
+            assert parameter.value == pytest.approx(other.parameters[name].value, rel=1e-3)
+
+
+@pytest.mark.slow
 def test_softer_rear_tyres_may_be_a_load(leaf):
     found = discover(recorded(leaf, {"rear_stiffness": {"factor": 0.8}}, 3, noise=4.0), leaf, "nonlinear")
     (rear,) = found.effects

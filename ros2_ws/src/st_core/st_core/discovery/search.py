@@ -69,7 +69,8 @@ class Search:
         first = self._step_from(p.fit((), p.everything(p.start)))
         assert first is not None  # no set was visited before
         answers: list[Found | None] = [first]
-        library = [n for n in p.space.hypotheses if n not in p.space.additions]
+        library = [n for n in p.space.hypotheses
+                   if n not in p.space.additions and not get_effect(n).forward_only]
         physics = [n for n in library if get_effect(n).kind == "physics"]
         for names in ([*first.fit.names, *physics], [n for n in library if not get_effect(n).members]):
             start = self._prune(first.fit.vector, list(dict.fromkeys(names)))

@@ -149,8 +149,9 @@ class Effect:
     of. combinations: of COMBINATIONS, that it changes. ratio_to: key of the vehicle file; drives show only the ratio of
     its quantity to that one. at_peak_force: observable only near the peak force of an axle. applies_to: kinds of model.
     lifts: (from, to) of an effect that turns one kind into another. extra_units: of `extra_states`, for exports.
-    costly: evaluates the tyres again, and is left out of a fast model at null. order: among the effects at one hook,
-    lowest first.
+    costly: evaluates the tyres again, and is left out of a fast model at null. forward_only: the search adds it in
+    forward steps only, since in a joint fit of the whole library it takes a part of others. order: among the effects at
+    one hook, lowest first.
     """
 
     name: ClassVar[str]
@@ -172,6 +173,7 @@ class Effect:
     extra_states: ClassVar[tuple[str, ...]] = ()
     extra_units: ClassVar[tuple[str, ...]] = ()
     costly: ClassVar[bool] = False
+    forward_only: ClassVar[bool] = False
     order: ClassVar[int] = 50
     Theta: ClassVar[Callable[..., Any]]
 

@@ -28,6 +28,7 @@ class SensorRoll(Effect):
     twins = ("yaw_inertia", "tyre_relaxation")
     needs = ("velocity_y",)
     applies_to = ANY
+    forward_only = True
     order = 5  # the point moves first, then its readings err
     parameters = (
         Parameter("shift", "m s^2/m", null=0.0, initial=0.005, bounds=(-0.005, 0.04),
