@@ -12,6 +12,7 @@ import pytest
 from discovery_drives import recorded
 from st_core.discovery import OUTCOMES, PARTS, DiscoverySettings, Limits, discover
 from st_core.discovery.clocks import delayed
+from st_core.discovery.search import Search
 from st_core.discovery.space import Space
 from st_core.effects import EFFECTS, load_folder
 from st_core.errors import ConfigurationError, StCoreError
@@ -117,16 +118,17 @@ def test_two_effects_are_both_found(leaf):
         assert holds(effect.parameters[parameter], value)
 
 
-@pytest.mark.slow
-def test_an_effect_of_forward_steps_alone_changes_no_answer_without_it(leaf):
-    runs, library = recorded(leaf, TWO, 4), Space("nonlinear", SETTINGS).hypotheses
-    forward = {name for name in library if EFFECTS[name].forward_only}
-    rest = tuple(name for name in library if name not in forward)
-    everything, without = (discover(runs, leaf, settings=replace(SETTINGS, effects=one)) for one in (library, rest))
-    assert forward and names(everything) == names(without)
-    for one, other in zip(everything.effects, without.effects, strict=True):
-        for name, parameter in one.parameters.items():
-            assert parameter.value == pytest.approx(other.parameters[name].value, rel=1e-3)
+def test_an_effect_of_forward_steps_is_in_no_start_from_the_library(leaf, monkeypatch):
+    starts, prune = [], Search._prune
+
+    def recorded_prune(self, vector, names):
+        starts.append(set(names))
+        return prune(self, vector, names)
+
+    monkeypatch.setattr(Search, "_prune", recorded_prune)
+    discover(recorded(leaf, OFFSET, 4), leaf, settings=replace(FEW, effects=("steering_offset", "mass", "sensor_roll")))
+    assert [EFFECTS[name].forward_only for name in ("mass", "sensor_roll")] == [False, True]
+    assert len(starts) == 2 and "mass" in starts[1] and not any("sensor_roll" in names for names in starts)
 
 
 @pytest.mark.slow
