@@ -20,6 +20,7 @@ from st_core.discovery.result import (
     ForceCurve,
     LocalEstimate,
     NotTestable,
+    Separability,
     VaryingEffect,
 )
 from st_core.discovery.where import window_errors
@@ -93,11 +94,14 @@ def test_undetectable_effects_are_listed_with_their_size_parameters_of_the_car_f
                     "0.458°, drag")
 
 
-def test_a_file_with_one_of_two_alternatives_names_the_other(logs):
+@pytest.mark.parametrize(("strength", "why"),
+                         [(2.0, "these drives do not"), (12.0, "the model is not accurate enough to")])
+def test_a_file_with_one_of_two_alternatives_names_the_other(logs, strength, why):
     found = discovery(logs, (("yaw_inertia", {"factor": 0.86}, 0.5),), 1.7, alternatives={"yaw_inertia": ("mass",)})
+    found = replace(found, separability=(Separability("yaw_inertia", "mass", 0.9, strength),))
     corrected = VehicleUpdate(CAR, "", found.model, ("yaw_inertia",), {"yaw_inertia": (1.0, 0.86, 0.8, 0.9)}, {})
     reported = report_text.to_do(found, corrected)
-    assert any("the first of yaw inertia × 0.8600 or mass × 1.020; these drives do not separ" in t for t in reported)
+    assert any(f"the first of yaw inertia × 0.8600 or mass × 1.020; {why} separate" in t for t in reported)
     more = replace(found, minor=found.effects)
     reported = report_text.to_do(more, replace(corrected, text="name: x", error=(0.33, 0.31)))
     assert any("vehicle.yaml alone reduces the position error after 5 s by 6%, with model" in t for t in reported)

@@ -127,19 +127,24 @@ def separability(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], des
 
 
 def next_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], driven: Catalogue,
-              design: float) -> NextManoeuvre | None:
-    """The manoeuvre with the largest minimum separation over all pairs; None below MIN_SEPARATION."""
-    pairs = [(e.name, other) for e in effects for other in e.alternatives]
-    if not pairs:
-        return None
+                   design: float) -> NextManoeuvre | None:
+    """The manoeuvre with the largest minimum separation over all pairs that these drives separate by less than
+    MIN_SEPARATION; None if it does not reach that, or without such a pair, as more driving does not reduce the error of
+    the model."""
     h = problem.quadratic_of_all(fit.vector).hessian.sum(axis=0)
     values = (fit.vector - problem.space.null) / problem.space.scale
+
+    def strength_of(pair: tuple[str, str], curvature: np.ndarray) -> float:
+        rest = tuple(n for n in fit.names if n != pair[0])
+        return separation(curvature, problem, rest, *pair, values, design)[1]
+
+    pairs = [pair for e in effects for other in e.alternatives
+             if strength_of(pair := (e.name, other), h) < MIN_SEPARATION]
+    if not pairs:
+        return None
     weakest = {}
     for name, more in driven.items():
-        strengths = {}
-        for first, second in pairs:
-            rest = tuple(n for n in fit.names if n != first)
-            strengths[first, second] = separation(h + more, problem, rest, first, second, values, design)[1]
+        strengths = {pair: strength_of(pair, h + more) for pair in pairs}
         pair = min(strengths, key=strengths.__getitem__)
         weakest[name] = strengths[pair], pair
     name = max(weakest, key=lambda n: weakest[n][0], default="")

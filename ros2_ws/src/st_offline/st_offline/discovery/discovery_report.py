@@ -131,7 +131,7 @@ def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Tabl
             g.base, g.augmented, g.floor, g.worst, *g.interval))
         channels.append((f"{quantities.channel(name)}, {unit}", base, after, f"{low} to {high}", floor,
                          f"{g.worst_run} {worst}" if g.worst_run else "", ", ".join(g.worse_runs)))
-    changes = [(key, f"{one['before']:.5g}", f"{one['after']:.5g}{_limit(key, one['after'])}",
+    changes = [(_with_unit(key), f"{one['before']:.5g}", f"{one['after']:.5g}{_limit(key, one['after'])}",
                 f"{one['interval'][0]:.5g} to {one['interval'][1]:.5g}")
                for key, one in content["mended"]["vehicle.yaml"]["changes"].items()]
     parts = [(one.part, f"{metres(one.last)}, {one.share_last:.0%}", f"{metres(one.first)}, {one.share_first:.0%}",
@@ -144,8 +144,8 @@ def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Tabl
                                     / max(c.interval[1] - c.interval[0], 1e-12))]
     expected = "the noise" if found.start == "vehicle file" else "that of the reference drives"
     narrow = [
-        Table("Corrections of the vehicle file", "The values and intervals of the effects, in the keys and SI units of "
-              "the file.", ("key", "file given", "vehicle.yaml", "95 %"), changes),
+        Table("Corrections of the vehicle file", "The values and intervals of the effects, in the keys of the file and "
+              "SI units.", ("key", "file given", "vehicle.yaml", "95 %"), changes),
         Table("Held-out error of each channel", "Root mean square at the end of the horizon; of the position after 5 s "
               "the mean. After: with model.yaml. Sorted by the reduction.",
               ("error of", "before", "after", "reduced by (95 %)", "noise", "worst run", "worse in"),
@@ -183,6 +183,12 @@ def _wide_tables(found: Discovery) -> list[Table]:
               f"the first {len(candidates)} of {len(tried)}; all in discovery.json"),
         Table("Not detectable in these drives", "", ("effect", "why", "drive"), hidden,
               f"the first {len(hidden)} of {len(found.not_testable)}")]
+
+
+def _with_unit(key: str) -> str:
+    known = quantity(key)
+    unit = known.si_unit.removesuffix("1") if known else ""
+    return f"{key}, {unit.replace('^2', '²')}" if unit else key
 
 
 def _limit(key: str, value: float) -> str:

@@ -156,7 +156,8 @@ def meaning(found: Discovery) -> list[str]:
     for effect in by_size(found.effects):
         kind = EFFECTS.get(effect.name)
         known = next((a for a in found.assumed if kind and a.key == kind.ratio_to), None)
-        parts = (kind.physics if kind else "",
+        signs = [f"{plain(p.name)}: {p.meaning}" for p in kind.parameters if p.fit and p.meaning] if kind else []
+        parts = (kind.physics if kind else "", *signs,
                  f"if the {known.key} is {known.value:.4g} ± {known.deviation:.2g} {known.unit}" if known else "",
                  f"identifiable only together with {', '.join(map(plain, effect.joint))}: they compensate each other"
                  if effect.joint else "")
@@ -291,7 +292,7 @@ def next_drive(found: Discovery) -> str:
     now = next((p.strength for p in found.separability if {p.first, p.second} == set(n.separates)), 0.0)
     return (f"next drive {n.name}, {n.times} times {n.duration:.0f} s at {n.speed:.1f} m/s: would separate {first} and "
             f"{second} by {separation(n.strength)} σ of the noise (these drives: {separation(now)} σ; required: "
-            f"{MIN_SEPARATION:g} σ, more if the residual exceeds the noise)")
+            f"{MIN_SEPARATION:g} σ)")
 
 
 def assumed(found: Discovery) -> list[str]:
@@ -348,7 +349,9 @@ def _vehicle_lines(found: Discovery, update: VehicleUpdate | None) -> list[str]:
                  f"{1.0 - update.error[1] / update.error[0]:.0%}{together}"
                  if (found.minor or found.effective) and update.error[0] > 0.0 else "")
         lines.append(f"use vehicle.yaml: {entries}, for {', '.join(map(plain, update.folded))}{stable}{alone}")
-        lines += [f"vehicle.yaml contains the first of {with_alternatives(found, e)}; these drives do not separate "
+        weak = {p.first for p in found.separability if p.strength < MIN_SEPARATION}
+        lines += [f"vehicle.yaml contains the first of {with_alternatives(found, e)}; "
+                  f"{'these drives do not' if e.name in weak else 'the model is not accurate enough to'} separate "
                   "them: measure one of them on the car"
                   for e in found.effects if e.name in update.folded and e.alternatives]
     return lines
