@@ -9,8 +9,8 @@ from ..augmented import AugmentedModel
 from ..effects import COMBINATIONS, EFFECTS
 from ..errors import StCoreError
 from ..handling import stability_factor
-from ..identification.axle_curve import axle_curve, axle_force, draw_models, force_error
-from ..identification.cornering_stiffness import AXLES, AxleRegression, axle_regressions
+from ..identification.axle_curve import axle_curve, axle_force, axle_forces, draw_models, force_error, valid_models
+from ..identification.cornering_stiffness import AxleRegression, axle_regressions
 from ..log import DriveLog
 from ..readings import correct_log
 from ..sideslip import steady_velocity_y
@@ -27,17 +27,19 @@ GAIN_SPEED = 20.0  # m/s, of the steady-state yaw gain
 
 
 class Axles:
-    """Both axles under an answer. unexplained: residual over the noise, which widens bands and intervals. Raises
-    StCoreError for a base model without tyres, or drives without slip."""
+    """Both axles under an answer. unexplained: residual over the noise, which widens bands and intervals. near: vectors
+    of sets that are hardly worse; the band extends to their curves. Raises StCoreError for a base model without tyres,
+    or drives without slip."""
 
     def __init__(self, problem: Problem, fit: Fit, everything: Joint | None, runs: Sequence[DriveLog],
-                 vehicle: VehicleParameters, unexplained: float):
+                 vehicle: VehicleParameters, unexplained: float, near: Sequence[np.ndarray] = ()):
         if problem.space.model.base.axles is None:
             raise StCoreError(f"{problem.space.model.base.name}: this model has no axle forces")
         self.problem, self.fit, self.runs, self.vehicle = problem, fit, runs, vehicle
         self.model = problem.space.at(fit.vector)
         self.sideslip = "velocity_y" in problem.errors.windows.settings.channels
         self.regressions = self._regressions()
+        self.near = valid_models([problem.space.at(vector) for vector in near], vehicle) if everything else []
         self.draws: list[AugmentedModel] = []
         if everything is not None:
             inside = everything.indices < len(problem.space) - 1  # the last number is the gain of the accelerometer
@@ -64,8 +66,8 @@ class Axles:
 
     def curves(self, base: AugmentedModel) -> tuple[ForceCurve, ...]:
         """Force curves of front and rear axle over the driven slip with a 90 % band, and those of the file."""
-        found = (axle_curve(self.model, self.vehicle, one.axle, one.samples.slip, self.draws, base)
-                 for one in self.regressions)
+        found = (axle_curve(self.model, self.vehicle, one.axle, one.samples.slip, self.draws, base,
+                            also=self.near) for one in self.regressions)
         return tuple(ForceCurve(c.axle, *(tuple(values.tolist()) for values in (
             c.slip, c.force, c.low, c.high, c.file, c.density))) for c in found)
 
@@ -130,8 +132,8 @@ def _combined(model: AugmentedModel, vehicle: VehicleParameters) -> np.ndarray:
     """(4,) `COMBINATIONS` of a model."""
     car = model.effective_vehicle(vehicle)
     limits = VEHICLE_QUANTITIES["cornering_stiffness_front"]  # which a random draw may exceed
-    front, rear = (min(max(float(axle_force(model, vehicle, axle, np.array([SMALL_SLIP]))[0]) / SMALL_SLIP,
-                           limits.minimum), limits.maximum) for axle in AXLES)
+    front, rear = (min(max(float(force[0]) / SMALL_SLIP, limits.minimum), limits.maximum)
+                   for force in axle_forces(model, vehicle, np.array([SMALL_SLIP])))
     understeer = stability_factor(replace(car, cornering_stiffness_front=front, cornering_stiffness_rear=rear))
     gain = GAIN_SPEED / (car.wheelbase * (1.0 + understeer * GAIN_SPEED**2))
     w = model.inputs(1.0 / vehicle.steering_ratio, 0.0, model.parameters(vehicle))

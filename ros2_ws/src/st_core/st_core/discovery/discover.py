@@ -331,7 +331,8 @@ class _Work:
         slip, or values so uncertain that they exceed the limits of a vehicle file."""
         base = self.space.at(self.problem.start)
         try:
-            axles = Axles(self.problem, found.fit, all_free, self.runs, self.vehicle, unexplained)
+            axles = Axles(self.problem, found.fit, all_free, self.runs, self.vehicle, unexplained,
+                          [vector for _, vector in found.near])
             return axles, axles.curves(base), axles.combinations(base)
         except StCoreError:
             return None, (), ()

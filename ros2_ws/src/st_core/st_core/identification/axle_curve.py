@@ -2,10 +2,10 @@
 
     F(alpha) = (F_model(-alpha) - F_model(alpha)) / 2,   alpha >= 0
 
-F_model is the axle force in the model's equations of motion at equal slip of both axles, straight wheels and no
+F_model is the axle force in the model's equations of motion in steady cornering at equal slip of both axles, without
 forward acceleration: every effect that acts at that state is included, offsets cancel. The slip angle is that of the
-measured steering, as in a regression, so compliance makes the axle softer. Roll steer does not act at this
-state. No curve is given beyond the driven slip. Checked by: test_axle_curve.py.
+measured steering, as in a regression, so compliance and roll steer change the curve. No curve is given beyond the
+driven slip. Checked by: test_axle_curve.py.
 """
 
 from collections.abc import Iterable
@@ -21,6 +21,7 @@ from .cornering_stiffness import DRIVEN_QUANTILE, AxleSamples
 
 SPEED = 20.0  # m/s, at which the curve is evaluated: no minimum_slip_speed is higher
 MIN_DRAWS = 20
+SECANT_STEPS = 6  # of the lateral acceleration, with an error below 0.1 % at the bounds of roll steer
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,36 +42,66 @@ class AxleCurve:
     level: float
 
 
-def axle_force(model: str | Model, vehicle: VehicleParameters, axle: str, slip: np.ndarray) -> np.ndarray:
-    """Force of the axle ("front" or "rear") opposing slip angles >= 0 [rad], (n,) [N]; equation: see the module.
+def axle_forces(model: str | Model, vehicle: VehicleParameters, slip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Forces of the front and the rear axle opposing slip angles >= 0 [rad], (n,) each [N]; equation: see the module.
 
     Raises StCoreError for a model without tyres.
     """
     model = get_model(model)
-    car = model.effective_vehicle(vehicle)
     base = model.base if isinstance(model, AugmentedModel) else model
     if base.axles is None and not (isinstance(model, AugmentedModel) and any(e.lifts for e in model.active)):
         raise StCoreError(f"{base.name}: this model has no axle forces")
-    slip = np.asarray(slip, float)
+    if isinstance(model, AugmentedModel):
+        model = model.only(e for e in model.effects if e.slot != "steering")
+    left, right = (_steady_forces(model, vehicle, side * np.asarray(slip, float)) for side in (-1.0, 1.0))
+    return 0.5 * (left[0] - right[0]), 0.5 * (left[1] - right[1])
+
+
+def axle_force(model: str | Model, vehicle: VehicleParameters, axle: str, slip: np.ndarray) -> np.ndarray:
+    """As `axle_forces`, of one axle ("front" or "rear")."""
+    return axle_forces(model, vehicle, slip)[axle == "rear"]
+
+
+def _steady_forces(model: Model, vehicle: VehicleParameters, slip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Forces (front, rear) [N], left +, in the steady turn in which both axles have these slip angles [rad].
+
+        v_y = l_r r + v tan(slip),   delta = atan((v_y + l_f r) / v) - slip,   r = a_y / v
+        F_f cos(delta) = (l_r m a_y + I_z r_dot) / L,   F_r = (l_f m a_y - I_z r_dot) / L
+    """
+    p, car = model.parameters(vehicle), model.effective_vehicle(vehicle)
     zero = np.zeros_like(slip)
-    p = model.parameters(vehicle)
-    w = model.inputs(zero, zero, p, *(zero for _ in model.signals))
-    other_axle, sign = (car.cg_to_rear_axle, 1.0) if axle == "front" else (car.cg_to_front_axle, -1.0)
-    starts = ((zero, zero, zero + SPEED, SPEED * np.tan(side * slip), zero, zero) for side in (-1.0, 1.0))
-    left, right = (model.rhs(model.start_state(start, w, p), w, p) for start in starts)
-    # F = (l_other m a_y +- I_z r_dot) / L, by the force and moment balance.
-    return (other_axle * car.mass * (left[3] - right[3]) + sign * car.yaw_inertia * (left[5] - right[5])) / (
-        2.0 * car.wheelbase)
+
+    def accelerations(a_y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Lateral [m/s^2] and yaw [rad/s^2] acceleration in a turn of this a_y, and the road wheel angle [rad]."""
+        r = a_y / SPEED
+        v_y = car.cg_to_rear_axle * r + SPEED * np.tan(slip)
+        angle = np.arctan((v_y + car.cg_to_front_axle * r) / SPEED) - slip
+        w = model.inputs(angle, zero, p, *(zero for _ in model.signals))
+        rates = model.rhs(model.start_state((zero, zero, zero + SPEED, v_y, zero, r), w, p), w, p)
+        return rates[3] + SPEED * r, rates[5], angle
+
+    given, (found, yaw, angle) = zero, accelerations(zero)
+    slope = zero
+    for _ in range(SECANT_STEPS):
+        last, before = given, found
+        given = given + (found - given) / (1.0 - slope)
+        found, yaw, angle = accelerations(given)
+        change = given - last
+        slope = np.divide(found - before, change, out=zero.copy(), where=np.abs(change) > 1e-9)
+        if np.abs(found - given).max() < 1e-6:
+            break
+    return ((car.cg_to_rear_axle * car.mass * found + car.yaw_inertia * yaw) / (car.wheelbase * np.cos(angle)),
+            (car.cg_to_front_axle * car.mass * found - car.yaw_inertia * yaw) / car.wheelbase)
 
 
 def axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven_slip: np.ndarray,
                draws: Iterable[Model] = (), original: str | Model | None = None, level: float = 0.9,
-               points: int = 41) -> AxleCurve:
+               points: int = 41, also: Iterable[Model] = ()) -> AxleCurve:
     """The force curve of one axle with its band over the driven slip.
 
     driven_slip: (n,) slip angles of the axle while driving [rad], either sign. draws: models with other values, from
-    `draw_models`; the band is their central `level` at each slip. original: model of the
-    vehicle file, by default the base model without effects. Raises StCoreError for fewer than two driven slip angles.
+    `draw_models`; the band is their central `level` at each slip, extended to the curves of `also`. original: model of
+    the vehicle file, by default the base model without effects. Raises StCoreError for fewer than two driven slips.
     """
     size = np.abs(np.asarray(driven_slip, float))
     size = size[np.isfinite(size)]
@@ -83,8 +114,9 @@ def axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven
     force, file = (axle_force(candidate, vehicle, axle, slip) for candidate in (model, original))
     rows = [axle_force(candidate, vehicle, axle, slip) for candidate in draws]
     low, high = np.quantile(rows, (0.5 - 0.5 * level, 0.5 + 0.5 * level), axis=0) if rows else (force, force)
+    curves = [force, *(axle_force(candidate, vehicle, axle, slip) for candidate in also)]
     counts = np.histogram(size, slip)[0]
-    return AxleCurve(axle, slip, force, np.minimum(low, force), np.maximum(high, force), file,
+    return AxleCurve(axle, slip, force, np.min([low, *curves], axis=0), np.max([high, *curves], axis=0), file,
                      counts / max(int(counts.sum()), 1), level)
 
 
@@ -97,17 +129,22 @@ def draw_models(model: AugmentedModel, covariance: np.ndarray, vehicle: VehicleP
     """
     low, high = np.array([p.bounds for _, p in model.free]).T.reshape(2, -1)
     values = np.random.default_rng(seed).multivariate_normal(model.vector, covariance, count, method="eigh")
-    models = []
-    for row in np.clip(values, low, high):
-        candidate = model.with_vector(row.tolist())
+    models = valid_models([model.with_vector(row.tolist()) for row in np.clip(values, low, high)], vehicle)
+    if len(models) < MIN_DRAWS:
+        raise StCoreError(f"{len(models)} of {count} drawn parameter sets are valid cars; {MIN_DRAWS} are needed")
+    return models
+
+
+def valid_models(models: Iterable[AugmentedModel], vehicle: VehicleParameters) -> list[AugmentedModel]:
+    """Those whose values are within the limits of a vehicle file."""
+    found = []
+    for candidate in models:
         try:
             candidate.parameters(vehicle)
         except ConfigurationError:
             continue
-        models.append(candidate)
-    if len(models) < MIN_DRAWS:
-        raise StCoreError(f"{len(models)} of {count} drawn parameter sets are valid cars; {MIN_DRAWS} are needed")
-    return models
+        found.append(candidate)
+    return found
 
 
 def force_error(model: str | Model, vehicle: VehicleParameters, samples: AxleSamples, bins: int = 12) -> float:
