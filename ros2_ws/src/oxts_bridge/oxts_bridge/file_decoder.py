@@ -27,6 +27,8 @@ from .packet_time import (
     GpsClock,
 )
 
+CAPTURE_MARKS = (b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x4d\x3c\xb2\xa1", b"\xa1\xb2\x3c\x4d", b"\n\r\r\n")
+"""First bytes of a network capture: pcap in either byte order, with us or ns, and pcapng."""
 KINDS = ("empty", "regular", "status", "trigger")
 EMPTY, REGULAR, STATUS, TRIGGER = range(4)
 UNKNOWN_TIME = np.iinfo(np.int64).min
@@ -314,7 +316,9 @@ def _no_packet_message(name: str, data: bytes) -> str:
     if not data:
         return f"{name}: empty file, contains no NCOM packet"
     head = data[:4]
+    capture = "a network capture without whole NCOM packets: record all bytes of UDP port 3000 (tcpdump -s 0)"
     content = {
+        **dict.fromkeys(CAPTURE_MARKS, capture),
         b"OggS": "an Ogg container (an .xcom file? export NCOM from it first)",
         b"\x7fELF": "an executable",
         b"PK\x03\x04": "a zip archive",

@@ -12,6 +12,7 @@ import pytest
 from discovery_drives import recorded
 from st_core.discovery import OUTCOMES, PARTS, DiscoverySettings, Limits, discover
 from st_core.discovery.clocks import delayed
+from st_core.discovery.discover import fit_effects
 from st_core.discovery.search import Search
 from st_core.discovery.space import Space
 from st_core.effects import EFFECTS, load_folder
@@ -382,6 +383,13 @@ def test_runs_too_short_are_refused_in_words(leaf):
     for runs in (short, []):
         with pytest.raises(StCoreError, match="no run is long enough: a run needs 7 s of driving"):
             discover(runs, leaf, settings=FEW)
+
+
+def test_two_drives_of_one_name_are_refused_in_words(leaf):
+    (run,) = recorded(leaf, {}, 9, ("step",))
+    for call in (lambda runs: discover(runs, leaf, "linear"), lambda runs: fit_effects(runs, leaf, "linear", ())):
+        with pytest.raises(StCoreError, match="duplicate name; give each drive once, under its own name"):
+            call([run, run])
 
 
 def test_car_that_stands_is_refused_in_words(leaf):

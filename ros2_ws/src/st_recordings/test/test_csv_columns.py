@@ -352,3 +352,25 @@ def test_the_table_is_in_the_documentation() -> None:
         spelled = [f"{unit} ({', '.join(others)})" if others else unit for unit, (_, others) in units.items()]
         row = f"| {kind} | {', '.join(spelled)} |"
         assert row in text, f"docs/csv_columns.md lacks or differs:\n{row}"
+
+
+@pytest.mark.parametrize("own_stamps", [False, True])
+def test_channels_of_lower_rates_are_interpolated(tmp_path: Path, own_stamps: bool) -> None:
+    """Blanks between their numbers, in the rows of the others or in rows of their own, as in a merged MF4."""
+    data = [{channel: f"{column[k]:.9g}" for channel, column in values().items() if channel in PLAIN} for k in range(N)]
+    slow = {"x": 5, "y": 5, "yaw": 3}
+    rows = []
+    for k, row in enumerate(data):
+        rows += [{c: text for c, text in row.items() if own_stamps and c in ("t", *slow) and k % slow.get(c, 1) == 0},
+                 {c: text for c, text in row.items() if c not in slow or not (own_stamps or k % slow[c])}]
+        if own_stamps:
+            rows[-1]["t"] = f"{float(row['t']) + 0.004:.3f}"
+    rows = [row for row in rows if len(row) > 1]
+    file = tmp_path / "d.csv"
+    file.write_text("\n".join([",".join(PLAIN.values()), *(",".join(row.get(c, "") for c in PLAIN) for row in rows)]))
+    drive = read_csv(file)
+    at = drive.log.ins_time_ns * 1e-9
+    assert len(at) >= N - 5 and "lower rate, or stamps of their own: x 12 of" in drive.warnings[0]
+    for channel in ("x", "y", "yaw", "velocity_x", "yaw_rate"):
+        expected = np.interp(at - 0.004 * own_stamps * (channel not in slow), values()["t"], values()[channel])
+        np.testing.assert_allclose(getattr(drive.log, channel), expected, atol=2e-3, err_msg=channel)

@@ -18,6 +18,7 @@ from st_core.log import DriveLog
 from st_recordings.runs import ReadSettings, RunError, find_runs, read
 from st_recordings.runs.raw import read_pair
 from st_recordings.runs.run_types import SteeringField
+from st_recordings.runs.write import import_run
 from support import shared
 
 WHEEL = ReadSettings(steering=SteeringField("", "Steer", "wheel", "deg"))
@@ -159,6 +160,18 @@ TABLES: list[tuple[str, Callable[[DriveLog], str], str, str]] = [
     ("apart.csv", lambda log: csv([["2026-05-04", clock(43200 + k * 0.01)[:11], *row[1:]] for k, row in
                                    enumerate(rows(log))],
                                   ",".join(("Date", "Time", *NAMES[1:]))), "utf-8", ""),
+    ("matlab.csv", lambda log: stamped(log, lambda s: f"04-May-2026 {clock(43200 + s)}"), "utf-8", ""),
+    ("durations.csv", lambda log: stamped(log, lambda s: f"{s:.6f} sec"), "utf-8", ""),
+    ("cells.csv", lambda log: csv([[*row[:4], row[4] + " m/s", row[5], f"{np.degrees(float(row[6])):.6f}°/s", row[7]]
+                                   for row in rows(log)], ";".join(NAMES), ";"), "utf-8", ""),
+    ("fortran.csv", lambda log: csv(rows(log, "%.12E")).replace("E", "D"), "utf-8", ""),
+    ("minus.csv", lambda log: csv(rows(log)).replace("-", "\u2212"), "utf-8", ""),
+    ("etas.csv", lambda log: "ETASAsciiItemFile\trecord\n" + csv(
+        rows(log), "\t".join(["time", *(name + "\\CCP:1" for name in NAMES[1:])]) + "\n" + "\t".join(["f8"] * 8) +
+        "\ns\tm\tm\trad\tm/s\tm/s\trad/s\trad", "\t"), "utf-8", "header is in line 2"),
+    ("labview.csv", lambda log: degrees(log, "\t".join(["X_Value", *NAMES[1:]])).replace(",", "\t").replace(
+        "X_Value", "Channels\t7\nY_Unit_Label\tm\tm\tdeg\tm/s\tm/s\tdeg/s\tdeg\n***End_of_Header***\nX_Value"),
+     "utf-8", "header is in line 4"),
     ("minutes.csv", lambda log: stamped(log, lambda s: clock((3590 + s) % 3600)[3:]), "utf-8", ""),
     ("twice.csv", lambda log: csv([[*row, "9"] for row in rows(log)], ",".join((*NAMES, "vx"))), "utf-8",
      "column vx occurs 2 times; the first is used"),
@@ -199,7 +212,11 @@ def test_a_table_in_parts_is_one_run(tmp_path: Path, drive, kind: str) -> None:
     (lambda log: "PK\x03\x04" + csv(rows(log)), r"this is a compressed file \(zip, or a spreadsheet\); unpack it"),
     (lambda log: stamped(log, lambda s: "5.0"), r"1 of \d+ rows .* have a time later than all before"),
     (lambda log: csv(rows(log)[::-1]), r"1 of \d+ rows .* have a time later than all before"),
-    (lambda log: stamped(log, lambda s: "04 May 2026 " + clock(s)), r"the first is '04 May 2026 .*export seconds"),
+    (lambda log: stamped(log, lambda s: "04 Mxy 2026 " + clock(s)), r"the first is '04 Mxy 2026 .*export seconds"),
+    (lambda log: geographic(log).replace(",5", ",520"),
+     r"latitude \(column latitude\) is about 520\d[.\d]* deg; export"),
+    (lambda log: re.sub(r"(,-\d\.\d*)", r"\1W", geographic(log)),
+     r"column longitude has no number, but '-1\.5\d*W'; export"),
     (doubtful_thousands, r"1,234 may be a number with a decimal mark or with a thousands separator"),
     (lambda log: csv(rows(log), ",".join(NAMES) + "\ns,m,m,Grad,m/s,m/s,deg/s,deg"), "unit row: 'Grad' of column yaw"),
 ])
@@ -208,6 +225,14 @@ def test_tables_that_cannot_be_read_for_sure(tmp_path: Path, drive, text, error:
     file.write_text(text(drive[1]))
     with pytest.raises(RunError, match=error):
         read(find_runs([file])[0], CAR)
+
+
+def test_positions_rounded_to_the_fifth_decimal_of_a_degree_are_used_as_they_are(tmp_path: Path, drive) -> None:
+    cells = [row.split(",") for row in geographic(drive[1]).splitlines()]
+    file = tmp_path / "rounded.csv"
+    file.write_text("\n".join(",".join(
+        [row[0], *(re.sub(r"(\.\d{5})\d+", r"\1", cell) for cell in row[1:3]), *row[3:]]) for row in cells))
+    assert not read(find_runs([file])[0], CAR).warnings
 
 
 def test_whole_seconds_for_many_rows_are_named(tmp_path: Path, drive) -> None:
@@ -436,7 +461,10 @@ def test_a_file_that_ends_early_costs_the_rest_of_the_other(tmp_path: Path, driv
         content = (drive[0] / file).read_bytes()
         (tmp_path / file).write_bytes(content[: content.rindex(b"\n", 0, len(content) * 45 // 100) + 1] if file == name
                                       else content)
-    assert any(re.search(warning, text) for text in read(find_runs([tmp_path])[0], CAR).warnings)
+    (run,) = find_runs([tmp_path])
+    imported = import_run(run, CAR, tmp_path / "bag", ReadSettings(), lambda drive: ())
+    for warnings in (read(run, CAR).warnings, imported.warnings):
+        assert any(re.search(warning, text) for text in warnings)
 
 
 def test_the_clock_of_a_vbo_is_aligned_with_a_can_log(tmp_path: Path, drive) -> None:

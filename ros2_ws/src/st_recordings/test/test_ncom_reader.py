@@ -114,3 +114,19 @@ def test_packets_inside_an_xcom_container_are_found(tmp_path: Path) -> None:
     pages = b"".join(b"OggS" + bytes(23) + stream[k : k + 72 * 10] for k in range(0, len(stream), 72 * 10))
     file.write_bytes(pages)
     assert len(read_ncom(file).time_ns) == 100
+
+
+@pytest.mark.parametrize(("mark", "head", "size"), [
+    (b"\xd4\xc3\xb2\xa1", 16, 72), (b"\x4d\x3c\xb2\xa1", 16, 72), (b"\n\r\r\n", 28, 72), (b"\xd4\xc3\xb2\xa1", 16, 54)])
+def test_packets_in_a_network_capture(tmp_path: Path, mark: bytes, head: int, size: int) -> None:
+    """UDP over IP over Ethernet; with 54 bytes of each packet, as recorded with a snapshot length of 96."""
+    file = tmp_path / "drive.pcap"
+    stream = packets([0.01 * k for k in range(100)])
+    parts = (bytes(head + 42) + stream[k : k + size] for k in range(0, len(stream), 72))
+    file.write_bytes(mark + bytes(20) + b"".join(parts))
+    if size < 72:
+        with pytest.raises(RunError, match="a network capture without whole NCOM packets: record all bytes"):
+            read_ncom(file)
+    else:
+        log = read_ncom(file)
+        assert len(log.time_ns) == 100 and not log.warnings

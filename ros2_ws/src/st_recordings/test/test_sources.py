@@ -103,7 +103,8 @@ def test_a_folder_of_everything(tmp_path: Path) -> None:
         ("note.txt", r"the file or folder does not exist; looked for in .*, did you mean notes\.txt\?"),
         ("notes.doc", r"the extension \.doc is not that of a recording; known are .*\.ncom"),
         ("table.txt", r"the extension \.txt is not that of a recording; rename it to \.csv if it is a text table"),
-        ("capture.pcap", r"the extension \.pcap is not that of a recording; for NCOM over UDP, rename it to \.ncom"),
+        ("capture.pcap", "no CAN log has the same stem"),
+        ("unit.bin", r"the extension \.bin is not that of a recording; rename it to \.ncom if"),
         ("unit.rd", r"the extension \.rd is not that of a recording; .* convert it to NCOM"),
         ("logger.vbb", r"the extension \.vbb is not that of a recording; export it as \.vbo"),
         ("car.dbc", r"the extension \.dbc is not that of a recording; give a DBC with --dbc"),
@@ -111,8 +112,8 @@ def test_a_folder_of_everything(tmp_path: Path) -> None:
     ],
 )
 def test_paths_that_are_no_run(tmp_path: Path, path: str, message: str) -> None:
-    touch(tmp_path, "notes.txt", "folder/notes.txt", "notes.doc", "table.txt", "capture.pcap", "unit.rd", "logger.vbb",
-          "car.dbc")
+    touch(tmp_path, "notes.txt", "folder/notes.txt", "notes.doc", "table.txt", "capture.pcap", "unit.rd", "unit.bin",
+          "logger.vbb", "car.dbc")
     (run,) = find_runs([tmp_path / path])
     with pytest.raises(RunError, match=message):
         read(run)
@@ -164,6 +165,30 @@ def test_each_leaves_drives_to_a_run_file_of_their_own(tmp_path: Path) -> None:
     touch(tmp_path, "parts/session.run.yaml", content="csv: [p1.csv, p2.csv]\n")
     runs = by_name(find_runs([tmp_path]))
     assert {*runs} == {"a", "b.run.yaml", "c", "sub", "session"} and runs["a"].can == () and runs["b.run.yaml"].problem
+
+
+def test_a_drive_named_alone_is_read_by_the_each_of_its_folder(tmp_path: Path) -> None:
+    a, b, _ = touch(tmp_path, "a.csv", "b.csv", "c.csv", content=DRIVE)
+    other, log = touch(tmp_path, "other.ncom", "other.log", content=FRAMES)
+    (file,) = touch(tmp_path, "all.run.yaml", content="each: ['[ab].csv', '*.ncom']\noffset: 1.5\n")
+    assert [(run.files, run.run_file) for run in find_runs([a, b])] == [((a,), file), ((b,), file)]
+    (pair,) = find_runs([other, log])
+    assert (pair.can, pair.settings) == ((log,), {"offset": 1.5})
+    touch(tmp_path, "mine.log", content=FRAMES)
+    (pair,) = find_runs([other, tmp_path / "mine.log"])
+    assert (pair.can, pair.run_file) == ((tmp_path / "mine.log",), None)
+    assert find_runs([tmp_path / "c.csv"])[0].run_file is None
+    file.write_text("each: '*.csv'\noffste: 1\n")
+    assert "offste is not known" in str(find_runs([a])[0].problem)
+
+
+@pytest.mark.parametrize(("name", "error"), [
+    ("a.bag", "convert the ROS 1 bag with rosbags-convert"), ("a.zip", "unpack it first"),
+    ("notes.txt", "no recording is in this folder")])
+def test_a_folder_without_a_run_names_its_recordings(tmp_path: Path, name: str, error: str) -> None:
+    touch(tmp_path, "README.md", f"sub/{name}")
+    (run,) = find_runs([tmp_path])
+    assert error in str(run.problem)
 
 
 @pytest.mark.parametrize(("text", "error"), [

@@ -130,6 +130,9 @@ class Windows:
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings):
         self.vehicle, self.settings = vehicle, settings
         self.names = tuple(run.name for run in runs)
+        if len(set(self.names)) < len(runs):
+            raise StCoreError(f"drives {', '.join(self.names)}: duplicate name; give each drive once, under its own "
+                              "name")
         self.channels = tuple(c for name, c in CHANNELS.items() if name in settings.channels)
         self.columns = tuple(column for channel in self.channels for column in channel.columns)
         self._points = score_points(settings)

@@ -112,6 +112,12 @@ def _text_reader(make: Callable[[Lines, list[str]], Any], converter: Callable[[]
     return messages
 
 
+def month_number(name: str) -> int | None:
+    """Number of a month by its name in a European language."""
+    name = name.lower().rstrip(".")
+    return _MONTHS.get(name[:4]) or _MONTHS.get(name[:3])
+
+
 def _candump_line(line: str) -> str:
     """Converts a line printed by candump to the format of its log (-l)."""
     match = _SCREEN_LINE.match(line)
@@ -165,8 +171,7 @@ class _AscLines:
         key, month, rest = match.groups()
         if key.lower().startswith("begin"):
             self._seconds = 0.0
-        name = month.lower().rstrip(".")
-        number = _MONTHS.get(name[:4]) or _MONTHS.get(name[:3])
+        number = month_number(month)
         hour = re.search(r"\s(\d{1,2}):", rest)
         if hour and not 1 <= int(hour.group(1)) <= 12:
             rest = re.sub(r"(?i)\s[ap]\.?m\.?(?=\s)", "", rest)

@@ -10,16 +10,18 @@ from .errors import RunError
 
 # Kind of quantity -> unit -> (factor to SI, other spellings). The first unit is the default.
 UNITS: Mapping[str, Mapping[str, tuple[float, tuple[str, ...]]]] = {
-    "time": {"s": (1.0, ("sec", "secs", "second", "seconds", "utc")),
+    "time": {"s": (1.0, ("sec", "secs", "second", "seconds", "utc", "unix time")),
              "ms": (1e-3, ("msec", "millis", "milliseconds")),
              "us": (1e-6, ("µs", "usec", "micros", "microseconds")),
-             "ns": (1e-9, ("nsec", "nanos", "nanoseconds"))},
+             "ns": (1e-9, ("nsec", "nanos", "nanoseconds")), "min": (60.0, ("minute", "minutes")),
+             "h": (3600.0, ("hr", "hour", "hours"))},
     "length": {"m": (1.0, ("meter", "meters", "metre", "metres")), "cm": (1e-2, ()), "mm": (1e-3, ()),
                "km": (1e3, ()), "ft": (0.3048, ("feet", "foot"))},
     "angle": {"rad": (1.0, ("rads", "radian", "radians")), "deg": (math.pi / 180, ("°", "degs", "degree", "degrees")),
               "mrad": (1e-3, ())},
     "latitude or longitude": {"deg": (math.pi / 180, ("°", "degs", "degree", "degrees")),
-                              "min": (math.pi / 10800, ("arcmin", "minute", "minutes")), "rad": (1.0, ("radian",))},
+                              "min": (math.pi / 10800, ("arcmin", "minute", "minutes")), "rad": (1.0, ("radian",)),
+                              "1e-7 deg": (math.pi / 180e7, ())},
     "speed": {"m/s": (1.0, ("mps", "m s-1", "m per s", "m per sec", "ms-1")),
               "km/h": (1 / 3.6, ("kph", "kmh", "kmph", "km per h")),
               "mph": (0.44704, ("mi/h",)), "kn": (1852 / 3600, ("kt", "kts", "knot", "knots")),
@@ -66,7 +68,7 @@ def _words(text: str) -> tuple[str, ...]:
 COLUMNS: Mapping[str, Channel] = {
     "t": Channel("time", "time", _words(
         "t time t_rt timestamp stamp elapsed elapsed_time unix_time utc_time gps_time gps_tow tow gps_seconds "
-        "time_of_week datetime epoch epoch_time zeit zeitstempel datum_zeit")),
+        "time_of_week itow datetime epoch epoch_time zeit zeitstempel datum_zeit x_value")),
     "x": Channel("length", "position of the INS point, east or along the map's x", _words(
         "x pos_x position_x x_pos x_position px east easting e_pos x_east x_enu x_map local_x utm_x utm_e utm_easting "
         "pose_x pose_position_x pose_pose_position_x")),
@@ -84,7 +86,8 @@ COLUMNS: Mapping[str, Channel] = {
         "compass azimuth yaw_ned")),
     "course": Channel("angle", "direction of motion over ground, clockwise from north; gives yaw or velocity_y where "
                       "that is missing", _words(
-        "course course_over_ground course_angle gps_course course_gps cog track track_angle heading_of_motion")),
+        "course course_over_ground course_angle gps_course course_gps gps_heading cog track track_angle "
+        "heading_of_motion bearing")),
     **{f"orientation_{axis}": Channel("ratio", "quaternion of body in map axes, read if yaw is missing", _words(
         f"orientation_{axis} q{axis} quat_{axis} pose_orientation_{axis} pose_pose_orientation_{axis}"))
        for axis in "xyzw"},
@@ -92,7 +95,7 @@ COLUMNS: Mapping[str, Channel] = {
         "velocity_x vx vel_x velocity_forward vel_forward v_forward forward_velocity forward_vel vel_fwd v_fwd "
         "velocity_longitudinal longitudinal_velocity v_longitudinal v_long vel_long v_lon vel_lon long_vel "
         "long_velocity speed_forward forward_speed longitudinal_speed twist_linear_x twist_twist_linear_x "
-        "linear_velocity_x speed velocity vel v ground_speed speed_over_ground")),
+        "linear_velocity_x speed velocity vel v ground_speed speed_over_ground gps_speed speed_gps")),
     "velocity_y": Channel("speed", "to the left, body axes, at the INS point; 0 if it is missing", _words(
         "velocity_y vy vel_y velocity_lateral vel_lateral v_lateral lateral_velocity lateral_vel v_lat vel_lat "
         "lat_vel lat_velocity velocity_left vel_left lateral_speed twist_linear_y twist_twist_linear_y "
@@ -133,7 +136,7 @@ COLUMNS: Mapping[str, Channel] = {
 """The one table of columns; docs/csv_columns.md is made from it (test_csv_columns.py)."""
 
 AMBIGUOUS = {normalised(name) for name in
-             _words("steering_angle steering steer steer_angle steering_position steering_pos")}
+             _words("steering_angle steering steer steer_angle steered_angle steering_position steering_pos")}
 """Names that some files use for the hand wheel and others for the road wheels."""
 
 MAX_NAME_LENGTH = 200
@@ -226,7 +229,9 @@ def _source(number: int, name: str, channel: str, unit: str | None) -> ColumnSou
 
 def _meaning(name: str) -> tuple[str, int, str | None] | None:
     """(channel, rank among its names, stated unit) that the name of a column means; None for another column."""
-    for base, unit in _splits(name.lstrip("%# ").removeprefix("field.")):  # of `rostopic echo -p`
+    # "%time" and "field.x" of `rostopic echo -p`, "vx\\CCP:1" of ETAS, "Speed (m/s) *gps" of RaceChrono.
+    name = re.sub(r"\\.*$| \*\w+$", "", name.lstrip("%# ").removeprefix("field."))
+    for base, unit in _splits(name):
         if normalised(base) in _CHANNEL_OF:
             channel, rank = _CHANNEL_OF[normalised(base)]
             known = unit_named(COLUMNS[channel].kind, unit)

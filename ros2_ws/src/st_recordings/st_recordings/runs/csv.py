@@ -23,15 +23,21 @@ COLUMN_ADVICE = ("name the columns as in docs/csv_columns.md, or write a {stem}.
                  "`{kind}: {name}`{can} and `columns: {{{channel}: NAME, ...}}` (of many drives: `each: '*.{kind}'`)")
 STEERING_ADVICE = ("name its column, --steering-field NAME --steering-is wheel (or road), with --steering-sign -1 if "
                    "right is positive; or give the CAN log that has the steering as well")
+RELATED = {"time": "t", "x": "longitude", "y": "latitude", "yaw": COMPASS}
+"""Channel -> the one whose column gives it, if it has none of its own."""
 QUATERNION = [f"orientation_{axis}" for axis in "xyzw"]
 MIN_COURSE_SPEED = 1.0
 """m/s; a velocity noise of 0.05 m/s turns the course by 3 degrees there."""
 MAX_HELD_SHARE = 0.3
 """Share of rows of a moving car with an unchanged position, above which positions have a lower rate than the rows."""
+MIN_LOWER_RATE = 1.5
+"""Ratio of the usual time between two numbers of a channel to that of another, above which its rate is lower."""
 MIN_LOST_INTERVAL = 2.5
 """Ratio of the time between two rows to the median one, above which rows between them are missing."""
 MAX_LATE_SHARE = 0.1
 """Share of the new positions that follow missing rows, above which the stamps jitter and no row is missing."""
+MAX_ROUNDED_STEP = 1.01
+"""Ratio of the steps of a position to the smallest one, up to which they are steps of its rounding."""
 MIN_REGULAR_SHARE = 0.9
 """Share of the distances between known samples of a channel [rows] that are multiples of the usual distance, above
 which the blanks are due to its lower rate."""
@@ -74,6 +80,9 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
         if missing:
             worst = max(missing, key=lambda name: missing[name])
             reason = f": {worst} has no number in {missing[worst]} of {len(table.time_ns) + table.rows_without_time}"
+            if column := next((one for one in (worst, RELATED.get(worst, "")) if one in table.words), ""):
+                raise RunError(file, f"it contains fewer than two usable rows: column {table.sources[column].name} has "
+                               f"no number, but {table.words[column]!r}", "export it as plain numbers")
         elif len(table.used) > 1:
             reason = f": {share(int(table.used.sum()), len(table.used), 'rows')} have a time later than all before"
         raise RunError(file, f"it contains fewer than two usable rows{reason}", "remove it from the command")
@@ -176,6 +185,7 @@ def _with_derived(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray]
     north or from the course, yaw rate from yaw, x and y from latitude and longitude, positions interpolated at every
     row."""
     columns, origin = dict(table.columns), None
+    _interpolate_lower_rates(table, columns, notes)
     if "yaw" not in columns and COMPASS in columns:
         columns["yaw"] = np.pi / 2 - columns[COMPASS]
     elif "yaw" not in columns and columns.keys() >= {*QUATERNION}:
@@ -190,6 +200,11 @@ def _with_derived(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray]
     _complete_motion(table, columns, notes)
     if not {"x", "y"} <= columns.keys() and columns.keys() >= {"latitude", "longitude"}:
         latitude, longitude = columns["latitude"], columns["longitude"]
+        for name, limit in (("latitude", 90), ("longitude", 360)):
+            if np.isfinite(columns[name]).any() and (usual := np.degrees(np.nanmedian(np.abs(columns[name])))) > limit:
+                raise RunError(table.file, f"{name} (column {table.sources[name].name}) is about {usual:.6g} deg",
+                               "export decimal degrees, not degrees and minutes as 5206.123; or declare the unit in a "
+                               f"run.yaml, as units: {{{name}: 1e-7 deg}}")
         has_fix = (latitude != 0.0) | (longitude != 0.0)  # loggers write zeros before the first fix
         if not has_fix.all():
             without = share(int((~has_fix).sum()), len(has_fix), "rows")
@@ -198,8 +213,46 @@ def _with_derived(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray]
         found = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude) & table.used)
         origin = (float(latitude[found[0]]), float(longitude[found[0]]), 0.0) if len(found) else None
         columns["x"], columns["y"], _ = enu(origin or (0.0, 0.0, 0.0), latitude, longitude, np.zeros(len(latitude)))
+    _interpolate_lower_rates(table, columns, notes)
     _interpolate_held_positions(table, columns, notes)
     return columns, origin
+
+
+def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
+    """Interpolates INS channels of a lower rate than another, or with stamps of their own, at the rows of that one.
+
+    Loggers write such tables with blanks. Where a channel of the same rate has no number, none is made; nor across
+    gaps in a channel.
+    """
+    names = [name for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, COMPASS, COURSE, "velocity_east", "velocity_north")
+             if name in columns]
+    known = {name: np.flatnonzero(table.used & np.isfinite(columns[name])) for name in names}
+    rows = max(known.values(), key=len, default=np.empty(0, int))
+    time = (table.time_ns - table.time_ns[:1]) * 1e-9
+    if len(rows) < 3:
+        return
+    changed = []
+    for name, own in known.items():
+        if len(own) < 3:
+            continue
+        steps = np.diff(time[own])
+        usual = np.median(steps)
+        is_regular = np.mean(steps <= MIN_LOWER_RATE * usual) > MIN_REGULAR_SHARE
+        is_slower = usual > MIN_LOWER_RATE * np.median(np.diff(time[rows]))
+        if not is_regular or not (is_slower or np.isin(own, rows).mean() < 0.5):
+            continue
+        values = columns[name][own]
+        if name in ("yaw", COMPASS, COURSE):
+            values = np.unwrap(values)
+        found = np.interp(time[rows], time[own], values, np.nan, np.nan)
+        after = np.clip(np.searchsorted(time[own], time[rows]), 1, len(own) - 1)
+        found[(steps[after - 1] > MIN_LOST_INTERVAL * usual) & ~np.isin(rows, own)] = np.nan
+        columns[name] = columns[name].copy()
+        columns[name][rows] = found
+        changed.append(f"{name} {share(len(own), int(table.used.sum()), 'rows')}")
+    if changed:
+        notes.append(f"{table.file}: lower rate, or stamps of their own: {', '.join(changed)}; the others were "
+                     "interpolated")
 
 
 def _course_in_motion(table: Table, columns: Mapping[str, np.ndarray], notes: list[str]) -> np.ndarray:
@@ -256,7 +309,10 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], no
     seconds = (table.time_ns[rows] - table.time_ns[rows[0]]) * 1e-9
     resolution = max(float(step[new].min()), 1e-9)
     moving = np.abs(columns["velocity_x"][rows][1:]) * np.diff(seconds) > np.median(step[new]) / 20 + resolution / 20
-    if (moving & ~new).sum() <= MAX_HELD_SHARE * max(moving.sum(), 1):
+    recorded = ("x", "y") if "x" in table.columns else ("latitude", "longitude")
+    sizes = [size[size > 0] for name in recorded for size in [np.abs(np.diff(columns[name][rows]))]]
+    is_rounded = all(np.mean(size <= MAX_ROUNDED_STEP * size.min()) > MIN_REGULAR_SHARE for size in sizes if len(size))
+    if is_rounded or (moving & ~new).sum() <= MAX_HELD_SHARE * max(moving.sum(), 1):
         return
     fresh = np.concatenate(([True], new))
     # The first new position after lost rows may belong to one of them: its time is unknown.
@@ -303,9 +359,8 @@ def _count_missing(table: Table, columns: Mapping[str, np.ndarray], steering: tu
         if name in columns}}
     lost = {name: count for name, count in lost.items() if count}
     total = len(table.time_ns) + table.rows_without_time
-    related = {"time": "t", "x": "longitude", "y": "latitude", "yaw": COMPASS}
     for name, count in lost.items():
-        source = table.sources.get(name) or table.sources.get(related.get(name, ""))
+        source = table.sources.get(name) or table.sources.get(RELATED.get(name, ""))
         half = count > total / 2
         if name == "time":
             consequence = "these rows were left out"

@@ -4,17 +4,19 @@ import csv
 import io
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import date
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
+from .can_formats import month_number
 from .columns import COLUMNS, UNITS, ColumnSource, Layout, find_columns, unit_named
 from .errors import RunError, check_readable, share, short
 from .ins_log import LATEST_TIME, usable_rows
 
+MAX_UNIT_ROWS = 5  # below the header without a number: units, sources, types
 MAX_HEADER_LINES = 60  # exports of loggers have some lines of their own before the header
 MISSING = frozenset(("", "-", "--", "nan", "na", "n/a", "#n/a", "#na", "null", "none", "inf", "-inf", "+inf", "nil"))
 _GROUPED = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+") for mark in ",."}
@@ -26,6 +28,9 @@ _STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\
                     r"(?:(\d{1,2}):)?(\d\d?):(\d\d(?:[.,:]\d+)?) *(?:([AaPp])\.?[Mm]\.?)? *"
                     r"(?:Z|UTC|([+-])(\d\d):?(\d\d))?")
 _SLASHED = re.compile(r"(?<!\d)(\d\d?)/(\d\d?)/(\d{4})(?!\d)")
+_NAMED_MONTH = re.compile(r"(?<!\d)(\d\d?)[- ]([^\W\d]{3,})\.?[- ](\d{4})(?!\d)")  # 04-May-2026 of MATLAB
+_WITH_UNIT = re.compile(r"([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*([^\d\s.,+-].*)")  # 0.02 sec, 12 km/h
+_FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]\d\d)")  # 1.5D-03
 DAY, HOUR = 86400.0, 3600.0  # s
 _DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # day number of 1970-01-01, and the program
 _EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
@@ -50,6 +55,7 @@ class Table:
     rows_without_time: int
     used: np.ndarray
     warnings: tuple[str, ...]
+    words: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def absolute(self) -> bool:
@@ -95,15 +101,13 @@ def read_table(file: Path, layout: Layout) -> Table:
     text = read_text(file)
     warnings: list[str] = []
     at = _header_line(text.split("\n", MAX_HEADER_LINES + 1)[:MAX_HEADER_LINES], layout)
-    if at:
-        before, text = text, text.split("\n", at)[at]
-        if at > 1 or not _SEPARATOR.match(before):
-            warnings.append(f"{file}: the header is in line {at + 1}; the {at} before it were skipped")
-    header, _, body = text.partition("\n")
+    *above, header, body = (text + "\n").split("\n", at + 1)
+    if at > 1 or (at and not _SEPARATOR.match(above[0])):
+        warnings.append(f"{file}: the header is in line {at + 1}; the {at} before it were skipped")
     names, delimiter = _split_header(header)
     if delimiter == " ":
         body = "\n".join(" ".join(line.split()) for line in body.split("\n"))
-    return table_of(file, names, body, delimiter, layout, warnings)
+    return table_of(file, names, body, delimiter, layout, warnings, above=above)
 
 
 def join_tables(tables: Sequence[Table]) -> Table:
@@ -130,17 +134,23 @@ def join_tables(tables: Sequence[Table]) -> Table:
 
 
 def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: Layout, warnings: list[str],
-             sources: dict[str, ColumnSource] | None = None) -> Table:
-    """The table of rows of text. sources: by channel, default from the names. Raises RunError."""
+             sources: dict[str, ColumnSource] | None = None, above: Sequence[str] = ()) -> Table:
+    """The table of rows of text. sources: by channel, default from the names. above: lines before the header, which
+    may give the units. Raises RunError."""
+    body = _FORTRAN.sub("E", body.replace("\u2212", "-"))
     if sources is None:
         sources = find_columns(file, names, layout)
-        sources, body = _read_unit_row(file, sources, body, delimiter, layout)
+        sources, body = _read_unit_rows(file, sources, above, body, delimiter, layout)
+        sources, body = _read_units_of_cells(sources, body, delimiter, layout)
     body = _with_decimal_points(file, body, delimiter)
     time, first_time = sources.get("t"), None
     if time is not None:
-        cells = next((line.split(delimiter) for line in body.split("\n", 20) if line.strip()), [])
-        first_time = cells[time.column].strip() if time.column < len(cells) else None
-        if first_time and _parse_stamp(first_time.strip(' \r"')):
+        first = _first_row(body, delimiter)
+        first_time = first[time.column] if time.column < len(first) else None
+        if first_time and (named := _NAMED_MONTH.search(first_time)) and month_number(named[2]):
+            body = _NAMED_MONTH.sub(_numbered_month, body)
+            first_time = _numbered_month(named) + first_time[named.end():]
+        if first_time and _parse_stamp(first_time):
             if "/" in first_time:
                 body = _with_ordered_dates(file, body, warnings)
             body = with_seconds(body, delimiter, time.column, _parse_stamp)
@@ -151,12 +161,15 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
         columns = {channel: rows[:, source.column] * source.factor
                    for channel, source in sources.items() if channel != "t"}
     columns = {channel: np.where(np.isfinite(values), values, np.nan) for channel, values in columns.items()}
+    first = _first_row(body, delimiter)
+    words = {channel: first[source.column][:40] for channel, source in sources.items() if channel in columns
+             and source.column < len(first) and not np.isfinite(columns[channel]).any()}
     if time is None:
         return Table(file, tuple(names), sources, columns, np.empty(0, np.int64), 0, np.empty(0, bool), tuple(warnings))
     seconds = _seconds(file, rows[:, time.column], time, warnings)
     timed, time_ns, used = _usable_times(file, seconds, time, first_time, warnings)
     columns = {channel: values[timed] for channel, values in columns.items()}
-    return Table(file, tuple(names), sources, columns, time_ns, int((~timed).sum()), used, tuple(warnings))
+    return Table(file, tuple(names), sources, columns, time_ns, int((~timed).sum()), used, tuple(warnings), words)
 
 
 def _usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_time: str | None,
@@ -186,19 +199,21 @@ def _usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_t
 
 
 def _header_line(lines: list[str], layout: Layout | None = None) -> int:
-    """Index of the line that names most channels; the first of several, and 0 where none names two."""
-    counts = []
+    """Index of the line that names most channels, the first of several; where none names two, of the first line with
+    the usual number of cells."""
+    counts, widths = [], []
     for line in lines[:MAX_HEADER_LINES]:
         names, _ = _split_header(line)
         of_layout = set(layout.columns.values()).intersection(names) if layout else ()
         counts.append(len(find_columns(Path(), names, Layout())) + len(of_layout) if len(names) > 1 else 0)
+        widths.append(len(names))
     best = max(counts, default=0)
-    return counts.index(best) if best >= 2 else 0
+    return counts.index(best) if best >= 2 else widths.index(max(widths, key=widths.count)) if widths else 0
 
 
 def _split_header(header: str) -> tuple[list[str], str]:
     """(names, delimiter)."""
-    delimiter = next((mark for mark in (";", "\t", "|", ",") if mark in header), ",")
+    delimiter = max(";\t|,", key=re.sub('"[^"]*"', "", header).count)  # the first of those that occur as often
     if delimiter not in header and len(header.split()) > 2:
         return header.split(), " "
     try:
@@ -208,30 +223,71 @@ def _split_header(header: str) -> tuple[list[str], str]:
     return [name.strip() for name in names], delimiter
 
 
-def _read_unit_row(file: Path, sources: dict[str, ColumnSource], body: str, delimiter: str,
-                   layout: Layout) -> tuple[dict[str, ColumnSource], str]:
-    """(sources with the units of a row below the names, the rest of the body).
+def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequence[str], body: str, delimiter: str,
+                    layout: Layout) -> tuple[dict[str, ColumnSource], str]:
+    """(sources with the units of a row above or below the names, the body from the first row with a number on).
 
-    A first row without any number is a row of units, unless its cells only mark missing values. Raises
-    RunError for a cell that is not a unit of its channel.
+    Of several rows without a number below the names, one gives the units; the others are types or sources. Cells that
+    only mark missing values are no row of units. Raises RunError for a cell that is not a unit of its channel.
     """
-    first, _, rest = body.partition("\n")
-    cells = [cell.strip(' \r"') for cell in first.split(delimiter)]
-    texts = {channel: text for channel, source in sources.items() if source.column < len(cells)
-             and (text := cells[source.column].strip("[]() ")).lower() not in MISSING}
-    if not texts or any(np.isfinite(_number(cell.replace(",", "."))) for cell in cells):
-        return sources, body
-    found = dict(sources)
-    for channel, text in texts.items():
-        if channel in layout.units:
-            continue
+    def texts(line: str) -> dict[str, str]:
+        cells = [cell.strip(' \r"') for cell in line.split(delimiter)]
+        found = {channel: text for channel, source in sources.items() if source.column < len(cells)
+                 and (text := cells[source.column].strip("[]() ")).lower() not in MISSING}
+        is_data = any(np.isfinite(_number(cell.replace(",", "."))) for cell in cells) or any(
+            _parse_stamp(text) or _split_unit(channel, text) for channel, text in found.items())
+        return {} if is_data else found
+
+    def invalid(found: Mapping[str, str]) -> list[str]:
+        return [channel for channel, text in found.items()
+                if channel not in layout.units and unit_named(COLUMNS[channel].kind, text) is None]
+
+    below, lines = list[dict[str, str]](), body.split("\n", MAX_UNIT_ROWS)
+    while len(lines) > 1 and (not lines[0].strip() or texts(lines[0])):
+        if found := texts(lines.pop(0)):
+            below.append(found)
+    labelled = [{c: text for c, text in texts(line).items() if c != "t"} for line in above]
+    units = next((found for found in [*below, *(one for one in labelled if len(one) > 1)] if not invalid(found)), None)
+    if units is None and below:
+        units = below[0]
+        channel = invalid(units)[0]
         kind = COLUMNS[channel].kind
-        unit = unit_named(kind, text)
-        if unit is None:
-            raise RunError(file, f"unit row: {text[:40]!r} of column {sources[channel].name} is not a unit of {kind}",
-                           f"known are {', '.join(UNITS[kind])}; or set it in a run.yaml, as units: {{{channel}: ...}}")
-        found[channel] = replace(sources[channel], unit=unit, stated=True)
-    return found, rest
+        raise RunError(
+            file, f"unit row: {units[channel][:40]!r} of column {sources[channel].name} is not a unit of {kind}",
+            f"known are {', '.join(UNITS[kind])}; or set it in a run.yaml, as units: {{{channel}: ...}}")
+    stated = {channel: replace(sources[channel], unit=unit, stated=True) for channel, text in (units or {}).items()
+              if channel not in layout.units and (unit := unit_named(COLUMNS[channel].kind, text))}
+    return {**sources, **stated}, "\n".join(lines)
+
+
+def _read_units_of_cells(sources: dict[str, ColumnSource], body: str, delimiter: str,
+                         layout: Layout) -> tuple[dict[str, ColumnSource], str]:
+    """(sources with the units that stand behind the numbers of their cells, the body without those)."""
+    first = _first_row(body, delimiter)
+    found = {channel: text for channel, source in sources.items() if source.column < len(first)
+             and (text := _split_unit(channel, first[source.column]))}
+    if not found:
+        return sources, body
+    rows = [line.split(delimiter) for line in body.split("\n")]
+    for channel, text in found.items():
+        for row in rows:
+            if (column := sources[channel].column) < len(row):
+                row[column] = row[column].strip(' \r"').removesuffix(text)
+    stated = {channel: replace(sources[channel], unit=unit, stated=True) for channel, text in found.items()
+              if channel not in layout.units and (unit := unit_named(COLUMNS[channel].kind, text))}
+    return {**sources, **stated}, "\n".join(map(delimiter.join, rows))
+
+
+def _split_unit(channel: str, cell: str) -> str:
+    """The unit behind the number in a cell of a channel, as written; empty without one."""
+    match = _WITH_UNIT.fullmatch(cell)
+    return match[2] if match and unit_named(COLUMNS[channel].kind, match[2]) else ""
+
+
+def _first_row(body: str, delimiter: str) -> list[str]:
+    """Cells of the first row that is not blank."""
+    row = next((line.split(delimiter) for line in body.split("\n", 20) if line.strip()), [])
+    return [cell.strip(' \r"') for cell in row]
 
 
 def with_seconds(body: str, delimiter: str, column: int, clock: Callable[[str], tuple[float, float] | None]) -> str:
@@ -266,6 +322,10 @@ def _with_ordered_dates(file: Path, body: str, warnings: list[str]) -> str:
         warnings.append(f"{file}: the day/month order of its dates is ambiguous; only the time of day is used; export "
                         "dates as 2026-04-25")
     return body
+
+
+def _numbered_month(date: re.Match[str]) -> str:
+    return f"{date[3]}-{month_number(date[2]) or 0:02d}-{date[1]}"
 
 
 def _parse_stamp(text: str) -> tuple[float, float] | None:

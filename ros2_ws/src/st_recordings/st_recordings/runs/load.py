@@ -6,7 +6,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 from st_core.checks.plausibility import without_implausible
 from st_core.corrections import Correction, apply_corrections, describe_corrections
 from st_core.errors import StCoreError
@@ -47,9 +46,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
         text = (f"{source.where}: yaw is the course over ground; heading and sideslip are computed from it for steady "
                 "cornering with the vehicle file")
         loaded = replace(loaded, log=log, warnings=(*loaded.warnings, text))
-    check_common_time(source, loaded.log.ins_time_ns, loaded.log.steering_time_ns)
-    notes = tuple(f"{source.where}: {note}" for note in uncovered(loaded.log))
-    loaded = replace(loaded, warnings=(*loaded.warnings, *notes))
+    loaded = replace(loaded, warnings=(*loaded.warnings, *uncovered(source, loaded.log)))
     log_warnings(loaded.warnings)
     return replace(loaded, provenance={**loaded.provenance, "files": digests.result()})
 
@@ -88,22 +85,20 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
         auxiliary=replace(run.auxiliary, corrected=phrases))
 
 
-def check_common_time(source: RunSource, ins_ns: np.ndarray, steering_ns: np.ndarray) -> None:
-    """Raises RunError where INS and steering do not overlap in time."""
-    if len(ins_ns) < 2 or len(steering_ns) < 2:
+def uncovered(source: RunSource, log: DriveLog) -> list[str]:
+    """Warnings on what INS and steering recorded without the other, with its share. Raises RunError where they do not
+    overlap in time."""
+    spans = {"INS": log.ins_time_ns, "steering": log.steering_time_ns}
+    if min(map(len, spans.values())) < 2:
         raise RunError(source.where, "it contains fewer than two measurements of INS or steering",
                        "remove it from the command")
-    if min(ins_ns[-1], steering_ns[-1]) <= max(ins_ns[0], steering_ns[0]):
+    if min(time[-1] for time in spans.values()) <= max(time[0] for time in spans.values()):
         raise RunError(source.where, "INS and steering were not recorded at the same time",
                        "check that the files belong to one drive (and the offset, if it was given by hand)")
-
-
-def uncovered(log: DriveLog) -> list[str]:
-    """What INS and steering recorded without the other, with its share."""
-    spans = {"INS": log.ins_time_ns, "steering": log.steering_time_ns}
     seconds = {name: float(time[-1] - time[0]) * 1e-9 for name, time in spans.items()}
-    return [f"{alone:.1f} of {seconds[name]:.1f} s of the {name} ({100.0 * alone / seconds[name]:.0f} %) are not used: "
-            f"the {other} was not recorded then" for name, other in (("INS", "steering"), ("steering", "INS"))
+    return [f"{source.where}: {alone:.1f} of {seconds[name]:.1f} s of the {name} ({100.0 * alone / seconds[name]:.0f} "
+            f"%) are not used: the {other} was not recorded then"
+            for name, other in (("INS", "steering"), ("steering", "INS"))
             if (alone := seconds[name] - log.overlap) > max(MIN_UNCOVERED_TIME, MIN_UNCOVERED_SHARE * seconds[name])]
 
 

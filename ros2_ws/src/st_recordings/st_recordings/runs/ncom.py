@@ -1,4 +1,4 @@
-"""Reads the INS recording: .ncom, or .xcom searched for NCOM packets; pose, velocity and rates in the suite's axes."""
+"""Reads an INS recording of NCOM packets, also in .xcom files and network captures; values in the axes of the suite."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -107,7 +107,9 @@ def ecef(latitude: np.ndarray, longitude: np.ndarray, altitude: np.ndarray) -> n
 def _damage_warnings(columns: file_decoder.Columns, file: Path) -> list[str]:
     counters = columns.counters
     lost = []
-    if counters.skipped_bytes:
+    with file.open("rb") as stream:
+        is_capture = stream.read(4) in file_decoder.CAPTURE_MARKS  # has heads between the packets
+    if counters.skipped_bytes and not is_capture:
         lost.append(f"{share(counters.skipped_bytes, file.stat().st_size, 'bytes')} are not part of a packet")
     if counters.checksum_errors:
         lost.append(f"{counters.checksum_errors} packets have a wrong checksum")

@@ -1,5 +1,6 @@
 """Reads a run.yaml: which files make a run, and how they are to be read, corrected and labelled."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,13 @@ def read_run_file(path: Path) -> list[RunSource]:
     """The run that a run.yaml describes, or the runs under its key `each`. Raises RunError."""
     content = _content(path)
     return _each(path, content) if "each" in content else [_one(path, content)]
+
+
+def described_by_each(file: Path) -> RunSource | None:
+    """The run of a recording that is named alone, by a run.yaml of its folder with `each`. Raises RunError."""
+    paths = [path for path in sorted(file.parent.glob(f"*{RUN_FILE}")) if is_run_file(path) and path.is_file()
+             and re.search(r"^each\s*:", path.read_text("utf-8", "replace"), re.MULTILINE)]
+    return next((run for path in paths for run in read_run_file(path) if file in run.files), None)
 
 
 def _content(path: Path) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from .can_formats import is_can_log
 from .errors import RunError
 from .mf4 import session_of
 from .readers import READERS, Reader, reader_of
-from .run_file import RUN_FILE, RUN_SUFFIX, is_run_file, logs_of, read_run_file
+from .run_file import RUN_FILE, RUN_SUFFIX, described_by_each, is_run_file, logs_of, read_run_file
 from .run_types import RunSource
 
 __all__ = ["RUN_FILE", "RUN_SUFFIX", "find_runs"]
@@ -25,17 +25,16 @@ DOCUMENT_EXTENSIONS = (".md", ".txt", ".rst", ".pdf", ".html", ".png", ".jpg", "
 """Extensions that no recording has: README, LICENSE and the like, ignored among recordings."""
 MAX_SPLIT_GAP = 5.0
 """s, between the end of one file of a bag and the start of the next."""
-TABLE_EXTENSIONS = (".txt", ".tsv", ".dat", ".xls", ".xlsx", ".ods", ".mat", ".parquet", ".feather", ".h5", ".hdf5",
-                    ".tdms", ".json", ".erg", ".ld")
+TABLE_EXTENSIONS = (".txt", ".tsv", ".dat", ".lvm", ".xls", ".xlsx", ".ods", ".mat", ".parquet", ".feather", ".h5",
+                    ".hdf5", ".tdms", ".json", ".erg", ".ld")
 """Tables of other programs; a text table is read if it is renamed to .csv."""
 UNKNOWN_ADVICE = {
     ".bag": "convert the ROS 1 bag with rosbags-convert",
     ".dbc": "give a DBC with --dbc, or put it into the folder of --car",
     ".rd": "this is raw data of an OxTS unit: convert it to NCOM with the software of the unit",
     ".vbb": "export it as .vbo with the software of the logger",
-    **dict.fromkeys((".gz", ".zip", ".7z", ".bz2", ".xz", ".zst"), "unpack it first"),
-    **dict.fromkeys((".pcap", ".pcapng"),
-                    "for NCOM over UDP, rename it to .ncom: bytes between the packets are skipped"),
+    ".bin": "rename it to .ncom if it contains NCOM packets",
+    **dict.fromkeys((".gz", ".zip", ".7z", ".bz2", ".xz", ".zst", ".zstd"), "unpack it first"),
     **dict.fromkeys(TABLE_EXTENSIONS, "rename it to .csv if it is a text table with a header line; else export one"),
 }
 """What to do with a file that no reader knows, by extension."""
@@ -57,15 +56,35 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
                                                f"{yaml_text.nearest(path.name, others)}")))
         elif path.is_dir() and reader_of(path) is None:
             found = _in_folder(path)
-            runs += found or [_failed(path, RunError(path, "no recording is in this folder",
-                                                     "give a folder with .ncom and CAN logs, bags, CSV or VBO files"))]
+            runs += found or _without_run(path)
         elif is_run_file(path):
             runs += _from_run_file(path)
         else:
             loose.append(path)
     if len(loose) > 1 or runs:
         loose = [f for f in loose if reader_of(f) or f.suffix.lower() not in DOCUMENT_EXTENSIONS] or loose
-    return _with_distinct_names([*runs, *_from_files(loose, given=True)])
+    described = [run for path in loose if (run := _described_by_each(path)) is not None]
+    rest = [f for f in loose if not any(f in (*run.files, *run.can) for run in described)]
+    if any(f.suffix.lower() in CAN_EXTENSIONS for f in rest):  # other CAN logs than their own are named with them
+        described, rest = [], loose
+    return _with_distinct_names([*runs, *described, *_from_files(rest, given=True)])
+
+
+def _described_by_each(path: Path) -> RunSource | None:
+    try:
+        return described_by_each(path) if reader_of(path) is not None else None
+    except RunError as error:
+        return _failed(path, error)
+
+
+def _without_run(folder: Path) -> list[RunSource]:
+    """Problems of the files in a folder that are recordings, but no runs; else one of the folder."""
+    bag = READERS["bag"]
+    files = sorted(folder.rglob("*"))
+    bags = [f for f in files if bag.accepts(f) and not any(bag.accepts(parent) for parent in f.parents)]
+    others = [f for f in files if f.suffix.lower() in UNKNOWN_ADVICE.keys() - {*DOCUMENT_EXTENSIONS}]
+    return [*(_single_run(f, bag) for f in bags), *map(_unknown_file, others)] or [_failed(folder, RunError(
+        folder, "no recording is in this folder", "give a folder with .ncom and CAN logs, bags, CSV or VBO files"))]
 
 
 def _in_folder(folder: Path) -> list[RunSource]:

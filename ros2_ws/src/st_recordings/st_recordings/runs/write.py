@@ -16,7 +16,7 @@ from ..results import versions
 from .bag import definitions_folder
 from .cdr import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS, typestore
 from .errors import RunError
-from .load import apply_run_file, check_common_time, file_hashes
+from .load import apply_run_file, file_hashes, uncovered
 from .ncom import NcomLog
 from .raw import RawRun, alignment_summary, as_drive, read_raw, steering_times
 from .readers.ncom import read_ins
@@ -58,7 +58,7 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
                        "evaluate, check, identify and discover read it directly")
     run = read_raw(source, settings, read_ins)
     drive = apply_run_file(source, as_drive(source, vehicle, settings, run), vehicle)
-    check_common_time(source, drive.log.ins_time_ns, drive.log.steering_time_ns)
+    uncovered_time = uncovered(source, drive.log)
     findings = tuple(check(drive))
     try:
         writer = BagWriter(directory, _records(source, vehicle, settings, run))
@@ -80,7 +80,7 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
         writer.close()
     if writer.error:
         raise RunError(directory, writer.error, "free some space and import again")
-    warnings = list(drive.warnings)
+    warnings = [*drive.warnings, *uncovered_time]
     if drive.auxiliary.corrected:
         warnings.append(f"{directory}: contains the data as recorded; repeat the corrections of its run.yaml in a "
                         "run.yaml of the bag (bag: ...)")
