@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from .regression import robust_deviation, white_noise
+from .timeseries import smoothed_deviation
 from .types import body_to_map, map_to_body, wrap_angle
 
+SMOOTHING_NS = 100_000_000  # width of the centred mean of the smoothed channels
 STANDSTILL_SPEED = 0.5  # m/s; a car that is never faster does not move
 
 
@@ -23,7 +25,7 @@ class Channel:
     signals: fields of DriveLog that measure it. columns: in which it is scored. Both default to `name`.
     predicted(readings, true): reading of the sensor, from `effects.Measured` with and without the errors of the INS;
     None for the field `name` of `readings`. errors(measured, readings): by column; None for measured minus predicted.
-    smoothed: measured and predicted are averaged over 0.1 s. adds_up: its errors grow over the horizon.
+    smoothed: measured and predicted are averaged over SMOOTHING_NS. adds_up: its errors grow over the horizon.
     zero_is_none: a recording that does not have it is 0 throughout.
     noise(log, step, x, y, yaw, v_x, v_y, r): standard deviation of the errors at the end of windows due to noise alone,
     for each column, from redundant sensors without a car or model; arrays (windows, instants `step` [s] apart). None
@@ -65,7 +67,12 @@ class Channel:
 
     def noise_errors(self, log: Any, *motion: Any) -> tuple[float, ...]:
         """Errors due to noise alone [unit], one for each column."""
-        return self.noise(log, *motion) if self.noise else (white_noise(getattr(log, self.name)),)
+        if self.noise:
+            return self.noise(log, *motion)
+        values = getattr(log, self.name)
+        known = np.isfinite(values)
+        averaged = smoothed_deviation(log.ins_time_ns[known], SMOOTHING_NS) if self.smoothed else 1.0
+        return (averaged * white_noise(values),)
 
 
 def _position_residuals(measured: Mapping[str, np.ndarray], readings: Any) -> tuple[np.ndarray, ...]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..augmented import AugmentedModel
 from ..batch import LogBatch, Recording
-from ..channels import CHANNELS
+from ..channels import CHANNELS, SMOOTHING_NS
 from ..composition import compose
 from ..effects import Measured
 from ..errors import StCoreError
@@ -164,8 +164,8 @@ class Windows:
         return tuple(self._batch.signals.ins_at(times, *names))
 
     def _readings(self, times: np.ndarray) -> dict[str, np.ndarray]:
-        """Measured signals at times [ns], those of some channels smoothed over 2 STEP."""
-        log, width = self.joined, round(2 * STEP / NANOSECOND)
+        """Measured signals at times [ns], those of some channels smoothed."""
+        log = self.joined
         signals = Signals(log, MAX_GAP)
         names = {"x": False, "y": False, "yaw": False, "velocity_x": False} | {
             name: channel.smoothed for channel in self.channels for name in channel.signals}
@@ -174,7 +174,7 @@ class Windows:
             values = getattr(log, name)
             known = np.isfinite(values)
             time_ns, values = log.ins_time_ns[known], values[known]
-            result[name] = signals.sample(time_ns, smoothed(time_ns, values, width) if smooth else values, times)
+            result[name] = signals.sample(time_ns, smoothed(time_ns, values, SMOOTHING_NS) if smooth else values, times)
         return result
 
     @cached_property
