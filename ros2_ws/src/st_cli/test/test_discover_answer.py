@@ -227,6 +227,10 @@ def test_a_combination_that_differs_from_the_file_is_reported_when_no_effect_of_
     assert text in report_text.title(found)
     assert dict(report_text.summary(found, None, {}))["only the combination is identifiable"] == (
         f"{text}: front stiffness or steering compliance, which these drives do not separate")
+    delay = Combination("total delay of the steering", "s", -0.0619, (-0.07, -0.05), 0.0, ("steering_delay",))
+    late = replace(found, combinations=(delay,))
+    assert "total delay of the steering -0.062 s (-0.070 to -0.050)" in report_text.title(late)
+    assert not any("weigh the car" in line for line in report_text.to_do(late, None))
     same = replace(found, combinations=(replace(stiffness, interval=(30.0, 44.0)),))
     named = replace(found, combinations=(replace(stiffness, effects=(found.effects[0].name,)),))
     for one in (same, named):

@@ -11,6 +11,7 @@ from st_core.discovery.decision import (
     CHANCE,
     FILE,
     FORCES,
+    IMPLAUSIBLE,
     IRRELEVANT,
     LEVEL_NAMES,
     MINOR,
@@ -31,7 +32,7 @@ from st_core.discovery.decision import (
 )
 from st_core.discovery.discover import with_sensor_interval
 from st_core.discovery.evidence import AgainstFile, Agreement, Evidence
-from st_core.discovery.result import Combination, FittedParameter
+from st_core.discovery.result import Combination, FittedParameter, FoundEffect, known_together
 from st_core.errors import ConfigurationError
 
 LIMITS = Limits()
@@ -100,6 +101,16 @@ def test_a_combination_differs_outside_its_99_percent_interval(file, differs):
     assert Combination("C/m", "N/(rad kg)", 35.0, (32.0, 38.0), file, ("mass",)).differs is differs
 
 
+def test_a_total_delay_is_reported_with_the_stiffness_unless_a_part_of_it_is_named():
+    stiffness = Combination("front cornering stiffness over mass", "N/(rad kg)", 35.0, (34.0, 36.0), 40.0, ("mass",))
+    gain = Combination("steady-state yaw gain at 20 m/s", "1/s", 0.3, (0.29, 0.31), 0.35, ("mass",))
+    delay = Combination("total delay of the steering", "s", -0.06, (-0.07, -0.05), 0.0, ("steering_lag",))
+    named = FoundEffect("steering_lag", "physics", {}, (), 0.0, {})
+    assert known_together((stiffness, gain, delay), ()) == (stiffness, delay)
+    assert known_together((gain, replace(delay, interval=(-0.15, 0.03))), ()) == (gain,)
+    assert known_together((delay,), (named,)) == ()
+
+
 def test_rules_are_asked_in_their_order():
     """Of an effect that fails them all the first is the verdict; mended one by one, the next."""
     worst = Evidence("mass", gain=0.005, p_value=0.5, null_p_value=0.5, sensors_p_value=0.001, bound_distance=0.0,
@@ -138,7 +149,8 @@ def test_effect_that_holds_is_named_or_kept(evidence, rule, figures):
 @pytest.mark.parametrize(("evidence", "checks", "rule"), [
     (GOOD, Checks(), STATED), (GOOD, Checks(null_outside=False), MINOR), (SEEN, Checks(null_outside=False), STATED),
     (GOOD, Checks(crossing="factor"), MINOR), (GOOD, Checks(peak_force_share=0.5), MINOR),
-    (GOOD, Checks(worse_axle="rear"), FORCES),
+    (GOOD, Checks(worse_axle="rear"), FORCES), (GOOD, Checks(summed=("steering_lag",)), MINOR),
+    (SEEN, Checks(objection="yaw_inertia: k^2 / (l_f l_r) 0.5 is outside 0.6 to 1.4"), IMPLAUSIBLE),
     (replace(GOOD, position=-0.03), Checks(), MINOR),  # its own step makes the held-out error larger
     (replace(SEEN, position=-0.03), Checks(), STATED)])  # but the sensors show it among themselves
 def test_what_intervals_and_axles_say_of_an_effect(evidence, checks, rule):

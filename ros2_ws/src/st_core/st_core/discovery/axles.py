@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..augmented import AugmentedModel
-from ..effects import COMBINATIONS, EFFECTS
+from ..effects import COMBINATIONS, EFFECTS, TOTAL_DELAY, get_effect
 from ..errors import StCoreError
 from ..handling import stability_factor
 from ..identification.axle_curve import axle_curve, axle_force, axle_forces, draw_models, force_error, valid_models
@@ -129,7 +129,7 @@ class Axles:
 
 
 def _combined(model: AugmentedModel, vehicle: VehicleParameters) -> np.ndarray:
-    """(4,) `COMBINATIONS` of a model."""
+    """(5,) `COMBINATIONS` of a model."""
     car = model.effective_vehicle(vehicle)
     limits = VEHICLE_QUANTITIES["cornering_stiffness_front"]  # which a random draw may exceed
     front, rear = (min(max(float(force[0]) / SMALL_SLIP, limits.minimum), limits.maximum)
@@ -137,4 +137,6 @@ def _combined(model: AugmentedModel, vehicle: VehicleParameters) -> np.ndarray:
     understeer = stability_factor(replace(car, cornering_stiffness_front=front, cornering_stiffness_rear=rear))
     gain = GAIN_SPEED / (car.wheelbase * (1.0 + understeer * GAIN_SPEED**2))
     w = model.inputs(1.0 / vehicle.steering_ratio, 0.0, model.parameters(vehicle))
-    return np.array([front / car.mass, rear / car.mass, understeer, gain * float(w[0])])
+    delay = sum(sum(values.values()) for name, values in model.values.items()
+                if TOTAL_DELAY in get_effect(name).combinations)
+    return np.array([front / car.mass, rear / car.mass, understeer, gain * float(w[0]), delay])

@@ -8,9 +8,9 @@ from .evidence import AgainstFile, Evidence, share_of
 from .result import Outcome, Reason
 from .settings import Limits
 
-STATED, NEGLIGIBLE, CHANCE, NULL, IRRELEVANT, SENSORS, FILE, BOUND, VARIES, MINOR, FORCES = (
+STATED, NEGLIGIBLE, CHANCE, NULL, IRRELEVANT, SENSORS, FILE, BOUND, VARIES, MINOR, FORCES, IMPLAUSIBLE = (
     "stated", "too small", "may be chance", "not significant", "not relevant", "refuted by the sensors",
-    "refuted by the vehicle file", "on a bound", "varies", "minor", "refuted by the axle forces")
+    "refuted by the vehicle file", "on a bound", "varies", "minor", "refuted by the axle forces", "implausible")
 
 
 @dataclass(frozen=True)
@@ -18,12 +18,15 @@ class Checks:
     """Checks of an effect that need intervals and axle curves. null_outside: whether an interval excludes the null.
     crossing: parameter whose interval crosses a bound, "" for none. peak_force_share [1]: of the peak force,
     reached in the drives, for an effect on the peak. worse_axle: axle that the effect acts on and whose measured forces
-    the answer describes less well than the vehicle file does; "" for none."""
+    the answer describes less well than the vehicle file does; "" for none. summed: effects of the answer that add up
+    with it to one combination. objection: to the car with it, see `handling.objections`; "" for none."""
 
     null_outside: bool = True
     crossing: str = ""
     peak_force_share: float = 1.0
     worse_axle: str = ""
+    summed: Sequence[str] = ()
+    objection: str = ""
 
 
 @dataclass(frozen=True)
@@ -176,6 +179,13 @@ def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) ->
     if checks.worse_axle:
         return Reason(FORCES, e.name, {"gain": e.gain}, f"with it the measured forces of the {checks.worse_axle} axle "
                       "fit worse than with the vehicle file: it improves predictions, but is not named")
+    if checks.objection:
+        return Reason(IMPLAUSIBLE, e.name, {"gain": e.gain}, f"with it the car is not plausible: {checks.objection}; "
+                      "it improves predictions, but is not named")
+    if checks.summed:
+        others = " and ".join(checks.summed).replace("_", " ")
+        return Reason(MINOR, e.name, {"gain": e.gain}, f"the drives show only the sum of it and {others}: kept, not "
+                      "named")
     if checks.crossing:
         return Reason(MINOR, e.name, {"gain": e.gain}, f"the interval of its {checks.crossing.replace('_', ' ')} "
                       "extends beyond the physical range: kept, not named")

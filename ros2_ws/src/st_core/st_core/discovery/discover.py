@@ -8,8 +8,9 @@ import numpy as np
 
 from ..augmented import AugmentedModel
 from ..channels import CHANNELS, OF_COLUMN
-from ..effects import get_effect
+from ..effects import TOTAL_DELAY, get_effect
 from ..errors import StCoreError
+from ..handling import objections
 from ..log import DriveLog
 from ..models import Model
 from ..vehicle import VehicleParameters
@@ -94,8 +95,8 @@ def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str 
 
 
 class _Names(NamedTuple):
-    """The effects of an answer by verdict: stated, minor, or denied by the axle forces. leave_one_out: see
-    `Discovery`."""
+    """The effects of an answer by verdict: stated, minor, or denied by the axle forces or by plausibility.
+    leave_one_out: see `Discovery`."""
 
     stated: tuple[FoundEffect, ...]
     minor: tuple[FoundEffect, ...]
@@ -180,16 +181,16 @@ class _Work:
         unexplained = (float(np.nanmean(position)) / max(floor["position_5s"], 1e-9)
                        if np.isfinite(position).any() else 1.0)
         everything = [replace(self._effect(name, found, parts, all_free, unexplained),
-                              joint=self._cancelling(search, found, name)) for name in found.order]
+                              joint=search.cancelling(found.fit, name)) for name in found.order]
         leave_one_out = waterfall.leave_one_out(problem, found.fit)
         axles, curves, combinations = self._axles(found, all_free, unexplained)
         verdicts = self._verdicts(found, everything, axles, leave_one_out)
-        stated, minor, denied = (tuple(e for e in everything if verdicts[e.name].rule == rule)
-                                 for rule in (decision.STATED, decision.MINOR, decision.FORCES))
+        stated, minor, denied = (tuple(e for e in everything if verdicts[e.name].rule in rules) for rules in (
+            (decision.STATED,), (decision.MINOR,), (decision.FORCES, decision.IMPLAUSIBLE)))
         return _Names(stated, minor, denied, verdicts, leave_one_out, curves, combinations)
 
     def _named_model(self, found: Found, names: _Names) -> AugmentedModel | None:
-        """The model without the effects that the axle forces contradict; None if no effect was found."""
+        """The model without the denied effects; None if no effect was found."""
         if not found.fit.names:
             return None
         return self.space.at(self.problem.vector_without(found.fit, *(e.name for e in names.denied)))
@@ -313,12 +314,6 @@ class _Work:
     def _is_alternative(self, rival: Rival) -> bool:
         return decision.alternative(rival, self.limits).rule == "alternative"
 
-    def _cancelling(self, search: Search, found: Found, name: str) -> tuple[str, ...]:
-        """Effects of the answer that cancel this one: removing both raises the loss much less than removing one."""
-        fit, alone = found.fit, search.predicted_rise(found.fit, name)
-        return tuple(n for n in fit.names if n != name and search.predicted_rise(fit, n, name)
-                     < self.limits.min_rival_gain * max(alone, search.predicted_rise(fit, n)))
-
     def _assumed(self) -> tuple[Assumed, ...]:
         """The quantities of the vehicle file that are priors."""
         known = {q.key: Assumed(q.key, q.unit, q.value, q.deviation, q.stated)
@@ -342,14 +337,19 @@ class _Work:
         """The verdict on each effect of the answer. With a reference, intervals do not decide, as they contain the
         uncertainty of the healthy car."""
         worse: dict[str, str] = {}
-        driven = 1.0
+        objected: dict[str, str] = {}
+        driven, names = 1.0, [e.name for e in everything]
         if axles is not None and not self.reference:
             driven = max(axles.driven_shares().values())
             for axle in axles.contradicting(self.space.at(self.space.null), leave_one_out):
-                worse |= dict.fromkeys(axles.acting(axle, [e.name for e in everything]), axle)
+                worse |= dict.fromkeys(axles.acting(axle, names), axle)
+            for name in names:
+                alone = self.space.at(self.problem.start).with_values({name: self.space.values(name, found.fit.vector)})
+                objected[name] = next(iter(objections(alone.effective_vehicle(self.vehicle), self.vehicle)), "")
         return {e.name: decision.naming_verdict(found.evidence[e.name], self.limits, decision.Checks(
             bool(self.reference) or null_excluded(e), "" if self.reference else parameter_across_bound(e),
-            driven if get_effect(e.name).at_peak_force else 1.0, worse.get(e.name, ""))) for e in everything}
+            driven if get_effect(e.name).at_peak_force else 1.0, worse.get(e.name, ""),
+            _summed(e.name, names) if axles is not None else (), objected.get(e.name, ""))) for e in everything}
 
     def _effective(self, whole: Problem, fit: Fit, found: Found) -> tuple[FoundEffect, ...]:
         """The effective corrections: effects of the fit that are not in the answer."""
@@ -501,6 +501,12 @@ class _Work:
 def _values(evidence: Evidence) -> dict[str, tuple[LocalEstimate, ...]]:
     return {level: tuple(LocalEstimate(part, ratio, deviation) for part, (ratio, deviation) in a.ratios.items())
             for level, a in evidence.agreement.items()}
+
+
+def _summed(name: str, names: Sequence[str]) -> tuple[str, ...]:
+    """The other effects of an answer that add up with one to a total delay."""
+    parts = [n for n in names if TOTAL_DELAY in get_effect(n).combinations]
+    return tuple(n for n in parts if n != name) if name in parts else ()
 
 
 def parameter_across_bound(effect: FoundEffect) -> str:

@@ -112,6 +112,11 @@ class Combination:
     effects: tuple[str, ...]
 
     @property
+    def is_time(self) -> bool:
+        """Whether it is `TOTAL_DELAY`, which is 0 in a vehicle file."""
+        return self.unit == "s"
+
+    @property
     def differs(self) -> bool:
         """Whether the value of the vehicle file differs significantly, p < `Limits.false_alarm`."""
         edge = self.interval[0] if self.file < self.value else self.interval[1]
@@ -355,11 +360,13 @@ class Discovery:
 
 def known_together(combinations: Sequence[Combination], named: Sequence[FoundEffect]) -> tuple[Combination, ...]:
     """Stiffness-to-mass ratios that differ significantly from the vehicle file while no named effect accounts for it;
-    if there are none, the first other combination (understeer gradient, yaw gain) with this property."""
+    if there are none, the first other combination of stiffness (understeer gradient, yaw gain) with this property; and
+    the total delay of the steering, if it has."""
     names = {name for e in named for name in (e.name, *e.alternatives)}
-    found = [c for c in combinations if c.differs and c.file > 0.0 and not names.intersection(c.effects)]
-    stiffness = tuple(c for c in found if "stiffness" in c.name)
-    return stiffness or tuple(found)[:1]
+    found = [c for c in combinations if c.differs and not names.intersection(c.effects)]
+    delay = [c for c in found if c.is_time]
+    others = [c for c in found if c.file > 0.0]
+    return (*([c for c in others if "stiffness" in c.name] or others[:1]), *delay)
 
 
 def plain_data(value: Any) -> Any:

@@ -289,13 +289,23 @@ class Search:
             fit = without
         return fit
 
-    def predicted_rise(self, fit: Fit, *names: str) -> float:
-        """Increase of the loss without some effects of a fit, by its quadratic."""
+    def predicted_rise(self, fit: Fit, *names: str, held: tuple[str, ...] = ()) -> float:
+        """Increase of the loss without some effects of a fit, by its quadratic. held: effects that keep their values;
+        the others follow."""
         p = self.problem
         rest = tuple(n for n in fit.names if n not in names)
         removed = np.isin(fit.indices, np.setdiff1d(p.space.indices(*names), p.space.indices(*rest)))
         step = np.where(removed, -p.distance(fit.vector)[fit.indices], 0.0)
-        return _constrained_step(p, fit.quadratic, fit.vector, fit.indices, step, ~removed)[0]
+        free = ~removed & ~np.isin(fit.indices, p.space.indices(*held))
+        return _constrained_step(p, fit.quadratic, fit.vector, fit.indices, step, free)[0]
+
+    def cancelling(self, fit: Fit, name: str) -> tuple[str, ...]:
+        """Effects of a fit that cancel one: without both, the loss rises by less than `limits.min_rival_gain` of its
+        rise without either one while the other keeps its value. The drives then show the sum of the two."""
+        def cancels(other: str) -> bool:
+            one = min(self.predicted_rise(fit, name, held=(other,)), self.predicted_rise(fit, other, held=(name,)))
+            return self.predicted_rise(fit, name, other) < self.limits.min_rival_gain * one
+        return tuple(n for n in fit.names if n != name and cancels(n))
 
     def _prune(self, vector: np.ndarray, names: list[str]) -> Fit | None:
         """Backward elimination from a joint fit of many effects with a weak prior; None if the remaining set was

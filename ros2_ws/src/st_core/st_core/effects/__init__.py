@@ -18,6 +18,7 @@ from ._base import (
     EFFECTS,
     HOOKS,
     SLOTS,
+    TOTAL_DELAY,
     Effect,
     Instant,
     Measured,
@@ -33,9 +34,9 @@ for _module in sorted(info.name for info in pkgutil.iter_modules(__path__)):
     if not _module.startswith("_"):
         importlib.import_module(f"{__name__}.{_module}")
 
-__all__ = ["ANY", "COMBINATIONS", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "HOOKS", "SLOTS", "Effect", "Instant",
-           "Measured", "Parameter", "applicable", "get_effect", "load_file", "load_folder", "register", "source_file",
-           "twins_of"]
+__all__ = ["ANY", "COMBINATIONS", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "HOOKS", "SLOTS", "TOTAL_DELAY", "Effect",
+           "Instant", "Measured", "Parameter", "applicable", "get_effect", "load_file", "load_folder", "register",
+           "source_file", "twins_of"]
 
 
 def load_folder(path: str) -> tuple[str, ...]:

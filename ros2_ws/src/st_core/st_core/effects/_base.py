@@ -22,8 +22,10 @@ ANY = frozenset(KINDS)
 EFFECT_KINDS = ("sensors", "vehicle parameters", "physics", "surroundings")
 SLOTS = ("steering", "front axle", "rear axle", "both axles", "body",
          "position", "velocity", "heading", "yaw rate", "acceleration")
+TOTAL_DELAY = "total delay of the steering"  # dead time and lag; the equations of a model decide how it is divided
 COMBINATIONS = {"front cornering stiffness over mass": "N/(rad kg)", "rear cornering stiffness over mass": "N/(rad kg)",
-                "stability factor K": "s^2/m^2", "steady-state yaw gain at 20 m/s": "1/s"}
+                "stability factor K": "s^2/m^2", "steady-state yaw gain at 20 m/s": "1/s",
+                TOTAL_DELAY: "s"}
 """Unit by name. Predictions depend on these combinations; single vehicle parameters are not separable in them. Yaw
 inertia over mass is not one of them: delays and relaxation act like it in a fit, and four of six intervals on cars with
 other dynamics missed the truth."""

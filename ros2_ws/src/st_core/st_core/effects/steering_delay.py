@@ -3,7 +3,7 @@
 An error of the time stamps has the same equation: > 0 if the steering stamps are early against the INS, < 0 if late.
 """
 
-from ._base import ANY, Effect, Parameter, register
+from ._base import ANY, TOTAL_DELAY, Effect, Parameter, register
 
 
 @register
@@ -13,6 +13,7 @@ class SteeringDelay(Effect):
     excited_by = "sweeps to 2.5 Hz and steps; content above 1 / (2 pi time) separates it from a lag"
     kind, slot = "physics", "steering"
     twins = ("steering_lag", "tyre_relaxation", "yaw_inertia")
+    combinations = (TOTAL_DELAY,)
     applies_to = ANY
     order = 10
     parameters = (

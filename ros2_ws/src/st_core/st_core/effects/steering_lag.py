@@ -6,7 +6,7 @@ further state or an assumed initial value. In steady state at the first sample a
 
 import numpy as np
 
-from ._base import ANY, Effect, Parameter, register
+from ._base import ANY, TOTAL_DELAY, Effect, Parameter, register
 from .steering_backlash import affine, scan
 
 
@@ -17,6 +17,7 @@ class SteeringLag(Effect):
     excited_by = "sweeps to 2.5 Hz and steps"
     kind, slot = "physics", "steering"
     twins = ("steering_delay", "yaw_inertia", "tyre_relaxation")
+    combinations = (TOTAL_DELAY,)
     applies_to = ANY
     order = 30
     parameters = (

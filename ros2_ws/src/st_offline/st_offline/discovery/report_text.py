@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 from st_core.channels import WORDS
 from st_core.checks import Finding, Severity
-from st_core.discovery.decision import FILE, FORCES, MINOR
+from st_core.discovery.decision import FILE, FORCES, IMPLAUSIBLE, MINOR
 from st_core.discovery.following import MIN_SEPARATION
 from st_core.discovery.result import (
     PARTS,
@@ -210,7 +210,9 @@ def residual(found: Discovery) -> str:
 
 
 def ratio_to_file(one: Combination) -> str:
-    """Ratio of a combination to that of the vehicle file, with its 95 % interval."""
+    """Ratio of a combination to that of the vehicle file, or a delay, with its 95 % interval."""
+    if one.is_time:
+        return f"{one.name} {one.value:.3f} s ({one.interval[0]:.3f} to {one.interval[1]:.3f})"
     low, high = (edge / one.file for edge in one.interval)
     return f"{one.name} {one.value / one.file:.2f} ({low:.2f} to {high:.2f}) times the vehicle file value"
 
@@ -382,7 +384,7 @@ def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
         lines.append(f"drive more{': ' + ', '.join(shows) if shows else ''}, and add it to the runs")
     if found.outcome == "ambiguous" and found.next_manoeuvre is not None:
         lines.append("do the next drive and add it to the runs")
-    if found.known_together:
+    if not all(c.is_time for c in found.known_together):
         use = "" if found.effects or found.model is None else "predict with model.yaml; "
         lines.append(f"{use}weigh the car and compare its tyres with those of the vehicle file")
     if found.minor and found.effects:
@@ -403,7 +405,7 @@ def keys(changes_of: Mapping[str, Sequence[float]]) -> str:
 
 def details(found: Discovery, update: VehicleUpdate | None) -> list[tuple[str, list[str]]]:
     """(question, lines of the answer) below the summary; empty answers are left out."""
-    why = {r.subject: r.text for r in found.reasons if r.rule in (MINOR, FORCES)}
+    why = {r.subject: r.text for r in found.reasons if r.rule in (MINOR, FORCES, IMPLAUSIBLE)}
     minor = [f"{with_alternatives(found, e)}: {why[e.name]}" for e in by_size(found.minor) if e.name in why]
     lines = [*((role, [text]) for role, text in drives(found)), ("meaning", meaning(found)),
              ("tests passed", certainty(found)), ("not named", minor), ("what to do", to_do(found, update)[1:]),
