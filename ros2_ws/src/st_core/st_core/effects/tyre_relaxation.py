@@ -26,7 +26,7 @@ class TyreRelaxation(Effect):
         Parameter("length", "m", null=0.0, initial=0.4, bounds=(0.0, 1.5),
                   meaning="distance rolled until 63 % of a slip step",
                   source="passenger tyres 0.2-0.8 m, more at high load",
-                  model_error=0.08),
+                  model_error=0.35),
     )
 
     @staticmethod

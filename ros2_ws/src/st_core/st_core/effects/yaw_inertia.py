@@ -16,7 +16,7 @@ class YawInertia(Effect):
     parameters = (
         Parameter("factor", "1", null=1.0, initial=1.15, bounds=(0.4, 2.5),
                   meaning="ratio of true inertia to the file's",
-                  source="estimates from mass and wheelbase are right to 20 %", model_error=0.02),
+                  source="estimates from mass and wheelbase are right to 20 %", model_error=0.16),
     )
 
     @staticmethod
