@@ -78,4 +78,4 @@ def test_what_was_made_again_is_not_played(everything: Path, tmp_path: Path) -> 
     keep_topics(everything / "bag", ("/can/frames", "/ins/odometry"), tmp_path / "frames.mcap")
     done = st("replay", tmp_path / "frames.mcap", "--output", tmp_path / "run")
     assert done.returncode == 2
-    assert "without st_msgs/msg/Steering it cannot be played" in done.stderr
+    assert "cannot be played: no st_msgs/msg/Steering" in done.stderr

@@ -14,7 +14,7 @@ class Mode(StrEnum):
 
 
 def xor_nibble(data: bytes, arbitration_id: int) -> int:
-    """The nibble with which the exclusive-or of all nibbles of the frame is 0; data: with the check nibble at 0.
+    """The check nibble that makes the XOR of all nibbles of the frame 0; data: payload with the check nibble set to 0.
 
     Source: 1963 recorded frames of 0x002, all of one steering angle.
     """
@@ -25,7 +25,7 @@ def xor_nibble(data: bytes, arbitration_id: int) -> int:
 
 
 def sum8_id(data: bytes, arbitration_id: int) -> int:
-    """Low byte of the sum of all bytes and of the two bytes of the identifier; data: with the check byte at 0.
+    """Low byte of the sum of all bytes and of the two bytes of the identifier; data: payload with the check byte at 0.
 
     Source: 3247 recorded frames of 0x284 at up to 100 km/h, 2035 of 0x284 and 0x285 at rest.
     """
@@ -72,7 +72,7 @@ def checksum_of(rule: Rule, field: Field, data: bytes, arbitration_id: int) -> i
 
 
 class CounterCheck:
-    """Follows the counter of one message.
+    """Checks the counter of one message.
 
     Every step other than +1 is a fault. A step of k > 1 also means k - 1 lost frames (modulo the counter's range), a
     repeated value a stuck sender or a duplicated frame. The received value is always the new reference, so that one

@@ -155,7 +155,7 @@ class CanedgeBridge(Node):
         needed = ", ".join(m.name for m in table.needed) or "nothing"
         absent = f"; not in the DBC: {', '.join(table.absent)}" if table.absent else ""
         logger.info(f"bus {bus_name}, {table.dbc_file} with {table.signals_file}: "
-                    f"decodes {len(table.messages)} messages, needs {needed}{absent}")
+                    f"decodes {len(table.messages)} messages, requires {needed}{absent}")
         if self._calibration is not None:
             logger.info(self._calibration.formula())
 
@@ -163,7 +163,7 @@ class CanedgeBridge(Node):
 def _make_decoder(settings: SimpleNamespace) -> Decoder:
     for name in ("dbc_file", "signals_file"):
         if not getattr(settings, name):
-            raise ConfigurationError(f"canedge_bridge.{name}: not set; name a file of config/can/")
+            raise ConfigurationError(f"canedge_bridge.{name}: not set; give a file of config/can/")
     try:
         check_channel(settings.interface, settings.channel)
         checks = {}

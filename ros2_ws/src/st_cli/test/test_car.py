@@ -222,11 +222,11 @@ def test_check_prints_the_uncertainty_in_force_and_what_is_unusual(new):
     fill_in(new)
     done = st_car("check", new)
     assert "mass taken as +/- 3 % (" in done.stdout and "state `uncertainty` to change that" in done.stdout
-    assert "cg_height +/- 0.1 m as the file states" in done.stdout and "unusual" not in done.stdout
+    assert "cg_height +/- 0.1 m (from the file)" in done.stdout and "unusual" not in done.stdout
     file = new / "vehicle.yaml"
     file.write_text(file.read_text().replace("value: 2925.0, unit: kg m^2,",
                                              "value: 1500.0, unit: kg m^2, uncertainty: 100.0,").replace(
                                                  "minimum_slip_speed: {value: 3.0", "minimum_slip_speed: {value: 8.0"))
     done = st_car("check", new)
-    assert done.exit_code == 0 and "yaw_inertia +/- 100 kg m^2 as the file states" in done.stdout
+    assert done.exit_code == 0 and "yaw_inertia +/- 100 kg m^2 (from the file)" in done.stdout
     assert "vehicle.yaml: unusual: yaw_inertia: k^2 / (l_f l_r) 0.526 is outside 0.6 to 1.4" in done.stdout

@@ -75,7 +75,7 @@ class AugmentedModel(Model):
 
     def input_dependencies(self, p: Any) -> tuple:
         """The part of the parameters p that `inputs` depends on, as a cache key."""
-        own = compose(self.base, self.effects).own
+        own = compose(self.base, self.effects).active
         return (p.base, *(t for e, t in zip(own, p.effects, strict=True) if e.inputs or e.prepare)) if own else p
 
     def effective_vehicle(self, vehicle: VehicleParameters) -> VehicleParameters:
@@ -190,10 +190,10 @@ def _compose(base: Model, effects: tuple[type[Effect], ...], values: Values) -> 
     def parameters(vehicle: VehicleParameters) -> Any:
         vehicle = model.effective_vehicle(vehicle)
         own = base.parameters(vehicle)
-        if not composed.own:
+        if not composed.active:
             return own
         return AugmentedParameters(own, tuple(
-            e.Theta(**values[e.name], car=e.constants(vehicle) if e.constants else ()) for e in composed.own))
+            e.Theta(**values[e.name], car=e.constants(vehicle) if e.constants else ()) for e in composed.active))
 
     model = AugmentedModel(
         "augmented", parameters, composed.inputs, composed.rhs, composed.extra_states, composed.start, composed.signals,

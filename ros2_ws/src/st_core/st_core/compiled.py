@@ -1,7 +1,7 @@
 """Single predictions by compiled code: the result of `prediction.predict`, six times faster.
 
 Three models over 5 s take 0.2 ms instead of 1.3 ms; with a discovered model of three effects 0.6 instead of
-4.1 ms. The compiled lanes compute many columns in parallel, of which only the first is used here.
+4.1 ms. The compiled code advances several predictions (lanes) in parallel; only the first is used here.
 Checked by: test_compiled.py, and at every start by `compile_model`.
 """
 
@@ -48,7 +48,7 @@ class CompiledModel:
         """
         model, p, lanes = self._model, self._parameters, self._lanes.LANES
         angle, acceleration = inputs.road_wheel_angle, inputs.velocity_x_dot
-        # Only the first column is used; the others need any numbers.
+        # Only the first column is used; the others only have to be finite.
         if isinstance(inputs, ControlInput):
             first = model.inputs(float(angle), float(acceleration), p)
             table, offsets = np.repeat(np.array(first, float)[:, None], lanes, axis=1), self._constant_rows
@@ -78,9 +78,9 @@ def compile_model(model: Model, vehicle: VehicleParameters, settings: Prediction
         raise
     except Exception as error:  # numba raises many kinds of errors; floats are the fallback
         raise ConfigurationError(f"{type(error).__name__}: {error}") from None
-    for held in (True, False):
+    for constant in (True, False):
         for sample in _SAMPLES:
-            state, inputs = _test_case(sample, settings, held)
+            state, inputs = _test_case(sample, settings, constant)
             exact = predict(model, vehicle, state, inputs, settings.horizon, settings.step).states
             _check_agreement(model.name, result(state, inputs).states, exact)
     return result
@@ -103,20 +103,20 @@ def compile_models(models: Sequence[Model], vehicle: VehicleParameters,
 
 
 def _test_case(sample: tuple[float, ...], settings: PredictionSettings,
-          held: bool) -> tuple[VehicleState, ControlInput | InputSequence]:
+               constant: bool) -> tuple[VehicleState, ControlInput | InputSequence]:
     v_x, v_y, yaw_rate, angle, acceleration = sample
     state = VehicleState(3.0, -2.0, v_x, v_y, 0.7, yaw_rate)
-    if held:
+    if constant:
         return state, ControlInput(angle, acceleration)
     share = np.linspace(1.0, 0.5, 2 * settings.steps + 1)
     return state, InputSequence(angle * share, acceleration * share)
 
 
 def _check_agreement(name: str, compiled: np.ndarray, exact: np.ndarray) -> None:
-    # Values must be finite where they are on floats (a spin at a long step is not), and agree there.
+    # Both must be finite at the same points (a spin with a long step diverges), and agree there.
     with np.errstate(all="ignore"):
         difference = np.abs(compiled - exact) / np.maximum(1.0, np.abs(exact))
     finite = np.isfinite(exact)
     if not np.array_equal(finite, np.isfinite(compiled)) or (difference[finite] > TOLERANCE).any():
         worst = float(np.nanmax(np.where(finite, difference, 0.0)))
-        raise ConfigurationError(f"machine code of {name} differs from floats by {worst:.1e}")
+        raise ConfigurationError(f"the compiled {name} differs from Python floats by {worst:.1e}")

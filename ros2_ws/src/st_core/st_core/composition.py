@@ -31,9 +31,9 @@ class AugmentedParameters(NamedTuple):
 
 @dataclass(frozen=True)
 class Composed:
-    """Functions of an augmented model. own: the effects with a theta in p; without any, p is that of the base model."""
+    """Functions of an augmented model. active: effects with a theta in p; without any, p is that of the base model."""
 
-    own: tuple[type[Effect], ...]
+    active: tuple[type[Effect], ...]
     inputs: Callable[..., tuple]
     rhs: Callable[[tuple, tuple, Any], tuple]
     start: Callable[[tuple, tuple, Any], tuple] | None = None
@@ -97,7 +97,7 @@ def _chain(function, add, layouts: list[_Layout], attribute: str):
 
 
 def _lift(layouts: list[_Layout]) -> _Layout:
-    """Layout of the effect that adds dynamics to a kinematic base."""
+    """Layout of the effect that turns a kinematic base into a dynamic model."""
     return next(layout for layout in layouts if layout.effect.lifts and layout.effect.lifts[0] == "kinematic")
 
 
@@ -144,10 +144,10 @@ def _rhs(geometric_slips, changed_slips, forces, motion, acceleration, rates):
         at = _instant(state, w, p)
         geometric = geometric_slips(at)
         slip_front, slip_rear = changed_slips(geometric[0], geometric[1], state, at)
-        acting = forces(slip_front, slip_rear, at)
-        x, y, velocity_x, velocity_y, yaw, yaw_rate = motion(acting[0], acting[1], at)
+        axle = forces(slip_front, slip_rear, at)
+        x, y, velocity_x, velocity_y, yaw, yaw_rate = motion(axle[0], axle[1], at)
         a_x, a_y, a_yaw = acceleration(at)
-        return x, y, velocity_x + a_x, velocity_y + a_y, yaw, yaw_rate + a_yaw, *rates(state, geometric, acting, at)
+        return x, y, velocity_x + a_x, velocity_y + a_y, yaw, yaw_rate + a_yaw, *rates(state, geometric, axle, at)
     return rhs
 
 
@@ -186,7 +186,7 @@ def _nothing(*arguments):
     return ()
 
 
-# Inputs: `signals` are the values of all declared signals; each effect gets its own ones.
+# Inputs: `signals` are the values of all declared signals; each effect gets those it declares.
 
 def _inputs_only(base_inputs, changed_inputs):
     def inputs(road_wheel_angle, velocity_x_dot, p, *signals):
@@ -252,7 +252,7 @@ def _add_given(previous, hook, index, pick):
     return given
 
 
-# Equations: for each hook the function without effects, and what adds the hook of one effect to it.
+# Equations: for each hook the function without effects, and a wrapper that adds one effect.
 
 def _unchanged_slips(slip_front, slip_rear, state, at):
     return slip_front, slip_rear

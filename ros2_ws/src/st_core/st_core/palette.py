@@ -5,8 +5,8 @@ from typing import Any
 MODEL_COLOUR = {"kinematic": "#1f77b4", "linear": "#ff7f0e", "nonlinear": "#7e2f8e", "augmented": "#009e73"}
 MODEL_LINE = {"kinematic": (0, (6, 2)), "linear": "solid", "nonlinear": (0, (2, 1)), "augmented": (0, (6, 1, 1, 1))}
 MEASURED_COLOUR = "#7f7f7f"
-OTHER_COLOUR = "#d55e00"  # of a model that is none of these
-# Where along its path a model is labelled [s after the start]: at one place the labels would overlap.
+OTHER_COLOUR = "#d55e00"  # of all other models
+# Where along its path a model is labelled [s after the start]; different times, so that labels do not overlap.
 LABEL_AT = {"kinematic": 5.0, "linear": 4.3, "nonlinear": 3.6, "augmented": 2.9}
 OTHER_LABEL_AT = 2.2
 

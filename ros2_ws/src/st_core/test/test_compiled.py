@@ -69,7 +69,7 @@ def test_other_numbers_than_floats_are_refused(leaf, monkeypatch):
     monkeypatch.setattr(compiled.CompiledModel, "__call__", wrong)
     runners, said = compile_models(list(MODELS.values()), leaf, SETTINGS)
     assert set(runners) == {"kinematic", "nonlinear"}
-    assert said.startswith("compiled and checked: kinematic, nonlinear; on Python floats: linear (machine code of ")
+    assert said.startswith("compiled and checked: kinematic, nonlinear; on Python floats: linear (the compiled ")
 
 
 def test_without_numba_all_stay_on_floats(leaf, monkeypatch):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from discovery_drives import recorded
 from st_core.discovery import OUTCOMES, PARTS, DiscoverySettings, Limits, discover
-from st_core.discovery.clocks import delayed
+from st_core.discovery.clocks import apply_clock_corrections
 from st_core.discovery.discover import fit_effects
 from st_core.discovery.search import Search
 from st_core.discovery.space import Space
@@ -57,7 +57,7 @@ def test_exact_base_lacks_nothing(leaf, seed):
 def test_steering_clocks_that_differ_between_runs_are_no_effect(leaf):
     exact = recorded(leaf, {}, 1, ("lane_change", "slalom", "sweep", "slalom"))
     early = dict(zip([run.name for run in exact], (0.025, -0.015, 0.01, -0.02), strict=True))
-    runs = delayed(exact, {name: -error for name, error in early.items()})
+    runs = apply_clock_corrections(exact, {name: -error for name, error in early.items()})
     found = discover(runs, leaf, settings=SETTINGS, clocks=dict.fromkeys(early, 0.02))
     assert found.outcome == "none" and "by -2" in found.warnings[0]
     common = np.mean([found.clock_errors[name] - error for name, error in early.items()])

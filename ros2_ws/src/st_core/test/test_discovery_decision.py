@@ -93,7 +93,7 @@ def test_verdict_on_one_effect(evidence, rule, figures):
 
 def test_a_combination_that_differs_is_no_single_effect():
     outcome, why = decide(replace(NOTHING, combinations=["front cornering stiffness over mass"]), LIMITS)
-    assert outcome == "ambiguous" and "front cornering stiffness over mass: not as in the vehicle file" in why.text
+    assert outcome == "ambiguous" and "front cornering stiffness over mass: different from the vehicle file" in why.text
 
 
 @pytest.mark.parametrize(("file", "differs"), [(44.0, True), (38.0, False), (39.0, True), (33.0, False)])

@@ -32,7 +32,7 @@ FEW = ("steering_offset", "mass", "yaw_inertia", "road_bank", "yaw_rate_bias")
 
 
 def fitted(problem, *names):
-    return problem.fit(names, problem.everything(problem.start), iterations=30)
+    return problem.fit(names, problem.slopes_of_all(problem.start), iterations=30)
 
 
 def screened(problem, seed: int = 0):
@@ -183,9 +183,9 @@ def test_evidence_of_a_fit_against_that_without():
     fit = fitted(problem, "mass")
     e = evidence(problem, base, fit, "mass", scores, {}, {})
     by_run = problem.held_out_loss(base, problem.held_out_groups) - problem.held_out_loss(fit, problem.held_out_groups)
-    assert e.gain == pytest.approx(min((base.held_out - fit.held_out).sum(), by_run.sum()) / problem.number)
-    fall = (problem.position(problem.held_out_rows(base))
-            - problem.position(problem.held_out_rows(fit)))
+    assert e.gain == pytest.approx(min((base.held_out - fit.held_out).sum(), by_run.sum()) / problem.scored_count)
+    fall = (problem.position_error(problem.held_out_rows(base))
+            - problem.position_error(problem.held_out_rows(fit)))
     assert e.position == e.position_somewhere == pytest.approx(fall.mean()) and e.position > 0.0
     halves = (np.arange(160) % 2, ["even", "odd"])
     bent = evidence(problem, base, fit, "mass", scores, {"condition": halves}, {})

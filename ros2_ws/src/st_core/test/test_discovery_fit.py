@@ -21,7 +21,7 @@ FEW = ("steering_offset", "mass", "yaw_inertia")
 
 def fitted(problem: Problem, names, vector=None, iterations: int = 30):
     start = problem.start if vector is None else vector
-    return problem.fit(names, problem.everything(start), iterations=iterations)
+    return problem.fit(names, problem.slopes_of_all(start), iterations=iterations)
 
 
 def small_noise(problem: Problem, share: float) -> Problem:
@@ -57,9 +57,9 @@ def test_a_gap_of_a_second_is_no_error_of_the_model(leaf, time, values):
         windows = Windows([one], leaf, DiscoverySettings())
         losses.append(Loss(Errors(windows, space), space.null))
     whole, rest = losses
-    assert 0.3 * whole.number < rest.number < 0.95 * whole.number
+    assert 0.3 * whole.scored_count < rest.scored_count < 0.95 * whole.scored_count
     assert np.isfinite(rest.errors.at(space.null)[rest.known]).all()
-    assert rest.total(space.null) / rest.number < 1.5 * whole.total(space.null) / whole.number
+    assert rest.total(space.null) / rest.scored_count < 1.5 * whole.total(space.null) / whole.scored_count
 
 
 # The loss
@@ -107,7 +107,7 @@ def test_what_was_not_measured_does_not_count():
     problem.errors.windows.known[5] = False  # one window
     loss = Loss(problem.errors, problem.start)
     before = loss.total(problem.start)
-    assert loss.number == (160 - 1) * 4 * (len(COLUMNS) - 1) + 4
+    assert loss.scored_count == (160 - 1) * 4 * (len(COLUMNS) - 1) + 4
     assert loss.by_window(problem.start)[5] == 0.0
     scale = loss.scale.copy()
     problem.errors.noise[1:, 2::len(COLUMNS)] = 1e3
@@ -136,7 +136,7 @@ def test_windows_without_any_prediction_at_the_start_are_left_out():
     problem = linear_problem(FEW, {}, 3)
     problem.errors.noise[7] = np.nan
     loss = Loss(problem.errors, problem.start)
-    assert loss.number == (160 - 1) * 4 * len(COLUMNS) and loss.by_window(problem.start)[7] == 0.0
+    assert loss.scored_count == (160 - 1) * 4 * len(COLUMNS) and loss.by_window(problem.start)[7] == 0.0
 
 
 def test_quadratic_touches_the_loss_and_lies_above_it():
@@ -228,7 +228,7 @@ def test_fit_is_the_minimum_scipy_finds():
         vector[fit.indices] += d * problem.space.scale[fit.indices]
         return problem.loss.total(vector)
     best = optimize.minimize(total, np.zeros(len(fit.indices)), method="BFGS", options={"gtol": 1e-4})
-    assert problem.loss.total(fit.vector) <= best.fun + 2e-4 * problem.number
+    assert problem.loss.total(fit.vector) <= best.fun + 2e-4 * problem.scored_count
 
 
 def test_windows_that_are_wrong_move_a_fit_little():
@@ -311,7 +311,7 @@ def test_held_out_loss_is_that_of_fits_without_the_fold():
         loss = Loss(problem.errors, problem.start)
         loss.known, loss.scale = problem.loss.known & ~mine[:, None], problem.loss.scale
         rest = Problem(loss, problem.start, problem.block)
-        vector = rest.fit(FEW, problem.everything(problem.start), iterations=100).vector
+        vector = rest.fit(FEW, problem.slopes_of_all(problem.start), iterations=100).vector
         shown += float((problem.loss.by_window(vector) - inside)[mine].sum())
     assert promised > 0.0 and shown > 0.0
     assert promised == pytest.approx(shown, rel=0.25)
@@ -347,7 +347,7 @@ def test_held_out_loss_is_not_below_the_loss_of_the_fit(leaf):
     w = Windows(recorded(leaf, {}, 1, ("sweep", "brake_in_turn", "step")), leaf, settings)
     loss = Loss(Errors(w, space), space.null)
     p = Problem(loss, space.null, w.block)
-    fit = p.fit(("steering_lag", "steering_delay"), p.everything(space.null))
+    fit = p.fit(("steering_lag", "steering_delay"), p.slopes_of_all(space.null))
     inside = loss.total(fit.vector)
     assert fit.held_out.sum() >= inside
 

@@ -60,7 +60,7 @@ def _held(problem: Problem, deviation: float) -> Problem:
     quantities[i] = FileQuantity("mass", "kg", 1600.0, deviation * problem.space.scale[i] * 1600.0, 1600.0, True,
                                  1600.0)
     held = Problem(problem.loss, problem.start, problem.block, quantities=tuple(quantities))
-    held.renew_design(held.start)
+    held.update_design_effect(held.start)
     return held
 
 
@@ -70,7 +70,7 @@ def test_known_value_moves_as_far_as_its_deviation_allows():
     moved = []
     for deviation in (1e3, 0.05, 1e-3):
         problem = _held(free, deviation)
-        fit = problem.fit(("mass",), problem.everything(problem.start))
+        fit = problem.fit(("mass",), problem.slopes_of_all(problem.start))
         moved.append((fit.vector[i] - problem.start[i]) / problem.space.scale[i])
         assert against_file(problem, fit, "mass").deviations == pytest.approx(moved[-1] / deviation, rel=1e-6)
     assert moved[0] == pytest.approx(1.0, abs=0.1) and 0.0 < moved[2] < 0.1 < moved[1] < moved[0]
@@ -80,7 +80,7 @@ def test_interval_of_what_driving_does_not_show_is_that_of_the_file():
     free = linear_problem(["mass"], {}, seed=2)
     free.errors.signatures *= 1e-6
     problem = _held(free, 0.5)
-    fit = problem.fit(("mass",), problem.everything(problem.start))
+    fit = problem.fit(("mass",), problem.slopes_of_all(problem.start))
     place = int(np.searchsorted(fit.indices, problem.space.indices("mass")[0]))
     assert np.sqrt(covariance(problem, fit)[place, place]) == pytest.approx(0.5, rel=0.01)
 
@@ -88,5 +88,5 @@ def test_interval_of_what_driving_does_not_show_is_that_of_the_file():
 @pytest.mark.parametrize("common", [0.0, 0.8])
 def test_design_effect_counts_errors_that_depend_on_each_other(common):
     problem = linear_problem(["mass", "steering_ratio", "friction", "yaw_inertia"], {}, seed=3, common=common)
-    problem.renew_design(problem.start)
-    assert (problem.design > 3.0) == (common > 0.0)
+    problem.update_design_effect(problem.start)
+    assert (problem.design_effect > 3.0) == (common > 0.0)

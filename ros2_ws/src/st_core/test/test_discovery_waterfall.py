@@ -25,7 +25,7 @@ TRUTH = {"mass": 3.0, "yaw_rate_bias": 2.0}
 
 
 def fitted(problem, *names):
-    return problem.fit(names, problem.everything(problem.start), iterations=40)
+    return problem.fit(names, problem.slopes_of_all(problem.start), iterations=40)
 
 
 @pytest.fixture(scope="module")
@@ -238,9 +238,9 @@ def driven(leaf, manoeuvres, effects, names):
     windows = Windows(recorded(leaf, effects, 1, manoeuvres), leaf, settings)
     loss = Loss(Errors(windows, space), space.null)
     problem = Problem(loss, space.null, windows.block)
-    fit = problem.fit(names, problem.everything(space.null))
+    fit = problem.fit(names, problem.slopes_of_all(space.null))
     loss.rescale(fit.vector)
-    return problem, problem.renewed(fit)
+    return problem, problem.refit(fit)
 
 
 @pytest.mark.slow

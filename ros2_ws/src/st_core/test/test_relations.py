@@ -213,7 +213,7 @@ def test_a_law_with_which_the_path_is_perhaps_no_better_is_no_proposal(laws):
     """A tenth of the loss is surely taken away in all three; the path comes closer by 5 cm, by 2 cm on the whole but
     with blocks against it, not at all."""
     laws, _ = laws
-    falls = np.full(laws.blocks, 0.1 * laws.loss.number / laws.blocks)
+    falls = np.full(laws.blocks, 0.1 * laws.loss.scored_count / laws.blocks)
     share = np.random.default_rng(6).normal(1.0, 0.1, laws.blocks)
     mixed = np.where(np.arange(laws.blocks) % 2, 0.09, -0.05)
     moment, gyroscope = (Candidate(place, "yaw_rate", -1.0, -0.5, 0.5) for place in ("yaw_moment", "sensor_yaw_rate"))

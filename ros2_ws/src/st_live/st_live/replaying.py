@@ -36,15 +36,15 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
                adaptive: bool | None = None, settings: ReadSettings | None = None) -> tuple[Outcome, str]:
     """(Outcome, name of the vehicle) of a replay with the configuration of the recording.
 
-    The recordings of the nodes are folder/bag and folder/errors. vehicle: file instead of the recorded one. rate: times
-    as fast as recorded; 0: as fast as the nodes can follow. course: instead of the recorded one. adaptive: as of
+    The recordings of the nodes are folder/bag and folder/errors. vehicle: file instead of the recorded one. rate: ratio
+    to the recorded speed; 0: as fast as the nodes can follow. course: instead of the recorded one. adaptive: as in
     `add_files`. settings: topics of external recordings. Raises RunError, SuiteError and ConfigurationError.
     """
     steering, odometry = (settings.steering, settings.odometry) if settings else (None, None)
     drive = read_bag(bag, steering=steering, odometry=odometry)
     reconstructed = [name for name in (ODOMETRY, STEERING) if drive.topics[name].endswith(RECONSTRUCTED)]
     if reconstructed:
-        raise RunError(bag, f"without {' and without '.join(reconstructed)} it cannot be played",
+        raise RunError(bag, f"cannot be played: no {' and no '.join(reconstructed)}",
                        "st evaluate and st verify reconstruct them from raw packets and frames")
     for line in not_played(bag, drive.unknown):
         console.print(f"[yellow]{escape(line)}[/yellow]", highlight=False, soft_wrap=True)
@@ -107,7 +107,7 @@ def _play(bag: Path, topics: Mapping[str, str], folder: Path, parameters: Mappin
 
 
 def _watch(suite: Suite, player: Child, name: str, rate: float, console: Console) -> None:
-    """Show progress until the player has finished. Raises SuiteError if another process ends before."""
+    """Show progress until the player has finished. Raises SuiteError if another process ends first."""
     speed = f"{rate:g} x" if rate > 0 else "as fast as the nodes can follow"
     columns = (TextColumn("{task.description}"), BarColumn(),
                TextColumn("{task.completed:.0f} s of {task.total} s"), TimeElapsedColumn())

@@ -99,7 +99,7 @@ IDENTIFIER = (_VEHICLE_FILE, _MAP_FRAME)
 def load_vehicle(values: SimpleNamespace) -> VehicleParameters:
     """The vehicle of the parameter `vehicle_file`. Raises ConfigurationError naming the file and the key."""
     if not values.vehicle_file:
-        raise ConfigurationError(f"{values.where}vehicle_file: not set; name a file of config/vehicle/")
+        raise ConfigurationError(f"{values.where}vehicle_file: not set; give a file of config/vehicle/")
     return _read(values, "vehicle_file", VehicleParameters.from_yaml)
 
 

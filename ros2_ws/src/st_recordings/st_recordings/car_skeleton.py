@@ -58,7 +58,7 @@ messages:
     # checksum: {signal: NAME, rule: sum8_id, check: drop}
     signals:
       # unit: as in the DBC, or the true one where the DBC gives none. Leave sign at 1: the sign of the sensor is
-      # steering_sign in car.yaml. sign_signal: NAME of the signal that is 1 for negative, if size and sign are apart.
+      # steering_sign in car.yaml. sign_signal: NAME of the signal that is 1 for negative, if the sign has its own.
       FILL_IN_signal: {name: steering_wheel_angle, unit: deg, sign: 1, range: [-900, 900], max_rate: 2000}
 
   # The speed of the car or of its wheels (vehicle_speed, wheel_speed_rear_left, ...), if the bus carries it: the clocks
@@ -165,7 +165,7 @@ def uncertainties(vehicle: VehicleParameters) -> list[str]:
         unit = "" if quantity.si_unit == "1" else f" {quantity.si_unit}"
         default = DEFAULT_UNCERTAINTIES.get(key)
         if stated is not None and stated.uncertainty:
-            lines.append(f"{key} +/- {spread:.3g}{unit} as the file states")
+            lines.append(f"{key} +/- {spread:.3g}{unit} (from the file)")
         elif default is not None:
             size = f"{100 * default.size:g} %" if default.relative else f"{spread:.3g}{unit}"
             lines.append(f"{key} taken as +/- {size} ({default.source}); state `uncertainty` to change that")
@@ -253,7 +253,7 @@ def _unfilled_keys(document: Any, top_key: str = "") -> Iterator[str]:
 
 
 def _template_row(line: str) -> str:
-    """A line of the Leaf's vehicle file as it is in the file of a new car."""
+    """A line for the vehicle file of a new car, from that of the Leaf."""
     row = _VEHICLE_ROW.match(line)
     if row is None:
         return line

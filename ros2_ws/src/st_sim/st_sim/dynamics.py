@@ -18,7 +18,7 @@ ROLL_SHARE_FRONT = 0.55  # share of the lateral load transfer at the front axle
 MINIMUM_LOAD = 50.0  # N. Lower limit of a wheel load, also of a lifted wheel, to avoid division by zero
 MIN_SLIP_SPEED = 0.5
 """m/s. Lower limit of the denominator of slip: as low as the step allows (the paper's models use 3 m/s)."""
-CREEP_SPEED = 2.5  # m/s. Below, CREEP_DAMPING is added to a relaxing tyre, which is a spring with little damping there
+CREEP_SPEED = 2.5  # m/s. Below, CREEP_DAMPING is added to a tyre with relaxation: there a spring with little damping
 CREEP_DAMPING = 0.17  # s/m, slip per sliding speed
 ROLL_FREQUENCY, ROLL_DAMPING = 12.6, 0.4
 """rad/s (2 Hz) and damping ratio of body roll, which also determines the lateral load transfer."""
@@ -47,7 +47,7 @@ class TyreLaw(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """Parameters of the equations of motion, SI. fastest: largest rate of a relaxing tyre [1/s]."""
+    """Parameters of the equations of motion, SI. max_relaxation_rate: limit for a stable integration [1/s]."""
 
     mass: float
     yaw_inertia: float
@@ -61,7 +61,7 @@ class Constants(NamedTuple):
     roll_gradient: float
     camber: float
     ackermann: float
-    fastest: float
+    max_relaxation_rate: float
     relaxation: float
     combined: float
     rolling: float
@@ -88,7 +88,7 @@ def constants(car: Car, settings: Settings, step: float) -> Constants:
         steering_offset=s["steering_offset"], compliance=s["steering_compliance"], roll_steer=s["roll_steer"],
         rear_roll_steer=s["rear_roll_steer"], roll_gradient=s["roll_gradient"], camber=s["camber_thrust"],
         ackermann=s["ackermann"] * TRACK_WIDTH / (2 * car.wheelbase),
-        fastest=1.0 / step, relaxation=s["relaxation_length"], combined=s["combined_slip"],
+        max_relaxation_rate=1.0 / step, relaxation=s["relaxation_length"], combined=s["combined_slip"],
         rolling=s["rolling_resistance"], drag_area=s["drag_area"], drive_offset=s["drive_offset"],
         transfer_x=s["longitudinal_load_transfer"] * mass * car.cg_height / car.wheelbase / 2,
         transfer_y=s["lateral_load_transfer"] * mass * car.cg_height / TRACK_WIDTH,
@@ -141,15 +141,15 @@ def wheel(contact: tuple[float, float, float], law: TyreLaw, friction: float, lo
           along: float, drive: float) -> tuple[float, float, float]:
     """Lateral and longitudinal force of one wheel [N] and the rate of its delayed slip.
 
-    contact: relaxation length [m], share of combined slip, largest rate of the slip [1/s]. slip: delayed (state).
+    contact: relaxation length [m], share of combined slip, largest relaxation rate [1/s]. slip: delayed (state).
     across, along: velocity of the contact patch relative to the wheel plane [m/s]. drive: requested F_x [N].
     """
-    relaxation, combined, fastest = contact
+    relaxation, combined, max_rate = contact
     speed = abs(along)
     steady = across / (speed if speed > MIN_SLIP_SPEED else MIN_SLIP_SPEED)
     if relaxation:
         inverse_time = (speed if speed > MIN_SLIP_SPEED else MIN_SLIP_SPEED) / relaxation
-        rate = (inverse_time if inverse_time < fastest else fastest) * (steady - slip)
+        rate = (inverse_time if inverse_time < max_rate else max_rate) * (steady - slip)
         if speed < CREEP_SPEED:
             slip += CREEP_DAMPING * across * (1.0 - speed / CREEP_SPEED)
     else:
@@ -165,13 +165,13 @@ def wheel(contact: tuple[float, float, float], law: TyreLaw, friction: float, lo
 def air_force(still_air: bool, drag_area: float, yaw: float, vx: float, vy: float, wind_x: float,
               wind_y: float) -> tuple[float, float]:
     """Drag and side force [N] in body axes; the side force is that of the wind alone, 0 in still air."""
-    along, across, own = -vx, -vy, hypot(vx, vy)
+    along, across, speed = -vx, -vy, hypot(vx, vy)
     if still_air:
-        return 0.5 * AIR_DENSITY * own * drag_area * along, 0.0
+        return 0.5 * AIR_DENSITY * speed * drag_area * along, 0.0
     cosine, sine = cos(yaw), sin(yaw)
     along, across = along + wind_x * cosine + wind_y * sine, across + wind_y * cosine - wind_x * sine
     airspeed = hypot(along, across)
-    side = 0.5 * AIR_DENSITY * SIDE_AREA * (airspeed * across + own * vy)
+    side = 0.5 * AIR_DENSITY * SIDE_AREA * (airspeed * across + speed * vy)
     return 0.5 * AIR_DENSITY * airspeed * drag_area * along, side
 
 
@@ -184,7 +184,7 @@ def derivative(s: Sequence[float], rack_target: float, drive_force: float, here:
     force, load [N], velocity across and along [m/s] of each wheel.
     """
     (mass, yaw_inertia, to_front, to_rear, lag, steering_offset, compliance, roll_steer, rear_roll_steer, roll_gradient,
-     camber, ackermann, fastest, relaxation, combined, rolling, drag_area, drive_offset, transfer_x, transfer_y,
+     camber, ackermann, max_rate, relaxation, combined, rolling, drag_area, drive_offset, transfer_x, transfer_y,
      static_front, static_rear, still_air, front, rear) = c
     (_, _, _, yaw, vx, vy, r, rack, compliance_angle, s_fl, s_fr, s_rl, s_rr, a_y, a_y_rate, a_x) = s
     friction, bank, grade, wind_x, wind_y = here
@@ -217,7 +217,7 @@ def derivative(s: Sequence[float], rack_target: float, drive_force: float, here:
         drive_front, drive_rear = drive_force / 2, 0.0
     else:
         drive_front, drive_rear = drive_force * BRAKE_SHARE_FRONT / 2, drive_force * (1.0 - BRAKE_SHARE_FRONT) / 2
-    contact = relaxation, combined, fastest
+    contact = relaxation, combined, max_rate
     y_fl, x_fl, rate_fl = wheel(contact, front, friction, load_fl, s_fl, across_fl, along_fl, drive_front)
     y_fr, x_fr, rate_fr = wheel(contact, front, friction, load_fr, s_fr, across_fr, along_fr, drive_front)
     y_rl, x_rl, rate_rl = wheel(contact, rear, friction, load_rl, s_rl, across_rl, left_x, drive_rear)
@@ -228,7 +228,7 @@ def derivative(s: Sequence[float], rack_target: float, drive_force: float, here:
         y_fl, y_fr = y_fl - thrust * load_fl, y_fr - thrust * load_fr
         y_rl, y_rr = y_rl - thrust * load_rl, y_rr - thrust * load_rr
 
-    # Into body axes. The rear wheels steer by less than 1 deg: first order is exact to 1e-5.
+    # Into body axes. The rear wheels steer by less than 1 deg: first order, to 2e-4 of the forces.
     bx_fl, by_fl = x_fl * cos_l - y_fl * sin_l, x_fl * sin_l + y_fl * cos_l
     bx_fr, by_fr = x_fr * cos_r - y_fr * sin_r, x_fr * sin_r + y_fr * cos_r
     bx_rl, by_rl = x_rl - y_rl * steer_rear, y_rl + x_rl * steer_rear

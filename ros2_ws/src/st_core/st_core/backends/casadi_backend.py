@@ -145,7 +145,7 @@ def free_parameters(model: str | Model) -> dict[str, Variable]:
 
 def _acting(model: Model) -> tuple[type[Effect], ...]:
     """The effects with a theta in p, in their order there."""
-    return compose(model.base, model.effects).own if isinstance(model, AugmentedModel) else ()
+    return compose(model.base, model.effects).active if isinstance(model, AugmentedModel) else ()
 
 
 def _with_symbols(model: Model, p: Any, symbols: Mapping[str, casadi.SX]) -> Any:

@@ -1,8 +1,8 @@
 """Prediction bands: regions around a predicted path that contain the whole measured path with a stated probability.
 
-For every model, mode and level: half-widths along, across and in yaw at every point of the horizon. Mode hindsight:
-error of the model alone; forecast: of model and driver. Calibrated on the errors of recorded drives (`error_samples`,
-`calibrate`) and stored in a file (`Bands`). docs/manual/bands.md.
+For every model, mode and level: half-widths along, across and in yaw at every point of the horizon. Bands of mode
+hindsight cover the error of the model alone, of forecast also that of the assumed driver inputs. Calibrated on the
+errors of recorded drives (`error_samples`, `calibrate`) and stored in a file (`Bands`). docs/manual/bands.md.
 """
 
 from .adaptive import AdaptiveBand

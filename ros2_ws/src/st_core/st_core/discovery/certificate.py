@@ -57,12 +57,12 @@ def _power(problem: Problem, fit: Fit, index: int, share: float, information: fl
     """Probability that a parameter is found at a share of its usual size."""
     library = len(problem.space.hypotheses)
     needed = float(stats.chi2.isf(limits.false_alarm / library, 1))
-    slopes = problem.everything(fit.vector).values[index]
+    slopes = problem.slopes_of_all(fit.vector).values[index]
     rows = problem.errors.at(fit.vector)
-    before, after = problem.position(rows), problem.position(rows + share * slopes)
+    before, after = problem.position_error(rows), problem.position_error(rows + share * slopes)
     moved = float(np.nanmean(after - before)) if np.isfinite(before).any() else 0.0
-    needed = max(needed, 2.0 * _required(problem, rows, moved, limits) * problem.number / scores.design)
-    return float(stats.ncx2.sf(needed, 1, max(2.0 * share**2 * information / scores.design, 1e-9)))
+    needed = max(needed, 2.0 * _required(problem, rows, moved, limits) * problem.scored_count / scores.design_effect)
+    return float(stats.ncx2.sf(needed, 1, max(2.0 * share**2 * information / scores.design_effect, 1e-9)))
 
 
 def _required(problem: Problem, rows: np.ndarray, moved: float, limits: Limits) -> float:
@@ -78,7 +78,7 @@ def measured(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callab
     without any."""
     rng = np.random.default_rng(seed)
     rows = np.nan_to_num(problem.errors.at(fit.vector))
-    slopes = problem.everything(fit.vector).values
+    slopes = problem.slopes_of_all(fit.vector).values
     powers = []
     for effect in problem.space.hypotheses:
         own = problem.space.indices(effect)
@@ -89,7 +89,7 @@ def measured(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callab
             moved[index] += share * free.usual * problem.space.sign[index]
             moved = problem.space.inside(moved)
             change = rows - np.nan_to_num(problem.errors.at(moved))
-            shift = float(np.nanmean(problem.position(rows + change) - problem.position(rows)))
+            shift = float(np.nanmean(problem.position_error(rows + change) - problem.position_error(rows)))
             required = _required(problem, rows, shift, limits)
             found = sum(effect in _found(problem, fit, rows, change, slopes, required, limits, rng)
                         for _ in range(DRAWS))
@@ -120,7 +120,7 @@ def _found(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, slo
     best = max(gains, key=lambda e: gains[e].sum())
     scores = make_scores(q, own, information, {}, rng, FLIPS // 4)
     p_value = library_p_value(own[best], gains[best], scores, len(own))
-    if p_value > limits.false_alarm or gains[best].sum() / problem.number < required:
+    if p_value > limits.false_alarm or gains[best].sum() / problem.scored_count < required:
         return []
     return [e for e in gains if gains[e].sum() > (1.0 - limits.undecided_p) * gains[best].sum()
             or (e in twins_of(best) and gains[e].sum() > limits.min_rival_gain * gains[best].sum())]

@@ -1,4 +1,4 @@
-"""Errors of the steering clock of single runs, estimated with the whole library of effects before the search.
+"""Correction of the steering clock of each run, estimated with the whole library of effects before the search.
 
 The steering of a CAN log has its own clock, aligned to the INS run by run with an error of some milliseconds. One
 steering delay for all runs cannot represent errors that differ; yaw inertia or tyre relaxation would.
@@ -21,45 +21,45 @@ from .settings import DiscoverySettings
 from .space import Space, known_quantities
 from .windows import Windows
 
-MAX_CLOCK_DEVIATION = 0.01  # s; a third of a usual delay of the steering
+MAX_CLOCK_DEVIATION = 0.01  # s; a third of a typical steering delay
 ROUNDS = 3  # of the joint fit, each with the corrected stamps
 
 
-def clock_errors(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
+def clock_corrections(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
                  deviations: Mapping[str, float], threads: int = 1, tick: Callable[[], None] = lambda: None,
                  ) -> dict[str, float]:
-    """By run, the correction of its steering stamps [s], > 0 where they were early; empty if none is needed.
+    """Correction of the steering stamps by run [s], > 0 where they were early; empty if none is needed.
 
     deviations [s]: standard deviation of the steering clock by run; up to MAX_CLOCK_DEVIATION it counts as exact. The
-    corrections, with these as priors, and all parameters of the library minimise one loss. What is common to all runs
-    is left to the effect `steering_delay`, whose prior is wider.
+    corrections, with these as priors, and all parameters of the library minimise one loss. An error common to all runs
+    is attributed to the effect `steering_delay`, whose prior is wider.
     """
     prior_deviation = np.array([deviations.get(run.name, 0.0) for run in runs])
     free = np.flatnonzero(prior_deviation > MAX_CLOCK_DEVIATION).tolist()
     if len(runs) < 2 or not free or not len(space.indices(SteeringDelay.name)):
         return {}
-    k, delay = int(space.indices(SteeringDelay.name)[0]), np.zeros(len(free))
+    k, correction = int(space.indices(SteeringDelay.name)[0]), np.zeros(len(free))
     scale, vector, quantities = space.scale[k], space.null, known_quantities(space, vehicle)
     for _ in range(ROUNDS):
-        found = {runs[i].name: float(d) for i, d in zip(free, delay, strict=True)}
-        windows = Windows(delayed(runs, found), vehicle, settings)
+        by_run = {runs[i].name: float(c) for i, c in zip(free, correction, strict=True)}
+        windows = Windows(apply_clock_corrections(runs, by_run), vehicle, settings)
         if not len(windows):  # the search reports it
             return {}
         loss = Loss(Errors(windows, space, threads), vector)
         vector, prior = fit_library(loss, windows, weak_prior(space), quantities, vector, tick)
         problem = Problem(loss, space.null, windows.block, prior)
-        problem.renew_design(vector)
+        problem.update_design_effect(vector)
         q, member = problem.quadratic_of_all(vector), (windows.run == np.array(free)[:, None]).astype(float)
         cross = member @ q.hessian[:, :, k]
-        own = 0.5 * problem.design * np.square(scale / prior_deviation[free])
+        own = 0.5 * problem.design_effect * np.square(scale / prior_deviation[free])
         h = np.block([[q.hessian.sum(axis=0) + prior, cross.T], [cross, np.diag(cross[:, k] + own)]])
         g = np.concatenate([q.gradient.sum(axis=0) - prior @ problem.distance(vector),
-                            member @ q.gradient[:, k] - own * delay / scale])
-        delay = delay + (inverse(h) @ g)[len(space):] * scale
-    return {runs[i].name: float(d) for i, d in zip(free, delay, strict=True)}
+                            member @ q.gradient[:, k] - own * correction / scale])
+        correction = correction + (inverse(h) @ g)[len(space):] * scale
+    return {runs[i].name: float(c) for i, c in zip(free, correction, strict=True)}
 
 
-def delayed(runs: Sequence[DriveLog], errors: Mapping[str, float]) -> list[DriveLog]:
-    """The runs with the steering stamps corrected by `clock_errors`."""
-    return [replace(run, steering_time_ns=run.steering_time_ns + round(errors[run.name] / NANOSECOND))
-            if errors.get(run.name) else run for run in runs]
+def apply_clock_corrections(runs: Sequence[DriveLog], corrections: Mapping[str, float]) -> list[DriveLog]:
+    """The runs with the steering stamps corrected by `clock_corrections`."""
+    return [replace(run, steering_time_ns=run.steering_time_ns + round(corrections[run.name] / NANOSECOND))
+            if corrections.get(run.name) else run for run in runs]

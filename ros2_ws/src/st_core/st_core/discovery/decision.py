@@ -16,9 +16,9 @@ STATED, NEGLIGIBLE, CHANCE, NULL, IRRELEVANT, SENSORS, FILE, BOUND, VARIES, MINO
 @dataclass(frozen=True)
 class Checks:
     """Checks of an effect that need intervals and axle curves. null_outside: whether an interval excludes the null.
-    crossing: parameter whose interval crosses a bound, "" for none. peak_force_share [1]: of the peak force,
-    reached in the drives, for an effect on the peak. worse_axle: axle that the effect acts on and whose measured forces
-    the answer describes less well than the vehicle file does; "" for none. summed: effects of the answer that add up
+    crossing: parameter whose interval crosses a bound, "" for none. peak_force_share [1]: largest axle force in the
+    drives over the peak force, for an effect on the peak. worse_axle: axle that the effect acts on, whose measured
+    forces fit worse with the answer than with the vehicle file; "" for none. summed: effects of the answer that add up
     with it to one combination. objection: to the car with it, see `handling.objections`; "" for none."""
 
     null_outside: bool = True
@@ -31,9 +31,10 @@ class Checks:
 
 @dataclass(frozen=True)
 class Rival:
-    """Another effect in the place of one of the answer, `instead`. share [1]: its gain over that of `instead`.
-    p_no_worse [1]: p-value of the hypothesis that it is no worse. deficit [1]: difference of the gains per scored
-    error. evidence, values: in that place. shared: it explains a part of `instead`, and both are in the model."""
+    """An effect that could replace the effect `instead` of the answer. share [1]: ratio of its gain to that of
+    `instead`. p_no_worse [1]: p-value of the hypothesis that it is no worse. deficit [1]: difference of the gains per
+    scored error. evidence, values: of the rival in the set without `instead`. shared: it explains a part of `instead`,
+    and both are in the model."""
 
     name: str
     instead: str
@@ -47,9 +48,9 @@ class Rival:
 
 @dataclass(frozen=True)
 class Answer:
-    """Input of `decide`. noise_ratio [1]: of the residual. detectable_share [1]: of the library, at its usual size, in
-    these drives. varying_effects: number of effects that vary over the drives. combinations: names of those that differ
-    from the vehicle file without a named effect."""
+    """Input of `decide`. noise_ratio [1]: residual over noise. detectable_share [1]: share of the library's effects
+    that are detectable in these drives at their usual size. varying_effects: number of effects that vary over the
+    drives. combinations: names of parameter combinations that differ from the vehicle file without a named effect."""
 
     stated: Sequence[Evidence]
     rivals: Mapping[str, Sequence[Rival]]
@@ -79,7 +80,7 @@ def judge(e: Evidence, limits: Limits) -> Reason:
                                      "deviations": known.deviations, "limit": limits.max_file_deviation},
                       f"the best fit has {known.key} {_with_unit(known, known.value)}, the vehicle file "
                       f"{_digits(known.file)} ± {_with_unit(known, known.deviation)}: check it; if it is "
-                      "right, another cause acts like it")
+                      "correct, another cause has the same effect")
     if e.bound_distance < limits.at_bound:
         return Reason(BOUND, e.name, {"distance": e.bound_distance, "bound": limits.at_bound},
                       "its value is at a bound, so the best fit is beyond the physical range")
@@ -89,7 +90,7 @@ def judge(e: Evidence, limits: Limits) -> Reason:
         f"{e.p_value:.2g}), and does not vary significantly over the driving")
 
 
-def predicts(e: Evidence, limits: Limits) -> Reason:
+def correction_verdict(e: Evidence, limits: Limits) -> Reason:
     """The verdict on one effect as an effective correction, which must improve predictions in all parts."""
     return _by_chance(e, limits) or _varying(e, limits) or Reason(
         STATED, e.name, {"gain": e.gain, "chance": e.p_value}, f"it reduces the size of the errors by {e.share:.1%}")
@@ -103,8 +104,8 @@ def _varying(e: Evidence, limits: Limits) -> Reason | None:
     a = e.agreement[level]
     return Reason(VARIES, e.name, {"differ": a.differ, "absent": a.absent, "doubt": limits.undecided_p,
                                    "false_alarm": limits.false_alarm},
-                  f"it varies over {LEVEL_NAMES[level]} (p = {a.differ:.1g} for a constant value), and is absent or of "
-                  f"opposite sign in another of them with probability {a.absent:.2g}")
+                  f"it varies over {LEVEL_NAMES[level]} (p = {a.differ:.1g} for a constant value); with probability "
+                  f"{a.absent:.2g} it is absent or of opposite sign in a further one")
 
 
 def _with_unit(known: AgainstFile, number: float) -> str:
@@ -128,8 +129,8 @@ def _by_chance(e: Evidence, limits: Limits) -> Reason | None:
                       f"it is not significant: p = {e.p_value:.2g} over the whole library")
     if e.gain < e.healthy_gain:
         return Reason(CHANCE, e.name, {"gain": e.gain, "healthy": e.healthy_gain},
-                      f"it reduces the errors by {e.share:.1%}; between drives of the healthy car some effect does "
-                      f"so by {share_of(e.healthy_gain):.1%}")
+                      f"it reduces the errors by {e.share:.1%}; differences between drives of the healthy "
+                      f"car alone give a reduction of {share_of(e.healthy_gain):.1%}")
     if e.null_p_value > limits.undecided_p:
         return Reason(NULL, e.name, {"chance": e.null_p_value, "doubt": limits.undecided_p},
                       f"its values do not differ significantly from their null: p = {e.null_p_value:.2g}")
@@ -223,14 +224,14 @@ LEVEL_NAMES = {"run": "the runs", "site": "the sites", "time": "the time in the 
 
 
 def varies_over(e: Evidence, limits: Limits) -> str:
-    """The level over which an effect varies significantly, and another part may show none of it; "" for none."""
+    """The level over which an effect varies significantly and may be absent in a further part; "" for none."""
     found = [level for level, a in e.agreement.items()
              if a.differ < limits.false_alarm and a.absent > limits.undecided_p]
     return max(found, key=lambda level: e.agreement[level].absent, default="")
 
 
 def varies_relevantly(e: Evidence, limits: Limits) -> bool:
-    """Whether an effect that has another value in each part of the driving is reported."""
+    """Whether an effect with a different value in each part of the driving is reported."""
     return e.p_value < limits.false_alarm and e.gain > max(limits.relevant, e.healthy_gain) and is_relevant(e, limits)
 
 
@@ -270,8 +271,8 @@ def decide(a: Answer, limits: Limits) -> tuple[Outcome, Reason]:
                            names=1 + len(others))
         return because("named", "one effect is significant, relevant and does not vary significantly")
     if a.combinations:
-        return because("ambiguous", f"{' and '.join(a.combinations)}: not as in the vehicle file, and the effects "
-                       "that change it cannot be separated", combinations=len(a.combinations))
+        return because("ambiguous", f"{' and '.join(a.combinations)}: different from the vehicle file, but the "
+                       "effects that change it cannot be separated", combinations=len(a.combinations))
     verdicts = [judge(e, limits) for e in a.refused if is_relevant(e, limits)]
     if a.varying_effects or any(v.rule == VARIES for v in verdicts):
         return because("bound", "a significant effect varies over the driving")

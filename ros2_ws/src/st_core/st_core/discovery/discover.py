@@ -16,7 +16,7 @@ from ..models import Model
 from ..vehicle import VehicleParameters
 from . import certificate, decision, waterfall
 from .axles import Axles
-from .clocks import MAX_CLOCK_DEVIATION, clock_errors, delayed
+from .clocks import MAX_CLOCK_DEVIATION, apply_clock_corrections, clock_corrections
 from .decision import Rival
 from .evidence import Evidence, Joint, joint, library_p_value, share_of
 from .fit import Fit, Problem
@@ -85,13 +85,13 @@ def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str 
     windows = Windows(runs, vehicle, settings)
     loss = Loss(Errors(windows, space), space.null)
     problem = Problem(loss, space.null, windows.block, quantities=known_quantities(space, vehicle))
-    problem.renew_design(space.null)
-    fit = problem.fit((), problem.everything(space.null))
+    problem.update_design_effect(space.null)
+    fit = problem.fit((), problem.slopes_of_all(space.null))
     for _ in range(3):
-        fit = problem.fit(names, problem.everything(fit.vector), iterations=5)
+        fit = problem.fit(names, problem.slopes_of_all(fit.vector), iterations=5)
         loss.rescale(fit.vector)
-        problem.renew_design(fit.vector)
-    return space.at(problem.renewed(fit).vector)
+        problem.update_design_effect(fit.vector)
+    return space.at(problem.refit(fit).vector)
 
 
 class _Names(NamedTuple):
@@ -151,7 +151,7 @@ class _Work:
         lines = waterfall.budget(problem, base, found.fit, fit, next((fit for _, fit in varied), None), ends)
         power = (certificate.measured(problem, found.fit, self.limits, settings.seed, self._tick("certifying"))
                  if settings.certify else certificate.predicted(problem, found.fit, found.scores, self.limits))
-        driven = self._catalogue(found, effects)
+        driven, design_effect = self._catalogue(found, effects), found.scores.design_effect
         untestable = self._untestable(found, power, names, driven)
         residual = (gap_named["position_5s"].augmented / max(floor.get("position_5s", 0.0), 1e-9)
                     if "position_5s" in gap_named else 1.0)
@@ -164,8 +164,8 @@ class _Work:
             varying=tuple(v for v, _ in varied), steps=tuple(steps), gap=gap, gap_named=gap_named, budget=tuple(lines),
             reasons=(why, *self._reasons(found, names.verdicts)), candidates=self._candidates(found, names.verdicts),
             where=statements, not_testable=untestable,
-            next_manoeuvre=next_manoeuvre(problem, found.fit, effects, driven, found.scores.design) if driven else None,
-            separability=separability(problem, found.fit, effects, found.scores.design), certificate=power,
+            next_manoeuvre=next_manoeuvre(problem, found.fit, effects, driven, design_effect) if driven else None,
+            separability=separability(problem, found.fit, effects, design_effect), certificate=power,
             signature=self._residual_signature(residual, statements), runs=self._run_table(),
             start="reference" if self.reference else "vehicle file", base=space.at(base.vector),
             model=space.at(fit.vector) if fit.names else None, named=self._named_model(found, names),
@@ -177,7 +177,7 @@ class _Work:
         """The effects of the search by verdict, with force curves and combinations of the axles."""
         problem = self.problem
         all_free = joint(problem, found.fit) if problem.prior is None else None
-        position = problem.position(problem.held_out_rows(found.fit))
+        position = problem.position_error(problem.held_out_rows(found.fit))
         unexplained = (float(np.nanmean(position)) / max(floor["position_5s"], 1e-9)
                        if np.isfinite(position).any() else 1.0)
         everything = [replace(self._effect(name, found, parts, all_free, unexplained),
@@ -215,13 +215,13 @@ class _Work:
             return problem, found.fit
         free = problem.without_file()
         search = Search(free, self.limits, parts, self.sensors, self.settings.seed, self._tick("correcting"),
-                        decision.predicts)
+                        decision.correction_verdict)
         fit = search.corrections(found.fit)
         problem.loss.scale = scale
-        fit = free.about(fit.names, fit.vector, fit.indices, fit.slopes)
+        fit = free.fit_at(fit.names, fit.vector, fit.indices, fit.slopes)
         gain = free.held_out_gain(found.fit, fit)
         # Of the same windows, so that sums compare as means do; 0 where position is no channel.
-        named, best = (np.nansum(p.position(p.held_out_rows(f))) for p, f in ((problem, found.fit), (free, fit)))
+        named, best = (np.nansum(p.position_error(p.held_out_rows(f))) for p, f in ((problem, found.fit), (free, fit)))
         return (problem, found.fit) if gain < self.limits.relevant or best > named else (free, fit)
 
     # Inputs
@@ -255,18 +255,18 @@ class _Work:
         poor = [s for run in runs if (s := deviations.get(run.name, 0.0)) > MAX_CLOCK_DEVIATION]
         if not poor:
             return runs
-        errors = clock_errors(runs, self.vehicle, self.space, self.settings, deviations, self.threads,
-                              self._tick("clocks"))
-        self.clock_errors |= errors
+        corrections = clock_corrections(runs, self.vehicle, self.space, self.settings, deviations, self.threads,
+                                        self._tick("clocks"))
+        self.clock_errors |= corrections
         known = f"the steering clock is known to ± {1e3 * max(poor):.0f} ms only, in {len(poor)} of {len(runs)} runs"
-        if errors:
-            known += (f"; the search corrects it by {1e3 * min(errors.values()):.0f} to "
-                      f"{1e3 * max(errors.values()):.0f} ms, run by run. An error common to all runs")
+        if corrections:
+            known += (f"; the search corrects it by {1e3 * min(corrections.values()):.0f} to "
+                      f"{1e3 * max(corrections.values()):.0f} ms, run by run. An error common to all runs")
         else:
             known += ": its error"
         self.warnings.append(f"{known} looks like steering delay or lag, yaw inertia or tyre relaxation (log frames of "
                              "the INS on CAN, or give the offset)")
-        return delayed(runs, errors)
+        return apply_clock_corrections(runs, corrections)
 
     def _channels(self, settings: DiscoverySettings) -> DiscoverySettings:
         """The settings with the channels measured in all runs, with a warning of the others."""
@@ -415,7 +415,7 @@ class _Work:
             elif name in found.scores.own:
                 each, vector = found.scores.gains[name]
                 values = space.values(name, vector)
-                gain = float(each.sum()) / problem.number
+                gain = float(each.sum()) / problem.scored_count
                 p_value = library_p_value(found.scores.own[name], each, found.scores, len(space.hypotheses))
                 verdict = decision.judge(Evidence(name, gain, p_value), self.limits)
                 if verdict.rule == decision.STATED:

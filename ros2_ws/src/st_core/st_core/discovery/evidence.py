@@ -92,14 +92,14 @@ def share_of(gain: float) -> float:
 class Scores:
     """Efficient scores of all effects of the library that are not in a fit.
 
-    own: (b, k) by effect. largest: (FLIPS,) largest statistic of the library under random signs of the blocks. design:
-    design effect, the factor by which dependent windows increase the variance of a score (median of the library) [1].
+    own: (b, k) by effect. largest: (FLIPS,) largest statistic of the library under random signs of the blocks.
+    design_effect [1]: factor by which dependent windows increase the variance of a score (median of the library).
     gains: by effect, (b,) gain by the quadratic approximation, and the vector at its optimum.
     """
 
     own: Mapping[str, np.ndarray]
     largest: np.ndarray
-    design: float
+    design_effect: float
     gains: Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 
@@ -169,7 +169,7 @@ def library_p_value(own: np.ndarray, gain: np.ndarray, scores: Scores, library: 
     flipped = (1 + int((scores.largest >= statistic(own)).sum())) / (1 + len(scores.largest))
     spread = float(gain.std(ddof=1)) * np.sqrt(len(gain)) if len(gain) > 1 else np.inf
     even = float(stats.norm.sf(gain.sum() / max(spread, 1e-12)))
-    ratio = 2.0 * max(float(gain.sum()), 0.0) / scores.design
+    ratio = 2.0 * max(float(gain.sum()), 0.0) / scores.design_effect
     return min(max(flipped, even), library * float(stats.f.sf(ratio / values, values, blocks - 1)), 1.0)
 
 
@@ -182,11 +182,11 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
     if own is None:
         own = score_of(problem, without, effect, fit.slopes)
     rows, after = problem.held_out_rows(without), problem.held_out_rows(fit)
-    fall = problem.position(rows) - problem.position(after)
+    fall = problem.position_error(rows) - problem.position_error(after)
     if problem.prior is not None:  # the healthy car is known: no other parameter compensates for the effect
         rows = problem.errors.at(problem.vector_without(fit, effect))
     overall, somewhere = error_reductions(fall, levels.get("condition"))
-    return Evidence(effect, min(float(gain.sum()) / problem.number, problem.held_out_gain(without, fit)),
+    return Evidence(effect, min(float(gain.sum()) / problem.scored_count, problem.held_out_gain(without, fit)),
                     library_p_value(own, gain, scores, len(problem.space.hypotheses)),
                     null_p_value(problem, fit, effect),
                     shares(problem, rows, after), overall, somewhere, residual_over_noise(problem, after),
@@ -208,7 +208,7 @@ def shares(problem: Problem, without: np.ndarray, rows: np.ndarray) -> dict[str,
     without the effect over the noise)."""
     before, after = problem.sizes(without), problem.sizes(rows)
     return {column: (float(fall), float(over)) for column, fall, over in zip(
-        problem.errors.windows.columns, (before - after) / np.maximum(problem.size_of_start, before),
+        problem.errors.windows.columns, (before - after) / np.maximum(problem.baseline_sizes, before),
         before / np.maximum(problem.noise, 1e-12), strict=True)}
 
 
@@ -323,7 +323,7 @@ def covariance(problem: Problem, fit: Fit) -> np.ndarray:
     off = q.gradient - q.gradient.mean(axis=0)  # at the optimum the sum equals the gradient of the prior
     scatter = off.T @ off * problem.blocks / max(problem.blocks - 1, 1)
     if problem.prior is None:  # the prior's gradient scatters as the vehicle file's values do
-        scatter = scatter + np.diag(0.5 * problem.design * problem.file_curvature[fit.indices])
+        scatter = scatter + np.diag(0.5 * problem.design_effect * problem.file_curvature[fit.indices])
     return h @ scatter @ h
 
 
@@ -355,15 +355,15 @@ def joint(problem: Problem, fit: Fit) -> Joint:
     space, names = problem.space, fit.names
     others = [n for n in space.hypotheses if not space.overlaps(n, names) and not get_effect(n).members]
     indices = np.union1d(fit.indices, space.indices(*others))
-    q = problem.loss.quadratic(problem.errors.at(fit.vector), problem.everything(fit.vector).of(indices))
+    q = problem.loss.quadratic(problem.errors.at(fit.vector), problem.slopes_of_all(fit.vector).of(indices))
     known = problem.file_curvature[indices]
     free = ((known == 0.0) | (space.deviation[indices] < np.inf)) & ~np.isin(indices, fit.indices)
-    known[free] = 0.5 * problem.design / UNSELECTED_DEVIATION**2
+    known[free] = 0.5 * problem.design_effect / UNSELECTED_DEVIATION**2
     h = q.hessian.sum(axis=0) + np.diag(known)
     h = h + (1e-9 * np.trace(h) / len(h)) * np.eye(len(h))
     gradient = q.gradient.sum(axis=0) - known * problem.distance(fit.vector)[indices]
     shift = bounded(h, gradient, *problem.distance_to_bounds(fit.vector, indices))
-    return Joint(indices, 0.5 * problem.design * np.linalg.inv(h), shift)
+    return Joint(indices, 0.5 * problem.design_effect * np.linalg.inv(h), shift)
 
 
 def _raised(curvature: np.ndarray, whole: np.ndarray) -> np.ndarray:

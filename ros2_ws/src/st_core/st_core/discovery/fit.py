@@ -60,18 +60,18 @@ class Slopes:
     def of(self, indices: np.ndarray) -> np.ndarray:
         return self.values[np.searchsorted(self.indices, indices)]
 
-    def moved(self, vector: np.ndarray, scale: np.ndarray, taken: np.ndarray) -> "Slopes":
-        """The slopes about another vector by Broyden's update (1965). taken: (n, m) simulated reduction of the errors
-        for the step there."""
+    def moved(self, vector: np.ndarray, scale: np.ndarray, reduction: np.ndarray) -> "Slopes":
+        """The slopes about another vector by Broyden's update (1965). reduction: (n, m) simulated reduction of the
+        errors by the step there."""
         step = ((vector - self.vector) / scale)[self.indices]
         square = float(step @ step)
         if square == 0.0:
             return self
-        error = taken - np.tensordot(step, self.values, 1)
+        error = reduction - np.tensordot(step, self.values, 1)
         error[~np.isfinite(error)] = 0.0  # of a window that diverges at one of the two vectors
         return Slopes(vector, self.indices, self.values + (step / square)[:, None, None] * error)
 
-    def renewed(self, indices: np.ndarray, values: np.ndarray) -> "Slopes":
+    def with_values(self, indices: np.ndarray, values: np.ndarray) -> "Slopes":
         """The slopes with those of some parameters replaced."""
         new = self.values.copy()
         new[np.searchsorted(self.indices, indices)] = values
@@ -80,8 +80,8 @@ class Slopes:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A set of effects with fitted values. indices: (a,) free parameters. slopes: of those at least. quadratic: of
-    those, by window. held_out: (b,) loss of each block at the values fitted without its fold."""
+    """A set of effects with fitted values. indices: (a,) free parameters. slopes: of at least these. quadratic: in
+    these, by window. held_out: (b,) loss of each block at the values fitted without its fold."""
 
     names: tuple[str, ...]
     vector: np.ndarray
@@ -93,12 +93,12 @@ class Fit:
 
 def marginalised(prior: np.ndarray, free: np.ndarray) -> np.ndarray:
     """A prior curvature (p, p) with the parameters `free` marginalised (Schur complement); zero for these."""
-    rest = np.setdiff1d(np.arange(len(prior)), free)
-    held = np.zeros_like(prior)
-    cross = prior[np.ix_(rest, free)]
+    others = np.setdiff1d(np.arange(len(prior)), free)
+    marginal = np.zeros_like(prior)
+    cross = prior[np.ix_(others, free)]
     inside = prior[np.ix_(free, free)] + 1e-9 * np.eye(len(free))
-    held[np.ix_(rest, rest)] = prior[np.ix_(rest, rest)] - cross @ np.linalg.solve(inside, cross.T)
-    return held
+    marginal[np.ix_(others, others)] = prior[np.ix_(others, others)] - cross @ np.linalg.solve(inside, cross.T)
+    return marginal
 
 
 class Problem:
@@ -110,14 +110,14 @@ class Problem:
     error between drives of the healthy car.
 
     quantities: (p,) quantity of the vehicle file that each parameter changes. Its standard deviation s enters the loss
-    as a Gaussian prior, 0.5 design (x / s)^2. design [1]: number of scored errors that count as one independent error,
-    see `renew_design`.
+    as a Gaussian prior, 0.5 D (x / s)^2. design_effect D [1]: number of scored errors that count as one independent
+    error, see `update_design_effect`.
     """
 
     def __init__(self, loss: Loss, start: np.ndarray, block: np.ndarray, prior: np.ndarray | None = None,
                  noise: np.ndarray | None = None, healthy_gain: float = 0.0, quantities: Quantities | None = None):
         self.loss, self.space, self.start, self.prior = loss, loss.space, start, prior
-        self.errors, self.healthy_gain, self.design = loss.errors, healthy_gain, 1.0
+        self.errors, self.healthy_gain, self.design_effect = loss.errors, healthy_gain, 1.0
         self.set_quantities((None,) * len(self.space) if quantities is None else quantities)
         self.noise = np.zeros(len(self.errors.windows.columns)) if noise is None else noise
         self.block, self.blocks = block, int(block.max()) + 1
@@ -125,27 +125,27 @@ class Problem:
         self._whole: list[Slopes] = []
 
     def set_quantities(self, quantities: Quantities) -> None:
-        """Set the quantity of the vehicle file that each parameter changes. With a reference, its drives contain the
-        load of the car."""
+        """Set the quantity of the vehicle file that each parameter changes. Priors of additions to the car, as a load,
+        apply without reference drives only: those contain the load."""
         self.quantities = quantities
         addition_deviation = self.space.deviation if self.prior is None else np.inf
         self._deviation = np.minimum(prior_deviations(quantities, self.space.scale), addition_deviation)
 
     @cached_property
-    def size_of_start(self) -> np.ndarray:
+    def baseline_sizes(self) -> np.ndarray:
         """(c,) `sizes` of the baseline errors."""
         return np.maximum(self.sizes(self.errors.at(self.start)), 1e-12)
 
     def sizes(self, rows: np.ndarray) -> np.ndarray:
         """(c,) root mean square error of each column over the horizon [SI], clipped at MAX_SCALED scales of the
         baseline errors."""
-        limit = MAX_SCALED * self._scale_of_start
+        limit = MAX_SCALED * self._baseline_scale
         square = np.square(np.clip(np.nan_to_num(rows, nan=np.inf), -limit, limit))
         points = np.where(self.loss.known, square, 0.0).sum(axis=0) / np.maximum(self.loss.known.sum(axis=0), 1)
         return np.sqrt(points.reshape(len(self.errors.windows.time), -1).mean(axis=0))
 
     @cached_property
-    def _scale_of_start(self) -> np.ndarray:
+    def _baseline_scale(self) -> np.ndarray:
         return self.loss.scale_of(self.start)
 
     @cached_property
@@ -168,9 +168,9 @@ class Problem:
         return other
 
     @property
-    def number(self) -> int:
+    def scored_count(self) -> int:
         """Number of scored errors."""
-        return self.loss.number
+        return self.loss.scored_count
 
     def free_indices(self, names: Iterable[str]) -> np.ndarray:
         """(a,) indices of the parameters that are free in a fit of the effects `names`."""
@@ -189,19 +189,19 @@ class Problem:
     @property
     def file_curvature(self) -> np.ndarray:
         """(p,) curvature of the prior of the vehicle file."""
-        return 0.5 * self.design / np.square(self._deviation)
+        return 0.5 * self.design_effect / np.square(self._deviation)
 
     def prior_gradient(self, vector: np.ndarray) -> np.ndarray:
         """(p,) half gradient of the prior of the vehicle file at a vector."""
         return self.file_curvature * (vector - self.start) / self.space.scale
 
-    def renew_design(self, vector: np.ndarray) -> None:
+    def update_design_effect(self, vector: np.ndarray) -> None:
         """Estimate the design effect from the errors at a vector: variance of the scores between blocks, and between
         runs, over that of independent errors; median over the library, at least 1.
 
             D = 2 n var(g_k) / H,   g_k: half gradient of part k of n, H: half of the curvature
 
-        Scores of an incomplete model vary between parts of the driving, so that D grows with what is missing.
+        Scores of an incomplete model vary between parts of the driving, so D grows with unmodelled effects.
         Source: Kish, Survey Sampling (1965), ch. 8.
         """
         q = self.quadratic_of_all(vector)
@@ -213,7 +213,7 @@ class Problem:
             if len(gradient) > 2:
                 variance = 2.0 * len(gradient) * gradient.var(axis=0, ddof=1)
                 found.append(float(np.median(variance / information[informative])))
-        self.design = max(found)
+        self.design_effect = max(found)
 
     def distance(self, vector: np.ndarray) -> np.ndarray:
         """(p,) distance from the start [usual sizes]."""
@@ -231,25 +231,25 @@ class Problem:
     def stepper(self, names: Iterable[str], vector: np.ndarray,
                 indices: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
         """A function of a Hessian (a, a) and a gradient (a,) that gives the best step (a,) from the vector."""
-        held, room = self.prior_curvature(names, indices), self.distance_to_bounds(vector, indices)
-        prior_gradient = held @ self.distance(vector)[indices]
+        prior, room = self.prior_curvature(names, indices), self.distance_to_bounds(vector, indices)
+        prior_gradient = prior @ self.distance(vector)[indices]
 
         def best_step(h: np.ndarray, g: np.ndarray) -> np.ndarray:
             if not len(indices):
                 return np.zeros(0)
-            return bounded(ridge(h + held), g - prior_gradient, *room)
+            return bounded(ridge(h + prior), g - prior_gradient, *room)
         return best_step
 
     def cost(self, names: Iterable[str], vector: np.ndarray, indices: np.ndarray) -> float:
-        """The loss with the prior's part."""
-        away = self.distance(vector)[indices]
-        return self.loss.total(vector) + float(away @ self.prior_curvature(names, indices) @ away)
+        """The loss plus the prior."""
+        distance = self.distance(vector)[indices]
+        return self.loss.total(vector) + float(distance @ self.prior_curvature(names, indices) @ distance)
 
-    def everything(self, vector: np.ndarray) -> Slopes:
+    def slopes_of_all(self, vector: np.ndarray) -> Slopes:
         """Slopes of all parameters: those of a nearby point, updated for the step, or new ones."""
         for known in reversed(self._whole):
             if np.abs((vector - known.vector) / self.space.scale).max() < SLOPES_VALID_WITHIN:
-                return self._follow(known, vector, np.zeros(0, int))
+                return self._slopes_at(known, vector, np.zeros(0, int))
         indices = np.arange(len(self.space))
         new = Slopes(vector, indices, self.loss.slopes(vector, indices))
         self._whole = [*self._whole[-SLOPES_CACHE_SIZE + 1:], new]
@@ -257,7 +257,7 @@ class Problem:
 
     def quadratic_of_all(self, vector: np.ndarray) -> Quadratic:
         """Quadratic of the loss about a vector, by window, in all parameters."""
-        return self.loss.quadratic(self.errors.at(vector), self.everything(vector).values)
+        return self.loss.quadratic(self.errors.at(vector), self.slopes_of_all(vector).values)
 
     def moved(self, vector: np.ndarray, indices: np.ndarray, step: np.ndarray) -> np.ndarray:
         """The vector after a step [usual sizes] of some parameters, limited to the bounds."""
@@ -281,7 +281,7 @@ class Problem:
         indices, new = self.free_indices(names), self.space.indices(*fresh)
         first, vector = slopes.vector if vector is None else vector, self.start.copy()
         vector[indices] = first[indices]
-        slopes = self._follow(slopes, vector, new)
+        slopes = self._slopes_at(slopes, vector, new)
         cost = self.cost(names, vector, indices)
         for _ in range(iterations if len(indices) else 0):
             q = self.loss.quadratic(self.errors.at(vector), slopes.of(indices))
@@ -294,29 +294,29 @@ class Problem:
             else:
                 break
             gained, vector, cost = cost - lower, trial, lower
-            slopes = self._follow(slopes, vector, new)
-            if gained < MIN_LOSS_FALL * self.number:
+            slopes = self._slopes_at(slopes, vector, new)
+            if gained < MIN_LOSS_FALL * self.scored_count:
                 break
-        return self.about(names, vector, indices, slopes)
+        return self.fit_at(names, vector, indices, slopes)
 
-    def renewed(self, fit: Fit, iterations: int = 2) -> Fit:
+    def refit(self, fit: Fit, iterations: int = 2) -> Fit:
         """The fit, continued with recomputed slopes."""
         own = np.union1d(self.space.indices(*fit.names), self.space.indices(GAIN))
         fresh = Slopes(fit.vector, fit.slopes.indices, fit.slopes.values)
         if len(own):
             known = np.intersect1d(own, fit.slopes.indices)
-            fresh = fresh.renewed(known, self.loss.slopes(fit.vector, known))
+            fresh = fresh.with_values(known, self.loss.slopes(fit.vector, known))
         return self.fit(fit.names, fresh, iterations=iterations)
 
-    def _follow(self, slopes: Slopes, vector: np.ndarray, new: np.ndarray) -> Slopes:
+    def _slopes_at(self, slopes: Slopes, vector: np.ndarray, new: np.ndarray) -> Slopes:
         """The slopes about another vector, those of the parameters `new` recomputed."""
         if not np.array_equal(vector, slopes.vector):
-            taken = self.errors.at(slopes.vector) - self.errors.at(vector)
-            slopes = slopes.moved(vector, self.space.scale, taken)
-        return slopes.renewed(new, self.loss.slopes(vector, new)) if len(new) else slopes
+            reduction = self.errors.at(slopes.vector) - self.errors.at(vector)
+            slopes = slopes.moved(vector, self.space.scale, reduction)
+        return slopes.with_values(new, self.loss.slopes(vector, new)) if len(new) else slopes
 
-    def about(self, names: tuple[str, ...], vector: np.ndarray, indices: np.ndarray, slopes: Slopes) -> Fit:
-        """A vector as a fit, with its quadratic and held-out loss."""
+    def fit_at(self, names: tuple[str, ...], vector: np.ndarray, indices: np.ndarray, slopes: Slopes) -> Fit:
+        """The fit with the values of a vector, with its quadratic and held-out loss."""
         q = self.loss.quadratic(self.errors.at(vector), slopes.of(indices))
         fit = Fit(names, vector, indices, slopes, q, np.zeros(self.blocks))
         return replace(fit, held_out=self.held_out_loss(fit, self.fold))
@@ -334,7 +334,7 @@ class Problem:
         h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
         best_step = self.stepper(names, vector, indices)
         optimum = best_step(h, g)
-        held, away = self.prior_curvature(names, indices), self.distance(vector)[indices]
+        prior, distance = self.prior_curvature(names, indices), self.distance(vector)[indices]
         low, high = (edge - optimum for edge in self.distance_to_bounds(vector, indices))
         own = np.flatnonzero(np.isin(indices, self.space.indices(*names)))
         gradient = q.gradient - q.hessian @ optimum
@@ -344,26 +344,27 @@ class Problem:
         steps, held_out = {}, np.zeros(len(q.cost))
         for k in np.unique(fold):
             out = fold == k
-            rest = h - q.hessian[out].sum(axis=0)
+            fitted = h - q.hessian[out].sum(axis=0)
             if self.prior is None:
-                d = best_step(rest, g - (gradient + q.hessian @ optimum)[out].sum(axis=0)) - optimum
+                d = best_step(fitted, g - (gradient + q.hessian @ optimum)[out].sum(axis=0)) - optimum
             else:
                 d = np.zeros(len(indices))
                 flat = RIDGE * np.trace(h) / len(h) * np.eye(len(own))
-                d[own] = bounded(rest[np.ix_(own, own)] + flat, gradient[~out].sum(axis=0)[own],
+                d[own] = bounded(fitted[np.ix_(own, own)] + flat, gradient[~out].sum(axis=0)[own],
                                  np.minimum(low, 0.0)[own], np.maximum(high, 0.0)[own])
             steps[int(k)] = d = base + d
             rise = np.einsum("i,bij,j->b", d, q.hessian[out], d) - 2.0 * q.gradient[out] @ d
-            held_out[out] = q.cost[out] + self._robust(rise, out) + (away + d) @ held @ (away + d) / len(q.cost)
+            prior_cost = (distance + d) @ prior @ (distance + d) / len(q.cost)
+            held_out[out] = q.cost[out] + self._robust(rise, out) + prior_cost
         return steps, held_out
 
     def _robust(self, rise: np.ndarray, blocks: np.ndarray) -> np.ndarray:
         """Increase of the robust loss for an increase of its quadratic: logarithmic beyond 1 per scored error."""
-        number = np.maximum(self._numbers[blocks], 1)
-        return np.where(rise > number, number * (1.0 + np.log(np.maximum(rise / number, 1.0))), rise)
+        count = np.maximum(self._scored_counts[blocks], 1)
+        return np.where(rise > count, count * (1.0 + np.log(np.maximum(rise / count, 1.0))), rise)
 
     @cached_property
-    def _numbers(self) -> np.ndarray:
+    def _scored_counts(self) -> np.ndarray:
         """(b,) number of scored errors of each block."""
         return np.bincount(self.block, self.loss.known.sum(axis=1), self.blocks)
 
@@ -376,21 +377,21 @@ class Problem:
         """(b,) loss of each block at values fitted without its group; simulated where the quadratic predicts much more
         than the fitted loss. groups: (b,)."""
         steps, held_out = self.leave_out_of(fit, groups)
-        if held_out.sum() - fit.quadratic.cost.sum() < MAX_QUADRATIC_RISE * self.number:
+        if held_out.sum() - fit.quadratic.cost.sum() < MAX_QUADRATIC_RISE * self.scored_count:
             return held_out
-        held, away = self.prior_curvature(fit.names, fit.indices), self.distance(fit.vector)[fit.indices]
+        prior, distance = self.prior_curvature(fit.names, fit.indices), self.distance(fit.vector)[fit.indices]
         result = np.zeros(self.blocks)
         for k, d in steps.items():
             out, loss = groups == k, self.loss.by_window(self.moved(fit.vector, fit.indices, d))
-            prior = (away + d) @ held @ (away + d) / self.blocks
-            result[out] = np.bincount(self.block, loss, self.blocks)[out] + prior
+            prior_cost = (distance + d) @ prior @ (distance + d) / self.blocks
+            result[out] = np.bincount(self.block, loss, self.blocks)[out] + prior_cost
         return np.minimum(held_out, result)
 
     def held_out_gain(self, without: Fit, fit: Fit) -> float:
         """Reduction of the loss per scored error by a fit over one without some of its effects, both at values fitted
         without each group (`held_out_groups`)."""
         before, after = (self.held_out_loss(each, self.held_out_groups) for each in (without, fit))
-        return float((before - after).sum()) / self.number
+        return float((before - after).sum()) / self.scored_count
 
     def held_out_rows(self, fit: Fit) -> np.ndarray:
         """(n, m) errors of each window at values fitted without its group (`held_out_groups`)."""
@@ -402,13 +403,14 @@ class Problem:
             out = group == k
             result[out] -= np.einsum("p,pnm->nm", d, slopes[:, out])
         before, after = (self.loss.scaled(each) for each in (rows, result))
-        if rho(after).sum() - rho(before).sum() > MAX_QUADRATIC_RISE * self.number:  # beyond the validity of the slopes
+        # Beyond the validity of the slopes the held-out errors are simulated.
+        if rho(after).sum() - rho(before).sum() > MAX_QUADRATIC_RISE * self.scored_count:
             for k, d in steps.items():
                 out = group == k
                 result[out] = self.errors.at(self.moved(fit.vector, fit.indices, d))[out]
         return result
 
-    def position(self, rows: np.ndarray) -> np.ndarray:
+    def position_error(self, rows: np.ndarray) -> np.ndarray:
         """(n,) position error at the end of the horizon [m], at most DIVERGED; NaN where it was not measured."""
         columns = self.errors.windows.columns
         if "position_lateral" not in columns:

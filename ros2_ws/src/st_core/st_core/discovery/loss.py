@@ -80,12 +80,12 @@ class Errors:
 
 
 class Loss:
-    """Loss of the errors at a scale. known: (n, m) whether measured. scale: (m,) SI. number: of scored errors."""
+    """Loss of the errors at a scale. known: (n, m) whether measured. scale: (m,) SI. scored_count: of errors."""
 
     def __init__(self, errors: Errors, at: np.ndarray):
         self.errors, self.space = errors, errors.space
         self.known = errors.windows.known & np.isfinite(errors.at(at)).any(axis=1)[:, None]
-        self.number = int(self.known.sum())
+        self.scored_count = int(self.known.sum())
         self.resolution = np.tile([OF_COLUMN[c].resolution for c in errors.windows.columns], len(errors.windows.time))
         self.scale = self.scale_of(at)
 

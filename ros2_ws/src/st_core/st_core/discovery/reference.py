@@ -54,7 +54,7 @@ def learn(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, se
     q = problem.quadratic_of_all(vector)
     h = q.hessian.sum(axis=0) + held
     spread = np.sqrt(2.0 * _design_effects(q, np.diag(h), windows))
-    position = problem.position(problem.errors.at(vector))
+    position = problem.position_error(problem.errors.at(vector))
     by_run = [position[windows.run == k] for k in np.unique(windows.run)]
     largest = max((float(np.nanmean(error)) for error in by_run if np.isfinite(error).any()), default=0.0)
     return Healthy(vector, _prior(h, spread, held), loss.scale_of(vector)[-len(windows.columns):], largest,
@@ -128,10 +128,10 @@ def fit_library(loss: Loss, windows: Windows, held: np.ndarray, quantities: Quan
     deviations = prior_deviations(quantities, space.scale)  # without that of a load, which the drives contain
     for _ in range(MAX_FITS):
         tick()
-        file.renew_design(vector)
-        whole = held + np.diag(0.5 * file.design / np.square(deviations))
+        file.update_design_effect(vector)
+        whole = held + np.diag(0.5 * file.design_effect / np.square(deviations))
         problem = Problem(loss, space.null, windows.block, whole)
-        fit = problem.fit((), file.everything(vector), vector, iterations=2)
+        fit = problem.fit((), file.slopes_of_all(vector), vector, iterations=2)
         step = float(np.abs((fit.vector - vector) / space.scale).max())
         vector = fit.vector
         loss.rescale(vector)

@@ -309,7 +309,7 @@ class Discovery:
     of named and minor effects, by the run that was left out of the fit. acceleration_gain [1]:
     relative excess of the measured lateral specific force over that of the motion, due to body roll. noise: by channel,
     at the end of the horizon [SI]. signature: description of the residual. clock_errors: correction of the steering
-    stamps by run [s], see `clocks.clock_errors`; without one, none.
+    stamps by run [s], see `clocks.clock_corrections`; without one, none.
     """
 
     outcome: Outcome

@@ -65,8 +65,8 @@ class Search:
     def run(self) -> Found:
         """The best answer from three starts: the empty set; its answer with all physics; the whole library."""
         p = self.problem
-        p.renew_design(p.start)
-        first = self._step_from(p.fit((), p.everything(p.start)))
+        p.update_design_effect(p.start)
+        first = self._step_from(p.fit((), p.slopes_of_all(p.start)))
         assert first is not None  # no set was visited before
         answers: list[Found | None] = [first]
         library = [n for n in p.space.hypotheses
@@ -116,7 +116,7 @@ class Search:
         """The best fit with all effects of an answer of another problem and further ones."""
         self._required = frozenset(answer.names)
         p = self.problem
-        found = self._step_from(p.fit(answer.names, p.everything(answer.vector), answer.vector))
+        found = self._step_from(p.fit(answer.names, p.slopes_of_all(answer.vector), answer.vector))
         assert found is not None  # no set was visited before
         return self._drop_rejected(found).fit
 
@@ -126,7 +126,7 @@ class Search:
         p, limits = self.problem, self.limits
         if max((e.noise_ratio for e in found.evidence.values()), default=0.0) <= limits.max_noise_ratio:
             return []
-        most = found.fit.held_out.sum() + limits.unexplained_share * p.number
+        most = found.fit.held_out.sum() + limits.unexplained_share * p.scored_count
         return [near for scale, near, loss in self._fits_tried if scale is p.loss.scale and loss < most]
 
     def _step_from(self, fit: Fit, revisit: bool = False) -> Found | None:
@@ -152,8 +152,8 @@ class Search:
     def _rescale(self, fit: Fit) -> Fit:
         """The fit with the scale and the design effect of its own errors."""
         self.problem.loss.rescale(fit.vector)
-        self.problem.renew_design(fit.vector)
-        return self.problem.renewed(fit)
+        self.problem.update_design_effect(fit.vector)
+        return self.problem.refit(fit)
 
     def _drop_failing(self, fit: Fit) -> Fit:
         """The fit without the effects that fail the test, removed weakest first."""
@@ -185,7 +185,7 @@ class Search:
             p.loss.rescale(smallest.fit.vector)
             for a in answers:
                 a.fit = p.fit(a.fit.names, a.fit.slopes, iterations=2)
-        price = self.limits.negligible * p.number
+        price = self.limits.negligible * p.scored_count
         return min(answers, key=lambda a: float(a.fit.held_out.sum()) + price * len(a.fit.names))
 
     def _forward(self, found: Found) -> Fit | None:
@@ -195,7 +195,7 @@ class Search:
         found.cached_scores = found.cached_scores or self._scores(found.fit)
         gains = found.scores.gains
         largest = max((gain.sum() for gain, _ in gains.values()), default=0.0)
-        least = max(limits.negligible * p.number, CONTENDER_SHARE * largest)
+        least = max(limits.negligible * p.scored_count, CONTENDER_SHARE * largest)
         # A load is tried only in exchange for an effect that acts alike.
         ranked = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum())
                   if gains[e][0].sum() > CONTENDER_SHARE * least and e not in p.space.additions]
@@ -241,7 +241,7 @@ class Search:
         p = self.problem
         self.tick()
         better = p.loss.total(start) < p.loss.total(fit.vector)
-        slopes = p.everything(fit.vector) if around is None else around
+        slopes = p.slopes_of_all(fit.vector) if around is None else around
         return self._remember(p.fit((*fit.names, effect), slopes, start if better else fit.vector, (effect,), 2))
 
     @staticmethod
@@ -253,7 +253,7 @@ class Search:
         gain = {e: self._gain(without, f) for e, f in fits.items()}
         order = sorted(fits, key=lambda e: -gain[e])
         for name in [e for e in order if get_effect(e).members]:
-            close = max(self.limits.negligible * self.problem.number, self.limits.undecided_p * gain[name])
+            close = max(self.limits.negligible * self.problem.scored_count, self.limits.undecided_p * gain[name])
             near = [m for m in get_effect(name).members if m in gain and gain[name] - gain[m] < close]
             if near:
                 order.remove(name)
@@ -266,7 +266,7 @@ class Search:
         best = max(fits, key=lambda e: self._gain(without, fits[e]))
         gain = self._gain(without, fits[best])
         near = {e: f for e, f in fits.items() if self._gain(without, f) > CONTENDER_SHARE * gain}
-        if len(near) < 2 or gain < 10.0 * self.limits.negligible * p.number:
+        if len(near) < 2 or gain < 10.0 * self.limits.negligible * p.scored_count:
             return without, fits
         p.loss.rescale(fits[best].vector)
         return (p.fit(without.names, without.slopes, iterations=1),
@@ -281,7 +281,7 @@ class Search:
         while len(fit.names) > max(len(self._required), 1):
             rise = {n: self.predicted_rise(fit, n) for n in fit.names if n not in self._required}
             weakest = min(rise, key=rise.__getitem__)
-            if rise[weakest] > 3.0 * self.limits.relevant * p.number:
+            if rise[weakest] > 3.0 * self.limits.relevant * p.scored_count:
                 return fit
             without = self._refit_without(fit, weakest)
             if self._judge(self._evidence(without, fit, weakest, scores), self.limits).rule == STATED:
@@ -311,7 +311,7 @@ class Search:
         """Backward elimination from a joint fit of many effects with a weak prior; None if the remaining set was
         visited before."""
         p = self.problem
-        scale, design = p.loss.scale.copy(), p.design
+        scale, design = p.loss.scale.copy(), p.design_effect
         free = np.isin(np.arange(len(p.space)), p.free_indices(names))
         curvature = np.where(free, np.maximum(JOINT_DEVIATION**-2, p.file_curvature), FIXED_CURVATURE)
         joint = Problem(p.loss, p.start, p.block, np.diag(curvature))
@@ -319,11 +319,11 @@ class Search:
         for _ in range(JOINT_FITS):
             self.tick()
             before = vector
-            vector = joint.fit((), p.everything(vector), vector, iterations=2).vector
+            vector = joint.fit((), p.slopes_of_all(vector), vector, iterations=2).vector
             p.loss.rescale(vector)
             if np.abs((vector - before) / p.space.scale).max() < JOINT_STEP:
                 break
-        everything = p.everything(vector)
+        everything = p.slopes_of_all(vector)
         q = p.quadratic_of_all(vector)
 
         def cost(selected: list[str]) -> float:
@@ -335,11 +335,11 @@ class Search:
             now = cost(names)
             rise = {n: cost([m for m in names if m != n]) - now for n in names}
             weakest = min(rise, key=rise.__getitem__)
-            if rise[weakest] > self.limits.relevant * p.number and len(names) <= self.limits.max_effects:
+            if rise[weakest] > self.limits.relevant * p.scored_count and len(names) <= self.limits.max_effects:
                 break
             names.remove(weakest)
         if not names or frozenset(names) in self._visited:
-            p.loss.scale, p.design = scale, design
+            p.loss.scale, p.design_effect = scale, design
             return None
         return self._rescale(p.fit(tuple(names), everything, iterations=2))
 
@@ -373,7 +373,7 @@ class Search:
         found.cached_scores = found.cached_scores or self._scores(found.fit)
         found.evidence, found.without = {}, {}
         for name in (n for n in found.fit.names if n not in self._required):
-            rise = self.predicted_rise(found.fit, name) / p.number
+            rise = self.predicted_rise(found.fit, name) / p.scored_count
             if rise > 3.0 * enough:
                 without = found.without[name] = found.fit
                 e = self._evidence(found.fit, found.fit, name, found.scores)
@@ -387,7 +387,7 @@ class Search:
     def _exchange(self, found: Found) -> Fit | None:
         """Fill in `rivals`, and return the best fit with one effect exchanged; None if none is significantly better."""
         p, better = self.problem, None
-        around = p.everything(found.fit.vector)
+        around = p.slopes_of_all(found.fit.vector)
         q = p.quadratic_of_all(found.fit.vector)
         found.rivals = {}
         for name, without in found.without.items():
@@ -400,8 +400,9 @@ class Search:
                     continue
                 fit = self._refit_with(without, other, others[other][1], around)
                 difference = fit.held_out - found.fit.held_out
-                rival = Rival(other, name, 1.0 - float(difference.sum()) / max(gain, 1e-12), no_worse(difference),
-                              float(difference.sum()) / p.number, self._evidence(without, fit, other, found.scores),
+                deficit = float(difference.sum())
+                rival = Rival(other, name, 1.0 - deficit / max(gain, 1e-12), no_worse(difference),
+                              deficit / p.scored_count, self._evidence(without, fit, other, found.scores),
                               p.space.values(other, fit.vector))
                 found.rivals[name].append(rival)
                 significant = rival.p_no_worse > 1.0 - self.limits.undecided_p

@@ -77,7 +77,7 @@ def _by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, l
     values = {names[k]: (value + scale * float((inverse(hk) @ gk)[best]),
                           scale * float(np.sqrt(0.5 * design * inverse(hk)[best, best]))) for k, gk, hk in parts}
     steps = {int(k): projection @ (inverse(hk) @ gk) for k, gk, hk in parts}
-    return Varying(effect, name, gain / problem.number, p_value, space.free[own[best]].parameter, values, steps)
+    return Varying(effect, name, gain / problem.scored_count, p_value, space.free[own[best]].parameter, values, steps)
 
 
 def _design_effect(problem: Problem, number: np.ndarray, parts: Sequence[Part], gradient: np.ndarray,
@@ -97,10 +97,11 @@ def _design_effect(problem: Problem, number: np.ndarray, parts: Sequence[Part], 
 def evidence_of(problem: Problem, fit: Fit, v: Varying, levels: Mapping[str, Level]) -> Evidence:
     """Reduction of the errors by a value for each part, to first order, on the driving the values were fitted to."""
     rows = problem.errors.at(fit.vector)
-    own, slopes = rows.copy(), problem.everything(fit.vector).values
+    own, slopes = rows.copy(), problem.slopes_of_all(fit.vector).values
     for k, step in v.steps.items():
         inside = levels[v.level][0] == k
         own[inside] -= np.tensordot(step, slopes[:, inside], 1)
-    overall, somewhere = error_reductions(problem.position(rows) - problem.position(own), levels.get("condition"))
+    reduction = problem.position_error(rows) - problem.position_error(own)
+    overall, somewhere = error_reductions(reduction, levels.get("condition"))
     return Evidence(v.name, v.gain, v.p_value, shares=shares(problem, rows, own), position=overall,
                     position_somewhere=somewhere, healthy_gain=problem.healthy_gain)

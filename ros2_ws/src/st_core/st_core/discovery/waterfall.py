@@ -44,7 +44,7 @@ class HorizonErrors:
     def position_without(self, fit: Fit, name: str) -> float:
         """Increase of the mean position error after 5 s without an effect of a fit, the others unchanged [m]."""
         p = self.problem
-        without, with_effect = (float(np.nanmean(p.position(p.errors.at(vector))))
+        without, with_effect = (float(np.nanmean(p.position_error(p.errors.at(vector))))
                                 for vector in (p.vector_without(fit, name), fit.vector))
         return without - with_effect
 
@@ -125,9 +125,9 @@ def steps(problem: Problem, final: Fit, order: Sequence[str], ends: HorizonError
         return [], final
     scale = problem.loss.scale.copy()  # the design effect stays that of the answer
     problem.loss.rescale(problem.start)
-    fit = problem.fit((), problem.everything(problem.start))
+    fit = problem.fit((), problem.slopes_of_all(problem.start))
     problem.loss.rescale(fit.vector)
-    fit = base = problem.renewed(fit)
+    fit = base = problem.refit(fit)
     collected, before = [], ends.of(fit)
     for k, effect in enumerate(order):
         if k == len(order) - 1:
@@ -135,7 +135,7 @@ def steps(problem: Problem, final: Fit, order: Sequence[str], ends: HorizonError
         else:
             fit = problem.fit(order[:k + 1], fit.slopes, None, (effect,), 3)
             problem.loss.rescale(fit.vector)
-            fit = problem.renewed(fit, 1)
+            fit = problem.refit(fit, 1)
         after = ends.of(fit)
         changes = {c: ends.change(c, before[c], after[c]) for c in after}
         position = changes.pop("position_5s", None) or next(iter(changes.values()))
@@ -182,7 +182,7 @@ def budget(problem: Problem, base: Fit, final: Fit, whole: Fit, varying: Fit | N
         """(mean position error [m], loss per scored error)."""
         end = ends.of(fit)
         values = end.get("position_5s", np.zeros(1))
-        return float(np.nanmean(values)), float(fit.held_out.sum()) / problem.number
+        return float(np.nanmean(values)), float(fit.held_out.sum()) / problem.scored_count
 
     def line(part: str, last: tuple[float, float], first: tuple[float, float]) -> BudgetLine:
         return BudgetLine(part, last[0], first[0], last[0] / max(start[0], 1e-9), first[0] / max(start[0], 1e-9),
@@ -190,11 +190,11 @@ def budget(problem: Problem, base: Fit, final: Fit, whole: Fit, varying: Fit | N
 
     def fitted(names: tuple[str, ...]) -> Fit:
         """The best of the base and two fits, started at the answer and at the base."""
-        near = problem.renewed(problem.fit(names, final.slopes, iterations=3))
-        far = problem.renewed(problem.fit(names, problem.everything(base.vector), base.vector, names))
+        near = problem.refit(problem.fit(names, final.slopes, iterations=3))
+        far = problem.refit(problem.fit(names, problem.slopes_of_all(base.vector), base.vector, names))
         return min((near, far, base), key=lambda fit: float(fit.held_out.sum()))
 
-    base = problem.about(base.names, base.vector, base.indices, base.slopes)
+    base = problem.fit_at(base.names, base.vector, base.indices, base.slopes)
     start, end = size(base), size(final)
     lines = []
     for part in EFFECT_KINDS:

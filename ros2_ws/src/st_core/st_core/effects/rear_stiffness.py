@@ -8,7 +8,7 @@ from .front_stiffness import stiffness_factor, with_stiffness
 class RearStiffness(Effect):
     name = "rear_stiffness"
     physics = "C_r = factor C_r of the file, the peak force unchanged"
-    excited_by = "cornering with the sideslip measured, and sweeps; it sets the damping in yaw"
+    excited_by = "cornering with measured sideslip, and steering sweeps (yaw damping)"
     kind, slot = "vehicle parameters", "rear axle"
     twins = ("front_stiffness", "cg_position", "friction", "tyre_stiffness")
     combinations = ("rear cornering stiffness over mass", "stability factor K", "steady-state yaw gain at 20 m/s")

@@ -251,8 +251,8 @@ def _simulated(fits: RelationFits, fit: RelationFit, without: RelationFit, shape
         vector, _ = refitted(numbers, ~in_fold)
         held_out[in_fold] = np.bincount(fits.block, loss.by_window(vector), fits.blocks)[in_fold]
         windows = in_fold[fits.block]
-        position[windows] = fits.problem.position(loss.errors.at(vector))[windows]
-    before = fits.problem.position(without.rows)
+        position[windows] = fits.problem.position_error(loss.errors.at(vector))[windows]
+    before = fits.problem.position_error(without.rows)
     if np.isfinite(position).any() and np.nanmean(position) > np.nanmean(before):
         return -np.inf, offset
     return float((without.held_out - held_out).sum()), offset

@@ -208,7 +208,7 @@ class RelationFits:
                     slopes = Slopes(vector, indices, slopes).moved(trial, scale, taken).values
                     vector = trial
                     break
-            if gained < MIN_LOSS_FALL * loss.number:
+            if gained < MIN_LOSS_FALL * loss.scored_count:
                 break
         rows = loss.errors.at(vector)
         q = self.quadratic(loss, rows, slopes)

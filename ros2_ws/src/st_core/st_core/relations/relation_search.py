@@ -130,7 +130,7 @@ def _selected(screened: Sequence[Screened], fits: RelationFits, without: Relatio
               settings: DiscoverySettings, stated: Sequence[str], reported: Collection[tuple[str, str]],
               tick: Callable[[], None]) -> RelationSearch:
     """The best significant candidate, or the reason for none. stated: names of the answer's effects."""
-    limits, number = settings.limits, fits.loss.number
+    limits, number = settings.limits, fits.loss.scored_count
     chances = selection.p_values(screened, fits.blocks)
     tried = {s.candidate.name: (s.gain / number, chances[s.candidate.name])
              for s in sorted(screened, key=lambda s: -s.gain)}
@@ -224,10 +224,10 @@ def _described(best: Screened, fitted: Fitted, without: RelationFit, fits: Relat
     answer = whole.only(e for e in whole.effects if e.name != c.effect)
     relation = Relation(
         c, fit.coefficients, at, fit.coefficients @ splines, deviation, density,
-        float(falls.sum()) / fits.loss.number, chances[c.name],
+        float(falls.sum()) / fits.loss.scored_count, chances[c.name],
         (float(np.nanmean(before)), float(np.nanmean(after))), runs, answer,
         {name: selection.cosine(fits, fit, other) for name, other in equal.items()},
         simulated_formulas(fits, fit, without), selection.run_shares(fits, fit),
         selection.redundant_effects(fits, c, fit, without, stated, limits),
-        next_drives(fits, c, fit, equal, best.design, at, deviation, sparse_ranges(at, density, c.parity)))
+        next_drives(fits, c, fit, equal, best.design_effect, at, deviation, sparse_ranges(at, density, c.parity)))
     return relation, f"it {selection.gain_text(fits, falls, before - after, limits)}"

@@ -26,9 +26,9 @@ class Screened:
     """A candidate by the slopes about the answer.
 
     smooth: the penalty with the lowest held-out loss. observed, drawn: score statistic, and with random signs of the
-    blocks (DRAWS,), both over the mean of the draws. freedom: effective degrees of freedom of the curve. design: design
-    effect of dependent windows on the variance of the scores, >= 1, from the residual scores. gain: reduction of
-    the held-out loss. information: (COUNT, COUNT) on the coefficients, other parameters projected out.
+    blocks (DRAWS,), both over the mean of the draws. freedom: effective degrees of freedom of the curve.
+    design_effect: of dependent windows on the variance of the scores, >= 1, from the residual scores. gain: reduction
+    of the held-out loss. information: (COUNT, COUNT) on the coefficients, other parameters projected out.
     """
 
     candidate: Candidate
@@ -36,7 +36,7 @@ class Screened:
     observed: float
     drawn: np.ndarray
     freedom: float
-    design: float
+    design_effect: float
     gain: float
     information: np.ndarray
 
@@ -45,7 +45,7 @@ class Screened:
         c = self.candidate
         at = np.linspace(c.low, c.high, POINTS)
         line = np.linalg.lstsq(c.splines(at).T, at / max(abs(c.low), abs(c.high)), rcond=1e-6)[0]
-        required = 0.5 * float(stats.f.isf(p_value, self.freedom, blocks - 1)) * self.freedom * self.design
+        required = 0.5 * float(stats.f.isf(p_value, self.freedom, blocks - 1)) * self.freedom * self.design_effect
         return float(np.sqrt(required / max(float(line @ self.information @ line), 1e-30)))
 
 
@@ -71,11 +71,11 @@ def p_values(screened: Sequence[Screened], blocks: int) -> dict[str, float]:
     F, Bonferroni over the candidates; for relations that act in few blocks only.
     """
     largest = np.max([s.drawn for s in screened], axis=0)
-    design = float(np.median([s.design for s in screened]))
+    design = float(np.median([s.design_effect for s in screened]))
     found = {}
     for s in screened:
         flipped = (1 + int((largest >= s.observed).sum())) / (1 + DRAWS)
-        ratio = 2.0 * max(s.gain, 0.0) / max(design, s.design) / s.freedom
+        ratio = 2.0 * max(s.gain, 0.0) / max(design, s.design_effect) / s.freedom
         found[s.candidate.name] = min(flipped, len(screened) * float(stats.f.sf(ratio, s.freedom, blocks - 1)))
     return found
 
@@ -192,7 +192,7 @@ def harmful(fits: RelationFits, name: str, before: np.ndarray, after: np.ndarray
 
 def gain_text(fits: RelationFits, falls: np.ndarray, closer: np.ndarray, limits: Limits) -> str:
     """The held-out gain in a phrase. falls: (b,) of the loss. closer: (n,) fall of the position error [m]."""
-    gain, low = (-np.expm1(-total / fits.loss.number)
+    gain, low = (-np.expm1(-total / fits.loss.scored_count)
                  for total in (falls.sum(), lower_bound(falls, limits.undecided_p)))
     return (f"reduces the held-out residual of all channels by {gain:.1%} (95 %: at least {low:.1%}), "
             f"and the position error after 5 s by {100 * mean_of(closer):.1f} cm")
@@ -204,7 +204,7 @@ def too_small(fits: RelationFits, candidate: Candidate, falls: np.ndarray, close
 
     The path criterion does not apply to sensor relations, nor with fewer than two blocks with a position.
     """
-    little = falls.sum() < limits.relevant * fits.loss.number and mean_of(closer) < limits.relevant_position
+    little = falls.sum() < limits.relevant * fits.loss.scored_count and mean_of(closer) < limits.relevant_position
     if little or lower_bound(falls, limits.undecided_p) <= 0.0:
         return f"{candidate.name} is significant, but {gain_text(fits, falls, closer, limits)}"
     blocks = by_block(fits, closer)
@@ -265,7 +265,7 @@ def held_out_positions(fits: RelationFits, fit: RelationFit) -> np.ndarray:
     for k, d in fit.steps.items():
         in_fold = fits.fold[fits.block] == k
         rows[in_fold] -= np.einsum("p,pnm->nm", d, fit.slopes[:, in_fold])
-    return fits.problem.position(rows)
+    return fits.problem.position_error(rows)
 
 
 def cosine(fits: RelationFits, one: RelationFit, other: RelationFit) -> float:
@@ -295,8 +295,8 @@ def redundant_effects(fits: RelationFits, candidate: Candidate, fit: RelationFit
         alone = fits.without_effect(candidate, fit, name)
         more = alone.held_out - fit.held_out
         position = float(np.nanmean(held_out_positions(fits, alone) - with_both))
-        relevant = more.sum() >= limits.relevant * fits.loss.number or position >= limits.relevant_position
+        relevant = more.sum() >= limits.relevant * fits.loss.scored_count or position >= limits.relevant_position
         kept = relevant and lower_bound(more, limits.undecided_p) > 0.0
         if not kept and lower_bound(without.held_out - alone.held_out, limits.undecided_p) > 0.0:
-            found[name] = max(float(-np.expm1(-more.sum() / fits.loss.number)), 0.0)
+            found[name] = max(float(-np.expm1(-more.sum() / fits.loss.scored_count)), 0.0)
     return found

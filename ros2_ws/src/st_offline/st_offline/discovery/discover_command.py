@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.progress import Progress
 from st_core.checks import pool_estimates
 from st_core.discovery import Discovery, discover
-from st_core.discovery.clocks import delayed
+from st_core.discovery.clocks import apply_clock_corrections
 from st_core.discovery.where import window_errors
 from st_core.effects import load_folder
 from st_core.errors import ConfigurationError
@@ -46,8 +46,8 @@ def run_command(request: Request, console: Console) -> int:
         request = replace(request, drives=drives, healthy=healthy, own_effects=own)
         marks.append(time.perf_counter())
         found, from_cache = _answer(request, base, progress)
-        request = replace(request, drives=[replace(d, log=delayed([d.log], found.clock_errors)[0]) if d.log else d
-                                           for d in drives])
+        request = replace(request, drives=[
+            replace(d, log=apply_clock_corrections([d.log], found.clock_errors)[0]) if d.log else d for d in drives])
         marks.append(time.perf_counter())
         search = needs_search(found) if request.propose is None else request.propose
         relations = None

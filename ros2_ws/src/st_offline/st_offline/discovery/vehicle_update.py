@@ -29,11 +29,11 @@ from .drives import Request
 
 HORIZON, STEP, INTERVAL = 5.0, 0.05, 5.0  # s, of the predictions that are compared, and between their starts
 MIN_SPEED = 1.5  # m/s, at a start
-POSE_TOLERANCE = 1e-3  # m, rad; difference of two predictions at the end of the horizon that counts as none
+POSE_TOLERANCE = 1e-3  # m, rad; predictions that differ less at the end of the horizon count as equal
 MAX_POSITION_DIFFERENCE = 0.02  # m, mean, up to which effective corrections are kept with another vehicle file
 SIGNIFICANCE_LEVEL = 0.05  # p-value of a paired t-test over the starts of a drive, which do not overlap
 SIGNIFICANT_DIGITS = 6  # of a written value
-VALUE_TOLERANCE = 1e-5  # relative difference that rounding to SIGNIFICANT_DIGITS makes at most
+VALUE_TOLERANCE = 1e-5  # largest relative difference from rounding to SIGNIFICANT_DIGITS
 SLIP_SPEED = "minimum_slip_speed"
 KEYS = (*VEHICLE_QUANTITIES, *(f"{tyre}.{key}" for tyre in TYRES for key in TYRE_QUANTITIES))
 
@@ -42,12 +42,12 @@ KEYS = (*VEHICLE_QUANTITIES, *(f"{tyre}.{key}" for tyre in TYRES for key in TYRE
 class VehicleUpdate:
     """vehicle, text: the updated car, content of vehicle.yaml; the original and "" where that is not written.
 
-    model: for that vehicle, the other effects; those in the file at null or at what still improves the prediction.
-    folded: effects in the file. changes: (before, after, low, high) by key, SI. kept: (before, after) by key for each
-    effect with such keys whose folding would change the predictions. error: (original, updated) mean position error
-    after 5 s of the base model with each file, each drive with the values found without it [m]. worse: drives in
-    which it is significantly larger with the updated file. objections: to the car. slip_speed: minimum_slip_speed
-    that the model needs, if it is more than that of the file [m/s], else 0.
+    model: for that vehicle, the effects that are not in the file; folded ones at null, or at a remainder that still
+    improves the prediction. folded: effects in the file. changes: (before, after, low, high) by key, SI. kept: (before,
+    after) by key of each effect that is not folded because predictions would change. error: (original, updated) mean
+    position error after 5 s of the base model with each file, on each drive with the values found without it [m].
+    worse: drives in which it is significantly larger with the updated file. objections: implausible values of the car.
+    slip_speed: minimum_slip_speed that the model needs, if it is more than that of the file [m/s], else 0.
     """
 
     vehicle: VehicleParameters
@@ -68,8 +68,8 @@ class VehicleUpdate:
 
 
 def update_vehicle(found: Discovery, request: Request) -> VehicleUpdate | None:
-    """`folded_update` if it alone predicts held-out drives better than the original file and none worse, else the
-    original; None without a model."""
+    """`folded_update` if it predicts held-out drives better than the original file and none significantly worse, else
+    the original; None without a model."""
     update = folded_update(found, request)
     if update is None or not update.text or update.improves:
         return update
@@ -77,11 +77,11 @@ def update_vehicle(found: Discovery, request: Request) -> VehicleUpdate | None:
 
 
 def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
-    """The vehicle file with the named effects, better or not; None without a model.
+    """The vehicle file with the named effects, whether or not it predicts better; None without a model.
 
-    Each named effect with an entry in a vehicle file is folded in, in the order in which they act, if the predictions
-    stay the same. They do not where the recordings contain the angle of the road wheels, or where an effect before it
-    does not commute (play in the steering). Minor and effective corrections never change the vehicle file.
+    Each named effect with an entry in a vehicle file is folded in, in the order in which they act, if predictions do
+    not change. They change where recordings contain the angle of the road wheels, or where an earlier effect does not
+    commute with it (play in the steering). Minor and effective corrections never change the vehicle file.
     """
     if found.model is None or found.named is None:
         return None
@@ -93,15 +93,15 @@ def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
     for effect in found.named.effects:
         if not effect.fold or effect.name not in named:
             continue
-        more = (*folded, effect)
+        candidate = (*folded, effect)
         try:
-            car = fold(request.vehicle, more, found.named.values)
-            errors = _errors(without(found.named, more), car, drives)
-        except StCoreError:  # no car, or one beyond the limits of a vehicle file
+            car = fold(request.vehicle, candidate, found.named.values)
+            errors = _errors(without(found.named, candidate), car, drives)
+        except StCoreError:  # impossible, or beyond the limits of a vehicle file
             continue
         if all(a.shape == b.shape and np.allclose(a, b, rtol=0.0, atol=POSE_TOLERANCE, equal_nan=True)
                for a, b in zip(errors, expected, strict=True)):
-            folded = more
+            folded = candidate
         else:
             kept[effect.name] = _changes(request.vehicle, fold(request.vehicle, (effect,), found.named.values))
     if not folded:
@@ -109,13 +109,13 @@ def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
     car = fold(request.vehicle, folded, found.named.values)
     model = _remaining(found, car, folded, drives, request.vehicle)
     needed = _slip_speed(car, model)
-    if needed > car.minimum_slip_speed:  # the model belongs to the car of the file, so the file must suit it too
+    if needed > car.minimum_slip_speed:  # the model is used with the written file, which must keep it stable
         car = replace(car, minimum_slip_speed=needed)
         model = _remaining(found, car, folded, drives, request.vehicle)
     error, worse = _held_out_error(found, request.vehicle, folded, drives)
     changes = {key: (*change, *_interval(found, request.vehicle, folded, key))
                for key, change in _changes(request.vehicle, car).items()}
-    if SLIP_SPEED in changes:  # it follows from the others
+    if SLIP_SPEED in changes:  # derived, without an interval of its own
         changes[SLIP_SPEED] = (*changes[SLIP_SPEED][:2], car.minimum_slip_speed, car.minimum_slip_speed)
     text = updated_text(request, car, changes, *_origin(found, folded))
     vehicle = VehicleParameters.from_yaml(text, "vehicle.yaml")
@@ -133,7 +133,7 @@ def _without_file(vehicle: VehicleParameters, model: AugmentedModel, kept: Mappi
 
 
 def _slip_speed(car: VehicleParameters, model: AugmentedModel) -> float:
-    """minimum_slip_speed [m/s] with which the base models and the model, if any suffices for it, are stable."""
+    """minimum_slip_speed [m/s] at which base models and model are stable; one that is stable at none is ignored."""
     step = PredictionSettings().step
     needed = [slip_speed_needed((one,), car, STABILITY_SPEEDS, step) for one in ("linear", "nonlinear", model)]
     return max((speed for speed in needed if speed is not None), default=car.minimum_slip_speed)
@@ -195,7 +195,7 @@ def _changes(vehicle: VehicleParameters, other: VehicleParameters) -> dict[str, 
 
 def changed(vehicle: VehicleParameters, effect: type[Effect], values: Mapping[str, float]
             ) -> dict[str, tuple[float, float]]:
-    """(before, after) of every key of a vehicle file for an effect; empty without one."""
+    """(before, after) of every key of the vehicle file that an effect changes."""
     if not effect.fold:
         return {}
     try:
@@ -226,7 +226,7 @@ def _errors(model: AugmentedModel, vehicle: VehicleParameters, drives: Sequence[
 
 def _interval(found: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
               key: str) -> tuple[float, float]:
-    """95 % of a key of the file: the intervals of the effects in it, taken as independent."""
+    """95 % interval of a quantity of the file, from those of the folded effects, assumed independent."""
     assert found.named is not None  # it contains the effects
     values = {name: dict(entry) for name, entry in found.named.values.items()}
     centre = value_of(fold(vehicle, folded, values), key)
@@ -249,8 +249,8 @@ def updated_text(request: Request, car: VehicleParameters, changes: Mapping[str,
                  about: Provenance) -> str:
     """The user's vehicle file with these keys replaced; everything else, comments included, is unchanged.
 
-    A derived lambda_ky is written only where it would be derived differently. A file that cannot be edited so that it
-    reads as `car` is written as a whole.
+    A derived lambda_ky is written only where the edited file would give another value. A file that cannot be edited so
+    that it reads as `car` is written as a whole.
     """
     stated = yaml.safe_load(request.vehicle_text)
     derived = [f"{tyre}.lambda_ky" for tyre in TYRES if "lambda_ky" not in stated[tyre]]
@@ -271,7 +271,7 @@ def updated_text(request: Request, car: VehicleParameters, changes: Mapping[str,
 
 def edited_or_whole(text: str, entries: Mapping[str, Callable[[str, float], str]], car: VehicleParameters,
                     tolerance: float) -> str:
-    """A vehicle file with these entries replaced; the car written as a whole if the result would be read differently.
+    """A vehicle file with these entries replaced; the whole car, newly written, if the result would not read as `car`.
 
     tolerance: relative, of every value.
     """
@@ -288,7 +288,7 @@ def _close(car: VehicleParameters, other: VehicleParameters, key: str, tolerance
 
 
 def _entry(change: Sequence[float], source: str, about: Provenance) -> Callable[[str, float], str]:
-    """change: (before, after), and (low, high) where known; SI. -> unit of the file, its factor to SI -> the entry."""
+    """Function (unit in the file, its factor to SI) -> YAML entry. change: (before, after[, low, high]), SI."""
     def entry(unit: str, factor: float) -> str:
         before, after, *ends = (number(float(f"{value / factor:.{SIGNIFICANT_DIGITS}g}")) for value in change)
         interval = f", 95 % interval {ends[0]} to {ends[1]}" if ends else ""

@@ -51,11 +51,11 @@ class Experiment:
     drives: bool = False
 
 
-HEADS = ("parameter", "value", "±", "95 % interval", "unit", "in the file", "status")
+COLUMN_NAMES = ("parameter", "value", "±", "95 % interval", "unit", "in the file", "status")
 
 
 def rows(found: Identification, vehicle: VehicleParameters) -> list[Sequence[str]]:
-    """One row of HEADS per estimate; "in the file": what `vehicle` had before."""
+    """One row of COLUMN_NAMES per estimate; "in the file": value of `vehicle`."""
     return [row(estimate, vehicle) for estimate in found.estimates]
 
 

@@ -33,12 +33,12 @@ from ..evaluation.drawing import Drawn, FigureOutput
 from ..pages import template
 from ..terminal import line, list_files, rows_table
 from .driving import DRIVING
-from .experiment import HEADS, Experiment, Setup, rows
+from .experiment import COLUMN_NAMES, Experiment, Setup, rows
 from .workshop import CG_HEIGHT, LAMBDA, SCALES, STEERING_RATIO, TYRE
 
 EXPERIMENTS: dict[str, Experiment] = {
     experiment.name: experiment for experiment in (SCALES, CG_HEIGHT, STEERING_RATIO, TYRE, *DRIVING, LAMBDA)}
-"""All experiments of `st identify`, in the order they are best done."""
+"""All experiments of `st identify`, in the recommended order."""
 FORMATS = ("png", "pdf")
 STATUS_STYLE = {"identified": "green", "doubtful": "yellow", "unidentifiable": "red"}
 
@@ -70,7 +70,7 @@ def run(job: Job, console: Console) -> int:
         files = write(job, found, car, about(job, now))
     show(found, job.setup.vehicle, stale, console)
     list_files({files["identification.json"]: "values, uncertainties, verdicts",
-                files["vehicle.yaml"]: "the car with them",
+                files["vehicle.yaml"]: "vehicle file with the identified values",
                 files["report.html"]: "figures, correlations, data used and left out"}, console)
     return 0 if any(e.status != "unidentifiable" for outcome in found for e in outcome.estimates) else 1
 
@@ -112,7 +112,7 @@ def findings_by_drive(found: Sequence[Identification]) -> dict[str, tuple[Findin
 def about(job: Job, now: datetime) -> dict[str, Any]:
     """Provenance of the values: vehicle, files, versions."""
     data = list(job.files)
-    if job.experiment.drives:  # a folder stands for the recordings in it
+    if job.experiment.drives:  # a folder means the recordings in it
         data = [file for source in find_runs(job.files) for file in (*source.files, *source.can)]
     return {
         "created": now.isoformat(timespec="seconds"), "experiment": job.experiment.name,
@@ -122,7 +122,7 @@ def about(job: Job, now: datetime) -> dict[str, Any]:
 
 
 def write(job: Job, found: Sequence[Identification], car: VehicleParameters, facts: dict[str, Any]) -> dict[str, Path]:
-    """All files of the folder, by name."""
+    """Writes all files of the results folder; returns their paths by name."""
     output = FigureOutput(new_folder(job.folder, ""), FORMATS)
     figures = [draw(outcome, output) if (draw := EXPERIMENTS[outcome.what].draw) else None for outcome in found]
     texts = {
@@ -140,8 +140,8 @@ def write(job: Job, found: Sequence[Identification], car: VehicleParameters, fac
 def vehicle_text(file: Path, car: VehicleParameters, found: Sequence[Identification]) -> str:
     """The user's vehicle file with the identified entries in place; its comments and other entries are kept.
 
-    Where it cannot be edited so that it reads as `car`, as when a derived scale would come out otherwise, the car is
-    written as a whole.
+    If the edited file would not read as `car`, for example because a derived scale changes, the car is written as a
+    whole.
     """
     keys = [e.parameter for outcome in found for e in outcome.estimates
             if quantity(e.parameter) is not None and e.status != "unidentifiable"]
@@ -178,7 +178,7 @@ def details(found: Identification) -> dict[str, Any]:
 
 def page(found: Sequence[Identification], figures: Sequence[Drawn | None], vehicle: VehicleParameters,
          facts: dict[str, Any]) -> str:
-    """report.html: one file that loads nothing."""
+    """report.html, self-contained."""
     values = [f"{name.replace('_', ' ')} "
               + (status if status == "unidentifiable" else f"{value} {unit}".removesuffix(" 1") + f" ({status})")
               for outcome in found for name, value, _, _, unit, _, status in rows(outcome, vehicle)]
@@ -196,4 +196,4 @@ def page(found: Sequence[Identification], figures: Sequence[Drawn | None], vehic
         title=f"{vehicle.name}: {', '.join(values)}", found=list(zip(found, figures, strict=True)), about=facts,
         recordings={name: {"findings": findings_as_json(findings)}
                     for name, findings in findings_by_drive(found).items()},
-        heads=HEADS, rows=lambda outcome: rows(outcome, vehicle), excitation=excitation, correlation=correlation)
+        heads=COLUMN_NAMES, rows=lambda outcome: rows(outcome, vehicle), excitation=excitation, correlation=correlation)

@@ -53,7 +53,7 @@ class PredictionBands:
             self._messages = BandMessages(self._fixed.half_widths)
 
     def add_ins(self, sample: InsSample) -> None:
-        """Add a measurement; measurements score the earlier predictions."""
+        """Add a measurement, by which earlier predictions are scored."""
         if self._adaptive:
             self._scorer.add_ins(sample)
 
@@ -101,7 +101,7 @@ class PredictionBands:
         if self._adaptive is None:
             return Check("bands", diagnostics.OK, "off (bands_file is empty, adaptive_bands is false)")
         values = {f"{model} {mode} {100 * level:g} %": f"{inside / n:.3f} of {n}"
-                  for (model, mode), (n, kept) in self._adaptive.counts.items() for level, inside in kept.items()}
+                  for (model, mode), (n, counts) in self._adaptive.counts.items() for level, inside in counts.items()}
         if (seconds := self._adaptive.learning) > 0.0:
             return Check("bands", diagnostics.OK, "adaptive, learning: no band yet", {"driving required [s]": seconds})
         text = f"adaptive, {self._text or 'estimated from the errors of this run'}"
@@ -111,13 +111,13 @@ class PredictionBands:
 class BandMessages:
     """Band messages that are reused, since constructing them takes ten times as long as filling them.
 
-    stated: half-widths by model; its arrays are read at every `fill`.
+    half_widths: by model; the arrays are read at every `fill`.
     """
 
-    def __init__(self, stated: Mapping[str, HalfWidths]):
+    def __init__(self, half_widths: Mapping[str, HalfWidths]):
         self._messages: dict[str, list[Band]] = {}
         self._copies: list[tuple[memoryview, memoryview]] = []
-        for model, of_model in stated.items():
+        for model, of_model in half_widths.items():
             self._messages[model] = [self._make_message(*key, widths) for key, widths in of_model.items()]
 
     def _make_message(self, mode: str, level: float, widths: np.ndarray) -> Band:
@@ -136,7 +136,7 @@ class BandMessages:
 
 
 def read_bands(message: Prediction) -> HalfWidths:
-    """Half-widths of a prediction's bands by mode and level, without bands of another length than its path."""
+    """Half-widths of a prediction's bands by mode and level; bands of another length than the path are ignored."""
     points = len(message.x)
     columns = {(band.mode, band.level): [getattr(band, axis) for axis in AXES] for band in message.bands}
     return {key: np.array(widths, float).T for key, widths in columns.items()
@@ -149,7 +149,7 @@ def coverage_check(coverages: Coverages) -> Check:
               for (model, mode), coverage in coverages.by_pair.items() for level in sorted(coverage.inside)}
     if warning := coverages.warning():
         return Check("bands", diagnostics.WARN, warning, values)
-    return Check("bands", diagnostics.OK, "coverage as stated" if values else "no prediction with a band yet", values)
+    return Check("bands", diagnostics.OK, "coverage as expected" if values else "no prediction with a band yet", values)
 
 
 def add_coverage(message: ErrorStatistics, coverages: Coverages) -> ErrorStatistics:

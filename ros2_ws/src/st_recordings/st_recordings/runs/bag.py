@@ -165,8 +165,8 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
                                 columns: dict[str, dict[str, np.ndarray]]) -> list[str]:
     """Replaces meaningless stamps by the times of receipt; returns a note on each.
 
-    A driver or simulator may leave header.stamp at 0 or at one value, or stamp two topics with clocks that have nothing
-    in common; its messages were still recorded at the right moments.
+    A driver or simulator may leave header.stamp at 0 or at one value, or stamp two topics with unrelated clocks; the
+    times of receipt are still correct.
     """
     notes = []
     for kind, topic in topics.items():
@@ -246,9 +246,9 @@ def _find_topic(path: Path, topics: Sequence[Topic], type_name: str, name: str |
         raise RunError(path, f"--odometry-topic: {name} {what}",
                        f"topics of type {type_name}: {', '.join(sorted(t.name for t in found)) or 'none'}")
     if not found:
-        what = ", ".join(sorted(f"{t.name} ({t.type_name})" for t in topics if t.count))[:300] or "no messages"
+        what = ", ".join(sorted(f"{t.name} ({t.type_name})" for t in topics if t.count))[:300] or "nothing"
         other = ", or name the topic with the angle by --steering-topic" if type_name == STEERING else ""
-        raise RunError(path, f"it contains no message of type {type_name}, but {what}",
+        raise RunError(path, f"it contains no message of type {type_name}; recorded: {what}",
                        f"record the topic {PREFERRED_TOPICS[type_name]} too{other}")
     preferred = [t for t in found if t.name.endswith(PREFERRED_TOPICS[type_name])] or found
     if len(preferred) > 1:
@@ -306,7 +306,7 @@ def _usable_messages(time_ns: np.ndarray, good: np.ndarray, what: str) -> tuple[
     rows = np.flatnonzero(usable)
     notes = []
     if (lost := len(time) - len(rows)):
-        why = "a usable value" if (time[good] != 0).all() else "a usable value or a stamp"
-        notes.append(f"{share(lost, len(time), what)} have no {why.removeprefix('a ')}; they were left out")
+        missing = "usable value" if (time[good] != 0).all() else "usable value or a stamp"
+        notes.append(f"{share(lost, len(time), what)} have no {missing}; they were left out")
     kept, time_notes = usable_rows(time[rows], what)
     return time[rows[kept]], rows[kept], [*notes, *time_notes]

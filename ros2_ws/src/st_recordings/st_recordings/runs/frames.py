@@ -44,8 +44,8 @@ class Frames:
 class CanLog:
     """One recording of one logger, in any number of files.
 
-    start_ns: start of the first session by its header, else the first frame. absolute: whether times are UTC (as
-    the logger's clock has it); otherwise they count from the start of the log. warnings: whole sentences.
+    start_ns: start of the first session by its header, else the first frame. absolute: whether times are UTC (of
+    the logger's clock); otherwise they count from the start of the log. warnings: whole sentences.
     """
 
     frames: Frames
@@ -66,7 +66,7 @@ def concatenated(parts: Sequence[Frames], order: np.ndarray | slice = slice(None
         return parts[0]
     width = max(p.payload.shape[1] for p in parts)
     parts = [replace(p, payload=np.pad(p.payload, ((0, 0), (0, width - p.payload.shape[1])))) for p in parts]
-    # Column by column, so that only one of them is in memory a third time.
+    # Column by column, so that only one padded or sorted copy of a column is in memory.
     return Frames(**{f.name: np.concatenate([getattr(p, f.name) for p in parts])[order] for f in fields(Frames)})
 
 
@@ -144,7 +144,7 @@ def read_frames(messages: Iterable[bytes]) -> Frames:
         at, left = at + FRAME_HEAD_LENGTH + (length + 3) // 4 * 4, left - 1
     if not offsets:
         return no_frames()
-    # From k-th frames to messages; the stable sort keeps the frames of a message in order.
+    # From order by k to order by message; the stable sort keeps the frames of a message in order.
     sequence = np.argsort(np.concatenate(message_numbers), kind="stable")
     return _columns(buffer, np.concatenate(offsets)[sequence])
 

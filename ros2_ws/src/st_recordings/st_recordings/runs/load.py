@@ -18,7 +18,7 @@ from .readers import READERS
 from .run_types import LoadedRun, ReadSettings, RunSource
 
 MIN_UNCOVERED_TIME, MIN_UNCOVERED_SHARE = 1.0, 0.01
-"""s, and share of a recording, above which it is reported that the other was not recorded at the same time."""
+"""s, and share of its recording: INS or steering without the other for longer than both is reported."""
 
 
 def read(source: RunSource, vehicle: VehicleParameters | None = None,
@@ -32,7 +32,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     settings = settings or ReadSettings()
     if source.problem is not None:
         raise source.problem
-    # Hashing releases the interpreter, so it takes no time of its own.
+    # Hashing releases the GIL, so it runs in parallel with reading.
     with ThreadPoolExecutor(1) as pool:
         digests = pool.submit(file_hashes, (*source.files, *source.can))
         loaded = _read(source, vehicle, settings)
@@ -61,9 +61,9 @@ def _read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSe
 
 
 def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters | None) -> LoadedRun:
-    """The run with the corrections of its run.yaml. Raises RunError for a correction that leaves nothing.
+    """The run with the corrections of its run.yaml. Raises RunError for a correction that leaves no samples.
 
-    Labels, which count from the first sample, are shifted where first samples are left out.
+    Labels, which count from the first sample, are shifted if the first samples are left out.
     """
     left_out = source.settings.get("leave_out", ())
     phrases = (*describe_corrections(source.settings.get("correct", {})),

@@ -1,6 +1,6 @@
 """Validates the blocks that lead to the frames of an MDF 4 file, and finds the end of the last complete frame.
 
-Source: ASAM MDF 4.1. Checked with a CANedge2 file, cut at every byte of a section.
+Source: ASAM MDF 4.1. Checked with a CANedge2 file, truncated at every byte of a section.
 """
 
 import math
@@ -17,7 +17,7 @@ _MAX_INFLATION = 1032  # limit of the deflate algorithm
 _MAX_COMPRESSION_METHOD = 5  # highest compression method; odd ones transpose the records first
 _MAX_RECORD_SIZE = 65536  # bytes; a CAN FD frame has about 90
 _VARIABLE_LENGTH_GROUP, _BUS_EVENT, _REMOTE_MASTER = 1, 2, 8  # flags of a channel group
-VALUE_ELSEWHERE, _MASTER, VIRTUAL = 1, 2, (3, 6)  # types of a channel
+VARIABLE_LENGTH, _MASTER, VIRTUAL = 1, 2, (3, 6)  # types of a channel
 _INTEGER_TYPES, _REAL_TYPES = range(4), range(6)  # data types: integers; integers and floating-point numbers
 _TEXT_AND_BYTE_TYPES = range(6, 13)  # data types of variable length
 _USES_INVALIDATION_BIT = 3  # flags of a channel: it uses the invalidation bits of its record
@@ -147,8 +147,8 @@ class _BlockWalk:
         return block.links[0], count * (size + invalid + layout.id_size)
 
     def _channels(self, first: int, size: int, invalid: int, group_flags: int) -> bool:
-        """Checks the channels of a group; returns whether one of them has its values elsewhere."""
-        waiting, elsewhere = [first], False
+        """Checks the channels of a group; returns whether one of them has variable length."""
+        waiting, has_variable_length = [first], False
         while waiting:
             at = waiting.pop()
             if not at:
@@ -157,13 +157,13 @@ class _BlockWalk:
             if block.end != block.content + 72:
                 raise DamageError(f"the block at byte {at} is too long for its content")
             self._channel(block, size, invalid)
-            elsewhere |= self._data[block.content] == VALUE_ELSEWHERE
+            has_variable_length |= self._data[block.content] == VARIABLE_LENGTH
             waiting.append(block.links[0])
             if part := block.links[1]:
                 if self._data[part : part + 4] == b"##CA" and not group_flags & _BUS_EVENT:
                     continue
                 waiting.append(part)
-        return elsewhere
+        return has_variable_length
 
     def _channel(self, block: _Block, size: int, invalid: int) -> None:
         content = struct.unpack_from("<BBBBIIII", self._data, block.content)
@@ -177,9 +177,9 @@ class _BlockWalk:
             raise DamageError(f"the channel at byte {block.at} has {bits} bits from bit {bit} of its byte on")
         if flags & _USES_INVALIDATION_BIT and invalid and invalid_bit >= 8 * invalid:
             raise DamageError(f"the channel at byte {block.at} has its invalidation bit outside the record")
-        if kind == VALUE_ELSEWHERE:
+        if kind == VARIABLE_LENGTH:
             if bits not in (32, 64) or bit or data_type not in _TEXT_AND_BYTE_TYPES:
-                raise DamageError(f"the channel at byte {block.at} has its values elsewhere, by an invalid reference")
+                raise DamageError(f"the channel at byte {block.at} has an invalid reference to its values")
             if self._data[block.links[5] : block.links[5] + 4] != b"##CG":  # its group is in the chain of groups
                 self._records_size(block.links[5], b"SD")
         if kind == _MASTER:

@@ -31,7 +31,7 @@ from .frames import (
     merged,
     without_clock_steps,
 )
-from .mdf_blocks import VALUE_ELSEWHERE, VIRTUAL, DamageError
+from .mdf_blocks import VARIABLE_LENGTH, VIRTUAL, DamageError
 
 RECORDS_AT_ONCE = 1 << 20
 LATEST_START, LONGEST_SESSION = 4 * 10**9, 1e9  # s; their sum fits into 64 bits as ns
@@ -181,7 +181,7 @@ def _has_payloads(log: Any, group: int) -> bool:
         return True
     content, reader = log.groups[group], log._mdf
     for index, channel in enumerate(content.channels):
-        if channel.channel_type != VALUE_ELSEWHERE:
+        if channel.channel_type != VARIABLE_LENGTH:
             continue
         at = reader._get_scalar(
             channel=channel, group=content, group_index=group, channel_index=index, dependency_list=None, raster=None,
