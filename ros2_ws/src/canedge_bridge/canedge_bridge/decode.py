@@ -125,7 +125,7 @@ class Decoder:
     """Decodes the messages of one signal table; files and errors: see `load_table`.
 
     A bad frame (wrong length, counter or checksum wrong and set to drop, not finite, not plausible) updates nothing,
-    also not the time of the last message. `decode` never raises.
+    not even the time of the last message. `decode` never raises.
     """
 
     def __init__(self, dbc_file: str | Path, signals_file: str | Path, needed: Iterable[str] = (),
@@ -304,7 +304,7 @@ class SteeringCalibration:
     """road_wheel_angle = (steering_sign * sensor - steering_wheel_offset) / steering_ratio
 
     steering_sign: +1 where the sensor, as decoded, counts left turns positive, -1 where right turns; applied first.
-    steering_wheel_offset [rad, left +]: what the signed sensor reads when driving straight. steering_ratio [1].
+    steering_wheel_offset [rad, left +]: signed sensor reading when driving straight. steering_ratio [1].
     Source: paper, section on the vehicle; offset and ratio of the Leaf are -2.7 deg and 17.3.
     """
 

@@ -1,7 +1,7 @@
 """A whole NCOM file as numpy columns: the same packets, times and counts as stream.NcomParser, 30 times as fast.
 
-Runs of regular packets are decoded in columns; faults are left to the functions of the parser: next_packet() searches
-for the next packet, GpsClock follows the time. Tests/golden and test_stream.py compare both decoders.
+Runs of regular packets are decoded in columns; faults are handled by the functions of the parser: next_packet()
+searches for the next packet, GpsClock tracks the time. tests/golden and test_stream.py compare both decoders.
 """
 
 from collections import deque

@@ -89,7 +89,7 @@ def test_names_not_distinguishable_are_listed_together(logs):
 
 def test_undetectable_effects_are_listed_with_their_size_parameters_of_the_car_first(logs):
     blind = tuple(NotTestable(name, "") for name in ("drag", "friction", "heading_misalignment", "steering_ratio"))
-    text = report_text.not_visible(replace(discovery(logs, (), 1.0), not_testable=blind))
+    text = report_text.not_detectable(replace(discovery(logs, (), 1.0), not_testable=blind))
     assert text == ("not detectable in these drives: friction of 40 %, steering ratio of 6 %, heading misalignment of "
                     "0.458°, drag")
 

@@ -75,8 +75,8 @@ class AugmentedModel(Model):
 
     def input_dependencies(self, p: Any) -> tuple:
         """The part of the parameters p that `inputs` depends on, as a cache key."""
-        own = compose(self.base, self.effects).active
-        return (p.base, *(t for e, t in zip(own, p.effects, strict=True) if e.inputs or e.prepare)) if own else p
+        active = compose(self.base, self.effects).active
+        return (p.base, *(t for e, t in zip(active, p.effects, strict=True) if e.inputs or e.prepare)) if active else p
 
     def effective_vehicle(self, vehicle: VehicleParameters) -> VehicleParameters:
         """The vehicle with the active effects on its parameters. Raises ConfigurationError beyond its limits."""
@@ -172,7 +172,7 @@ def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedMode
 
 def _check_applicable(base: Model, effects: Sequence[type[Effect]]) -> None:
     kinds = {base.name}
-    # An effect may lift the model to a kind that another effect lifts again: one pass per such effect.
+    # An effect may turn the model into a kind that another effect turns into a third: one pass per such effect.
     lifts = [effect.lifts for effect in effects if effect.lifts]
     for _ in lifts:
         kinds |= {to for start, to in lifts if start in kinds}
@@ -189,10 +189,10 @@ def _compose(base: Model, effects: tuple[type[Effect], ...], values: Values) -> 
 
     def parameters(vehicle: VehicleParameters) -> Any:
         vehicle = model.effective_vehicle(vehicle)
-        own = base.parameters(vehicle)
+        base_parameters = base.parameters(vehicle)
         if not composed.active:
-            return own
-        return AugmentedParameters(own, tuple(
+            return base_parameters
+        return AugmentedParameters(base_parameters, tuple(
             e.Theta(**values[e.name], car=e.constants(vehicle) if e.constants else ()) for e in composed.active))
 
     model = AugmentedModel(

@@ -16,7 +16,7 @@ from . import stability
 from .backends import get_backend
 from .errors import ConfigurationError
 from .log import DriveLog
-from .log_signals import Acceleration, LogSignals, same
+from .log_signals import Acceleration, LogSignals, share_memory
 from .models import Model, get_model
 from .planned_inputs import SLIP_FREE
 from .prediction import step_count
@@ -186,7 +186,7 @@ class LogBatch:
             angle, acceleration = recording.sampled[key]
         else:
             known = self._recorded.sampled.get(key)
-            if known is None or not same(signals.log, self.signals.log, "steering_time_ns", "road_wheel_angle"):
+            if known is None or not share_memory(signals.log, self.signals.log, "steering_time_ns", "road_wheel_angle"):
                 angle = block.laid_out(signals.road_wheel_angle_at(times_ns))
             else:
                 angle = known[0]

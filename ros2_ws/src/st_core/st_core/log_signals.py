@@ -15,7 +15,7 @@ from .vehicle import VehicleParameters
 Acceleration = Literal["causal", "zero_phase"]
 
 
-def same(log: DriveLog, other: DriveLog, *names: str) -> bool:
+def share_memory(log: DriveLog, other: DriveLog, *names: str) -> bool:
     """Whether two drives share the memory of these arrays; the array objects themselves are views of each log."""
     pairs = [(getattr(log, name), getattr(other, name)) for name in names]
     return all(a.size == b.size and a.ctypes.data == b.ctypes.data for a, b in pairs)
@@ -38,7 +38,7 @@ class LogSignals:
 
     def of(self, log: DriveLog) -> "LogSignals":
         """The signals of another drive with the same settings; they share the derivative if the speed is the same."""
-        if not same(log, self.log, "ins_time_ns", "velocity_x"):
+        if not share_memory(log, self.log, "ins_time_ns", "velocity_x"):
             return LogSignals(log, self.maximum_gap, *self._filter)
         other = copy(self)
         other.log = log

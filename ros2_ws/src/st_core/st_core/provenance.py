@@ -31,7 +31,7 @@ class Provenance:
 def read_provenance(key: str, entry: Mapping[str, Any], factor: float) -> Provenance | None:
     """The provenance in an entry of a vehicle file, None without one. factor: from the unit of the entry to SI.
 
-    Raises ConfigurationError naming the key for an invalid uncertainty, or a text that is none.
+    Raises ConfigurationError naming the key for an invalid uncertainty, or a text that is not a string.
     """
     if not any(name in entry for name in KEYS):
         return None

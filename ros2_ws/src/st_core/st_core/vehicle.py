@@ -141,7 +141,7 @@ class VehicleParameters:
     centre ahead of the CG. sources: where each value comes from, by key ("tyre_front.p_cy1" for the tyres). provenance:
     of the values that were identified, by key.
 
-    Raises ConfigurationError, naming the key and the limit, for a value out of bounds or lengths that contradict.
+    Raises ConfigurationError, naming the key and the limit, for a value out of bounds or contradictory lengths.
     """
 
     name: str

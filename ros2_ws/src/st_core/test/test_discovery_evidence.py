@@ -82,10 +82,10 @@ def test_chance_is_the_smaller_of_two_tests():
     by_ratio = 5 * stats.f.sf(2.0 * 10.0, 1, 9)
     assert library_p_value(own, gain, beaten, 5) == pytest.approx(by_ratio)
     assert library_p_value(own, gain, unbeaten, 5) == pytest.approx(1.0 / (1 + FLIPS))
-    wide = replace(unbeaten, design=1e9)
+    wide = replace(unbeaten, design_effect=1e9)
     assert library_p_value(own, gain, wide, 5) == pytest.approx(1.0 / (1 + FLIPS))
     assert library_p_value(own, -gain, wide, 5) > 0.5  # held out it is worse
-    assert library_p_value(own, gain, replace(beaten, design=1e9), 5) == 1.0
+    assert library_p_value(own, gain, replace(beaten, design_effect=1e9), 5) == 1.0
     assert library_p_value(own[:1], gain[:1], unbeaten, 5) == 1.0  # one block says nothing
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from discovery_drives import linear_problem, recorded
 from st_core.discovery import DiscoverySettings
-from st_core.discovery.reference import _gain_between_runs, learn, textbook
+from st_core.discovery.reference import _gain_between_runs, learn, theoretical_values
 from st_core.discovery.space import Space
 
 FEW = ("steering_offset", "mass", "yaw_rate_bias")
@@ -33,8 +33,8 @@ def test_two_runs_say_nothing_of_each_other():
 @pytest.mark.slow
 def test_the_second_start_is_at_what_effects_say_theory_is():
     space = Space("nonlinear", DiscoverySettings())
-    moved = {(space.free[i].effect, space.free[i].parameter): textbook(space)[i]
-             for i in np.flatnonzero(textbook(space) != space.null)}
+    moved = {(space.free[i].effect, space.free[i].parameter): theoretical_values(space)[i]
+             for i in np.flatnonzero(theoretical_values(space) != space.null)}
     assert moved == {("combined_slip", "share"): 1.0}
 
 

@@ -30,7 +30,7 @@ LAST_DOMAIN = 101  # the ports of higher domains are in the system's ephemeral r
 LARGEST_DOMAIN = 232  # higher domains have no valid port
 # Priorities of SCHED_RR: above other programs, far below the kernel's own threads (50 and more).
 REALTIME_PRIORITIES = {"oxts_bridge": 22, "canedge_bridge": 22, "predictor": 21}
-VIEW_NICE = 5  # a third of an equal share; the page needs a few percent of a core
+VIEW_NICE = 5  # a third of the nodes' CPU share under contention; the page needs a few percent of a core
 DISCOVERY_RANGE, RMW = "ROS_AUTOMATIC_DISCOVERY_RANGE", "RMW_IMPLEMENTATION"
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 REALTIME_PERMISSION = ('echo "$USER - rtprio 30" | sudo tee /etc/security/limits.d/single-track.conf, '

@@ -11,15 +11,15 @@ from ..clock_types import MAX_SPAN
 from ..regression import symmetric_interval
 from .regression import Estimate, Regression
 
-MAX_LAG = 1.5  # s; the search goes that far to both sides
+MAX_LAG = 1.5  # s, of the search, to both sides
 MIN_COMMON_TIME = 15.0  # s
 ZERO, ONE = Estimate(0.0, 0.0, (0.0, 0.0)), Estimate(1.0, 0.0, (1.0, 1.0))
 LAG_TEST_LEVEL = 0.95
 LAG_TEST_SHIFT = 0.3  # s; the fit this far to both sides of a lag must be worse, else the drive determines no lag
-BIAS_RESIDUAL_RATIO = 1.25  # residual with a scale over that with a bias, from which on a bias is reported instead
-MIN_CERTAIN_CORRELATION = 0.98  # from which on noise changes a scale by less than 4 %
+BIAS_RESIDUAL_RATIO = 1.25  # residual with a scale over that with a bias; above it, a bias is reported instead
+MIN_CERTAIN_CORRELATION = 0.98  # above it, noise changes a scale by less than 4 %
 MIN_RESIDUAL_SHARE = 1e-4  # of the variance; interpolation and filters alone leave 1 % of a signal
-GRID_LOSS = 0.1  # of the variance, by which a maximum half a grid step away is lower, at the cut-offs in use
+GRID_LOSS = 0.1  # of the variance, lost at most where a maximum is half a grid step off the grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,8 +27,8 @@ class Agreement:
     """Lag [s], scale [1] and bias [unit] of a measured quantity against a derived one.
 
     correlation: at that lag; correlation_without_lag: at none. spread: standard deviation of the derived quantity.
-    time, measured, derived: the filtered series at that lag, for a figure. other_lags: further lags [s] that fit no
-    worse, within chance, as the drive repeats itself. is_late: whether the usual lag fits significantly worse.
+    time, measured, derived: the filtered series at that lag, for a figure. other_lags: further lags [s] that do
+    not fit significantly worse, as the drive repeats itself. is_late: whether the usual lag fits significantly worse.
     determines_lag: whether lags LAG_TEST_SHIFT away fit significantly worse; a drive that changes slowly determines
     none.
     """
@@ -99,7 +99,7 @@ def _correlation(pair: Pair, offset: float) -> float:
 
 
 def _best_offsets(pair: Pair, cutoff: float) -> list[Fit]:
-    """The best offset and all that are as good within chance, the smallest first.
+    """The best offset and all that are not significantly worse, the smallest first.
 
         (1 - r^2) / (1 - r_best^2) <= F(0.975; n, n),   n = 2 cutoff T   independent samples of the residual in T
     """

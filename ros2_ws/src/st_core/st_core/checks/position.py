@@ -25,10 +25,11 @@ from .regression import Estimate, Regression, is_relevant, with_systematic
 WINDOW = 1.0  # s
 MIN_WINDOWS = 10
 ROUNDS = 3
-MAX_RESIDUAL_LAG, MAX_RESIDUAL_LEAD = 0.5, 0.25  # of the lag of positions, once yaw is corrected; a leading yaw is rare
-MIN_LOSS_RATIO = 1.1  # from which the scale of one axis is preferred to that of the velocity
+# Share of the lag of positions that may remain once a lagging, or a leading (rare) yaw is corrected.
+MAX_RESIDUAL_LAG, MAX_RESIDUAL_LEAD = 0.5, 0.25
+MIN_LOSS_RATIO = 1.1  # losses whose ratio is below this do not decide between two explanations
 MIN_SIGN_GAIN = 0.01  # m; least reduction of the misfit over a second by another sign: RTK noise is 1 cm
-MAX_SIGN_MISFIT_RATIO = 1.2  # of the misfits with the other sign of velocity_y and with the causes found, if both fit
+MAX_SIGN_MISFIT_RATIO = 1.2  # misfit with velocity_y reversed over that with the causes removed; below, both fit
 MIN_LATERAL_VELOCITY = 0.02  # m/s, root mean square
 SPHERICAL_EARTH_SCALE = 0.005  # a map projected with one radius of the earth is wrong by up to half a per cent per axis
 MIN_VELOCITY_BIAS = 0.05  # m/s; velocities of an INS are known to 0.03
@@ -125,17 +126,17 @@ def scaled_misfit(motion: Motion) -> float:
     return problem.fit(("x_scale", "y_scale"))[1] if len(problem.time) >= MIN_WINDOWS else np.inf
 
 
-def positions_confirm_yaw_lag(motion: Motion, earlier: Motion, late: float) -> bool:
-    """Whether yaw lags by `late` [s] rather than the positions; earlier: the motion with that lag corrected.
+def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> bool:
+    """Whether yaw lags by `lag` [s] rather than the positions; corrected: the motion without that lag.
 
     At a constant speed both fit; then yaw is wrong if its correction reduces the lag of the positions to a small part.
     """
-    problem, corrected = residual_regression(motion), residual_regression(earlier)
+    problem, corrected_problem = residual_regression(motion), residual_regression(corrected)
     if len(problem.time) < MIN_WINDOWS:
         return False
     causes = ("x_scale", "y_scale", "position_lag")
-    (before, misfit, _), (after, misfit_after, _) = problem.fit(causes), corrected.fit(causes)
-    max_ratio = MAX_RESIDUAL_LAG if late > 0.0 else MAX_RESIDUAL_LEAD
+    (before, misfit, _), (after, misfit_after, _) = problem.fit(causes), corrected_problem.fit(causes)
+    max_ratio = MAX_RESIDUAL_LAG if lag > 0.0 else MAX_RESIDUAL_LEAD
     explained = abs(after["position_lag"]) < max_ratio * abs(before["position_lag"])
     return MIN_LOSS_RATIO**2 * misfit_after < misfit or (explained and misfit_after < MIN_LOSS_RATIO * misfit)
 
@@ -208,7 +209,7 @@ def _find_causes(problem: Regression, free: dict[str, float], always: tuple[str,
 
 
 def _combine_scales(problem: Regression, causes: dict[str, Estimate], always: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of the causes; equal scales of both axes, or that of the only axis driven, are attributed to velocity.
+    """Names of the causes; equal scales of both axes, or of the only axis driven, are attributed to the velocity.
 
     Positions come from satellites: one factor in both axes is far rarer than a wrong speed.
     """

@@ -16,7 +16,7 @@ STAMPS_OF = {"INS": ("time",), "steering": ("road_wheel_angle",)}
 MIN_HELD_SHARE = 0.7  # share of the changes that come at one interval in a channel held at a lower rate
 MIN_HELD_RATE = 15.0  # Hz; positions held at a lower rate are half a metre old at 15 m/s, on average a quarter
 NOTE_SHARE = 0.01  # share of rows below which a fault of single rows is a note
-MAX_GAP_SHARE = 0.05  # share of the time lost in gaps from which on whole driving conditions may be missing
+MAX_GAP_SHARE = 0.05  # share of the time lost in gaps; above, whole driving conditions may be missing
 MIN_ROWS_PER_SAMPLE = 1.5  # of a slower sensor
 SPACING_TOLERANCE = 0.05  # relative; of its mean spacing, which a gap would shift by its share
 MIN_FREEZE_TIME = 1.5  # s without any change
@@ -278,7 +278,7 @@ def _smooth_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
 POSITION_EFFECT = {
     "x": (1.0, False), "y": (1.0, False), "yaw": (HORIZON, True), "velocity_x": (HORIZON, False),
     "velocity_y": (LIMITS.settling * HORIZON, False), "yaw_rate": (LIMITS.settling * HORIZON, True)}
-# A quantity of other channels that changes when this one does, and the change from which on this one must change.
+# A quantity of other channels that changes when this one does, and the change beyond which this one must change.
 RELATED_RATES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] = {
     "velocity_x": (lambda m: np.hypot(_smooth_rate(m.time, m.x), _smooth_rate(m.time, m.y)), 0.3),
     "velocity_y": (lambda m: m.yaw_rate, 0.05),

@@ -44,49 +44,49 @@ def learn(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, se
     times their design effect, twice: once for the reference, once for the new drive.
     """
     windows = Windows(runs, vehicle, settings)
-    held, quantities = weak_prior(space), known_quantities(space, vehicle)
+    prior, quantities = weak_prior(space), known_quantities(space, vehicle)
     fits = []
-    for start in (space.null, textbook(space)):
+    for start in (space.null, theoretical_values(space)):
         loss = Loss(Errors(windows, space, threads), start)
-        fits.append((*fit_library(loss, windows, held, quantities, start, tick), loss))
-    vector, held, loss = min(fits, key=lambda fit: float(np.log(fit[2].scale).sum()))
-    problem = Problem(loss, space.null, windows.block, held)
+        fits.append((*fit_library(loss, windows, prior, quantities, start, tick), loss))
+    vector, prior, loss = min(fits, key=lambda fit: float(np.log(fit[2].scale).sum()))
+    problem = Problem(loss, space.null, windows.block, prior)
     q = problem.quadratic_of_all(vector)
-    h = q.hessian.sum(axis=0) + held
+    h = q.hessian.sum(axis=0) + prior
     spread = np.sqrt(2.0 * _design_effects(q, np.diag(h), windows))
     position = problem.position_error(problem.errors.at(vector))
     by_run = [position[windows.run == k] for k in np.unique(windows.run)]
     largest = max((float(np.nanmean(error)) for error in by_run if np.isfinite(error).any()), default=0.0)
-    return Healthy(vector, _prior(h, spread, held), loss.scale_of(vector)[-len(windows.columns):], largest,
-                   _gain_between_runs(q, space, windows, spread, held))
+    return Healthy(vector, _predictive_prior(h, spread, prior), loss.scale_of(vector)[-len(windows.columns):], largest,
+                   _gain_between_runs(q, space, windows, spread, prior))
 
 
 def weak_prior(space: Space) -> np.ndarray:
     """(p, p) prior curvature of a joint fit of the whole library; composites stay at the start."""
-    held = np.eye(len(space)) / JOINT_DEVIATION**2
+    prior = np.eye(len(space)) / JOINT_DEVIATION**2
     composite = space.indices(*(n for n in space.hypotheses if get_effect(n).members))
-    held[composite, composite] = FIXED_CURVATURE  # the members act the same
-    return held
+    prior[composite, composite] = FIXED_CURVATURE  # the members act the same
+    return prior
 
 
-def _prior(h: np.ndarray, spread: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """(p, p) curvature of the drives, their standard deviations multiplied by `spread` (p,), plus that of `held`."""
-    return inverse(spread[:, None] * inverse(h) * spread) + held
+def _predictive_prior(h: np.ndarray, spread: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """(p, p) curvature of the drives, their standard deviations multiplied by `spread` (p,), plus `prior`."""
+    return inverse(spread[:, None] * inverse(h) * spread) + prior
 
 
-def _gain_between_runs(q: Quadratic, space: Space, windows: Windows, spread: np.ndarray, held: np.ndarray) -> float:
+def _gain_between_runs(q: Quadratic, space: Space, windows: Windows, spread: np.ndarray, prior: np.ndarray) -> float:
     """Largest gain per scored error of an effect in one run, with the prior of the other runs, by the quadratic."""
     run, most = q.summed(windows.run), 0.0
     if len(windows.names) < 3:
         return most
-    h, g = run.hessian.sum(axis=0) + held, run.gradient.sum(axis=0)
+    h, g = run.hessian.sum(axis=0) + prior, run.gradient.sum(axis=0)
     for k in range(len(windows.names)):
         other = h - run.hessian[k]
         centre = inverse(other) @ (g - run.gradient[k])
-        prior = _prior(other, spread, held)
+        predictive = _predictive_prior(other, spread, prior)
         minimum = partial(_minimum, run.hessian[k], run.gradient[k], centre)
         number = max(int(windows.known[windows.run == k].sum()), 1)
-        most = max(most, *((minimum(prior) - minimum(marginalised(prior, space.indices(n)))) / number
+        most = max(most, *((minimum(predictive) - minimum(marginalised(predictive, space.indices(n)))) / number
                            for n in space.hypotheses))
     return most
 
@@ -110,7 +110,7 @@ def _design_effects(q: Quadratic, curvature: np.ndarray, windows: Windows) -> np
     return design
 
 
-def textbook(space: Space) -> np.ndarray:
+def theoretical_values(space: Space) -> np.ndarray:
     """(p,) values known from theory for any car; effects that change the kind of the base stay at null."""
     vector = space.null.copy()
     for i, free in enumerate(space.free):
@@ -119,22 +119,22 @@ def textbook(space: Space) -> np.ndarray:
     return vector
 
 
-def fit_library(loss: Loss, windows: Windows, held: np.ndarray, quantities: Quantities, vector: np.ndarray,
-            tick: Callable[[], None]) -> tuple[np.ndarray, np.ndarray]:
-    """((p,) all parameters fitted from a vector, the scale of the loss renewed, until convergence; (p, p) curvature of
-    the prior: `held` plus that of the vehicle file)."""
+def fit_library(loss: Loss, windows: Windows, prior: np.ndarray, quantities: Quantities, vector: np.ndarray,
+                tick: Callable[[], None]) -> tuple[np.ndarray, np.ndarray]:
+    """((p,) all parameters fitted from a vector, the scale of the loss updated, until convergence; (p, p) curvature of
+    the prior, plus that of the vehicle file)."""
     space = loss.space
     file = Problem(loss, space.null, windows.block, quantities=quantities)
     deviations = prior_deviations(quantities, space.scale)  # without that of a load, which the drives contain
     for _ in range(MAX_FITS):
         tick()
         file.update_design_effect(vector)
-        whole = held + np.diag(0.5 * file.design_effect / np.square(deviations))
-        problem = Problem(loss, space.null, windows.block, whole)
+        full_prior = prior + np.diag(0.5 * file.design_effect / np.square(deviations))
+        problem = Problem(loss, space.null, windows.block, full_prior)
         fit = problem.fit((), file.slopes_of_all(vector), vector, iterations=2)
         step = float(np.abs((fit.vector - vector) / space.scale).max())
         vector = fit.vector
         loss.rescale(vector)
         if step < FINAL_STEP:
             break
-    return vector, whole
+    return vector, full_prior

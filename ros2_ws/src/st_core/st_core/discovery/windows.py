@@ -21,7 +21,7 @@ from ..composition import compose
 from ..effects import Measured
 from ..errors import StCoreError
 from ..log import INS_SIGNALS, DriveLog
-from ..log_signals import LogSignals, same
+from ..log_signals import LogSignals, share_memory
 from ..models import Model
 from ..readings import faultless_readings
 from ..sideslip import steady_velocity_y
@@ -57,7 +57,7 @@ class Signals(LogSignals):
         self._lookups: OrderedDict[tuple, tuple] = OrderedDict()
 
     def of(self, log: DriveLog) -> "Signals":
-        if not same(log, self.log, "ins_time_ns", "velocity_x"):
+        if not share_memory(log, self.log, "ins_time_ns", "velocity_x"):
             other = Signals(log, self.maximum_gap)
             other._lookups = self._lookups
             return other

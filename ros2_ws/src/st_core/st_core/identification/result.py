@@ -11,7 +11,7 @@ from ..errors import StCoreError
 from ..provenance import Provenance
 from ..vehicle import DERIVED, VehicleParameters, quantity, value_of
 
-if TYPE_CHECKING:  # the checks' own intervals come from here
+if TYPE_CHECKING:  # `checks` imports this module
     from ..checks.finding import Finding
 
 Status = Literal["identified", "doubtful", "unidentifiable"]

@@ -15,7 +15,7 @@ from ._base import Axles, Model, axle_slip_angles, motion
 
 
 class Parameters(NamedTuple):
-    """kg, kg m^2, m, m/s; tyres of one wheel, lambda_ky filled in."""
+    """kg, kg m^2, m, m/s; tyre parameters per wheel, lambda_ky included."""
 
     mass: float
     yaw_inertia: float

@@ -138,9 +138,9 @@ def fitted_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadr
     at = np.linspace(candidate.low, candidate.high, POINTS)
     into, value = np.linalg.pinv(candidate.splines(at).T, rcond=1e-6), coefficients @ candidate.splines(at)
 
-    def rise(away: np.ndarray) -> np.ndarray:
+    def rise(distance: np.ndarray) -> np.ndarray:
         """(b,) rise of the loss over that of the curve, at a distance from its coefficients."""
-        return np.einsum("i,bij,j->b", away, profile.hessian, away) - 2.0 * profile.gradient @ away
+        return np.einsum("i,bij,j->b", distance, profile.hessian, distance) - 2.0 * profile.gradient @ distance
 
     total = float(rise(-coefficients).sum())
     if total <= 1e-20:
@@ -155,18 +155,18 @@ def fitted_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadr
             root, target = np.linalg.cholesky(h), coefficients + np.linalg.solve(h, g)
             return _least_squares(lambda x: (into @ function(at, x) - target) @ root, count, at, value)
 
-        def away(p: np.ndarray, function: ShapeFunction = function) -> np.ndarray:
+        def distance(p: np.ndarray, function: ShapeFunction = function) -> np.ndarray:
             return into @ function(at, p) - coefficients
 
         best = numbers(np.ones(len(fold), bool))
         if shape == "dead zone":
             best[1] = abs(best[1])
-        explained = min(1.0 - float(rise(away(best)).sum()) / total, 1.0)
+        explained = min(1.0 - float(rise(distance(best)).sum()) / total, 1.0)
         if explained >= MIN_EXPLAINED:
             by_fold = {int(k): numbers(fold != k) for k in np.unique(fold)}
             held_out = np.zeros(len(fold))
             for k, others in by_fold.items():
-                held_out[fold == k] = rise(away(others))[fold == k]
+                held_out[fold == k] = rise(distance(others))[fold == k]
             found.append(FittedShape(shape, text, function, best, by_fold, explained, held_out))
     return _ordered(found)
 

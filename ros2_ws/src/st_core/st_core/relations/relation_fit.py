@@ -21,7 +21,7 @@ from .candidates import Candidate, run_time
 
 RELATION = Law.name  # the three kinds have the same indices in the vector
 SMOOTHING = (0.003, 0.03, 0.3)  # penalty on second differences, shares of the coefficients' mean curvature
-SIZE_PENALTY = 0.1  # on the coefficients, over that on their second differences: 0 where there is no information
+SIZE_PENALTY = 0.1  # on the coefficients, over that on their second differences; draws uninformed ones to 0
 ITERATIONS, STEP_SHARES, MIN_LOSS_FALL = 8, (1.0, 0.5, 0.2), 2e-4  # of a fit; the last: per scored error, ends it
 BASE_FITS = 2  # of the answer alone
 RIDGE = 1e-6
@@ -77,7 +77,7 @@ class RelationFits:
 
     answer: model of the answer; gain: of its accelerometer; names: of its effects. fold: (b,) fold of each block. The
     scale of the errors stays that of the answer. refitted: indices of the parameters fitted together with a relation;
-    car: of the others of the vehicle file, which are projected out of its evidence.
+    car: of the other vehicle parameters, projected out of its evidence.
     """
 
     def __init__(self, windows: Windows, answer: AugmentedModel, gain: float, names: Sequence[str],
@@ -133,26 +133,26 @@ class RelationFits:
         return penalty
 
     def left_out_steps(self, q: Quadratic, penalty: np.ndarray,
-                       away: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray]:
-        """({fold: step to the values fitted without it}, (b,) loss of each block there). away: (a,) distance of the
-        vector from the start [usual sizes]."""
-        h, g = ridge(q.hessian.sum(axis=0)) + penalty, q.gradient.sum(axis=0) - penalty @ away
+                       distance: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray]:
+        """({fold: step to the values fitted without it}, (b,) loss of each block there). distance: (a,) of the vector
+        from the start [usual sizes]."""
+        h, g = ridge(q.hessian.sum(axis=0)) + penalty, q.gradient.sum(axis=0) - penalty @ distance
         steps, held_out = {}, np.zeros(self.blocks)
-        whole = np.linalg.solve(h, g)
+        common = np.linalg.solve(h, g)
         for k in np.unique(self.fold):
             in_fold = self.fold == k
-            d = np.linalg.solve(h - q.hessian[in_fold].sum(axis=0), g - q.gradient[in_fold].sum(axis=0)) - whole
+            d = np.linalg.solve(h - q.hessian[in_fold].sum(axis=0), g - q.gradient[in_fold].sum(axis=0)) - common
             steps[int(k)] = d
             curved = np.einsum("i,bij,j->b", d, q.hessian[in_fold], d)
             held_out[in_fold] = q.cost[in_fold] - 2.0 * q.gradient[in_fold] @ d + curved
         return steps, held_out
 
-    def predicted_held_out(self, q: Quadratic, penalty: np.ndarray, away: np.ndarray) -> np.ndarray:
+    def predicted_held_out(self, q: Quadratic, penalty: np.ndarray, distance: np.ndarray) -> np.ndarray:
         """(b,) held-out loss of each block at the optimum of the quadratic."""
-        step = np.linalg.solve(ridge(q.hessian.sum(axis=0)) + penalty, q.gradient.sum(axis=0) - penalty @ away)
+        step = np.linalg.solve(ridge(q.hessian.sum(axis=0)) + penalty, q.gradient.sum(axis=0) - penalty @ distance)
         cost = q.cost - 2.0 * q.gradient @ step + np.einsum("i,bij,j->b", step, q.hessian, step)
         optimum = Quadratic(cost, q.gradient - q.hessian @ step, q.hessian)
-        return self.left_out_steps(optimum, penalty, away + step)[1]
+        return self.left_out_steps(optimum, penalty, distance + step)[1]
 
     def fit(self, candidate: Candidate, without: RelationFit, smooth: float) -> RelationFit:
         """Gauss-Newton fit by simulation, from zero coefficients. smooth: of SMOOTHING."""
@@ -193,19 +193,19 @@ class RelationFits:
             h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
             if not iteration:
                 penalty = self.penalty(candidate, h, smooth)
-            away = ((vector - self.start) / scale)[indices]
-            step = np.linalg.solve(ridge(h) + penalty, g - penalty @ away)
-            cost = loss.total(vector) + away @ penalty @ away
+            distance = ((vector - self.start) / scale)[indices]
+            step = np.linalg.solve(ridge(h) + penalty, g - penalty @ distance)
+            cost = loss.total(vector) + distance @ penalty @ distance
             gained = 0.0
             for share in STEP_SHARES:
                 trial = vector.copy()
                 trial[indices] += share * step * scale[indices]
                 trial = loss.space.inside(trial)
-                away = ((trial - self.start) / scale)[indices]
-                gained = cost - (loss.total(trial) + away @ penalty @ away)
+                distance = ((trial - self.start) / scale)[indices]
+                gained = cost - (loss.total(trial) + distance @ penalty @ distance)
                 if gained > 0.0:
-                    taken = loss.errors.at(vector) - loss.errors.at(trial)
-                    slopes = Slopes(vector, indices, slopes).moved(trial, scale, taken).values
+                    reduction = loss.errors.at(vector) - loss.errors.at(trial)
+                    slopes = Slopes(vector, indices, slopes).moved(trial, scale, reduction).values
                     vector = trial
                     break
             if gained < MIN_LOSS_FALL * loss.scored_count:

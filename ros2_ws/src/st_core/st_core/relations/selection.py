@@ -52,8 +52,8 @@ class Screened:
 def screen(fits: RelationFits, without: RelationFit, vehicle: VehicleParameters, seed: int,
            tick: Callable[[], None]) -> list[Screened]:
     """Every candidate that these drives excite and that changes a prediction. without: the answer alone."""
-    away = ((without.vector - fits.start) / fits.space.scale)[without.indices]
-    base = fits.predicted_held_out(without.q, without.penalty, away)
+    distance = ((without.vector - fits.start) / fits.space.scale)[without.indices]
+    base = fits.predicted_held_out(without.q, without.penalty, distance)
     car = fits.loss.slopes(without.vector, fits.car)
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, fits.blocks))
     found = []
@@ -91,9 +91,9 @@ def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.
     if float(np.trace(h[-COUNT:, -COUNT:])) <= 1e-9 * float(np.trace(h)):
         return None
     q_all = fits.quadratic(loss, without.rows, np.concatenate([without.slopes, car, slopes]))
-    away = np.concatenate([((without.vector - fits.start) / fits.space.scale)[without.indices], np.zeros(COUNT)])
+    distance = np.concatenate([((without.vector - fits.start) / fits.space.scale)[without.indices], np.zeros(COUNT)])
     penalties = {smooth: fits.penalty(candidate, h, smooth) for smooth in SMOOTHING}
-    losses = {smooth: fits.predicted_held_out(q, penalty, away) for smooth, penalty in penalties.items()}
+    losses = {smooth: fits.predicted_held_out(q, penalty, distance) for smooth, penalty in penalties.items()}
     smooth = min(losses, key=lambda one: float(losses[one].sum()))
     whole = q_all.hessian.sum(axis=0)
     cross = np.linalg.solve(ridge(whole[:-COUNT, :-COUNT]), whole[:-COUNT, -COUNT:])

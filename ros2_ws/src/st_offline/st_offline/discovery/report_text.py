@@ -27,7 +27,7 @@ from .quantities import change, channel, decimal, fitted, metres, plain, short_v
 from .vehicle_update import SLIP_SPEED, VehicleUpdate
 
 MAX_PARTS = 6
-MAX_INVISIBLE = 4  # effects named in a sentence; the table has all
+MAX_UNDETECTABLE = 4  # effects named in a sentence; the table has all
 MAX_KEYS = 3  # of a vehicle file in a sentence; the table has all
 MIN_CHANGE = 0.005  # m; a step that changes the position by less is described by the channel it changes most
 MAX_SEPARATION = 10.0  # standard deviations
@@ -117,9 +117,9 @@ def _errors(found: Discovery) -> str:
 
 def summary(found: Discovery, update: VehicleUpdate | None, findings: Mapping[str, Sequence[Finding]]
             ) -> list[tuple[str, str]]:
-    """(name, text) below the title: residual, inseparable and invisible effects, errors of the recordings, what to do.
+    """(name, text) below the title: residual, inseparable and undetectable effects, recordings, recommendations.
     findings: of the checks, by run."""
-    unknown = [residual(found), not_separable(found), *refuted(found), not_visible(found)]
+    unknown = [residual(found), not_separable(found), *refuted(found), not_detectable(found)]
     serious = [(one, names) for one, names in group_by_name(findings) if one.severity is not Severity.NOTE]
     recordings = ""
     if serious:
@@ -246,14 +246,14 @@ def pair_rows(found: Discovery) -> list[tuple[str, ...]]:
     return rows
 
 
-def not_visible(found: Discovery) -> str:
-    """The first effects that are not detectable in these drives, each with a size that was tried, vehicle parameters
+def not_detectable(found: Discovery) -> str:
+    """The first effects that are not detectable in these drives, with the largest size tried, vehicle parameters
     first."""
     largest = {p.effect: p for p in sorted(found.certificate.powers, key=lambda p: abs(p.size))}
     ranked = sorted((n.name for n in found.not_testable), key=rank)
     names = ", ".join(plain(name) + (f" of {change(largest[name].size, largest[name].unit)}" if name in largest else "")
-                      for name in ranked[:MAX_INVISIBLE])
-    more = len(ranked) - MAX_INVISIBLE
+                      for name in ranked[:MAX_UNDETECTABLE])
+    more = len(ranked) - MAX_UNDETECTABLE
     return f"not detectable in these drives: {names}{f' and {more} more' if more > 0 else ''}" if names else ""
 
 
@@ -268,7 +268,7 @@ def separation(strength: float) -> str:
     return f"{strength:.1f}" if strength < MAX_SEPARATION else f"more than {MAX_SEPARATION:g}"
 
 
-def visible(found: Discovery) -> str:
+def detectable(found: Discovery) -> str:
     """The smallest detectable size of each effect in these drives, vehicle parameters first."""
     best: dict[str, Power] = {}
     for power in sorted(found.certificate.powers, key=lambda p: abs(p.size)):
@@ -389,7 +389,7 @@ def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
         lines.append(f"{use}weigh the car and compare its tyres with those of the vehicle file")
     if found.minor and found.effects:
         kept = ", ".join(with_alternatives(found, e) for e in found.minor)
-        lines.append(f"model.yaml also contains {kept}: part of the fit, not named and no property of the car")
+        lines.append(f"model.yaml also contains {kept}: part of the fit, not named, not properties of the car")
     elif found.minor:
         lines.append(f"model.yaml contains {', '.join(plain(e.name) for e in found.minor)}: part of the fit, not named")
     return lines or ["nothing"]
@@ -410,7 +410,7 @@ def details(found: Discovery, update: VehicleUpdate | None) -> list[tuple[str, l
     lines = [*((role, [text]) for role, text in drives(found)), ("meaning", meaning(found)),
              ("tests passed", certainty(found)), ("not named", minor), ("what to do", to_do(found, update)[1:]),
              ("effective corrections", corrections(found)), ("taken from the vehicle file", assumed(found)),
-             ("varying, not named", list(map(varying, found.varying))), ("these drives", [visible(found)])]
+             ("varying, not named", list(map(varying, found.varying))), ("these drives", [detectable(found)])]
     return [(question, texts) for question, answer in lines if (texts := [text for text in answer if text])]
 
 

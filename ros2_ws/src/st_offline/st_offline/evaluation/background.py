@@ -15,8 +15,8 @@ T = TypeVar("T")
 def in_background(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
     """Start `work`; the function yielded waits for its result, which must be picklable.
 
-    In a Dask worker, which may have no child, and if the child was killed for its memory, the work is done in this
-    process.
+    In a Dask worker, which cannot have children, and if the child was killed for lack of memory, the work is done in
+    this process.
     """
     if multiprocessing.current_process().daemon:
         yield work

@@ -97,8 +97,8 @@ def segments(drawing: Drawing) -> Drawn | None:
         _measured_path(axes, drawing, start_ns, length)
         for model in drawing.models:
             states = tuple(block.trajectories[model.name, "hindsight"][column].T)
-            seen = readings(model, drawing.vehicle, states)
-            axes.plot(seen.x, seen.y, **drawing.line(model.name))
+            predicted = readings(model, drawing.vehicle, states)
+            axes.plot(predicted.x, predicted.y, **drawing.line(model.name))
         axes.set_title(f"$t_0$ = {evaluation.time[row]:.1f} s, {evaluation.conditions['speed'][row]:.1f} m/s",
                        fontsize=9)
         axes.set(xlabel="east, m", ylabel="" if column else "north, m")
@@ -132,7 +132,7 @@ def _measured_path(axes: plt.Axes, drawing: Drawing, start_ns: int, length: floa
     middle = 0.5 * (x.min() + x.max()), 0.5 * (y.min() + y.max())
     near = (np.abs(log.x - middle[0]) < half) & (np.abs(log.y - middle[1]) < half)
     drawn = np.flatnonzero(near)[:: max(1, int(near.sum()) // 400)]
-    passes = np.flatnonzero(np.diff(np.cumsum(~near)[drawn])) + 1  # it was elsewhere in between
+    passes = np.flatnonzero(np.diff(np.cumsum(~near)[drawn])) + 1  # the car left the frame between two passes
     axes.plot(*(np.insert(v[drawn], passes, np.nan) for v in (log.x, log.y)), color=MEASURED_COLOUR, lw=0.8, alpha=0.5)
     every = max(1, len(log.x[around]) // 200)
     axes.plot(log.x[around][::every], log.y[around][::every], color=MEASURED_COLOUR, lw=1.2)
@@ -166,7 +166,7 @@ def horizon_means(drawing: Drawing) -> Drawn:
     legend(figure, drawing, extra, solid=True)
     length = evaluation.horizon[-1]
     title = f"{drawing.name}: {ranking(evaluation)}"
-    caption = f"Error averaged over each {length:g} s horizon (hindsight: measured inputs), over the time it starts."
+    caption = f"Error averaged over each {length:g} s horizon (hindsight: measured inputs), over its start time."
     return finish(figure, drawing.output, "horizon_means", title, caption)
 
 

@@ -25,7 +25,7 @@ from st_ros.polling import UNRESOLVED_PREFIX, PolledSubscription, message_class,
 from .. import convert, params
 from ._bag import is_complete, open_bag, recording_check
 
-NICE = 5  # behind bridges and predictor: a third of an equal share
+NICE = 5  # lower priority than bridges and predictor: a third of their CPU share under contention
 WORK_PERIOD = 0.05  # the queues are emptied this often [s]; each message carries the time it arrived
 TOPIC_SCAN_PERIOD = 0.25  # s
 # After a full disk: interval between checks for free space [s], and the space needed for a new bag [bytes].

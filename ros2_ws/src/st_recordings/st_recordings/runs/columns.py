@@ -36,7 +36,7 @@ UNITS: Mapping[str, Mapping[str, tuple[float, tuple[str, ...]]]] = {
 
 
 def normalised(text: str) -> str:
-    """A name or unit as it is compared: lower case, letters, digits and ° only."""
+    """Normal form of a name or unit for comparison: lower case, letters, digits and ° only."""
     return re.sub(r"[^a-z0-9°]", "", text.lower().replace("µ", "u").replace("μ", "u").replace("²", "2"))
 
 
@@ -45,7 +45,7 @@ _UNIT_OF = {kind: {normalised(text): unit for unit, (_, others) in units.items()
 
 
 def unit_named(kind: str, text: str) -> str | None:
-    """The unit of a kind of quantity that a text means; None where it means none."""
+    """The unit of a kind of quantity that a text denotes; None for any other text."""
     return _UNIT_OF[kind].get(normalised(text))
 
 
@@ -174,7 +174,7 @@ class ColumnSource:
 
 
 def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, ColumnSource]:
-    """The channels that a header names. Raises RunError for a column or unit of the layout without such a column."""
+    """The channels that a header names. Raises RunError if a column that the layout names is missing."""
     found: dict[str, tuple[int, ColumnSource]] = {}
     for number, name in enumerate(names):
         if meaning := _meaning(name):
@@ -199,7 +199,7 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
 
 
 def _column_number(names: Sequence[str], named: str) -> int | None:
-    """The column of a name: the same, else but for case, else but for other characters, else but for its unit."""
+    """Number of the column of a name: an exact match, else ignoring case, else other characters, else also the unit."""
     for form in (str, str.lower, normalised, lambda name: normalised(_splits(name)[0][0])):
         for number, name in enumerate(names):
             if form(name) == form(named):
@@ -242,7 +242,7 @@ def _meaning(name: str) -> tuple[str, int, str | None] | None:
 
 def _splits(name: str) -> list[tuple[str, str]]:
     """Ways to split a column's name into name and unit, the whole name first: yaw_rate_deg_s -> yaw_rate, deg_s."""
-    if len(name) > MAX_NAME_LENGTH:  # a line of other text, which has a square of ways
+    if len(name) > MAX_NAME_LENGTH:  # text that is no header; splitting it takes quadratic time
         return [(name, "")]
     bracketed = re.fullmatch(r"(.*?)[\s_]*[\[(]([^\])]*)[\])]\s*", name)
     if bracketed:
