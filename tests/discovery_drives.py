@@ -11,8 +11,8 @@ import numpy as np
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
 from st_core.discovery.fit import Problem
-from st_core.discovery.following import drive
 from st_core.discovery.loss import Loss
+from st_core.discovery.next_manoeuvre import drive
 from st_core.discovery.space import Space
 from st_core.log import DriveLog
 from st_core.manoeuvres import CATALOGUE

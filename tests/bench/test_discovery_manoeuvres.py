@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from st_cli.verbs.demo import SCENARIOS as OFFERED
 from st_core.augmented import augment
-from st_core.discovery.following import drive
+from st_core.discovery.next_manoeuvre import drive
 from st_core.manoeuvres import CATALOGUE
 from st_core.vehicle import VehicleParameters
 from st_sim.car import read_car

@@ -72,16 +72,16 @@ def align(signals: Sequence[SharedSignal], search: tuple[float, float] | None = 
     fine = pairs[CUTOFFS[-1]]
     if not fine:
         return refused_alignment(*reasons, "the shared signals are known for a few seconds only")
-    result = _align_with_overlap(fine, pairs, usable, reasons, _needed_overlap(fine), search)
+    result = _align_with_overlap(fine, pairs, usable, reasons, _min_overlap(fine), search)
     if result.verdict is Verdict.REFUSED and max((s.correlation for s in result.signals), default=0.0) < USABLE_PEAK:
         short = _align_with_overlap(fine, pairs, usable, reasons, MIN_OVERLAP, search)
         if short.verdict is not Verdict.REFUSED:
-            return short.doubted(f"the recordings share only {short.overlap:.0f} s")
+            return short.with_doubts(f"the recordings share only {short.overlap:.0f} s")
     return result
 
 
-def _needed_overlap(pairs: Sequence[Pair]) -> float:
-    """Common time [s] below which a correlation is not looked at: 40 % of the shorter recording, at least 10 s."""
+def _min_overlap(pairs: Sequence[Pair]) -> float:
+    """Common time [s] below which a correlation is ignored: 40 % of the shorter recording, at least 10 s."""
     shorter = min(max(side.known.sum() for side in sides) * STEP
                   for sides in ([p.reference for p in pairs], [p.other for p in pairs]))
     return max(0.4 * shorter, 10.0)
@@ -90,7 +90,7 @@ def _needed_overlap(pairs: Sequence[Pair]) -> float:
 def _align_with_overlap(fine: Sequence[Pair], pairs: dict[float, list[Pair]], usable: Sequence[SharedSignal],
              reasons: Sequence[str], needed: float, search: tuple[float, float] | None) -> Alignment:
     r0, o0 = int(usable[0].reference_time_ns[0]), int(usable[0].other_time_ns[0])
-    epoch = (r0 - o0) * 1e-9  # between the two origins, kept apart from the floats
+    epoch = (r0 - o0) * 1e-9  # between the two origins; times as floats count from these
     span = (search[0] - epoch, search[1] - epoch) if search else (-np.inf, np.inf)
     coarse = coarse_offset(fine, needed, 2.0, span)
     if coarse is None:
@@ -111,7 +111,7 @@ def _align_with_overlap(fine: Sequence[Pair], pairs: dict[float, list[Pair]], us
         alone = fit([pair], solution.offset, middle, solution.drift, free_drift=False)
         singles.append(SignalLag(pair.name, alone.offset - solution.offset, alone.offset_deviation, residual,
                                  correlation))
-    # Stamps are all off by a slowly changing part of the grid.
+    # The rounding error of the stamps changes slowly, so it does not average out.
     drift_deviation = float(np.hypot(solution.drift_deviation, STAMP_GRID / max(high - low, 1.0))) * 1e6
     at_ns = o0 + round(middle * 1e9)
     result = Alignment(
@@ -177,7 +177,7 @@ def _with_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other
     weakest = min(max(s.correlation, 0.0) for s in result.signals)
     strongest = max(s.correlation for s in result.signals)
     if strongest < USABLE_PEAK:
-        refusals.append(f"the signals do not belong together (correlation {strongest:.2f} at best): the recordings do "
+        refusals.append(f"the signals do not match (correlation {strongest:.2f} at best): the recordings do "
                         "not overlap in time, are not of the same drive, or a signal is wrong in part of it")
     elif weakest < GOOD_PEAK:
         worst = min(result.signals, key=lambda s: s.correlation)
@@ -203,7 +203,7 @@ def _with_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other
         refusals, doubts = ([reason], []) if abs(step[1]) > MAX_STEP else ([], [reason])
     if refusals:
         return replace(result, verdict=Verdict.REFUSED, reasons=(*result.reasons, refusals[0]))
-    return result.doubted(*doubts)
+    return result.with_doubts(*doubts)
 
 
 def _fine_pairs(signals: Sequence[SharedSignal]) -> tuple[list[Pair], int, int]:
@@ -217,10 +217,10 @@ def _fine_pairs(signals: Sequence[SharedSignal]) -> tuple[list[Pair], int, int]:
 def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.ndarray]:
     """Offsets [s], reference minus other clock, and the mean correlation of the signals at each.
 
-    Empty where no signal is usable. Lags with less in common than `align` requires at first are left out.
+    Empty where no signal is usable. Lags with less overlap than `align` requires at first are left out.
     """
     fine, r0, o0 = _fine_pairs(signals)
-    curve = mean_correlation(fine, _needed_overlap(fine), (-np.inf, np.inf)) if fine else None
+    curve = mean_correlation(fine, _min_overlap(fine), (-np.inf, np.inf)) if fine else None
     return (curve[0] + (r0 - o0) * 1e-9, curve[1]) if curve else (np.zeros(0), np.zeros(0))
 
 
@@ -311,7 +311,7 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
                       f"{time[worst] - middle:+.0f} s from the middle (a clock was set?)")
     if abs(result.drift_ppm) - 2.0 * (result.drift_deviation or 0.0) > UNUSUAL_DRIFT_PPM:
         doubts.append(f"a drift of {result.drift_ppm:.0f} ppm exceeds that of quartz clocks")
-    return result.doubted(*doubts)
+    return result.with_doubts(*doubts)
 
 
 def _medians_per_second(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

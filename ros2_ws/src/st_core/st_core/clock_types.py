@@ -91,7 +91,7 @@ class Alignment:
         return (self.peak is not None and self.second_peak is not None
                 and self.second_peak[1] > AMBIGUOUS_PEAK_RATIO * self.peak[1])
 
-    def doubted(self, *reasons: str) -> "Alignment":
+    def with_doubts(self, *reasons: str) -> "Alignment":
         """The alignment with further reasons, at most doubtful."""
         if not reasons:
             return self
@@ -112,4 +112,4 @@ def refused_alignment(*reasons: str) -> Alignment:
 def describe_step(size: float, when: float) -> str:
     """Reason of a verdict for a step of a clock by `size` [s] at `when` [s]."""
     return (f"a clock steps by {size * 1e3:+.0f} ms about {round(when):+d} s from the middle of the common time: "
-            "align the parts before and after it by themselves")
+            "align the parts before and after it separately")

@@ -24,8 +24,8 @@ Shape = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
-class Lines:
-    """Consecutive straight lines, each (duration [s], share at its start, share at its end)."""
+class PiecewiseLinear:
+    """Piecewise linear share of time; parts: (duration [s], share at its start, share at its end)."""
 
     parts: tuple[tuple[float, float, float], ...]
 
@@ -65,7 +65,7 @@ class Manoeuvre:
     name: also the scenario of the virtual car. speed: at the start [m/s]. lateral: target acceleration at a share of 1
     and the speed of the start [m/s^2]. period: after which the manoeuvre repeats [s]. rounds: periods in one drive.
     pedals: consecutive (duration [s], forward acceleration [m/s^2]), never beyond the speed of the start; empty for
-    constant speed. follows: the driver follows a road of this curvature, made of Lines, in a closed loop; otherwise the
+    constant speed. follows: the driver follows a road of this curvature (PiecewiseLinear) in closed loop; otherwise the
     steering is open loop. With pedals the road is a circle, and the steering is held while braking. meaning: in words.
     """
 
@@ -125,7 +125,7 @@ def sweep(speed: float, lateral: float, duration: float = 26.0, pause: float = 4
 def step(speed: float, lateral: float, hold: float = 4.0, pause: float = 3.0) -> Manoeuvre:
     """Step steer to one side, straight, step steer to the other; each held for `hold` [s], straight for `pause` [s]."""
     parts = ((pause, 0.0, 0.0), (hold, 1.0, 1.0), (pause, 0.0, 0.0), (hold, -1.0, -1.0))
-    return Manoeuvre("step", speed, lateral, Lines(parts), 2 * (hold + pause), rounds=2,
+    return Manoeuvre("step", speed, lateral, PiecewiseLinear(parts), 2 * (hold + pause), rounds=2,
                      meaning=f"steps of steering to both sides at {speed:g} m/s")
 
 
@@ -140,7 +140,8 @@ def brake_in_turn(speed: float, lateral: float, cruise: float = 8.0, braking: fl
     """A circle; braking [m/s^2] at held steering down to a speed [m/s], then power [m/s^2] for `drive` [s]."""
     pedals = ((cruise, 0.0), ((speed - down_to) / braking, -braking), (drive, power))
     period = sum(seconds for seconds, _ in pedals)
-    return Manoeuvre("brake_in_turn", speed, lateral, Lines(((period, 1.0, 1.0),)), period, 2, pedals, follows=True,
+    constant = PiecewiseLinear(((period, 1.0, 1.0),))
+    return Manoeuvre("brake_in_turn", speed, lateral, constant, period, 2, pedals, follows=True,
                      meaning=f"R = {speed**2 / abs(lateral):.0f} m at {abs(lateral):g} m/s^2, braking at {braking:g} "
                              "m/s^2 with the steering wheel held")
 
@@ -154,7 +155,7 @@ def lane_change(speed: float, lateral: float, width: float = 3.5) -> Manoeuvre:
     there = ((quarter, 0.0, 1.0), (2 * quarter, 1.0, -1.0), (quarter, -1.0, 0.0))
     back = tuple((length, -first, -last) for length, first, last in there)
     metres = ((40.0, 0.0, 0.0), *there, (25.0, 0.0, 0.0), *back, (35.0, 0.0, 0.0))
-    shape = Lines(tuple((length / speed, first, last) for length, first, last in metres))
+    shape = PiecewiseLinear(tuple((length / speed, first, last) for length, first, last in metres))
     return Manoeuvre("lane_change", speed, lateral, shape, shape.duration, rounds=2, follows=True,
                      meaning=f"double lane changes at {speed:g} m/s")
 
@@ -183,7 +184,7 @@ def there_and_back(speed: float, lateral: float, straight: float = 10.0, ramp: f
     """Straight [s], a U-turn, straight back, a U-turn: what is fixed in the map, like wind, changes sides."""
     arc = math.pi * speed / abs(lateral) - ramp
     half = ((straight, 0.0, 0.0), (ramp, 0.0, 1.0), (arc, 1.0, 1.0), (ramp, 1.0, 0.0))
-    shape = Lines(half + half)
+    shape = PiecewiseLinear(half + half)
     return Manoeuvre("there_and_back", speed, lateral, shape, shape.duration, follows=True,
                      meaning=f"straight there and straight back at {speed:g} m/s")
 
@@ -194,13 +195,13 @@ def figure_eight(speed: float = 4.0, radius: float = 11.5) -> Manoeuvre:
     arc = math.radians(240.0) * radius - blend
     half = ((straight / 2, 0.0, 0.0), (blend, 0.0, 1.0), (arc, 1.0, 1.0), (blend, 1.0, 0.0), (straight / 2, 0.0, 0.0))
     metres = half + tuple((length, -first, -last) for length, first, last in half)
-    shape = Lines(tuple((length / speed, first, last) for length, first, last in metres))
+    shape = PiecewiseLinear(tuple((length / speed, first, last) for length, first, last in metres))
     return Manoeuvre("S1", speed, speed**2 / radius, shape, shape.duration, follows=True,
                      meaning=f"figure eight at {speed:g} m/s, R = {radius:g} m")
 
 
-def _both_sides(*parts: tuple[float, float, float]) -> Lines:
-    return Lines((*parts, *((length, -first, -last) for length, first, last in parts)))
+def _both_sides(*parts: tuple[float, float, float]) -> PiecewiseLinear:
+    return PiecewiseLinear((*parts, *((length, -first, -last) for length, first, last in parts)))
 
 
 CATALOGUE = (

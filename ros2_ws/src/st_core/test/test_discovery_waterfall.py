@@ -6,7 +6,8 @@ from discovery_drives import COLUMNS, linear_problem, recorded
 from st_core.discovery import DiscoverySettings, Limits, certificate, waterfall
 from st_core.discovery.evidence import screen
 from st_core.discovery.fit import Problem
-from st_core.discovery.following import (
+from st_core.discovery.loss import Errors, Loss
+from st_core.discovery.next_manoeuvre import (
     MIN_SEPARATION,
     catalogue,
     most_informative,
@@ -14,7 +15,6 @@ from st_core.discovery.following import (
     separability,
     separation,
 )
-from st_core.discovery.loss import Errors, Loss
 from st_core.discovery.result import FoundEffect
 from st_core.discovery.space import Space
 from st_core.discovery.windows import Windows

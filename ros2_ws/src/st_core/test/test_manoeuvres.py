@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from st_core import manoeuvres
-from st_core.manoeuvres import CATALOGUE, Lines, Manoeuvre, Sine
+from st_core.manoeuvres import CATALOGUE, Manoeuvre, PiecewiseLinear, Sine
 
 DT = 0.005
 BY_NAME = {m.name: m for m in CATALOGUE}
@@ -67,7 +67,7 @@ def test_both_sides_are_alike(name):
 
 
 def test_lines_and_sine():
-    lines = Lines(((1.0, 0.0, 2.0), (0.0, 5.0, 5.0), (2.0, 1.0, 1.0)))
+    lines = PiecewiseLinear(((1.0, 0.0, 2.0), (0.0, 5.0, 5.0), (2.0, 1.0, 1.0)))
     np.testing.assert_allclose(lines(np.array([0.0, 0.5, 0.999999, 1.0, 2.9, 3.0, 9.0])),
                                [0.0, 1.0, 2.0, 1.0, 1.0, 1.0, 1.0], atol=1e-5)
     assert lines.duration == 3.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
-from st_core.discovery.following import drive
+from st_core.discovery.next_manoeuvre import drive
 from st_core.discovery.windows import Windows, noise_floor
 from st_core.log import DriveLog
 from st_core.manoeuvres import CATALOGUE

@@ -109,7 +109,7 @@ def test_the_verdict_counts_and_says_what_it_means():
 
 
 def test_the_gravest_comes_first():
-    assert sorted((COARSE, MOVED, JUMPS, DEGREES), key=check_report.gravity) == [DEGREES, MOVED, JUMPS, COARSE]
+    assert sorted((COARSE, MOVED, JUMPS, DEGREES), key=check_report.severity_rank) == [DEGREES, MOVED, JUMPS, COARSE]
 
 
 def test_the_terminal_holds_everything_and_obeys_no_name():

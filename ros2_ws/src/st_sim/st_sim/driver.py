@@ -55,8 +55,8 @@ class Driver:
             self._next = time + SAMPLING_TIME
             self._decide(plant, time)
         move = (self._target + self._tremor - self.steering_wheel_angle) * step / HAND_TIME
-        fastest = MAX_HAND_RATE * step
-        self.steering_wheel_angle += min(max(move, -fastest), fastest)
+        max_step = MAX_HAND_RATE * step
+        self.steering_wheel_angle += min(max(move, -max_step), max_step)
 
     def _decide(self, plant: Plant, time: float) -> None:
         s = plant.state

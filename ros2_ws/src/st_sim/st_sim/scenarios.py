@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path as FilePath
 from typing import Any, Protocol
 
-from st_core.manoeuvres import CATALOGUE, Lines, Manoeuvre
+from st_core.manoeuvres import CATALOGUE, Manoeuvre, PiecewiseLinear
 
 from .path import Path, Piece, SpeedProfile, lane_shift, straight, turn
 from .settings import SimulationError, read_document
@@ -119,7 +119,7 @@ def plan_of(manoeuvre: Manoeuvre) -> Plan:
     speed, curvature = manoeuvre.speed, manoeuvre.lateral / manoeuvre.speed**2
     if manoeuvre.pedals:
         return PhasePlan(1 / abs(curvature), 1 if curvature > 0 else -1, speed, _phases(manoeuvre))
-    if manoeuvre.follows and isinstance(manoeuvre.share, Lines):
+    if manoeuvre.follows and isinstance(manoeuvre.share, PiecewiseLinear):
         return RoadPlan([Piece(length * speed, curvature * first, curvature * last, speed)
                          for length, first, last in manoeuvre.share.parts])
     return OpenLoopPlan(manoeuvre)

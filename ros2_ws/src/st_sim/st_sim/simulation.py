@@ -92,9 +92,9 @@ class ControlledCar:
         cornering resistance compensated; drag, slopes and tyre limits are not.
         """
         plant, target = self.plant, road_wheel_angle * self.car.steering_ratio
-        fastest = MAX_HAND_RATE * plant.time_step
+        max_step = MAX_HAND_RATE * plant.time_step
         for _ in range(round(duration / plant.time_step)):
-            self.steering_wheel_angle += min(max(target - self.steering_wheel_angle, -fastest), fastest)
+            self.steering_wheel_angle += min(max(target - self.steering_wheel_angle, -max_step), max_step)
             plant.step(self.steering_wheel_angle, self._drive_force(velocity_x_dot))
             self._count += 1
 

@@ -24,7 +24,7 @@ TRUTH_PERIOD_MS = 10
 STEERING_SCHEDULE, WHEEL_SCHEDULE, GEAR_SCHEDULE = (10, 2), (20, 6), (60, 8)
 INS_CAN_DELAY = 0.0015  # s from the datagram to the first frame on CAN
 EARLY_TOLERANCE = 0.0003  # s. A frame due within this time is sent at once, as exact as on a bus
-LATE_THRESHOLD = 0.005  # s after the deadline, from which on an output counts as late
+LATE_THRESHOLD = 0.005  # s after the deadline; an output beyond it counts as late
 
 
 class Kind(IntEnum):

@@ -53,7 +53,7 @@ def demo(
     options = ["--seed", str(seed), "--ncom-rate", str(ncom_rate)]
     for name, value in (("--drive", drive and drive.absolute()), ("--scenario", scenario), ("--plant", plant)):
         options += [name, str(value)] if value else []
-    # The car drives on while the predictor stops, so that no tick at the end goes without inputs.
+    # The car drives on while the predictor stops, so that every tick up to the end has inputs.
     options += ["--duration", str(duration + RUN_ON_TIME)] if duration else []
     options += [word for e in effect for word in ("--effect", e)]
     with shared.report_errors("demo", SuiteError):

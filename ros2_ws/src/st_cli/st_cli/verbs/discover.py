@@ -29,15 +29,15 @@ class WithReferences(TyperCommand):
 
 
 def expand_references(words: Sequence[str]) -> list[str]:
-    """Every path after --reference as one of it, up to the next option."""
+    """The arguments with --reference before each path that follows it, up to the next option."""
     found: list[str] = []
-    taken = -1  # number of paths of the open list; -1: no open list
+    count = -1  # of the paths after --reference; -1: not after it
     for word in words:
         if word.startswith("-"):
-            taken = 0 if word == REFERENCE else -1
-        elif taken >= 0:
-            found += [REFERENCE] if taken else []
-            taken += 1
+            count = 0 if word == REFERENCE else -1
+        elif count >= 0:
+            found += [REFERENCE] if count else []
+            count += 1
         found.append(word)
     return found
 
@@ -52,7 +52,7 @@ def discover(
     base: str = typer.Option("nonlinear", help="kinematic, linear, nonlinear, or a model file (.yaml)."),
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/discover-<time>."),
     channels: str = typer.Option(",".join(CHANNELS), help="Measurements to use, separated by commas."),
-    effects: Path | None = typer.Option(None, help="Folder of your own effects that take part.", exists=True,
+    effects: Path | None = typer.Option(None, help="Folder of your own effects to include.", exists=True,
                                         file_okay=False),
     certify: bool = typer.Option(
         False, "--certify", help="Measure power and false alarms: one step of the search on simulated drives, with "
@@ -60,17 +60,17 @@ def discover(
     ),
     propose: bool | None = typer.Option(
         None, "--propose/--no-propose", help="Search for a relation beyond the library, and write it as an effect file "
-        "to keep or delete; default: if much is left unexplained. Takes a minute."
+        "to keep or delete; default: if the unexplained residual is large. Takes a minute."
     ),
     seed: int = typer.Option(0, help="Seed of all random draws."),
     jobs: int = typer.Option(1, help="Number of parallel processes.", min=1),
     figures: str = typer.Option("png", help="Formats of the figure files: png, pdf; empty: none."),
     report: bool = typer.Option(True, help="Draw figures and report; otherwise write numbers, model and vehicle only."),
     force: bool = typer.Option(False, "--force", help="Also use runs in which `st check` finds an error."),
-    fresh: bool = typer.Option(False, "--fresh", help="Search again, also if the same inputs have a cached result."),
+    fresh: bool = typer.Option(False, "--fresh", help="Search again, even if the same inputs have a cached result."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
-    """Find what is missing from vehicle file, sensors and model, write it into new files, show the error it removes.
+    """Find errors of vehicle file, sensors and model; write corrected files and the reduction of the prediction error.
 
     Exit status: 0 the answer uses all runs, 1 some could not be used, 2 the search could not be started.
     """

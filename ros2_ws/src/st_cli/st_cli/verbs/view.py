@@ -38,8 +38,8 @@ def view(
             report_default_car_of_bag("view", recording, vehicle)
             file = save or Path(name, "view.rrd")
             with console.status("drawing"):
-                pictures = draw(recording, file, vehicle)
-            console.print(f"{pictures} pictures of {recording.name}", highlight=False)
+                frames = draw(recording, file, vehicle)
+            console.print(f"{frames} frames of {recording.name}", highlight=False)
         elif save:
             raise SuiteError(f"--save {save}: {recording} is a saved view already")
         if not save:

@@ -210,7 +210,7 @@ def _check_yaw_lag(motion: Motion, found: Agreement | None) -> tuple[Motion, lis
     if not position.positions_confirm_yaw_lag(motion, corrected, late.value):
         return motion, []
     effect = abs(late.value) * float(np.std(motion.yaw_rate)) * float(np.median(motion.speed)) * HORIZON
-    severity = LIMITS.severity(effect, abs(late.value) >= LIMITS.grave_lag)
+    severity = LIMITS.severity(effect, abs(late.value) >= LIMITS.severe_lag)
     value = float(f"{late.value:.4g}")
     text = f"yaw {'lags' if value > 0.0 else 'leads'} yaw rate and positions by {inertial.format_magnitude(late)} s"
     return corrected, [Finding("yaw_lag", severity, ("yaw",), text, late.value, "s", late.interval, effect=effect,

@@ -11,7 +11,7 @@ SCHEMA = 1  # of check.json; keys are added, never renamed, within a number
 
 
 class Severity(StrEnum):
-    """How grave a finding is. error: an evaluation would be meaningless; warning: biased; note: harmless here."""
+    """Severity of a finding. error: an evaluation would be meaningless; warning: biased; note: harmless here."""
 
     ERROR = "error"
     WARNING = "warning"
@@ -125,7 +125,7 @@ class Identity:
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """Result of a check: findings, the gravest first; channels by name; identities in the order they were judged.
+    """Result of a check: findings, the most severe first; channels by name; identities in the order they were judged.
 
     estimates: (value, low, high), 95 %, of every quantity measured, by the name of the finding it would be.
     """
@@ -203,9 +203,9 @@ class Limits:
     error: float = 5.0  # m; as wrong as a model that drives straight on in a bend of 250 m at 10 m/s
     unit: float = 1.33  # factor beyond which a ratio is a unit, a sign or an axis, not a calibration
     channel_unit: float = 2.0  # the same for accelerometers and wheels, which roll and tyres change more
-    settling: float = 0.2  # s, for which a model remembers a wrong start of its yaw rate
+    settling: float = 0.2  # s, in which an error of a model's initial yaw rate decays
     lag: float = 0.015  # s; a smaller one is filtering inside a sensor
-    grave_lag: float = 0.05  # s; from here on it would pass for a delay of the steering
+    severe_lag: float = 0.05  # s; a larger one would be mistaken for a steering delay
     correlation: float = 0.6  # below it two estimates of a quantity are not compared
     bias_acceleration: float = 0.1  # m/s^2; 0.6 deg of mounting or road
     tyre: float = 13.0  # m/s^2; no road tyre gives more
@@ -216,11 +216,11 @@ class Limits:
     mounting: float = 0.25  # m; accuracy of a tape measure
     heading: float = 0.002  # rad; 0.1 deg, accuracy of a dual antenna
 
-    def severity(self, effect: float, grave: bool = False) -> Severity:
-        """Severity of an effect on the position after 5 s [m]; grave: at least a warning."""
+    def severity(self, effect: float, severe: bool = False) -> Severity:
+        """Severity of an effect on the position after 5 s [m]; severe: at least a warning."""
         if effect >= self.error:
             return Severity.ERROR
-        return Severity.WARNING if grave or effect >= self.warning else Severity.NOTE
+        return Severity.WARNING if severe or effect >= self.warning else Severity.NOTE
 
 
 LIMITS = Limits()

@@ -23,10 +23,10 @@ class Tolerances:
     """Smallest reported errors of a channel.
 
     against: name of the reference. unit: of the channel. lag [s], bias [unit]: smallest that are reported; scale:
-    smallest deviation from 1. grave: (lag, scale, bias) from which on the finding is a warning whatever its effect on a
+    smallest deviation from 1. severe: (lag, scale, bias) above which the finding is a warning whatever its effect on a
     prediction, since identification and discovery use the channel too. position_effect: shift of the position after 5 s
-    per unit of error [m]. correlation: below which only the lag is judged. min_spread: standard deviation of the
-    channel below which no lag is reported [unit]. factors: names of units by their factor. causes: possible ones of a
+    per unit of error [m]. correlation: only the lag is judged below it. min_spread: no lag is reported for a smaller
+    standard deviation of the channel [unit]. factors: names of units by their factor. causes: possible ones of a
     bias, as text.
     """
 
@@ -36,7 +36,7 @@ class Tolerances:
     lag: float
     scale: float
     bias: float
-    grave: tuple[float, float, float]
+    severe: tuple[float, float, float]
     position_effect: float = 0.0
     min_spread: float = 0.0
     correlation: float = LIMITS.correlation
@@ -55,7 +55,7 @@ def judge_agreement(found: Agreement | None, tolerances: Tolerances, removed_sca
                and found.spread >= tolerances.min_spread)
     late = [_lag_finding(found, lag, tolerances)] if is_late else []
     estimates = {f"{name}_lag": lag} if found.determines_lag else {}
-    if abs(found.correlation) < tolerances.correlation:  # noise of either falsifies the scale and the bias, not the lag
+    if abs(found.correlation) < tolerances.correlation:  # noise affects scale and bias, not the lag
         return late, estimates
     estimates |= {f"{name}_scale": scale.scaled(removed_scale)}
     estimates |= {f"{name}_bias": bias} if bias.deviation else {}  # 0: none was fitted
@@ -69,7 +69,7 @@ def judge_agreement(found: Agreement | None, tolerances: Tolerances, removed_sca
     elif (abs(scale.value - 1.0) >= tolerances.scale and scale.shifted(-1.0).significant and not explained_by_noise):
         text = f"{name} is {format_estimate(scale)} times its value from {tolerances.against}"
         findings.append(_make_finding("scale", text, scale, "1", abs(scale.value - 1.0) * found.spread, tolerances,
-                                      {"scale": 1.0 / scale.value}, abs(scale.value - 1.0) >= tolerances.grave[1]))
+                                      {"scale": 1.0 / scale.value}, abs(scale.value - 1.0) >= tolerances.severe[1]))
     # A scale that is reported is divided out before the bias is subtracted.
     divisor = scale.value if findings else 1.0
     findings += late
@@ -79,7 +79,7 @@ def judge_agreement(found: Agreement | None, tolerances: Tolerances, removed_sca
         unit = tolerances.unit.replace("^2", "²")
         text = f"{name} is {format_magnitude(bias)} {unit} too {side} against {tolerances.against}{tolerances.causes}"
         findings.append(_make_finding("bias", text, bias, tolerances.unit, error, tolerances,
-                                      {"add": -bias.value / divisor}, error >= tolerances.grave[2]))
+                                      {"add": -bias.value / divisor}, error >= tolerances.severe[2]))
     return findings, estimates
 
 
@@ -90,7 +90,7 @@ def _lag_finding(found: Agreement, lag: Estimate, tolerances: Tolerances) -> Fin
     if abs(found.correlation) < tolerances.correlation:
         text += f"; their correlation is only {abs(found.correlation):.2f}, so scale and bias are not judged"
     return _make_finding("lag", text, lag, "s", abs(lag.value) * rate, tolerances, {"earlier": lag.value},
-                         abs(lag.value) >= tolerances.grave[0])
+                         abs(lag.value) >= tolerances.severe[0])
 
 
 def format_estimate(estimate: Estimate) -> str:
@@ -108,11 +108,11 @@ def format_alternative_lags(found: Agreement, response: float = 0.0) -> str:
     """Other lags that fit equally well, as text; response: lag of the car, added to them [s]."""
     others = sorted(lag + response for lag in found.other_lags)
     text = " or ".join(f"{'lags' if lag > 0.0 else 'leads'} by {abs(lag):.2f} s" for lag in others)
-    return f" (or {text}: the drive repeats itself, and that fits as well)" if text else ""
+    return f" (or {text}, which fits equally well: the drive repeats itself)" if text else ""
 
 
 def _unit_factor(scale: float, tolerances: Tolerances) -> float | None:
-    """The unit or sign that a scale is, the scale itself where it is far from 1 and none of them, None near 1."""
+    """The factor of a unit or sign that explains a scale; the scale itself if none does; None if it is near 1."""
     if 1.0 / LIMITS.channel_unit < scale < LIMITS.channel_unit:
         return None
     factors = [sign * factor for factor in (1.0, *tolerances.factors) for sign in (1.0, -1.0)][1:]
@@ -130,11 +130,11 @@ def _unit_finding(scale: Estimate, factor: float, tolerances: Tolerances) -> Fin
 
 
 def _make_finding(kind: str, text: str, estimate: Estimate, unit: str, error: float, tolerances: Tolerances,
-                  correct: dict[str, float], grave: bool) -> Finding:
+                  correct: dict[str, float], severe: bool) -> Finding:
     """error: resulting error of the channel, root mean square [unit]."""
     effect = error * tolerances.position_effect
     (key, value), = correct.items()
-    return Finding(f"{tolerances.channel}_{kind}", LIMITS.severity(effect, grave), (tolerances.channel,), text,
+    return Finding(f"{tolerances.channel}_{kind}", LIMITS.severity(effect, severe), (tolerances.channel,), text,
                    estimate.value, unit, estimate.interval, (), effect if tolerances.position_effect else None,
                    _advice(tolerances.channel, key, float(f"{value:.5g}")))
 
@@ -142,7 +142,7 @@ def _make_finding(kind: str, text: str, estimate: Estimate, unit: str, error: fl
 def _advice(channel: str, key: str, value: float) -> Advice:
     """Correction of a channel; for wheel speeds and a second INS output, which a run.yaml cannot correct, a hint."""
     if channel in ("wheel_speed", "ins_speed"):
-        return Advice("look", "look at the source of it: unit, wheel radius, clock")
+        return Advice("look", "check its source: unit, wheel radius, clock")
     return Advice.correct(channel, **{key: value})
 
 
@@ -163,7 +163,7 @@ GYRO_BIAS = 0.001  # rad/s; a faultless INS has half of it
 ACCELERATION_SCALE = 0.35  # 1; roll and pitch of the body change it by up to a third
 ACCELERATION_LAG = 0.12  # s; filters of accelerometers take up to 0.1 s
 LEVER = 1.5  # m between accelerometer and INS point
-GRAVE_ACCELERATION = 0.3  # m/s^2; a road's crossfall of 2.5 % is 0.25
+SEVERE_ACCELERATION = 0.3  # m/s^2; a road's crossfall of 2.5 % is 0.25
 SPEED_SPREAD = 0.5  # m/s; at one speed only slip and noise would be compared
 WHEEL_LAG = 0.15  # s; wheel speeds are averaged over some revolutions
 FACTORS = {1.0 / G: "g"}
@@ -174,17 +174,18 @@ Comparison = tuple[list[Finding], dict[str, Estimate], Identity | None]
 
 
 def compare_yaw_rate(motion: Motion) -> tuple[Agreement | None, Tolerances]:
-    """Yaw rate against the change of yaw. A model forgets a wrong start of its yaw rate within the settling time."""
+    """Yaw rate against the change of yaw. An error of the initial yaw rate decays within the settling time of a model.
+    """
     position_effect = LIMITS.settling * float(np.median(np.abs(motion.velocity_x))) * HORIZON
     found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, GYRO_CUTOFF, True)
     return found, Tolerances("yaw_rate", "yaw", "rad/s", LIMITS.lag, GYRO_SCALE, GYRO_BIAS,
-                           (LIMITS.grave_lag, 0.03, 0.01), position_effect, correlation=GYRO_CORRELATION)
+                           (LIMITS.severe_lag, 0.03, 0.01), position_effect, correlation=GYRO_CORRELATION)
 
 
 def yaw_rate_lag(motion: Motion) -> float:
     """Lag of the yaw rate behind yaw [s] that hides their agreement; 0 where they agree without it."""
     found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, ACCELERATION_CUTOFF, True)
-    if found is None or not (found.is_late and found.lag.significant) or abs(found.lag.value) < LIMITS.grave_lag:
+    if found is None or not (found.is_late and found.lag.significant) or abs(found.lag.value) < LIMITS.severe_lag:
         return 0.0
     # A yaw rate of the opposite sign also fits half a period later.
     hidden = abs(found.correlation_without_lag) < found.correlation - 0.05
@@ -229,7 +230,7 @@ def check_accelerations(motion: Motion) -> list[Comparison]:
     for name, found in agreements.items():
         lateral = name == "acceleration_y"
         tolerances = Tolerances(name, "velocity and yaw rate" if lateral else "velocity", "m/s^2", lags[name],
-                            ACCELERATION_SCALE, LIMITS.bias_acceleration, (0.0, 0.0, GRAVE_ACCELERATION),
+                            ACCELERATION_SCALE, LIMITS.bias_acceleration, (0.0, 0.0, SEVERE_ACCELERATION),
                             factors=FACTORS, causes=": mounted askew, or the road is not level?")
         title = f"{'lateral' if lateral else 'forward'} acceleration: sensor against velocity"
         comparisons.append((*judge_agreement(found, tolerances), agreement_panel(found, tolerances, title)))

@@ -253,7 +253,7 @@ def _make_finding(name: str, cause: Estimate, problem: Regression) -> Finding:
         degrees=np.rad2deg(abs(reported.value)), side="left" if positive else "right",
         lag="lag" if positive else "lead", ahead="ahead of" if positive else "behind",
         grows="grows" if positive else "shrinks", high="high" if positive else "low")
-    severity = LIMITS.severity(effect, UNIT.get(name) == "s" and abs(cause.value) >= LIMITS.grave_lag)
+    severity = LIMITS.severity(effect, UNIT.get(name) == "s" and abs(cause.value) >= LIMITS.severe_lag)
     return Finding(name, severity, CHANNELS[name], text, reported.value, UNIT.get(name, "1"),
                    reported.interval, (), effect, _advice(name, reported.value))
 

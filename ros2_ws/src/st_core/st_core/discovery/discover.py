@@ -20,9 +20,9 @@ from .clocks import MAX_CLOCK_DEVIATION, apply_clock_corrections, clock_correcti
 from .decision import Rival
 from .evidence import Evidence, Joint, joint, library_p_value, share_of
 from .fit import Fit, Problem
-from .following import Catalogue, catalogue, most_informative, next_manoeuvre, separability
 from .levels import Level, levels, sites
 from .loss import Errors, Loss
+from .next_manoeuvre import Catalogue, catalogue, most_informative, next_manoeuvre, separability
 from .reference import learn
 from .result import (
     Assumed,

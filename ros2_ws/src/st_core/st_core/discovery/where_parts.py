@@ -31,7 +31,7 @@ FORWARD_ACCELERATION = (-math.inf, -2.0, -0.7, 0.7, 2.0)  # m/s^2
 MIN_TURNING = 0.5  # m/s^2; below that a stretch is straight
 MIN_BLOCKS = 4  # of a bin with an interval
 FALSE_DISCOVERY_RATE = 0.05  # among the significant bins
-MIN_FLOOR_RATIO = 1.25  # error over the floor from which a bin is relevant
+MIN_FLOOR_RATIO = 1.25  # error of a relevant bin over the floor
 
 CELL_SIZE = 20.0  # m, side of a cell of the map
 MIN_PART_DURATION = 8.0  # s, of a part between change points

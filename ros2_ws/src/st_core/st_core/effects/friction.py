@@ -9,7 +9,7 @@ from ._base import Effect, Parameter, register
 class Friction(Effect):
     name = "friction"
     physics = "peak force D = factor D on both axles, cornering stiffness unchanged"
-    excited_by = "driving to the limit; nothing shows it below 0.5 g"
+    excited_by = "driving to the limit; not observable below 0.5 g"
     kind, slot = "vehicle parameters", "both axles"
     twins = ("lateral_load_transfer", "front_stiffness", "rear_stiffness")
     at_peak_force = True

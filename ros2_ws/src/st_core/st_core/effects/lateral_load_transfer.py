@@ -3,7 +3,7 @@
     dF = share m a_y h / track, split between the axles;   F = F(F_z / 2 + dF) + F(F_z / 2 - dF) of two tyres
 
 a_y = (F_f + F_r) / m of the forces without the transfer. The difference to two equally loaded tyres is added to the
-axle force. The forces of the steered wheels also differ along the car, the outer one backwards:
+axle force. With steered wheels, the difference also has a component along the car, backwards at the outer wheel:
 
     M_z = -track / 2 sin delta (F_outer - F_inner) of the front axle, against the turn
 
@@ -26,9 +26,9 @@ class Car(NamedTuple):
     load_transfer_front: float
 
 
-def tyre_pair(slip, load, moved, tyre):
-    """(outer, inner) tyre force [N] with `moved` [N] shifted from the inner of two loads [N] to the outer."""
-    return tyre_force(slip, load + moved, tyre), tyre_force(slip, load - moved, tyre)
+def tyre_pair(slip, load, transfer, tyre):
+    """(outer, inner) tyre force [N] with `transfer` [N] shifted from the inner of two loads [N] to the outer."""
+    return tyre_force(slip, load + transfer, tyre), tyre_force(slip, load - transfer, tyre)
 
 
 @register
@@ -36,7 +36,7 @@ class LateralLoadTransfer(Effect):
     name = "lateral_load_transfer"
     physics = ("F = F(F_z/2 + dF) + F(F_z/2 - dF) per axle, dF = share m a_y h / track; "
                "M_z = -track/2 sin(delta) dF_y of the front")
-    excited_by = "cornering to the limit, transients; nothing shows it below 0.4 g"
+    excited_by = "cornering to the limit, transients; not observable below 0.4 g"
     kind, slot = "physics", "both axles"
     twins = ("friction", "front_stiffness", "rear_stiffness")
     applies_to = frozenset(("nonlinear",))  # a linear tyre has no dependence on load
@@ -61,9 +61,9 @@ class LateralLoadTransfer(Effect):
     def axle_forces(forces, slip_front, slip_rear, at, given, theta):
         front, rear = forces(slip_front, slip_rear, at)
         car, track, part = theta.car.tyres, theta.car.track_width, theta.car.load_transfer_front
-        moved = theta.share * (front + rear) * car.cg_height / track
-        outer, inner = tyre_pair(slip_front, given[0], part * moved, car.tyre_front)
-        outer_rear, inner_rear = tyre_pair(slip_rear, given[1], (1.0 - part) * moved, car.tyre_rear)
+        transfer = theta.share * (front + rear) * car.cg_height / track
+        outer, inner = tyre_pair(slip_front, given[0], part * transfer, car.tyre_front)
+        outer_rear, inner_rear = tyre_pair(slip_rear, given[1], (1.0 - part) * transfer, car.tyre_rear)
         couple = 0.5 * track * (outer - inner) / (car.cg_to_front_axle + car.cg_to_rear_axle)
         # The equations of motion take the front force times cos delta.
         return (front + outer + inner - 2.0 * tyre_force(slip_front, given[0], car.tyre_front)

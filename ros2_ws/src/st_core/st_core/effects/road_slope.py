@@ -22,7 +22,7 @@ def gradient(at, theta):
 class RoadSlope(Effect):
     name = "road_slope"
     physics = "a_y = -g (sin(slope_y) cos(yaw) - sin(slope_x) sin(yaw)) on the car, not measured by an accelerometer"
-    excited_by = "the same place in two directions, with an accelerometer: wind is measured and grows with speed"
+    excited_by = "the same place in two directions, with an accelerometer, which measures wind but not a slope"
     kind, slot = "surroundings", "body"
     twins = ("crosswind", "road_bank", "steering_offset")
     parameters = (

@@ -11,7 +11,7 @@ from ._base import ANY, Effect, Parameter, register
 class SteeringMap(Effect):
     name = "steering_map"
     physics = "delta = delta_measured (1 + curvature delta_measured^2): > 0 a more direct ratio at large angles"
-    excited_by = "large angles, so slow and tight turns, next to small ones; below 0.1 rad nothing shows it"
+    excited_by = "large angles, so slow and tight turns, next to small ones; not observable below 0.1 rad"
     kind, slot = "physics", "steering"
     twins = ("steering_ratio",)
     applies_to = ANY

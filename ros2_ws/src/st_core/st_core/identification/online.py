@@ -117,7 +117,7 @@ def _missing_fit(vehicle: VehicleParameters, problem: str) -> OnlineFit:
 
 
 class OnlineIdentifier:
-    """Estimates from samples in order of time. The fit between `snapshot` and `take` may run in another thread."""
+    """Estimates from samples in order of time. The fit between `snapshot` and `store_fit` may run in another thread."""
 
     def __init__(self, vehicle: VehicleParameters):
         self.reset(vehicle)
@@ -171,11 +171,11 @@ class OnlineIdentifier:
         return DriveLog("recent driving", times, x, y, np.unwrap(yaw), velocity_x, velocity_y, yaw_rate,
                         steering_times, self.vehicle.road_wheel_angle(angle), angle), self.vehicle
 
-    def take(self, fit: OnlineFit) -> None:
+    def store_fit(self, fit: OnlineFit) -> None:
         """Store the result of a fit to a snapshot."""
         self._fit = fit
 
-    def tracked(self) -> tuple[Tracked, ...]:
+    def estimates(self) -> tuple[Tracked, ...]:
         """Current estimate of each parameter, with the reason where it is not estimated."""
         missing, implausible = self._missing_driving(), self._implausible_values()
         estimates = []
@@ -213,7 +213,7 @@ class OnlineIdentifier:
         filled = sum(time >= 5.0 for time in s.speeds)
         needs = {
             "steering_wheel_offset": [(s.used, 10.0, "driving"), (max(s.straight, bends), 5.0, "straights")],
-            # At one speed a ratio is a change of front stiffness.
+            # At a single speed, ratio and front stiffness are not separable.
             "steering_ratio": [(s.left, 5.0, "left bends"), (s.right, 5.0, "right bends"),
                                (filled, 2, "speeds, 5 s each")],
             "stiffness_scale": [(s.loaded_left, 3.0, "left bends above 1.5 m/s^2"),
@@ -227,7 +227,7 @@ class OnlineIdentifier:
         fit, (offset, ratio, scale) = self._fit, self._fit.values
         if fit.unexplained > MAX_UNEXPLAINED:
             return dict.fromkeys(NAMES, f"the model leaves {100 * fit.unexplained:.0f} % of the yaw rate unexplained: "
-                                        "another road, load or sensor than the equations describe")
+                                        "road, load or a sensor differ from the assumptions of the model")
         reasons = {}
         if abs(offset) > MAX_OFFSET:
             reasons[NAMES[0]] = f"{math.degrees(offset):.0f} deg is beyond 45 deg"

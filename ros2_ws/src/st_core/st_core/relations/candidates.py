@@ -88,8 +88,7 @@ class Candidate:
 
     @property
     def changes_sides(self) -> bool:
-        """Whether its sign changes with left and right exchanged, as it acts to the same side in left and right
-        turns."""
+        """Whether it acts to the same side in left and right turns, so that its sign changes in a mirrored drive."""
         return self.parity == NEITHER and not self.factor and not self.term.endswith("_grip")
 
     @property
@@ -99,7 +98,7 @@ class Candidate:
         return f"{unit} per {QUANTITIES[self.factor]}" if self.factor else unit
 
     @property
-    def usual(self) -> float:
+    def usual_size(self) -> float:
         """Usual size of the curve [unit]."""
         return USUAL_SIZES[self.term] / (FACTORS[self.factor] if self.factor else 1.0)
 
@@ -108,7 +107,7 @@ class Candidate:
         """Fixed parameters of the effect."""
         terms = ("front_grip", "rear_grip") if self.term == "both_grip" else (self.term,)
         known = {"low": self.low, "spacing": (self.high - self.low) / INTERVALS, "parity": self.parity,
-                 **{f"to_{term}": self.usual for term in terms}}
+                 **{f"to_{term}": self.usual_size for term in terms}}
         for quantity, weight in ((self.quantity, "in"), (self.factor, "by")):
             if quantity in MEMORY:
                 source, kind, tau = MEMORY[quantity]
@@ -121,7 +120,7 @@ class Candidate:
         """(COUNT, ...) splines of the curve [its unit] at u [unit of the quantity], of which the curve is a linear
         combination."""
         t, s = ((np.clip(v, self.low, self.high) - self.low) * INTERVALS / (self.high - self.low) for v in (u, -u))
-        return self.usual * np.stack([bump(t - k) + self.parity * bump(s - k) for k in range(-1, COUNT - 1)])
+        return self.usual_size * np.stack([bump(t - k) + self.parity * bump(s - k) for k in range(-1, COUNT - 1)])
 
 
 def run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:

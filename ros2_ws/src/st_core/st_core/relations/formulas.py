@@ -14,7 +14,7 @@ from .relation_fit import RelationFit, RelationFits
 MAX_FORMULAS, POINTS = 3, 61
 MIN_EXPLAINED = 0.5  # of the gain of the curve, by its quadratic; shapes with less are not considered
 MIN_EXPLAINED_MORE = 1e-3  # of the gain of the curve, by which a shape with more numbers must exceed one with fewer
-FULL_SHARE = 0.98  # of the gain of the best shape, from which a simpler one is preferred
+FULL_SHARE = 0.98  # of the gain of the best shape; a simpler one with more is preferred
 NEAR_SHARE = 0.9  # the same, if its held-out loss is not significantly higher
 MIN_KEPT_GAIN = 0.9  # of the held-out gain of the curve that a formula keeps, simulated in its place
 MAX_RANGE = 2.0  # largest formula over the largest curve within the driven range

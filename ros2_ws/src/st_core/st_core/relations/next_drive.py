@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..discovery.following import MIN_SEPARATION, REPETITIONS, simulated
 from ..discovery.loss import Errors, Loss
+from ..discovery.next_manoeuvre import MIN_SEPARATION, REPETITIONS, simulated
 from ..discovery.windows import Windows
 from ..effects._law import COUNT
 from ..manoeuvres import Manoeuvre
@@ -14,7 +14,7 @@ from ..regression import ridge
 from .candidates import ODD, Candidate, driven_quantities
 from .relation_fit import RIDGE, RelationFit, RelationFits
 
-MIN_IMPROVEMENT = 1.3  # factor on separation or precision, from which a manoeuvre is suggested
+MIN_IMPROVEMENT = 1.3  # factor on separation or precision; a manoeuvre with less is not suggested
 SPARSE = 0.1  # density over that of uniform driving, below which a range is sparsely driven
 INDEPENDENT_OF_MANOEUVRE = ("run_time", "position_x", "position_y", "north", "east")  # independent of the manoeuvre
 Range = tuple[float, float]

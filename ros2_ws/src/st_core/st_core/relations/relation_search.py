@@ -19,7 +19,7 @@ from .selection import RunShares, Screened
 
 MIN_BLOCKS = 10  # for a curve of eight coefficients
 MAX_DETECTABLE = 3.0  # usual sizes; model terms with a larger detection limit are reported as not examined
-MUCH_WORSE = 1.25  # ratio of a run's held-out error with and without the relation, from which the headline reports it
+MIN_REPORTED_RATIO = 1.25  # held-out error of a run with the relation over that without; smaller rises are not reported
 MEASURED_BY = {"sensor_yaw_rate": ("yaw_rate",), "sensor_acceleration_y": ("acceleration_y",),
                "sensor_velocity_y": ("velocity_y",), "sensor_heading": ("yaw",)}
 STEERING_TIMING = ("steering_rate", "lagging_steering")
@@ -33,8 +33,8 @@ class Relation:
     candidate: the model term that it modifies (steering, axle force or grip, yaw moment, side force, a sensor), and the
     quantity it depends on. coefficients: (8,) of the splines. at: (k,) values of the quantity; value, deviation: (k,)
     the curve there and its standard deviation [unit of the term]; density: (k,) share of the driving near each. gain
-    [1]: reduction of the held-out loss per scored error. chance [1]: p-value, the probability that any candidate gains
-    as much without a real effect. position_5s [m]: held-out (without, with); runs: the same by run. model: everything
+    [1]: reduction of the held-out loss per scored error. p_value [1]: probability that any candidate gains as much
+    without a real effect. position_5s [m]: held-out (without, with); runs: the same by run. model: everything
     else, at the values fitted with the relation. others: equally good relations, with the cosine similarity of their
     effects [1]. formulas: closed forms that retain the curve's gain in simulation, best first. shares: its size by run.
     redundant: effects of the result that the relation replaces, with the share of the residual [1] that returns if the
@@ -58,9 +58,9 @@ class Relation:
     redundant: Mapping[str, float] = field(default_factory=dict)
     drives: NextDrives = field(default_factory=NextDrives)
 
-    def much_worse(self) -> dict[str, tuple[float, float]]:
-        """Runs in which the held-out position error rises by a quarter or more: (without, with) [m]."""
-        return {name: pair for name, pair in self.runs.items() if pair[1] >= MUCH_WORSE * pair[0]}
+    def worse_runs(self) -> dict[str, tuple[float, float]]:
+        """Runs in which the held-out position error rises to MIN_REPORTED_RATIO or more: (without, with) [m]."""
+        return {name: pair for name, pair in self.runs.items() if pair[1] >= MIN_REPORTED_RATIO * pair[0]}
 
 
 @dataclass(frozen=True)
@@ -123,20 +123,20 @@ def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehiclePa
     if not screened:
         return RelationSearch(None, "no candidate relation changes a prediction of these drives: turn to both sides, "
                               "accelerate and brake, at several speeds", {})
-    return _selected(screened, fits, without, vehicle, settings, [e.name for e in found.effects], reported, tick)
+    return _select(screened, fits, without, vehicle, settings, [e.name for e in found.effects], reported, tick)
 
 
-def _selected(screened: Sequence[Screened], fits: RelationFits, without: RelationFit, vehicle: VehicleParameters,
-              settings: DiscoverySettings, stated: Sequence[str], reported: Collection[tuple[str, str]],
-              tick: Callable[[], None]) -> RelationSearch:
+def _select(screened: Sequence[Screened], fits: RelationFits, without: RelationFit, vehicle: VehicleParameters,
+            settings: DiscoverySettings, stated: Sequence[str], reported: Collection[tuple[str, str]],
+            tick: Callable[[], None]) -> RelationSearch:
     """The best significant candidate, or the reason for none. stated: names of the answer's effects."""
     limits, number = settings.limits, fits.loss.scored_count
-    chances = selection.p_values(screened, fits.blocks)
-    tried = {s.candidate.name: (s.gain / number, chances[s.candidate.name])
+    p_values = selection.p_values(screened, fits.blocks)
+    tried = {s.candidate.name: (s.gain / number, p_values[s.candidate.name])
              for s in sorted(screened, key=lambda s: -s.gain)}
     level = limits.false_alarm / len(screened)
     detection_limits = {s.candidate.name: s.detectable(level, fits.blocks) for s in screened}
-    significant = sorted((s for s in screened if chances[s.candidate.name] <= limits.false_alarm),
+    significant = sorted((s for s in screened if p_values[s.candidate.name] <= limits.false_alarm),
                          key=lambda s: -s.gain)
     if not significant:
         name, (gain, chance) = next(iter(tried.items()))
@@ -144,23 +144,24 @@ def _selected(screened: Sequence[Screened], fits: RelationFits, without: Relatio
                               f"{gain:.3f} per scored error, p = {chance:.2g} over all candidates; "
                               f"p < {limits.false_alarm:g} is required", tried, detection_limits)
     explained = {one: finding for one in significant if (finding := _reported(one.candidate, reported))}
-    fitted, accepted, against = _fitted([s for s in significant if s not in explained], fits, without, vehicle, limits,
-                                        tick)
+    fitted, accepted, against = _fit_candidates([s for s in significant if s not in explained], fits, without, vehicle,
+                                                limits, tick)
     against |= {one: f"{one.candidate.name} is significant, but st check reports the sensor itself: {finding}. Correct "
                      "that first and search again" for one, finding in explained.items()}
     if not accepted:
         first = next(one for one in significant if one in against)
         return RelationSearch(None, against[first], tried, detection_limits)
     best = selection.best_of(accepted, limits.relevant * number)
-    relation, why = _described(best, fitted, without, fits, chances, settings, vehicle, stated)
+    relation, why = _make_relation(best, fitted, without, fits, p_values, settings, vehicle, stated)
     return RelationSearch(relation, why, tried, detection_limits)
 
 
 Fitted = dict[Screened, RelationFit]
 
 
-def _fitted(significant: Sequence[Screened], fits: RelationFits, without: RelationFit, vehicle: VehicleParameters,
-            limits: Limits, tick: Callable[[], None]) -> tuple[Fitted, Fitted, dict[Screened, str]]:
+def _fit_candidates(significant: Sequence[Screened], fits: RelationFits, without: RelationFit,
+                    vehicle: VehicleParameters, limits: Limits,
+                    tick: Callable[[], None]) -> tuple[Fitted, Fitted, dict[Screened, str]]:
     """(candidates with an acceptable curve, those of them that are large enough, reasons against the others), fitted by
     simulation."""
     fitted: Fitted = {}
@@ -172,9 +173,9 @@ def _fitted(significant: Sequence[Screened], fits: RelationFits, without: Relati
         fit = fits.fit(one.candidate, without, one.smooth)
         name, after = one.candidate.name, selection.held_out_positions(fits, fit)
         wrong = selection.rejected_curve(fits, fit, vehicle) or selection.harmful(fits, name, before, after, limits)
-        little = selection.too_small(fits, one.candidate, without.held_out - fit.held_out, before - after, limits)
-        if wrong or little:
-            against[one] = wrong or little
+        small = selection.too_small(fits, one.candidate, without.held_out - fit.held_out, before - after, limits)
+        if wrong or small:
+            against[one] = wrong or small
         else:
             accepted[one] = fit
         if not wrong:
@@ -200,9 +201,9 @@ def _too_short(windows: RunWindows, settings: DiscoverySettings) -> str:
     return ""
 
 
-def _described(best: Screened, fitted: Fitted, without: RelationFit, fits: RelationFits, chances: Mapping[str, float],
-               settings: DiscoverySettings, vehicle: VehicleParameters,
-               stated: Sequence[str]) -> tuple[Relation, str]:
+def _make_relation(best: Screened, fitted: Fitted, without: RelationFit, fits: RelationFits,
+                   p_values: Mapping[str, float], settings: DiscoverySettings, vehicle: VehicleParameters,
+                   stated: Sequence[str]) -> tuple[Relation, str]:
     """The relation with everything reported of it, and a sentence on its gain."""
     fit, limits, c = fitted[best], settings.limits, best.candidate
     falls = without.held_out - fit.held_out
@@ -220,11 +221,11 @@ def _described(best: Screened, fitted: Fitted, without: RelationFit, fits: Relat
     runs = {name: (float(np.nanmean(before[of_run])), float(np.nanmean(after[of_run])))
             for k, name in enumerate(fits.windows.names) if (of_run := fits.windows.run == k).any()
             and np.isfinite(before[of_run]).any() and np.isfinite(after[of_run]).any()}
-    whole = fits.space_of(c).at(fit.vector)
-    answer = whole.only(e for e in whole.effects if e.name != c.effect)
+    full = fits.space_of(c).at(fit.vector)
+    answer = full.only(e for e in full.effects if e.name != c.effect)
     relation = Relation(
         c, fit.coefficients, at, fit.coefficients @ splines, deviation, density,
-        float(falls.sum()) / fits.loss.scored_count, chances[c.name],
+        float(falls.sum()) / fits.loss.scored_count, p_values[c.name],
         (float(np.nanmean(before)), float(np.nanmean(after))), runs, answer,
         {name: selection.cosine(fits, fit, other) for name, other in equal.items()},
         simulated_formulas(fits, fit, without), selection.run_shares(fits, fit),

@@ -114,7 +114,7 @@ def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.
 
 REFITTED = 10  # candidates fitted by simulation
 BOUND_MARGIN = 0.02  # of the bound of the coefficients; a curve within it is on the bound
-MIN_INFORMATION = 0.02  # of the information on the relation, from which a run has an estimate of its own
+MIN_INFORMATION = 0.02  # of the information on the relation; a run with less has no estimate of its own
 TWO_SIDED_95 = 1.96
 
 
@@ -161,7 +161,7 @@ def rejected_curve(fits: RelationFits, fit: RelationFit, vehicle: VehicleParamet
     assert fit.candidate is not None
     name = fit.candidate.name
     if np.abs(fit.coefficients).max() > (1.0 - BOUND_MARGIN) * MAX_HEIGHT:
-        return (f"the curve of {name} reaches its bound of {MAX_HEIGHT * fit.candidate.usual:.3g} "
+        return (f"the curve of {name} reaches its bound of {MAX_HEIGHT * fit.candidate.usual_size:.3g} "
                 f"{fit.candidate.unit}, beyond any physical relation: check the vehicle file, and run st check")
     model = fits.space_of(fit.candidate).at(fit.vector)
     low, high = np.quantile(fits.windows.speeds[np.isfinite(fits.windows.speeds)], [0.05, 0.95])

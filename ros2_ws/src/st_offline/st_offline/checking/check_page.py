@@ -27,7 +27,7 @@ DERIVED_COLOUR = MODEL_COLOUR["kinematic"]
 def draw_panel(identity: Identity, checked: Checked, output: FigureOutput) -> Drawn:
     """Figure of one identity, with the stretches of its findings shaded."""
     findings = sorted((finding for finding in checked.findings if finding.name in identity.findings),
-                      key=check_report.gravity)
+                      key=check_report.severity_rank)
     with style():
         figure, (upper, lower) = plt.subplots(2, 1, figsize=(WIDTH, HEIGHT), sharex=True, height_ratios=(3, 2))
         time = np.asarray(identity.time, float)
@@ -61,11 +61,12 @@ def page_title(good: Sequence[CheckedRun]) -> str:
     """Verdict on all runs in one sentence."""
     if len(good) == 1:
         return f"{good[0].name}: {check_report.headline(good[0].checked)}"
-    worst = {severity: [run.name for run in good if run.checked.of(severity)] for severity in check_report.GRAVITY[:2]}
-    if not any(worst.values()):
+    affected = {severity: [run.name for run in good if run.checked.of(severity)]
+                for severity in check_report.SEVERITY_ORDER[:2]}
+    if not any(affected.values()):
         return f"{len(good)} runs: no error and no warning"
     counts = [f"{severity.value}s in {len(names)} of {len(good)} runs ({', '.join(names)})"
-            for severity, names in worst.items() if names]
+              for severity, names in affected.items() if names]
     sentence = "; ".join(counts)
     return sentence[0].upper() + sentence[1:]
 
@@ -73,15 +74,15 @@ def page_title(good: Sequence[CheckedRun]) -> str:
 def page_summary(good: Sequence[CheckedRun]) -> list[str]:
     """Meaning of the findings, what to do, and the clocks: at most three sentences."""
     findings = [finding for run in good for finding in run.checked.findings]
-    gravest = min(findings, key=check_report.gravity, default=None)
+    worst = min(findings, key=check_report.severity_rank, default=None)
     clocks = check_report.describe_clocks({run.name: run.alignment for run in good})
-    if gravest is None or gravest.severity is Severity.NOTE:
+    if worst is None or worst.severity is Severity.NOTE:
         return ["Nothing has to be corrected: every command can use these runs.", *([f"{clocks}."] if clocks else [])]
     sizes = [finding.effect for finding in findings
              if finding.severity is not Severity.NOTE and finding.effect is not None]
-    size = f", by up to {max(sizes):.2g} m after 5 s" if sizes and gravest.severity is Severity.WARNING else ""
-    refused = ": every command refuses such a run without --force" if gravest.severity is Severity.ERROR else ""
-    meaning = check_report.MEANING[gravest.severity]
+    size = f", by up to {max(sizes):.2g} m after 5 s" if sizes and worst.severity is Severity.WARNING else ""
+    refused = ": every command refuses such a run without --force" if worst.severity is Severity.ERROR else ""
+    meaning = check_report.MEANING[worst.severity]
     sign = next(filter(None, (check_report.advise_steering_sign(
         run.checked.findings, run.where, run.alignment["method"] != "none") for run in good)), "")
     correct = (f"Correct: `st check {good[0].where if len(good) == 1 else 'RUN'} --propose-correction run.yaml`, with "
@@ -104,14 +105,14 @@ def write_page(file: Path, good: Sequence[CheckedRun], failed: Mapping[str, str]
 
 
 def _figures(runs: Sequence[CheckedRun]) -> list[Drawn]:
-    """At most MAX_FIGURES comparisons, those with the gravest findings first."""
+    """At most MAX_FIGURES comparisons, those with the worst findings first."""
     ranked: list[tuple[int, float, int, CheckedRun, Identity]] = []
     for run in runs:
         for identity in run.checked.identities:
             concerned = [finding for finding in run.checked.findings if finding.name in identity.findings]
-            gravest = min(map(check_report.gravity, concerned), default=len(check_report.GRAVITY))
+            worst = min(map(check_report.severity_rank, concerned), default=len(check_report.SEVERITY_ORDER))
             largest = max((finding.effect or 0.0 for finding in concerned), default=0.0)
-            ranked.append((gravest, -largest, len(ranked), run, identity))
+            ranked.append((worst, -largest, len(ranked), run, identity))
     return [replace(drawn, title=f"{run.name}: {drawn.title}" if len(runs) > 1 else drawn.title)
             for *_, run, identity in sorted(ranked)[:MAX_FIGURES]
             for drawn in [draw_panel(identity, run.checked, FigureOutput(None, (), f"{slug(run.name)}-"))]]

@@ -23,7 +23,7 @@ MAX_ZONE_DEVIATION = 120.0  # s, of unsynchronised clocks from whole half hours 
 MAX_STRETCHES = 4
 MAX_LISTED = 3  # findings in a headline
 MAX_RUNS = 8  # runs with their findings one by one; of more, each finding once
-GRAVITY = (Severity.ERROR, Severity.WARNING, Severity.NOTE)
+SEVERITY_ORDER = (Severity.ERROR, Severity.WARNING, Severity.NOTE)
 MEANING = {
     Severity.ERROR: "an evaluation would be meaningless", Severity.WARNING: "an evaluation would be biased",
     Severity.NOTE: "harmless here",
@@ -35,15 +35,15 @@ ADVICE_PLACE = {"run.yaml": "in its run.yaml: ", "vehicle": "in the vehicle file
                 "look": ""}
 
 
-def gravity(finding: Finding) -> int:
+def severity_rank(finding: Finding) -> int:
     """Sort key: errors first; findings of one severity keep their order."""
-    return GRAVITY.index(finding.severity)
+    return SEVERITY_ORDER.index(finding.severity)
 
 
 def count_by_severity(findings: Sequence[Finding]) -> str:
     """"2 errors, 1 warning"; empty for none."""
-    numbers = ((severity.value, sum(finding.severity is severity for finding in findings)) for severity in GRAVITY)
-    return ", ".join(f"{count} {name}{'' if count == 1 else 's'}" for name, count in numbers if count)
+    counts = ((kind.value, sum(finding.severity is kind for finding in findings)) for kind in SEVERITY_ORDER)
+    return ", ".join(f"{count} {name}{'' if count == 1 else 's'}" for name, count in counts if count)
 
 
 def verdict(checked: Checked) -> str:
@@ -52,7 +52,7 @@ def verdict(checked: Checked) -> str:
         count = len(checked.identities)
         compared = f"in {count} comparison{'' if count == 1 else 's'}" if count else "but there was nothing to compare"
         return f"nothing found, {compared}"
-    worst = min(checked.findings, key=gravity).severity
+    worst = min(checked.findings, key=severity_rank).severity
     if worst is Severity.WARNING and all(finding.of_acceleration for finding in checked.of(worst)):
         return f"{count_by_severity(checked.findings)}: identify and discover would be misled"
     return f"{count_by_severity(checked.findings)}: {MEANING[worst]}"
@@ -62,7 +62,7 @@ def headline(checked: Checked) -> str:
     """Verdict with the texts of the most severe findings."""
     if not checked.findings:
         return verdict(checked)
-    worst = min(checked.findings, key=gravity).severity
+    worst = min(checked.findings, key=severity_rank).severity
     texts = [finding.text for finding in checked.findings if finding.severity is worst]
     more = f"; and {len(texts) - MAX_LISTED} more" if len(texts) > MAX_LISTED else ""
     return f"{count_by_severity(checked.findings)}: {'; '.join(texts[:MAX_LISTED])}{more}"
@@ -238,7 +238,7 @@ SEVERITY_STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NO
 
 def print_run(run: CheckedRun, console: Console) -> None:
     """Print the verdict, the clock, and each finding with its correction."""
-    worst = min((finding.severity for finding in run.checked.findings), key=GRAVITY.index, default=Severity.NOTE)
+    worst = min((finding.severity for finding in run.checked.findings), key=SEVERITY_ORDER.index, default=Severity.NOTE)
     colour = "green" if worst is Severity.NOTE else SEVERITY_STYLE[worst]
     if hint := advise_steering_sign(run.checked.findings, run.where, run.alignment["method"] != "none"):
         line(f"[bold red]{escape(run.name)}: {escape(hint)}[/]", console)
@@ -274,7 +274,7 @@ def print_runs(runs: Sequence[CheckedRun], console: Console) -> None:
 
 
 def group_by_name(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, list[str]]]:
-    """Findings grouped by name, channels and sign, gravest and largest first: (that of the largest effect, its runs).
+    """Findings grouped by name, channels and sign, most severe and largest first: (that of largest effect, its runs).
 
     A lag and a lead, or an offset to the left and one to the right, are two findings: the text states the side.
     """
@@ -286,7 +286,7 @@ def group_by_name(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, 
 
     def order(finding: Finding) -> tuple[int, float]:
         unknown = math.inf if finding.severity is Severity.ERROR else 0.0
-        return gravity(finding), -(unknown if finding.effect is None else finding.effect)
+        return severity_rank(finding), -(unknown if finding.effect is None else finding.effect)
 
     groups = [(min((finding for finding, _ in group), key=order), [name for _, name in group])
               for group in found.values()]

@@ -45,7 +45,7 @@ def check_log(log: DriveLog, vehicle: VehicleParameters, auxiliary: AuxiliaryDat
     too_long = step_too_long(models, vehicle, log, step) if models else None
     if too_long is None:
         return checked
-    return replace(checked, findings=tuple(sorted((*checked.findings, too_long), key=check_report.gravity)))
+    return replace(checked, findings=tuple(sorted((*checked.findings, too_long), key=check_report.severity_rank)))
 
 
 def refuse_errors(where: Path | str, findings: Sequence[Finding], force: bool) -> None:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from st_core.discovery.following import REPETITIONS
+from st_core.discovery.next_manoeuvre import REPETITIONS
 from st_core.effects import Effect, load_file, source_file
 from st_core.model_file import Estimate, ModelFile, Provenance
 from st_core.relations import Candidate, Relation, RelationSearch

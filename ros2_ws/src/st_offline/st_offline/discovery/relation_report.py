@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from st_core.discovery import Discovery
-from st_core.discovery.following import REPETITIONS
+from st_core.discovery.next_manoeuvre import REPETITIONS
 from st_core.relations import Relation, RelationSearch
 from st_core.relations.candidates import ODD, QUANTITIES
 from st_core.relations.next_drive import INDEPENDENT_OF_MANOEUVRE, Option
@@ -42,7 +42,7 @@ def relation_report(found: RelationSearch, answer: Discovery, vehicle: VehiclePa
     if one is None:
         return RelationReport([("proposal", [f"none: {quantities.spell_out(found.why, found.tried)}"]), *excluded])
     without, with_it = one.position_5s
-    runs = ", ".join(f"{name} ({before:.2f} → {after:.2f} m)" for name, (before, after) in one.much_worse().items())
+    runs = ", ".join(f"{name} ({before:.2f} → {after:.2f} m)" for name, (before, after) in one.worse_runs().items())
     worse, causes = f"WORSE by a quarter or more in {runs}", one.formulas[0].causes if one.formulas else ""
     proposal = [f"{f'{worse}. ' if runs else ''}{title_of(one)}. A proposal is not established: try it, then keep or "
                 "delete it", *([f"textbook causes: {causes}. These drives do not show the cause"] if causes else [])]

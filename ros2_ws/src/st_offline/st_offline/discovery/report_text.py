@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from st_core.channels import WORDS
 from st_core.checks import Finding, Severity
 from st_core.discovery.decision import FILE, FORCES, IMPLAUSIBLE, MINOR
-from st_core.discovery.following import MIN_SEPARATION
+from st_core.discovery.next_manoeuvre import MIN_SEPARATION
 from st_core.discovery.result import (
     PARTS,
     Combination,

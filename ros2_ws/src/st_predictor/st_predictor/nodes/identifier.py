@@ -61,14 +61,14 @@ class IdentifierNode(Node):
     def _fit_in_background(self) -> None:
         """Run one fit at a time in its own thread, so that samples are still received."""
         if self._fit is not None and self._fit.done():
-            self._core.take(self._fit.result())
+            self._core.store_fit(self._fit.result())
             self._fit = None
             self._log_changes()
         if self._fit is None and self._core.due:
             self._fit = self._pool.submit(fit_recent, *self._core.snapshot())
 
     def _log_changes(self) -> None:
-        for estimate in self._core.tracked():
+        for estimate in self._core.estimates():
             if estimate.status != self._status.get(estimate.parameter, "unestimated"):
                 value = f"{estimate.value:.4g} +/- {estimate.deviation:.2g} {estimate.unit}"
                 text = value if estimate.status == "estimated" else estimate.reason
@@ -84,7 +84,7 @@ class IdentifierNode(Node):
         message.parameters = [TrackedParameter(
             parameter=estimate.parameter, unit=estimate.unit, value=estimate.value,
             standard_deviation=estimate.deviation, vehicle_file_value=self._file_value(estimate),
-            status=STATUS[estimate.status], reason=estimate.reason) for estimate in self._core.tracked()]
+            status=STATUS[estimate.status], reason=estimate.reason) for estimate in self._core.estimates()]
         self._publisher.publish(message)
 
     def _reload_vehicle_file(self) -> None:
@@ -115,7 +115,7 @@ class IdentifierNode(Node):
         used = {"used [s]": round(seconds.used, 1), **{f"left out, {why} [s]": round(time, 1)
                                                       for why, time in seconds.rejected.items()}, **self._received}
         checks = [Check("driving", diagnostics.OK, f"{seconds.used:.0f} s of driving used", used)]
-        for estimate in self._core.tracked():
+        for estimate in self._core.estimates():
             value, deviation, file_value = estimate.value, estimate.deviation, self._file_value(estimate)
             level = LEVELS[estimate.status]
             if estimate.status == "estimated":

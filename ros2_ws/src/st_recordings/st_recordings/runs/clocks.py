@@ -63,7 +63,7 @@ def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, sear
         result = align(pairs, search=search)
         if result.ambiguous and search is None and ins.absolute:
             result = _nearest_to_logger_clock(pairs, result)
-        result = result.doubted(*filter(None, (warning, _opposite_sign_note(pairs, result, search))))
+        result = result.with_doubts(*filter(None, (warning, _opposite_sign_note(pairs, result, search))))
     return replace(result, reasons=(*notes, *result.reasons)), pairs
 
 
@@ -168,7 +168,7 @@ def _nearest_to_logger_clock(pairs: list[SharedSignal], result: Alignment) -> Al
     if near.verdict is Verdict.REFUSED or not near.peak or not result.peak or (
             near.peak[1] < MIN_RELATIVE_PEAK * result.peak[1]):
         return result
-    return near.doubted("several offsets fit equally well (repeated laps or manoeuvres); the one within "
+    return near.with_doubts("several offsets fit equally well (repeated laps or manoeuvres); the one within "
                         f"{MAX_CLOCK_ERROR:.0f} s of the logger's own clock is used")
 
 
@@ -184,11 +184,11 @@ def _align_by_checked_time_frame(frames: Signal, pairs: list[SharedSignal], late
     firsts = list({pair.name.partition(" (")[0]: pair for pair in reversed(pairs)}.values())[::-1]
     check = align(firsts, search=(offset - CHECK_SEARCH, offset + CHECK_SEARCH))
     if check.verdict is Verdict.REFUSED:
-        return result.doubted(f"the shared signals do not confirm it: {check.reasons[-1]}")
+        return result.with_doubts(f"the shared signals do not confirm it: {check.reasons[-1]}")
     difference = (check.offset_at_ns(check.at_ns) - result.offset_at_ns(check.at_ns)) * 1e-9
     result = replace(result, signals=check.signals, peak=check.peak, second_peak=check.second_peak)
     if abs(difference) > MAX_METHOD_DIFFERENCE:
-        return result.doubted(f"the offset from the shared signals differs by {difference * 1e3:+.0f} ms")
+        return result.with_doubts(f"the offset from the shared signals differs by {difference * 1e3:+.0f} ms")
     return result
 
 

@@ -1,4 +1,4 @@
-"""The next drive: the manoeuvre of the catalogue that separates the names of an answer best, or shows an effect."""
+"""The manoeuvre to drive next: that of the catalogue which best separates alternative effects, or shows an effect."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -23,7 +23,7 @@ from .result import FoundEffect, NextManoeuvre, Separability
 from .windows import STEP, Windows, added_acceleration
 
 REPETITIONS = 3  # of each manoeuvre, the minimum of ISO 7401
-MIN_SEPARATION = 3.0  # standard deviations, from which a manoeuvre separates a pair
+MIN_SEPARATION = 3.0  # standard deviations; a manoeuvre with less does not separate a pair
 MAX_SPEED_RATIO = 1.15  # over the driven speed; the errors of faster manoeuvres are unknown
 MAX_LATERAL_ACCELERATION = 9.0  # m/s^2; beyond, the simulation of the base is unreliable
 PERIOD = STEP / 2  # s, of the simulated log
@@ -98,12 +98,12 @@ def catalogue(problem: Problem, fit: Fit) -> Catalogue:
     return result
 
 
-def separation(h: np.ndarray, problem: Problem, rest: Sequence[str], first: str, second: str, values: np.ndarray,
-          design: float) -> tuple[float, float]:
+def separation(h: np.ndarray, problem: Problem, others: Sequence[str], first: str, second: str, values: np.ndarray,
+               design_effect: float) -> tuple[float, float]:
     """(cosine of the effects on the errors, part of `first` that `second` does not explain [standard deviations]) under
-    a curvature. values: (p,) distance from null [usual sizes]. design: design effect."""
+    a curvature. others: effects in the fit besides `first`. values: (p,) distance from null [usual sizes]."""
     own, other = problem.space.indices(first), problem.space.indices(second)
-    free = np.setdiff1d(problem.free_indices((*rest, second)), own)
+    free = np.setdiff1d(problem.free_indices((*others, second)), own)
     d = values[own]
     inside = h[np.ix_(own, own)]
     cross = h[np.ix_(own, free)] @ inverse(h[np.ix_(free, free)])
@@ -111,23 +111,24 @@ def separation(h: np.ndarray, problem: Problem, rest: Sequence[str], first: str,
     e = inverse(h[np.ix_(other, other)]) @ h[np.ix_(other, own)] @ d
     sizes = np.sqrt(max(float(d @ inside @ d), 1e-12) * max(float(e @ h[np.ix_(other, other)] @ e), 1e-12))
     cosine = float(d @ h[np.ix_(own, other)] @ e) / sizes
-    return float(np.clip(cosine, -1.0, 1.0)), float(np.sqrt(max(2.0 * unexplained / design, 0.0)))
+    return float(np.clip(cosine, -1.0, 1.0)), float(np.sqrt(max(2.0 * unexplained / design_effect, 0.0)))
 
 
-def separability(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], design: float) -> tuple[Separability, ...]:
-    """Separability of every stated name from its alternatives, in these drives."""
+def separability(problem: Problem, fit: Fit, effects: Sequence[FoundEffect],
+                 design_effect: float) -> tuple[Separability, ...]:
+    """Separability of every named effect from its alternatives, in these drives."""
     h = problem.quadratic_of_all(fit.vector).hessian.sum(axis=0)
     values = (fit.vector - problem.space.null) / problem.space.scale
     found = []
     for effect in effects:
-        rest = tuple(n for n in fit.names if n != effect.name)
-        found += [Separability(effect.name, other, *separation(h, problem, rest, effect.name, other, values, design))
-                  for other in effect.alternatives]
+        others = tuple(n for n in fit.names if n != effect.name)
+        found += [Separability(effect.name, rival, *separation(h, problem, others, effect.name, rival, values,
+                                                               design_effect)) for rival in effect.alternatives]
     return tuple(found)
 
 
 def next_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], driven: Catalogue,
-                   design: float) -> NextManoeuvre | None:
+                   design_effect: float) -> NextManoeuvre | None:
     """The manoeuvre with the largest minimum separation over all pairs that these drives separate by less than
     MIN_SEPARATION; None if it does not reach that, or without such a pair, as more driving does not reduce the error of
     the model."""
@@ -135,8 +136,8 @@ def next_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], d
     values = (fit.vector - problem.space.null) / problem.space.scale
 
     def strength_of(pair: tuple[str, str], curvature: np.ndarray) -> float:
-        rest = tuple(n for n in fit.names if n != pair[0])
-        return separation(curvature, problem, rest, *pair, values, design)[1]
+        others = tuple(n for n in fit.names if n != pair[0])
+        return separation(curvature, problem, others, *pair, values, design_effect)[1]
 
     pairs = [pair for e in effects for other in e.alternatives
              if strength_of(pair := (e.name, other), h) < MIN_SEPARATION]
@@ -153,7 +154,7 @@ def next_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], d
     strength, pair = weakest[name]
     chosen = next(m for m in CATALOGUE if m.name == name)
     return NextManoeuvre(name, pair, strength, {n: s for n, (s, _) in weakest.items()}, REPETITIONS, chosen.duration,
-                         chosen.speed, f"{pair[0]} and {pair[1]} differ most there of all manoeuvres of the catalogue")
+                         chosen.speed, f"of the catalogue, it separates {pair[0]} and {pair[1]} best")
 
 
 def most_informative(problem: Problem, effect: str, driven: Catalogue) -> str:
