@@ -1,4 +1,4 @@
-"""Checked access to a YAML document: every complaint is one line with file, key and limit."""
+"""Checked access to a YAML document: every error is one line with file, key and limit."""
 
 import math
 import textwrap

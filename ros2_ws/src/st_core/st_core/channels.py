@@ -21,7 +21,7 @@ STANDSTILL_SPEED = 0.5  # m/s; a car that is never faster does not move
 class Channel:
     """One measured quantity.
 
-    words: name in reports. unit: SI. resolution [unit]: of an INS; smaller errors are not distinguished.
+    label: name in reports. unit: SI. resolution [unit]: of an INS; smaller errors are not distinguished.
     signals: fields of DriveLog that measure it. columns: in which it is scored. Both default to `name`.
     predicted(readings, true): reading of the sensor, from `effects.Measured` with and without the errors of the INS;
     None for the field `name` of `readings`. errors(measured, readings): by column; None for measured minus predicted.
@@ -33,7 +33,7 @@ class Channel:
     """
 
     name: str
-    words: str
+    label: str
     unit: str
     resolution: float
     signals: tuple[str, ...] = ()
@@ -114,8 +114,8 @@ CHANNELS: Mapping[str, Channel] = {channel.name: channel for channel in (
 )}
 """By name, the channel most informative about the car first."""
 
-OF_COLUMN = {column: channel for channel in CHANNELS.values() for column in channel.columns}
+CHANNEL_OF_COLUMN = {column: channel for channel in CHANNELS.values() for column in channel.columns}
 POSITION_5S = "position_5s"
 UNITS = {POSITION_5S: "m"} | {name: channel.unit for name, channel in CHANNELS.items()}
-WORDS = {POSITION_5S: "position after 5 s"} | {name: channel.words for name, channel in CHANNELS.items()}
+LABELS = {POSITION_5S: "position after 5 s"} | {name: channel.label for name, channel in CHANNELS.items()}
 """With the mean position error at the end of the horizon, which is reported first."""

@@ -7,7 +7,7 @@ import pytest
 from discovery_drives import COLUMNS, linear_problem, recorded
 from scipy import optimize, stats
 from st_core.augmented import augment
-from st_core.channels import OF_COLUMN
+from st_core.channels import CHANNEL_OF_COLUMN
 from st_core.discovery import DiscoverySettings, fit_effects
 from st_core.discovery.fit import FOLDS, Problem, Slopes, bounded
 from st_core.discovery.loss import MAX_SCALED_ERROR, NU, Errors, Loss, rho, weight
@@ -97,7 +97,7 @@ def test_scale_is_what_two_thirds_of_the_errors_are_below():
 
 def test_scale_stops_at_the_resolution_of_the_sensors():
     problem = small_noise(linear_problem(FEW, {}, 1), 1e-9)
-    smallest = [OF_COLUMN[column].resolution for column in COLUMNS] * 4
+    smallest = [CHANNEL_OF_COLUMN[column].resolution for column in COLUMNS] * 4
     np.testing.assert_array_equal(problem.loss.scale, smallest)
 
 

@@ -146,7 +146,7 @@ def prediction_settings(values: SimpleNamespace) -> PredictionSettings:
 
 
 def translate_errors(values: SimpleNamespace, make: Callable[[], T], prefix: str = "") -> T:
-    """The result of `make`; a ConfigurationError of st_core becomes the one that ends a start with status 2.
+    """The result of `make`; a ConfigurationError of st_core becomes that of st_ros, which ends the node with status 2.
 
     prefix: start of the message.
     """

@@ -12,30 +12,7 @@ from .file import Bands
 from .live import AdaptiveBands, Coverage, Coverages, LiveBands, conditions_now
 from .samples import ErrorSamples, NotFiniteError, error_samples, join_runs, to_predicted_frame
 
-__all__ = [
-           "CONDITIONS",
-           "LEVELS",
-           "RELIABILITY",
-           "AdaptiveBand",
-           "AdaptiveBands",
-           "Band",
-           "Bands",
-           "CalibrationDomain",
-           "Coverage",
-           "Coverages",
-           "ErrorSamples",
-           "LiveBands",
-           "NotFiniteError",
-           "activity_instants",
-           "calibrate",
-           "conditions",
-           "conditions_at",
-           "conditions_now",
-           "conformal_factors",
-           "error_samples",
-           "highest_level",
-           "join_runs",
-           "runs_needed",
-           "steering_activity",
-           "to_predicted_frame",
-]
+__all__ = ["CONDITIONS", "LEVELS", "RELIABILITY", "AdaptiveBand", "AdaptiveBands", "Band", "Bands", "CalibrationDomain",
+           "Coverage", "Coverages", "ErrorSamples", "LiveBands", "NotFiniteError", "activity_instants", "calibrate",
+           "conditions", "conditions_at", "conditions_now", "conformal_factors", "error_samples", "highest_level",
+           "join_runs", "runs_needed", "steering_activity", "to_predicted_frame"]

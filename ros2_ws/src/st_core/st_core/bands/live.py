@@ -3,7 +3,7 @@
 `LiveBands` runs once per tick, after a tenth of a second of other work, with cold caches. The number of separate numpy
 operations then determines its duration, so all models are computed together.
 
-Coverage while driving is tested sequentially for being significantly below the stated level p, against the alternative
+Coverage while driving is tested sequentially for being significantly below the nominal level p, against the alternative
 q = ALTERNATIVE p. Each scored window contributes its log likelihood ratio:
 
     l = log((1 - q) / (1 - p))  if the path left the band,   log(q / p)  if it stayed inside
@@ -51,7 +51,7 @@ class LiveBands:
     """The half-widths of `Bands.half_widths` for all models, modes and levels in one pass.
 
     models: those that predict; each must be in the bands (see `Bands.check`). levels: those of LEVELS in the file.
-    stated: half-widths by model, of the last call inside the calibration domain; every call refills the same arrays.
+    half_widths: by model, of the last call inside the calibration domain; every call refills the same arrays.
     """
 
     def __init__(self, bands: Bands, models: Iterable[str]):
@@ -79,7 +79,7 @@ class LiveBands:
         return self._domain.why_outside(condition)
 
     def __call__(self, condition: Sequence[float]) -> bool:
-        """Update `stated` for conditions, four numbers. False, without an update, outside the calibration domain."""
+        """Update `half_widths` for four conditions. False, without an update, outside the calibration domain."""
         if not self._domain(np.array([condition]))[0]:
             return False
         # Limited at the few knots, which limits the interpolated values as well.
@@ -103,7 +103,7 @@ class AdaptiveBands:
     time: (points,) ahead, without the start [s]. bands: calibrated ones of forecast and hindsight; None: estimated from
     the scores alone, as those of plan and course always are, and issued after `adaptive.WARM_UP`.
 
-    stated: as in `LiveBands`. counts: by (model, mode), scored windows and, by level, those with the whole path inside.
+    half_widths: as in `LiveBands`. counts: by (model, mode), scored windows and, by level, those with the path inside.
     """
 
     def __init__(self, time: np.ndarray, models: Sequence[str], modes: Sequence[str] = MODES,
@@ -123,7 +123,7 @@ class AdaptiveBands:
         return min(band.learning for (_, mode), band in self._bands.items() if mode == "forecast")
 
     def issue(self, start_ns: int, condition: Sequence[float], modes: Iterable[str]) -> tuple[set[ModelMode], str]:
-        """Update `stated` for predictions of these modes that start now [ns], under conditions as `conditions_now`.
+        """Update `half_widths` for predictions of these modes that start now [ns], conditions as of `conditions_now`.
 
         Returns (model, mode) of those with a band, and the reason, in one line, why calibrated ones have none.
         """
@@ -131,7 +131,7 @@ class AdaptiveBands:
         if self._calibrated and not self._calibrated(condition):
             reason = self._calibrated.why_outside(condition)
         found: set[ModelMode] = set()
-        for model, stated in self.half_widths.items():
+        for model, half_widths in self.half_widths.items():
             for mode in modes:
                 pair = model, mode
                 scale = self._calibrated.scale_of(pair) if self._calibrated and not reason else None
@@ -143,7 +143,7 @@ class AdaptiveBands:
                     found.add(pair)
                     self._since[pair] = min(self._since.get(pair, start_ns), start_ns)  # time may jump back
                     for level, one in widths.items():
-                        stated[mode, level][1:] = one
+                        half_widths[mode, level][1:] = one
         return found, reason
 
     def observe(self, score: Score) -> None:
@@ -204,28 +204,28 @@ class Coverages:
         self.by_pair: dict[ModelMode, Coverage] = {}
         self._waiting: dict[tuple[str, str, int], dict[float, np.ndarray]] = {}
 
-    def expect(self, model: str, start_ns: int, stated: HalfWidths) -> None:
+    def expect(self, model: str, start_ns: int, half_widths: HalfWidths) -> None:
         """Store half-widths published with a prediction."""
-        for (mode, level), widths in stated.items():
+        for (mode, level), widths in half_widths.items():
             self._waiting.setdefault((model, mode, start_ns), {})[level] = widths
         while len(self._waiting) > self.MAXIMUM_WAITING:
             del self._waiting[next(iter(self._waiting))]
 
     def add(self, score: Score) -> None:
         """Count the score of a prediction; incomplete ones are ignored."""
-        stated = self._waiting.pop((score.model, score.mode, score.start_ns), None)
-        if stated is None or not score.complete:
+        by_level = self._waiting.pop((score.model, score.mode, score.start_ns), None)
+        if by_level is None or not score.complete:
             return
         errors = np.abs(to_predicted_frame(np.stack([score.longitudinal, score.lateral, score.yaw], axis=-1)))
         # Without the start, which is the measurement itself.
-        inside = {level: bool((errors[1:] <= widths[1:]).all()) for level, widths in stated.items()}
+        inside = {level: bool((errors[1:] <= widths[1:]).all()) for level, widths in by_level.items()}
         one = self.by_pair.setdefault((score.model, score.mode), Coverage())
         one.add(score.start_ns, float(score.horizon[-1]), inside)
 
     def warning(self) -> str:
-        """Names bands with significantly less coverage than stated, in one line; empty without one."""
+        """Names bands with coverage significantly below the nominal level, in one line; empty without one."""
         found = [f"{mode} of {model} (the {max(one.inside):.0%} band {one.share(max(one.inside)):.0%} so far)"
                  for (model, mode), one in self.by_pair.items() if one.warns]
         if not found:
             return ""
-        return f"coverage far below the stated level: {', '.join(found)}; has the car, the road or the driving changed?"
+        return f"coverage far below the nominal level: {', '.join(found)}; have car, road or driving changed?"

@@ -189,5 +189,5 @@ def _step_advice(models: Sequence[Model], vehicle: VehicleParameters, speeds: Se
     shorter = next((step / parts for parts in STEP_DIVISORS if stable(models, vehicle, speeds, step / parts)), None)
     if shorter is not None:
         return shorter, "s", Advice("option", f"--step {shorter:.9g}", {"step": shorter})
-    return None, "s", Advice("look", f"no step down to {1e3 * step / MAX_SUBSTEPS:.2g} ms is short enough: look at "
-                             "the vehicle's yaw_inertia, mass and stiffnesses, and at the effects of the model")
+    return None, "s", Advice("look", f"no step down to {1e3 * step / MAX_SUBSTEPS:.2g} ms is short enough: check "
+                             "the vehicle's yaw_inertia, mass and stiffnesses, and the effects of the model")

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from ..channels import CHANNELS, OF_COLUMN
+from ..channels import CHANNEL_OF_COLUMN, CHANNELS
 from .evidence import AgainstFile, Evidence, share_of
 from .result import Outcome, Reason
 from .settings import Limits
@@ -166,7 +166,7 @@ def most_affected(e: Evidence, limits: Limits) -> tuple[str, float]:
     for none."""
     share, column = max(((share, column) for column, (share, noise_ratio) in e.shares.items()
                          if noise_ratio > limits.max_noise_ratio), default=(0.0, ""))
-    return OF_COLUMN[column].name if column else "", share
+    return CHANNEL_OF_COLUMN[column].name if column else "", share
 
 
 def _relevance(e: Evidence, limits: Limits) -> dict[str, float]:
@@ -214,7 +214,7 @@ def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) ->
 def _effect_size(e: Evidence, limits: Limits) -> str:
     """The largest reductions, as a clause."""
     channel, share = most_affected(e, limits)
-    channel_part = f"the baseline {CHANNELS[channel].words} error by {share:.1%} and " if channel else ""
+    channel_part = f"the baseline {CHANNELS[channel].label} error by {share:.1%} and " if channel else ""
     where = " in one driving condition" if e.position_somewhere > e.position else ""
     return f"it reduces {channel_part}the position error after 5 s by {100 * position_of(e):.1f} cm{where}"
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..augmented import AugmentedModel
-from ..channels import CHANNELS, OF_COLUMN
+from ..channels import CHANNEL_OF_COLUMN, CHANNELS
 from ..effects import TOTAL_DELAY, get_effect
 from ..errors import StCoreError
 from ..handling import objections
@@ -463,7 +463,7 @@ class _Work:
         """Noise of each channel at the end of the horizon, and of the mean position error."""
         result: dict[str, float] = {}
         for column, value in by_column.items():
-            channel = OF_COLUMN[column].name if column in OF_COLUMN else column
+            channel = CHANNEL_OF_COLUMN[column].name if column in CHANNEL_OF_COLUMN else column
             result[channel] = float(np.hypot(result.get(channel, 0.0), value))
         if "position" in result:  # mean of a Rayleigh distribution
             noise = result["position"] * float(np.sqrt(np.pi) / 2.0)

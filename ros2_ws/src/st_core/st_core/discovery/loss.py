@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..channels import OF_COLUMN
+from ..channels import CHANNEL_OF_COLUMN
 from .space import Space
 from .windows import Windows
 
@@ -86,7 +86,8 @@ class Loss:
         self.errors, self.space = errors, errors.space
         self.known = errors.windows.known & np.isfinite(errors.at(at)).any(axis=1)[:, None]
         self.scored_count = int(self.known.sum())
-        self.resolution = np.tile([OF_COLUMN[c].resolution for c in errors.windows.columns], len(errors.windows.time))
+        resolution = [CHANNEL_OF_COLUMN[column].resolution for column in errors.windows.columns]
+        self.resolution = np.tile(resolution, len(errors.windows.time))
         self.scale = self.scale_of(at)
 
     def scale_of(self, vector: np.ndarray) -> np.ndarray:

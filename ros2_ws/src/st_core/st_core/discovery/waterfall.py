@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy import stats
 
-from ..channels import OF_COLUMN, UNITS
+from ..channels import CHANNEL_OF_COLUMN, UNITS
 from ..effects import EFFECT_KINDS, get_effect
 from ..regression import random_effects
 from .evidence import TWO_SIDED, Joint, agreement, covariance, inverse
@@ -35,7 +35,7 @@ class HorizonErrors:
         last = np.where(known, np.clip(np.nan_to_num(last, nan=1e2), -1e2, 1e2), np.nan)
         result: dict[str, np.ndarray] = {}
         for column, values in zip(p.errors.windows.columns, last.T, strict=True):
-            channel = OF_COLUMN[column].name
+            channel = CHANNEL_OF_COLUMN[column].name
             result[channel] = result.get(channel, 0.0) + np.square(values)
         if "position" in result:
             result["position_5s"] = np.sqrt(result["position"])

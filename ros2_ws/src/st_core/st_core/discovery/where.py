@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 
 from ..augmented import AugmentedModel
-from ..channels import OF_COLUMN
+from ..channels import CHANNEL_OF_COLUMN
 from ..log import DriveLog
 from ..log_signals import LogSignals
 from ..timeseries import NANOSECOND
@@ -86,7 +86,7 @@ def _squares(windows: Windows, squares: np.ndarray) -> dict[str, np.ndarray]:
     short = windows.time <= max(SHORT_HORIZON, float(windows.time[0]))
     found: dict[str, np.ndarray] = {}
     for column, square in zip(windows.columns, np.moveaxis(squares, -1, 0), strict=True):
-        channel = OF_COLUMN[column]
+        channel = CHANNEL_OF_COLUMN[column]
         value = square[:, -1] if channel.adds_up else square[:, short].mean(axis=1)
         found[channel.name] = found.get(channel.name, 0.0) + value
     return found

@@ -237,7 +237,7 @@ def log_residuals(samples: Samples, squares: np.ndarray, noise: float) -> np.nda
 def changes(samples: Samples, channel: str, noise: float, block: float, seed: int, resamples: int) -> list[Part]:
     """Stretches with larger errors than the rest of the run, found by binary segmentation.
 
-    A change point is significant if the largest cumulated sum of `log_residuals` exceeds that of shuffled blocks.
+    A change point is significant if the largest cumulative sum of `log_residuals` exceeds that of shuffled blocks.
     """
     residual = log_residuals(samples, samples.squares[channel], noise)
     rng = np.random.default_rng((seed, 17))
@@ -277,10 +277,10 @@ def _edges(values: np.ndarray, first: int, last: int, block: int, rng: np.random
         return []
     sizes = _cusum(part[None])[0]
     at = int(np.argmax(sizes[shortest:-shortest])) + shortest if len(part) > 2 * shortest else shortest
-    whole = len(part) // block * block
-    if whole < 4 * block:
+    length = len(part) // block * block
+    if length < 4 * block:
         return []
-    pieces = part[:whole].reshape(-1, block)
+    pieces = part[:length].reshape(-1, block)
     shuffled = np.stack([pieces[rng.permutation(len(pieces))].ravel() for _ in range(resamples)])
     largest = _cusum(shuffled).max(axis=1)
     p = (1 + int((largest >= sizes[at]).sum())) / (1 + resamples)
@@ -292,7 +292,7 @@ def _edges(values: np.ndarray, first: int, last: int, block: int, rng: np.random
 
 
 def _cusum(rows: np.ndarray) -> np.ndarray:
-    """|cumulated sum| of deviations from the mean, before each element; scaled by the spread and the length."""
+    """|cumulative sum| of deviations from the mean, before each element; scaled by the spread and the length."""
     centred = rows - rows.mean(axis=1, keepdims=True)
     sums = np.cumsum(centred, axis=1) - centred
     return np.abs(sums) / (rows.std(axis=1, keepdims=True) * math.sqrt(rows.shape[1]) + 1e-12)

@@ -98,8 +98,8 @@ def _load(finder: FileFinder, package: str, names: Sequence[str]) -> None:
 
 
 def _check_others(names: Iterable[str], known: Iterable[str], folder: str) -> None:
-    """Raises ConfigurationError for twins and members that are not known. known: with the files of the folder, which
-    have the names of their effects, also if not loaded."""
+    """Raises ConfigurationError for twins and members that are not known. known: names of effects, and of the files of
+    the folder, loaded or not: each has the name of its effect."""
     for name in sorted(names):
         for key in ("twins", "members"):
             for other in getattr(EFFECTS[name], key):

@@ -9,7 +9,7 @@ from ._base import ANY, Effect, Parameter, register
 class CgPosition(Effect):
     name = "cg_position"
     physics = "l_f = l_f - shift, l_r = l_r + shift"
-    excited_by = "cornering with the sideslip measured, at two speeds"
+    excited_by = "cornering with measured sideslip, at two speeds"
     kind, slot = "vehicle parameters", "body"
     twins = ("rear_stiffness", "front_stiffness", "sensor_lever_arm")
     combinations = ("rear cornering stiffness over mass", "stability factor K")

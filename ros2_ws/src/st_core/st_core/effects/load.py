@@ -15,7 +15,7 @@ from ._base import Effect, Parameter, register
 class Load(Effect):
     name = "load"
     physics = "m + load, CG and yaw inertia of a mass over the rear axle"
-    excited_by = "cornering with the sideslip measured, at two speeds; weigh the laden car to be sure"
+    excited_by = "cornering with measured sideslip, at two speeds; weigh the laden car to confirm it"
     kind, slot = "vehicle parameters", "body"
     twins = ("mass", "cg_position", "rear_stiffness", "tyre_stiffness", "yaw_inertia")
     combinations = ("front cornering stiffness over mass", "rear cornering stiffness over mass",
@@ -29,9 +29,9 @@ class Load(Effect):
     @staticmethod
     def vehicle(vehicle, theta):
         mass = vehicle.mass + theta.mass
-        behind = vehicle.cg_to_rear_axle
-        back = theta.mass * behind / mass
+        to_rear = vehicle.cg_to_rear_axle
+        shift = theta.mass * to_rear / mass
         return replace(
-            vehicle, mass=mass, cg_to_front_axle=vehicle.cg_to_front_axle + back,
-            cg_to_ins_x=vehicle.cg_to_ins_x + back,
-            yaw_inertia=vehicle.yaw_inertia + vehicle.mass * back**2 + theta.mass * (behind - back) ** 2)
+            vehicle, mass=mass, cg_to_front_axle=vehicle.cg_to_front_axle + shift,
+            cg_to_ins_x=vehicle.cg_to_ins_x + shift,
+            yaw_inertia=vehicle.yaw_inertia + vehicle.mass * shift**2 + theta.mass * (to_rear - shift) ** 2)

@@ -10,7 +10,7 @@ from .front_tyre_curve import PARAMETERS, reshaped
 class RearTyreCurve(Effect):
     name = "rear_tyre_curve"
     physics = "D_r = peak D_r, 1 - E_r = curvature (1 - E_r) of the file, cornering stiffness unchanged"
-    excited_by = "cornering towards the limit of the rear axle with the sideslip measured; nothing below 0.3 g"
+    excited_by = "cornering towards the limit of the rear axle with measured sideslip; not observable below 0.3 g"
     kind, slot = "vehicle parameters", "rear axle"
     twins = ("friction", "rear_stiffness", "lateral_load_transfer", "cg_position")
     applies_to = frozenset(("nonlinear",))  # a linear tyre has no peak

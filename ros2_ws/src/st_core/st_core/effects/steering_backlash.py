@@ -38,7 +38,7 @@ def clamp(earlier: Maps, later: Maps) -> Maps:
 class SteeringBacklash(Effect):
     name = "steering_backlash"
     physics = "delta stays until delta_measured leaves delta +- play / 2, then is dragged along"
-    excited_by = "small steering to and fro around straight ahead; large amplitudes hide it"
+    excited_by = "small steering reversals around straight ahead; large amplitudes hide it"
     kind, slot = "physics", "steering"
     twins = ("steering_delay", "steering_lag", "steering_ratio")
     applies_to = ANY
@@ -46,7 +46,7 @@ class SteeringBacklash(Effect):
     parameters = (
         Parameter("play", "rad", null=0.0, initial=0.003, bounds=(0.0, 0.02),
                   meaning="total, at the road wheels; times the ratio at the steering wheel",
-                  source="0.02 rad is 20 deg at a steering wheel of ratio 17, twice what inspections pass"),
+                  source="0.02 rad is 20 deg at a steering wheel of ratio 17, twice the limit of inspections"),
     )
 
     @staticmethod

@@ -8,7 +8,7 @@ from .front_stiffness import stiffness_factor, with_stiffness
 class TyreStiffness(Effect):
     name = "tyre_stiffness"
     physics = "C_f = factor C_f, C_r = factor C_r of the file, the peak forces unchanged"
-    excited_by = "cornering with the sideslip measured, and sweeps; next to mass and yaw_inertia only their ratio shows"
+    excited_by = "cornering with measured sideslip, steering sweeps; observable relative to mass and yaw_inertia only"
     kind, slot = "vehicle parameters", "both axles"
     twins = ("mass", "front_stiffness", "rear_stiffness", "cg_position")
     ratio_to = "mass"

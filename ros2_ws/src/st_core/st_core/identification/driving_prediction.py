@@ -1,25 +1,25 @@
 """Stiffnesses, steering and yaw inertia from multi-step predictions of several drives at once.
 
 The offset of the steering and the misalignment of the INS are always fitted in addition, since they resemble tyres.
-Stiffness: with the nonlinear model it is the slope at small slip at the static load, and the
-tyre's curve is that of the vehicle file; with the linear one it is the secant that predicts best over the slips driven.
-A tyre of another curve gives another value for another range of slip. The interval includes that: the fit is repeated
-on the windows of small lateral acceleration, and the difference extrapolated to zero slip (`slip_range_uncertainty`).
+Stiffness: with the nonlinear model it is the slope at small slip at the static load, with the tyre curve of the vehicle
+file; with the linear one it is the secant that predicts best over the driven slip. For a tyre with another curve the
+value depends on the range of slip. The interval includes that: the fit is repeated on the windows of small lateral
+acceleration, and the difference extrapolated to zero slip (`slip_range_uncertainty`).
 
-Steering ratio, where no turntables are at hand:
+Steering ratio, where no turntables are available:
 
     delta = (delta_h - o) / i:    L kappa + K v^2 kappa = delta
 
-Slow bends show the ratio, fast ones add the understeer, straights the offset; so the stiffnesses are fitted too, and
-dead time and relaxation, or a car that lags would pass for one of another ratio. The ratio comes out relative to the
-wheelbase: an error of 1 % of the wheelbase is one of 1 % of the ratio.
+Slow bends determine the ratio, fast ones the understeer, straights the offset. The stiffnesses are therefore fitted
+too, and dead time and relaxation, since a lag would be mistaken for another ratio. An error of 1 % of the wheelbase is
+an error of 1 % of the ratio.
 
 Yaw inertia, from transients: I_z r_dot = l_f F_f cos(delta) - l_r F_r. In steady bends r_dot is zero and any inertia
-fits. Steering dynamics, a time stamp that is off, and the relaxation of the tyres delay the response as inertia does;
-dead time of the steering and relaxation length are therefore fitted too. Without the relaxation the inertia of a car
-that has 0.4 m of it comes out 17 % too small. An angle may be as old as a sampling interval T when it is stamped, and
-how old changes from drive to drive, which one dead time for N drives cannot follow: T / sqrt(12 N) of dead time is
-added to the uncertainty, times what a second of it changes. Checked by: test_identification_driving.py.
+fits. Steering dynamics, wrong time stamps and the relaxation of the tyres delay the response as inertia does; dead time
+of the steering and relaxation length are therefore fitted too. Without relaxation in the fit, the inertia of a car with
+a relaxation length of 0.4 m is estimated 17 % too small. The delay between an angle and its stamp, up to a sampling
+interval T, differs between drives, which one dead time for N drives cannot represent: its uncertainty has a part
+T / sqrt(12 N), with its effect on the inertia. Checked by: test_identification_driving.py.
 """
 
 from collections.abc import Mapping, Sequence
@@ -130,7 +130,7 @@ def driven_slip(logs: Sequence[DriveLog], vehicle: VehicleParameters, settings: 
 
 def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
                       settings: DrivingFitSettings | None = None) -> Identification:
-    """Ratio and offset with their uncertainty, and the stiffnesses that go with them.
+    """Ratio and offset with their uncertainty, and the stiffnesses fitted with them.
 
     Raises IdentificationError for too little excitation: two bins of speed at least.
     """
@@ -168,7 +168,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, b
     implausible = [text for text in objections(replace(vehicle, yaw_inertia=max(inertia.value, 10.0)))
                    if text.startswith("yaw_inertia")]
     if implausible:
-        text = f"{implausible[0]}: the transients are too weak, or steering or tyre dynamics pass for inertia."
+        text = f"{implausible[0]}: the transients are too weak, or steering or tyre dynamics are mistaken for inertia."
         warnings.append(text)
         inertia = replace(inertia, status="unidentifiable", verdict=f"{text} {inertia.verdict}")
     conflict = describe_contradiction(inertia, vehicle.yaw_inertia, 0.1 * vehicle.yaw_inertia,
@@ -178,9 +178,9 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, b
 
 
 def make_identification(what: str, vehicle: VehicleParameters, fit: DrivingFit, method: str, reported: Sequence[str],
-                 covered: Sequence[Coverage], systematic: Mapping[str, float] | None = None) -> Identification:
+                        covered: Sequence[Coverage], systematic: Mapping[str, float] | None = None) -> Identification:
     """Result of a fit. reported: parameters to give as estimates; correlation over them. systematic: standard
-    uncertainties the drives cannot show, added to theirs."""
+    uncertainties that the scatter of the drives does not contain, added to theirs."""
     spread = fit.spread
     share = SINGLE_TRACK_ERROR * vehicle.wheelbase**2 * fit.curvature_square
     extra = [np.hypot((systematic or {}).get(n, 0.0), share * v if n in STIFFNESSES else 0.0)
@@ -195,8 +195,8 @@ def make_identification(what: str, vehicle: VehicleParameters, fit: DrivingFit, 
                  spread.interval(i, fit.values[i], uncertainty[i]), method, runs,
                  *_judge_estimate(fit, i, uncertainty[i]))
         for i in chosen)
-    rejected = [(name, f"{every - used} of {every} predictions are too slow, beyond the limit of lateral acceleration "
-                 "or with gaps") for name, (used, every) in fit.windows.items() if used < every]
+    rejected = [(name, f"{total - used} of {total} predictions are too slow, beyond the limit of lateral acceleration "
+                 "or with gaps") for name, (used, total) in fit.windows.items() if used < total]
     others = [f"{n} = {fit.values[i]:.4g} +/- {uncertainty[i]:.2g} {FREE_PARAMETERS[n].unit} was fitted too."
               for i, n in enumerate(fit.names) if n not in reported]
     if RATIO not in fit.names:

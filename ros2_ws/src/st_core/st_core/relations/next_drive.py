@@ -16,7 +16,7 @@ from .relation_fit import RIDGE, RelationFit, RelationFits
 
 MIN_IMPROVEMENT = 1.3  # factor on separation or precision; a manoeuvre with less is not suggested
 SPARSE = 0.1  # density over that of uniform driving, below which a range is sparsely driven
-INDEPENDENT_OF_MANOEUVRE = ("run_time", "position_x", "position_y", "north", "east")  # independent of the manoeuvre
+INDEPENDENT_OF_MANOEUVRE = ("run_time", "position_x", "position_y", "north", "east")
 Range = tuple[float, float]
 
 
@@ -73,9 +73,9 @@ def sparse_ranges(at: np.ndarray, density: np.ndarray, parity: float) -> list[Ra
 
 
 def next_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, rivals: Mapping[str, RelationFit],
-                design: float, at: np.ndarray, deviation: np.ndarray, sparse: Sequence[Range]) -> NextDrives:
-    """Expected gain of each manoeuvre, by simulation. rivals: equally good relations. design: design effect. at,
-    deviation: (k,) of the curve. Expected deviations are from the curvature of the loss about the fit."""
+                design_effect: float, at: np.ndarray, deviation: np.ndarray, sparse: Sequence[Range]) -> NextDrives:
+    """Expected gain of each manoeuvre, by simulation. rivals: equally good relations. at, deviation: (k,) of the curve.
+    Expected deviations are from the curvature of the loss about the fit."""
     if candidate.quantity in INDEPENDENT_OF_MANOEUVRE:
         return NextDrives(sparse)
     splines = candidate.splines(at)
@@ -91,18 +91,19 @@ def next_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, riva
         rows = 0.0 * np.nan_to_num(loss.errors.at(fit.vector))
         slopes = loss.slopes(fit.vector, fit.indices)
         more = REPETITIONS * loss.quadratic(rows, slopes).hessian.sum(axis=0)
-        narrower = np.sqrt(_variance(curvature + more + fit.penalty, splines) / np.maximum(variance, 1e-30))
+        ratio = np.sqrt(_variance(curvature + more + fit.penalty, splines) / np.maximum(variance, 1e-30))
         separation = {}
         for name, other in rivals.items():
             assert other.candidate is not None
-            theirs = _loss(fits, windows, other.candidate, other).slopes(other.vector, fits.relation)
-            more_joint = REPETITIONS * _joint(loss, rows, slopes, theirs, fit)
-            separation[name] = _strength(recorded[name] + more_joint, fit, other, design)
+            rival_slopes = _loss(fits, windows, other.candidate, other).slopes(other.vector, fits.relation)
+            more_joint = REPETITIONS * _joint(loss, rows, slopes, rival_slopes, fit)
+            separation[name] = _strength(recorded[name] + more_joint, fit, other, design_effect)
         u = driven_quantities(windows, windows.vehicle)[candidate.quantity]
         size = np.abs(u) if candidate.parity == ODD else u
         seconds = [manoeuvre.duration * float(((size >= low) & (size <= high)).mean()) for low, high in sparse]
-        options.append(Option(manoeuvre, deviation * np.minimum(narrower, 1.0), separation, seconds))
-    return NextDrives(sparse, {name: _strength(h, fit, rivals[name], design) for name, h in recorded.items()}, options)
+        options.append(Option(manoeuvre, deviation * np.minimum(ratio, 1.0), separation, seconds))
+    current = {name: _strength(h, fit, rivals[name], design_effect) for name, h in recorded.items()}
+    return NextDrives(sparse, current, options)
 
 
 def _loss(fits: RelationFits, windows: Windows, candidate: Candidate, fit: RelationFit) -> Loss:
@@ -112,19 +113,19 @@ def _loss(fits: RelationFits, windows: Windows, candidate: Candidate, fit: Relat
     return loss
 
 
-def _joint(loss: Loss, rows: np.ndarray, slopes: np.ndarray, theirs: np.ndarray, fit: RelationFit) -> np.ndarray:
+def _joint(loss: Loss, rows: np.ndarray, slopes: np.ndarray, rival_slopes: np.ndarray, fit: RelationFit) -> np.ndarray:
     """Curvature in the other parameters, the coefficients of a rival, and the size of the relation."""
     own = np.einsum("p,pnm->nm", fit.coefficients, slopes[-COUNT:])
-    return loss.quadratic(rows, np.concatenate([slopes[:-COUNT], theirs, own[None]])).hessian.sum(axis=0)
+    return loss.quadratic(rows, np.concatenate([slopes[:-COUNT], rival_slopes, own[None]])).hessian.sum(axis=0)
 
 
-def _strength(h: np.ndarray, fit: RelationFit, other: RelationFit, design: float) -> float:
+def _strength(h: np.ndarray, fit: RelationFit, other: RelationFit, design_effect: float) -> float:
     """Separation of a relation from a rival, in standard deviations. h: of `_joint`."""
     others = len(fit.indices) - COUNT
     penalty = np.zeros((len(h) - 1, len(h) - 1))
     penalty[others:, others:] = other.penalty[-COUNT:, -COUNT:]
     unexplained = float(h[-1, -1] - h[-1, :-1] @ np.linalg.solve(ridge(h[:-1, :-1] + penalty), h[:-1, -1]))
-    return float(np.sqrt(max(2.0 * unexplained / design, 0.0)))
+    return float(np.sqrt(max(2.0 * unexplained / design_effect, 0.0)))
 
 
 def _variance(h: np.ndarray, splines: np.ndarray) -> np.ndarray:

@@ -50,7 +50,7 @@ def draw_panel(identity: Identity, checked: Checked, output: FigureOutput) -> Dr
         figure.align_ylabels()
         figure.legend(loc="outside lower left", ncols=2)
         key = f"identity-{identity.name}"
-        shaded = ", shaded where a finding has its stretches" if any(finding.where for finding in findings) else ""
+        shaded = ", shaded where a finding applies" if any(finding.where for finding in findings) else ""
         caption = f"Grey: {identity.measured_label}; blue: {identity.derived_label}; below, grey minus blue{shaded}."
         size = f"{residual_rms(identity):.2g} {check_report.unit_symbol(identity.unit)}".strip()
         found = findings[0].text if findings else f"no finding; they differ by {size} (root mean square)"

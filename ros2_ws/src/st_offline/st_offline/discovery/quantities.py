@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping
 
-from st_core.channels import WORDS
+from st_core.channels import LABELS
 from st_core.discovery.result import FittedParameter
 from st_core.discovery.settings import Limits
 from st_core.effects import EFFECTS, Parameter
@@ -27,7 +27,7 @@ def display_unit(unit: str) -> str:
 
 def channel(name: str) -> str:
     """Name of a channel in reports."""
-    return WORDS.get(name, plain(name))
+    return LABELS.get(name, plain(name))
 
 
 def plain(name: str) -> str:

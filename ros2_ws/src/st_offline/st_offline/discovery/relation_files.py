@@ -15,21 +15,22 @@ from st_core.vehicle import VehicleParameters
 from . import quantities
 
 LIBRARY = Path(source_file(Effect)).parent
-KNOTS = 21  # of the straight lines that replace the curve of eight coefficients
+KNOTS = 21  # of the linear interpolation that replaces the curve of eight coefficients
 SLOT = {"front_steer": "front axle", "rear_steer": "rear axle", "front_force": "front axle", "rear_force": "rear axle",
         "front_grip": "front axle", "rear_grip": "rear axle", "both_grip": "both axles", "yaw_moment": "body",
         "side_force": "body",
         "sensor_yaw_rate": "yaw rate", "sensor_acceleration_y": "acceleration", "sensor_velocity_y": "velocity",
         "sensor_heading": "heading"}
-OF_MOTION = {"steering": "at.road_wheel_angle", "acceleration_y": "at.velocity_x * at.yaw_rate",
-             "acceleration_x": "at.velocity_x_dot", "speed": "at.velocity_x", "yaw_rate": "at.yaw_rate",
-             "slip_front": "slip_front", "slip_rear": "slip_rear", "north": "sin(at.yaw)", "east": "cos(at.yaw)",
-             "position_x": "at.x", "position_y": "at.y"}
-OF_READINGS = {"acceleration_y": "measured.velocity_x * measured.yaw_rate", "speed": "measured.velocity_x",
-               "yaw_rate": "measured.yaw_rate"}
-FIELD = {"sensor_yaw_rate": "yaw_rate", "sensor_acceleration_y": "acceleration_y", "sensor_velocity_y": "velocity_y",
-         "sensor_heading": "yaw"}
-OF_MAP = ("north", "east", "position_x", "position_y")  # fixed to the map
+STATE_EXPRESSIONS = {
+    "steering": "at.road_wheel_angle", "acceleration_y": "at.velocity_x * at.yaw_rate",
+    "acceleration_x": "at.velocity_x_dot", "speed": "at.velocity_x", "yaw_rate": "at.yaw_rate",
+    "slip_front": "slip_front", "slip_rear": "slip_rear", "north": "sin(at.yaw)", "east": "cos(at.yaw)",
+    "position_x": "at.x", "position_y": "at.y"}
+READING_EXPRESSIONS = {"acceleration_y": "measured.velocity_x * measured.yaw_rate", "speed": "measured.velocity_x",
+                       "yaw_rate": "measured.yaw_rate"}
+READING_FIELD = {"sensor_yaw_rate": "yaw_rate", "sensor_acceleration_y": "acceleration_y",
+                 "sensor_velocity_y": "velocity_y", "sensor_heading": "yaw"}
+MAP_QUANTITIES = ("north", "east", "position_x", "position_y")  # fixed to the map
 OPS = {"east": "absolute, cos, maximum, minimum", "north": "absolute, maximum, minimum, sin"}
 SLIPS = "slip_angles(slip_front, slip_rear, extra, at, given, theta)"
 FORCES = "axle_forces(forces, slip_front, slip_rear, at, given, theta)"
@@ -51,7 +52,7 @@ EFFECT_FILE = '''"""PROPOSAL, not an established effect: {title}.
 
 Fitted by st discover --propose to {count} drives, {created}: {runs}.
 Over {low:.3g} to {high:.3g} {quantity_unit} of {quantity}; constant beyond. {meaning}
-Held-out position error after 5 s: {before:.2f} -> {after:.2f} m; p = {chance:.2g} over all candidates.
+Held-out position error after 5 s: {before:.2f} -> {after:.2f} m; p = {p_value:.2g} over all candidates.
 {formulas}
 Keep it, rename it, or delete it.
 """
@@ -63,12 +64,12 @@ LOW, STEP, HIGH = {low!r}, {step!r}, {high!r}  # {quantity_unit}
 
 
 def hat(t):
-    """1 at 0, 0 from +-1 on, straight between."""
+    """1 at 0, 0 beyond +-1, linear between."""
     return maximum(1.0 - absolute(t), 0.0 * t)
 
 
 def relation(u):
-    """[{unit}] at u [{quantity_unit}]: straight lines between the heights fitted."""
+    """[{unit}] at u [{quantity_unit}]: linear interpolation of the fitted curve."""
     t = (minimum(maximum(u, LOW + 0.0 * u), HIGH + 0.0 * u) - LOW) / STEP
     return ({heights})
 
@@ -107,7 +108,7 @@ def _title_with_causes(one: Relation) -> str:
 
 
 def effect_file(one: Relation, runs: Sequence[str], created: str) -> str:
-    """Text of an effect file; straight lines between KNOTS heights of the fitted curve."""
+    """Text of an effect file with the fitted curve, interpolated linearly between KNOTS points."""
     c = one.candidate
     meaning = ALL_TERMS[c.term][1] + (f", for each {QUANTITIES[c.factor]} of {c.factor.replace('_', ' ')}"
                                       if c.factor else "")
@@ -121,7 +122,7 @@ def effect_file(one: Relation, runs: Sequence[str], created: str) -> str:
         step=(c.high - c.low) / (KNOTS - 1), quantity=c.quantity.replace("_", " "),
         quantity_unit=QUANTITIES[c.quantity],
         unit=c.unit, meaning=f"y [{c.unit}]: {meaning}.", before=one.position_5s[0], after=one.position_5s[1],
-        chance=one.p_value, formulas=formulas, heights=terms, cls="".join(w.title() for w in name_of(one).split("_")),
+        p_value=one.p_value, formulas=formulas, heights=terms, cls="".join(w.title() for w in name_of(one).split("_")),
         odd=", odd=True" if c.changes_sides else "", name=name_of(one),
         ops=OPS.get(c.quantity, "absolute, maximum, minimum"), memory=_memory(c),
         physics=f"y = curve of {c.quantity}: {meaning}", body=_body(one),
@@ -130,8 +131,8 @@ def effect_file(one: Relation, runs: Sequence[str], created: str) -> str:
 
 def _body(one: Relation) -> str:
     c = one.candidate
-    if c.term in FIELD:
-        field, u = FIELD[c.term], OF_READINGS[c.quantity]
+    if c.term in READING_FIELD:
+        field, u = READING_FIELD[c.term], READING_EXPRESSIONS[c.quantity]
         return "".join(f"\n    @staticmethod\n    def {hook}(measured, theta):\n"
                        f"        y = theta.share * relation({u})\n"
                        f"        return measured._replace({field}=measured.{field} {sign} y)\n"
@@ -153,9 +154,9 @@ def _with_memory(c: Candidate) -> str:
 def _quantity(name: str) -> str:
     """Formula of a quantity in a hook of the slip angles or of the motion."""
     if name not in MEMORY:
-        return OF_MOTION[name]
+        return STATE_EXPRESSIONS[name]
     source, kind, tau = MEMORY[name]
-    return "extra[0]" if kind == "lagging" else f"({OF_MOTION[source]} - extra[0]) / {tau!r}"
+    return "extra[0]" if kind == "lagging" else f"({STATE_EXPRESSIONS[source]} - extra[0]) / {tau!r}"
 
 
 def _memory(c: Candidate) -> str:
@@ -170,14 +171,14 @@ def _lagging(c: Candidate) -> str:
     if not _with_memory(c):
         return ""
     source, _, tau = MEMORY[_with_memory(c)]
-    now = OF_MOTION[source]
+    now = STATE_EXPRESSIONS[source]
     return (f"\n\n    @staticmethod\n    def start(slips, at, given, theta):\n        return ({now},)\n\n"
             "    @staticmethod\n    def rates(extra, slips, forces, at, given, theta):\n"
             f"        return (({now} - extra[0]) / {tau!r},)")
 
 
 def _kind(c: Candidate) -> str:
-    if c.quantity in OF_MAP:
+    if c.quantity in MAP_QUANTITIES:
         return "surroundings"
     return "sensors" if c.of_sensor else "physics"
 
@@ -218,8 +219,8 @@ def relation_document(found: RelationSearch | None) -> dict:
     if found is None:
         return {}
     one = found.relation
-    tried = [{"law": name, "gain": gain, "chance": chance, "visible": found.detection_limits.get(name)}
-             for name, (gain, chance) in found.tried.items()]
+    tried = [{"law": name, "gain": gain, "chance": p_value, "visible": found.detection_limits.get(name)}
+             for name, (gain, p_value) in found.tried.items()]
     if one is None:
         return {"proposal": None, "why": found.why, "tried": tried}
     c = one.candidate

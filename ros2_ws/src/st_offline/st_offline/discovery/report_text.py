@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 
-from st_core.channels import WORDS
+from st_core.channels import LABELS
 from st_core.checks import Finding, Severity
 from st_core.discovery.decision import FILE, FORCES, IMPLAUSIBLE, MINOR
 from st_core.discovery.next_manoeuvre import MIN_SEPARATION
@@ -103,7 +103,7 @@ def _explains_most(found: Discovery) -> bool:
 def _errors(found: Discovery) -> str:
     gap = found.gap.get("position_5s")
     if gap is None:
-        name = next((n for n in WORDS if n in found.gap), None)
+        name = next((n for n in LABELS if n in found.gap), None)
         if name is None:
             return "Errors"
         one = found.gap[name]

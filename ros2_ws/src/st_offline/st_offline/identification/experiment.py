@@ -35,7 +35,7 @@ class Setup:
 
 @dataclass(frozen=True)
 class Experiment:
-    """name: as on the command line. what: one line. files: what is to be given.
+    """name: as on the command line. what: description in a line. files: description of the required files.
 
     identify: reads the files and computes; several outcomes where one call does several experiments.
     draw: the figure of an outcome of this experiment. drives: the files are recordings of drives.
@@ -147,11 +147,11 @@ def _columns(file: Path, header: Sequence[str], known: Mapping[str, Sequence[str
         elif title in known or name in known:
             name = title if title in known else name
             units = " or ".join(f"{name}_{unit}" for unit in known[name])
-            raise RunError(file, f"column {title} has no unit that is known", f"name it {units}")
+            raise RunError(file, f"column {title} has no known unit", f"name it {units}")
         else:
             continue
         if key in columns:
-            raise RunError(file, f"column {key} is there twice", "remove one")
+            raise RunError(file, f"column {key} occurs twice", "remove one")
         columns[key] = column, unit
     return columns
 

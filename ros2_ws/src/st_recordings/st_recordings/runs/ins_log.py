@@ -30,8 +30,8 @@ class InsLog:
     time_ns: when measured, strictly increasing. position: (3, n) east, north, up of `origin` [m], INS point. yaw: from
     east counter-clockwise, unwrapped; pitch: nose down +, roll: right side down + [rad]. velocity: (3, n) body axes
     [m/s]. rate: (3, n) body axes [rad/s]. acceleration: (3, n) specific force, body axes [m/s^2]. origin: latitude,
-    longitude [rad], altitude [m], None for positions that were recorded in metres. stamps_ns: times of all that was
-    sent, with a fix or not. quality: as the unit reports it, or None. absolute: whether the times are UTC.
+    longitude [rad], altitude [m], None for positions that were recorded in metres. stamps_ns: times of all samples,
+    with a fix or not. quality: as the unit reports it, or None. absolute: whether the times are UTC.
     """
 
     file: Path
