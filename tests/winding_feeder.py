@@ -20,7 +20,7 @@ from st_ros import spin
 from st_ros.polling import from_nanoseconds
 from winding_road import Truth, winding_road
 
-PATIENCE = 30.0  # s without anything taken
+SIGNAL_TIMEOUT = 30.0  # s without anything taken
 AHEAD = 6.0  # s of driving the node may be behind; its queues hold ten
 
 
@@ -75,7 +75,7 @@ class Heard:
             rclpy.spin_once(self._node, timeout_sec=1.0)
             if self._taken > before:
                 before, since = self._taken, time.monotonic()
-            if time.monotonic() - since > PATIENCE:
+            if time.monotonic() - since > SIGNAL_TIMEOUT:
                 raise SystemExit(f"identifier has taken {self._taken:.1f} s, waited for {seconds:.1f} s")
 
 

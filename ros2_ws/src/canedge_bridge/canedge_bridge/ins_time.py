@@ -16,7 +16,7 @@ def with_unix_time(values: Mapping[str, Any]) -> dict[str, Any]:
     """The signals of a time frame with `ins_unix_time`, UTC [s since 1970], in place of the parts of GPS time.
 
     values: name -> number or array. NaN where the parts form no valid time (the unit has none yet). Frames without
-    parts of GPS time are returned as they are.
+    parts of GPS time are returned unchanged.
     """
     if "gps_time" in values:
         unix = _from_milli_time(np.asarray(values["gps_time"]), np.abs(np.asarray(values["gps_utc_offset"])))
@@ -24,8 +24,8 @@ def with_unix_time(values: Mapping[str, Any]) -> dict[str, Any]:
         unix = _from_date_time({name: np.asarray(values[name]) for name in DATE_TIME_PARTS})
     else:
         return dict(values)
-    rest = {name: value for name, value in values.items() if not name.startswith("gps_")}
-    return {**rest, "ins_unix_time": unix if unix.ndim else float(unix)}
+    others = {name: value for name, value in values.items() if not name.startswith("gps_")}
+    return {**others, "ins_unix_time": unix if unix.ndim else float(unix)}
 
 
 def _from_milli_time(gps: np.ndarray, offset: np.ndarray) -> np.ndarray:
@@ -40,10 +40,10 @@ def _from_milli_time(gps: np.ndarray, offset: np.ndarray) -> np.ndarray:
 
 def _from_date_time(parts: Mapping[str, np.ndarray]) -> np.ndarray:
     """UTC [s] of a date and time in GPS time; NaN for an invalid date."""
-    whole = {name: np.nan_to_num(part, nan=-1).astype(np.int64) for name, part in parts.items()}
-    day = _day_number(whole["gps_century"] * 100 + whole["gps_year_of_century"], whole["gps_month"], whole["gps_day"])
-    is_time = (whole["gps_hour"] < 24) & (whole["gps_minute"] < 60)
-    seconds = day * 86400.0 + whole["gps_hour"] * 3600 + whole["gps_minute"] * 60
+    n = {name: np.nan_to_num(part, nan=-1).astype(np.int64) for name, part in parts.items()}
+    day = _day_number(n["gps_century"] * 100 + n["gps_year_of_century"], n["gps_month"], n["gps_day"])
+    is_time = (n["gps_hour"] < 24) & (n["gps_minute"] < 60)
+    seconds = day * 86400.0 + n["gps_hour"] * 3600 + n["gps_minute"] * 60
     return _to_utc(np.where(is_time, seconds + (parts["gps_second"] + parts["gps_second_fraction"]), np.nan))
 
 

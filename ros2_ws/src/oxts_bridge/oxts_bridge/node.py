@@ -235,7 +235,7 @@ def check(settings: SimpleNamespace, node_name: str) -> None:
 
     for topic in settings.topics:
         if topic not in TOPICS:
-            reject("topics", f"{topic!r} is none of {', '.join(TOPICS)}")
+            reject("topics", f"{topic!r} is not one of {', '.join(TOPICS)}")
     if not is_address(settings.bind_address):
         reject("bind_address", f"{settings.bind_address!r} is not an IP address")
     if settings.sender_filter and not is_address(settings.sender_filter):

@@ -18,7 +18,7 @@ NEW, SAME, LATE, DUPLICATE = 0, 1, 2, 3
 HALF_MINUTE_MS = 30_000
 # More consecutive late packets, each later than the one before, mean that the clock was set back, not reordering.
 LATE_RUN = 10
-# Longest pause on the receive clock across which minutes are counted on [ns].
+# Longest pause on the receive clock across which the minute count is continued [ns].
 LONGEST_GAP_NS = 30_000_000_000
 # Within this time of a minute change, a channel 0 that differs by one minute must be confirmed by the next [ms].
 CONFIRMATION_MS = 1_000
@@ -49,7 +49,7 @@ def host_minute(received_ns: int, milliseconds: int) -> int:
 class GpsClock:
     """GPS time of a series of packets, each with milliseconds of the minute and some with the minute (channel 0).
 
-    The clock counts minutes on whenever the milliseconds wrap; a sent minute has precedence over the count.
+    The clock counts a minute whenever the milliseconds wrap; a sent minute has precedence over the count.
     minute, milliseconds: of the newest packet; None until known. jumps: number of steps back, or forward by more than
     1 s beyond the pause on the receive clock. step() never raises.
     """

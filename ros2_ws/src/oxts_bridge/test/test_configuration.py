@@ -56,7 +56,7 @@ def test_wrong_configuration_is_refused_in_one_line(parameters, text, tmp_path):
         ("sender_filter", "300.1.1.1", "sender_filter: '300.1.1.1' is not an IP address"),
         ("base_to_ins", [1.0, 2.0], "base_to_ins: [1.0, 2.0] is not three lengths"),
         ("base_to_ins", [1.0, 2.0, math.nan], "is not three lengths"),
-        ("topics", ["odometry", "odo"], "topics: 'odo' is none of"),
+        ("topics", ["odometry", "odo"], "topics: 'odo' is not one of"),
         ("odom_frame", "map", "must differ"),
         ("replay_file", "gone.ncom", "replay_file: gone.ncom is not a file"),
     ],

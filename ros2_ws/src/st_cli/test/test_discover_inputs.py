@@ -57,7 +57,7 @@ def test_side_by_side_is_the_same(drive, tmp_path):
 @pytest.mark.parametrize(("arguments", "message"), [
     (["--base", "wrong"], "--base wrong: unknown model; use kinematic, linear, nonlinear or a model file"),
     (["--base", "none.yaml"], "--base none.yaml: cannot be read: No such file"),
-    (["--channels", "speed"], "channels: 'speed' is none of velocity_y, yaw_rate"),
+    (["--channels", "speed"], "channels: 'speed' is not one of velocity_y, yaw_rate"),
     (["--channels", ""], "at least one of velocity_y, yaw_rate"),
     (["--figures", "gif"], "--figures: gif is not one of"),
     (["--reference", "nowhere"], "no --reference run can be used: "),

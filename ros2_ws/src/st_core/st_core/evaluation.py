@@ -1,4 +1,4 @@
-"""Predictions against what was then measured: error along, across and in yaw over the horizon, and their statistics."""
+"""Predictions against later measurements: error along, across and in yaw over the horizon, and their statistics."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -18,8 +18,8 @@ from .vehicle import VehicleParameters
 _NEVER = -(2**62)  # before all times
 
 Mode = Literal["forecast", "hindsight", "plan", "course"]
-"""Inputs over the horizon: forecast = held as at the start; hindsight = as then measured; plan = as planned beforehand;
-course = as remembered from earlier drives at the same place."""
+"""Inputs over the horizon: forecast = held at their values at the start; hindsight = measured over the horizon; plan =
+of a motion planner; course = recorded in earlier drives at the same place."""
 
 
 @dataclass(frozen=True)
@@ -73,22 +73,22 @@ class Evaluator:
     Memory is bounded: by the span, and by MAXIMUM_PENDING predictions waiting (the oldest then end incomplete).
     """
 
-    # After the end of a horizon this long is waited for a signal that lags behind [s].
-    PATIENCE = 1.0
+    # Wait after the end of a horizon for a signal that lags behind [s].
+    SIGNAL_TIMEOUT = 1.0
     MAXIMUM_PENDING = 3000
 
     def __init__(self, vehicle: VehicleParameters, settings: PredictionSettings | None = None, span: float = 30.0,
                  models: Sequence[Model] = (), runners: Mapping[str, Runner] | None = None):
         self.vehicle, self._runners = vehicle, runners or {}
         self.settings = settings or PredictionSettings()
-        span = ModelView.span(models, max(span, 2.0 * self.settings.horizon + self.PATIENCE))
+        span = ModelView.span(models, max(span, 2.0 * self.settings.horizon + self.SIGNAL_TIMEOUT))
         self._span_ns = round(span / NANOSECOND)
         self.history = MeasurementHistory(span, self.settings.maximum_gap, self.settings.filter_cutoff)
         self._views = {m.name: ModelView(m, vehicle, self.history) for m in (*MODELS.values(), *models)}
         self._correcting_views = [view for view in self._views.values() if view.corrects_samples]
         self._ahead_ns = max(view.ahead_ns for view in self._views.values())
         self._waiting: dict[tuple[int, int, float], list[_Pending]] = {}
-        self._overtaken: list[Score] = []
+        self._abandoned: list[Score] = []
 
     @property
     def pending(self) -> int:
@@ -102,7 +102,7 @@ class Evaluator:
             view.add_ins(sample)
         accepted = self.history.add_ins(sample)
         if self.history.generation != generation:
-            self._give_up(list(self._waiting), "the measurement's time jumped back")
+            self._abandon(list(self._waiting), "the measurement's time jumped back")
         return accepted
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
@@ -122,17 +122,17 @@ class Evaluator:
         key = (start_ns, len(trajectory.states) - 1, trajectory.step)
         self._waiting.setdefault(key, []).append(_Pending(model, mode, trajectory))
         if self.pending > self.MAXIMUM_PENDING:
-            self._give_up([min(self._waiting)], f"more than {self.MAXIMUM_PENDING} predictions waiting")
+            self._abandon([min(self._waiting)], f"more than {self.MAXIMUM_PENDING} predictions waiting")
 
     def poll(self, newest_ns: int | None = None) -> list[Score]:
         """Scores of all predictions with a horizon that has passed in both signals.
 
-        newest_ns: the present on the clock of the stamps; a prediction with a horizon that ended PATIENCE before it is
-        scored with the available measurements. None: the newest INS sample is taken for the present.
+        newest_ns: the present on the clock of the stamps, None for the newest INS sample; a prediction with a horizon
+        that ended SIGNAL_TIMEOUT before it is scored with the available measurements.
         """
-        scores, self._overtaken = self._overtaken, []
+        scores, self._abandoned = self._abandoned, []
         ins, steering = (_NEVER if s.newest is None else s.newest for s in (self.history.ins, self.history.steering))
-        late = (ins if newest_ns is None else newest_ns) - round(self.PATIENCE / NANOSECOND)
+        late = (ins if newest_ns is None else newest_ns) - round(self.SIGNAL_TIMEOUT / NANOSECOND)
         for key in sorted(self._waiting):
             end = key[0] + round(key[1] * key[2] / NANOSECOND)
             if end <= min(ins, steering - self._ahead_ns) or end <= late:
@@ -141,22 +141,22 @@ class Evaluator:
 
     def flush(self) -> list[Score]:
         """Scores of all pending predictions at the end of the data. Horizons that reach beyond it are incomplete."""
-        scores, self._overtaken = self._overtaken, []
+        scores, self._abandoned = self._abandoned, []
         for key in sorted(self._waiting):
             scores += self._score(key, self._waiting[key])
         self._waiting.clear()
         return scores
 
-    def _give_up(self, keys: Sequence[tuple[int, int, float]], reason: str) -> None:
+    def _abandon(self, keys: Sequence[tuple[int, int, float]], reason: str) -> None:
         for key in keys:
             start_ns, steps, step = key
             nothing = [np.full(steps + 1, math.nan)] * 3
             for pending in self._waiting.pop(key):
                 modes: tuple[Mode, ...] = (pending.mode, "hindsight") if pending.mode == "forecast" else (pending.mode,)
                 for mode in modes:
-                    self._overtaken.append(make_score(pending.model, mode, start_ns, step, nothing, reason))
+                    self._abandoned.append(make_score(pending.model, mode, start_ns, step, nothing, reason))
         # The scores wait for `poll`, bounded like their predictions, as it may never be called.
-        del self._overtaken[:-2 * self.MAXIMUM_PENDING]
+        del self._abandoned[:-2 * self.MAXIMUM_PENDING]
 
     def _score(self, key: tuple[int, int, float], group: Sequence[_Pending]) -> list[Score]:
         start_ns, steps, step = key
@@ -175,7 +175,7 @@ class Evaluator:
         scores = []
         for pending in group:
             view = self.view(pending.model)
-            ways: list[tuple[Mode, Trajectory, np.ndarray, str]] = [
+            variants: list[tuple[Mode, Trajectory, np.ndarray, str]] = [
                 (pending.mode, pending.issued, unbroken, jump or no_position)]
             if pending.mode == "forecast":
                 start = VehicleState(*pending.issued.states[0].tolist())
@@ -184,10 +184,10 @@ class Evaluator:
                 runner = self._runners.get(pending.model) if usual else None
                 resimulated = (runner(start, known) if runner
                          else predict(view.model, self.vehicle, start, known, steps * step, step))
-                ways.append(("hindsight", resimulated, unbroken & scorable, jump or no_inputs))
-            for mode, trajectory, scored, reason in ways:
-                seen = view.readings_along(trajectory)
-                errors = [np.where(scored, e, math.nan) for e in pose_errors(seen.x, seen.y, seen.yaw, *measured)]
+                variants.append(("hindsight", resimulated, unbroken & scorable, jump or no_inputs))
+            for mode, trajectory, scored, reason in variants:
+                r = view.readings_along(trajectory)
+                errors = [np.where(scored, e, math.nan) for e in pose_errors(r.x, r.y, r.yaw, *measured)]
                 scores.append(make_score(pending.model, mode, start_ns, step, errors, reason))
         return scores
 

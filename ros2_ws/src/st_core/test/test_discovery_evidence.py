@@ -90,8 +90,8 @@ def test_chance_is_the_smaller_of_two_tests():
 
 
 def test_design_effect_is_what_dependent_windows_make_of_the_variance():
-    alone, together = (np.median([screened(linear_problem(FEW, {}, seed, common=c))[1].design for seed in range(10)])
-                       for c in (0.0, 1.0))
+    alone, together = (np.median([screened(linear_problem(FEW, {}, seed, common=c))[1].design_effect
+                                  for seed in range(10)]) for c in (0.0, 1.0))
     assert 1.0 <= alone < together
 
 

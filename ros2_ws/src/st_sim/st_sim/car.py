@@ -106,7 +106,7 @@ def _number(section: Mapping[str, Any], key: str, path: Path, prefix: str) -> fl
         raise SimulationError(f"{path}: {prefix}{key} must be {{value: ..., unit: ..., source: ...}}")
     value, unit = entry["value"], entry["unit"]
     if unit not in _TO_SI:
-        raise SimulationError(f"{path}: {prefix}{key}: unit {unit!r} is none of {', '.join(_TO_SI)}")
+        raise SimulationError(f"{path}: {prefix}{key}: unit {unit!r} is not one of {', '.join(_TO_SI)}")
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise SimulationError(f"{path}: {prefix}{key}: {value!r} is not a number")
     return float(value) * _TO_SI[unit]

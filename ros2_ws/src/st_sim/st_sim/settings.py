@@ -152,7 +152,7 @@ def _from_file(path: Path) -> dict[str, float]:
         raise SimulationError(f"{path}: not a mapping of settings to values")
     preset = document.pop("preset", "ideal")
     if not isinstance(preset, str) or preset not in PRESETS:
-        raise SimulationError(f"{path}: preset: {preset!r} is none of {', '.join(PRESETS)}")
+        raise SimulationError(f"{path}: preset: {preset!r} is not one of {', '.join(PRESETS)}")
     return {**PRESETS[preset], **{name: _checked(name, value, str(path)) for name, value in document.items()}}
 
 

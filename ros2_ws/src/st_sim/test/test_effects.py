@@ -246,7 +246,7 @@ def test_presets_and_files(tmp_path):
         ("wind: 3", "wind: unknown setting"),
         ("wind_speed: 99", "wind_speed: 99 is not within -40 to 40 m/s"),
         ("wind_speed: fast", "wind_speed: 'fast' is not within"),
-        ("preset: perfect", "preset: 'perfect' is none of"),
+        ("preset: perfect", "preset: 'perfect' is not one of"),
         ("- 1", "not a mapping"),
         ("a: [", "not valid YAML"),
     ],

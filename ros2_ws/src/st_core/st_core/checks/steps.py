@@ -2,8 +2,8 @@
 
     d_k = p_k - p_{k-1} - integral of R(yaw) v dt
 
-A jump is one large d. A position that is one sample of the receiver old steps back along the track by v h, and forward
-again by as much with the next fresh one.
+A jump is one large d. A stale position, one receiver interval h old, is a step back along the track by v h; the next
+fresh one is a step forward by as much.
 """
 
 from collections.abc import Sequence
@@ -90,7 +90,7 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
     ends = binomtest(round(share * trials), trials).proportion_ci(method="wilson")
     interval = min(float(ends.low), share), max(float(ends.high), share)
     text = (f"at {100 * share:.3g} % of the rows the position falls back to one measured {usual * 1e3:.0f} ms earlier, "
-            "and catches up later: in between it is one sample of the receiver old")
+            "and catches up later: in between it is stale by one sample of the receiver")
     severity = Severity.WARNING if share > WARNING_STALE_SHARE else Severity.NOTE
     stale = (back | forward) & (np.abs(age) < 1.6 * usual) & (across < MAX_CROSS_TRACK_SHARE * np.abs(errors))
     return stale, [Finding(
@@ -109,8 +109,8 @@ def _check_jumps(motion: Motion, errors: np.ndarray, stale: np.ndarray, rounding
         return []
     where = tuple((float(motion.time[k]), float(motion.time[k + 1])) for k in np.flatnonzero(large))
     median, largest = float(np.median(size[large])), float(size[large].max())
-    text = (f"positions jump {count} time{'s' if count > 1 else ''}, by {median:.2f} m in the median, {largest:.2f} m "
-            "at most, not explained by velocity")
+    text = (f"positions jump {count} time{'s' if count > 1 else ''}, not explained by velocity: median "
+            f"{median:.2f} m, largest {largest:.2f} m")
     share = min(count * HORIZON / max(float(motion.time[-1] - motion.time[0]), 1.0), 1.0)
     effect = median * float(np.sqrt(share))
     return [Finding("position_jumps", LIMITS.severity(effect, largest >= LIMITS.warning), ("x", "y"), text,
@@ -139,7 +139,7 @@ def _check_noise(motion: Motion, errors: np.ndarray) -> list[Finding]:
     sigma = float(np.median(np.abs(errors[within]))) / 1.665
     if sigma < MIN_NOISE:
         return []
-    text = f"positions are noisy: {sigma:.2f} m of standard deviation from one sample to the next"
+    text = f"positions are noisy: standard deviation {sigma:.2f} m between samples"
     return [Finding("position_noise", LIMITS.severity(sigma), ("x", "y"), text, sigma, "m", effect=sigma,
                     advice=Advice("look", "record with RTK, or use the positions of the INS, not of the receiver"))]
 
@@ -160,6 +160,6 @@ def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
     effect = deviation * float(np.median(motion.speed[1:][inside]))
     if slope < 0.5 or effect < LIMITS.min_reported_effect:
         return []
-    text = f"the stamps jitter by {deviation * 1e3:.1f} ms, the motion does not: they were made on arrival"
+    text = f"the stamps jitter by {deviation * 1e3:.1f} ms, the motion does not: they are times of arrival"
     return [Finding("time_jitter", LIMITS.severity(effect), ("time",), text, deviation, "s", effect=effect, advice=
                     Advice("look", "use the time of measurement (GPS time), not that of reception"))]

@@ -96,7 +96,7 @@ class DiscoverySettings:
     def __post_init__(self) -> None:
         for channel in self.channels:
             if channel not in CHANNELS:
-                raise ConfigurationError(f"channels: {channel!r} is none of {', '.join(CHANNELS)}")
+                raise ConfigurationError(f"channels: {channel!r} is not one of {', '.join(CHANNELS)}")
         if not self.channels:
             raise ConfigurationError(f"channels: at least one of {', '.join(CHANNELS)} is needed")
         for key, low, high in (("horizon", 1.0, 10.0), ("windows", 50, 20_000), ("interval", 0.1, 10.0),

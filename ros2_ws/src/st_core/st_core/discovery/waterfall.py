@@ -70,11 +70,11 @@ class HorizonErrors:
 
 def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Level],
                near: Sequence[tuple[Sequence[str], np.ndarray]] = (),
-               everything: Joint | None = None, unexplained: float = 1.0) -> dict[str, FittedParameter]:
+               joint: Joint | None = None, unexplained: float = 1.0) -> dict[str, FittedParameter]:
     """Values with 95 % intervals.
 
     Half width: the largest of that from independent blocks, that of the differences between parts of any level, and
-    that of a fit with `everything` else free, there with the model error and widened by `unexplained`, the residual
+    that of the `joint` fit with all else free, there with the model error and widened by `unexplained`, the residual
     over the noise (Birge, Phys. Rev. 40, 1932). The interval extends to the values in `near`, sets of effects that are
     hardly worse. It thus allows for differences between the equations of the model and the car.
     """
@@ -86,18 +86,18 @@ def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Lev
     if problem.prior is not None:  # the values of the healthy car are uncertain as well
         spread = np.hypot(spread, np.sqrt(0.5 * np.diag(inverse(problem.prior))[own]) * space.scale[own])
     quantile = float(stats.t.ppf(0.975, max(problem.blocks - len(fit.indices), 2)))
-    reach = quantile * spread
-    if everything is not None:
-        wide, shift = everything.of(own)
-        alone = np.hypot(quantile * wide, shift) * space.scale[own] * max(unexplained, 1.0)
-        reach = np.maximum(reach, np.hypot(alone, TWO_SIDED * model_error))
+    half = quantile * spread
+    if joint is not None:
+        deviation, shift = joint.of(own)
+        joint_half = np.hypot(quantile * deviation, shift) * space.scale[own] * max(unexplained, 1.0)
+        half = np.maximum(half, np.hypot(joint_half, TWO_SIDED * model_error))
     change = np.abs(fit.vector - space.null)[own]
     for name, level in levels.items():
         if name != "place":
-            reach = np.maximum(reach, change * _over_parts(agreement(problem, fit, effect, *level).ratios))
+            half = np.maximum(half, change * _over_parts(agreement(problem, fit, effect, *level).ratios))
     others = np.array([v[own] for v in (fit.vector, *(vector for names, vector in near if effect in names))])
     others -= fit.vector[own]
-    for i, r, below, above in zip(own, reach, others.min(axis=0), others.max(axis=0), strict=True):
+    for i, r, below, above in zip(own, half, others.min(axis=0), others.max(axis=0), strict=True):
         f, value = space.free[i], float(fit.vector[i])
         # With a reference the value is the change since then.
         value = f.null + value - float(problem.start[i]) if problem.prior is not None else value
@@ -173,11 +173,11 @@ def leave_one_out(problem: Problem, fit: Fit) -> dict[str, dict[str, dict[str, f
                                for n in fit.names} for k, step in steps.items()}
 
 
-def budget(problem: Problem, base: Fit, final: Fit, whole: Fit, varying: Fit | None,
+def budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varying: Fit | None,
            ends: HorizonErrors) -> list[BudgetLine]:
     """Contribution of each part when added last and when added first, to the mean position error after 5 s and to the
-    loss at the scale of the answer. whole: fit with effective corrections. varying: fit with an effect that varies over
-    the driving."""
+    loss at the scale of the answer. corrected: fit with effective corrections. varying: fit with an effect that varies
+    over the driving."""
     def size(fit: Fit) -> tuple[float, float]:
         """(mean position error [m], loss per scored error)."""
         end = ends.of(fit)
@@ -205,10 +205,11 @@ def budget(problem: Problem, base: Fit, final: Fit, whole: Fit, varying: Fit | N
         without = size(fitted(others)) if others else start
         alone = size(fitted(own)) if others else end
         lines.append(line(part, tuple(np.subtract(without, end)), tuple(np.subtract(start, alone))))
-    for part, fit in zip(PARTS[len(EFFECT_KINDS):], (whole if whole is not final else None, varying), strict=False):
+    others = (corrected if corrected is not final else None, varying)
+    for part, fit in zip(PARTS[len(EFFECT_KINDS):], others, strict=False):
         if fit is not None:
-            more = size(fit)
-            less = end[0] - min(more[0], end[0]), end[1] - min(more[1], end[1])
-            lines.append(line(part, less, less))
-            end = end[0] - less[0], end[1] - less[1]
+            better = size(fit)
+            reduction = end[0] - min(better[0], end[0]), end[1] - min(better[1], end[1])
+            lines.append(line(part, reduction, reduction))
+            end = end[0] - reduction[0], end[1] - reduction[1]
     return [*lines, line(PARTS[-1], end, end)]

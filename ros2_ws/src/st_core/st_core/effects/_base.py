@@ -250,7 +250,7 @@ def _missing(effect: type[Effect]) -> Iterator[str]:
         if not hasattr(effect, key):
             yield f"{key} is not given; it is one of {', '.join(known)}"
         elif getattr(effect, key) not in known:
-            yield f"{key} {getattr(effect, key)!r} is none of {', '.join(known)}"
+            yield f"{key} {getattr(effect, key)!r} is not one of {', '.join(known)}"
     if not any(p.fit for p in getattr(effect, "parameters", ())):
         yield "no parameter that can be fitted"
     if effect.lifts is None and all(getattr(effect, hook) is None for hook in HOOKS if hook not in PASSIVE):

@@ -9,7 +9,7 @@ from ._base import ANY, Effect, Parameter, register
 class SteeringRatio(Effect):
     name = "steering_ratio"
     physics = "delta = delta_measured / factor: a larger true ratio turns the wheels less"
-    excited_by = "transients or two speeds; at one steady speed it is a change of front stiffness"
+    excited_by = "transients or two speeds; at one steady speed not separable from front stiffness"
     kind, slot = "vehicle parameters", "steering"
     twins = ("front_stiffness", "roll_steer", "yaw_rate_scale", "speed_scale", "steering_map")
     combinations = ("steady-state yaw gain at 20 m/s",)

@@ -90,8 +90,8 @@ def describe_swapped_axles(found: Identification, wheelbase: float, expected: fl
     """A sentence when front and rear readings look exchanged: the CG fits the file's [m] only from the other end."""
     front = found["cg_to_front_axle"].value
     if abs(front - expected) > 0.05 * wheelbase and abs(wheelbase - front - expected) < 0.02 * wheelbase:
-        return (f"cg_to_front_axle comes out as {front:.3f} m, the vehicle file has {expected:.3f} m; with front and "
-                f"rear columns exchanged it would be {wheelbase - front:.3f} m. Check which columns are which.")
+        return (f"cg_to_front_axle is estimated as {front:.3f} m, the vehicle file has {expected:.3f} m; with front "
+                f"and rear columns exchanged it would be {wheelbase - front:.3f} m. Check which columns are which.")
     return ""
 
 

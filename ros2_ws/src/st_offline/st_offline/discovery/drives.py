@@ -36,8 +36,8 @@ ANSWER_FORMAT = 2  # of a cached answer; files of another number are not used
 class Drive:
     """One run as read, or the problem why it cannot be used (log is then None).
 
-    about: for the report, with the findings (also of a refused run), the estimates of the checks, and as vehicle the
-    name of the car in a recording, "" without one.
+    about: for the report, with the findings (also of a refused run) and estimates of the checks; vehicle: name of the
+    car in a recording, "" without one.
     """
 
     name: str
@@ -147,7 +147,7 @@ def answer_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle:
 
 
 def write_answer(file: Path, found: Discovery) -> None:
-    """Write an answer for `read_answer`, atomically; a failure, as of a full disk, is ignored."""
+    """Write an answer for `read_answer`, atomically; a failure, such as a full disk, is ignored."""
     def parts(model: AugmentedModel) -> list[Any]:
         return [_base(model), {effect: dict(values) for effect, values in model.values.items()}]
 
