@@ -248,7 +248,7 @@ def test_suggested_drive_tells_the_pair_apart(leaf):
     """A small error of the inertia and a lag are not separable in gentle driving; after the drive, as predicted."""
     true, answer = {"yaw_inertia": {"factor": 1.05}}, [effect_of("yaw_inertia", "steering_lag")]
     problem, fit = driven(leaf, ("weave",), true, ("yaw_inertia",))
-    design = screen(problem, fit, np.random.default_rng(0)).design
+    design = screen(problem, fit, np.random.default_rng(0)).design_effect
     before, = separability(problem, fit, answer, design)
     options = catalogue(problem, fit)
     told = next_manoeuvre(problem, fit, answer, options, design)

@@ -69,7 +69,7 @@ def test_a_complete_effect_is_taken():
     ({"acceleration": lambda at, given, theta: (0.0, 0.0, 0.0)}, "effect trial: acceleration must be a @staticmethod"),
     ({"physics": ""}, "effect trial: physics is not given"),
     ({"kind": None}, "effect trial: kind is not given; it is one of sensors, vehicle param.*, surroundings"),
-    ({"kind": "sensor"}, "effect trial: kind 'sensor' is not one of sensors, vehicle parameters, physics, surroundings"),
+    ({"kind": "sensor"}, "effect trial: kind 'sensor' is not one of sensors, vehicle parameters, physics, surr"),
     ({"slot": None}, "effect trial: slot is not given; it is one of steering, front axle, .*, acceleration"),
     ({"slot": "front"}, "effect trial: slot 'front' is not one of steering"),
     ({"needs": "yaw"}, "effect trial: needs must be a tuple of names"),

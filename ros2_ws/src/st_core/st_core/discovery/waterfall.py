@@ -205,8 +205,8 @@ def budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varying: Fit
         without = size(fitted(others)) if others else start
         alone = size(fitted(own)) if others else end
         lines.append(line(part, tuple(np.subtract(without, end)), tuple(np.subtract(start, alone))))
-    others = (corrected if corrected is not final else None, varying)
-    for part, fit in zip(PARTS[len(EFFECT_KINDS):], others, strict=False):
+    extended = (corrected if corrected is not final else None, varying)
+    for part, fit in zip(PARTS[len(EFFECT_KINDS):], extended, strict=False):
         if fit is not None:
             better = size(fit)
             reduction = end[0] - min(better[0], end[0]), end[1] - min(better[1], end[1])
