@@ -145,8 +145,8 @@ BAD = {
     "header only": ("scales", "front_left_kg,front_right_kg,rear_left_kg,rear_right_kg\n", "has a header and no rows"),
     "short row": ("scales", "front_left_kg,front_right_kg,rear_left_kg,rear_right_kg\n450,450\n",
                   "row 1 has 2 cells, the header 4"),
-    "twice": ("scales", "front_left_kg,front_left_kg,rear_left_kg,rear_right_kg\n1,2,3,4\n", "front_left is there "
-                                                                                             "twice"),
+    "twice": ("scales", "front_left_kg,front_left_kg,rear_left_kg,rear_right_kg\n1,2,3,4\n",
+              "front_left occurs twice"),
     "degrees as radians": ("cg-height", "pitch_rad,rear_left_kg,rear_right_kg,front_radius_m,rear_radius_m\n"
                            "0,340,340,0.3,0.3\n5,345,345,0.3,0.3\n10,350,350,0.3,0.3\n", "limit 45 deg"),
     "no pitch": ("cg-height", "rear_left_kg,rear_right_kg\n340,340\n", "has no column pitch_deg, nor lift_m"),
