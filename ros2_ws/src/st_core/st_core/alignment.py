@@ -7,7 +7,7 @@ Position jump: a displacement between two samples that the integrated velocity d
 RTK lost and regained, another unit on the network or a new origin make |d| a step, while noise and the error of the
 trapezoidal rule stay within a tolerance.
 
-Frozen steering angle: the sensor repeats one value while the car's turn changes. The angle of a steady turn,
+Frozen steering angle: the sensor repeats one value while the yaw motion changes. The angle of a steady turn,
 
     delta' = l (1 + K v^2) r / v
 
@@ -185,7 +185,7 @@ class MeasurementHistory:
 
 
 class FrozenAngle(NamedTuple):
-    """angle: constant road wheel angle [rad]. seconds: its duration. low, high: range of delta' meanwhile [rad]."""
+    """angle: constant road wheel angle [rad]. seconds: its duration. low, high: range of delta' in that time [rad]."""
 
     angle: float
     seconds: float

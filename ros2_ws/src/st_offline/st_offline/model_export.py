@@ -124,8 +124,8 @@ def _readme(description: dict[str, Any], kind: Format) -> str:
         f"States x: {states}. Inputs u: {inputs}. Parameters p: {parameters}. Bounds, and the arguments and results of "
         "each function, are in model.json; use the bounds, or narrower ones, as constraints.",
         "`dynamics`: time derivative. `step`: classical Runge-Kutta over h [s], inputs held, "
-        f"{description['substeps']} part(s). A, B: derivatives by x and by u. `start`: the six states with the extra "
-        "ones as they are at a start.",
+        f"{description['substeps']} part(s). A, B: derivatives by x and by u. `start`: the six states with the initial "
+        "values of the extra ones.",
         f"A step h is stable above this speed (a slow car is stiff): {stable}.",
         f"Not in the equations: {missing}. They act on the steering signal before the model, or on the sensors; apply "
         "them outside." if missing else "", how))) + "\n"
@@ -145,7 +145,7 @@ def half_width_function(band: Band, level: float, vehicle: VehicleParameters,
     """
     if level not in band.factors:
         known = ", ".join(f"{one:g}" for one in band.factors)
-        raise ConfigurationError(f"level {level:g}: the bands state {known}")
+        raise ConfigurationError(f"level {level:g}: the bands have {known}")
     x, u, activity = casadi.SX.sym("x", 6), casadi.SX.sym("u", 2), casadi.SX.sym("steering_activity")
     velocity_x = x[2] - x[5] * vehicle.cg_to_ins_y
     phi = casadi.vertcat(*features_of_one(magnitudes(velocity_x, x[5], u[1], activity), casadi.log, casadi.fmax))

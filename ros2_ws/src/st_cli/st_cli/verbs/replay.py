@@ -12,7 +12,7 @@ def replay(
     bag: Path = typer.Argument(..., help="Bag with odometry and steering, or the folder of a run.", exists=True),
     rate: float = typer.Option(1.0, help="Playback speed relative to the recording.", min=0.05, max=100.0),
     fast: bool = typer.Option(False, "--fast", help="As fast as predictor and evaluator can follow."),
-    force: bool = typer.Option(False, "--force", help="Also if `st check` finds an error in the recording."),
+    force: bool = typer.Option(False, "--force", help="Use the recording even if `st check` finds an error in it."),
     bands: shared.BandsFile = None,
     adaptive: shared.Adaptive = None,
     course: shared.CourseFile = None,
@@ -59,7 +59,7 @@ def verify(
     bag: Path = typer.Argument(..., help="A recording, or the folder of a run of st.", exists=True),
     tolerance: float = typer.Option(TOLERANCE, help="Largest accepted difference, m.", min=0.0),
     replayed: bool = typer.Option(False, "--replay", help="Play it through the nodes and compare the result."),
-    force: bool = typer.Option(False, "--force", help="Also if `st check` finds an error in the recording."),
+    force: bool = typer.Option(False, "--force", help="Use the recording even if `st check` finds an error in it."),
     output: Path | None = typer.Option(None, help="Folder of that replay; default runs/verify-<time>."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:

@@ -32,14 +32,14 @@ from .scale import evenly_spaced
 
 PARAMETERS, SENSORS = "parameters", "sensors and start"
 STARTS = 200  # of a run; neighbouring starts are redundant
-EDGES_95 = 1.96
+Z95 = 1.96
 
 Intervals = Mapping[tuple[str, str], tuple[float, float]]  # 95 % interval by effect and parameter, of a model file
 Cause = tuple[str, str]  # (PARAMETERS or SENSORS, name)
 
 
 def squared_contributions(model: Model, vehicle: VehicleParameters, signals: LogSignals, settings: EvaluationSettings,
-                  intervals: Intervals | None = None) -> tuple[int, np.ndarray, dict[Cause, np.ndarray]]:
+                          intervals: Intervals | None = None) -> tuple[int, np.ndarray, dict[Cause, np.ndarray]]:
     """(number of starts, squares of the error, squares by cause) of one run.
 
     Squares are sums over the starts, (seconds, 3) [m^2, m^2, rad^2], along, across and in yaw at 1, 2, ... s ahead.
@@ -56,8 +56,8 @@ def squared_contributions(model: Model, vehicle: VehicleParameters, signals: Log
     def path(drive: LogSignals, changed: Model, car: VehicleParameters) -> np.ndarray:
         states = batch(drive).predict(changed, car).states
         with np.errstate(all="ignore"):
-            seen = readings(changed, car, tuple(np.moveaxis(states, -1, 0)))
-            return np.stack([seen.x, seen.y, seen.yaw])
+            r = readings(changed, car, tuple(np.moveaxis(states, -1, 0)))
+            return np.stack([r.x, r.y, r.yaw])
 
     measured = batch(signals)
     errors, base = measured.errors(measured.predict(model, vehicle)), path(signals, model, vehicle)
@@ -103,7 +103,7 @@ def _models(model: Model, intervals: Intervals) -> dict[str, tuple[Model, Model]
         return {}
     found: dict[str, tuple[Model, Model]] = {}
     for (effect, name), (low, high) in intervals.items():
-        value, sigma = model.values[effect][name], (high - low) / (2.0 * EDGES_95)
+        value, sigma = model.values[effect][name], (high - low) / (2.0 * Z95)
         bounds = next(p.bounds for p in get_effect(effect).parameters if p.name == name)
         # One-sided if the other end is out of bounds.
         pair = [float(np.clip(value + side * sigma, *bounds)) for side in (-1.0, 1.0)]

@@ -10,7 +10,7 @@ from ._base import Effect, Parameter, register
 class YawRateDelay(Effect):
     name = "yaw_rate_delay"
     physics = "measured r(t) = r(t - time) ~ r - time r_dot: sensor filter, or time stamps of another clock"
-    excited_by = "sweeps and steps, with the heading measured"
+    excited_by = "sweeps and steps, with measured heading"
     kind, slot = "sensors", "yaw rate"
     needs = ("yaw_rate",)
     order = 20  # before scale and bias, which do not depend on time

@@ -77,11 +77,11 @@ def fit_curve(residuals: Residuals, starts: Sequence[Sequence[float]], lower: Se
     return CurveFit(found.x, covariance, found.fun, scatter, freedom, low, high)
 
 
-def _solve(residuals: Residuals, start: Sequence[float] | np.ndarray, low: np.ndarray, high: np.ndarray, exact: float,
-           most: int) -> OptimizeResult:
+def _solve(residuals: Residuals, start: Sequence[float] | np.ndarray, low: np.ndarray, high: np.ndarray,
+           tolerance: float, max_evaluations: int) -> OptimizeResult:
     inside = np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
-    return least_squares(residuals, inside, _jacobian(residuals, high), (low, high), x_scale="jac", xtol=0.1 * exact,
-                         ftol=exact, gtol=1e-12, max_nfev=most)
+    return least_squares(residuals, inside, _jacobian(residuals, high), (low, high), x_scale="jac",
+                         xtol=0.1 * tolerance, ftol=tolerance, gtol=1e-12, max_nfev=max_evaluations)
 
 
 def profile_interval(residuals: Residuals, fit: CurveFit, index: int) -> Interval:

@@ -20,8 +20,8 @@ from .check_report import findings_as_json
 
 STEP = PredictionSettings().step
 RUN_ERRORS = (RunError, StCoreError, MemoryError, OSError)
-"""Errors that concern a single run; the others are processed."""
-ADVICE = "follow the advice of `st check`, or use it in spite of that with --force"
+"""Errors that concern a single run; the other runs are still processed."""
+ADVICE = "follow the advice of `st check`, or use it anyway with --force"
 
 
 class Refused(RunError):
@@ -34,7 +34,7 @@ class Refused(RunError):
         sign = check_report.advise_steering_sign(findings, str(where))
         super().__init__(where, f"{sign}; {errors}" if sign else errors, ADVICE)
 
-    def __reduce__(self):  # errors travel between processes by their arguments
+    def __reduce__(self):  # errors are pickled by their arguments, for the parent process
         return Refused, (self.path, self.findings)
 
 

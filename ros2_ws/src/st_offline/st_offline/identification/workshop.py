@@ -34,7 +34,7 @@ def identify_scales(files: Sequence[Path], setup: Setup) -> tuple[Identification
         loads += [", ".join(note for note in row if note) for row in zip(*notes, strict=True)]
         scales |= set(table.numbers.get("scale_uncertainty", np.array([SCALE_UNCERTAINTY])).tolist())
     if len(scales) > 1:
-        raise RunError(files[0], f"scale_uncertainty_kg has several values: {sorted(scales)}", "one set of scales")
+        raise RunError(files[0], f"scale_uncertainty_kg has several values: {sorted(scales)}", "use one set of scales")
     vehicle = setup.vehicle
     weighings = Weighings(np.concatenate(readings), tuple(names), tuple(loads), scales.pop())
     found = mass_and_cg(weighings, vehicle.wheelbase, setup.uncertainty_of("wheelbase"))
@@ -144,7 +144,7 @@ def identify_height(files: Sequence[Path], setup: Setup) -> tuple[Identification
         parts.append((_pitch(table, vehicle.wheelbase), columns["rear_left"] + columns["rear_right"],
                       *(columns.get(name, empty) for name in RADII)))
     if len(masses) > 1:
-        raise RunError(files[0], f"car_mass_kg has several values: {sorted(masses)}", "lift one car")
+        raise RunError(files[0], f"car_mass_kg has several values: {sorted(masses)}", "all rows must be of one car")
     pitch, load, front, rear = (np.concatenate(column) for column in zip(*parts, strict=True))
     given = masses.pop() if masses else None
     car = LiftedCar(given or vehicle.mass, vehicle.wheelbase, vehicle.cg_to_front_axle,

@@ -225,8 +225,7 @@ def _blf(file: Path, notes: list[str]) -> Iterator[Any]:
     if not reader.file_size:
         notes.append("was not closed by its logger; its end may be missing")
     elif size < reader.file_size:
-        notes.append(f"is cut: {share(reader.file_size - size, reader.file_size, 'bytes')} of the log are missing; "
-                     "read up to there")
+        notes.append(f"is truncated: {share(reader.file_size - size, reader.file_size, 'bytes')} are missing")
 
 
 def _is_candump(head: bytes) -> bool:
