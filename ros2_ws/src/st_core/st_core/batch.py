@@ -62,7 +62,7 @@ class LogBatch:
     planned road wheel angles [rad], velocity_x_dot [m/s^2] and, of a path, slip-free angles [rad], each
     (n, 2 * steps + 1) on the half-step grid.
     points [s]: of the horizon, multiples of step; None: 0, step, ... horizon. substeps: integration steps in a step;
-    auto = as few as are stable at the speeds of the log. A step too long for those is warned of once.
+    auto = as few as are stable at the speeds of the log. Warns once where one step is too long for them.
     backend: lanes or numpy; None: the fastest there is. maximum_gap [s], filter_cutoff [Hz], acceleration: as in
     LogSignals; they are taken from there when `log` is one. signals: those that a model needs beyond its inputs,
     (time [ns], values) by name.
@@ -169,7 +169,7 @@ class LogBatch:
         return self._single_block[count, separate]
 
     def _planned(self, count: int, separate: bool) -> Iterator[Block]:
-        # Held inputs are needed at the start alone, unless the wheels still follow what the steering did before it.
+        # Held inputs are needed at the start alone, unless the wheels lag the steering of before the start.
         throughout = self._inputs == "measured" or separate
         instants = half_step_grid(0, self.steps * count, self.step / count) if throughout else np.zeros(1, np.int64)
         return plan(self._unique, instants, self._backend.LANES, share=not separate)

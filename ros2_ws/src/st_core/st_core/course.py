@@ -91,7 +91,7 @@ class Course:
         found = np.array(sorted(self._tree.query_ball_point((x, y), REACH)), int)
         if not len(found):
             return []
-        number, row = (of[found] for of in self._owners)
+        number, row = (index[found] for index in self._owners)
         points = np.stack([self.passes[n].points[k] for n, k in zip(number.tolist(), row.tolist(), strict=True)])
         same = np.abs(wrap_angle(points[:, 2] - direction)) < MAX_HEADING_DIFFERENCE
         number, row, points = number[same], row[same], points[same]
@@ -183,10 +183,10 @@ def passes_of(log: DriveLog, digests: Sequence[str], maximum_gap: float = 0.1) -
     """
     time = (log.ins_time_ns - log.ins_time_ns[:1]) * 1e-9
     spacing = np.diff(time)
-    way = np.hypot(np.diff(log.x), np.diff(log.y))
+    displacement = np.hypot(np.diff(log.x), np.diff(log.y))
     travelled = 0.5 * (log.velocity_x[1:] + log.velocity_x[:-1]) * spacing
     slow = np.minimum(log.velocity_x[1:], log.velocity_x[:-1]) < PAUSE_SPEED
-    breaks = slow | (spacing > maximum_gap) | (np.abs(way - travelled) > 0.5 + 0.5 * travelled)
+    breaks = slow | (spacing > maximum_gap) | (np.abs(displacement - travelled) > 0.5 + 0.5 * travelled)
     edges = np.flatnonzero(np.diff(np.concatenate([[True], breaks, [True]]).astype(int)))
     found = [Pass(log.name, tuple(digests), points) for first, last in edges.reshape(-1, 2)
              if (points := _resampled(log, slice(int(first), int(last) + 1))) is not None]
@@ -200,11 +200,11 @@ def _resampled(log: DriveLog, rows: slice) -> np.ndarray | None:
     """Points (n, 5) every SPACING m along the path of some rows; None for less than MIN_LENGTH."""
     x, y, speed = log.x[rows], log.y[rows], log.velocity_x[rows]
     seconds = (log.ins_time_ns[rows] - log.ins_time_ns[rows][:1]) * 1e-9
-    way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(seconds))])
-    if way[-1] < MIN_LENGTH:
+    distance = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(seconds))])
+    if distance[-1] < MIN_LENGTH:
         return None
-    at = np.arange(0.0, way[-1], SPACING)
-    east, north, curvature, speed = (np.interp(at, way, v) for v in (x, y, log.yaw_rate[rows] / speed, speed))
+    grid = np.arange(0.0, distance[-1], SPACING)
+    east, north, curvature, speed = (np.interp(grid, distance, v) for v in (x, y, log.yaw_rate[rows] / speed, speed))
     curvature, d_x, d_y = (uniform_filter1d(v, round(SMOOTHING / SPACING), mode="nearest")
                            for v in (curvature, np.gradient(east), np.gradient(north)))
     return np.stack([east, north, np.unwrap(np.arctan2(d_y, d_x)), curvature, speed], axis=1)

@@ -99,10 +99,10 @@ class _Open(NamedTuple):
     """A forecast that has not ended: its end [ns], distance [m] and motion at its start, predicted distances [m] by
     kind of speed, and path of the course (points, 2) [m] every SPACING m."""
 
-    due_ns: int
-    way: float
+    end_ns: int
+    distance: float
     own: Own
-    ways: np.ndarray
+    distances: np.ndarray
     path: np.ndarray
 
 
@@ -121,7 +121,7 @@ class CourseTracker:
 
     def restart(self) -> None:
         """Forget past driving, open forecasts and errors."""
-        self._way = 0.0
+        self._distance = 0.0
         self._past: deque[tuple[float, Own]] = deque()
         self._open: deque[_Open] = deque()
         self._curvature_errors, self._speed_errors = np.array(CURVATURE_PRIOR), np.array(SPEED_PRIOR)
@@ -137,8 +137,9 @@ class CourseTracker:
         if not candidates:
             return CourseForecast(None, reason="course: it ends within the horizon" if visits else
                                   "course: no earlier drive near the car in its direction")
-        weights = np.exp(-0.5 * np.array([one[0] for one in candidates]))
-        if min(one[0] for one in candidates) > MAX_DIFFERENCE**2:
+        squares = np.array([square for square, _, _ in candidates])
+        weights = np.exp(-0.5 * squares)
+        if squares.min() > MAX_DIFFERENCE**2:
             return CourseForecast(None, reason="course: the driver follows no earlier drive in line and speed")
         return self._mixed(candidates, weights / weights.sum(), own)
 
@@ -148,14 +149,14 @@ class CourseTracker:
         if self._past:
             last = self._past[-1][1]
             elapsed = (own.time_ns - last.time_ns) * NANOSECOND
-            way = 0.5 * (own.velocity_x + last.velocity_x) * elapsed
-            jumped = abs(math.hypot(own.x - last.x, own.y - last.y) - abs(way)) > JUMP + 0.1 * abs(way)
+            driven = 0.5 * (own.velocity_x + last.velocity_x) * elapsed
+            jumped = abs(math.hypot(own.x - last.x, own.y - last.y) - driven) > JUMP + 0.1 * driven
             if not 0.0 < elapsed < self._horizon_ns * NANOSECOND or jumped:
                 self.restart()
                 elapsed = 0.0
             else:
-                self._way += way
-        self._past.append((self._way, own))
+                self._distance += driven
+        self._past.append((self._distance, own))
         while (own.time_ns - self._past[0][1].time_ns) * NANOSECOND > RECENT:
             self._past.popleft()
         return elapsed
@@ -163,13 +164,13 @@ class CourseTracker:
     def _score(self, own: Own, elapsed: float) -> None:
         """Update E with the errors of the forecasts that have ended."""
         share = min(elapsed / FORGETTING, 1.0)
-        while self._open and self._open[0].due_ns <= own.time_ns:
+        while self._open and self._open[0].end_ns <= own.time_ns:
             ended = self._open.popleft()
-            driven = self._way - ended.way
+            driven = self._distance - ended.distance
             row = min(max(driven / SPACING, 0.0), len(ended.path) - 1.001)
             before, after = ended.path[int(row)], ended.path[int(row) + 1]
-            places = np.array([_arc(ended.own, driven), before + (row - int(row)) * (after - before)])
-            squares = np.square(places - (own.x, own.y)).sum(axis=1), np.square(ended.ways - driven)
+            positions = np.array([_arc(ended.own, driven), before + (row - int(row)) * (after - before)])
+            squares = np.square(positions - (own.x, own.y)).sum(axis=1), np.square(ended.distances - driven)
             self._curvature_errors, self._speed_errors = (
                 (1.0 - share) * errors + share * np.clip(new, *SQUARES)
                 for errors, new in zip((self._curvature_errors, self._speed_errors), squares, strict=True))
@@ -184,13 +185,14 @@ class CourseTracker:
             return None
         length = int(np.searchsorted(arrival, 2.0 * self._time[-1])) + 2
         ahead, speed = ahead[:length], speed[:length]
-        rows = np.round(visit.row - np.array([self._way - way for way, _ in self._past]) / SPACING).astype(int)
-        then = points[np.maximum(rows, 0)][rows >= 0]
+        behind = np.array([self._distance - distance for distance, _ in self._past])
+        rows = np.round(visit.row - behind / SPACING).astype(int)
+        of_pass = points[np.maximum(rows, 0)][rows >= 0]
         driven = np.array([[one.velocity_x, one.curvature] for _, one in self._past])[rows >= 0]
         turned = float(wrap_angle(own.direction - ahead[0, 2]))
         differences = {"place": visit.distance, "direction": turned,
-                       "speed": float(np.sqrt(np.square(np.log(driven[:, 0] / then[:, 4])).mean())),
-                       "curvature": float(np.sqrt(np.square(driven[:, 1] - then[:, 3]).mean()))}
+                       "speed": float(np.sqrt(np.square(np.log(driven[:, 0] / of_pass[:, 4])).mean())),
+                       "curvature": float(np.sqrt(np.square(driven[:, 1] - of_pass[:, 3]).mean()))}
         square = sum((differences[name] / scale) ** 2 for name, scale in SCALES.items())
         across = math.cos(ahead[0, 2]) * (own.y - ahead[0, 1]) - math.sin(ahead[0, 2]) * (own.x - ahead[0, 0])
         return min(square, 200.0), speed, ahead[:, 3] + _return_curvature(across, turned, len(ahead))
@@ -199,25 +201,25 @@ class CourseTracker:
                own: Own) -> CourseForecast:
         length = min(len(speed) for _, speed, _ in candidates)
         speeds = np.stack([speed[:length] for _, speed, _ in candidates])
-        by_way, curvature = weights @ speeds, weights @ np.stack([k[:length] for *_, k in candidates])
-        arrival = np.concatenate([[0.0], np.cumsum(2.0 * SPACING / (by_way[1:] + by_way[:-1]))])
+        remembered, curvature = weights @ speeds, weights @ np.stack([k[:length] for *_, k in candidates])
+        arrival = np.concatenate([[0.0], np.cumsum(2.0 * SPACING / (remembered[1:] + remembered[:-1]))])
         end = min(int(np.searchsorted(arrival, self._time[-1])), length - 1)
-        spread = float(np.sqrt(weights @ np.square(speeds[:, end] - by_way[end])))
-        t, gain = self._time, own.velocity_x_dot
-        options = np.stack([own.velocity_x + gain * t, np.full_like(t, own.velocity_x),
-                            own.velocity_x + gain * FADING * (1.0 - np.exp(-t / FADING)),
-                            np.interp(t, arrival, by_way)]).clip(0.0)
-        ways = 0.5 * (options[:, 1:] + options[:, :-1]) @ np.diff(t)
+        spread = float(np.sqrt(weights @ np.square(speeds[:, end] - remembered[end])))
+        t, acceleration = self._time, own.velocity_x_dot
+        options = np.stack([own.velocity_x + acceleration * t, np.full_like(t, own.velocity_x),
+                            own.velocity_x + acceleration * FADING * (1.0 - np.exp(-t / FADING)),
+                            np.interp(t, arrival, remembered)]).clip(0.0)
+        distances = 0.5 * (options[:, 1:] + options[:, :-1]) @ np.diff(t)
         heading = own.direction + cumulative_trapezoid(curvature, dx=SPACING, initial=0.0)
         path = np.array([[own.x, own.y]]) + cumulative_trapezoid(np.stack([np.cos(heading), np.sin(heading)], 1),
                                                                  dx=SPACING, axis=0, initial=0.0)
         shares, speed_shares = (errors**-2.0 / (errors**-2.0).sum()
                                 for errors in (self._curvature_errors, self._speed_errors))
-        self._open.append(_Open(own.time_ns + self._horizon_ns, self._way, own, ways, path))
+        self._open.append(_Open(own.time_ns + self._horizon_ns, self._distance, own, distances, path))
         speed = speed_shares @ options
-        way = cumulative_trapezoid(speed, dx=float(t[1]), initial=0.0)
-        bend = shares[0] * own.curvature + shares[1] * np.interp(way, SPACING * np.arange(length), curvature)
-        return CourseForecast(self._inputs(own, speed, bend), float(shares[1]), float(speed_shares[3]), spread)
+        distance = cumulative_trapezoid(speed, dx=float(t[1]), initial=0.0)
+        mixed = shares[0] * own.curvature + shares[1] * np.interp(distance, SPACING * np.arange(length), curvature)
+        return CourseForecast(self._inputs(own, speed, mixed), float(shares[1]), float(speed_shares[3]), spread)
 
     def _inputs(self, own: Own, speed: np.ndarray, curvature: np.ndarray) -> InputSequence:
         share = 1.0 - np.exp(-self._time / BLEND)
@@ -228,19 +230,19 @@ class CourseTracker:
                              own.velocity_x_dot + share * (path.velocity_x_dot - own.velocity_x_dot), signals)
 
 
-def _arc(own: Own, way: float) -> tuple[float, float]:
+def _arc(own: Own, distance: float) -> tuple[float, float]:
     """Position after a distance [m] of constant curvature."""
-    chord = own.direction + 0.5 * own.curvature * way
-    length = way * float(np.sinc(0.5 * own.curvature * way / math.pi))
+    chord = own.direction + 0.5 * own.curvature * distance
+    length = distance * float(np.sinc(0.5 * own.curvature * distance / math.pi))
     return own.x + length * math.cos(chord), own.y + length * math.sin(chord)
 
 
 def _return_curvature(across: float, turned: float, count: int) -> np.ndarray:
     """e'' every SPACING m, of a car `across` [m] from a line, left +, and `turned` [rad] from its direction."""
-    one, other = RETURN_LENGTHS
-    b = (turned + across / one) / (1.0 / one - 1.0 / other)
-    way = SPACING * np.arange(count)
-    return (across - b) / one**2 * np.exp(-way / one) + b / other**2 * np.exp(-way / other)
+    l_1, l_2 = RETURN_LENGTHS
+    b = (turned + across / l_1) / (1.0 / l_1 - 1.0 / l_2)
+    s = SPACING * np.arange(count)
+    return (across - b) / l_1**2 * np.exp(-s / l_1) + b / l_2**2 * np.exp(-s / l_2)
 
 
 def course_inputs(course: Course, signals: LogSignals, vehicle: VehicleParameters, horizon: float,
@@ -252,10 +254,9 @@ def course_inputs(course: Course, signals: LogSignals, vehicle: VehicleParameter
         columns = [*signals.ins_at(starts_ns, *Own._fields[1:-1]), signals.road_wheel_angle_at(starts_ns)]
         inputs = np.full((3, len(starts_ns), round(2.0 * horizon / step) + 1), np.nan)
         for k, (time_ns, *values) in enumerate(zip(starts_ns.tolist(), *(c.tolist() for c in columns), strict=True)):
-            found = tracker.update(Own(time_ns, *values))
-            if found.inputs is not None:
-                one = found.inputs
-                inputs[:, k] = one.road_wheel_angle, one.velocity_x_dot, one.signals[SLIP_FREE]
+            found = tracker.update(Own(time_ns, *values)).inputs
+            if found is not None:
+                inputs[:, k] = found.road_wheel_angle, found.velocity_x_dot, found.signals[SLIP_FREE]
         return tuple(inputs)
 
     return ahead

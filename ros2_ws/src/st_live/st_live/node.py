@@ -49,7 +49,7 @@ class SuiteState:
     summary: ErrorSummary | None = None
     ticks: PredictorStatus | None = None
     health: dict[str, Status] = field(default_factory=dict)
-    prediction: Prediction | None = None  # a newest one, of any model
+    prediction: Prediction | None = None  # the newest one of any model
 
 
 class Monitor:

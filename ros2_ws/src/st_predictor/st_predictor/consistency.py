@@ -20,7 +20,7 @@ SAMPLE_NS = 20_000_000  # measurements are thinned out to this period
 PERIOD = 10.0  # s of measurement between checks
 CPU_SHARE = 0.018  # of a core since the start; checks that would take more run less often than every PERIOD
 # A heading error and a wrong measuring point cannot be distinguished on a single bend, only on a whole drive. Gaps and
-# implausible samples are reported by the bridges; after a change of unit, half a minute would be full of them.
+# implausible samples are reported by the bridges; a change of unit would report them for WINDOW.
 NOT_LIVE = frozenset(("heading_misaligned", "measuring_point", "time_gaps", "sample_spikes", "sentinel_values",
                       "out_of_range", "channel_wraps", "channel_jumps"))
 

@@ -46,7 +46,7 @@ class Parameter:
         if expected is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
         if expected in (list, tuple):
-            if value is None:  # how rcl hands over `[]`
+            if value is None:  # rcl passes `[]` as None
                 return []
             if not isinstance(value, Sequence) or isinstance(value, str):
                 raise ConfigurationError(f"{self.name}: {value!r} is not a list")

@@ -65,7 +65,7 @@ def lane_shift(offset: float, length: float, speed: float) -> list[Piece]:
 
 
 class Path:
-    """A road that repeats its pieces periodically, each round continuing the previous one.
+    """A road that repeats its pieces periodically, each lap continuing the previous one.
 
     Distances [m] may have any value, including negative ones.
     """
@@ -87,14 +87,14 @@ class Path:
             dy = self._step / 6 * (math.sin(a) + 4 * math.sin(b) + math.sin(c))
             self._poses.append(Pose(self._poses[-1].x + dx, self._poses[-1].y + dy, c))
         self._anchor = Pose(0.0, 0.0, 0.0)
-        self._rounds: dict[int, Pose] = {}
+        self._lap_starts: dict[int, Pose] = {}
 
     def anchor(self, distance: float, pose: Pose) -> None:
         """Move the whole path so that it passes through `pose` at `distance`."""
-        self._rounds.clear()
+        self._lap_starts.clear()
         self._anchor = Pose(0.0, 0.0, 0.0)  # so that the next line has the pose in the path's own axes
         self._anchor = pose.compose(self.pose(distance).inverse())
-        self._rounds.clear()
+        self._lap_starts.clear()
 
     def pose(self, distance: float) -> Pose:
         lap, along = divmod(distance, self.length)
@@ -112,9 +112,9 @@ class Path:
         """Target speed of the piece at a distance [m/s]."""
         return self._find(distance % self.length)[0].speed
 
-    def _find(self, rest: float) -> tuple[Piece, float]:
-        index = min(bisect.bisect_right(self._ends, rest), len(self.pieces)) - 1
-        return self.pieces[index], rest - self._ends[index]
+    def _find(self, along: float) -> tuple[Piece, float]:
+        index = min(bisect.bisect_right(self._ends, along), len(self.pieces)) - 1
+        return self.pieces[index], along - self._ends[index]
 
     def _heading(self, rest: float) -> float:
         yaw = 0.0
@@ -128,15 +128,15 @@ class Path:
         return yaw
 
     def _lap_start(self, lap: int) -> Pose:
-        if lap not in self._rounds:
-            if len(self._rounds) > 8:
-                self._rounds.clear()
+        if lap not in self._lap_starts:
+            if len(self._lap_starts) > 8:
+                self._lap_starts.clear()
             one_lap = self._poses[-1] if lap > 0 else self._poses[-1].inverse()
             pose = self._anchor
             for _ in range(abs(lap)):
                 pose = pose.compose(one_lap)
-            self._rounds[lap] = pose
-        return self._rounds[lap]
+            self._lap_starts[lap] = pose
+        return self._lap_starts[lap]
 
 
 class SpeedProfile:
@@ -146,7 +146,7 @@ class SpeedProfile:
         count = max(4, math.ceil(path.length / SPEED_STEP))
         self._step, self._length = path.length / count, path.length
         squares = [path.speed(i * self._step) ** 2 for i in range(count)]
-        # Two rounds, because braking may begin in the previous round.
+        # Two laps, because braking may begin in the previous one.
         for i in range(2 * count):
             squares[(i + 1) % count] = min(squares[(i + 1) % count], squares[i % count] + 2 * acceleration * self._step)
         for i in range(2 * count, 0, -1):

@@ -296,10 +296,11 @@ def _displacements(motion: Motion, east: np.ndarray, north: np.ndarray) -> tuple
 
 
 def _misfit(motion: Motion) -> float:
-    """Median distance [m] between change of position and integrated velocity over a second, best turn removed."""
+    """Median distance [m] between change of position and integrated velocity over a second, after the best rotation."""
     over, measured, derived = _displacements(motion, *motion.velocity_map)
-    turn = np.sum(measured * np.conj(derived))
-    return float(np.median(np.abs(measured - derived * turn / max(abs(turn), 1e-300)))) if len(over) else 0.0
+    rotation = np.sum(measured * np.conj(derived))
+    rotation /= max(abs(rotation), 1e-300)
+    return float(np.median(np.abs(measured - derived * rotation))) if len(over) else 0.0
 
 
 def _correct_velocity_axes(motion: Motion) -> Corrected:
@@ -309,16 +310,16 @@ def _correct_velocity_axes(motion: Motion) -> Corrected:
         return motion, None
     distance, unchanged = float(np.median(np.abs(measured))), _misfit(motion)
     swapped = motion.with_(velocity_x=motion.velocity_y, velocity_y=motion.velocity_x)
-    most = MAX_MAP_MISFIT * distance  # misfit of velocities in the right frame
+    max_misfit = MAX_MAP_MISFIT * distance  # of velocities in the right frame
     misfit = float(np.median(np.abs(measured - of_map)))
-    if np.ptp(motion.yaw) > MIN_YAW_RANGE and misfit <= most and misfit < MAX_MAP_MISFIT * unchanged:
+    if np.ptp(motion.yaw) > MIN_YAW_RANGE and misfit <= max_misfit and misfit < MAX_MAP_MISFIT * unchanged:
         body = (motion.velocity_x + 1j * motion.velocity_y) * np.exp(-1j * motion.yaw)
         text = "velocity_x and velocity_y are in the map frame, east and north: the body frame is expected"
         advice = Advice("look", "rotate them by yaw: velocity_x = cos(yaw) east + sin(yaw) north, "
                         "velocity_y = cos(yaw) north - sin(yaw) east")
         motion = motion.with_(velocity_x=body.real, velocity_y=body.imag)
     elif distance > 0.0 and moves_sideways(motion) and float(
-            np.median(np.abs(measured - _displacements(swapped, *swapped.velocity_map)[2]))) <= most:
+            np.median(np.abs(measured - _displacements(swapped, *swapped.velocity_map)[2]))) <= max_misfit:
         text = "velocity_x and velocity_y are exchanged (x is forward, y left)"
         columns = {"velocity_x": "velocity_y", "velocity_y": "velocity_x"}
         advice = Advice("run.yaml", f"columns: {columns}".replace("'", ""), {"columns": columns})

@@ -56,19 +56,20 @@ def _power(problem: Problem, fit: Fit, index: int, share: float, information: fl
            limits: Limits) -> float:
     """Probability that a parameter is found at a share of its usual size."""
     library = len(problem.space.hypotheses)
-    needed = float(stats.chi2.isf(limits.false_alarm / library, 1))
+    threshold = float(stats.chi2.isf(limits.false_alarm / library, 1))
     slopes = problem.slopes_of_all(fit.vector).values[index]
     rows = problem.errors.at(fit.vector)
     before, after = problem.position_error(rows), problem.position_error(rows + share * slopes)
-    moved = float(np.nanmean(after - before)) if np.isfinite(before).any() else 0.0
-    needed = max(needed, 2.0 * _required(problem, rows, moved, limits) * problem.scored_count / scores.design_effect)
-    return float(stats.ncx2.sf(needed, 1, max(2.0 * share**2 * information / scores.design_effect, 1e-9)))
+    reduction = float(np.nanmean(after - before)) if np.isfinite(before).any() else 0.0
+    required = _required(problem, rows, reduction, limits)
+    threshold = max(threshold, 2.0 * required * problem.scored_count / scores.design_effect)
+    return float(stats.ncx2.sf(threshold, 1, max(2.0 * share**2 * information / scores.design_effect, 1e-9)))
 
 
-def _required(problem: Problem, rows: np.ndarray, moved: float, limits: Limits) -> float:
-    """Gain per scored error from which an effect is named. rows: errors of the answer. moved [m]: reduction of the mean
-    position error."""
-    required = limits.negligible if moved > limits.relevant_position else limits.relevant
+def _required(problem: Problem, rows: np.ndarray, reduction: float, limits: Limits) -> float:
+    """Smallest gain per scored error of an effect that is named. rows: errors of the answer. reduction: of the mean
+    position error [m]."""
+    required = limits.negligible if reduction > limits.relevant_position else limits.relevant
     unexplained = residual_over_noise(problem, rows) > limits.max_noise_ratio
     return max(required, limits.unexplained_share) if unexplained else required
 
@@ -89,8 +90,8 @@ def measured(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callab
             moved[index] += share * free.usual * problem.space.sign[index]
             moved = problem.space.inside(moved)
             change = rows - np.nan_to_num(problem.errors.at(moved))
-            shift = float(np.nanmean(problem.position_error(rows + change) - problem.position_error(rows)))
-            required = _required(problem, rows, shift, limits)
+            reduction = float(np.nanmean(problem.position_error(rows + change) - problem.position_error(rows)))
+            required = _required(problem, rows, reduction, limits)
             found = sum(effect in _found(problem, fit, rows, change, slopes, required, limits, rng)
                         for _ in range(DRAWS))
             powers.append(Power(effect, free.parameter, free.unit, share * free.usual, found / DRAWS, DRAWS))

@@ -126,21 +126,21 @@ class Search:
         p, limits = self.problem, self.limits
         if max((e.noise_ratio for e in found.evidence.values()), default=0.0) <= limits.max_noise_ratio:
             return []
-        most = found.fit.held_out.sum() + limits.unexplained_share * p.scored_count
-        return [near for scale, near, loss in self._fits_tried if scale is p.loss.scale and loss < most]
+        limit = found.fit.held_out.sum() + limits.unexplained_share * p.scored_count
+        return [near for scale, near, loss in self._fits_tried if scale is p.loss.scale and loss < limit]
 
     def _step_from(self, fit: Fit, revisit: bool = False) -> Found | None:
         """Forward and backward steps until no effect is accepted. None if they lead to a set that another start
         visited, unless `revisit`."""
         found = Found(fit, list(fit.names))
-        here: set[frozenset[str]] = set()
+        path: set[frozenset[str]] = set()
         while True:
             key = frozenset(found.fit.names)
-            if key in self._visited - here and not revisit:
+            if key in self._visited - path and not revisit:
                 return None
-            if key in here:
+            if key in path:
                 return found
-            here.add(key)
+            path.add(key)
             self._visited.add(key)
             added = self._forward(found) if len(found.fit.names) < self.limits.max_effects else None
             if added is None:
@@ -195,10 +195,10 @@ class Search:
         found.cached_scores = found.cached_scores or self._scores(found.fit)
         gains = found.scores.gains
         largest = max((gain.sum() for gain, _ in gains.values()), default=0.0)
-        least = max(limits.negligible * p.scored_count, CONTENDER_SHARE * largest)
-        # A load is tried only in exchange for an effect that acts alike.
+        relevant = max(limits.negligible * p.scored_count, CONTENDER_SHARE * largest)
+        # A load is tried only in exchange for an effect with a similar influence.
         ranked = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum())
-                  if gains[e][0].sum() > CONTENDER_SHARE * least and e not in p.space.additions]
+                  if gains[e][0].sum() > CONTENDER_SHARE * relevant and e not in p.space.additions]
         # Significant effects come first: with much noise, others gain more by chance.
         library = len(p.space.hypotheses)
         significant = [e for e in ranked
@@ -293,8 +293,8 @@ class Search:
         """Increase of the loss without some effects of a fit, by its quadratic. held: effects that keep their values;
         the others follow."""
         p = self.problem
-        rest = tuple(n for n in fit.names if n not in names)
-        removed = np.isin(fit.indices, np.setdiff1d(p.space.indices(*names), p.space.indices(*rest)))
+        kept = tuple(n for n in fit.names if n not in names)
+        removed = np.isin(fit.indices, np.setdiff1d(p.space.indices(*names), p.space.indices(*kept)))
         step = np.where(removed, -p.distance(fit.vector)[fit.indices], 0.0)
         free = ~removed & ~np.isin(fit.indices, p.space.indices(*held))
         return _constrained_step(p, fit.quadratic, fit.vector, fit.indices, step, free)[0]
@@ -311,7 +311,7 @@ class Search:
         """Backward elimination from a joint fit of many effects with a weak prior; None if the remaining set was
         visited before."""
         p = self.problem
-        scale, design = p.loss.scale.copy(), p.design_effect
+        scale, design_effect = p.loss.scale.copy(), p.design_effect
         free = np.isin(np.arange(len(p.space)), p.free_indices(names))
         curvature = np.where(free, np.maximum(JOINT_DEVIATION**-2, p.file_curvature), FIXED_CURVATURE)
         joint = Problem(p.loss, p.start, p.block, np.diag(curvature))
@@ -323,25 +323,24 @@ class Search:
             p.loss.rescale(vector)
             if np.abs((vector - before) / p.space.scale).max() < JOINT_STEP:
                 break
-        everything = p.slopes_of_all(vector)
-        q = p.quadratic_of_all(vector)
+        slopes, q = p.slopes_of_all(vector), p.quadratic_of_all(vector)
 
         def cost(selected: list[str]) -> float:
-            free = np.isin(everything.indices, p.free_indices(selected))
-            back = np.where(free, 0.0, -p.distance(vector))
-            return _constrained_step(p, q, vector, everything.indices, back, free)[0]
+            free = np.isin(slopes.indices, p.free_indices(selected))
+            to_start = np.where(free, 0.0, -p.distance(vector))
+            return _constrained_step(p, q, vector, slopes.indices, to_start, free)[0]
 
         while names:
-            now = cost(names)
-            rise = {n: cost([m for m in names if m != n]) - now for n in names}
+            current = cost(names)
+            rise = {n: cost([m for m in names if m != n]) - current for n in names}
             weakest = min(rise, key=rise.__getitem__)
             if rise[weakest] > self.limits.relevant * p.scored_count and len(names) <= self.limits.max_effects:
                 break
             names.remove(weakest)
         if not names or frozenset(names) in self._visited:
-            p.loss.scale, p.design_effect = scale, design
+            p.loss.scale, p.design_effect = scale, design_effect
             return None
-        return self._rescale(p.fit(tuple(names), everything, iterations=2))
+        return self._rescale(p.fit(tuple(names), slopes, iterations=2))
 
     def _exchange_until_accepted(self, found: Found) -> Found:
         """Exchange effects and drop rejected ones until the test accepts all."""
@@ -364,17 +363,17 @@ class Search:
             found = Found(fit, [n for n in found.order if n != weakest], refused={**found.refused, **refused})
         return found
 
-    def _weakest_failing(self, found: Found, enough: float = np.inf) -> str:
+    def _weakest_failing(self, found: Found, required: float = np.inf) -> str:
         """Fill in `evidence` and `without`, and return the weakest effect that fails the test, "" if none does.
 
-        enough: an effect whose removal raises the loss by three times this per scored error passes without a refit.
+        required: an effect whose removal raises the loss by three times this per scored error passes without a refit.
         """
         p = self.problem
         found.cached_scores = found.cached_scores or self._scores(found.fit)
         found.evidence, found.without = {}, {}
         for name in (n for n in found.fit.names if n not in self._required):
             rise = self.predicted_rise(found.fit, name) / p.scored_count
-            if rise > 3.0 * enough:
+            if rise > 3.0 * required:
                 without = found.without[name] = found.fit
                 e = self._evidence(found.fit, found.fit, name, found.scores)
                 found.evidence[name] = replace(e, gain=rise, p_value=0.0)
@@ -412,14 +411,14 @@ class Search:
                     better = fit
         return better
 
-    def _exchange_step(self, q: Quadratic, fit: Fit, rest: tuple[str, ...], other: str) -> tuple[float, np.ndarray]:
+    def _exchange_step(self, q: Quadratic, fit: Fit, kept: tuple[str, ...], other: str) -> tuple[float, np.ndarray]:
         """(increase of the loss, vector) with another effect in the place of one, by the quadratic about the fit."""
         p = self.problem
-        everything = np.arange(len(p.space))
-        free = np.isin(everything, p.free_indices((*rest, other)))
-        back = np.where(free, 0.0, -p.distance(fit.vector))
-        cost, d = _constrained_step(p, q, fit.vector, everything, back, free)
-        return cost, p.moved(fit.vector, everything, d)
+        indices = np.arange(len(p.space))
+        free = np.isin(indices, p.free_indices((*kept, other)))
+        to_start = np.where(free, 0.0, -p.distance(fit.vector))
+        cost, step = _constrained_step(p, q, fit.vector, indices, to_start, free)
+        return cost, p.moved(fit.vector, indices, step)
 
 
 def _constrained_step(problem: Problem, q: Quadratic, vector: np.ndarray, indices: np.ndarray, fixed: np.ndarray,

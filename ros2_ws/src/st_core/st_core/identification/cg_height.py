@@ -12,7 +12,7 @@ the wheel centres under the CG when the car is level:
 
 r is made of the loaded wheel radii of the level car, because h is the height there. The further deflection of the rear
 tyres when lifted does not enter: the force still passes the wheel centre. It enters the pitch computed from the lift of
-the front wheels: sin(theta + theta_0) = (lift + r_front - r_rear) / l with the radii as they then are.
+the front wheels: sin(theta + theta_0) = (lift + r_front - r_rear) / l with the radii measured when lifted.
 
     u(h)^2 = (l / m)^2 u(b)^2 + (h - r)^2 (u(m)^2 / m^2 + u(l)^2 / l^2) + u(r)^2
 
@@ -117,8 +117,8 @@ def cg_height(data: Lift, car: LiftedCar) -> Identification:
     coverage = Coverage("pitch", "deg", np.degrees(edges), counts, 1, 2)
     warnings = [*_order_warnings(data), *_load_warnings(data, car, level)]
     if abs(average - height) > 2.0 * spread:
-        warnings.append(f"The average over the pitch angles, {average:.3f} m, is off the fit, {height:.3f} m, by more "
-                        "than twice its uncertainty: small pitch angles weigh as much as large ones in it.")
+        warnings.append(f"The average over the pitch angles, {average:.3f} m, differs from the fit, {height:.3f} m, by "
+                        "more than twice its uncertainty: small pitch angles weigh as much as large ones in it.")
     figure = {"pitch": data.pitch, "rear_load": data.rear_load, "lifts": data.lifts, "single": single, "usable": usable,
               "average": average, "slope": line.slope, "levels": line.levels, "radius": radius}
     return Identification("cg-height", (estimate,), used, (), None, (coverage,), tuple(warnings), figure)
@@ -189,7 +189,7 @@ def _order_warnings(data: Lift) -> list[str]:
         if len(back):
             k = int(back[0])
             sentences.append(f"Lift {name}: pitch does not rise row by row, it falls from {pitch[k]:.1f} to "
-                             f"{pitch[k + 1]:.1f} deg at row {k + 2}. Rows are taken as they are; on the way down "
+                             f"{pitch[k + 1]:.1f} deg at row {k + 2}. Rows are used in any order; on the way down "
                              "friction retains load, so note such rows as a lift of their own.")
     return sentences
 

@@ -134,10 +134,10 @@ def _check_reference(suspect: Sequence[Drive], reference: Sequence[Drive]) -> No
 
 def _with_unique_names(suspect: Sequence[Drive], reference: Sequence[Drive]) -> list[Drive]:
     """The reference drives, renamed where a run has the same name: results identify runs by name."""
-    taken = {d.name for d in suspect}
+    names = {d.name for d in suspect}
     renamed = []
     for drive in reference:
-        name = drive.name if drive.name not in taken else f"{drive.name} (reference)"
+        name = drive.name if drive.name not in names else f"{drive.name} (reference)"
         log = replace(drive.log, name=name) if drive.log is not None else None
         renamed.append(replace(drive, name=name, log=log))
     return renamed

@@ -35,7 +35,7 @@ BLOCK_SIZE = 65536  # messages converted to columns at a time
 MAX_TIME_JUMP_NS = 86400 * 10**9  # a frame further from both of its neighbours has a damaged time
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times count from the start of the log
 MIN_FALLING_SHARE = 0.2
-"""Share of falling times in a candump that begins at 0, from which its times are those since the frame before."""
+"""Share of falling times in a candump that begins at 0; above it, times are relative to the previous frame."""
 
 
 def read_can_logs(files: Sequence[Path]) -> CanLog:
@@ -55,7 +55,7 @@ def read_can_logs(files: Sequence[Path]) -> CanLog:
     used = tuple(log.files[0] for log in logs)
     if len({log.absolute for log in logs}) > 1:
         raise RunError(used[0], "some logs of the run have UTC, others count from their own start",
-                       "give them one by one")
+                       "read them in separate commands")
     warnings = [f"{log.files[0]}: {note}" for log in logs for note in log.warnings]
     frames, repeated = without_duplicates(merged([log.frames for log in logs]))
     if repeated:
@@ -96,10 +96,10 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> Frames:
         while block := list(itertools.islice(messages, BLOCK_SIZE)):
             timed = [message for message in block if 0.0 <= message.timestamp <= LATEST_TIME]
             impossible += len(block) - len(timed)
-            whole = [message for message in timed if len(message.data) <= MAX_DATA_LENGTH]
-            too_long, timed = too_long + len(timed) - len(whole), whole
-            if timed:
-                parts.append(_columns(timed))
+            usable = [message for message in timed if len(message.data) <= MAX_DATA_LENGTH]
+            too_long += len(timed) - len(usable)
+            if usable:
+                parts.append(_columns(usable))
     except Exception as error:  # the readers pass on any exception of their parsing, and a missing file
         what = f"cannot be read as a {kind.name} log ({short(error)})"
         raise RunError(file, what, "copy or export it again") from None
@@ -114,7 +114,7 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> Frames:
     if not len(frames):
         what = f"it contains no usable frame ({'; '.join(format_notes)})" if format_notes else "it contains no frames"
         raise RunError(file, what, "copy or export it again")
-    steps = np.diff(frames.time_ns[1:])  # a coarse clock repeats its times; times since the frame before also fall
+    steps = np.diff(frames.time_ns[1:])  # a coarse clock repeats times; times relative to the previous frame also fall
     if kind.name == "candump" and frames.time_ns[0] == 0 and len(steps) and (
             (steps < 0).mean() > MIN_FALLING_SHARE or not steps.any()):
         frames = replace(frames, time_ns=np.cumsum(frames.time_ns))

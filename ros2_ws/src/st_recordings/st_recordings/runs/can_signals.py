@@ -19,7 +19,7 @@ from .ins_log import SPEEDS, car_speed, series
 
 @dataclass(frozen=True)
 class Signal:
-    """One signal of the table as one message carries it, SI, sign as in the table.
+    """One signal of the table in one message, SI, sign as in the table.
 
     time_ns: when the frame was logged, strictly increasing. valid: False where a counter or checksum set to `warn` was
     wrong. rows: of its frames in Frames.
@@ -37,7 +37,7 @@ class Signal:
 class CanSignals:
     """Decoded signals by (signal, message). faults: message -> what was wrong and how often.
 
-    rejected: message -> when its frames were logged that are not used, because of an implausible value or a check [ns].
+    rejected: message -> log times [ns] of its frames that are not used, because of an implausible value or a check.
     """
 
     signals: Mapping[tuple[str, str], Signal]
@@ -171,9 +171,9 @@ def check_frames(spec: MessageSpec, payload: np.ndarray, time_ns: np.ndarray,
     possible = keep.copy()
     for signal in spec.signals:
         if np.isfinite(signal.maximum) or np.isfinite(signal.max_rate):
-            here = plausible(signal, spec, time_ns[keep], values[signal.name][keep])
-            possible[keep] &= here
-            if len(bad := values[signal.name][keep][~here] / signal.factor):
+            passed = plausible(signal, spec, time_ns[keep], values[signal.name][keep])
+            possible[keep] &= passed
+            if len(bad := values[signal.name][keep][~passed] / signal.factor):
                 worst = float(bad[np.argmax(np.abs(bad))])
                 faults.append(f"{signal.dbc.name} implausible (up to {worst:.6g} {signal.unit}) in {len(bad)}")
     return possible, valid & possible, f"{', '.join(faults)} of {n} frames" if faults else ""
@@ -183,7 +183,7 @@ def plausible(signal: SignalSpec, spec: MessageSpec, time_ns: np.ndarray, values
     """Whether each frame is in range, within the rate limit, and not isolated among implausible ones
     (canedge_bridge.decode.Plausibility).
 
-    Unlike the live decoder it uses the frames that follow: the first ones after a bad stretch are accepted too.
+    Unlike the live decoder it uses the frames that follow: the first ones after implausible ones are accepted too.
     """
     physical = values / signal.factor
     in_range = (physical >= signal.minimum) & (physical <= signal.maximum)
