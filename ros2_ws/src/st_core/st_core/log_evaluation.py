@@ -309,8 +309,8 @@ def _instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.ndarray, 
     from_first = starts_ns - starts_ns[0]
     grid = np.array_equal(after_ns, half * np.arange(len(after_ns))) and not np.any(from_first % half)
     if not grid or span > half * len(starts_ns) * len(after_ns):
-        apart = starts_ns + after_ns[:, None]
-        return apart.ravel(), np.arange(apart.size).reshape(apart.shape)
+        separate = starts_ns + after_ns[:, None]
+        return separate.ravel(), np.arange(separate.size).reshape(separate.shape)
     return starts_ns[0] + half * np.arange(span // half + 1), np.arange(len(after_ns))[:, None] + from_first // half
 
 
@@ -332,27 +332,27 @@ def predict_held_per_step(model: Model, vehicle: VehicleParameters, signals: Log
 
 
 class _Collector:
-    """What is kept of the errors (n, points, 3) that come block by block."""
+    """Statistics of errors (n, points, 3), collected block by block."""
 
     def __init__(self, count: int, horizon: np.ndarray):
         # The grid points at whole seconds; with a step that does not divide one second, those next to them.
-        self._marks = [int(np.abs(horizon - s).argmin()) for s in range(1, int(horizon[-1] + 1e-9) + 1)]
+        self._seconds = [int(np.abs(horizon - s).argmin()) for s in range(1, int(horizon[-1] + 1e-9) + 1)]
         self._complete = np.zeros(count, bool)
         self._mean, self._square, self._largest = (np.full((count, 3), np.nan) for _ in range(3))
-        self._at = np.full((count, len(self._marks), 3), np.nan)
+        self._at = np.full((count, len(self._seconds), 3), np.nan)
         self._squares = np.zeros((len(horizon), 3))
 
     def add(self, rows: slice, errors: np.ndarray) -> None:
         complete = np.isfinite(errors).all(axis=(1, 2))
-        here = np.arange(rows.start, rows.stop)[complete]
-        if not len(here):
+        scored = np.arange(rows.start, rows.stop)[complete]
+        if not len(scored):
             return
         if not complete.all():
             errors = errors[complete]
-        self._complete[here] = True
+        self._complete[scored] = True
         square, size = np.square(errors), np.abs(errors)
-        self._mean[here], self._square[here] = errors.mean(axis=1), square.mean(axis=1)
-        self._largest[here], self._at[here] = size.max(axis=1), errors[:, self._marks]
+        self._mean[scored], self._square[scored] = errors.mean(axis=1), square.mean(axis=1)
+        self._largest[scored], self._at[scored] = size.max(axis=1), errors[:, self._seconds]
         self._squares += square.sum(axis=0)
 
     def result(self) -> ModelErrors:

@@ -37,8 +37,8 @@ from st_core.errors import ConfigurationError
 
 LIMITS = Limits()
 GOOD = Evidence("mass", gain=0.2, p_value=1e-4, position=0.5, position_somewhere=0.5)
-SAME = Agreement({}, differ=0.5, absent=1e-6)
-DIFFERENT = Agreement({}, differ=1e-4, absent=0.2)
+SAME = Agreement({}, p_equal=0.5, p_absent=1e-6)
+DIFFERENT = Agreement({}, p_equal=1e-4, p_absent=0.2)
 SMALL, LUCKY = replace(GOOD, gain=0.005), replace(GOOD, p_value=0.02)
 CHEAP = replace(GOOD, gain=0.02, position=0.01, position_somewhere=0.015)
 MAYBE_NULL = replace(GOOD, null_p_value=0.2)

@@ -200,8 +200,8 @@ def test_random_effects_by_hand():
     """Shares 0, 1 and 2, variances 1/4: Q = 8, between = (8 - 2) / (12 - 48 / 12) = 3/4, mean 1 +- sqrt(1 / 3)."""
     told = pooled(np.array([0.0, 1.0, 2.0]), np.full(3, 0.25), ["a", "b", "c"])
     assert told.ratios == {"a": (0.0, 0.5), "b": (1.0, 0.5), "c": (2.0, 0.5)}
-    assert told.differ == pytest.approx(np.exp(-4.0))  # chi-square of two degrees of freedom
-    assert told.absent == pytest.approx(stats.norm.sf(1.0 / np.sqrt(0.75 + 1.0 / 3.0)))
+    assert told.p_equal == pytest.approx(np.exp(-4.0))  # chi-square of two degrees of freedom
+    assert told.p_absent == pytest.approx(stats.norm.sf(1.0 / np.sqrt(0.75 + 1.0 / 3.0)))
 
 
 def test_random_effects_with_unequal_variances():
@@ -214,17 +214,17 @@ def test_random_effects_with_unequal_variances():
     w = [1.0 / (s + between) for s in v]
     mean = sum(a * b for a, b in zip(w, y, strict=True)) / sum(w)
     told = pooled(y, v, ["a", "b", "c"])
-    assert told.differ == pytest.approx(stats.chi2.sf(q, 2))
-    assert told.absent == pytest.approx(stats.norm.sf(mean / np.sqrt(between + 1.0 / sum(w))))
+    assert told.p_equal == pytest.approx(stats.chi2.sf(q, 2))
+    assert told.p_absent == pytest.approx(stats.norm.sf(mean / np.sqrt(between + 1.0 / sum(w))))
 
 
 def test_parts_that_agree_have_no_variance_between_them():
     told = pooled(np.array([1.0, 1.0, 1.0]), np.full(3, 0.01), ["a", "b", "c"])
-    assert told.differ == 1.0 and told.absent < 1e-12
+    assert told.p_equal == 1.0 and told.p_absent < 1e-12
 
 
 def test_one_part_cannot_disagree():
-    assert (pooled(np.array([1.0]), np.array([1.0]), ["a"]).differ, pooled(np.zeros(0), np.zeros(0), []).differ) == (
+    assert (pooled(np.array([1.0]), np.array([1.0]), ["a"]).p_equal, pooled(np.zeros(0), np.zeros(0), []).p_equal) == (
         1.0, 1.0)
 
 
@@ -242,7 +242,7 @@ def test_shares_of_parts_are_those_put_in():
     stated = (fit.vector - problem.start)[own] / problem.space.scale[own]
     assert stated == pytest.approx(2.0, abs=0.2)
     assert [share * stated for share, _ in told.ratios.values()] == pytest.approx([3.0, 2.0, 2.0, 1.0], abs=0.25)
-    assert told.differ < 1e-6 and told.absent < 0.05
+    assert told.p_equal < 1e-6 and told.p_absent < 0.05
 
 
 @pytest.mark.parametrize("common", [0.0, 0.8])
@@ -251,8 +251,8 @@ def test_runs_of_one_car_agree(common):
     for seed in range(60):
         problem = linear_problem(FEW, {"mass": 1.0}, seed, common=common)
         told.append(agreement(problem, fitted(problem, "mass"), "mass", problem.errors.windows.run, list("abcd")))
-    assert np.mean([a.differ < 0.05 for a in told]) <= 0.15
-    assert max(a.absent for a in told) < 0.05
+    assert np.mean([a.p_equal < 0.05 for a in told]) <= 0.15
+    assert max(a.p_absent for a in told) < 0.05
 
 
 # Levels and the noise

@@ -46,8 +46,8 @@ def drive(node: PredictorNode) -> tuple[int, list[str]]:
 def test_predictions_that_end_in_standstill_are_scored(node: PredictorNode) -> None:
     predicted, texts = drive(node)
     assert predicted > 100
-    assert node._bands._adaptive.learning == pytest.approx(WARM_UP - 0.1 * predicted, abs=1.5)
+    assert node._bands._adaptive.remaining_warm_up == pytest.approx(WARM_UP - 0.1 * predicted, abs=1.5)
     assert texts == ["not used: no prediction at the moment", "off (course_file is empty)"]
     again, _ = drive(node)  # a replay that starts over
     assert again == pytest.approx(predicted, abs=3)
-    assert node._bands._adaptive.learning == pytest.approx(WARM_UP - 0.1 * (predicted + again), abs=3.0)
+    assert node._bands._adaptive.remaining_warm_up == pytest.approx(WARM_UP - 0.1 * (predicted + again), abs=3.0)

@@ -17,7 +17,7 @@ from .settings import SimulationError, read_document
 
 OpenLoopSteering = Callable[[float], float]  # wheelbase of the car [m] -> road-wheel angle [rad, left +]
 
-LONGEST_ROAD = 20_000.0  # m, of one round from a file
+LONGEST_ROAD = 20_000.0  # m, of one lap from a file
 MAX_SPEED = 100.0  # m/s
 PEDAL_LEAD = 0.15  # s by which the pedals move before the speed has to change
 SPEED_SLACK = 0.15  # m/s by which the target may fall below the speed while braking
@@ -143,7 +143,7 @@ def _circle(lateral_acceleration: float) -> Plan:
 
 
 def _u_turns() -> Plan:
-    """Right, left, left; a round ends rotated by 180 deg, so that two rounds close."""
+    """Right, left, left; a lap ends rotated by 180 deg, so that two laps close."""
     left = turn(8, 180, 4, 5)
     return RoadPlan([*straight(24, 6), *turn(8, -180, 4, 5), *straight(26, 6), *left, *straight(26, 6), *left,
                      *straight(2, 6)])

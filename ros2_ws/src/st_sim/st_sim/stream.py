@@ -66,8 +66,8 @@ class StartUp:
             return None
         if time < self.INITIALISING_UNTIL:
             return INITIALISING, 1.0
-        into = (time - self.INITIALISING_UNTIL) / self.LOCKING_LENGTH
-        return (LOCKING, 1.0 - into) if into < 1.0 else (LOCKED, 0.0)
+        progress = (time - self.INITIALISING_UNTIL) / self.LOCKING_LENGTH
+        return (LOCKING, 1.0 - progress) if progress < 1.0 else (LOCKED, 0.0)
 
 
 class Stream:
@@ -123,8 +123,8 @@ class Stream:
         state = self._start_up.status(time) if self._start_up else (LOCKED, 0.0)
         if state is None:
             return
-        status, behind = state
-        due = time + self._settings["ins_latency"] + behind
+        status, delay = state
+        due = time + self._settings["ins_latency"] + delay
         packet = self._ncom.packet(reading, status)
         if not self._ins_loss.loses(time):
             self._push(due, Kind.NCOM, packet)

@@ -91,8 +91,8 @@ def _skeleton(p: tuple, numbers: list[float]) -> tuple:
 def _compile(model: Model, shape, fields: int, states: int):
     kernel = _prepared(model, shape, fields, states)
     try:
-        made_of = structure.fingerprint(cast(FunctionType, model.rhs), STOP)
-        numba_cache.enable(kernel, f"{made_of} {shape} {fields} {states}")
+        fingerprint = structure.fingerprint(cast(FunctionType, model.rhs), STOP)
+        numba_cache.enable(kernel, f"{fingerprint} {shape} {fields} {states}")
     except structure.Unnamed:
         pass  # not cached: compiled in every process
     try:
@@ -193,9 +193,9 @@ def _scratch(count: int):
         needs two lines, and the speed varies by a third between processes.
         """
         def generate(context, builder, signature, arguments):
-            room = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), count))
-            room.align = CACHE_LINE
-            return builder.bitcast(room, ir.DoubleType().as_pointer())
+            memory = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), count))
+            memory.align = CACHE_LINE
+            return builder.bitcast(memory, ir.DoubleType().as_pointer())
         return types.CPointer(types.float64)(), generate
     return scratch
 

@@ -1,6 +1,6 @@
 """Adaptive bands: the factor of a band follows the scores of earlier predictions, which arrive a horizon later.
 
-For one model, question and level with half-widths c s(t), and the score S = max over t, a of |e_a(t)| / s_a(t):
+For one model, mode and level with half-widths c s(t), and the score S = max over t, a of |e_a(t)| / s_a(t):
 
     log c  <-  log c + g w (1{S > c_issued} - (1 - level)),         w: time since the previous score [s], at most 1 s
 
@@ -61,7 +61,7 @@ class AdaptiveBand:
         return self._band is not None
 
     @property
-    def learning(self) -> float:
+    def remaining_warm_up(self) -> float:
         """Scored driving [s] still required before the band is issued; 0 with a calibration."""
         return 0.0 if self._band else max(WARM_UP - self._elapsed, 0.0)
 
@@ -80,14 +80,14 @@ class AdaptiveBand:
 
         scale: (points, 3), if already computed.
         """
-        own = self.scale(condition) if scale is None else scale
+        scale = self.scale(condition) if scale is None else scale
         factors = self.factors
         if self._issued and start_ns <= self._issued[-1][0]:  # time has jumped back: their scores never arrive
             self._issued.clear()
-        self._issued.append((start_ns, own, factors))
+        self._issued.append((start_ns, scale, factors))
         if len(self._issued) > 10_000:  # scores that never arrive
             self._issued.popleft()
-        return {level: factor * own for level, factor in factors.items()}
+        return {level: factor * scale for level, factor in factors.items()}
 
     def observe(self, start_ns: int, errors: np.ndarray) -> dict[float, bool]:
         """Errors (points, 3) of the prediction from start_ns, in the predicted frame; scores arrive in order of time.
@@ -106,8 +106,8 @@ class AdaptiveBand:
         self._elapsed += weight
         score = float((np.abs(errors) / scale).max())
         for level, issued in factors.items():
-            moved = self._logs[level] + gain * weight * (float(score > issued) - (1.0 - level))
-            self._logs[level] = min(max(moved, math.log(MIN_FACTOR)), math.log(MAX_FACTOR))
+            updated = self._logs[level] + gain * weight * (float(score > issued) - (1.0 - level))
+            self._logs[level] = min(max(updated, math.log(MIN_FACTOR)), math.log(MAX_FACTOR))
         if self._band is None:
             self._learn(errors, weight)
         return {level: score <= issued for level, issued in factors.items()}

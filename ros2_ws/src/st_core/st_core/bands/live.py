@@ -118,9 +118,9 @@ class AdaptiveBands:
         self._since: dict[ModelMode, int] = {}  # start of the first prediction with a band [ns]
 
     @property
-    def learning(self) -> float:
+    def remaining_warm_up(self) -> float:
         """Scored driving [s] still required before the first band of a forecast is issued."""
-        return min(band.learning for (_, mode), band in self._bands.items() if mode == "forecast")
+        return min(band.remaining_warm_up for (_, mode), band in self._bands.items() if mode == "forecast")
 
     def issue(self, start_ns: int, condition: Sequence[float], modes: Iterable[str]) -> tuple[set[ModelMode], str]:
         """Update `half_widths` for predictions of these modes that start now [ns], conditions as of `conditions_now`.
@@ -139,7 +139,7 @@ class AdaptiveBands:
                 if reason and band.is_calibrated:
                     continue
                 widths = band.issue(start_ns, np.empty(0), scale)
-                if not band.learning:
+                if not band.remaining_warm_up:
                     found.add(pair)
                     self._since[pair] = min(self._since.get(pair, start_ns), start_ns)  # time may jump back
                     for level, one in widths.items():

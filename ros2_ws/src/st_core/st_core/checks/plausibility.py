@@ -63,7 +63,7 @@ CHANNELS: Mapping[str, ChannelLimits] = {
 @dataclass(frozen=True)
 class _Channel:
     """One channel without NaN samples. rows: their indices in the log. step: |change| from each sample to the next;
-    usual: their median without zeros. gap: whether one lies between the two. update: median time between changes [s].
+    median_step: of those that are not 0. gap: whether one lies between the two. update: their usual interval [s].
     """
 
     name: str
@@ -72,7 +72,7 @@ class _Channel:
     time: np.ndarray
     values: np.ndarray
     step: np.ndarray
-    usual: float
+    median_step: float
     gap: np.ndarray
     update: float
 
@@ -85,7 +85,7 @@ class _Channel:
     def limit(self) -> float:
         """Largest plausible change from one sample to the next [unit]."""
         physical = self.limits.step * max(1.0, self.spacing / STEP_TIME, self.update / STEP_TIME)
-        return max(physical, STEP_MEDIAN_RATIO * self.usual)
+        return max(physical, STEP_MEDIAN_RATIO * self.median_step)
 
 
 def without_implausible(log: DriveLog, start_ns: int | None = None) -> tuple[DriveLog, list[Finding]]:
@@ -136,17 +136,17 @@ def implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
         return bad, []
     findings = []
     large = channel.step > channel.limit
-    taken = np.zeros(len(channel.values), bool)
+    implausible = np.zeros(len(channel.values), bool)
     for kind, samples in (("channel_wraps", _find_wraps(channel)),
                           ("sentinel_values", _find_sentinels(channel, large, moving[channel.rows])),
                           ("sample_spikes", _find_spikes(channel, large)),
                           ("out_of_range", _find_out_of_range(channel, large))):
-        new = np.setdiff1d(samples, np.flatnonzero(taken))
-        taken[new] = True
+        new = np.setdiff1d(samples, np.flatnonzero(implausible))
+        implausible[new] = True
         if len(new):
             findings.append(_finding(kind, channel, new))
-    bad[channel.rows[taken]] = True
-    if name not in ("x", "y", "yaw") and len(jumps := _find_jumps(channel, large, taken)):
+    bad[channel.rows[implausible]] = True
+    if name not in ("x", "y", "yaw") and len(jumps := _find_jumps(channel, large, implausible)):
         findings.append(_finding("channel_jumps", channel, jumps))
     return (bad if bad.mean() <= MAX_BAD_SHARE else np.zeros_like(bad)), findings
 
@@ -182,12 +182,12 @@ def _is_moving(log: DriveLog) -> np.ndarray:
     return (distance / (end - begin) > MIN_MOVING_SPEED) | (np.abs(log.velocity_x) > MIN_MOVING_SPEED)
 
 
-def _find_jumps(channel: _Channel, large: np.ndarray, taken: np.ndarray) -> np.ndarray:
+def _find_jumps(channel: _Channel, large: np.ndarray, implausible: np.ndarray) -> np.ndarray:
     """Samples after a step that neither wraps nor returns and far exceeds all others, in any unit. Steps after a hold
     belong to a frozen channel."""
     same = channel.step == 0.0
     on_hold = np.append(same[:1], same) | np.append(same, same[-1:])
-    excluded = taken | (on_hold & (channel.update <= 1.5 * channel.spacing))
+    excluded = implausible | (on_hold & (channel.update <= 1.5 * channel.spacing))
     extreme = large & (channel.step > JUMP_RATIO * float(np.percentile(channel.step[channel.step > 0.0], 90)))
     return 1 + np.flatnonzero(extreme & ~channel.gap & ~excluded[1:] & ~excluded[:-1])
 
@@ -195,7 +195,7 @@ def _find_jumps(channel: _Channel, large: np.ndarray, taken: np.ndarray) -> np.n
 def _find_wraps(channel: _Channel) -> np.ndarray:
     """Samples on the far side of a wrap-around: steps of one size R, from about R/2 to about -R/2 and back. The true
     range is the one in which the channel is nearest to 0."""
-    smallest = max(WRAP_LIMIT * channel.limits.step, STEP_MEDIAN_RATIO * channel.usual)
+    smallest = max(WRAP_LIMIT * channel.limits.step, STEP_MEDIAN_RATIO * channel.median_step)
     places = np.flatnonzero((channel.step > smallest) & ~channel.gap)
     if len(places) < 2:
         return places[:0]
@@ -233,7 +233,7 @@ def _find_sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) ->
     count = last - first + 1
     usual_count = float(np.percentile(count, 98))
     found = []
-    zero_step = max(8.0 * channel.usual, 0.0 if usual_count < 2.0 else 0.3 * channel.limit)
+    zero_step = max(8.0 * channel.median_step, 0.0 if usual_count < 2.0 else 0.3 * channel.limit)
     for k in np.flatnonzero(count >= MIN_SENTINEL_SAMPLES):
         begin, end = int(first[k]), int(last[k])
         zero = channel.values[begin] == 0.0

@@ -102,10 +102,10 @@ def _varying(e: Evidence, limits: Limits) -> Reason | None:
     if not level:
         return None
     a = e.agreement[level]
-    return Reason(VARIES, e.name, {"differ": a.differ, "absent": a.absent, "doubt": limits.undecided_p,
+    return Reason(VARIES, e.name, {"differ": a.p_equal, "absent": a.p_absent, "doubt": limits.undecided_p,
                                    "false_alarm": limits.false_alarm},
-                  f"it varies over {LEVEL_NAMES[level]} (p = {a.differ:.1g} for a constant value); with probability "
-                  f"{a.absent:.2g} it is absent or of opposite sign in a further one")
+                  f"it varies over {LEVEL_NAMES[level]} (p = {a.p_equal:.1g} for a constant value); with probability "
+                  f"{a.p_absent:.2g} it is absent or of opposite sign in a further one")
 
 
 def _with_unit(known: AgainstFile, number: float) -> str:
@@ -226,8 +226,8 @@ LEVEL_NAMES = {"run": "the runs", "site": "the sites", "time": "the time in the 
 def varies_over(e: Evidence, limits: Limits) -> str:
     """The level over which an effect varies significantly and may be absent in a further part; "" for none."""
     found = [level for level, a in e.agreement.items()
-             if a.differ < limits.false_alarm and a.absent > limits.undecided_p]
-    return max(found, key=lambda level: e.agreement[level].absent, default="")
+             if a.p_equal < limits.false_alarm and a.p_absent > limits.undecided_p]
+    return max(found, key=lambda level: e.agreement[level].p_absent, default="")
 
 
 def varies_relevantly(e: Evidence, limits: Limits) -> bool:

@@ -23,7 +23,7 @@ from .fit import Fit, Problem
 from .levels import Level, levels, sites
 from .loss import Errors, Loss
 from .next_manoeuvre import Catalogue, catalogue, most_informative, next_manoeuvre, separability
-from .reference import learn
+from .reference import healthy_car
 from .result import (
     Assumed,
     CandidateEffect,
@@ -231,7 +231,7 @@ class _Work:
         settings, space = self.settings, self.space
         start, prior, between, by_column = space.null, None, 0.0, noise_floor(self.windows)
         if self.reference:
-            healthy = learn(self.reference, self.vehicle, space, settings, self.threads, self._tick("reference"))
+            healthy = healthy_car(self.reference, self.vehicle, space, settings, self.threads, self._tick("reference"))
             start, prior, between = healthy.vector, healthy.prior, healthy.gain
             # The residual of the healthy car is not a change since then.
             by_column = {c: max(by_column[c], float(v))

@@ -24,12 +24,12 @@ MIN_INFORMATION_SHARE = 0.02  # of all driving; a part with less information is 
 @dataclass(frozen=True)
 class Agreement:
     """Agreement of the parts of the driving (runs, sites, ...) on an effect. ratios: by part, (ratio of its value to
-    the fitted one, standard deviation). differ [1]: p-value of equal values in all parts. absent [1]: probability that
-    another part shows none of it, or the opposite."""
+    the fitted one, standard deviation). p_equal [1]: p-value of equal values in all parts. p_absent [1]: probability
+    that another part shows none of it, or the opposite."""
 
     ratios: Mapping[str, tuple[float, float]]
-    differ: float
-    absent: float
+    p_equal: float
+    p_absent: float
 
 
 @dataclass(frozen=True)
@@ -104,13 +104,13 @@ class Scores:
 
 
 def score(q: Quadratic, problem: Problem, names: tuple[str, ...], effect: str,
-          pull: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+          prior_gradient: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """((b, k) score, (k,) information) of an effect, with the effects `names` projected out. q: by block, of all
-    parameters. pull: (p,) half gradient of the prior where the quadratic is about a fit."""
+    parameters. prior_gradient: (p,) half of it where the quadratic is about a fit."""
     new = problem.space.indices(effect)
     indices = np.setdiff1d(problem.free_indices(names), new)
     h = q.hessian.sum(axis=0) + problem.prior_curvature((*names, effect), np.arange(len(problem.space)))
-    gradient = q.gradient if pull is None else q.gradient - pull / len(q.gradient)
+    gradient = q.gradient if prior_gradient is None else q.gradient - prior_gradient / len(q.gradient)
     if not len(indices):
         return gradient[:, new], np.diag(h)[new]
     cross = np.linalg.solve(_regular(h[np.ix_(indices, indices)]), h[np.ix_(indices, new)])
@@ -146,9 +146,9 @@ def make_scores(q: Quadratic, own: Mapping[str, np.ndarray], information: Mappin
                 gains: Mapping[str, tuple[np.ndarray, np.ndarray]], rng: np.random.Generator, draws: int) -> Scores:
     """`Scores` from those of each effect and their information. q: by block, of all parameters. draws: random signs."""
     signs, largest, ratios = rng.choice([-1.0, 1.0], (draws, len(q.cost))), np.zeros(draws), []
-    least = 1e-9 * max(float(np.trace(q.hessian.sum(axis=0))), 1e-30)
+    min_information = 1e-9 * max(float(np.trace(q.hessian.sum(axis=0))), 1e-30)
     for effect, s in own.items():
-        known = information[effect] > least
+        known = information[effect] > min_information
         ratios += list(2.0 * np.square(s).sum(axis=0)[known] / information[effect][known])
         drawn = signs @ s
         largest = np.maximum(largest, np.einsum("fi,ij,fj->f", drawn, np.linalg.pinv(s.T @ s), drawn))
@@ -166,11 +166,11 @@ def library_p_value(own: np.ndarray, gain: np.ndarray, scores: Scores, library: 
     blocks, values = own.shape
     if blocks < 2:
         return 1.0
-    flipped = (1 + int((scores.largest >= statistic(own)).sum())) / (1 + len(scores.largest))
+    p_score = (1 + int((scores.largest >= statistic(own)).sum())) / (1 + len(scores.largest))
     spread = float(gain.std(ddof=1)) * np.sqrt(len(gain)) if len(gain) > 1 else np.inf
-    even = float(stats.norm.sf(gain.sum() / max(spread, 1e-12)))
+    p_gain = float(stats.norm.sf(gain.sum() / max(spread, 1e-12)))
     ratio = 2.0 * max(float(gain.sum()), 0.0) / scores.design_effect
-    return min(max(flipped, even), library * float(stats.f.sf(ratio / values, values, blocks - 1)), 1.0)
+    return min(max(p_score, p_gain), library * float(stats.f.sf(ratio / values, values, blocks - 1)), 1.0)
 
 
 def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scores, levels: Mapping[str, Level],
@@ -182,10 +182,10 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
     if own is None:
         own = score_of(problem, without, effect, fit.slopes)
     rows, after = problem.held_out_rows(without), problem.held_out_rows(fit)
-    fall = problem.position_error(rows) - problem.position_error(after)
+    reduction = problem.position_error(rows) - problem.position_error(after)
     if problem.prior is not None:  # the healthy car is known: no other parameter compensates for the effect
         rows = problem.errors.at(problem.vector_without(fit, effect))
-    overall, somewhere = error_reductions(fall, levels.get("condition"))
+    overall, somewhere = error_reductions(reduction, levels.get("condition"))
     return Evidence(effect, min(float(gain.sum()) / problem.scored_count, problem.held_out_gain(without, fit)),
                     library_p_value(own, gain, scores, len(problem.space.hypotheses)),
                     null_p_value(problem, fit, effect),
@@ -216,23 +216,23 @@ def score_of(problem: Problem, fit: Fit, effect: str, slopes: Slopes) -> np.ndar
     """(b, k) efficient scores of an effect that is not in the fit. slopes: of both, about a nearby point."""
     indices = np.union1d(fit.indices, problem.space.indices(effect))
     q = problem.loss.quadratic(problem.errors.at(fit.vector), slopes.of(indices)).summed(problem.block, problem.blocks)
-    whole = Quadratic(q.cost, np.zeros((problem.blocks, len(problem.space))),
-                      np.zeros((problem.blocks, len(problem.space), len(problem.space))))
-    whole.gradient[:, indices] = q.gradient
-    whole.hessian[:, indices[:, None], indices] = q.hessian
-    return score(whole, problem, fit.names, effect, problem.prior_gradient(fit.vector))[0]
+    padded = Quadratic(q.cost, np.zeros((problem.blocks, len(problem.space))),
+                       np.zeros((problem.blocks, len(problem.space), len(problem.space))))
+    padded.gradient[:, indices] = q.gradient
+    padded.hessian[:, indices[:, None], indices] = q.hessian
+    return score(padded, problem, fit.names, effect, problem.prior_gradient(fit.vector))[0]
 
 
-def error_reductions(fall: np.ndarray, condition: Level | None) -> tuple[float, float]:
+def error_reductions(reduction: np.ndarray, condition: Level | None) -> tuple[float, float]:
     """(mean reduction of an error, largest lower 95 % bound of it in one driving condition), from the reduction in each
     window (n,)."""
-    known = np.isfinite(fall)
+    known = np.isfinite(reduction)
     if not known.any():
         return 0.0, 0.0
-    overall = float(fall[known].mean())
+    overall = float(reduction[known].mean())
     if condition is None:
         return overall, overall
-    parts = [fall[known & (condition[0] == k)] for k in np.unique(condition[0])]
+    parts = [reduction[known & (condition[0] == k)] for k in np.unique(condition[0])]
     bounds = [float(p.mean() - 1.645 * p.std(ddof=1) / np.sqrt(len(p))) for p in parts if len(p) > 2]
     return overall, max(bounds, default=overall)
 
@@ -320,8 +320,8 @@ def covariance(problem: Problem, fit: Fit) -> np.ndarray:
     q = fit.quadratic.summed(problem.block, problem.blocks)
     curvature = problem.loss.curvature(problem.errors.at(fit.vector), fit.slopes.of(fit.indices))
     h = inverse(_raised(curvature, q.hessian.sum(axis=0)) + problem.prior_curvature(fit.names, fit.indices))
-    off = q.gradient - q.gradient.mean(axis=0)  # at the optimum the sum equals the gradient of the prior
-    scatter = off.T @ off * problem.blocks / max(problem.blocks - 1, 1)
+    centred = q.gradient - q.gradient.mean(axis=0)  # at the optimum the sum equals the gradient of the prior
+    scatter = centred.T @ centred * problem.blocks / max(problem.blocks - 1, 1)
     if problem.prior is None:  # the prior's gradient scatters as the vehicle file's values do
         scatter = scatter + np.diag(0.5 * problem.design_effect * problem.file_curvature[fit.indices])
     return h @ scatter @ h
@@ -356,21 +356,21 @@ def joint(problem: Problem, fit: Fit) -> Joint:
     others = [n for n in space.hypotheses if not space.overlaps(n, names) and not get_effect(n).members]
     indices = np.union1d(fit.indices, space.indices(*others))
     q = problem.loss.quadratic(problem.errors.at(fit.vector), problem.slopes_of_all(fit.vector).of(indices))
-    known = problem.file_curvature[indices]
-    free = ((known == 0.0) | (space.deviation[indices] < np.inf)) & ~np.isin(indices, fit.indices)
-    known[free] = 0.5 * problem.design_effect / UNSELECTED_DEVIATION**2
-    h = q.hessian.sum(axis=0) + np.diag(known)
+    prior = problem.file_curvature[indices]
+    free = ((prior == 0.0) | (space.deviation[indices] < np.inf)) & ~np.isin(indices, fit.indices)
+    prior[free] = 0.5 * problem.design_effect / UNSELECTED_DEVIATION**2
+    h = q.hessian.sum(axis=0) + np.diag(prior)
     h = h + (1e-9 * np.trace(h) / len(h)) * np.eye(len(h))
-    gradient = q.gradient.sum(axis=0) - known * problem.distance(fit.vector)[indices]
+    gradient = q.gradient.sum(axis=0) - prior * problem.distance(fit.vector)[indices]
     shift = bounded(h, gradient, *problem.distance_to_bounds(fit.vector, indices))
     return Joint(indices, 0.5 * problem.design_effect * np.linalg.inv(h), shift)
 
 
-def _raised(curvature: np.ndarray, whole: np.ndarray) -> np.ndarray:
-    """The curvature, raised in any direction to MIN_CURVATURE of `whole`, that of the reweighted squares."""
+def _raised(curvature: np.ndarray, reweighted: np.ndarray) -> np.ndarray:
+    """The curvature, raised in any direction to MIN_CURVATURE of that of the reweighted squares."""
     if not len(curvature):
         return curvature
-    root = np.linalg.cholesky(_regular(whole))
+    root = np.linalg.cholesky(_regular(reweighted))
     values, vectors = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, curvature).T))
     axes = root @ vectors
     return (axes * np.maximum(values, MIN_CURVATURE)) @ axes.T
@@ -396,28 +396,28 @@ def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, names: 
     parameters are free, with a weak prior (PART_PRIOR). Variances contain the design effect of dependent windows.
     """
     own = np.searchsorted(fit.indices, problem.space.indices(effect))
-    rest = np.setdiff1d(np.arange(len(fit.indices)), own)
+    others = np.setdiff1d(np.arange(len(fit.indices)), own)
     d = ((fit.vector - problem.space.null) / problem.space.scale)[fit.indices[own]]
-    basis = np.zeros((len(fit.indices), 1 + len(rest)))
+    basis = np.zeros((len(fit.indices), 1 + len(others)))
     basis[own, 0] = d
-    basis[rest, 1 + np.arange(len(rest))] = 1.0
+    basis[others, 1 + np.arange(len(others))] = 1.0
     q = fit.quadratic.summed(part)
     g, h = q.gradient @ basis, basis.T @ q.hessian @ basis
-    whole = h.sum(axis=0)
-    everything = inverse(whole)
+    overall = h.sum(axis=0)
+    variance = inverse(overall)
+    total = 1.0 / max(variance[0, 0], 1e-30)
     blocks = fit.quadratic.summed(problem.block, problem.blocks).gradient @ basis
-    design = max(float((everything @ (blocks.T @ blocks) @ everything)[0, 0] / max(everything[0, 0], 1e-30)), 0.5)
-    prior = PART_PRIOR * whole / len(h)
+    design_effect = max(float((variance @ (blocks.T @ blocks) @ variance)[0, 0] * total), 0.5)
+    prior = PART_PRIOR * overall / len(h)
     prior[0, :] = prior[:, 0] = 0.0
     shares, variances, informative = [], [], []
-    total = 1.0 / max(everything[0, 0], 1e-30)
     for k in range(len(h)):
-        own_inverse = inverse(h[k] + prior)
-        information = 1.0 / max(own_inverse[0, 0], 1e-30)
+        own_variance = inverse(h[k] + prior)
+        information = 1.0 / max(own_variance[0, 0], 1e-30)
         if h[k, 0, 0] <= 0.0 or information < MIN_INFORMATION_SHARE * total:
             continue
-        shares.append(1.0 + float((own_inverse @ g[k])[0]))
-        variances.append(design / information)
+        shares.append(1.0 + float((own_variance @ g[k])[0]))
+        variances.append(design_effect / information)
         informative.append(names[k])
     return pooled(np.array(shares), np.array(variances), informative)
 

@@ -136,12 +136,12 @@ class Loss:
         """(p, p) half the second derivative of the loss for errors linear in the parameters; outliers reduce it."""
         z = self.scaled(rows)
         j = self._scaled_slopes(slopes, z)
-        bend = 0.5 * (NU + 1.0) * (NU - np.square(z)) / np.square(NU + np.square(z))
+        second = 0.5 * (NU + 1.0) * (NU - np.square(z)) / np.square(NU + np.square(z))  # rho'' / 2
         flat = j.reshape(len(j), -1)
-        return (flat * bend.ravel()) @ flat.T
+        return (flat * second.ravel()) @ flat.T
 
     def _scaled_slopes(self, slopes: np.ndarray, z: np.ndarray) -> np.ndarray:
         """(p, n, m) slopes over the scale, of limited size; 0 where not measured or in a window that diverges."""
-        far = MAX_SCALED_ERROR / DIFFERENCE_STEP
-        j = np.clip(np.nan_to_num(slopes / self.scale, nan=0.0, posinf=0.0, neginf=0.0), -far, far)
+        limit = MAX_SCALED_ERROR / DIFFERENCE_STEP
+        j = np.clip(np.nan_to_num(slopes / self.scale, nan=0.0, posinf=0.0, neginf=0.0), -limit, limit)
         return np.where(self.known & (np.abs(z) < MAX_SCALED_ERROR), j, 0.0)

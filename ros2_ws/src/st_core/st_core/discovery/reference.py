@@ -36,8 +36,8 @@ class Healthy:
     gain: float
 
 
-def learn(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
-          threads: int, tick: Callable[[], None]) -> Healthy:
+def healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
+                threads: int, tick: Callable[[], None]) -> Healthy:
     """The healthy car from its drives.
 
     The prior is the predictive distribution for a new drive of the same car: the covariance of the reference drives,
@@ -65,7 +65,7 @@ def weak_prior(space: Space) -> np.ndarray:
     """(p, p) prior curvature of a joint fit of the whole library; composites stay at the start."""
     prior = np.eye(len(space)) / JOINT_DEVIATION**2
     composite = space.indices(*(n for n in space.hypotheses if get_effect(n).members))
-    prior[composite, composite] = FIXED_CURVATURE  # the members act the same
+    prior[composite, composite] = FIXED_CURVATURE  # the members have the same influence
     return prior
 
 
@@ -76,9 +76,9 @@ def _predictive_prior(h: np.ndarray, spread: np.ndarray, prior: np.ndarray) -> n
 
 def _gain_between_runs(q: Quadratic, space: Space, windows: Windows, spread: np.ndarray, prior: np.ndarray) -> float:
     """Largest gain per scored error of an effect in one run, with the prior of the other runs, by the quadratic."""
-    run, most = q.summed(windows.run), 0.0
+    run, largest = q.summed(windows.run), 0.0
     if len(windows.names) < 3:
-        return most
+        return largest
     h, g = run.hessian.sum(axis=0) + prior, run.gradient.sum(axis=0)
     for k in range(len(windows.names)):
         other = h - run.hessian[k]
@@ -86,9 +86,9 @@ def _gain_between_runs(q: Quadratic, space: Space, windows: Windows, spread: np.
         predictive = _predictive_prior(other, spread, prior)
         minimum = partial(_minimum, run.hessian[k], run.gradient[k], centre)
         number = max(int(windows.known[windows.run == k].sum()), 1)
-        most = max(most, *((minimum(predictive) - minimum(marginalised(predictive, space.indices(n)))) / number
-                           for n in space.hypotheses))
-    return most
+        largest = max(largest, *((minimum(predictive) - minimum(marginalised(predictive, space.indices(n)))) / number
+                                 for n in space.hypotheses))
+    return largest
 
 
 def _minimum(h: np.ndarray, g: np.ndarray, centre: np.ndarray, prior: np.ndarray) -> float:
@@ -100,14 +100,14 @@ def _minimum(h: np.ndarray, g: np.ndarray, centre: np.ndarray, prior: np.ndarray
 def _design_effects(q: Quadratic, curvature: np.ndarray, windows: Windows) -> np.ndarray:
     """(p,) design effect of each value, at least 1: its variance over that of independent windows, between blocks or
     between runs, whichever is larger; with Student's quantile, as there may be few of them."""
-    design = np.ones(len(curvature))
+    effects = np.ones(len(curvature))
     for part in (windows.block, windows.run):
         gradient = q.summed(part).gradient
         number = len(gradient)
         if number > 2:
             wider = (float(stats.t.ppf(0.975, number - 1)) / TWO_SIDED) ** 2
-            design = np.maximum(design, wider * 2.0 * number * gradient.var(axis=0, ddof=1) / curvature)
-    return design
+            effects = np.maximum(effects, wider * 2.0 * number * gradient.var(axis=0, ddof=1) / curvature)
+    return effects
 
 
 def theoretical_values(space: Space) -> np.ndarray:

@@ -13,9 +13,9 @@ from ._base import ANY, Effect, Parameter, register
 
 def displaced(m, shift, speed):
     """Readings of a point that is displaced by -shift a_y to the left; speed [m/s]: of the car, for a_y."""
-    aside = -shift * speed * m.yaw_rate
-    return m._replace(x=m.x - sin(m.yaw) * aside, y=m.y + cos(m.yaw) * aside,
-                      velocity_x=m.velocity_x - aside * m.yaw_rate,
+    to_left = -shift * speed * m.yaw_rate
+    return m._replace(x=m.x - sin(m.yaw) * to_left, y=m.y + cos(m.yaw) * to_left,
+                      velocity_x=m.velocity_x - to_left * m.yaw_rate,
                       velocity_y=m.velocity_y - shift * speed * m.yaw_acceleration)
 
 
@@ -29,7 +29,7 @@ class SensorRoll(Effect):
     needs = ("velocity_y",)
     applies_to = ANY
     forward_only = True
-    order = 5  # the point moves first, then its readings err
+    order = 5  # the point moves before the errors of its readings are added
     parameters = (
         Parameter("shift", "m s^2/m", null=0.0, initial=0.005, bounds=(-0.005, 0.04),
                   meaning="outward per lateral acceleration: height above the roll axis times roll gradient",

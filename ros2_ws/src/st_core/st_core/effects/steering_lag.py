@@ -32,8 +32,8 @@ class SteeringLag(Effect):
         before = np.concatenate((angle[:1], angle[:-1]))
         with np.errstate(divide="ignore", invalid="ignore"):
             x = np.where(begins, 1.0, spacing / theta.time_constant)
-            drop = -np.expm1(-x)
-            g = drop / x
-        kept = np.where(begins, 0.0, 1.0 - drop)
-        added = np.where(begins, angle, (g - kept) * before + (1.0 - g) * angle)
-        return time, scan((kept, added), affine)[1]
+            loss = -np.expm1(-x)
+            mean = loss / x  # of exp(-t / time_constant) over the interval
+        factor = np.where(begins, 0.0, 1.0 - loss)
+        offset = np.where(begins, angle, (mean - factor) * before + (1.0 - mean) * angle)
+        return time, scan((factor, offset), affine)[1]

@@ -185,19 +185,19 @@ def agreement(scene: Scene) -> Drawn | None:
     if not effects:
         return None
     effects = report_text.by_size(effects)[:MAX_PANELS]
-    every = {e.name: [(level, v) for level, entries in e.agreement.items() for v in entries] for e in effects}
-    met = dict.fromkeys((level, v.where) for entries in every.values() for level, v in entries)
-    count = Counter(level for level, _ in met)
+    estimates = {e.name: [(level, v) for level, entries in e.agreement.items() for v in entries] for e in effects}
+    parts = dict.fromkeys((level, v.where) for entries in estimates.values() for level, v in entries)
+    count = Counter(level for level, _ in parts)
     crowded = {level for level in count if level == "place" or count[level] > MAX_ROWS}
     names = {(level, where): (level, f"{count[level]} {level}s") if level in crowded else (level, where)
-             for level, where in met}
+             for level, where in parts}
     labels = sorted(dict.fromkeys(names.values()), key=lambda label: list(count).index(label[0]))
     rows = {key: labels.index(label) for key, label in names.items()}
     with style():
         figure, panels = plt.subplots(1, len(effects), figsize=(HALF_WIDTH, 1.3 + 0.17 * len(labels)), sharey=True,
                                       squeeze=False)
         for axes, effect in zip(panels[0], effects, strict=True):
-            ratios = [(level, rows[level, v.where], v) for level, v in every[effect.name]]
+            ratios = [(level, rows[level, v.where], v) for level, v in estimates[effect.name]]
             _draw_ratios(axes, [(row, v) for level, row, v in ratios if level not in crowded])
             for _, row, v in (one for one in ratios if one[0] in crowded):
                 axes.plot(np.clip(v.ratio, *axes.get_xlim()), row, "|", ms=7, color=AFTER, alpha=0.6)

@@ -146,13 +146,13 @@ def _values_with_and_without(one: Relation, answer: Discovery, vehicle: VehicleP
         return []
     rows = []
     for effect in one.model.effects:
-        stated, refitted = answer.model.values.get(effect.name), one.model.values[effect.name]
+        original, refitted = answer.model.values.get(effect.name), one.model.values[effect.name]
         free = [p for p in effect.parameters if p.fit]
-        if stated is None or all(refitted[p.name] == p.null == stated[p.name] for p in free):
+        if original is None or all(refitted[p.name] == p.null == original[p.name] for p in free):
             continue
         rows.append((quantities.plain(effect.name), *(
             "; ".join(filter(None, (quantities.fitted(effect.name, {p.name: v[p.name] for p in free}),
-                                    report_text.keys(changed(vehicle, effect, v))))) for v in (stated, refitted))))
+                                    report_text.keys(changed(vehicle, effect, v))))) for v in (original, refitted))))
     return [Table("Values without and with the relation",
                   "Two fits of the same car: with the relation, the values explain less of the errors. Without the "
                   "relation: the values above, for vehicle.yaml and model.yaml. With it: for proposed.yaml only. A "
@@ -186,9 +186,9 @@ def next_drive_sentences(one: Relation) -> list[str]:
     return lines
 
 
-def _ranges(one: Relation, of: Sequence[tuple[float, float]]) -> str:
+def _ranges(one: Relation, ranges: Sequence[tuple[float, float]]) -> str:
     across, unit = display_unit(QUANTITIES[one.candidate.quantity])
-    return ", ".join(f"{across * low:.2g} to {across * high:.2g} {unit}" for low, high in of)
+    return ", ".join(f"{across * low:.2g} to {across * high:.2g} {unit}" for low, high in ranges)
 
 
 def _manoeuvre(option: Option) -> str:

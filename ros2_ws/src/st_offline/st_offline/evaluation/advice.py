@@ -147,7 +147,7 @@ def processor_time(cost: Cost) -> float:
 
 def cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
              tolerance: float) -> dict[float, tuple[Key | None, ...]]:
-    """By lower edge of speed [m/s]: for each second ahead the cheapest with an error across within the tolerance
+    """By lower edge of speed [m/s]: for each second ahead the cheapest with a lateral error within the tolerance
     [m] in WITHIN_SHARE of the starts; None where no model does."""
     order = sorted(accuracies, key=lambda key: processor_time(costs[key]))
     speeds = sorted({low for one in accuracies.values() for low in one.within})

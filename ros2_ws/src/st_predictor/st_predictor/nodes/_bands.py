@@ -102,7 +102,7 @@ class PredictionBands:
             return Check("bands", diagnostics.OK, "off (bands_file is empty, adaptive_bands is false)")
         values = {f"{model} {mode} {100 * level:g} %": f"{inside / n:.3f} of {n}"
                   for (model, mode), (n, counts) in self._adaptive.counts.items() for level, inside in counts.items()}
-        if (seconds := self._adaptive.learning) > 0.0:
+        if (seconds := self._adaptive.remaining_warm_up) > 0.0:
             return Check("bands", diagnostics.OK, "adaptive, learning: no band yet", {"driving required [s]": seconds})
         text = f"adaptive, {self._text or 'estimated from the errors of this run'}"
         return Check("bands", diagnostics.OK, text, values)

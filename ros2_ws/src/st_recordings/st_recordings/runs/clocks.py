@@ -12,7 +12,7 @@ from .can_signals import CanSignals, Signal
 from .ins_log import InsLog
 
 # Delays [s]: (expected, standard deviation), or bounds.
-INS_ON_CAN = (0.002, 0.002)  # from the instant an INS value is true to its frame in the log, if it was not measured
+INS_ON_CAN = (0.002, 0.002)  # from the measurement of an INS value to its frame in the log; default
 WHEEL_SPEED = (0.015, 0.015)  # wheel speeds are counted over a period before they are sent
 # Slip of driven or braked wheels per acceleration [s^2/m]: at speed v it looks like a delay of this times v. A braked
 # rear axle has 0.003, a driven one 0.007, one that rolls freely 0.
@@ -181,8 +181,8 @@ def _align_by_checked_time_frame(frames: Signal, pairs: list[SharedSignal], late
     # Near the offset of the time frame only: repeated laps fit at many offsets.
     offset = result.offset_at_ns(result.at_ns) * 1e-9
     # The first message of velocity, yaw rate and yaw; a second one of the same adds nothing.
-    firsts = list({pair.name.partition(" (")[0]: pair for pair in reversed(pairs)}.values())[::-1]
-    check = align(firsts, search=(offset - CHECK_SEARCH, offset + CHECK_SEARCH))
+    distinct = list({pair.name.partition(" (")[0]: pair for pair in reversed(pairs)}.values())[::-1]
+    check = align(distinct, search=(offset - CHECK_SEARCH, offset + CHECK_SEARCH))
     if check.verdict is Verdict.REFUSED:
         return result.with_doubts(f"the shared signals do not confirm it: {check.reasons[-1]}")
     difference = (check.offset_at_ns(check.at_ns) - result.offset_at_ns(check.at_ns)) * 1e-9
