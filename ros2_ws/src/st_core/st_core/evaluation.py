@@ -27,10 +27,10 @@ class Score:
     """Error of one prediction of one model, predicted minus measured, at the INS point.
 
     mode: forecast, plan, course = the trajectory as issued; hindsight = re-simulated from the same start with the
-    measured inputs (the paper's protocol). start_ns: measured_at of the start [ns]. horizon: [s] after it, 0 first.
+    measured inputs (the paper's protocol). start_ns: time of the start [ns]. horizon: [s] after it, 0 first.
     longitudinal [m]: + predicted ahead, lateral [m]: + predicted to the left, both along the measured heading at each
     point; yaw [rad] in [-pi, pi): + predicted further to the left. NaN where not scored: no measured position, or in
-    hindsight an input up to there that was not measured.
+    hindsight an input before that point that was not measured.
     *_mean: mean over all points of the horizon, the start included; NaN unless complete.
     """
 

@@ -92,7 +92,7 @@ class ModelFile:
             different = _differences(self.vehicle, vehicle) if self.vehicle else ""
             differ = f" (they differ in {different})" if different else ""
             raise ConfigurationError(f"vehicle.hash: the values hold for {expected}, {origin} is {given}{differ}; "
-                                     "take the vehicle file they were found with")
+                                     "use the vehicle file of their identification")
 
     @property
     def hash(self) -> str:
@@ -140,9 +140,9 @@ class ModelFile:
         file = cls(_text("base", document["base"]), effects, *_vehicle(document.get("vehicle")),
                    _provenance(document.get("provenance")))
         file.model()
-        stated = document.get("hash")
-        if stated is not None and stated != file.hash:
-            raise ConfigurationError(f"hash: {str(stated)[:12]} is not that of the content, {file.hash[:12]}: base, a "
+        digest = document.get("hash")
+        if digest is not None and digest != file.hash:
+            raise ConfigurationError(f"hash: {str(digest)[:12]} is not that of the content, {file.hash[:12]}: base, a "
                                      "value or the vehicle was changed since; remove the line hash to accept that")
         return file
 
@@ -200,7 +200,7 @@ def _vehicle(section: Any) -> tuple[VehicleParameters | None, str, str]:
         raise ConfigurationError(f"vehicle.parameters: {error}") from None
     if vehicle.hash != digest:
         raise ConfigurationError(f"vehicle.hash: {digest[:12]} is not that of vehicle.parameters, {vehicle.hash[:12]}; "
-                                 "restore the car the effects were found with")
+                                 "restore the vehicle for which the effects were identified")
     return vehicle, name, digest
 
 

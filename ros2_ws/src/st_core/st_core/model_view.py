@@ -39,10 +39,10 @@ class ModelView:
     """
 
     def __init__(self, model: Model, vehicle: VehicleParameters, shared: MeasurementHistory):
-        lacking = missing_reading(model, OPTIONAL_INS_SIGNALS)
-        if lacking:
+        missing = missing_reading(model, OPTIONAL_INS_SIGNALS)
+        if missing:
             raise ConfigurationError("model {}: effect {} needs {}, which is not measured live".format(
-                model.name, *lacking))
+                model.name, *missing))
         self.model = model
         self.car = model.effective_vehicle(vehicle)
         self._vehicle = vehicle
@@ -79,7 +79,7 @@ class ModelView:
             return state, now
         series, grid = self._history.steering, half_step_grid(time_ns, steps, step)
         angle = wheel_angles_ahead(self.model, series.times, series.rows[:, 0], grid,
-                                  np.full(len(grid), now.road_wheel_angle), series.maximum_gap_ns * NANOSECOND)
+                                   np.full(len(grid), now.road_wheel_angle), series.maximum_gap_ns * NANOSECOND)
         return state, InputSequence(angle, np.full(len(grid), now.velocity_x_dot))
 
     def measured(self, times_ns: np.ndarray) -> InputSequence:

@@ -28,7 +28,7 @@ MAX_ROAD_WHEEL_ANGLE = 0.8
 MAX_STEERING_RATE = 1.5
 """rad/s at the road wheel: a steering wheel at 24 rad/s, beyond what steering robots reach (about 20 rad/s)."""
 MAX_ACCELERATION = 12.0
-"""m/s^2, along and across together: a friction coefficient of 1.2, dry road and sports tyres."""
+"""m/s^2, longitudinal and lateral combined: a friction coefficient of 1.2, dry road and sports tyres."""
 ANGLE_TOLERANCE = 0.05
 """rad between planned and measured road wheel angle at the start: 45 deg at the steering wheel."""
 ACCELERATION_TOLERANCE = 3.0
@@ -173,19 +173,18 @@ def _demand_problem(plan: PlannedInputs, state: VehicleState, vehicle: VehiclePa
         # The trapezoidal rule by hand: scipy is not imported in the live path.
         mean = 0.5 * (plan.velocity_x_dot[1:] + plan.velocity_x_dot[:-1])
         speed = state.velocity_x + np.cumsum([0.0, *(mean * np.diff(plan.time_ns) * NANOSECOND)])
-    across = speed * speed * angle / steady_state_steering(speed, np.ones_like(speed), vehicle)
-    demand = float(np.hypot(plan.velocity_x_dot, across).max())
+    lateral = speed * speed * angle / steady_state_steering(speed, np.ones_like(speed), vehicle)
+    demand = float(np.hypot(plan.velocity_x_dot, lateral).max())
     return f"plan: acceleration of {demand:.1f} m/s^2 (limit {MAX_ACCELERATION:g})" if demand > MAX_ACCELERATION else ""
 
 
 def _consistency_problem(plan: PlannedInputs, start_ns: int, state: VehicleState, inputs: ControlInput) -> str:
-    here = np.array([start_ns])
     for name, measured, tolerance, unit in (
             ("road_wheel_angle", inputs.road_wheel_angle, ANGLE_TOLERANCE, "rad"),
             ("velocity_x_dot", inputs.velocity_x_dot, ACCELERATION_TOLERANCE, "m/s^2"),
             ("speed", state.velocity_x, SPEED_TOLERANCE, "m/s")):
         values = getattr(plan, name)
-        planned = math.nan if values is None else float(plan._at(values, here)[0])
+        planned = math.nan if values is None else float(plan._at(values, np.array([start_ns]))[0])
         if abs(planned - measured) > tolerance:
             return (f"plan: {name} {planned:.3g} {unit} at the start, measured {measured:.3g} "
                     f"(tolerance {tolerance:g}); wrong sign, frame or unit?")

@@ -45,7 +45,7 @@ def missing_reading(model: Model, unknown: Sequence[str]) -> tuple[str, str] | N
 
 
 def correct_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray,
-                       maximum_gap: float) -> tuple[np.ndarray, np.ndarray]:
+                     maximum_gap: float) -> tuple[np.ndarray, np.ndarray]:
     """(time [ns], road wheel angle [rad]) at the wheels: delay, play and lag applied to a recorded angle.
 
     maximum_gap [s]: after a longer one memory is reset.
@@ -66,7 +66,7 @@ def has_memory(model: Model) -> bool:
 
 
 def wheel_angles_ahead(model: Model, time_ns: np.ndarray, angle: np.ndarray, grid_ns: np.ndarray, ahead: np.ndarray,
-                      maximum_gap: float) -> np.ndarray:
+                       maximum_gap: float) -> np.ndarray:
     """Angle of the wheels [rad] at rising instants (m,) [ns] when the steering is `ahead` (m,) [rad] from the first on.
 
     time_ns [ns], angle [rad]: as recorded; later samples are not used. With delay, play or lag the wheels follow the
@@ -98,18 +98,18 @@ def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveL
     """The drive as faultless sensors would have recorded it, with the angle the wheels had: what a model starts from.
 
     Input effects without memory (ratio, offset) are not applied: they are in the model's `inputs`. maximum_gap: [s].
-    Raises StCoreError where a sensor effect needs an acceleration that the drive does not hold.
+    Raises StCoreError where a sensor effect needs an acceleration that the drive does not contain.
     """
     if not isinstance(model, AugmentedModel):
         return log
     parts: dict[str, Any] = {}
     if model.has_sensors:
         names = Measured._fields[:-1]
-        lacking = missing_reading(model, [name for name in names if getattr(log, name) is None])
-        if lacking:
-            raise StCoreError("{}: effect {} needs {}, which is not in it".format(log.name, *lacking))
-        nothing = np.zeros(len(log.ins_time_ns))
-        true = model.correct(Measured(*(nothing if getattr(log, n) is None else getattr(log, n)
+        missing = missing_reading(model, [name for name in names if getattr(log, name) is None])
+        if missing:
+            raise StCoreError("{}: effect {} needs {}, which is not in it".format(log.name, *missing))
+        zeros = np.zeros(len(log.ins_time_ns))
+        true = model.correct(Measured(*(zeros if getattr(log, n) is None else getattr(log, n)
                                         for n in Measured._fields)))
         parts |= {name: getattr(true, name) for name in names if getattr(log, name) is not None}
     if model.has_memory:
@@ -120,13 +120,13 @@ def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveL
 
 def readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple | None = None,
              p: Any = None) -> Measured:
-    """What the INS shows while the car is in `states`: `true_readings` with the sensor effects."""
+    """What the INS shows while the car is in `states`: `faultless_readings` with the sensor effects."""
     true = faultless_readings(model, vehicle, states, w, p)
     return model.observe(true) if isinstance(model, AugmentedModel) else true
 
 
 def faultless_readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple | None = None,
-                  p: Any = None) -> Measured:
+                       p: Any = None) -> Measured:
     """What a faultless INS would show while the car is in `states`, at the INS point.
 
     states: (x, y, velocity_x, velocity_y, yaw, yaw_rate, extra states ...) at the CG, floats or arrays of equal shape.
@@ -154,9 +154,10 @@ def faultless_readings(model: Model, vehicle: VehicleParameters, states: tuple, 
 
 def reading_errors(model: Model, vehicle: VehicleParameters, states: np.ndarray, x: np.ndarray, y: np.ndarray,
                    yaw: np.ndarray) -> np.ndarray:
-    """Errors (n, k, 3) of states (n, k, 6): longitudinal, lateral [m] and yaw [rad], what the INS would show minus what
-    it showed: x, y [m], yaw [rad], (n, k) each. Axes and signs as `types.pose_errors`."""
+    """Errors (n, k, 3) of states (n, k, 6): longitudinal, lateral [m] and yaw [rad], predicted minus measured INS
+    readings. x, y [m], yaw [rad]: as measured, (n, k) each. Axes and signs as `types.pose_errors`."""
     with np.errstate(all="ignore"):
-        seen = readings(model, vehicle, tuple(np.moveaxis(states, -1, 0)))
+        predicted = readings(model, vehicle, tuple(np.moveaxis(states, -1, 0)))
         # Stacked as the backends lay trajectories out, point after point: twice as fast as start after start.
-        return np.stack([e.T for e in pose_errors(seen.x, seen.y, seen.yaw, x, y, yaw)]).transpose(2, 1, 0)
+        errors = pose_errors(predicted.x, predicted.y, predicted.yaw, x, y, yaw)
+        return np.stack([e.T for e in errors]).transpose(2, 1, 0)

@@ -101,8 +101,8 @@ class Driver:
         preview = max(MIN_PREVIEW, PREVIEW_TIME * speed)
         self._steer_sum += INTEGRAL_STEER * offset * SAMPLING_TIME
         self._steer_sum = min(max(self._steer_sum, -INTEGRAL_LIMIT), INTEGRAL_LIMIT)
-        bend = self.plan.path.curvature(self.distance + ANTICIPATION * speed)
-        curvature = bend - 2 * (offset + preview * math.sin(course)) / preview**2 - self._steer_sum
+        ahead = self.plan.path.curvature(self.distance + ANTICIPATION * speed)
+        curvature = ahead - 2 * (offset + preview * math.sin(course)) / preview**2 - self._steer_sum
         return math.atan(self.car.wheelbase * curvature) + UNDERSTEER * speed**2 * curvature
 
     def _pedals(self, plant: Plant, target_speed: float, acceleration: float) -> None:

@@ -51,7 +51,7 @@ def to_predicted_frame(errors: np.ndarray) -> np.ndarray:
 
 def error_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,
                 settings: EvaluationSettings) -> ErrorSamples:
-    """Error curves of one drive from at most STARTS_PER_RUN starts evenly_spaced over it.
+    """Error curves of one drive from at most STARTS_PER_RUN starts evenly spaced over it.
 
     Only starts with a completely measured horizon and known conditions count. Raises StCoreError, one line,
     for a drive shorter than the horizon, for one without such a start, and, as NotFiniteError, where a model's errors
@@ -64,8 +64,8 @@ def error_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: 
                           "can be scored; leave the run out")
     starts, _ = usable_starts(signals, vehicle, regular_starts(log, settings.interval),
                               settings.prediction.minimum_speed)
-    here = conditions_at(signals, starts)
-    starts = starts[np.isfinite(here).all(axis=1) & _known(models, signals, starts, settings)]
+    conditions = conditions_at(signals, starts)
+    starts = starts[np.isfinite(conditions).all(axis=1) & _known(models, signals, starts, settings)]
     starts = starts[evenly_spaced(len(starts), STARTS_PER_RUN)]
     scored: list[np.ndarray] = []
     parts: dict[ModelMode, list[np.ndarray]] = {}
@@ -73,14 +73,14 @@ def error_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: 
         complete = np.isfinite(block.conditions["speed"])  # known exactly where the whole horizon was measured
         scored.append(starts[rows][complete])
         for pair, errors in block.errors.items():
-            whole = errors[complete]
-            bad = ~np.isfinite(whole).all(axis=(1, 2))
+            curves = errors[complete]
+            bad = ~np.isfinite(curves).all(axis=(1, 2))
             if bad.any():
                 first = (scored[-1][bad][0] - log.start_ns) * NANOSECOND
                 raise NotFiniteError(f"errors of {pair[0]} are not finite from {int(bad.sum())} starts, the first "
-                                     f"at {first:.1f} s, though all inputs were measured: correct the model or take a "
+                                     f"at {first:.1f} s, though all inputs were measured: correct the model or use a "
                                      "shorter --step")
-            parts.setdefault(pair, []).append(to_predicted_frame(whole[:, 1:]).astype(np.float32))
+            parts.setdefault(pair, []).append(to_predicted_frame(curves[:, 1:]).astype(np.float32))
     found = np.concatenate(scored) if scored else starts[:0]
     if not len(found):
         raise StCoreError(f"no start has a whole horizon of {horizon:g} s measured; leave the run out")

@@ -50,8 +50,8 @@ def features(conditions: np.ndarray) -> np.ndarray:
     """
     z = np.asarray(conditions, float)
     logs = np.log((np.maximum(z, _FLOORS) + _OFFSETS) / _UNITS)
-    hats = np.maximum(0.0, 1.0 - np.abs(z[..., 1:2] - SPLINE_KNOTS) / SPLINE_KNOTS[0])
-    return np.concatenate([np.ones_like(z[..., :1]), logs, logs[..., _LEFT] * logs[..., _RIGHT], hats], axis=-1)
+    splines = np.maximum(0.0, 1.0 - np.abs(z[..., 1:2] - SPLINE_KNOTS) / SPLINE_KNOTS[0])
+    return np.concatenate([np.ones_like(z[..., :1]), logs, logs[..., _LEFT] * logs[..., _RIGHT], splines], axis=-1)
 
 
 def features_of_one(condition: Sequence[Any], log: Callable[[Any], Any] = math.log,
@@ -62,8 +62,8 @@ def features_of_one(condition: Sequence[Any], log: Callable[[Any], Any] = math.l
     """
     logs = [log((largest(value, floor) + offset) / unit)
             for value, floor, offset, unit in zip(condition, _FLOORS, _OFFSETS, _UNITS, strict=True)]
-    hats = [largest(0.0, 1.0 - abs(condition[1] - hat) / SPLINE_KNOTS[0]) for hat in SPLINE_KNOTS]
-    return [1.0, *logs, *(logs[k] * logs[m] for k, m in _PAIRS), *hats]
+    splines = [largest(0.0, 1.0 - abs(condition[1] - knot) / SPLINE_KNOTS[0]) for knot in SPLINE_KNOTS]
+    return [1.0, *logs, *(logs[k] * logs[m] for k, m in _PAIRS), *splines]
 
 
 def knots_of(horizon: float) -> np.ndarray:
@@ -111,11 +111,11 @@ def fit_scale(conditions: Sequence[np.ndarray], errors: Sequence[np.ndarray], ti
     Raises StCoreError where the fit fails.
     """
     knots = knots_of(float(time[-1]))
-    picked = [evenly_spaced(len(one)) for one in conditions]
-    phi = np.concatenate([features(one[rows]) for one, rows in zip(conditions, picked, strict=True)])
-    weights = np.concatenate([np.full(len(rows), 1.0 / (len(rows) * len(picked))) for rows in picked])
+    selected = [evenly_spaced(len(one)) for one in conditions]
+    phi = np.concatenate([features(one[rows]) for one, rows in zip(conditions, selected, strict=True)])
+    weights = np.concatenate([np.full(len(rows), 1.0 / (len(rows) * len(selected))) for rows in selected])
     squares = [np.maximum(np.square(one[rows].astype(float)), np.square(ERROR_RESOLUTION))
-               for one, rows in zip(errors, picked, strict=True)]
+               for one, rows in zip(errors, selected, strict=True)]
     first, last = np.sqrt(np.mean([one[:, [0, -1]].mean(axis=0) for one in squares], axis=0))
     floor = np.stack([NOISE * first, FLOOR_SHARE * last])
     near = [int(np.abs(time - knot).argmin()) for knot in knots]
@@ -131,7 +131,7 @@ def _gamma_regression(phi: np.ndarray, weights: np.ndarray, squares: np.ndarray)
     """
     ridge = np.full((phi.shape[1], 1), RIDGE)
     ridge[0] = 0.0
-    always = 0.02 * phi.T @ (weights[:, None] * phi) + 2.0 * np.diag(ridge[:, 0]) + 1.0e-9 * np.eye(len(ridge))
+    regularisation = 0.02 * phi.T @ (weights[:, None] * phi) + 2.0 * np.diag(ridge[:, 0]) + 1.0e-9 * np.eye(len(ridge))
 
     def loss(c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Loss and its derivative by column; e^2 / sigma^2, (n, m)."""
@@ -146,8 +146,8 @@ def _gamma_regression(phi: np.ndarray, weights: np.ndarray, squares: np.ndarray)
     for _ in range(MAX_STEPS):
         if np.abs(slope).max() < TOLERANCE:
             return c
-        curved = np.stack([phi.T @ ((2.0 * weights * one)[:, None] * phi) for one in ratio.T]) + always
-        step, share = np.linalg.solve(curved, slope.T[:, :, None])[:, :, 0].T, np.ones(c.shape[1])
+        hessian = np.stack([phi.T @ ((2.0 * weights * one)[:, None] * phi) for one in ratio.T]) + regularisation
+        step, share = np.linalg.solve(hessian, slope.T[:, :, None])[:, :, 0].T, np.ones(c.shape[1])
         for _ in range(MAX_HALVINGS):
             tried, tried_slope, tried_ratio = loss(c - share * step)
             worse = ~(tried <= value + 1.0e-12)
@@ -159,6 +159,6 @@ def _gamma_regression(phi: np.ndarray, weights: np.ndarray, squares: np.ndarray)
                       "of a few starts larger than all others by orders of magnitude?")
 
 
-def evenly_spaced(count: int, most: int = FIT_STARTS) -> np.ndarray:
-    """At most `most` of `count` rows, evenly evenly_spaced."""
-    return np.arange(count) if count <= most else np.linspace(0, count - 1, most).round().astype(int)
+def evenly_spaced(count: int, limit: int = FIT_STARTS) -> np.ndarray:
+    """At most `limit` of `count` rows, evenly spaced."""
+    return np.arange(count) if count <= limit else np.linspace(0, count - 1, limit).round().astype(int)

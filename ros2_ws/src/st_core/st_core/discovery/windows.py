@@ -188,12 +188,12 @@ class Windows:
     def _with_inputs(self) -> np.ndarray:
         """(n, k) whether a point is before the first gap of steering or INS, beyond which there are no inputs.
         MARGIN_NS around a gap, as at the ends of a run."""
-        until = np.full(len(self), np.iinfo(np.int64).max)
+        last = np.full(len(self), np.iinfo(np.int64).max)
         for time_ns in (self.joined.steering_time_ns, self.joined.ins_time_ns):
             gaps = np.flatnonzero(np.diff(time_ns) > MAX_GAP / NANOSECOND)
             first = np.searchsorted(time_ns[gaps + 1], self.starts_ns - MARGIN_NS, side="right")
-            until = np.minimum(until, np.append(time_ns[gaps], until.max())[first] - MARGIN_NS // 2)
-        return self._times <= until[:, None]
+            last = np.minimum(last, np.append(time_ns[gaps], last.max())[first] - MARGIN_NS // 2)
+        return self._times <= last[:, None]
 
     @cached_property
     def driven(self) -> dict[str, np.ndarray]:
@@ -222,9 +222,9 @@ class Windows:
         with np.errstate(all="ignore"):
             readings = faultless_readings(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)))
             before, true, after = (Measured(*(value[:, i] for value in readings)) for i in self._around)
-            turning = [e.velocity_x * e.yaw_rate for e in (before, true, after)]
+            centripetal = [e.velocity_x * e.yaw_rate for e in (before, true, after)]
             a_y = (after.velocity_y - before.velocity_y) / (2 * STEP) + (
-                turning[0] + 4.0 * turning[1] + turning[2]) / 6.0
+                centripetal[0] + 4.0 * centripetal[1] + centripetal[2]) / 6.0
             rate = (before.yaw_rate + 4.0 * true.yaw_rate + after.yaw_rate) / 6.0
             specific_force = self._specific_force(model, states[:, self._around[1]])
             true = true._replace(yaw_rate=rate, acceleration_x=0.0 * a_y,
@@ -261,10 +261,10 @@ def added_acceleration(model: AugmentedModel, vehicle: VehicleParameters, states
 def _join(runs: Sequence[DriveLog]) -> tuple[DriveLog, list[int]]:
     """All runs on one clock, PAUSE_NS apart, and the offset of each [ns]."""
     names = dict.fromkeys((*INS_SIGNALS, *(name for channel in CHANNELS.values() for name in channel.signals)))
-    offsets, at = [], 0
+    offsets, start = [], 0
     for run in runs:
-        offsets.append(at - run.start_ns)
-        at += run.end_ns - run.start_ns + PAUSE_NS
+        offsets.append(start - run.start_ns)
+        start += run.end_ns - run.start_ns + PAUSE_NS
     columns: dict[str, Any] = {
         n: np.concatenate([getattr(run, n) for run in runs]) for n in (*names, "road_wheel_angle")
         if all(getattr(run, n) is not None for run in runs)}

@@ -231,11 +231,11 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
     reason as its verdict.
     Raises IdentificationError, with the numbers, for too little excitation.
     """
-    logs, noticed = prepare_drives(logs, vehicle, "velocity_y")
+    logs, notes = prepare_drives(logs, vehicle, "velocity_y")
     runs = [run_samples(log, vehicle) for log in logs]
     regressions, correlation, rejected = _regressions(runs, vehicle)
     require_coverage(regressions[0].coverage,
-                     "Drive bends to both sides at several speeds, with 0.5 to 4 m/s^2 across.")
+                     "Drive bends to both sides at several speeds, with 0.5 to 4 m/s^2 of lateral acceleration.")
     for regression in regressions:
         if int(regression.samples.used.sum()) < MIN_AXLE_SAMPLES:
             raise IdentificationError("; ".join(regression.reasons))
@@ -244,7 +244,7 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
     figure = {f"{key}_{regression.axle}": getattr(regression.samples, key)[regression.samples.used]
               for regression in regressions for key in ("slip", "force", "run_of")}
     return Identification("stiffness", estimates, names, rejected, correlation, regressions[0].coverage,
-                          (*noticed, *describe_correlations([e.parameter for e in estimates], correlation)), figure)
+                          (*notes, *describe_correlations([e.parameter for e in estimates], correlation)), figure)
 
 
 def _select_samples(run: RunSamples) -> tuple[np.ndarray, list[tuple[str, str]]]:

@@ -135,8 +135,8 @@ class _GatedWindows(Windows):
 @dataclass(frozen=True, eq=False)
 class DrivingFit:
     """names and their values (p,) [SI]; spread: their covariance over blocks of driving. at_bound: names that stopped
-    there. slopes: (p, q) change of each value [SI] with each number of the fit; hessian: (q, q) half the second
-    derivative of the loss in these numbers.
+    there. slopes: (p, q) change of each value [SI] with each parameter of the fit; hessian: (q, q) half the second
+    derivative of the loss in these parameters.
 
     residuals: (n, c) predicted minus measured, columns as `columns` [SI], with run_of (n,) and time (n,) [s].
     windows: by run, (used, all). curvature_square, acceleration: means of curvature^2 [1/m^2] and |v_x r| [m/s^2],
@@ -159,7 +159,7 @@ class DrivingFit:
     peaks: np.ndarray
 
     @property
-    def number(self) -> int:
+    def n_predictions(self) -> int:
         """Predictions used."""
         return sum(used for used, _ in self.windows.values())
 
@@ -226,18 +226,18 @@ def _make_fit(problem: Problem, windows: _GatedWindows, vector: np.ndarray, effe
     used = np.flatnonzero(windows.used)
     group = blocks(windows.run[used], windows.seconds[used])
     hessian, gradient = group.sums(quadratic.hessian[used]), group.sums(quadratic.gradient[used])
-    whole = hessian.sum(axis=0)
-    size = np.sqrt(np.diag(whole).clip(1e-300))
-    if np.linalg.cond(whole / np.outer(size, size)) > MAX_CONDITION:
+    total = hessian.sum(axis=0)
+    size = np.sqrt(np.diag(total).clip(1e-300))
+    if np.linalg.cond(total / np.outer(size, size)) > MAX_CONDITION:
         raise IdentificationError(f"{', '.join(names)}: not determined by the data; drive with more variety of speed "
                                   "and bends, or free fewer parameters")
     # The loss is less curved than its weighted squares, so each block has more influence by that ratio.
-    ratio = np.clip((np.diag(problem.loss.curvature(rows, slopes)) / np.diag(whole)).mean(), MIN_CURVATURE_RATIO, 1.0)
+    ratio = np.clip((np.diag(problem.loss.curvature(rows, slopes)) / np.diag(total)).mean(), MIN_CURVATURE_RATIO, 1.0)
     influence = group.leave_out(ratio * hessian, gradient)
 
-    def quantities(at: np.ndarray) -> np.ndarray:
-        known = {f"{e}.{p}": value for e in effects for p, value in space.values(e, at).items()}
-        return np.array([FREE_PARAMETERS[name].value(windows.vehicle, known) for name in names])
+    def quantities(vector: np.ndarray) -> np.ndarray:
+        fitted = {f"{e}.{p}": value for e in effects for p, value in space.values(e, vector).items()}
+        return np.array([FREE_PARAMETERS[name].value(windows.vehicle, fitted) for name in names])
 
     values, step = quantities(vector), 1e-4
     change = np.stack([(quantities(vector + step * space.scale * unit) - values) / step
@@ -249,6 +249,6 @@ def _make_fit(problem: Problem, windows: _GatedWindows, vector: np.ndarray, effe
     residuals = -rows.reshape(len(rows), points, columns)[used].reshape(-1, columns)
     return DrivingFit(
         tuple(names), values, group.spread(influence @ change.T),
-        tuple(name for name in names if FREE_PARAMETERS[name].effect in stopped), change, whole, residuals,
+        tuple(name for name in names if FREE_PARAMETERS[name].effect in stopped), change, total, residuals,
         windows.columns, np.repeat(windows.run[used], points), np.repeat(windows.seconds[used], points), counts,
         windows.curvature_square, windows.acceleration, windows.peaks)

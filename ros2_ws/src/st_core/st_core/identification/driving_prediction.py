@@ -211,7 +211,8 @@ def make_identification(what: str, vehicle: VehicleParameters, fit: DrivingFit, 
 
 def _judge_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[str, Status]:
     """(verdict: how well the data determine the value, and their number; status)."""
-    name, value, basis = fit.names[index], fit.values[index], f"{fit.number} predictions in {fit.spread.basis[index]}"
+    name, value = fit.names[index], fit.values[index]
+    basis = f"{fit.n_predictions} predictions in {fit.spread.basis[index]}"
     if name in fit.at_bound:
         return (f"Stopped at its bound {value:.4g}: the data do not determine it, or contradict the rest of the "
                 "vehicle file."), "unidentifiable"

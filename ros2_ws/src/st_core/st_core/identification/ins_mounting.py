@@ -29,7 +29,7 @@ from .result import Estimate, Identification, Status, describe_correlations
 from .run_samples import SPEED_EDGES, RunSamples, prepare_drives, require_coverage, run_samples, signal_coverage
 
 MINIMUM_SPEED, MAXIMUM_SPEED = 1.5, 9.0  # m/s
-MAXIMUM_ACCELERATION = 2.5  # m/s^2 across
+MAXIMUM_ACCELERATION = 2.5  # m/s^2, lateral
 CURVATURE_EDGES = np.array([-0.3, -0.05, -0.02, -0.005, 0.005, 0.02, 0.05, 0.3])  # 1/m, left +
 MIN_CURVATURE = 0.03  # 1/m, below which left and right do not show d_y
 MIN_TIGHT_TIME = 5.0  # to each side

@@ -54,13 +54,13 @@ def lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, StiffnessUncertai
         spread = value * relative
         cause = ("the difference is due to steering and suspension compliance." if value < 1.0 else "compliance cannot "
                  "make an axle stiffer than its tyres, so surface, temperature or inflation differ.")
-        words = (f"The {axle} axle is {value:.3f} times as stiff as its two tyres on the flat plank at {load:.0f} N: "
-                 f"{cause}")
+        verdict = (f"The {axle} axle is {value:.3f} times as stiff as its two tyres on the flat plank at {load:.0f} N: "
+                   f"{cause}")
         status: Status = "identified" if value <= 1.0 + 2.0 * relative else "doubtful"
         runs = tuple(filter(None, (known.data, table.name if table else "")))
         method = f"C / (2 K) at the static load {load:.0f} N, C {stiffness:.0f} N/rad"
         estimates.append(Estimate(f"{tyre}.lambda_ky", value, "1", spread, symmetric_interval(value, spread), method,
-                                  runs, words, status))
+                                  runs, verdict, status))
         if table is None:
             warnings.append(f"No table of {tyre} was given: its flat-plank stiffness is treated as exact.")
     figure = {"scale": [e.value for e in estimates],

@@ -54,7 +54,7 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
     fit = fit_driving(smooth, vehicle, (PAPER,), "linear", settings)
     predicted = {name: count for name, (count, _) in fit.windows.items()}
     paper = _estimate(PAPER, fit.values[0], fit.spread, "simulated against measured yaw rate (paper)", predicted,
-                      f"{fit.number} predictions on straights")
+                      f"{fit.n_predictions} predictions on straights")
 
     run_of = np.concatenate([np.full(len(w), i) for i, w in enumerate(windows)])
     times = np.concatenate([w[:, 0] for w in windows])

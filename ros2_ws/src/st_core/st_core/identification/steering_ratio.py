@@ -39,7 +39,7 @@ class Line:
 
 
 def fit_line(x: np.ndarray, y: np.ndarray, groups: Sequence[str]) -> Line:
-    """Least squares of the above. groups: a name per point. Raises IdentificationError when x does not vary."""
+    """Least squares fit of slope and levels. groups: a name per point. Raises IdentificationError for a constant x."""
     members = {str(name): np.asarray(groups) == name for name in dict.fromkeys(groups)}
     centred_x, centred_y = (_subtract_means(v, members.values()) for v in (x, y))
     spread = float(centred_x @ centred_x)

@@ -71,12 +71,12 @@ def p_values(screened: Sequence[Screened], blocks: int) -> dict[str, float]:
     F, Bonferroni over the candidates; for relations that act in few blocks only.
     """
     largest = np.max([s.drawn for s in screened], axis=0)
-    design = float(np.median([s.design_effect for s in screened]))
+    median = float(np.median([s.design_effect for s in screened]))
     found = {}
     for s in screened:
-        flipped = (1 + int((largest >= s.observed).sum())) / (1 + DRAWS)
-        ratio = 2.0 * max(s.gain, 0.0) / max(design, s.design_effect) / s.freedom
-        found[s.candidate.name] = min(flipped, len(screened) * float(stats.f.sf(ratio, s.freedom, blocks - 1)))
+        p_score = (1 + int((largest >= s.observed).sum())) / (1 + DRAWS)
+        ratio = 2.0 * max(s.gain, 0.0) / max(median, s.design_effect) / s.freedom
+        found[s.candidate.name] = min(p_score, len(screened) * float(stats.f.sf(ratio, s.freedom, blocks - 1)))
     return found
 
 
@@ -95,10 +95,10 @@ def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.
     penalties = {smooth: fits.penalty(candidate, h, smooth) for smooth in SMOOTHING}
     losses = {smooth: fits.predicted_held_out(q, penalty, distance) for smooth, penalty in penalties.items()}
     smooth = min(losses, key=lambda one: float(losses[one].sum()))
-    whole = q_all.hessian.sum(axis=0)
-    cross = np.linalg.solve(ridge(whole[:-COUNT, :-COUNT]), whole[:-COUNT, -COUNT:])
+    h = q_all.hessian.sum(axis=0)
+    cross = np.linalg.solve(ridge(h[:-COUNT, :-COUNT]), h[:-COUNT, -COUNT:])
     own = q_all.gradient[:, -COUNT:] - q_all.gradient[:, :-COUNT] @ cross
-    information = whole[-COUNT:, -COUNT:] - whole[-COUNT:, :-COUNT] @ cross
+    information = h[-COUNT:, -COUNT:] - h[-COUNT:, :-COUNT] @ cross
     inverse = np.linalg.pinv(information + penalties[smooth][-COUNT:, -COUNT:])
     drawn = np.einsum("di,ij,dj->d", signs @ own, inverse, signs @ own)
     mean = max(float(drawn.mean()), 1e-30)
@@ -107,8 +107,8 @@ def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.
     step = inverse @ total
     residual_gradient = q_all.gradient - q_all.hessian @ np.concatenate([-cross @ step, step])
     after = residual_gradient[:, -COUNT:] - residual_gradient[:, :-COUNT] @ cross
-    design = max(2.0 * float(np.einsum("bi,ij,bj->", after, inverse, after)) / freedom, 1.0)
-    return Screened(candidate, smooth, float(total @ inverse @ total) / mean, drawn / mean, freedom, design,
+    design_effect = max(2.0 * float(np.einsum("bi,ij,bj->", after, inverse, after)) / freedom, 1.0)
+    return Screened(candidate, smooth, float(total @ inverse @ total) / mean, drawn / mean, freedom, design_effect,
                     float((base - losses[smooth]).sum()), information)
 
 
@@ -142,10 +142,10 @@ def best_of(fits: Mapping[Screened, RelationFit], min_gain: float) -> Screened:
     return min(fits, key=lambda s: float(fits[s].held_out.sum()) + (min_gain if s.candidate.factor else 0.0))
 
 
-def lower_bound(falls: np.ndarray, p: float) -> float:
-    """One-sided lower confidence bound of a sum over blocks (b,), Student's t, at level 1 - p."""
-    spread = float(falls.std(ddof=1)) * np.sqrt(len(falls))
-    return float(falls.sum() - stats.t.isf(p, len(falls) - 1) * spread)
+def lower_bound(values: np.ndarray, p: float) -> float:
+    """One-sided lower confidence bound of the sum of values by block (b,), Student's t, at level 1 - p."""
+    spread = float(values.std(ddof=1)) * np.sqrt(len(values))
+    return float(values.sum() - stats.t.isf(p, len(values) - 1) * spread)
 
 
 def by_block(fits: RelationFits, values: np.ndarray) -> np.ndarray:
@@ -190,28 +190,28 @@ def harmful(fits: RelationFits, name: str, before: np.ndarray, after: np.ndarray
     return ""
 
 
-def gain_text(fits: RelationFits, falls: np.ndarray, closer: np.ndarray, limits: Limits) -> str:
-    """The held-out gain in a phrase. falls: (b,) of the loss. closer: (n,) fall of the position error [m]."""
+def gain_text(fits: RelationFits, gains: np.ndarray, closer: np.ndarray, limits: Limits) -> str:
+    """The held-out gain in a phrase. gains: (b,) reduction of the loss. closer: (n,) that of the position error [m]."""
     gain, low = (-np.expm1(-total / fits.loss.scored_count)
-                 for total in (falls.sum(), lower_bound(falls, limits.undecided_p)))
+                 for total in (gains.sum(), lower_bound(gains, limits.undecided_p)))
     return (f"reduces the held-out residual of all channels by {gain:.1%} (95 %: at least {low:.1%}), "
             f"and the position error after 5 s by {100 * mean_of(closer):.1f} cm")
 
 
-def too_small(fits: RelationFits, candidate: Candidate, falls: np.ndarray, closer: np.ndarray, limits: Limits) -> str:
+def too_small(fits: RelationFits, candidate: Candidate, gains: np.ndarray, closer: np.ndarray, limits: Limits) -> str:
     """Why the effect size is below the thresholds, "" if it is not: too little held-out gain, possibly none, or no
     significant gain (`limits.false_alarm`) in the predicted path.
 
     The path criterion does not apply to sensor relations, nor with fewer than two blocks with a position.
     """
-    little = falls.sum() < limits.relevant * fits.loss.scored_count and mean_of(closer) < limits.relevant_position
-    if little or lower_bound(falls, limits.undecided_p) <= 0.0:
-        return f"{candidate.name} is significant, but {gain_text(fits, falls, closer, limits)}"
+    little = gains.sum() < limits.relevant * fits.loss.scored_count and mean_of(closer) < limits.relevant_position
+    if little or lower_bound(gains, limits.undecided_p) <= 0.0:
+        return f"{candidate.name} is significant, but {gain_text(fits, gains, closer, limits)}"
     blocks = by_block(fits, closer)
     blocks = blocks[np.isfinite(blocks)]
     if not candidate.of_sensor and len(blocks) > 1 and lower_bound(blocks, limits.false_alarm) <= 0.0:
         return (f"{candidate.name} is significant, but the gain in the predicted path is not: it "
-                f"{gain_text(fits, falls, closer, limits)}")
+                f"{gain_text(fits, gains, closer, limits)}")
     return ""
 
 
@@ -248,14 +248,14 @@ def run_shares(fits: RelationFits, fit: RelationFit) -> RunShares:
     informative = [k for k in np.unique(run) if hh[run == k].sum() > MIN_INFORMATION * hh.sum()]
     if len(informative) < 2:
         return RunShares({}, 1.0)
-    more = {k: g[run == k].sum() / hh[run == k].sum() for k in informative}
-    scatter = sum(float(np.square(g - more[k] * hh)[run == k].sum()) for k in informative)
+    excess = {k: g[run == k].sum() / hh[run == k].sum() for k in informative}
+    scatter = sum(float(np.square(g - excess[k] * hh)[run == k].sum()) for k in informative)
     known = np.isin(run, informative)
-    design = max(2.0 * scatter / hh[known].sum() * known.sum() / max(known.sum() - len(informative), 1), 1.0)
-    weight = {k: 2.0 * hh[run == k].sum() / design for k in informative}
-    mean = sum(more[k] * w for k, w in weight.items()) / sum(weight.values())
-    square = sum(w * (more[k] - mean) ** 2 for k, w in weight.items())
-    shares = {fits.windows.names[k]: (1.0 + float(more[k]), float(weight[k] ** -0.5)) for k in informative}
+    design_effect = max(2.0 * scatter / hh[known].sum() * known.sum() / max(known.sum() - len(informative), 1), 1.0)
+    weight = {k: 2.0 * hh[run == k].sum() / design_effect for k in informative}
+    mean = sum(excess[k] * w for k, w in weight.items()) / sum(weight.values())
+    square = sum(w * (excess[k] - mean) ** 2 for k, w in weight.items())
+    shares = {fits.windows.names[k]: (1.0 + float(excess[k]), float(weight[k] ** -0.5)) for k in informative}
     return RunShares(shares, float(stats.chi2.sf(square, len(informative) - 1)))
 
 
@@ -293,10 +293,10 @@ def redundant_effects(fits: RelationFits, candidate: Candidate, fit: RelationFit
     # An effect that lifts the kinematic model carries the relation itself.
     for name in (n for n in names if not get_effect(n).lifts):
         alone = fits.without_effect(candidate, fit, name)
-        more = alone.held_out - fit.held_out
+        gains = alone.held_out - fit.held_out
         position = float(np.nanmean(held_out_positions(fits, alone) - with_both))
-        relevant = more.sum() >= limits.relevant * fits.loss.scored_count or position >= limits.relevant_position
-        kept = relevant and lower_bound(more, limits.undecided_p) > 0.0
+        relevant = gains.sum() >= limits.relevant * fits.loss.scored_count or position >= limits.relevant_position
+        kept = relevant and lower_bound(gains, limits.undecided_p) > 0.0
         if not kept and lower_bound(without.held_out - alone.held_out, limits.undecided_p) > 0.0:
-            found[name] = max(float(-np.expm1(-more.sum() / fits.loss.scored_count)), 0.0)
+            found[name] = max(float(-np.expm1(-gains.sum() / fits.loss.scored_count)), 0.0)
     return found

@@ -48,11 +48,11 @@ class Covariances:
         twist[:, 3:, 3:] = np.eye(3) * UNKNOWN_VARIANCE
         return pose.reshape(-1, 36), twist.reshape(-1, 36)
 
-    def _rotated(self, channel: int, packets: np.ndarray, turn: Rotation) -> np.ndarray:
+    def _rotated(self, channel: int, packets: np.ndarray, axes: Rotation) -> np.ndarray:
         """R^T diag(variance) R, (n, 3, 3), of the accuracies of a channel."""
         deviation = latest_values(*self._accuracies[channel], packets)
         known = np.isfinite(deviation).all(axis=1)[:, None, None]
-        rotated = np.einsum("nij,ni,nik->njk", turn.as_matrix(), np.nan_to_num(deviation) ** 2, turn.as_matrix())
+        rotated = np.einsum("nij,ni,nik->njk", axes.as_matrix(), np.nan_to_num(deviation) ** 2, axes.as_matrix())
         return np.where(known, rotated, np.eye(3) * UNKNOWN_VARIANCE)
 
 

@@ -89,30 +89,30 @@ def _without_run(folder: Path) -> list[RunSource]:
 
 def _in_folder(folder: Path) -> list[RunSource]:
     runs: list[RunSource] = []
-    taken: set[Path] = set()
+    used: set[Path] = set()
     files: list[Path] = []
     for path in sorted(folder.rglob("*")):
         is_hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
-        if is_hidden or any(parent in taken for parent in path.parents):
+        if is_hidden or any(parent in used for parent in path.parents):
             continue
         if path.is_dir():
             if reader_of(path) is not None:
-                taken.add(path)
+                used.add(path)
                 files.append(path)
         elif is_run_file(path):
             described = [run.run_file for run in runs]  # by a run.yaml with `each`, too
             found = _from_run_file(path)
             runs += [run for run in found if run.run_file not in described]
-            taken.update(file for run in found for file in (*run.files, *run.can))
+            used.update(file for run in found for file in (*run.files, *run.can))
             # The files of a wrong run.yaml are no runs of their own: one mistake is reported once.
             if any(run.problem and run.run_file == path for run in found):
                 stem = path.name.removesuffix(RUN_SUFFIX)
-                taken.update(f for f in path.parent.iterdir()
-                             if f.is_file() and (path.name == RUN_FILE or f.stem == stem))
+                used.update(f for f in path.parent.iterdir()
+                            if f.is_file() and (path.name == RUN_FILE or f.stem == stem))
         else:
             files.append(path)
     runs = [run for run in runs if not any({*run.files} < {*other.files} for other in runs)]  # of `each`, parts of one
-    loose = [path for path in files if path not in taken or path.is_dir()]
+    loose = [path for path in files if path not in used or path.is_dir()]
     return runs + _from_files([path for path in loose if _may_be_in_a_run(path, files)], given=False)
 
 
@@ -217,17 +217,17 @@ def _failed(path: Path, problem: RunError) -> RunSource:
 
 def _with_distinct_names(runs: Sequence[RunSource]) -> list[RunSource]:
     """The runs with distinct names, prefixed by their folder if necessary: results are stored by name."""
-    taken: set[str] = set()
+    used: set[str] = set()
     named = []
     for run in sorted(runs, key=lambda r: (r.name, str(r.where))):
         name = run.name
         if name in GENERIC_NAMES and run.files:
             name = run.where.absolute().parent.name or name
-        if name in taken and run.files:
+        if name in used and run.files:
             name = f"{run.where.absolute().parent.name}_{run.name}"
         number = 2
-        while name in taken:
+        while name in used:
             name, number = f"{run.name}_{number}", number + 1
-        taken.add(name)
+        used.add(name)
         named.append(replace(run, name=name))
     return named
