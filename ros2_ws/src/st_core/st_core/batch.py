@@ -213,7 +213,7 @@ class LogBatch:
         angle, acceleration = (np.broadcast_to(v, times.shape) for v in (angle, acceleration))
         if has_memory(model):
             angle = np.array([wheel_angles_ahead(model, raw.steering_time_ns, raw.road_wheel_angle, *column,
-                                                signals.maximum_gap)
+                                                 signals.maximum_gap)
                               for column in zip(times.T, angle.T, strict=True)]).T
         others = [np.broadcast_to(signals.sample(*self.extra_signals[name], times[0]), times.shape)
                   for name in model.signals]

@@ -88,7 +88,7 @@ def _min_overlap(pairs: Sequence[Pair]) -> float:
 
 
 def _align_with_overlap(fine: Sequence[Pair], pairs: dict[float, list[Pair]], usable: Sequence[SharedSignal],
-             reasons: Sequence[str], needed: float, search: tuple[float, float] | None) -> Alignment:
+                        reasons: Sequence[str], needed: float, search: tuple[float, float] | None) -> Alignment:
     r0, o0 = int(usable[0].reference_time_ns[0]), int(usable[0].other_time_ns[0])
     epoch = (r0 - o0) * 1e-9  # between the two origins; times as floats count from these
     span = (search[0] - epoch, search[1] - epoch) if search else (-np.inf, np.inf)
@@ -236,7 +236,7 @@ def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment, search:
 
 
 def mask_standstill(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np.ndarray, speed: np.ndarray,
-                      threshold: float = 0.3, margin: float = 2.0) -> np.ndarray:
+                    threshold: float = 0.3, margin: float = 2.0) -> np.ndarray:
     """The values, NaN where the speed stays below `threshold` [m/s] within `margin` [s].
 
     Standstill carries no information about time, but correlates with every other standstill.

@@ -195,7 +195,7 @@ def _start(speed: float, side: float = 1.0) -> tuple[float, ...]:
 
 
 def _predict_floats(model: Model, vehicle: VehicleParameters, speed: float = 12.0, side: float = 1.0,
-          acceleration: float = 0.8) -> np.ndarray:
+                    acceleration: float = 0.8) -> np.ndarray:
     """States (STEPS + 1, 6) computed on floats."""
     inputs = InputSequence(*_driver_inputs(side, acceleration), signals=_signals(model, side))
     return predict(model, vehicle, VehicleState(*_start(speed, side)), inputs, STEP * STEPS, STEP).states

@@ -52,7 +52,7 @@ class Correction:
 
 
 def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehicle: VehicleParameters | None = None,
-              leave_out: Sequence[tuple[float, float]] = ()) -> DriveLog:
+                      leave_out: Sequence[tuple[float, float]] = ()) -> DriveLog:
     """The corrected drive.
 
     Each channel is scaled, then offset, then shifted in time; "position" and "velocity" apply to both components, after

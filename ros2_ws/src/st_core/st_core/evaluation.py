@@ -180,10 +180,10 @@ class Evaluator:
             if pending.mode == "forecast":
                 start = VehicleState(*pending.issued.states[0].tolist())
                 known = inputs if view.plain else view.measured(times)
-                usual = (steps, step) == (self.settings.steps, self.settings.step)
-                runner = self._runners.get(pending.model) if usual else None
+                compiled = (steps, step) == (self.settings.steps, self.settings.step)
+                runner = self._runners.get(pending.model) if compiled else None
                 resimulated = (runner(start, known) if runner
-                         else predict(view.model, self.vehicle, start, known, steps * step, step))
+                               else predict(view.model, self.vehicle, start, known, steps * step, step))
                 variants.append(("hindsight", resimulated, unbroken & scorable, jump or no_inputs))
             for mode, trajectory, scored, reason in variants:
                 r = view.readings_along(trajectory)

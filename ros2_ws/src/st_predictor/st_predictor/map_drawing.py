@@ -18,7 +18,7 @@ BAND_MODE = "forecast"  # the bands drawn: inputs held, as for the path itself
 def car_outline(pose: tuple[float, float, float], car: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
     """Map x, y [m] of the closed outline of the car, with a nose that points ahead.
 
-    pose: x, y [m] and yaw [rad] of the INS point. Front and rear overhang are taken as equal: the vehicle file gives
+    pose: x, y [m] and yaw [rad] of the INS point. Front and rear overhang are assumed equal: the vehicle file gives
     the length only.
     """
     overhang = 0.5 * (car.length - car.wheelbase)
@@ -54,9 +54,9 @@ def ribbon(level: float, pose: tuple[np.ndarray, np.ndarray, np.ndarray], along:
     """
     x, y, yaw = pose
     ahead = np.append(np.zeros(len(x)), along[-1])
-    wide, turn = np.append(across, across[-1]), np.append(yaw, yaw[-1])
+    width, heading = np.append(across, across[-1]), np.append(yaw, yaw[-1])
     middle = np.stack([np.append(x, x[-1]), np.append(y, y[-1])], axis=1)
-    edges = [middle + np.stack(body_to_map(ahead, side * wide, turn), axis=1) for side in (1.0, -1.0)]
+    edges = [middle + np.stack(body_to_map(ahead, side * width, heading), axis=1) for side in (1.0, -1.0)]
     return Ribbon(level, *edges)
 
 

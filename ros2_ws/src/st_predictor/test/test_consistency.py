@@ -85,7 +85,7 @@ def test_a_right_minute_is_well(road: np.ndarray) -> None:
     (STEERING, flipped, "steering_sign", "error", "it has the opposite sign"),
 ])
 def test_a_fault_is_reported_and_clears(road: np.ndarray, column: int, change: Change, name: str, severity: str,
-                                    words: str) -> None:
+                                        words: str) -> None:
     rows = road.copy()
     inside = (rows[:, 0] >= BEGIN) & (rows[:, 0] < END)
     rows[inside, column] = change(road)[inside]

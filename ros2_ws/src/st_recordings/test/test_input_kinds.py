@@ -256,7 +256,7 @@ def test_a_clock_set_back_half_way_costs_half_and_is_reported_with_its_share(tmp
 
 @pytest.mark.parametrize(("radius", "sign", "note"), [(40.0, -1, "its sign was changed"), (40.0, 1, ""), (1e6, -1, "")])
 def test_a_yaw_rate_channel_of_a_vbo_in_a_steady_turn_and_on_a_straight(tmp_path: Path, radius: float, sign: int,
-                                                                       note: str) -> None:
+                                                                        note: str) -> None:
     """Neither varies: only their sizes compare, and on a straight nothing does."""
     rate = 10.0 / radius
     turned = np.degrees(rate) * 0.05 * np.arange(600)

@@ -72,7 +72,7 @@ _TABLE = (
     ("cg_shift", "body", 0.0, -0.5, 0.5, "m", "true CG ahead of that in the vehicle file; the INS does not move"),
     ("drive_offset", "body", 0.0, -0.5, 0.5, "m", "offset of drive and brake force to the right: torque steer"),
     ("drag_area", "body", 0.0, 0.0, 2.0, "m^2", "c_d A"),
-    ("rolling_resistance", "body", 0.0, 0.0, 0.1, "1", "drag force over load"),
+    ("rolling_resistance", "body", 0.0, 0.0, 0.1, "1", "force over load"),
     # Road and air.
     ("bank_angle", "environment", 0.0, -0.3, 0.3, "rad", "road rises to the left of the car, everywhere"),
     ("grade_angle", "environment", 0.0, -0.3, 0.3, "rad", "road rises ahead of the car, everywhere"),

@@ -72,8 +72,8 @@ def evaluate(
 
 
 def make_task(read_options: shared.ReadOptions, model: Sequence[str], effects: Path | None, acceleration: str,
-            inputs: Literal["interpolate", "hold"], times: Sequence[float],
-            **others: Any) -> "tuple[Task, Path | None, str]":
+              inputs: Literal["interpolate", "hold"], times: Sequence[float],
+              **others: Any) -> "tuple[Task, Path | None, str]":
     """(task, vehicle file that was named, file the car is of). times: horizon, step [s], minimum speed [m/s], interval
     of the starts [s]. others: of Task."""
     from st_core.log_evaluation import EvaluationSettings
@@ -101,7 +101,7 @@ def read_model(name: str) -> str | tuple[str, str]:
 
 
 def resolve_vehicle(vehicle: Path | None, models: Sequence[str | tuple[str, str]],
-           effects: Path | None = None) -> tuple["VehicleParameters", str]:
+                    effects: Path | None = None) -> tuple["VehicleParameters", str]:
     """(car, its file): of the vehicle file, else embedded in a model file, else the Leaf.
 
     effects: folder of own effects of the model files, which are loaded.

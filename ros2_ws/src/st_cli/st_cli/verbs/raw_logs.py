@@ -115,7 +115,7 @@ def import_(
     output: Path | None = typer.Option(
         None, help="Bag directory; with several runs, the folder of their bags. Default runs/import-<name>-<time>."),
     search: tuple[float, float] | None = typer.Option(None, help="Bounds of the offset in seconds."),
-    force: bool = typer.Option(False, "--force", help="Write also runs in which `st check` finds an error."),
+    force: bool = typer.Option(False, "--force", help="Also write runs in which `st check` finds an error."),
     strict: bool = typer.Option(False, "--strict", help="Refuse runs with a doubtful alignment."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:

@@ -27,7 +27,7 @@ def enable(kernel, fingerprint: str) -> Path | None:
     """Cache a jitted function that is not compiled yet. Returns its folder; None, and compilation in every process, if
     no folder is writable.
     """
-    key = hashlib.sha256("\n".join((fingerprint, *_surroundings())).encode()).hexdigest()[:32]
+    key = hashlib.sha256("\n".join((fingerprint, *_environment())).encode()).hexdigest()[:32]
     for base in _candidates():
         try:
             folder = base / key
@@ -56,7 +56,7 @@ def compiled(kernel, signature) -> None:
         kernel.compile(signature)
 
 
-def _surroundings() -> Iterator[str]:
+def _environment() -> Iterator[str]:
     yield from (numba.__version__, np.__version__, platform.python_version())
     yield from map(str, cpu_target.target_context.codegen().magic_tuple())
     for file in sorted(Path(__file__).parent.glob("*.py")):

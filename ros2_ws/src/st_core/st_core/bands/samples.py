@@ -50,7 +50,7 @@ def to_predicted_frame(errors: np.ndarray) -> np.ndarray:
 
 
 def error_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,
-                settings: EvaluationSettings) -> ErrorSamples:
+                  settings: EvaluationSettings) -> ErrorSamples:
     """Error curves of one drive from at most STARTS_PER_RUN starts evenly spaced over it.
 
     Only starts with a completely measured horizon and known conditions count. Raises StCoreError, one line,

@@ -244,8 +244,8 @@ def _merge_gross_and_fine(gross: list[Finding], fine: list[Finding], estimates: 
         if advice and finding.name in fine_names:
             # One correction by the whole value, not by the unit or offset alone.
             (channel, (key,)), = advice.entry["correct"].items()
-            whole = 1.0 / estimate.value if key == "scale" else -estimate.value
-            advice = Advice.correct(channel, **{key: float(f"{whole:.6g}")})
+            correction = 1.0 / estimate.value if key == "scale" else -estimate.value
+            advice = Advice.correct(channel, **{key: float(f"{correction:.6g}")})
         findings.append(replace(finding, value=estimate.value, interval=estimate.interval, advice=advice))
     gross_names = {finding.name for finding in gross}
     return findings + [finding for finding in fine if finding.name not in gross_names]

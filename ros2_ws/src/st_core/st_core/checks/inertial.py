@@ -179,7 +179,7 @@ def compare_yaw_rate(motion: Motion) -> tuple[Agreement | None, Tolerances]:
     position_effect = LIMITS.settling * float(np.median(np.abs(motion.velocity_x))) * HORIZON
     found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, GYRO_CUTOFF, True)
     return found, Tolerances("yaw_rate", "yaw", "rad/s", LIMITS.lag, GYRO_SCALE, GYRO_BIAS,
-                           (LIMITS.severe_lag, 0.03, 0.01), position_effect, correlation=GYRO_CORRELATION)
+                             (LIMITS.severe_lag, 0.03, 0.01), position_effect, correlation=GYRO_CORRELATION)
 
 
 def yaw_rate_lag(motion: Motion) -> float:
@@ -230,8 +230,8 @@ def check_accelerations(motion: Motion) -> list[Comparison]:
     for name, found in agreements.items():
         lateral = name == "acceleration_y"
         tolerances = Tolerances(name, "velocity and yaw rate" if lateral else "velocity", "m/s^2", lags[name],
-                            ACCELERATION_SCALE, LIMITS.bias_acceleration, (0.0, 0.0, SEVERE_ACCELERATION),
-                            factors=FACTORS, causes=": mounted askew, or the road is not level?")
+                                ACCELERATION_SCALE, LIMITS.bias_acceleration, (0.0, 0.0, SEVERE_ACCELERATION),
+                                factors=FACTORS, causes=": mounted askew, or the road is not level?")
         title = f"{'lateral' if lateral else 'forward'} acceleration: sensor against velocity"
         comparisons.append((*judge_agreement(found, tolerances), agreement_panel(found, tolerances, title)))
     return comparisons
@@ -244,7 +244,7 @@ def check_speeds(motion: Motion) -> list[Comparison]:
         found = compare_speed(motion, name)
         scale, lag = (WHEEL_SCALE, WHEEL_LAG) if name == "wheel_speed" else (0.005, 0.03)
         tolerances = Tolerances(name, "velocity_x", "m/s", lag, scale, np.inf, (0.0, 0.0, np.inf),
-                            min_spread=SPEED_SPREAD, factors=SPEED_FACTORS)
+                                min_spread=SPEED_SPREAD, factors=SPEED_FACTORS)
         title = f"forward speed: {name.replace('_', ' ')} against velocity_x"
         comparisons.append((*judge_agreement(found, tolerances), agreement_panel(found, tolerances, title)))
     return comparisons

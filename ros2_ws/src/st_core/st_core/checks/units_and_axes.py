@@ -117,8 +117,8 @@ def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate
             "at a nominal rate that is not the true one?")
     scale = float(f"{1.0 / factor:.5g}")
     advice = Advice("run.yaml", f"correct: {{velocity: {{scale: {scale:g}}}, yaw_rate: {{scale: {scale:g}}}}}"
-                f"  # or divide the time of the rows by {factor:.4f}",
-                {"correct": {"velocity": {"scale": scale}, "yaw_rate": {"scale": scale}}})
+                    f"  # or divide the time of the rows by {factor:.4f}",
+                    {"correct": {"velocity": {"scale": scale}, "yaw_rate": {"scale": scale}}})
     return replace(wrong, name="time_rate", channels=("time",), text=text, value=factor, interval=velocity.interval,
                    advice=advice)
 

@@ -26,8 +26,8 @@ ROUNDS = 3  # of the joint fit, each with the corrected stamps
 
 
 def clock_corrections(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
-                 deviations: Mapping[str, float], threads: int = 1, tick: Callable[[], None] = lambda: None,
-                 ) -> dict[str, float]:
+                      deviations: Mapping[str, float], threads: int = 1, tick: Callable[[], None] = lambda: None,
+                      ) -> dict[str, float]:
     """Correction of the steering stamps by run [s], > 0 where they were early; empty if none is needed.
 
     deviations [s]: standard deviation of the steering clock by run; up to MAX_CLOCK_DEVIATION it counts as exact. The

@@ -95,12 +95,12 @@ def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str 
 
 
 class _Names(NamedTuple):
-    """The effects of an answer by verdict: stated, minor, or denied by the axle forces or by plausibility.
+    """The effects of an answer by verdict: stated, minor, or contradicted by the axle forces or by plausibility.
     leave_one_out: see `Discovery`."""
 
     stated: tuple[FoundEffect, ...]
     minor: tuple[FoundEffect, ...]
-    denied: tuple[FoundEffect, ...]
+    contradicted: tuple[FoundEffect, ...]
     verdicts: dict[str, Reason]
     leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]
     curves: tuple[ForceCurve, ...]
@@ -139,9 +139,9 @@ class _Work:
         parts = levels(self.windows)
         search = Search(problem, self.limits, parts, self.sensors, settings.seed, self._tick("searching"))
         found = search.run()
-        whole, fit = self._corrected(found, parts)
+        without_priors, fit = self._corrected(found, parts)
         self._tick("explaining")()
-        ends = waterfall.HorizonErrors(whole, settings.seed)
+        ends = waterfall.HorizonErrors(without_priors, settings.seed)
         varied = self._varying_effects(found, parts)
         floor = self._floor(by_column)
         names = self._names(search, found, parts, floor)
@@ -151,8 +151,8 @@ class _Work:
         lines = waterfall.budget(problem, base, found.fit, fit, next((fit for _, fit in varied), None), ends)
         power = (certificate.measured(problem, found.fit, self.limits, settings.seed, self._tick("certifying"))
                  if settings.certify else certificate.predicted(problem, found.fit, found.scores, self.limits))
-        driven, design_effect = self._catalogue(found, effects), found.scores.design_effect
-        untestable = self._untestable(found, power, names, driven)
+        drives, design_effect = self._catalogue(found, effects), found.scores.design_effect
+        untestable = self._untestable(found, power, names, drives)
         residual = (gap_named["position_5s"].augmented / max(floor.get("position_5s", 0.0), 1e-9)
                     if "position_5s" in gap_named else 1.0)
         together = known_together(names.combinations, effects)
@@ -160,11 +160,11 @@ class _Work:
         statements = self._where(base, floor) if settings.where else ()
         return Discovery(
             outcome=outcome, effects=effects, minor=names.minor,
-            effective=(*names.denied, *self._effective(whole, fit, found)),
+            effective=(*names.contradicted, *self._effective(without_priors, fit, found)),
             varying=tuple(v for v, _ in varied), steps=tuple(steps), gap=gap, gap_named=gap_named, budget=tuple(lines),
             reasons=(why, *self._reasons(found, names.verdicts)), candidates=self._candidates(found, names.verdicts),
             where=statements, not_testable=untestable,
-            next_manoeuvre=next_manoeuvre(problem, found.fit, effects, driven, design_effect) if driven else None,
+            next_manoeuvre=next_manoeuvre(problem, found.fit, effects, drives, design_effect) if drives else None,
             separability=separability(problem, found.fit, effects, design_effect), certificate=power,
             signature=self._residual_signature(residual, statements), runs=self._run_table(),
             start="reference" if self.reference else "vehicle file", base=space.at(base.vector),
@@ -180,20 +180,20 @@ class _Work:
         position = problem.position_error(problem.held_out_rows(found.fit))
         unexplained = (float(np.nanmean(position)) / max(floor["position_5s"], 1e-9)
                        if np.isfinite(position).any() else 1.0)
-        everything = [replace(self._effect(name, found, parts, all_free, unexplained),
-                              joint=search.cancelling(found.fit, name)) for name in found.order]
+        effects = [replace(self._effect(name, found, parts, all_free, unexplained),
+                           joint=search.cancelling(found.fit, name)) for name in found.order]
         leave_one_out = waterfall.leave_one_out(problem, found.fit)
         axles, curves, combinations = self._axles(found, all_free, unexplained)
-        verdicts = self._verdicts(found, everything, axles, leave_one_out)
-        stated, minor, denied = (tuple(e for e in everything if verdicts[e.name].rule in rules) for rules in (
+        verdicts = self._verdicts(found, effects, axles, leave_one_out)
+        stated, minor, contradicted = (tuple(e for e in effects if verdicts[e.name].rule in rules) for rules in (
             (decision.STATED,), (decision.MINOR,), (decision.FORCES, decision.IMPLAUSIBLE)))
-        return _Names(stated, minor, denied, verdicts, leave_one_out, curves, combinations)
+        return _Names(stated, minor, contradicted, verdicts, leave_one_out, curves, combinations)
 
     def _named_model(self, found: Found, names: _Names) -> AugmentedModel | None:
         """The model without the denied effects; None if no effect was found."""
         if not found.fit.names:
             return None
-        return self.space.at(self.problem.vector_without(found.fit, *(e.name for e in names.denied)))
+        return self.space.at(self.problem.vector_without(found.fit, *(e.name for e in names.contradicted)))
 
     def _outcome(self, found: Found, effects: Sequence[FoundEffect], untestable: Sequence[NotTestable], residual: float,
                  varying_effects: int, together: Sequence[Combination]) -> tuple[Outcome, Reason]:
@@ -252,13 +252,14 @@ class _Work:
 
     def _on_one_clock(self, runs: list[DriveLog], deviations: Mapping[str, float]) -> list[DriveLog]:
         """The runs with corrected steering stamps, with a warning of runs on clocks of their own."""
-        poor = [s for run in runs if (s := deviations.get(run.name, 0.0)) > MAX_CLOCK_DEVIATION]
-        if not poor:
+        uncertain = [s for run in runs if (s := deviations.get(run.name, 0.0)) > MAX_CLOCK_DEVIATION]
+        if not uncertain:
             return runs
         corrections = clock_corrections(runs, self.vehicle, self.space, self.settings, deviations, self.threads,
                                         self._tick("clocks"))
         self.clock_errors |= corrections
-        known = f"the steering clock is known to ± {1e3 * max(poor):.0f} ms only, in {len(poor)} of {len(runs)} runs"
+        known = (f"the steering clock is known to ± {1e3 * max(uncertain):.0f} ms only, in {len(uncertain)} of "
+                 f"{len(runs)} runs")
         if corrections:
             known += (f"; the search corrects it by {1e3 * min(corrections.values()):.0f} to "
                       f"{1e3 * max(corrections.values()):.0f} ms, run by run. An error common to all runs")
@@ -301,11 +302,11 @@ class _Work:
 
     # Results
 
-    def _effect(self, name: str, found: Found, parts: Mapping[str, Level], everything: Joint | None,
+    def _effect(self, name: str, found: Found, parts: Mapping[str, Level], all_free: Joint | None,
                 unexplained: float) -> FoundEffect:
         evidence = found.evidence[name]
         others = sorted(filter(self._is_alternative, found.rivals.get(name, ())), key=lambda r: -r.share)
-        values = waterfall.parameters(self.problem, found.fit, name, parts, found.near, everything, unexplained)
+        values = waterfall.parameters(self.problem, found.fit, name, parts, found.near, all_free, unexplained)
         known = {} if self.reference else self.sensors
         parameters = {n: with_sensor_interval(p, known.get(f"{name}.{n}")) for n, p in values.items()}
         return FoundEffect(name, get_effect(name).kind, parameters, tuple(r.name for r in others), evidence.position,
@@ -332,15 +333,15 @@ class _Work:
         except StCoreError:
             return None, (), ()
 
-    def _verdicts(self, found: Found, everything: Sequence[FoundEffect], axles: Axles | None,
+    def _verdicts(self, found: Found, effects: Sequence[FoundEffect], axles: Axles | None,
                   leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, Reason]:
         """The verdict on each effect of the answer. With a reference, intervals do not decide, as they contain the
         uncertainty of the healthy car."""
         worse: dict[str, str] = {}
         objected: dict[str, str] = {}
-        driven, names = 1.0, [e.name for e in everything]
+        driven_share, names = 1.0, [e.name for e in effects]
         if axles is not None and not self.reference:
-            driven = max(axles.driven_shares().values())
+            driven_share = max(axles.driven_shares().values())
             for axle in axles.contradicting(self.space.at(self.space.null), leave_one_out):
                 worse |= dict.fromkeys(axles.acting(axle, names), axle)
             for name in names:
@@ -348,13 +349,13 @@ class _Work:
                 objected[name] = next(iter(objections(alone.effective_vehicle(self.vehicle), self.vehicle)), "")
         return {e.name: decision.naming_verdict(found.evidence[e.name], self.limits, decision.Checks(
             bool(self.reference) or null_excluded(e), "" if self.reference else parameter_across_bound(e),
-            driven if get_effect(e.name).at_peak_force else 1.0, worse.get(e.name, ""),
-            _summed(e.name, names) if axles is not None else (), objected.get(e.name, ""))) for e in everything}
+            driven_share if get_effect(e.name).at_peak_force else 1.0, worse.get(e.name, ""),
+            _summed(e.name, names) if axles is not None else (), objected.get(e.name, ""))) for e in effects}
 
-    def _effective(self, whole: Problem, fit: Fit, found: Found) -> tuple[FoundEffect, ...]:
+    def _effective(self, problem: Problem, fit: Fit, found: Found) -> tuple[FoundEffect, ...]:
         """The effective corrections: effects of the fit that are not in the answer."""
-        ends = waterfall.HorizonErrors(whole, self.settings.seed)
-        return tuple(FoundEffect(n, get_effect(n).kind, waterfall.parameters(whole, fit, n, {}), (),
+        ends = waterfall.HorizonErrors(problem, self.settings.seed)
+        return tuple(FoundEffect(n, get_effect(n).kind, waterfall.parameters(problem, fit, n, {}), (),
                                  ends.position_without(fit, n), {})
                      for n in fit.names if n not in found.fit.names)
 
@@ -363,9 +364,9 @@ class _Work:
         collected: list[tuple[VaryingEffect, Fit | None]] = []
         # An effect of the answer, or an alternative to one, is not reported as varying as well.
         rivals = [r for others in found.rivals.values() for r in others]
-        taken = [*found.fit.names, *(r.name for r in filter(self._is_alternative, rivals))]
+        reported = [*found.fit.names, *(r.name for r in filter(self._is_alternative, rivals))]
         for name, (evidence, verdict, fit) in found.refused.items():
-            if (verdict.rule == decision.VARIES and not self.space.overlaps(name, taken)
+            if (verdict.rule == decision.VARIES and not self.space.overlaps(name, reported)
                     and decision.is_relevant(evidence, self.limits) and not collected):
                 level = decision.varies_over(evidence, self.limits)
                 collected.append((VaryingEffect(name, level, waterfall.parameters(self.problem, fit, name, {}),
@@ -373,7 +374,7 @@ class _Work:
         if not collected:
             for v in varying(self.problem, found.fit, parts):
                 evidence = evidence_of(self.problem, found.fit, v, parts)
-                if decision.varies_relevantly(evidence, self.limits) and not self.space.overlaps(v.name, taken):
+                if decision.varies_relevantly(evidence, self.limits) and not self.space.overlaps(v.name, reported):
                     collected.append((self._as_varying_effect(v, evidence.position), None))
                     break
         for effect, _ in collected:
@@ -413,10 +414,10 @@ class _Work:
                 rival = rivals[name]
                 verdict, gain, values = decision.alternative(rival, self.limits), rival.evidence.gain, rival.values
             elif name in found.scores.own:
-                each, vector = found.scores.gains[name]
+                gains, vector = found.scores.gains[name]
                 values = space.values(name, vector)
-                gain = float(each.sum()) / problem.scored_count
-                p_value = library_p_value(found.scores.own[name], each, found.scores, len(space.hypotheses))
+                gain = float(gains.sum()) / problem.scored_count
+                p_value = library_p_value(found.scores.own[name], gains, found.scores, len(space.hypotheses))
                 verdict = decision.judge(Evidence(name, gain, p_value), self.limits)
                 if verdict.rule == decision.STATED:
                     verdict = Reason("explains less", name, {"gain": gain},
@@ -436,7 +437,7 @@ class _Work:
         return catalogue(self.problem, found.fit)
 
     def _untestable(self, found: Found, power: Certificate, names: _Names,
-                    driven: Catalogue | None) -> tuple[NotTestable, ...]:
+                    manoeuvres: Catalogue | None) -> tuple[NotTestable, ...]:
         """Effects that are not detectable in these drives."""
         stated = {*(name for e in names.stated for name in (e.name, *e.alternatives)), *(e.name for e in names.minor)}
         collected = []
@@ -446,7 +447,7 @@ class _Work:
             if name in stated or max((p.probability for p in powers), default=0.0) >= self.limits.detection_power:
                 continue
             largest = max(powers, key=lambda p: p.size)
-            drive = most_informative(problem, name, driven) if driven else ""
+            drive = most_informative(problem, name, manoeuvres) if manoeuvres else ""
             other = certificate.confounded_with(problem, found.fit, name, scores, self.limits)
             why = (f"in these drives it cannot be separated from {other.replace('_', ' ')}; it is visible" if other
                    else "it is visible")

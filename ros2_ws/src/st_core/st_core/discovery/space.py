@@ -23,7 +23,7 @@ GAIN_USUAL, GAIN_BOUNDS = 0.05, (-0.3, 0.5)  # usual: body roll of 5 mrad s^2/m,
 
 
 @dataclass(frozen=True)
-class Free:
+class FreeParameter:
     """One parameter of the vector. usual: its usual size > 0, the unit of steps and distances. sign: of initial -
     null."""
 
@@ -38,15 +38,15 @@ class Free:
 
 
 class Space:
-    """Parameters of all effects that apply to a base model. more: further effects of the model, not searched. library:
-    names of the effects to choose from, default all that apply.
+    """Parameters of all effects that apply to a base model. not_searched: further effects of the model. library: names
+    of the effects to choose from, default all that apply.
 
     hypotheses: names of the searched effects. null: (p,) vector of the base; scale, low, high: (p,) usual sizes and
     bounds. deviation: (p,) prior standard deviation of additions to the measured car, as a load [usual sizes], inf of
     all others; additions: names of the effects with additions.
     """
 
-    def __init__(self, base: str | Model, settings: DiscoverySettings, more: Sequence[str] = (),
+    def __init__(self, base: str | Model, settings: DiscoverySettings, not_searched: Sequence[str] = (),
                  library: Collection[str] | None = None):
         base = get_model(base)
         kind = base.base if isinstance(base, AugmentedModel) else base
@@ -54,17 +54,16 @@ class Space:
         self.without_signal = tuple(n for n in known if get_effect(n).signals)
         usable = [n for n in known if n not in self.without_signal]
         self.hypotheses = _chosen(usable, settings, known)
-        everything = neutral(augment(kind, [*usable, *more]))
         values = {n: dict(v) for n, v in base.values.items()} if isinstance(base, AugmentedModel) else {}
-        self.model = everything.with_values(values)
+        self.model = neutral(augment(kind, [*usable, *not_searched])).with_values(values)
         self.null = np.append(self.model.vector, 0.0)
-        self.free = tuple(Free(e, p.name, p.unit, float(null), usual_size(e, p.unit), p.bounds,
-                               1.0 if p.initial > p.null else -1.0, p.theory)
+        self.free = tuple(FreeParameter(e, p.name, p.unit, float(null), usual_size(e, p.unit), p.bounds,
+                                        1.0 if p.initial > p.null else -1.0, p.theory)
                           for (e, p), null in zip(self.model.free, self.null[:-1], strict=True))
         deviations = (p.deviation / f.usual for (_, p), f in zip(self.model.free, self.free, strict=True))
         self.deviation = np.array([*deviations, np.inf])
         self.additions = tuple(n for n in self.hypotheses
-                            if any(p.deviation < math.inf for p in get_effect(n).parameters))
+                               if any(p.deviation < math.inf for p in get_effect(n).parameters))
         self.effect_of = np.array([f.effect for f in self.free] + [GAIN])
         self._indices = {name: np.flatnonzero(self.effect_of == name).tolist()
                          for name in dict.fromkeys(self.effect_of)}
@@ -150,7 +149,7 @@ Quantities = tuple[FileQuantity | None, ...]
 
 def known_quantities(space: Space, vehicle: VehicleParameters) -> Quantities:
     """(p,) quantity of the vehicle file that each parameter changes, the most precise if several; None without one."""
-    return (*(_known(space, vehicle, i) for i in range(len(space.free))), None)
+    return (*(_changed_quantity(space, vehicle, i) for i in range(len(space.free))), None)
 
 
 def prior_deviations(known: Quantities, scale: np.ndarray) -> np.ndarray:
@@ -159,15 +158,15 @@ def prior_deviations(known: Quantities, scale: np.ndarray) -> np.ndarray:
                      for k, s in zip(known, scale, strict=True)])
 
 
-def _known(space: Space, vehicle: VehicleParameters, i: int) -> FileQuantity | None:
-    """Of one parameter: as it declares, else by the finite difference of the effect's `fold`."""
+def _changed_quantity(space: Space, vehicle: VehicleParameters, i: int) -> FileQuantity | None:
+    """Quantity that one parameter changes: as it declares, else by the finite difference of the effect's `fold`."""
     free = space.free[i]
     effect = get_effect(free.effect)
     parameter = next(p for p in effect.parameters if p.name == free.parameter)
     if parameter.quantity:
         # Equations without the quantity have it as 0.
         absent = value_of(vehicle, parameter.quantity) if space.model.base.name == "nonlinear" else 0.0
-        return _of(vehicle, parameter.quantity, 1.0, absent)
+        return _file_quantity(vehicle, parameter.quantity, 1.0, absent)
     if effect.fold is None or parameter.deviation < math.inf:
         return None
     null = {p.name: p.null for p in effect.parameters} | space.values(free.effect, space.null)
@@ -180,15 +179,14 @@ def _known(space: Space, vehicle: VehicleParameters, i: int) -> FileQuantity | N
             continue
         slopes = {key: (value_of(after, key) - value_of(before, key)) / change
                   for key in dict.fromkeys((*DEFAULT_UNCERTAINTIES, *vehicle.provenance))}
-        found = [_of(vehicle, key, slope, value_of(vehicle, key)) for key, slope in slopes.items() if abs(slope) > 1e-9]
+        found = [_file_quantity(vehicle, key, slope, value_of(vehicle, key)) for key, slope in slopes.items()
+                 if abs(slope) > 1e-9]
         return max(filter(None, found), key=lambda k: abs(k.slope) / k.deviation, default=None)
     return None
 
 
-def _of(vehicle: VehicleParameters, key: str, slope: float, absent: float) -> FileQuantity | None:
+def _file_quantity(vehicle: VehicleParameters, key: str, slope: float, absent: float) -> FileQuantity | None:
     """None for a quantity without a standard deviation."""
-    deviation = vehicle.uncertainty(key)
-    stated = vehicle.provenance.get(key)
-    known = quantity(key)
+    deviation, entry, known = vehicle.uncertainty(key), vehicle.provenance.get(key), quantity(key)
     return FileQuantity(key, known.si_unit if known else "1", value_of(vehicle, key), deviation, slope,
-                 bool(stated and stated.uncertainty), absent) if deviation else None
+                        bool(entry and entry.uncertainty), absent) if deviation else None

@@ -75,7 +75,7 @@ def _by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, l
     best = int(np.argmax(information))
     value, scale = float(fit.vector[own[best]]), space.scale[own[best]]
     values = {names[k]: (value + scale * float((inverse(hk) @ gk)[best]),
-                          scale * float(np.sqrt(0.5 * design * inverse(hk)[best, best]))) for k, gk, hk in parts}
+                         scale * float(np.sqrt(0.5 * design * inverse(hk)[best, best]))) for k, gk, hk in parts}
     steps = {int(k): projection @ (inverse(hk) @ gk) for k, gk, hk in parts}
     return Varying(effect, name, gain / problem.scored_count, p_value, space.free[own[best]].parameter, values, steps)
 

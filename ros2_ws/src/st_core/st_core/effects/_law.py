@@ -50,7 +50,7 @@ def load(vehicle) -> Car:
     return Car(2.0 * vehicle.static_tyre_load_front, 2.0 * vehicle.static_tyre_load_rear)
 
 
-def bump(t):
+def spline(t):
     """Cubic B-spline: 2/3 at 0, 1/6 at +-1, 0 from +-2 on."""
     far, near = maximum(2.0 - absolute(t), 0.0 * t), maximum(1.0 - absolute(t), 0.0 * t)
     return (far * far * far - 4.0 * near * near * near) / 6.0
@@ -62,10 +62,10 @@ def curve(u, theta):
     t = (minimum(maximum(u, theta.low + 0.0 * u), high + 0.0 * u) - theta.low) / theta.spacing
     s = (minimum(maximum(-u, theta.low + 0.0 * u), high + 0.0 * u) - theta.low) / theta.spacing
     p = theta.parity
-    return (theta.c0 * (bump(t + 1.0) + p * bump(s + 1.0)) + theta.c1 * (bump(t) + p * bump(s))
-            + theta.c2 * (bump(t - 1.0) + p * bump(s - 1.0)) + theta.c3 * (bump(t - 2.0) + p * bump(s - 2.0))
-            + theta.c4 * (bump(t - 3.0) + p * bump(s - 3.0)) + theta.c5 * (bump(t - 4.0) + p * bump(s - 4.0))
-            + theta.c6 * (bump(t - 5.0) + p * bump(s - 5.0)) + theta.c7 * (bump(t - 6.0) + p * bump(s - 6.0)))
+    return (theta.c0 * (spline(t + 1.0) + p * spline(s + 1.0)) + theta.c1 * (spline(t) + p * spline(s))
+            + theta.c2 * (spline(t - 1.0) + p * spline(s - 1.0)) + theta.c3 * (spline(t - 2.0) + p * spline(s - 2.0))
+            + theta.c4 * (spline(t - 3.0) + p * spline(s - 3.0)) + theta.c5 * (spline(t - 4.0) + p * spline(s - 4.0))
+            + theta.c6 * (spline(t - 5.0) + p * spline(s - 5.0)) + theta.c7 * (spline(t - 6.0) + p * spline(s - 6.0)))
 
 
 def weighted_motion(at, theta):
@@ -98,7 +98,7 @@ def _parameters(*more: Parameter) -> tuple[Parameter, ...]:
     return (
         *(Parameter(f"c{k}", "1", null=0.0, initial=1.0, bounds=(-MAX_HEIGHT, MAX_HEIGHT),
                     meaning=f"coefficient of spline {k}", source="of the law") for k in range(COUNT)),
-        _constant("low", "least value of u"), _constant("spacing", "of the knots of u", 1.0),
+        _constant("low", "smallest value of u"), _constant("spacing", "of the knots of u", 1.0),
         _constant("parity", "-1 odd, +1 even, 0 neither"),
         *(_constant(f"in_{name}", "weight in u") for name in INPUTS),
         _constant("by_one", "1: the curve itself", 1.0),
@@ -110,7 +110,7 @@ def _parameters(*more: Parameter) -> tuple[Parameter, ...]:
 class Law(Effect):
     name = "law"
     physics = "a smooth curve of one quantity, added to one term of the model"
-    excited_by = "driving that visits the range of the quantity"
+    excited_by = "driving that covers the range of the quantity"
     kind, slot = "physics", "body"
     costly = True
     order = 90
@@ -148,7 +148,7 @@ class Law(Effect):
 class LawMemory(Effect):
     name = "law_memory"
     physics = "a smooth curve of a quantity that lags, or of its rate, added to the steering of an axle"
-    excited_by = "transients that visit the range of the quantity"
+    excited_by = "transients that cover the range of the quantity"
     kind, slot = "physics", "body"
     costly = True
     order = 90

@@ -41,11 +41,11 @@ class LongitudinalLoadTransfer(Effect):
     def prepare(road_wheel_angle, velocity_x_dot, signals, theta):
         car = theta.car
         front, rear = axle_loads(velocity_x_dot, car)
-        moved = car.mass * theta.height * velocity_x_dot / (car.cg_to_front_axle + car.cg_to_rear_axle)
+        transfer = car.mass * theta.height * velocity_x_dot / (car.cg_to_front_axle + car.cg_to_rear_axle)
         return (*magic_formula_coefficients(0.5 * front, car.tyre_front),
                 *magic_formula_coefficients(0.5 * rear, car.tyre_rear),
-                *magic_formula_coefficients(0.5 * (front - moved), car.tyre_front),
-                *magic_formula_coefficients(0.5 * (rear + moved), car.tyre_rear))
+                *magic_formula_coefficients(0.5 * (front - transfer), car.tyre_front),
+                *magic_formula_coefficients(0.5 * (rear + transfer), car.tyre_rear))
 
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, at, given, theta):

@@ -16,8 +16,8 @@ TWO_PI = 6.283185307179586
 @register
 class RollSteer(Effect):
     name = "roll_steer"
-    physics = "delta = delta_measured - gradient a_y, with the body's roll behind a_y; understeer gradient + gradient"
-    excited_by = "sweeps, where the roll falls behind; steady cornering shows it as a softer front axle"
+    physics = "delta = delta_measured - gradient a_y, body roll lagging a_y; understeer gradient + gradient"
+    excited_by = "sweeps, where the roll lags; steady cornering shows it as a softer front axle"
     kind, slot = "physics", "front axle"
     twins = ("steering_compliance", "steering_ratio", "front_stiffness")
     combinations = ("front cornering stiffness over mass", "stability factor K", "steady-state yaw gain at 20 m/s")

@@ -18,9 +18,9 @@ class SteeringMap(Effect):
     order = 70
     parameters = (
         Parameter("curvature", "1/rad^2", null=0.0, initial=0.55, bounds=(-0.9, 3.0),
-                  meaning="of the angle of the road wheels; 0.55 makes 5 % at 0.3 rad",
-                  source="linkages 5 %, racks of variable pitch up to 25 % at 0.3 rad; model error: deviation between "
-                         "14 answers on cars of other equations without a map, method of moments", model_error=0.25),
+                  meaning="of the angle of the road wheels; 0.55 is 5 % at 0.3 rad",
+                  source="linkages 5 %, racks of variable pitch up to 25 % at 0.3 rad; model error: deviation of 14 "
+                         "estimates on simulated cars without a map, method of moments", model_error=0.25),
     )
 
     @staticmethod

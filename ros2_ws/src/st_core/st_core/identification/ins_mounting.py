@@ -96,7 +96,7 @@ def _columns(run: RunSamples, mask: np.ndarray, vehicle: VehicleParameters) -> n
 
 
 def _lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.ndarray, group: Blocks, vehicle: VehicleParameters,
-            used: tuple[str, ...]) -> Estimate | str:
+                      used: tuple[str, ...]) -> Estimate | str:
     curvature = rate / speed
     seconds = [float(np.count_nonzero(side * curvature > MIN_CURVATURE)) * SAMPLE_INTERVAL for side in (1.0, -1.0)]
     if min(seconds) < MIN_TIGHT_TIME:

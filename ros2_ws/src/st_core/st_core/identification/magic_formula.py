@@ -222,7 +222,7 @@ def magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
               "curves": np.stack([tyre_force(grid + fit.values[-1], load, tyre) for load in levels]),
               "stiffness": np.array([found.stiffness(load) for load in levels])}
     warnings = [*_warnings(data, found, peak), *describe_correlations([e.parameter for e in estimates], correlation,
-                                                                    0.98)]
+                                                                      0.98)]
     return Identification("tyre", tuple(estimates), (data.name,), (), correlation, slip_coverage(data, levels, level),
                           tuple(warnings), figure)
 

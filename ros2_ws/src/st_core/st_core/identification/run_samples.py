@@ -66,14 +66,14 @@ def run_samples(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) 
                                   "record longer")
     time_ns, d_x, d_y = log.ins_time_ns, vehicle.cg_to_ins_x, vehicle.cg_to_ins_y
     speed, _ = smooth(time_ns, log.velocity_x)
-    across, across_dot = smooth(time_ns, log.velocity_y)
+    velocity_y, velocity_y_dot = smooth(time_ns, log.velocity_y)
     yaw_rate, yaw_acceleration = smooth(time_ns, log.yaw_rate)
-    _, a_y = ins_to_cg_acceleration(0.0, across_dot + speed * yaw_rate, yaw_rate, yaw_acceleration, d_x, d_y)
+    _, a_y = ins_to_cg_acceleration(0.0, velocity_y_dot + speed * yaw_rate, yaw_rate, yaw_acceleration, d_x, d_y)
     angle, _ = smooth(log.steering_time_ns, log.road_wheel_angle)
     angle = LogSignals(log, MAXIMUM_GAP, 5.0).sample(log.steering_time_ns, angle, time_ns)
     known = np.isfinite(angle) & _away_from_edges(time_ns) & np.isfinite(yaw_acceleration) & np.isfinite(a_y)
-    columns = ((time_ns - time_ns[:1]) * NANOSECOND, speed + yaw_rate * d_y, across - yaw_rate * d_x, log.yaw, yaw_rate,
-               yaw_acceleration, a_y, angle, vehicle.steering_wheel_angle(angle))
+    columns = ((time_ns - time_ns[:1]) * NANOSECOND, speed + yaw_rate * d_y, velocity_y - yaw_rate * d_x, log.yaw,
+               yaw_rate, yaw_acceleration, a_y, angle, vehicle.steering_wheel_angle(angle))
     return RunSamples(log.name, *(column[known] for column in columns))
 
 
@@ -97,7 +97,7 @@ def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                 raise IdentificationError(f"{log.name}: {name} is not measured, and this identification needs it: "
                                           "record it with a dual-antenna INS, or leave the drive out")
     own = [log if log.steering_wheel_angle is None else log.with_steering(vehicle) for log in logs]
-    noticed = []
+    biases = []
     for k, log in enumerate(own):
         if log.overlap < MIN_COMMON_TIME or len(log.ins_time_ns) < MIN_SAMPLES:
             raise IdentificationError(
@@ -106,17 +106,17 @@ def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
         bias = yaw_rate_bias(log)
         own[k] = replace(log, yaw_rate=log.yaw_rate - bias)
         if abs(bias) > MIN_REPORTED_BIAS:
-            noticed.append(f"{log.name} {bias:+.4f}")
-    warning = f"Yaw rate bias relative to the heading rate, removed [rad/s]: {', '.join(noticed)}."
-    return own, (warning,) if noticed else ()
+            biases.append(f"{log.name} {bias:+.4f}")
+    warning = f"Yaw rate bias relative to the heading rate, removed [rad/s]: {', '.join(biases)}."
+    return own, (warning,) if biases else ()
 
 
 def yaw_rate_bias(log: DriveLog) -> float:
     """Mean of yaw rate minus rate of change of yaw outside gaps [rad/s]."""
     spacing = np.diff(log.ins_time_ns) * NANOSECOND
-    whole = spacing <= MAXIMUM_GAP
-    turned = (0.5 * (log.yaw_rate[1:] + log.yaw_rate[:-1]) * spacing - np.diff(log.yaw))[whole]
-    return float(turned.sum() / max(spacing[whole].sum(), NANOSECOND))
+    known = spacing <= MAXIMUM_GAP
+    difference = (0.5 * (log.yaw_rate[1:] + log.yaw_rate[:-1]) * spacing - np.diff(log.yaw))[known]
+    return float(difference.sum() / max(spacing[known].sum(), NANOSECOND))
 
 
 def signal_coverage(signal: str, unit: str, edges: np.ndarray, values: Sequence[np.ndarray],

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..discovery.levels import sites
 from ..discovery.windows import Windows
-from ..effects._law import COUNT, INTERVALS, TERMS, Law, LawMemory, LawTimed, bump
+from ..effects._law import COUNT, INTERVALS, TERMS, Law, LawMemory, LawTimed, spline
 from ..timeseries import NANOSECOND, smoothed
 from ..vehicle import VehicleParameters
 
@@ -120,7 +120,7 @@ class Candidate:
         """(COUNT, ...) splines of the curve [its unit] at u [unit of the quantity], of which the curve is a linear
         combination."""
         t, s = ((np.clip(v, self.low, self.high) - self.low) * INTERVALS / (self.high - self.low) for v in (u, -u))
-        return self.usual_size * np.stack([bump(t - k) + self.parity * bump(s - k) for k in range(-1, COUNT - 1)])
+        return self.usual_size * np.stack([spline(t - k) + self.parity * spline(s - k) for k in range(-1, COUNT - 1)])
 
 
 def run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:

@@ -161,7 +161,7 @@ class Player:
         value = self._scale * steering_value(self._bag, message, field)
         wheel = value if field.quantity == "wheel" else math.nan
         converted = Steering(steering_wheel_angle=wheel, road_wheel_angle=(value - self._offset) / self._ratio,
-                              valid=math.isfinite(value))
+                             valid=math.isfinite(value))
         converted.header.stamp = from_nanoseconds(stamp_of(message, log_ns))
         return converted
 

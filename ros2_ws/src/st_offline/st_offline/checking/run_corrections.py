@@ -77,7 +77,7 @@ def with_corrections(settings: Mapping[str, Any], corrections: Mapping[str, Any]
         present = result.get(key)
         if key == "correct":
             result[key] = {channel: _combine((present or {}).get(channel, {}), value.get(channel, {}))
-                          for channel in {**(present or {}), **value}}
+                           for channel in {**(present or {}), **value}}
         elif isinstance(value, list):
             result[key] = [*(present or ()), *value]
         else:

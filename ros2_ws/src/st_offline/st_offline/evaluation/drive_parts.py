@@ -64,8 +64,8 @@ def _states(speed: np.ndarray, yaw_rate: np.ndarray) -> np.ndarray:
     sides = np.sign(yaw_rate).astype(int)
     states = np.zeros(len(speed), int)
     side = 0
-    for i, (v, begins, continues, here) in enumerate(zip(speed, enter, stay, sides, strict=True)):
-        side = here if begins or (continues and here == side) else 0
+    for i, (v, begins, continues, turn) in enumerate(zip(speed, enter, stay, sides, strict=True)):
+        side = turn if begins or (continues and turn == side) else 0
         states[i] = -2 if v < STANDSTILL else side
     return states
 

@@ -140,10 +140,10 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
     """content: of evaluation.json. bands: figures of the tested bands."""
     good = [r for r in reports if not r.problem]
     leading = [overview] if overview and len(good) > 1 else [f for r in good for f in r.figures[1:2]]
-    room, of_run = BUDGET, list[Drawn]()  # of the first run; the others are files
+    bytes_left, of_run = BUDGET, list[Drawn]()  # of the first run; the others are files
     for figure in (f for f in good[0].figures if f not in leading) if good else ():
-        room -= len(figure.svg.encode())
-        if len(leading) + len(bands) + len(of_run) < MAX_FIGURES and room > 0:
+        bytes_left -= len(figure.svg.encode())
+        if len(leading) + len(bands) + len(of_run) < MAX_FIGURES and bytes_left > 0:
             of_run.append(figure)
     modes = list(dict.fromkeys(mode for of_model in content["all_runs"].values() for mode in of_model))
     pooled_bands = content.get("bands_all_runs", {})
@@ -224,5 +224,5 @@ def summary(reports: Sequence[RunReport], over: str, horizon: float) -> list[str
     return [f"{minutes:.1f} minutes, predictions of {horizon:g} s. With the measured inputs (hindsight) the error is "
             f"the model's; with the inputs of the start held (forecast) it includes the driver: "
             f"lateral RMSE of {best} {', '.join([held, *ahead])}.",
-            f"The recordings bias this: {biased}." if biased else "The checks found no error and no warning.",
+            f"Faults of the recordings bias them: {biased}." if biased else "The checks found no error or warning.",
             *([f"{steering}."] if steering else [])]

@@ -271,7 +271,7 @@ def _read_one_by_one(path: Path, storage: Storage, topic: Topic, fields: Sequenc
 
 
 def _odometry_rows(odometry: Mapping[str, np.ndarray]) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, int],
-                                                               list[str]]:
+                                                                list[str]]:
     """(times, INS channels in the rows used, channel -> rows without a usable value, notes)."""
     values = {
         "x": odometry["pose.pose.position.x"], "y": odometry["pose.pose.position.y"],

@@ -97,7 +97,7 @@ def storage_files(directory: Path) -> list[Path]:
 
 
 def missing_files(directory: Path) -> str:
-    """A note on files that metadata.yaml lists and the directory does not hold; empty where none is missing."""
+    """A note on files that metadata.yaml lists and the directory lacks; empty where none is missing."""
     listed = _listed_files(directory)
     missing = [name for name in listed if not (directory / name).is_file()]
     if not missing:
@@ -307,6 +307,6 @@ def recorded_parameters(records: Mapping[str, Mapping[str, str]]) -> dict[str, d
 def recorded_text(records: Mapping[str, Mapping[str, str]], file: str) -> str | None:
     """The text of a configuration file named in the parameters; None where the recording does not include it."""
     parts = Path("/", file).parts
-    # The records name files with the end of their path that tells them apart.
+    # The records name files by as much of the end of their path as distinguishes them.
     return next((text for key, text in records.get("configuration", {}).items()
                  if file and parts[-len(Path(key).parts):] == Path(key).parts), None)

@@ -105,7 +105,7 @@ def _text_reader(make: Callable[[Lines, list[str]], Any], converter: Callable[[]
                     remaining = iter(reader)
             if bad:
                 notes.insert(0, f"{share(len(bad), lines.position, 'lines')} cannot be read, the first is line "
-                                f"{bad[0]}; they were skipped")
+                             f"{bad[0]}; they were skipped")
         finally:
             lines.close()
 

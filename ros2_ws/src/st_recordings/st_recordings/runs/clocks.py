@@ -169,7 +169,7 @@ def _nearest_to_logger_clock(pairs: list[SharedSignal], result: Alignment) -> Al
             near.peak[1] < MIN_RELATIVE_PEAK * result.peak[1]):
         return result
     return near.with_doubts("several offsets fit equally well (repeated laps or manoeuvres); the one within "
-                        f"{MAX_CLOCK_ERROR:.0f} s of the logger's own clock is used")
+                            f"{MAX_CLOCK_ERROR:.0f} s of the logger's own clock is used")
 
 
 def _align_by_checked_time_frame(frames: Signal, pairs: list[SharedSignal], latency: tuple[float, float]) -> Alignment:

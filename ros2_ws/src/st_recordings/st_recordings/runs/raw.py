@@ -113,13 +113,13 @@ def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
         steering_time_ns=steering_ns[good], steering_wheel_angle=wheel,
         road_wheel_angle=vehicle.road_wheel_angle(wheel))
     provenance = {"reader": f"{source.kind} and CAN log", **({"origin": list(ins.origin)} if ins.origin else {}),
-             "alignment": alignment_summary(run.alignment),
-             "settings": {"steering_sign": settings.steering_sign, "steering_latency": settings.steering_latency,
-                          "ins_can_latency": run.latency}}
+                  "alignment": alignment_summary(run.alignment),
+                  "settings": {"steering_sign": settings.steering_sign, "steering_latency": settings.steering_latency,
+                               "ins_can_latency": run.latency}}
     auxiliary = AuxiliaryData({"INS": ins.stamps_ns, "steering": steering_ns},
-                           {name: count for name, count in missing.items() if count},
-                           *speeds_of(run.signals, run.alignment.to_reference_ns), ins.quality,
-                           implausible=_refused_steering(run, settings))
+                              {name: count for name, count in missing.items() if count},
+                              *speeds_of(run.signals, run.alignment.to_reference_ns), ins.quality,
+                              implausible=_refused_steering(run, settings))
     return LoadedRun(log, provenance, source.labels, tuple(warnings), run.alignment, auxiliary)
 
 

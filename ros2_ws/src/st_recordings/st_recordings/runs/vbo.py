@@ -90,7 +90,7 @@ def _sources(file: Path, names: list[str], sections: dict[str, str], layout: Lay
             continue  # also _heading, of a second solution, is the course
         stated = unit_named(source.kind, units.get(source.name, ""))
         sources[channel] = replace(source, unit=stated or _DEFAULT_UNITS.get(source.kind, source.unit),
-                                  stated=stated is not None)
+                                   stated=stated is not None)
     for number, name in enumerate(names):
         first = names.index(name) == number  # of columns of one name
         if first and (standard := _STANDARD_CHANNELS.get(name.lower())) and standard[0] not in layout.columns:
