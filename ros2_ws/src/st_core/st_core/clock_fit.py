@@ -17,7 +17,7 @@ RATE = 100.0  # Hz of the grid on which signals are filtered
 DECIMATION = 5  # filtered signals contain nothing above a few hertz, so 20 Hz are enough for the fit
 STEP = DECIMATION / RATE
 MAX_GAP = 0.15  # s, that is interpolated
-FILTER_SETTLES = 0.5  # s over the cut-off [Hz], masked on both sides of a gap
+FILTER_SETTLING = 0.5  # periods of the cut-off, masked on both sides of a gap
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def resample(time: np.ndarray, values: np.ndarray, cutoff: float, angle: bool = 
     sos = butter(4, cutoff, fs=RATE, output="sos")
     if len(grid) > 50:
         sampled = sosfiltfilt(sos, sampled, padtype="odd", padlen=min(len(grid) - 1, int(3 * RATE / cutoff)))
-    margin = int(FILTER_SETTLES / cutoff * RATE)
+    margin = int(FILTER_SETTLING / cutoff * RATE)
     if angle:
         sampled = np.gradient(sampled) * RATE if len(grid) > 1 else np.zeros_like(sampled)
     known = maximum_filter1d((~bridged).astype(np.uint8), 2 * margin + 1, mode="constant") == 0
@@ -170,7 +170,7 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
     )
 
 
-class _Detail(NamedTuple):
+class _SignalFit(NamedTuple):
     """Fit of one signal. score: (2, n) weighted derivative times residual, gain and bias projected out; residual and
     correlation as in `Fit`."""
 
@@ -181,7 +181,7 @@ class _Detail(NamedTuple):
 
 
 def _normal_equations(pairs: Sequence[Pair], splines: Sequence[CubicSpline], parameters: np.ndarray, middle: float,
-                      free_drift: bool) -> tuple[np.ndarray, np.ndarray, list[_Detail]]:
+                      free_drift: bool) -> tuple[np.ndarray, np.ndarray, list[_SignalFit]]:
     """(normal matrix, gradient, details by signal)."""
     normal = np.diag([0.0, (DRIFT_PRIOR_PPM * 1e-6) ** -2])
     gradient = np.array([0.0, normal[1, 1] * parameters[1] if free_drift else 0.0])
@@ -206,7 +206,7 @@ def _normal_equations(pairs: Sequence[Pair], splines: Sequence[CubicSpline], par
         normal += [[float((row * column).sum()) for column in jacobian] for row in jacobian * weight]
         gradient += score.sum(axis=1)
         spreads = float(reference.std()), float(other.std())
-        details.append(_Detail(time, score, float(np.sqrt(np.mean(residual**2)) / max(spreads[0], 1e-12)),
+        details.append(_SignalFit(time, score, float(np.sqrt(np.mean(residual**2)) / max(spreads[0], 1e-12)),
                                float(np.corrcoef(reference, other)[0, 1]) if min(spreads) > 0 else 0.0))
     if normal[0, 0] <= 0.0:
         raise ValueError("the shared signals do not vary")
@@ -236,7 +236,7 @@ def _common_samples(pair: Pair, parameters: np.ndarray, middle: float) -> tuple[
     return time[inside], mapped[inside], pair.other.values[inside]
 
 
-def _block_scores(details: Sequence[_Detail]) -> np.ndarray:
+def _block_scores(details: Sequence[_SignalFit]) -> np.ndarray:
     """Sum of the outer products of the block sums of the scores, blocks common to all signals."""
     start = min(float(d.time[0]) for d in details)
     count = int((max(float(d.time[-1]) for d in details) - start) / BLOCK) + 1

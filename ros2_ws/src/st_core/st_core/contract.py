@@ -64,9 +64,9 @@ def _check_texts(effect: type[Effect], vehicle: VehicleParameters) -> str:
 def _check_null(effect: type[Effect], vehicle: VehicleParameters) -> str:
     for base, active in _models(effect):
         model = neutral(active)
-        off = float(np.abs(_predict_floats(model, vehicle) - _predict_floats(base, vehicle)).max())
-        if np.isnan(off) or off > 0.0:
-            return f"at null the path of the {base.name} model changes by {off:.3g}; it must be equal to the last bit"
+        change = float(np.abs(_predict_floats(model, vehicle) - _predict_floats(base, vehicle)).max())
+        if np.isnan(change) or change > 0.0:
+            return f"at null the path of the {base.name} model changes by {change:.3g}; it must be identical to the bit"
         readings = model.observe(READING), model.correct(READING)
         if readings != (READING, READING) or model.effective_vehicle(vehicle) != vehicle:
             return "at null a reading or the car is changed"
@@ -107,9 +107,9 @@ def _check_backends(effect: type[Effect], vehicle: VehicleParameters) -> str:
             others["CasADi"] = _predict_casadi(model, vehicle)
         for name, path in others.items():
             reference = floats if path.shape == floats.shape else floats[:, -1]
-            off = np.abs(path - reference) / np.maximum(1.0, np.abs(reference))
-            if not (off < ROUNDING).all():
-                return f"{name} and floats differ by {float(np.nanmax(off)):.2g} in the {base.name} model"
+            difference = np.abs(path - reference) / np.maximum(1.0, np.abs(reference))
+            if not (difference < ROUNDING).all():
+                return f"{name} and floats differ by {float(np.nanmax(difference)):.2g} in the {base.name} model"
     return ""
 
 
@@ -119,12 +119,12 @@ def _check_mirror(effect: type[Effect], vehicle: VehicleParameters) -> str:
     flipped = {p.name: -p.initial for p in effect.parameters if p.odd}
     for base, model in _models(effect):
         other = model.with_values({effect.name: flipped}) if flipped else model
-        off = float(np.abs(_predict_floats(other, vehicle, side=-1.0) - MIRROR * _predict_floats(model, vehicle)).max())
-        turned = other.observe(_mirrored(READING))
-        seen = float(np.abs(np.subtract(turned, _mirrored(model.observe(READING)))).max())
-        if not max(off, seen) < ROUNDING:
-            return (f"a left turn is not the mirror image of a right one in the {base.name} model ({max(off, seen):.2g}"
-                    "); if intended, set odd=True for the parameter that changes its sign")
+        paths = _predict_floats(other, vehicle, side=-1.0) - MIRROR * _predict_floats(model, vehicle)
+        readings = np.subtract(other.observe(_mirrored(READING)), _mirrored(model.observe(READING)))
+        difference = float(max(np.abs(paths).max(), np.abs(readings).max()))
+        if not difference < ROUNDING:
+            return (f"a left turn is not the mirror image of a right one in the {base.name} model ({difference:.2g}); "
+                    "if intended, set odd=True for the parameter that changes its sign")
     return ""
 
 

@@ -185,14 +185,14 @@ class Predictor:
         return model_inputs(self._views[model].model, planned)
 
     def add_ins(self, sample: InsSample) -> bool:
-        """Take an INS sample; False if it was refused (see MeasurementHistory)."""
+        """Add an INS sample; False if it was refused (see MeasurementHistory)."""
         for view in self._correcting_views:
             view.add_ins(sample)
         self._frozen.add_ins(sample)
         return self.history.add_ins(sample)
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
-        """Take a road wheel angle [rad], left +; False if it was refused."""
+        """Add a road wheel angle [rad], left +; False if it was refused."""
         for view in self._correcting_views:
             view.add_steering(time_ns, road_wheel_angle)
         self._frozen.add_steering(time_ns, road_wheel_angle)

@@ -36,7 +36,7 @@ ROBUST = 1.4826
 
 def symmetric_interval(value: float, standard_uncertainty: float, freedom: float = math.inf) -> tuple[float, float]:
     """95 % interval value -/+ t u with Student's t for `freedom` degrees of freedom (infinite: t = 1.96)."""
-    from scipy.stats import t as student  # half a second that a start of the nodes does not need
+    from scipy.stats import t as student  # takes half a second, and the nodes do not need it
 
     half = float(student.ppf(0.975, freedom)) * standard_uncertainty
     return value - half, value + half
@@ -75,19 +75,19 @@ def white_noise(values: np.ndarray) -> float:
     return ROBUST * float(np.nanmedian(np.abs(np.diff(values, 3)))) / math.sqrt(20.0)
 
 
-def extrapolation_uncertainty(whole: tuple[float, float, float], low: tuple[float, float, float]) -> float:
+def extrapolation_uncertainty(full: tuple[float, float, float], low: tuple[float, float, float]) -> float:
     """Standard uncertainty [unit of C] of a secant slope C as the slope at zero, if the curve may not be a line.
 
-    whole, low: (C, its variance, mean range a) of the secant and of one over a lower range, a_low < a.
+    full, low: (C, its variance, mean range a) of the secant and of one over a lower range, a_low < a.
 
         C(a) = C_0 - s a,    u = sqrt(max((C_low - C)^2 - (u_low^2 - u^2), 0)) a / (a - a_low) / sqrt(3)
 
     u_low^2 - u^2: variance of the difference if the curve is a line (Hausman, Specification tests in econometrics,
     1978). The sqrt(3) is that of a rectangular distribution (GUM 4.3.7). Checked by: test_stiffness_model_error.py.
     """
-    variance = max(low[1] - whole[1], 0.0)
-    size = math.sqrt(max((low[0] - whole[0]) ** 2 - variance, 0.0))
-    return size * whole[2] / (whole[2] - low[2]) / math.sqrt(3.0)
+    variance = max(low[1] - full[1], 0.0)
+    size = math.sqrt(max((low[0] - full[0]) ** 2 - variance, 0.0))
+    return size * full[2] / (full[2] - low[2]) / math.sqrt(3.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,9 +166,8 @@ class Blocks:
 
     def leave_out(self, squares: np.ndarray, gradient: np.ndarray) -> np.ndarray:
         """Influence psi (k, p) of each block on a least squares estimate, from its A_c (k, p, p) and g_c (k, p)."""
-        whole = squares.sum(axis=0)
-        # A millionth of the whole keeps the system solvable if only one block excites a parameter.
-        others = (1.0 + 1e-6) * whole - squares
+        # A millionth of the total keeps the system solvable if only one block excites a parameter.
+        others = (1.0 + 1e-6) * squares.sum(axis=0) - squares
         return np.linalg.solve(others, gradient[:, :, None])[:, :, 0] * (len(self) - 1) / len(self)
 
     def _inflation(self, centred: np.ndarray) -> np.ndarray:

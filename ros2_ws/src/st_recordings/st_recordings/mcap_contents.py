@@ -165,7 +165,7 @@ class Contents:
         stream, size = get_chunk_data_stream(chunk, validate_crc=True)
         data = stream.read(size)
         if len(data) != chunk.uncompressed_size:
-            raise DamagedError(f"chunk has {len(data)} bytes, {chunk.uncompressed_size} announced")
+            raise DamagedError(f"chunk has {len(data)} bytes, {chunk.uncompressed_size} declared")
         schemas, channels = dict(self.schemas), dict(self.channels)
         messages: dict[int, MessageIndex] = {}
         position = 0

@@ -39,7 +39,7 @@ class FileReport:
     """What was found in one file. messages, kept_bytes: what was kept; lost_bytes: cut or damaged, not kept."""
 
     path: Path
-    whole: bool = False  # closed and without damage, therefore left unchanged
+    intact: bool = False  # closed and without damage, therefore left unchanged
     messages: int = 0
     kept_bytes: int = 0
     lost_bytes: int = 0
@@ -61,7 +61,7 @@ class RecoveryReport:
     @property
     def changed(self) -> bool:
         """Whether anything had to be written."""
-        return self.metadata_rebuilt or any(not f.whole for f in self.files)
+        return self.metadata_rebuilt or any(not f.intact for f in self.files)
 
     @property
     def messages(self) -> int:
@@ -72,7 +72,7 @@ class RecoveryReport:
         lines = []
         for found in self.files:
             seconds = (found.end_ns - found.start_ns) / 1e9
-            state = "whole, unchanged" if found.whole else f"repaired, {found.lost_bytes} bytes could not be kept"
+            state = "intact, unchanged" if found.intact else f"repaired, {found.lost_bytes} bytes could not be kept"
             if found.damaged_records:
                 state += f", {found.damaged_records} damaged records left out"
             if found.original:
@@ -91,7 +91,7 @@ def recover(path: Path | str, output: Path | str | None = None) -> RecoveryRepor
         output: new directory or file to write instead of repairing in place; must not exist. The original is untouched.
 
     Raises:
-        RecoveryError: no MCAP file there, still being recorded, output exists, or no room; the original is untouched.
+        RecoveryError: no MCAP file there, still being recorded, output exists, or disk full; the original is untouched.
     """
     path = Path(path)
     target = Path(output) if output is not None else path
@@ -133,8 +133,8 @@ def _recover_file(source: Path, target: Path, report: RecoveryReport) -> Content
         _check_recoverable(stream, source, size)
         contents, found = Contents(), FileReport(target)
         found.kept_bytes = len(MAGIC) + sum(map(len, _good_records(stream, size, contents, found)))
-        found.whole = not found.damaged_records and _is_closed(stream, size, contents, found)
-        if not (found.whole and target == source):
+        found.intact = not found.damaged_records and _is_closed(stream, size, contents, found)
+        if not (found.intact and target == source):
             contents = _write_repaired(stream, size, source, target, found)
     found.messages = contents.counts().total()
     found.start_ns, found.end_ns = contents.times()

@@ -74,8 +74,8 @@ def evaluate(
 def make_task(read_options: shared.ReadOptions, model: Sequence[str], effects: Path | None, acceleration: str,
               inputs: Literal["interpolate", "hold"], times: Sequence[float],
               **others: Any) -> "tuple[Task, Path | None, str]":
-    """(task, vehicle file that was named, file the car is of). times: horizon, step [s], minimum speed [m/s], interval
-    of the starts [s]. others: of Task."""
+    """(task, vehicle file that was named, file with the vehicle in use). times: horizon, step [s], minimum speed [m/s],
+    interval of the starts [s]. others: of Task."""
     from st_core.log_evaluation import EvaluationSettings
     from st_core.prediction import PredictionSettings
     from st_offline.evaluation.work import Task

@@ -131,7 +131,7 @@ def _check_sensors_at_true_rate(motion: Motion, time_unit: Finding | None,
     rate = None if time_unit else check_nominal_rate(result[1], result[2])
     if rate is None or not rate.value:
         return [], result
-    return [rate], _check_sensors(motion.slower(rate.value), removed)
+    return [rate], _check_sensors(motion.with_time_divided(rate.value), removed)
 
 
 def _check_sensors(motion: Motion, removed: dict[str, float]) -> SensorResult:

@@ -53,7 +53,7 @@ class Motion:
     def with_(self, **changes: Any) -> "Motion":
         return replace(self, **changes)
 
-    def slower(self, factor: float) -> "Motion":
+    def with_time_divided(self, factor: float) -> "Motion":
         """The motion with all times divided by a factor."""
         speeds = {name: (time / factor, values) for name, (time, values) in self.speeds.items()}
         return replace(self, time=self.time / factor, steering_time=self.steering_time / factor, speeds=speeds)
@@ -90,11 +90,12 @@ def is_driven(motion: Motion) -> bool:
     over = windows(motion.time, length, max(MAX_GAP, 0.5 * length))
     if len(over) < MIN_DRIVEN_WINDOWS:
         return True  # too short to judge
-    moved = over.change(motion.x) + 1j * over.change(motion.y)
-    product = (moved[1:] * np.conj(moved[:-1]))[over.last[:-1] == over.first[1:]]
+    displacement = over.change(motion.x) + 1j * over.change(motion.y)
+    product = (displacement[1:] * np.conj(displacement[:-1]))[over.last[:-1] == over.first[1:]]
     speed = over.mean(motion.time, motion.velocity_x)
     noise = float(np.median(np.abs(np.diff(motion.velocity_x)))) / (0.6745 * np.sqrt(2.0))
-    if np.sum(np.maximum(np.abs(moved) / over.change(motion.time), np.abs(speed)) > MOVING) < MIN_DRIVEN_WINDOWS:
+    fastest = np.maximum(np.abs(displacement) / over.change(motion.time), np.abs(speed))
+    if np.sum(fastest > MOVING) < MIN_DRIVEN_WINDOWS:
         return False
     return bool(np.sum(product.real) > MIN_COHERENCE * np.sum(np.abs(product)) > 0.0
                 or np.sum(np.abs(speed) > MIN_SIGNAL_TO_NOISE * max(noise, 1e-9)) >= MIN_DRIVEN_WINDOWS)
@@ -141,11 +142,11 @@ def windows(time: np.ndarray, length: float, longest_gap: float = MAX_GAP) -> Wi
         empty = np.zeros(0, np.int64)
         return Windows(empty, empty, np.zeros(0))
     # By the samples, not by the seconds, since a gap may last years.
-    places = np.flatnonzero(np.diff(np.floor((time - time[0]) / length), prepend=-1.0))
-    first, last = places[:-1], places[1:]
+    edges = np.flatnonzero(np.diff(np.floor((time - time[0]) / length), prepend=-1.0))
+    first, last = edges[:-1], edges[1:]
     gaps = np.concatenate(([0], np.cumsum(np.diff(time) > longest_gap)))
-    whole = (gaps[first] == gaps[last]) & (np.abs(time[last] - time[first] - length) < 0.5 * length)
-    first, last = first[whole], last[whole]
+    complete = (gaps[first] == gaps[last]) & (np.abs(time[last] - time[first] - length) < 0.5 * length)
+    first, last = first[complete], last[complete]
     return Windows(first, last, time[first])
 
 

@@ -99,7 +99,7 @@ def check_time_unit(motion: Motion) -> Corrected:
         factor, (name, symbol) = unit, TIMES[unit]
         reason, advice = f": {name}?", Advice("run.yaml", f"units: {{t: {symbol}}}", {"units": {"t": symbol}})
     text = f"time runs {factor:g} times too fast for positions and yaw{reason}"
-    return motion.slower(factor), _error("time_unit", ("time",), text, factor, advice)
+    return motion.with_time_divided(factor), _error("time_unit", ("time",), text, factor, advice)
 
 
 def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate]) -> Finding | None:

@@ -122,26 +122,26 @@ def _significant(found: list[Cell]) -> list[Cell]:
 def _statements(channel: str, bins: Sequence[BinExcess], parts: Sequence[Part], places: Sequence[Cell],
                 samples: Samples, with_reference: bool) -> list[ErrorCondition]:
     """Statements on one channel; empty without a significant bin."""
-    mine = [b for b in bins if b.channel == channel]
-    if not any(b.significant for b in mine):
+    of_channel = [b for b in bins if b.channel == channel]
+    if not any(b.significant for b in of_channel):
         return []
-    whole = next(b for b in mine if b.range.quantity == EVERYWHERE)
-    found = [_range_statement(group, mine, whole, with_reference) for group in _groups(mine)]
+    overall = next(b for b in of_channel if b.range.quantity == EVERYWHERE)
+    found = [_range_statement(group, of_channel, overall, with_reference) for group in _groups(of_channel)]
     # Ranked by the lower bound: a range with few observations can have a large error by chance.
-    clear = sorted((s for s in found if s.interval[0] > 1.0 and s.excess >= MIN_CONTRAST * whole.excess),
+    clear = sorted((s for s in found if s.interval[0] > 1.0 and s.excess >= MIN_CONTRAST * overall.excess),
                    key=lambda s: -s.interval[0])
     statements = [*clear[:MAX_RANGES]]
-    if whole.significant:
-        statements.append(ErrorCondition(channel, EVERYWHERE, whole.excess, whole.interval))
-    statements += [_part_statement(part, whole, samples) for part in parts if part.channel == channel]
-    statements += _place_statements([c for c in places if c.channel == channel], whole)
+    if overall.significant:
+        statements.append(ErrorCondition(channel, EVERYWHERE, overall.excess, overall.interval))
+    statements += [_part_statement(part, overall, samples) for part in parts if part.channel == channel]
+    statements += _place_statements([c for c in places if c.channel == channel], overall)
     return statements
 
 
-def _groups(mine: Sequence[BinExcess]) -> list[list[BinExcess]]:
+def _groups(bins: Sequence[BinExcess]) -> list[list[BinExcess]]:
     """Significant ranges of one quantity, neighbours with similar excess in one group."""
     groups: list[list[BinExcess]] = []
-    for _, of_quantity in itertools.groupby((b for b in mine if b.range.quantity != EVERYWHERE),
+    for _, of_quantity in itertools.groupby((b for b in bins if b.range.quantity != EVERYWHERE),
                                             key=lambda b: b.range.quantity):
         current: list[BinExcess] = []
         for one in of_quantity:
@@ -156,18 +156,18 @@ def _groups(mine: Sequence[BinExcess]) -> list[list[BinExcess]]:
     return [g for g in groups if g]
 
 
-def _range_statement(group: Sequence[BinExcess], mine: Sequence[BinExcess], whole: BinExcess,
+def _range_statement(group: Sequence[BinExcess], bins: Sequence[BinExcess], overall: BinExcess,
                      with_reference: bool) -> ErrorCondition:
-    """Statement on a group of ranges. mine: all bins of the channel; whole: the one of all driving."""
+    """Statement on a group of ranges. bins: all of the channel; overall: that of all driving."""
     quantity = group[0].range.quantity
     if quantity == "direction":
-        return ErrorCondition(whole.channel, f"{group[0].range.label} turns" if group[0].range.label != "straight"
+        return ErrorCondition(overall.channel, f"{group[0].range.label} turns" if group[0].range.label != "straight"
                               else "straight driving", group[0].excess, group[0].interval)
     unit = group[0].range.label.rsplit(" ", 1)[1]
     low, high = group[0].range.low, group[-1].range.high
     assert low is not None and high is not None  # all quantities but the direction have edges
     condition = range_text(quantity, unit, low, high)
-    sides = {b.range.label: b for b in mine if b.range.quantity == "direction" and b.range.label != "straight"}
+    sides = {b.range.label: b for b in bins if b.range.quantity == "direction" and b.range.label != "straight"}
     if quantity in SIGNED and group[0].range.low and len(sides) == 2 and all(b.significant for b in sides.values()):
         condition += ", both directions"
     if with_reference and not all(b.covered for b in group):
@@ -176,21 +176,21 @@ def _range_statement(group: Sequence[BinExcess], mine: Sequence[BinExcess], whol
     excess = math.sqrt(float((weights * [b.excess ** 2 for b in group]).sum() / weights.sum()))
     low, high = (math.sqrt(float((weights * [b.interval[k] ** 2 for b in group]).sum() / weights.sum()))
                  for k in (0, 1))
-    return ErrorCondition(whole.channel, condition, excess, (low, high))
+    return ErrorCondition(overall.channel, condition, excess, (low, high))
 
 
-def _part_statement(part: Part, whole: BinExcess, samples: Samples) -> ErrorCondition:
+def _part_statement(part: Part, overall: BinExcess, samples: Samples) -> ErrorCondition:
     """Statement on a stretch of a run; its excess is that of the channel times its ratio."""
     last = float(samples.time[samples.run == part.run].max())
     name = samples.names[part.run]
     when = (f"from {part.start:.0f} s on" if part.end >= last - 1.0 else f"until {part.end:.0f} s" if part.start < 2.0
             else f"from {part.start:.0f} to {part.end:.0f} s")
     text = f"run {name}, {when}: {part.ratio:.1f} times the error of the rest of the run under similar conditions"
-    return ErrorCondition(part.channel, text, whole.excess * part.ratio,
-                          (whole.interval[0] * part.ratio, whole.interval[1] * part.ratio))
+    return ErrorCondition(part.channel, text, overall.excess * part.ratio,
+                          (overall.interval[0] * part.ratio, overall.interval[1] * part.ratio))
 
 
-def _place_statements(places: Sequence[Cell], whole: BinExcess) -> list[ErrorCondition]:
+def _place_statements(places: Sequence[Cell], overall: BinExcess) -> list[ErrorCondition]:
     """Statements on places, neighbouring cells together; the two with the largest excess."""
     remaining, statements = list(places), []
     while remaining:
@@ -206,6 +206,6 @@ def _place_statements(places: Sequence[Cell], whole: BinExcess) -> list[ErrorCon
         ratio = float(np.mean([c.ratio for c in cluster]))
         low, high = (float(np.mean([c.interval[k] for c in cluster])) for k in (0, 1))
         text = f"within {reach:.0f} m of east {x:.0f} m, north {y:.0f} m, on every pass"
-        statements.append(ErrorCondition(whole.channel, text, whole.excess * ratio,
-                                         (whole.excess * low, whole.excess * high)))
+        statements.append(ErrorCondition(overall.channel, text, overall.excess * ratio,
+                                         (overall.excess * low, overall.excess * high)))
     return sorted(statements, key=lambda s: -s.excess)[:2]

@@ -1,9 +1,9 @@
 """Offset of the steering wheel sensor from straight driving, by two methods.
 
 The paper's: the offset with which the simulated yaw rate comes closest to the measured one. Directly: the mean
-reading while the car drives straight, corrected by what little it turns,
+reading while the car drives straight, corrected by the remaining curvature kappa,
 
-    o = mean(delta_h) - i L kappa (1 + K v_x^2),    kappa = change of heading / way
+    o = mean(delta_h) - i L kappa (1 + K v_x^2),    kappa = change of heading / distance
 
 in windows with a steady hand. The first rests on the gyro, the second on the heading; a crowned road, side wind or
 worn tyres turn the steering wheel in both. Checked by: test_identification_driving.py.
@@ -26,7 +26,7 @@ from .run_samples import RunSamples, prepare_drives, run_samples
 PAPER, DIRECT = "steering_wheel_offset", "steering_wheel_offset_direct"
 SETTINGS = DrivingFitSettings(horizon=2.0, maximum_acceleration=0.5, min_windows=40, channels=("yaw_rate",))
 WINDOW = 2.0  # s
-MIN_RADIUS = 500.0  # m, radius
+MIN_RADIUS = 500.0  # m
 MAX_HAND_DEVIATION = np.deg2rad(3.0)  # at the hand wheel, standard deviation in a window
 MIN_WINDOWS = 10
 CUTOFF = 1.0  # Hz, low-pass on the measured yaw rate, forward and backward
@@ -36,10 +36,9 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
                              settings: DrivingFitSettings = SETTINGS) -> Identification:
     """Offset by both methods [rad at the hand wheel, left +]; parameters PAPER and DIRECT.
 
-    vehicle: ratio and all else; its offset is where the search starts. Raises IdentificationError for too little
-    driving straight on.
+    vehicle: its offset is the start of the fit. Raises IdentificationError for too little straight driving.
     """
-    logs, noticed = prepare_drives(logs, vehicle)
+    logs, notes = prepare_drives(logs, vehicle)
     runs = [run_samples(log, vehicle) for log in logs]
     windows = [_straight_windows(run, vehicle, settings.minimum_speed) for run in runs]
     values = np.concatenate([w[:, 1] for w in windows])
@@ -66,11 +65,11 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
                                       "the mean reading on steady straights")
     if conflict:
         paper = replace(paper, status="doubtful", verdict=f"{paper.verdict} {conflict}")
-    rejected = tuple((name, "no straight piece in it") for name, n in predicted.items() if not n and not used[name])
+    rejected = tuple((name, "no straight driving") for name, n in predicted.items() if not n and not used[name])
     figure = {"time": times, "run": run_of, "offset": values, "residual_yaw_rate": fit.residuals[:, 0],
               "residual_run": fit.run_of, "residual_time": fit.time, "names": tuple(r.name for r in runs)}
     return Identification("steering-offset", (paper, direct), tuple(n for n in used if used[n] or predicted[n]),
-                          rejected, None, (), (*noticed, *([conflict] if conflict else [])), figure)
+                          rejected, None, (), (*notes, *([conflict] if conflict else [])), figure)
 
 
 def _straight_windows(run: RunSamples, vehicle: VehicleParameters, minimum_speed: float) -> np.ndarray:
@@ -86,17 +85,15 @@ def _straight_windows(run: RunSamples, vehicle: VehicleParameters, minimum_speed
         curvature = float(run.yaw[part][-1] - run.yaw[part][0]) / (mean_speed * float(time[-1] - time[0]))
         if abs(curvature) * MIN_RADIUS > 1.0 or hand.std() > MAX_HAND_DEVIATION:
             continue
-        turning = vehicle.wheelbase * curvature * (1.0 + understeer * mean_speed**2)
-        rows.append((start, float(hand.mean()) - vehicle.steering_ratio * turning))
+        road_wheel_angle = vehicle.wheelbase * curvature * (1.0 + understeer * mean_speed**2)
+        rows.append((start, float(hand.mean()) - vehicle.steering_ratio * road_wheel_angle))
     return np.array(rows).reshape(-1, 2)
 
 
-def _estimate(name: str, value: float, own: Spread, method: str, used: Mapping[str, int],
-              basis: str) -> Estimate:
-    uncertainty = float(own.deviations[0])
-    degrees, spread = np.rad2deg(value), np.rad2deg(uncertainty)
-    return Estimate(name, float(value), "rad", uncertainty, own.interval(0, value), method,
+def _estimate(name: str, value: float, spread: Spread, method: str, used: Mapping[str, int], basis: str) -> Estimate:
+    uncertainty = float(spread.deviations[0])
+    degrees, deviation = np.rad2deg(value), np.rad2deg(uncertainty)
+    return Estimate(name, float(value), "rad", uncertainty, spread.interval(0, value), method,
                     tuple(n for n, c in used.items() if c),
-                    f"The hand wheel reads {degrees:.2f} +/- {spread:.2f} deg when driving straight, from {basis} in "
-                    f"{own.basis[0]}.",
-                    "identified" if spread < 0.5 else "doubtful")
+                    f"The hand wheel reads {degrees:.2f} +/- {deviation:.2f} deg when driving straight, from {basis} "
+                    f"in {spread.basis[0]}.", "identified" if deviation < 0.5 else "doubtful")

@@ -228,9 +228,9 @@ def document(good: Sequence[CheckedRun], failed: Mapping[str, str]) -> dict[str,
 
 def residual_rms(identity: Identity) -> float:
     """Root mean square of measured minus derived, in the unit of the identity; NaN where nothing is known of both."""
-    apart = np.asarray(identity.measured) - np.asarray(identity.derived)
-    apart = apart[np.isfinite(apart)]
-    return float(np.sqrt(np.square(apart).mean())) if len(apart) else float("nan")
+    residual = np.asarray(identity.measured) - np.asarray(identity.derived)
+    residual = residual[np.isfinite(residual)]
+    return float(np.sqrt(np.square(residual).mean())) if len(residual) else float("nan")
 
 
 SEVERITY_STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}

@@ -145,10 +145,9 @@ def terminal_table(reports: Sequence[Any], over: str, title: str, width: int) ->
     for report in reports:
         for number, model in enumerate(report.models):
             cells = [Text(" | ").join(
-                Text(f"{in_metres(values(report.models, model, 'hindsight', axis, over)[kind]):>5}", style="bold"
-                     if best(
-                    report.models, model, "hindsight", axis, kind, over) else "") for kind in KINDS)
-                     for axis in SHOWN_AXES]
+                Text(f"{in_metres(values(report.models, model, 'hindsight', axis, over)[kind]):>5}",
+                     style="bold" if best(report.models, model, "hindsight", axis, kind, over) else "")
+                for kind in KINDS) for axis in SHOWN_AXES]
             forecasts = [" | ".join(f"{in_metres(values(report.models, model, mode, axis, over)['rmse']):>5}"
                                     for axis in SHOWN_AXES) if mode in report.models[model] else "" for mode in ahead]
             starts = str(report.models[model]["hindsight"]["n_starts"])
@@ -229,6 +228,6 @@ def _model_rows(head: Row, models: Models) -> Iterator[Row]:
                    **{f"samples_{key}": value for key, value in _flat(entry["samples"]).items()}}
 
 
-def _flat(of: Mapping[str, Any]) -> Row:
+def _flat(entry: Mapping[str, Any]) -> Row:
     units = {"longitudinal": "m", "lateral": "m", "yaw": "rad"}
-    return {f"{axis}_{kind}_{units[axis]}": of[axis][kind] for axis in AXES for kind in KINDS}
+    return {f"{axis}_{kind}_{units[axis]}": entry[axis][kind] for axis in AXES for kind in KINDS}

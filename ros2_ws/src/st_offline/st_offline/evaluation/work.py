@@ -107,17 +107,17 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         signals = task.settings.signals(run.log)
         bands = load_bands(task, models)
         scorer = Scorer(bands, signals) if bands else None
-        until = times(task.settings.prediction.horizon, task.settings.prediction.step)
-        adaptive = AdaptiveScorer(bands, signals, until) if task.adaptive else None
+        horizon = times(task.settings.prediction.horizon, task.settings.prediction.step)
+        adaptive = AdaptiveScorer(bands, signals, horizon) if task.adaptive else None
 
-        def watch(starts: np.ndarray, block: Block) -> None:
+        def score(starts: np.ndarray, block: Block) -> None:
             for one in filter(None, (scorer, adaptive)):
                 one.add(starts, block)  # type: ignore[attr-defined]
 
         try:
             ahead = inputs_ahead(run, signals, task.vehicle, task.settings.prediction, load_course(task.course))
             evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress,
-                                      on_block=watch, future_inputs=ahead)
+                                      on_block=score, future_inputs=ahead)
         finally:  # a failed check explains more than an exception that it caused
             findings, parts = checked()
             if isinstance(findings, Refused):
@@ -285,12 +285,12 @@ def _planned_columns(files: Mapping[str, str],
         except ValueError as error:
             raise RunError(file, f"planned columns cannot be read: {str(error).splitlines()[0]}",
                            "write numbers with a decimal point, separated by commas") from None
-        seconds, one, other = np.atleast_2d(rows).T
+        seconds, first, second = np.atleast_2d(rows).T
         if not np.isfinite(seconds).all() or (np.diff(seconds) <= 0.0).any():
             raise ConfigurationError(f"{file}: t does not rise in rows with planned columns; sort or repair the rows")
         time_ns = np.round(seconds * 1e6).astype(np.int64) * 1000
         if kind == INPUTS:
-            return time_ns, (one, other)
-        path = path_inputs(one, other, seconds, vehicle)
+            return time_ns, (first, second)
+        path = path_inputs(first, second, seconds, vehicle)
         return time_ns, (path.road_wheel_angle, path.velocity_x_dot, path.signals[SLIP_FREE])
     return None

@@ -33,7 +33,7 @@ def is_run_file(path: Path) -> bool:
 def read_run_file(path: Path) -> list[RunSource]:
     """The run that a run.yaml describes, or the runs under its key `each`. Raises RunError."""
     content = _content(path)
-    return _each(path, content) if "each" in content else [_one(path, content)]
+    return _runs_of_each(path, content) if "each" in content else [_single_run(path, content)]
 
 
 def described_by_each(file: Path) -> RunSource | None:
@@ -56,7 +56,7 @@ def _content(path: Path) -> dict[str, Any]:
     return content
 
 
-def _one(path: Path, content: Mapping[str, Any]) -> RunSource:
+def _single_run(path: Path, content: Mapping[str, Any]) -> RunSource:
     file_keys = [key for key in _FILE_KEYS if key in content]
     if len(file_keys) != 1:
         known = f"{', '.join(_FILE_KEYS[:-1])} and {_FILE_KEYS[-1]}"
@@ -70,7 +70,7 @@ def _one(path: Path, content: Mapping[str, Any]) -> RunSource:
     return _run(path, content, name, file_keys[0], files, _can_logs(path, content.get("can", [])))
 
 
-def _each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
+def _runs_of_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
     """One run of each file, with the CAN logs of its stem; a file NAME.csv with a NAME.run.yaml is read by that."""
     if keys := [key for key in content if key in _KEYS_OF_ONE_RUN]:
         raise RunError(path, f"{keys[0]} belongs to one run, and `each` describes several",
@@ -78,27 +78,27 @@ def _each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
     files = dict.fromkeys(_matching(path, "each", content["each"]))
     if not files:
         raise RunError(path, f"each: no file in its folder matches {content['each']!r}")
-    return [_of_own_file(path, file) or _of_each(path, content, file) for file in files]
+    return [_run_of_own_file(path, file) or _run_of_each(path, content, file) for file in files]
 
 
-def _of_own_file(path: Path, file: Path) -> RunSource | None:
+def _run_of_own_file(path: Path, file: Path) -> RunSource | None:
     """The run of a recording with a run.yaml of its own, of its stem or in its folder; path: of the one with `each`."""
     for own in (file.with_name(file.stem + RUN_SUFFIX), file.with_name(RUN_FILE)):
         try:
             content = _content(own) if own.exists() and own != path else {"each": ""}
-            if "each" not in content and file in (run := _one(own, content)).files:
+            if "each" not in content and file in (run := _single_run(own, content)).files:
                 return run
         except RunError as error:
             return RunSource(own.name, "", (own,), problem=error, run_file=own)
     return None
 
 
-def _of_each(path: Path, content: Mapping[str, Any], file: Path) -> RunSource:
+def _run_of_each(path: Path, content: Mapping[str, Any], file: Path) -> RunSource:
     reader = reader_of(file)
     if reader is None:
         raise RunError(path, f"each: {file.name} is not a recording")
-    whole = reader.kind == "csv" and reader.has_drive(file)
-    logs = [] if whole else [log for log in logs_of(file, sorted(file.parent.iterdir())) if is_can_log(log)]
+    is_complete = reader.kind == "csv" and reader.has_drive(file)
+    logs = [] if is_complete else [log for log in logs_of(file, sorted(file.parent.iterdir())) if is_can_log(log)]
     if reader.needs_can and not logs:
         raise RunError(path, f"each: no CAN log has the stem of {file.name}",
                        "list the files of each run in a run.yaml")
