@@ -64,7 +64,7 @@ class InputSequence:
 
     @property
     def known_so_far(self) -> np.ndarray:
-        """Whether both inputs are known at each point and at all before it."""
+        """Whether both inputs are known at each point and at all points before it."""
         return np.logical_and.accumulate(np.isfinite(self.road_wheel_angle) & np.isfinite(self.velocity_x_dot), axis=-1)
 
 

@@ -68,23 +68,23 @@ def conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[float]) -> 
     values = np.sort(np.concatenate([np.asarray(one, float) for one in scores]))
     if not np.isfinite(values).all():
         raise StCoreError("a score is not finite; bands cannot be calibrated with such errors")
-    below = np.stack([np.searchsorted(np.sort(one), values, side="right") / len(one) for one in scores])
-    covered = below.mean(axis=0)
+    by_run = np.stack([np.searchsorted(np.sort(one), values, side="right") / len(one) for one in scores])
+    covered = by_run.mean(axis=0)
     # at_least[k]: distribution function of the k-th smallest score of a draw. mean[k]: its mean coverage; of k = 0: 0.
-    at_least = _probability_of_at_least(below)
+    at_least = _probability_of_at_least(by_run)
     mean = np.concatenate([[0.0], np.diff(at_least[1:], axis=1, prepend=0.0) @ covered])
     target = np.interp(np.asarray(levels, float) * (count + 1.0), np.arange(count + 1), mean)
     return values[np.minimum(np.searchsorted(covered, target - ROUNDING), len(values) - 1)]
 
 
-def _probability_of_at_least(below: np.ndarray) -> np.ndarray:
+def _probability_of_at_least(by_run: np.ndarray) -> np.ndarray:
     """(runs + 1, values): probability that of one window from each run at least k have a score <= a value.
 
-    below: (runs, values), that probability by run.
+    by_run: (runs, values), probability that a window of the run has a score <= a value.
     """
-    exactly = np.zeros((len(below) + 1, below.shape[1]))
+    exactly = np.zeros((len(by_run) + 1, by_run.shape[1]))
     exactly[0] = 1.0
-    for p in below:
+    for p in by_run:
         exactly[1:] = exactly[1:] * (1.0 - p) + exactly[:-1] * p
         exactly[0] *= 1.0 - p
     return np.cumsum(exactly[::-1], axis=0)[::-1]
@@ -151,8 +151,8 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
         except StCoreError as error:
             raise StCoreError(f"{len(runs) - len(scores)} of {len(runs)} runs were driven under conditions that no "
                               f"other run has; {error}") from None
-    stated = sorted({*levels, *(level for level in RELIABILITY if level <= highest_level(len(scores)))})
-    factors = dict(zip(stated, conformal_factors(scores, stated).tolist(), strict=True))
+    levels = sorted({*levels, *(level for level in RELIABILITY if level <= highest_level(len(scores)))})
+    factors = dict(zip(levels, conformal_factors(scores, levels).tolist(), strict=True))
     return Band(_scale(runs, pair, time), factors, _quantiles(ratios))
 
 

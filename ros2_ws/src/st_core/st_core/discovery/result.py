@@ -205,8 +205,8 @@ class Power:
 @dataclass(frozen=True)
 class Certificate:
     """Power of these drives. powers: three sizes of each effect. alarms: number of simulated drives without any effect
-    in which one was named. measured: True if by a step of the search on simulated drives (--certify); False if
-    predicted from the curvature of the loss, simulated_drives is then 0."""
+    in which one was named. measured: True if estimated by a step of the search on simulated drives (--certify); False
+    if predicted from the curvature of the loss; simulated_drives is then 0."""
 
     powers: tuple[Power, ...]
     alarms: int
@@ -229,7 +229,7 @@ class ErrorCondition:
 class ChannelError:
     """Error of a channel on held-out driving, before and after. base, augmented [unit]: root mean square at the end of
     the horizon; of position_5s the mean. interval: 95 % of base - augmented. floor: error by noise alone [unit].
-    worst_run, worst: the run with the largest error after. worse_runs: on which it grew by more than the floor."""
+    worst_run, worst: the run with the largest error after. worse_runs: in which it grew by more than the floor."""
 
     base: float
     augmented: float

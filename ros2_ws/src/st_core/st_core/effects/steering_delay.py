@@ -9,7 +9,7 @@ from ._base import ANY, TOTAL_DELAY, Effect, Parameter, register
 @register
 class SteeringDelay(Effect):
     name = "steering_delay"
-    physics = "delta(t) = delta_measured(t - time): dead time, or stamps of two clocks that are apart"
+    physics = "delta(t) = delta_measured(t - time): dead time, or stamps of two different clocks"
     excited_by = "sweeps to 2.5 Hz and steps; content above 1 / (2 pi time) separates it from a lag"
     kind, slot = "physics", "steering"
     twins = ("steering_lag", "tyre_relaxation", "yaw_inertia")
@@ -19,7 +19,7 @@ class SteeringDelay(Effect):
     parameters = (
         Parameter("time", "s", null=0.0, initial=0.04, bounds=(-0.2, 0.5),
                   meaning="delay of the wheels behind the measured angle",
-                  source="buses and filters add up to 0.2 s; steering is faster than half a second",
+                  source="buses and filters add up to 0.2 s; no steering takes half a second",
                   model_error=0.004),
     )
 

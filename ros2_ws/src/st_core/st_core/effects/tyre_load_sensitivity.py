@@ -15,7 +15,7 @@ from ._base import Effect, Parameter, register
 STIFFEST_LOAD, SCALE = TYRE_QUANTITIES["p_ky2"], TYRE_QUANTITIES["lambda_ky"]
 
 
-def _with_growth(tyre, static_load, factor):
+def _with_stiffest_load(tyre, static_load, factor):
     """One tyre with its stiffest load times `factor`, K at static_load [N] unchanged within the limits of a file."""
     stiffest = min(max(tyre.p_ky2 * factor, STIFFEST_LOAD.minimum), STIFFEST_LOAD.maximum)
     changed = tyre._replace(p_ky2=stiffest)
@@ -26,7 +26,7 @@ def _with_growth(tyre, static_load, factor):
 @register
 class TyreLoadSensitivity(Effect):
     name = "tyre_load_sensitivity"
-    physics = "K(F_z) with factor p_ky2 on both axles, K at the static load unchanged; > 1: K more nearly as F_z"
+    physics = "K(F_z) with factor p_ky2 on both axles, K at the static load unchanged; > 1: K more proportional to F_z"
     excited_by = "braking and power in turns; a load transfer of 10 % at least"
     kind, slot = "vehicle parameters", "both axles"
     twins = ("longitudinal_load_transfer", "lateral_load_transfer", "mass")
@@ -41,6 +41,6 @@ class TyreLoadSensitivity(Effect):
 
     @staticmethod
     def vehicle(vehicle, theta):
-        front = _with_growth(vehicle.tyre_front, vehicle.static_tyre_load_front, theta.factor)
-        rear = _with_growth(vehicle.tyre_rear, vehicle.static_tyre_load_rear, theta.factor)
+        front = _with_stiffest_load(vehicle.tyre_front, vehicle.static_tyre_load_front, theta.factor)
+        rear = _with_stiffest_load(vehicle.tyre_rear, vehicle.static_tyre_load_rear, theta.factor)
         return replace(vehicle, tyre_front=front, tyre_rear=rear)

@@ -200,29 +200,29 @@ def magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
         # Uncertainty: width of the 95 % profile interval / 3.92; the covariance at the estimate ignores bounds.
         value, spread = float(fit.values[k]), (interval.high - interval.low) / 3.92
         open_ends = interval.lower_open + interval.upper_open
-        words = [f"{MEANING[name][0].upper()}{MEANING[name][1:]}."]
+        verdict = [f"{MEANING[name][0].upper()}{MEANING[name][1:]}."]
         status: Status = "doubtful" if fit.at_bound(k) or open_ends else "identified"
         if fit.at_bound(k):
             end = min(fit.lower[k], fit.upper[k], key=lambda bound: abs(bound - value))
-            words.append(f"{key} ended at its bound {end:g}: the value is set by the bound, not by the data.")
+            verdict.append(f"{key} ended at its bound {end:g}: the value is set by the bound, not by the data.")
         elif open_ends == 1:
             end = interval.low if interval.lower_open else interval.high
-            words.append(f"The data limit it on one side only: the interval ends at the bound {end:g}.")
+            verdict.append(f"The data limit it on one side only: the interval ends at the bound {end:g}.")
         if open_ends == 2:
-            words.append(f"The data do not limit it within {interval.low:g} to {interval.high:g}; it is written "
-                         "because, with the other parameters, it reproduces the stiffness at the tested loads.")
+            verdict.append(f"The data do not limit it within {interval.low:g} to {interval.high:g}; it is written "
+                           "because, with the other parameters, it reproduces the stiffness at the tested loads.")
             # Uniform over the range: all values are equally likely.
             spread = (interval.high - interval.low) / math.sqrt(12.0)
         estimates.append(Estimate(key, value, "1", spread, (interval.low, interval.high), method, (data.name,),
-                                  " ".join(words), status))
+                                  " ".join(verdict), status))
     correlation = correlation_of(fit.covariance)[:-1, :-1]
     grid = np.linspace(data.slip.min(), data.slip.max(), 121)
     figure = {"tyre": data.tyre, "load": data.load, "slip": data.slip, "force": data.force, "levels": levels,
               "level": level, "residuals": fit.residuals, "grid": grid, "names": found.names[:-1],
               "curves": np.stack([tyre_force(grid + fit.values[-1], load, tyre) for load in levels]),
               "stiffness": np.array([found.stiffness(load) for load in levels])}
-    warnings = [*_warnings(data, found, peak), *describe_correlations([e.parameter for e in estimates], correlation,
-                                                                      0.98)]
+    warnings = [*_warnings(data, found, peak),
+                *describe_correlations([e.parameter for e in estimates], correlation, 0.98)]
     return Identification("tyre", tuple(estimates), (data.name,), (), correlation, slip_coverage(data, levels, level),
                           tuple(warnings), figure)
 
@@ -232,8 +232,7 @@ def _fit_nominal_load(data: FlatPlank, base: MagicFormula) -> MagicFormula:
     inner = np.abs(data.slip) <= max(math.radians(2.0), np.sort(np.abs(data.slip))[min(3, len(data.slip) - 1)])
     slope = float(data.slip[inner] @ data.force[inner]) / float(data.slip[inner] @ data.slip[inner])
     level = float(data.load.mean())
-    at_one = base._replace(p_ky1=-1.0)
-    start_stiffness = slope / abs(float(magic_formula_stiffness(level, at_one)))
+    start_stiffness = slope / abs(float(magic_formula_stiffness(level, base._replace(p_ky1=-1.0))))
     friction = float(np.abs(data.force).max()) / level
     names = (*NOMINAL_PARAMETERS, "p_ky1", SHIFT)
     starts = [base._replace(p_cy1=shape, p_dy1=friction, p_ey1=curvature, p_ky1=start_stiffness)
@@ -243,12 +242,12 @@ def _fit_nominal_load(data: FlatPlank, base: MagicFormula) -> MagicFormula:
 
 def _fit_load_dependency(data: FlatPlank, first: MagicFormula, free: Sequence[str]) -> MagicFormula:
     """Second stage: K at the nominal load held, which makes p_ky1 follow from p_ky2 and p_ky4."""
-    held = float(magic_formula_stiffness(first.nominal_load, first))
+    stiffness = float(magic_formula_stiffness(first.nominal_load, first))
 
     def tyre(values: Any) -> MagicFormula:
         changed = _with_values(first, free, values)
-        one = magic_formula_stiffness(first.nominal_load, changed._replace(p_ky1=-1.0))
-        return changed._replace(p_ky1=-held / one)
+        unscaled = magic_formula_stiffness(first.nominal_load, changed._replace(p_ky1=-1.0))
+        return changed._replace(p_ky1=-stiffness / unscaled)
 
     low, high = _bounds(free)
     start = {"p_dy2": -0.1, "p_ey2": 0.0, "p_ky2": 2.0, "p_ky4": 2.0}
@@ -298,10 +297,10 @@ def _warnings(data: FlatPlank, found: TyreFit, peak: float) -> list[str]:
         sentences.append(f"The curves are shifted by {math.degrees(shift):+.2f} deg of slip angle (conicity, "
                          "plysteer, or the wheel's zero); the models' tyre is symmetric and leaves that out.")
     grid = np.linspace(data.slip.min(), data.slip.max(), 61)
-    apart = max(float(np.abs(tyre_force(grid, load, found.staged) - tyre_force(grid, load, found.tyre)).max())
-                for load in found.levels)
-    if apart > 0.01 * peak:
-        sentences.append(f"The two-stage and the simultaneous fit differ by up to {apart:.0f} N, "
-                         f"{100 * apart / peak:.1f} % of the largest force: the load dependence of the formula does "
+    largest = max(float(np.abs(tyre_force(grid, load, found.staged) - tyre_force(grid, load, found.tyre)).max())
+                  for load in found.levels)
+    if largest > 0.01 * peak:
+        sentences.append(f"The two-stage and the simultaneous fit differ by up to {largest:.0f} N, "
+                         f"{100 * largest / peak:.1f} % of the largest force: the load dependence of the formula does "
                          "not fit all loads equally well.")
     return sentences

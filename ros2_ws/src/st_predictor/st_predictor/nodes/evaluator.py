@@ -45,10 +45,11 @@ class EvaluatorNode(Node):
         values = parameters.declare(self, params.EVALUATOR)
         self._vehicle = params.load_vehicle(values)
         self._file = params.load_model(values, self._vehicle)
-        own = [self._file.model()] if self._file else []
-        self._models = params.translate_errors(values, lambda: [get_model(m).name for m in (*values.models, *own)])
+        from_file = [self._file.model()] if self._file else []
+        self._models = params.translate_errors(
+            values, lambda: [get_model(m).name for m in (*values.models, *from_file)])
         settings = params.prediction_settings(values)
-        self._core = Evaluator(self._vehicle, settings, HISTORY_SPAN, own)
+        self._core = Evaluator(self._vehicle, settings, HISTORY_SPAN, from_file)
         self._consistency = Consistency(self._vehicle)
         self._map_frame = values.map_frame
         self._diagnostics = Diagnostics(self, self._vehicle.name, self._checks)
@@ -158,13 +159,13 @@ class EvaluatorNode(Node):
         incomplete = sum(s.n_incomplete for s in self._statistics.values())
         pending = self._core.pending
         values = {"scores complete": complete, "scores incomplete": incomplete, "pending predictions": pending}
-        others = sorted({model for (_, model), other in self._configuration_mismatch.items() if other})
+        mismatched = sorted({model for (_, model), mismatch in self._configuration_mismatch.items() if mismatch})
         level, text = diagnostics.OK, "scoring" if complete or incomplete or pending else "no prediction yet"
         if self._rejection:
             level, text = diagnostics.WARN, self._rejection
-        elif others:
+        elif mismatched:
             level = diagnostics.WARN
-            text = f"predictions of {', '.join(others)} were made with another vehicle or model than this node uses"
+            text = f"predictions of {', '.join(mismatched)} were made with another vehicle or model than this node uses"
         recording = (recording_check(self._bag) if self._bag else
                      Check("recording", diagnostics.OK, "off (output_directory is empty)"))
         verdict = self._consistency.verdict

@@ -100,10 +100,10 @@ def read_table(file: Path, layout: Layout) -> Table:
     check_readable(file)
     text = read_text(file)
     warnings: list[str] = []
-    at = _header_line(text.split("\n", MAX_HEADER_LINES + 1)[:MAX_HEADER_LINES], layout)
-    *above, header, body = (text + "\n").split("\n", at + 1)
-    if at > 1 or (at and not _SEPARATOR.match(above[0])):
-        warnings.append(f"{file}: the header is in line {at + 1}; the {at} before it were skipped")
+    skipped = _header_line(text.split("\n", MAX_HEADER_LINES + 1)[:MAX_HEADER_LINES], layout)
+    *above, header, body = (text + "\n").split("\n", skipped + 1)
+    if skipped > 1 or (skipped and not _SEPARATOR.match(above[0])):
+        warnings.append(f"{file}: the header is in line {skipped + 1}; the {skipped} before it were skipped")
     names, delimiter = _split_header(header)
     if delimiter == " ":
         body = "\n".join(" ".join(line.split()) for line in body.split("\n"))
@@ -334,12 +334,12 @@ def _parse_stamp(text: str) -> tuple[float, float] | None:
     match = _STAMP.fullmatch(text)
     if match is None:
         return None
-    year, month, day, day_2, month_2, year_2, hour, minute, second, half, sign, hours, minutes = match.groups()
+    year, month, day, day_2, month_2, year_2, hour, minute, second, am_pm, sign, hours, minutes = match.groups()
     if not hour and (year or year_2 or not re.search("[.,]", second)):
         return None  # 10:11 is hours and minutes, 11:12.5 minutes and seconds
     seconds = int(hour or 0) * 3600 + int(minute) * 60 + float(re.sub("[,:]", ".", second))
-    if half:
-        seconds = seconds % (DAY / 2) + (DAY / 2 if half in "Pp" else 0.0)
+    if am_pm:
+        seconds = seconds % (DAY / 2) + (DAY / 2 if am_pm in "Pp" else 0.0)
     if sign:
         seconds -= float(f"{sign}1") * (int(hours) * 3600 + int(minutes) * 60)
     if not (year or year_2):
@@ -380,8 +380,8 @@ def _is_hhmmss(times: np.ndarray) -> bool:
             times // 100 % 100 >= 60).any():
         return False
     steps = np.diff(times)
-    usual = float(np.median(np.abs(steps)))
-    return bool(usual < 5.0 and (np.abs(steps % 4000 - 40.0 - usual) < usual + 0.01).any())
+    median = float(np.median(np.abs(steps)))
+    return bool(median < 5.0 and (np.abs(steps % 4000 - 40.0 - median) < median + 0.01).any())
 
 
 def _with_decimal_points(file: Path, body: str, delimiter: str) -> str:
@@ -438,11 +438,11 @@ def _numbers(file: Path, body: str, delimiter: str, width: int, warnings: list[s
     except ValueError as first:
         error = first
     widths = [len(row) for row in _cells(file, lines, delimiter)]
-    whole = [line for line, count in zip(lines, widths, strict=False) if count in (width, width + 1)]
-    lost = len(lines) - len(whole)
-    if whole and 2 * lost < len(lines):
+    complete = [line for line, count in zip(lines, widths, strict=False) if count in (width, width + 1)]
+    lost = len(lines) - len(complete)
+    if complete and 2 * lost < len(lines):
         try:
-            rows = _parsed(whole, delimiter, width)
+            rows = _parsed(complete, delimiter, width)
             what = "the last row is truncated; it was left out" if lost == 1 and widths[-1] != width else (
                 f"{share(lost, len(lines), 'rows')} do not have as many cells as the header; they were left out")
             warnings.append(f"{file}: {what}")

@@ -254,8 +254,9 @@ def steering_value(where: Any, message: Any, steering: SteeringField) -> float:
             value = value[int(part)]
             continue
         if part not in fields:
-            has = f"no {part!r}; it has {', '.join(fields)}" if fields else f"no {part!r}; it has no fields"
-            raise RunError(where, f"--steering-field: {steering.field!r} is not in {steering.topic}: {has}",
+            names = ", ".join(fields) or "no fields"
+            raise RunError(where, f"--steering-field: {steering.field!r} is not in {steering.topic}: no {part!r}; it "
+                           f"has {names}",
                            "give the path to one number, as drive.steering_angle")
         value = getattr(value, part)
     if _is_list(value):
