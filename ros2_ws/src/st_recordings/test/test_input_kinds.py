@@ -156,7 +156,7 @@ TABLES: list[tuple[str, Callable[[DriveLog], str], str, str]] = [
      "the day/month order of its dates is ambiguous"),
     ("colon.csv", lambda log: stamped(log, lambda s: clock(43200 + s)[:12].replace(".", ":")), "utf-8", ""),
     ("clock.csv", lambda log: stamped(log, lambda s: clock(43190 + s).replace(":", "")), "utf-8",
-     "times of column t are taken as HHMMSS"),
+     "times of column t were read as HHMMSS"),
     ("apart.csv", lambda log: csv([["2026-05-04", clock(43200 + k * 0.01)[:11], *row[1:]] for k, row in
                                    enumerate(rows(log))],
                                   ",".join(("Date", "Time", *NAMES[1:]))), "utf-8", ""),

@@ -358,7 +358,7 @@ def _seconds(file: Path, times: np.ndarray, source: ColumnSource, warnings: list
     steps = steps[steps > 0.0]  # a coarse clock repeats its times
     meanings: list[tuple[float, float, str]] = []
     if not source.stated and _is_hhmmss(finite):
-        warnings.append(f"{file}: times of column {source.name} are taken as HHMMSS, a time of day")
+        warnings.append(f"{file}: times of column {source.name} were read as HHMMSS, a time of day")
         seconds = times // 10000 * HOUR + times // 100 % 100 * 60 + times % 100
         known = np.isfinite(seconds)
         seconds[known] += DAY * np.cumsum(np.diff(seconds[known], prepend=seconds[known][0]) < -DAY / 2)
@@ -369,7 +369,7 @@ def _seconds(file: Path, times: np.ndarray, source: ColumnSource, warnings: list
         meanings = [(origin, DAY, f"days of {tool} (UTC)") for origin, tool in _DAY_COUNTS]
     for origin, factor, meaning in meanings if not source.stated else ():
         if _EPOCH[0] <= (median - origin) * factor <= _EPOCH[1]:
-            warnings.append(f"{file}: times of column {source.name} are taken as {meaning}")
+            warnings.append(f"{file}: times of column {source.name} were read as {meaning}")
             return (times - origin) * factor
     return times * source.factor
 

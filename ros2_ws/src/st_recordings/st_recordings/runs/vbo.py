@@ -56,7 +56,7 @@ def read_vbo(file: Path, layout: Layout) -> Table:
     if _is_hhmmss(body, source.column):
         body = with_seconds(body, " ", source.column, lambda cell: _seconds(cell, midnight))
     else:
-        warnings.append(f"{file}: its times are not HHMMSS; they are taken as seconds")
+        warnings.append(f"{file}: its times are not HHMMSS; they were read as seconds")
         source = replace(source, stated=False)
     table = table_of(file, names, body, " ", layout, warnings, {**sources, "t": source})
     return _with_signs(table)
