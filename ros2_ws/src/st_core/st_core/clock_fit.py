@@ -207,7 +207,7 @@ def _normal_equations(pairs: Sequence[Pair], splines: Sequence[CubicSpline], par
         gradient += score.sum(axis=1)
         spreads = float(reference.std()), float(other.std())
         details.append(_SignalFit(time, score, float(np.sqrt(np.mean(residual**2)) / max(spreads[0], 1e-12)),
-                               float(np.corrcoef(reference, other)[0, 1]) if min(spreads) > 0 else 0.0))
+                                  float(np.corrcoef(reference, other)[0, 1]) if min(spreads) > 0 else 0.0))
     if normal[0, 0] <= 0.0:
         raise ValueError("the shared signals do not vary")
     return normal, gradient, details

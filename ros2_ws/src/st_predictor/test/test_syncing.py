@@ -102,7 +102,7 @@ def test_a_disk_that_does_not_follow_does_not_hold_up_the_writer(disk: Disk, tmp
     assert bag.syncer is not None
     gaps = [b - a for a, b in pairwise(written)]
     assert max(gaps) < 1.0
-    assert bag.syncer.behind > 0.5
+    assert bag.syncer.delay > 0.5
     bag.close()
     assert bag.error == "" and read_numbers(tmp_path / "bag")["/a"] == list(range(len(written)))
 

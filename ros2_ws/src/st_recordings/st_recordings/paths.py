@@ -14,7 +14,7 @@ from typing import Any
 
 DISTRIBUTION = "single-track-predictor"
 INSTALLED_FILES = Path(__file__).parent / "share"  # exists in the wheel only
-MIN_FREE_SPACE = 10_000_000  # bytes; less does not hold the output of the shortest run
+MIN_FREE_SPACE = 10_000_000  # bytes; the shortest run needs as much
 
 
 def project_root() -> Path:

@@ -40,7 +40,7 @@ class Syncer:
             self._condition.notify()
 
     @property
-    def behind(self) -> float:
+    def delay(self) -> float:
         """Age of the oldest data that is not on the disk [s]."""
         with self._condition:
             since = [t for t in (self._waiting_since, self._syncing_since) if t is not None]

@@ -64,9 +64,9 @@ def fingerprint(function: FunctionType, stop: frozenset[str] = frozenset()) -> s
     for file in sorted({f.__code__.co_filename for f in functions}):
         digest.update(hashlib.sha256(_content(file)).digest())
     for f in functions:
-        held = [f"{key}={name(value)}" for key, value in references(f)]
+        referenced = [f"{key}={name(value)}" for key, value in references(f)]
         defaults = [name(value) for value in (f.__defaults__ or ())]
-        parts = (f.__module__, f.__qualname__, f.__code__.co_code.hex(), _constants(f.__code__), *held, *defaults)
+        parts = (f.__module__, f.__qualname__, f.__code__.co_code.hex(), _constants(f.__code__), *referenced, *defaults)
         digest.update("\x00".join(parts).encode() + b"\x01")
     return digest.hexdigest()
 

@@ -236,4 +236,4 @@ SYSTEMATIC = {
 """Systematic uncertainty of an identity, half of a 95 % interval, in the finding's unit (scales: share of the value),
 by the finding's name or the last part of it. It covers filters, interpolation between samples, roll and, for the
 steering, the car's own response, which the spread over blocks does not. Added in quadrature (GUM: type B to type A).
-Set from the errors of the estimates on the development drives of bench/checks, not on the sealed ones."""
+Set from the errors of the estimates on the development drives of bench/checks, not on the test drives."""

@@ -130,11 +130,11 @@ def _slower_rate(time: np.ndarray, rows: np.ndarray, missing: float) -> float:
     if len(spacing) < 20 or len(between) < 20:
         return 0.0
     row = float(np.median(between))
-    usual = row / max(1.0 - missing, 1e-9)
-    within = np.abs(spacing - usual) <= 1.05 * row
-    even = (np.mean(~within) <= NOTE_SHARE
-            and abs(float(spacing[within].mean()) / usual - 1.0) <= SPACING_TOLERANCE)
-    return 1.0 / usual if usual >= MIN_ROWS_PER_SAMPLE * row and even else 0.0
+    expected = row / max(1.0 - missing, 1e-9)
+    within = np.abs(spacing - expected) <= 1.05 * row
+    is_even = (np.mean(~within) <= NOTE_SHARE
+               and abs(float(spacing[within].mean()) / expected - 1.0) <= SPACING_TOLERANCE)
+    return 1.0 / expected if expected >= MIN_ROWS_PER_SAMPLE * row and is_even else 0.0
 
 
 def _check_stamps(signal: str, stamps: np.ndarray) -> list[Finding]:
@@ -214,12 +214,12 @@ def _check_held(name: str, time: np.ndarray, values: np.ndarray) -> list[Finding
     _, lengths = _constant_runs(values)
     if len(lengths) < 20:
         return []
-    usual = float(np.median(lengths))
-    regular = float(lengths[np.abs(lengths - usual) <= max(0.1 * usual, 0.5)].sum() / lengths.sum())
-    if usual < 2.0 or regular < MIN_HELD_SHARE:
+    median = float(np.median(lengths))
+    regular_share = float(lengths[np.abs(lengths - median) <= max(0.1 * median, 0.5)].sum() / lengths.sum())
+    if median < 2.0 or regular_share < MIN_HELD_SHARE:
         return []
-    rate = 1.0 / (usual * float(np.median(np.diff(time))))
-    text = f"{name} changes only at every {usual:g}th sample: it was recorded at {rate:.3g} Hz and held"
+    rate = 1.0 / (median * float(np.median(np.diff(time))))
+    text = f"{name} changes only at every {median:g}th sample: it was recorded at {rate:.3g} Hz and held"
     severity = Severity.WARNING if rate < MIN_HELD_RATE else Severity.NOTE
     return [Finding("samples_repeated", severity, (name,), text, 1.0 - len(lengths) / len(values),
                     advice=Advice("look", f"log {name} at its own rate, or interpolate it before"))]
@@ -261,10 +261,10 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, step: fl
         bias = MAX_GYRO_BIAS if name == "yaw" else 0.0
         change = max(abs(float(rate.mean())) - bias, 0.0) * (end - begin)
         return change > max(3.0 * step, 0.05 if name == "yaw" else 1.0)
-    related, least = RELATED_RATES[name]
+    related, min_change = RELATED_RATES[name]
     rate = related(motion)[inside]
     rounding = 3.0 * step if name in IN_UNIT_OF_RELATED else 0.0
-    return bool(np.percentile(rate, 95) - np.percentile(rate, 5) > max(least, rounding))
+    return bool(np.percentile(rate, 95) - np.percentile(rate, 5) > max(min_change, rounding))
 
 
 def _smooth_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -339,7 +339,7 @@ def check_quality(quality: InsQuality | None, start_ns: int) -> list[Finding]:
         if not bad.any():
             continue
         share = float(bad.mean())
-        text = f"the INS is {words} in {100 * share:.0f} % of the time: its positions wander there"
+        text = f"the INS is {words} in {100 * share:.0f} % of the time: its positions drift there"
         severity = Severity.WARNING if share > NOTE_SHARE else Severity.NOTE
         findings.append(Finding("ins_mode", severity, ("ins",), text, share, where=stretches(bad), advice=Advice(
             "look", "leave these stretches out, or post-process the raw data")))

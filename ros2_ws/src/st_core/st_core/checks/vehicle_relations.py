@@ -7,7 +7,7 @@ in its heading, so at the INS point
     v_y = -a v_x + d r - s v_x^2 r - e d(v_x r)/dt
 
 a: heading reported too far left, d: ahead of the rear axle, s: slip of the rear, e: sideways shift of the point as the
-body rolls, per lateral acceleration; slip that builds up late acts like it.
+body rolls, per lateral acceleration; slip that builds up late has the same influence.
 """
 
 from dataclasses import replace
@@ -73,8 +73,9 @@ def _steering_gain(motion: Motion, derived: np.ndarray) -> Estimate | None:
     angle = motion.steering_at_ins()
     known = np.flatnonzero(np.isfinite(derived) & np.isfinite(angle))[::10]
     size = float(np.sqrt(np.mean(derived[known] ** 2))) if len(known) >= 50 else 0.0
-    if size < MIN_STEERING_ANGLE and not (size > MIN_ANGLE_FOR_SIGN and float(np.std(angle[known])) > 0.0
-                                   and np.corrcoef(derived[known], angle[known])[0, 1] < MAX_OPPOSITE_CORRELATION):
+    shows_sign = size > MIN_ANGLE_FOR_SIGN and float(np.std(angle[known])) > 0.0 and (
+        np.corrcoef(derived[known], angle[known])[0, 1] < MAX_OPPOSITE_CORRELATION)
+    if size < MIN_STEERING_ANGLE and not shows_sign:
         return None
     problem = Regression(motion.time[known], angle[known, None], {"scale": derived[known, None]})
     return problem.estimates(("scale",))["scale"]
@@ -140,7 +141,7 @@ def _lag_finding(late: Estimate, found: Agreement, speed: float, vehicle: Vehicl
     missed = abs(late.value) * float(np.std(found.derived)) * np.sqrt(2.0)
     effect = _lateral_shift(missed / HORIZON * 2.0, speed, vehicle)
     text = (f"the steering {'lags' if late.value > 0.0 else 'leads'} the car's motion by {format_magnitude(late)} s"
-            f"{alternatives}, the car's own response allowed for")
+            f"{alternatives}, beyond the car's own response")
     advice = Advice.correct("road_wheel_angle", earlier=float(f"{late.value:.3g}"))
     return Finding("steering_lag", _at_most_warning(effect), ("road_wheel_angle",), text, late.value, "s",
                    late.interval, (), effect, replace(advice, line=f"{advice.line}  # or --steering-latency"))
@@ -198,7 +199,7 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> Comparison:
     findings = [finding for finding in (_heading_finding(heading, forward), _point_finding(point, motion, vehicle))
                 if finding]
     motion_of_axle = sum(found[name].value * problem.columns[name][:, 0] for name in ("slip", "roll"))
-    panel = Identity("velocity_y", "lateral velocity: measured against that of a rear axle that follows", "m/s",
+    panel = Identity("velocity_y", "lateral velocity: measured against that derived from the rear axle", "m/s",
                      "velocity_y", "rear axle at the declared distance", over.time[use], lateral,
                      declared * rate + motion_of_axle,
                      ("heading_misaligned", "measuring_point"))
@@ -274,10 +275,10 @@ def check_standstill(motion: Motion) -> list[Finding]:
     distance = np.hypot(over.change(motion.x), over.change(motion.y))
     still = (distance < 0.02) & (np.abs(over.change(motion.yaw)) < 0.002)
     findings = []
-    for name, values, unit, least in (("velocity_x", motion.velocity_x, "m/s", 0.1),
-                                      ("yaw_rate", motion.yaw_rate, "rad/s", 0.01)):
+    for name, values, unit, minimum in (("velocity_x", motion.velocity_x, "m/s", 0.1),
+                                        ("yaw_rate", motion.yaw_rate, "rad/s", 0.01)):
         inside = over.mean(motion.time, values)[still]
-        if len(inside) >= 2 and abs(np.median(inside)) >= least:
+        if len(inside) >= 2 and abs(np.median(inside)) >= minimum:
             value = float(np.median(inside))
             text = f"{name} is {value:.3g} {unit} while position and yaw are constant"
             where = tuple((float(t), float(t) + 2.0) for t in over.time[still][:20])

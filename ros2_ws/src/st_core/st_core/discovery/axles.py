@@ -31,7 +31,7 @@ class Axles:
     of sets that are hardly worse; the band extends to their curves. Raises StCoreError for a base model without tyres,
     or drives without slip."""
 
-    def __init__(self, problem: Problem, fit: Fit, everything: Joint | None, runs: Sequence[DriveLog],
+    def __init__(self, problem: Problem, fit: Fit, joint: Joint | None, runs: Sequence[DriveLog],
                  vehicle: VehicleParameters, unexplained: float, near: Sequence[np.ndarray] = ()):
         if problem.space.model.base.axles is None:
             raise StCoreError(f"{problem.space.model.base.name}: this model has no axle forces")
@@ -39,13 +39,13 @@ class Axles:
         self.model = problem.space.at(fit.vector)
         self.sideslip = "velocity_y" in problem.errors.windows.settings.channels
         self.regressions = self._regressions()
-        self.near = valid_models([problem.space.at(vector) for vector in near], vehicle) if everything else []
+        self.near = valid_models([problem.space.at(vector) for vector in near], vehicle) if joint else []
         self.draws: list[AugmentedModel] = []
-        if everything is not None:
-            inside = everything.indices < len(problem.space) - 1  # the last number is the gain of the accelerometer
-            indices = everything.indices[inside]
+        if joint is not None:
+            inside = joint.indices < len(problem.space) - 1  # the last number is the gain of the accelerometer
+            indices = joint.indices[inside]
             covariance, scale = np.zeros((len(self.model.vector),) * 2), problem.space.scale[indices]
-            covariance[np.ix_(indices, indices)] = everything.covariance[np.ix_(inside, inside)] * np.outer(
+            covariance[np.ix_(indices, indices)] = joint.covariance[np.ix_(inside, inside)] * np.outer(
                 scale, scale) * max(unexplained, 1.0) ** 2
             model_error = np.array([p.model_error for _, p in self.model.free])[indices]
             covariance[indices, indices] += np.square(model_error)
@@ -92,7 +92,7 @@ class Axles:
         return found
 
     def acting(self, axle: str, names: Sequence[str]) -> tuple[str, ...]:
-        """Those of the effects that change the force of an axle at the driven slip."""
+        """The effects, of those named, that change the force of an axle at the driven slip."""
         slip = next(np.quantile(np.abs(one.samples.slip), (0.5, 0.95)) for one in self.regressions if one.axle == axle)
         force = axle_force(self.model, self.vehicle, axle, slip)
         acting = []

@@ -41,7 +41,7 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
 
     vehicle: the lengths; its lever arm does not enter. Raises IdentificationError for too little excitation.
     """
-    logs, noticed = prepare_drives(logs, vehicle, "velocity_y")
+    logs, notes = prepare_drives(logs, vehicle, "velocity_y")
     runs = [run_samples(log, vehicle) for log in logs]
     masks = [(run.velocity_x >= MINIMUM_SPEED) & (run.velocity_x <= MAXIMUM_SPEED)
              & (np.abs(run.velocity_x * run.yaw_rate) <= MAXIMUM_ACCELERATION) for run in runs]
@@ -52,31 +52,30 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
     require_coverage(covered, "Drive slowly (2 to 8 m/s): straight on, and bends to both sides.")
     columns = [_columns(run, mask, vehicle) for run, mask in kept]
     run_of = np.concatenate([np.full(len(c), i) for i, c in enumerate(columns)])
-    time, speed, across, rate, rate_dot, angle = np.concatenate(columns).T
+    time, speed, lateral, rate, rate_dot, angle = np.concatenate(columns).T
     group = blocks(run_of, time)
     used = tuple(run.name for run, c in zip(runs, columns, strict=True) if len(c))
 
     regressors = np.stack([speed, rate, speed**2 * rate, speed * rate_dot], axis=1)
-    theta, spread, _ = group.regression(regressors, across)
+    theta, spread, _ = group.regression(regressors, lateral)
     estimates = [_estimate("cg_to_ins_x", theta[1] - vehicle.cg_to_rear_axle, spread, 1, 1.0, "m", used,
                            f"{theta[1]:.3f} m ahead of the rear axle", 0.1),
                  _estimate(MISALIGNMENT, -theta[0], spread, 0, 1.0, "rad", used,
                            f"{np.rad2deg(-theta[0]):+.2f} deg, reported heading against the car's axis", 0.005)]
     correlation = correlation_of(spread.covariance[np.ix_([1, 0], [1, 0])] * np.array([[1, -1], [-1, 1]]))
-    together = correlation_of(spread.covariance)[1:3, 1:3]
-    warnings = [*noticed, *describe_correlations(["lever arm", "rear slip"], together),
+    with_slip = correlation_of(spread.covariance)[1:3, 1:3]
+    warnings = [*notes, *describe_correlations(["lever arm", "rear slip"], with_slip),
                 _compare_rear_slip(theta[2], spread.covariance[2, 2], vehicle)]
-    across_estimate = _lateral_position(speed, rate, angle, group, vehicle, used)
-    if isinstance(across_estimate, str):
-        warnings.append(across_estimate)
+    lateral_position = _lateral_position(speed, rate, angle, group, vehicle, used)
+    if isinstance(lateral_position, str):
+        warnings.append(lateral_position)
     else:
-        estimates.append(across_estimate)
-        wide = np.eye(3)
-        wide[:2, :2] = correlation
-        correlation = wide
+        estimates.append(lateral_position)
+        correlation = np.pad(correlation, (0, 1))
+        correlation[2, 2] = 1.0
     figure = {"curvature": rate / speed, "speed": speed, "run": run_of, "names": tuple(run.name for run in runs),
-              "slope": across / speed - theta[2] * speed * rate - theta[3] * rate_dot, "theta": theta,
-              "residual": across - regressors @ theta}
+              "slope": lateral / speed - theta[2] * speed * rate - theta[3] * rate_dot, "theta": theta,
+              "residual": lateral - regressors @ theta}
     rejected = tuple((run.name, f"{len(run) - int(mask.sum())} of {len(run)} samples outside {MINIMUM_SPEED:g} to "
                       f"{MAXIMUM_SPEED:g} m/s or beyond {MAXIMUM_ACCELERATION:g} m/s^2")
                      for run, mask in kept if not mask.all())
@@ -116,15 +115,15 @@ def _lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.ndarray, gr
 
 
 def _estimate(name: str, value: float, spread: Spread, index: int, factor: float, unit: str,
-              used: tuple[str, ...], words: str, acceptable: float) -> Estimate:
+              used: tuple[str, ...], description: str, max_uncertainty: float) -> Estimate:
     uncertainty = float(abs(factor) * spread.deviations[index])
-    found: Status = "identified" if uncertainty < acceptable else (
-        "doubtful" if uncertainty < 5.0 * acceptable else "unidentifiable")
-    head = {"identified": "", "doubtful": "Poorly determined: ", "unidentifiable": "Not identifiable: "}[found]
+    status: Status = "identified" if uncertainty < max_uncertainty else (
+        "doubtful" if uncertainty < 5.0 * max_uncertainty else "unidentifiable")
+    prefix = {"identified": "", "doubtful": "Poorly determined: ", "unidentifiable": "Not identifiable: "}[status]
     return Estimate(name, float(value), unit, uncertainty,
                     spread.interval(index, value, uncertainty), "lateral velocity of slow driving"
                     if name != "cg_to_ins_y" else "steering against curvature in tight bends", used,
-                    f"{head}{words}, +/- {uncertainty:.2g} {unit}, from {spread.basis[index]}.", found)
+                    f"{prefix}{description}, +/- {uncertainty:.2g} {unit}, from {spread.basis[index]}.", status)
 
 
 def _compare_rear_slip(slip: float, variance: float, vehicle: VehicleParameters) -> str:

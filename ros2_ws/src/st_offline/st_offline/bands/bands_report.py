@@ -29,9 +29,9 @@ def band_figures(content: dict[str, Any] | None, output: FigureOutput) -> list[D
     if not models:
         return []
     top = _top_level(content)
-    stated = [(abs(one["coverage"][top] - float(top)), f"{100 * one['coverage'][top]:.0f} %, {model}, {mode}")
-              for model, modes in models.items() for mode, one in modes.items() if one["coverage"].get(top)]
-    worst = max(stated)[1] if stated else "not stated"
+    deviations = [(abs(one["coverage"][top] - float(top)), f"{100 * one['coverage'][top]:.0f} %, {model}, {mode}")
+                  for model, modes in models.items() for mode, one in modes.items() if one["coverage"].get(top)]
+    worst = max(deviations)[1] if deviations else "not known"
     with style():
         figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 4.2), sharey=True)
         for axes, (mode, title) in zip(panels, MODE_TITLES.items(), strict=True):
@@ -40,14 +40,14 @@ def band_figures(content: dict[str, Any] | None, output: FigureOutput) -> list[D
                 points = {float(level): s for level, s in modes[mode]["reliability"].items() if s is not None}
                 axes.plot([100 * level for level in points], [100 * share for share in points.values()], marker="o",
                           ms=3, color=MODEL_COLOUR.get(model, TEXT), ls=MODEL_LINE.get(model, "solid"))
-            axes.set(title=title, xlabel="stated, %", xlim=(0, 100), ylim=(0, 100))
+            axes.set(title=title, xlabel="nominal coverage, %", xlim=(0, 100), ylim=(0, 100))
         panels[0].set_ylabel("whole paths inside, %")
         handles = [Line2D([], [], color=MODEL_COLOUR.get(m, TEXT), ls=MODEL_LINE.get(m, "solid"), label=m)
                    for m in models]
         figure.legend(handles=handles, loc="outside lower left", ncols=6)
         return [finish(figure, output, "bands_reliability",
                        f"Reliability of the bands; farthest from {_percent(top)}: {worst}",
-                       "Grey: as stated. Below it the band covers less than stated.")]
+                       "Grey: coverage equal to the nominal one. Below it the band covers less.")]
 
 
 NO_BANDS = ("[dim]bands: none given; `st calibrate RUN… --vehicle FILE --output bands.yaml` makes them from "

@@ -83,8 +83,8 @@ def model_file(found: Discovery, request: Request, update: VehicleUpdate) -> Mod
     note = f"st discover, outcome {found.outcome}, from {request.base}{companion}"
     about = Provenance(f"{datetime.now(UTC):%Y-%m-%d}", data=files, note=note)
     stated = {e.name: e.parameters for e in found.effects}
-    whole = ModelFile.of(update.model, update.vehicle, about, intervals, "st discover: found in the runs")
-    learnt = "st discover: the healthy car's, from the reference drives" if request.healthy else "part of the base"
+    complete = ModelFile.of(update.model, update.vehicle, about, intervals, "st discover: found in the runs")
+    from_start = "st discover: the healthy car's, from the reference drives" if request.healthy else "part of the base"
     minor = {r.subject: r.text for r in found.reasons if r.rule == MINOR}
     kept = {}
     for effect in update.model.effects:
@@ -95,16 +95,16 @@ def model_file(found: Discovery, request: Request, update: VehicleUpdate) -> Mod
             not all(p.interval[0] <= values[key] <= p.interval[1] for key, p in stated[name].items())
             if name in stated else name not in minor and values != found.named.values.get(name))
         if name in stated and not effective:
-            kept[name] = whole.effects[name]
+            kept[name] = complete.effects[name]
             continue
         source = ("st discover: effective correction" if effective else
-                  f"st discover: not named: {minor[name]}" if name in minor else learnt)
-        kept[name] = {p.name: replace(whole.effects[name][p.name], source=source, effective=effective,
-                                      interval=None if effective else whole.effects[name][p.name].interval)
-                      if p.fit else whole.effects[name][p.name] for p in effect.parameters}
+                  f"st discover: not named: {minor[name]}" if name in minor else from_start)
+        kept[name] = {p.name: replace(complete.effects[name][p.name], source=source, effective=effective,
+                                      interval=None if effective else complete.effects[name][p.name].interval)
+                      if p.fit else complete.effects[name][p.name] for p in effect.parameters}
     if not kept:
         return None
-    return ModelFile(whole.base, kept, whole.vehicle, whole.vehicle_name, whole.vehicle_hash, about)
+    return ModelFile(complete.base, kept, complete.vehicle, complete.vehicle_name, complete.vehicle_hash, about)
 
 
 def write_page(file: Path, found: Discovery, update: VehicleUpdate | None, content: dict[str, Any],
@@ -155,7 +155,7 @@ def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Tabl
               "noise.", ("part", "last", "first", "loss, last", "loss, first"), parts),
         Table("Where the base model has the largest errors", "", ("error of", "where", f"times {expected} (95 %)"),
               where),
-        Table("What acts together", "Predictions depend on these. A single effect has another interval: it also "
+        Table("Identifiable combinations", "Predictions depend on these. A single effect has another interval: it also "
               "depends on the deviations of the vehicle file. Cornering stiffness: secant at "
               f"{math.degrees(SMALL_SLIP):.1f}° of slip. Stability factor: road-wheel angle = wheelbase / radius "
               "(1 + K v²). Yaw gain: yaw rate per steering-wheel angle.",

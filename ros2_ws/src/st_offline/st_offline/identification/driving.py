@@ -261,7 +261,7 @@ def stiffness(logs: Sequence[DriveLog], vehicle, base: Model) -> Identification:
 
 
 DRIVING = (
-    experiment("steering-offset", "offset of the steering wheel sensor, two ways", "straight on, above 5 m/s",
+    experiment("steering-offset", "offset of the steering wheel sensor, by two methods", "straight on, above 5 m/s",
                identify_steering_offset, draw_offset),
     experiment("steering", "steering ratio and offset, without turntables", "bends and straights at several speeds",
                identify_steering, draw_prediction, predicts=True),

@@ -53,7 +53,7 @@ def recording_check(bag: BagWriter, stopped: str = "", resumed: bool = False) ->
         # Recording continues: most data may still reach the disk, and a new bag would be on the same one.
         level, text = diagnostics.ERROR, (f"writing to the disk failed: {bag.syncer.error} ({bag.path}); recorded data "
                                           "may be missing: use another disk")
-    elif bag.syncer and (delay := bag.syncer.behind) > MAX_SYNC_DELAY:
+    elif bag.syncer and (delay := bag.syncer.delay) > MAX_SYNC_DELAY:
         level, text = diagnostics.WARN, (f"the disk is slow: a power failure would lose the last {delay:.1f} s "
                                          f"({bag.path.parent})")
     return Check("recording", level, text, values)

@@ -64,23 +64,23 @@ def with_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]
     definitions: of the recording (bag_storage.Storage.definitions). A definition that cannot be parsed is ignored: the
     type is then that of the store, or unknown.
     """
-    own: dict[str, Any] = {}
+    recorded: dict[str, Any] = {}
     for name in types:
         encoding, text = definitions.get(name, ("", ""))
         try:
             if text:
-                own |= get_types_from_idl(text) if encoding == "ros2idl" else get_types_from_msg(text, name)
+                recorded |= get_types_from_idl(text) if encoding == "ros2idl" else get_types_from_msg(text, name)
         except Exception:  # rosbags raises whatever its parser raises
             continue
     if all(name in store.fielddefs and _normalised(store.fielddefs[name][1]) == _normalised(fields)
-           for name, (_, fields) in own.items()):
+           for name, (_, fields) in recorded.items()):
         return store
-    mixed = get_typestore(Stores.EMPTY)
+    merged = get_typestore(Stores.EMPTY)
     try:
-        mixed.register({**store.fielddefs, **own})
+        merged.register({**store.fielddefs, **recorded})
     except Exception:  # as above: a definition that contradicts itself
         return store
-    return mixed
+    return merged
 
 
 def _normalised(fields: Any) -> list[tuple[str, Any]]:
@@ -220,8 +220,8 @@ def summary_of(path: Path) -> Summary | None:
     indexed = set().union(*(chunk.message_index_offsets for chunk in summary.chunk_indexes))
     known = all(number in summary.channels for number, count in counts.items() if count)
     named = all(c.schema_id in summary.schemas or not c.schema_id for c in summary.channels.values())
-    whole = known and named and indexed >= {number for number, count in counts.items() if count}
-    return summary if whole and sum(counts.values()) == summary.statistics.message_count else None
+    is_complete = known and named and indexed >= {number for number, count in counts.items() if count}
+    return summary if is_complete and sum(counts.values()) == summary.statistics.message_count else None
 
 
 def blocks(path: Path, summary: Summary, channels: Collection[int]) -> Iterator[tuple[int, Block]]:

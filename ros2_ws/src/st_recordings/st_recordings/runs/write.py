@@ -47,7 +47,7 @@ class Imported:
 def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, settings: ReadSettings,
                check: Callable[[LoadedRun], Sequence[Finding]], progress: Callable[[float], None] | None = None
                ) -> Imported:
-    """Reads a run of raw files, has it checked and writes it as a bag.
+    """Reads and checks a run of raw files and writes it as a bag.
 
     vehicle: for the road wheel angle. directory: of the new bag. check: returns the findings on a drive; raises
     RunError for one that must not be written. progress: called with the share done, 0 to 1. Raises RunError for a run
