@@ -42,7 +42,7 @@ def screened(problem, seed: int = 0):
 
 def chances(problem) -> dict[str, float]:
     _, scores = screened(problem)
-    return {e: library_p_value(scores.own[e], gain, scores, len(FEW)) for e, (gain, _) in scores.gains.items()}
+    return {e: library_p_value(scores.by_effect[e], gain, scores, len(FEW)) for e, (gain, _) in scores.gains.items()}
 
 
 # Chance
@@ -67,8 +67,8 @@ def test_effect_of_few_blocks_is_found_by_the_ratio():
     problem.errors.noise[few] += 3.0 * problem.errors.signatures[mass][few]
     _, scores = screened(problem)
     gain, _ = scores.gains["mass"]
-    assert (scores.largest >= statistic(scores.own["mass"])).mean() > 0.01
-    assert library_p_value(scores.own["mass"], gain, scores, len(FEW)) <= 0.01
+    assert (scores.largest >= statistic(scores.by_effect["mass"])).mean() > 0.01
+    assert library_p_value(scores.by_effect["mass"], gain, scores, len(FEW)) <= 0.01
 
 
 def test_statistic_is_the_square_of_the_sum_over_the_sum_of_squares():
@@ -99,7 +99,7 @@ def test_screen_leaves_out_what_is_there_and_is_the_same_twice():
     problem = linear_problem(FEW, {"mass": 1.0}, 2)
     fit = fitted(problem, "mass")
     first, second = (screen(problem, fit, np.random.default_rng(0)) for _ in range(2))
-    assert "mass" not in first.own and set(first.own) == set(FEW) - {"mass"}
+    assert "mass" not in first.by_effect and set(first.by_effect) == set(FEW) - {"mass"}
     np.testing.assert_array_equal(first.largest, second.largest)
 
 

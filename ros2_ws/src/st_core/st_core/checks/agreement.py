@@ -48,11 +48,11 @@ class Agreement:
 
 
 def agreement(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, measured: np.ndarray, cutoff: float,
-              derived_is_angle: bool = False, biased: bool = True, usual: float = 0.0) -> Agreement | None:
+              derived_is_angle: bool = False, biased: bool = True, expected_lag: float = 0.0) -> Agreement | None:
     """Agreement of two estimates of a quantity; None where they share less than MIN_COMMON_TIME or are constant.
 
     time, measured_time: rising [s]; values NaN where unknown. cutoff [Hz]: of the low-pass on both. derived_is_angle:
-    the rate of `derived` is compared. biased: whether a bias is possible. usual: lag of a faultless channel [s].
+    the rate of `derived` is compared. biased: whether a bias is possible. expected_lag: of a faultless channel [s].
     """
     if max(float(np.ptp(t)) if len(t) else 0.0 for t in (time, measured_time)) > MAX_SPAN:
         return None
@@ -80,7 +80,7 @@ def agreement(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, 
     neighbours = solution.offset - LAG_TEST_SHIFT, solution.offset + LAG_TEST_SHIFT
     return Agreement(lag, scale, bias, correlation, float(np.std(x)), at, y, x,
                      tuple(-alternative.offset for alternative in others),
-                     _fits_worse(pair, -usual, solution.offset, cutoff), _correlation(pair, 0.0),
+                     _fits_worse(pair, -expected_lag, solution.offset, cutoff), _correlation(pair, 0.0),
                      all(_fits_worse(pair, offset, solution.offset, cutoff) for offset in neighbours))
 
 
@@ -88,8 +88,8 @@ def _fits_worse(pair: Pair, offset: float, best: float, cutoff: float) -> bool:
     """Whether an offset leaves a significantly larger residual than the best one (F test, 95 %)."""
     if abs(offset - best) < 1e-6:
         return False
-    (least, residual), common = _residual_shares(pair, [best, offset])
-    return residual > _f_limit(common, cutoff, LAG_TEST_LEVEL) * least
+    (smallest, residual), common = _residual_shares(pair, [best, offset])
+    return residual > _f_limit(common, cutoff, LAG_TEST_LEVEL) * smallest
 
 
 def _correlation(pair: Pair, offset: float) -> float:

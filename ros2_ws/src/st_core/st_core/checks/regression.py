@@ -126,8 +126,8 @@ class Regression:
         if len(column) < count:
             return float(np.sqrt(np.square(value * column).sum(axis=1).mean())) * count
         sums = np.cumsum(np.vstack([np.zeros((1, column.shape[1])), column]), axis=0)
-        moved = value * (sums[count:] - sums[:-count])
-        return float(np.sqrt(np.square(moved).sum(axis=1).mean()))
+        change = value * (sums[count:] - sums[:-count])
+        return float(np.sqrt(np.square(change).sum(axis=1).mean()))
 
     def causes(self, candidates: Mapping[str, float], always: Sequence[str] = (),
                alongside: Sequence[str] = ()) -> dict[str, Estimate]:
@@ -160,6 +160,6 @@ def with_systematic(name: str, estimate: Estimate) -> Estimate:
     return estimate.widened(half * abs(estimate.value) if kind in ("scale", "sign") else half)
 
 
-def is_relevant(estimate: Estimate, least: float) -> bool:
+def is_relevant(estimate: Estimate, minimum: float) -> bool:
     """Whether an estimate is significant and reaches the smallest value that is reported."""
-    return estimate.significant and abs(estimate.value) >= least
+    return estimate.significant and abs(estimate.value) >= minimum

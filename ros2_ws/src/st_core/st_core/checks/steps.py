@@ -79,23 +79,23 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
     if large.sum() < MIN_STALE_SAMPLES or np.median(across[large]) > MAX_CROSS_TRACK_SHARE * np.median(
             np.abs(errors[large])):
         return none, []
-    usual = float(np.median(np.abs(age[large])))
-    similar = ROBUST * float(np.median(np.abs(np.abs(age[large]) - usual))) < MAX_AGE_SPREAD * usual
-    back, forward = known & (age < -0.5 * usual), known & (age > 0.5 * usual)
+    delay = float(np.median(np.abs(age[large])))
+    similar = ROBUST * float(np.median(np.abs(np.abs(age[large]) - delay))) < MAX_AGE_SPREAD * delay
+    back, forward = known & (age < -0.5 * delay), known & (age > 0.5 * delay)
     balanced = MIN_STEP_BALANCE < forward.sum() / max(back.sum(), 1) < 1.0 / MIN_STEP_BALANCE
-    if not similar or not balanced or usual > 1.2 * spacing or float(np.median(np.abs(errors[large]))) < 3.0 * rounding:
+    if not similar or not balanced or delay > 1.2 * spacing or float(np.median(np.abs(errors[large]))) < 3.0 * rounding:
         return none, []
     share = float(back.sum() / known.sum())
     trials = max(round(float(known.sum()) * spacing), 1)  # errors of neighbouring samples are not independent
     ends = binomtest(round(share * trials), trials).proportion_ci(method="wilson")
     interval = min(float(ends.low), share), max(float(ends.high), share)
-    text = (f"at {100 * share:.3g} % of the rows the position falls back to one measured {usual * 1e3:.0f} ms earlier, "
+    text = (f"at {100 * share:.3g} % of the rows the position falls back to one measured {delay * 1e3:.0f} ms earlier, "
             "and catches up later: in between it is stale by one sample of the receiver")
     severity = Severity.WARNING if share > WARNING_STALE_SHARE else Severity.NOTE
-    stale = (back | forward) & (np.abs(age) < 1.6 * usual) & (across < MAX_CROSS_TRACK_SHARE * np.abs(errors))
+    stale = (back | forward) & (np.abs(age) < 1.6 * delay) & (across < MAX_CROSS_TRACK_SHARE * np.abs(errors))
     return stale, [Finding(
         "position_stale", severity, ("x", "y"), text, share, "1", interval, stretches(motion.time[1:][back], 5.0)[:20],
-        usual * float(np.median(speed[known])),
+        delay * float(np.median(speed[known])),
         Advice("look", "stamp positions with their own time, or leave out rows with an old one"))]
 
 
@@ -147,14 +147,14 @@ def _check_noise(motion: Motion, errors: np.ndarray) -> list[Finding]:
 def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
     """Finding of uneven stamps of a smooth motion: d / v = -(dt - its mean)."""
     spacing = np.diff(motion.time)
-    usual = float(np.median(spacing))
+    median = float(np.median(spacing))
     inside = (spacing < MAX_GAP) & np.isfinite(along)
     if inside.sum() < 50:
         return []
-    uneven = (spacing - usual)[inside]
+    uneven = (spacing - median)[inside]
     power = float(np.sum(uneven**2))
     deviation = float(np.std(uneven))
-    if deviation < 0.05 * usual or power <= 0.0:
+    if deviation < 0.05 * median or power <= 0.0:
         return []
     slope = float(np.sum(along[inside] * -uneven) / power)
     effect = deviation * float(np.median(motion.speed[1:][inside]))

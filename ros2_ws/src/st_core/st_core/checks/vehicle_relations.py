@@ -40,7 +40,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, hand_wheel: bool)
     derived = np.arctan(vehicle.wheelbase * curvature)
     speed = float(np.median(motion.velocity_x[moving])) if moving.any() else MIN_SPEED
     response = response_time(vehicle, speed)
-    found = agreement(motion.time, derived, motion.steering_time, motion.steering, CUTOFF, usual=-response)
+    found = agreement(motion.time, derived, motion.steering_time, motion.steering, CUTOFF, expected_lag=-response)
     gain = _steering_gain(motion, derived)
     understeer = _understeer_factor(motion.velocity_x, derived, vehicle)
     if found is None or abs(found.correlation) < LIMITS.correlation:

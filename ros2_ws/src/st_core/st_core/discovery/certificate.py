@@ -110,17 +110,17 @@ def _found(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, slo
     simulated = signs[problem.block][:, None] * rows + change
     q = problem.loss.quadratic(simulated, slopes).summed(problem.block, problem.blocks)
     base = _held_out(problem, q, fit.names, fit.vector)
-    gains, own, information = {}, {}, {}
+    gains, by_effect, information = {}, {}, {}
     for effect in problem.space.hypotheses:
         names = fit.names
         if problem.space.overlaps(effect, names):
             names = tuple(n for n in names if not problem.space.overlaps(effect, (n,)))
-        own[effect], information[effect] = score(q, problem, names, effect)
+        by_effect[effect], information[effect] = score(q, problem, names, effect)
         gains[effect] = (_held_out(problem, q, names, fit.vector) if names != fit.names else base
                          ) - _held_out(problem, q, (*names, effect), fit.vector)
     best = max(gains, key=lambda e: gains[e].sum())
-    scores = make_scores(q, own, information, {}, rng, FLIPS // 4)
-    p_value = library_p_value(own[best], gains[best], scores, len(own))
+    scores = make_scores(q, by_effect, information, {}, rng, FLIPS // 4)
+    p_value = library_p_value(by_effect[best], gains[best], scores, len(by_effect))
     if p_value > limits.false_alarm or gains[best].sum() / problem.scored_count < required:
         return []
     return [e for e in gains if gains[e].sum() > (1.0 - limits.undecided_p) * gains[best].sum()

@@ -413,11 +413,11 @@ class _Work:
             elif name in rivals:
                 rival = rivals[name]
                 verdict, gain, values = decision.alternative(rival, self.limits), rival.evidence.gain, rival.values
-            elif name in found.scores.own:
+            elif name in found.scores.by_effect:
                 gains, vector = found.scores.gains[name]
                 values = space.values(name, vector)
                 gain = float(gains.sum()) / problem.scored_count
-                p_value = library_p_value(found.scores.own[name], gains, found.scores, len(space.hypotheses))
+                p_value = library_p_value(found.scores.by_effect[name], gains, found.scores, len(space.hypotheses))
                 verdict = decision.judge(Evidence(name, gain, p_value), self.limits)
                 if verdict.rule == decision.STATED:
                     verdict = Reason("explains less", name, {"gain": gain},

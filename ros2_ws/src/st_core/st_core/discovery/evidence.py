@@ -92,12 +92,12 @@ def share_of(gain: float) -> float:
 class Scores:
     """Efficient scores of all effects of the library that are not in a fit.
 
-    own: (b, k) by effect. largest: (FLIPS,) largest statistic of the library under random signs of the blocks.
+    by_effect: (b, k) each. largest: (FLIPS,) largest statistic of the library under random signs of the blocks.
     design_effect [1]: factor by which dependent windows increase the variance of a score (median of the library).
     gains: by effect, (b,) gain by the quadratic approximation, and the vector at its optimum.
     """
 
-    own: Mapping[str, np.ndarray]
+    by_effect: Mapping[str, np.ndarray]
     largest: np.ndarray
     design_effect: float
     gains: Mapping[str, tuple[np.ndarray, np.ndarray]]
@@ -118,44 +118,45 @@ def score(q: Quadratic, problem: Problem, names: tuple[str, ...], effect: str,
     return gradient[:, new] - gradient[:, indices] @ cross, np.maximum(information, 0.0)
 
 
-def statistic(own: np.ndarray) -> float:
+def statistic(scores: np.ndarray) -> float:
     """Score statistic s' (sum of s_b s_b')^-1 s with s = sum of s_b, of the scores (b, k) of the blocks."""
-    total = own.sum(axis=0)
-    return float(total @ np.linalg.pinv(own.T @ own) @ total)
+    total = scores.sum(axis=0)
+    return float(total @ np.linalg.pinv(scores.T @ scores) @ total)
 
 
 def screen(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
     """Scores of every effect of the library that is not in the fit, by the slopes about it."""
     q = problem.quadratic_of_all(fit.vector).summed(problem.block, problem.blocks)
-    own, information, gains = {}, {}, {}
+    by_effect, information, gains = {}, {}, {}
     base = problem.leave_out(q.only(fit.indices), fit.names, fit.vector, fit.indices, problem.fold)[1]
     for effect in problem.space.hypotheses:
         if problem.space.overlaps(effect, fit.names):
             continue
         names = (*fit.names, effect)
-        own[effect], information[effect] = score(q, problem, fit.names, effect, problem.prior_gradient(fit.vector))
+        by_effect[effect], information[effect] = score(q, problem, fit.names, effect,
+                                                       problem.prior_gradient(fit.vector))
         indices = problem.free_indices(names)
         part = q.only(indices)
         held_out = problem.leave_out(part, names, fit.vector, indices, problem.fold)[1]
         step = problem.solve(part, names, fit.vector, indices)
         gains[effect] = base - held_out, problem.moved(fit.vector, indices, step)
-    return make_scores(q, own, information, gains, rng, FLIPS)
+    return make_scores(q, by_effect, information, gains, rng, FLIPS)
 
 
-def make_scores(q: Quadratic, own: Mapping[str, np.ndarray], information: Mapping[str, np.ndarray],
+def make_scores(q: Quadratic, by_effect: Mapping[str, np.ndarray], information: Mapping[str, np.ndarray],
                 gains: Mapping[str, tuple[np.ndarray, np.ndarray]], rng: np.random.Generator, draws: int) -> Scores:
     """`Scores` from those of each effect and their information. q: by block, of all parameters. draws: random signs."""
     signs, largest, ratios = rng.choice([-1.0, 1.0], (draws, len(q.cost))), np.zeros(draws), []
     min_information = 1e-9 * max(float(np.trace(q.hessian.sum(axis=0))), 1e-30)
-    for effect, s in own.items():
+    for effect, s in by_effect.items():
         known = information[effect] > min_information
         ratios += list(2.0 * np.square(s).sum(axis=0)[known] / information[effect][known])
         drawn = signs @ s
         largest = np.maximum(largest, np.einsum("fi,ij,fj->f", drawn, np.linalg.pinv(s.T @ s), drawn))
-    return Scores(own, largest, max(float(np.median(ratios)) if ratios else 1.0, 1.0), gains)
+    return Scores(by_effect, largest, max(float(np.median(ratios)) if ratios else 1.0, 1.0), gains)
 
 
-def library_p_value(own: np.ndarray, gain: np.ndarray, scores: Scores, library: int) -> float:
+def library_p_value(best: np.ndarray, gain: np.ndarray, scores: Scores, library: int) -> float:
     """p-value of the gain of the best effect of the library: the smaller one of two tests.
 
     Sign flips: the score exceeds the largest of the library under random signs of the blocks, and the gain is positive
@@ -163,10 +164,10 @@ def library_p_value(own: np.ndarray, gain: np.ndarray, scores: Scores, library: 
     needed for effects that act in a few blocks only. The design effect is estimated from the blocks, hence Fisher's F
     instead of chi-square.
     """
-    blocks, values = own.shape
+    blocks, values = best.shape
     if blocks < 2:
         return 1.0
-    p_score = (1 + int((scores.largest >= statistic(own)).sum())) / (1 + len(scores.largest))
+    p_score = (1 + int((scores.largest >= statistic(best)).sum())) / (1 + len(scores.largest))
     spread = float(gain.std(ddof=1)) * np.sqrt(len(gain)) if len(gain) > 1 else np.inf
     p_gain = float(stats.norm.sf(gain.sum() / max(spread, 1e-12)))
     ratio = 2.0 * max(float(gain.sum()), 0.0) / scores.design_effect
@@ -178,7 +179,7 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
     """Evidence for an effect of `fit`, compared with the fit `without` it. scores: of the library, about `without`.
     sensors: (value, low, high) of parameters from redundant sensors."""
     gain = without.held_out - fit.held_out
-    own = scores.own.get(effect)
+    own = scores.by_effect.get(effect)
     if own is None:
         own = score_of(problem, without, effect, fit.slopes)
     rows, after = problem.held_out_rows(without), problem.held_out_rows(fit)

@@ -32,10 +32,10 @@ def bounded(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> 
         if free.any():
             step[free] = np.linalg.solve(a[np.ix_(free, free)], (b - a @ x)[free])
         with np.errstate(divide="ignore", invalid="ignore"):
-            room = np.where(step > 0, (high - x) / step, np.where(step < 0, (low - x) / step, np.inf))
-        first = int(np.argmin(room))
-        if room[first] < 1.0:
-            x = np.clip(x + max(room[first], 0.0) * step, low, high)
+            share = np.where(step > 0, (high - x) / step, np.where(step < 0, (low - x) / step, np.inf))
+        first = int(np.argmin(share))
+        if share[first] < 1.0:
+            x = np.clip(x + max(share[first], 0.0) * step, low, high)
             x[first], fixed[first] = low[first] if step[first] < 0 else high[first], True
             continue
         x = x + step
@@ -122,7 +122,7 @@ class Problem:
         self.noise = np.zeros(len(self.errors.windows.columns)) if noise is None else noise
         self.block, self.blocks = block, int(block.max()) + 1
         self.fold = np.arange(self.blocks) % min(FOLDS, self.blocks)
-        self._whole: list[Slopes] = []
+        self._cached_slopes: list[Slopes] = []
 
     def set_quantities(self, quantities: Quantities) -> None:
         """Set the quantity of the vehicle file that each parameter changes. Priors of additions to the car, as a load,
@@ -231,13 +231,13 @@ class Problem:
     def stepper(self, names: Iterable[str], vector: np.ndarray,
                 indices: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
         """A function of a Hessian (a, a) and a gradient (a,) that gives the best step (a,) from the vector."""
-        prior, room = self.prior_curvature(names, indices), self.distance_to_bounds(vector, indices)
+        prior, limits = self.prior_curvature(names, indices), self.distance_to_bounds(vector, indices)
         prior_gradient = prior @ self.distance(vector)[indices]
 
         def best_step(h: np.ndarray, g: np.ndarray) -> np.ndarray:
             if not len(indices):
                 return np.zeros(0)
-            return bounded(ridge(h + prior), g - prior_gradient, *room)
+            return bounded(ridge(h + prior), g - prior_gradient, *limits)
         return best_step
 
     def cost(self, names: Iterable[str], vector: np.ndarray, indices: np.ndarray) -> float:
@@ -247,12 +247,12 @@ class Problem:
 
     def slopes_of_all(self, vector: np.ndarray) -> Slopes:
         """Slopes of all parameters: those of a nearby point, updated for the step, or new ones."""
-        for known in reversed(self._whole):
+        for known in reversed(self._cached_slopes):
             if np.abs((vector - known.vector) / self.space.scale).max() < SLOPES_VALID_WITHIN:
                 return self._slopes_at(known, vector, np.zeros(0, int))
         indices = np.arange(len(self.space))
         new = Slopes(vector, indices, self.loss.slopes(vector, indices))
-        self._whole = [*self._whole[-SLOPES_CACHE_SIZE + 1:], new]
+        self._cached_slopes = [*self._cached_slopes[-SLOPES_CACHE_SIZE + 1:], new]
         return new
 
     def quadratic_of_all(self, vector: np.ndarray) -> Quadratic:
@@ -267,9 +267,9 @@ class Problem:
 
     def vector_without(self, fit: Fit, *names: str) -> np.ndarray:
         """The vector of a fit with the effects `names` at the start."""
-        there, own = fit.vector.copy(), self.space.indices(*names)
-        there[own] = self.start[own]
-        return there
+        vector, indices = fit.vector.copy(), self.space.indices(*names)
+        vector[indices] = self.start[indices]
+        return vector
 
     def fit(self, names: Iterable[str], slopes: Slopes, vector: np.ndarray | None = None, fresh: Iterable[str] = (),
             iterations: int = ITERATIONS) -> Fit:
@@ -301,10 +301,10 @@ class Problem:
 
     def refit(self, fit: Fit, iterations: int = 2) -> Fit:
         """The fit, continued with recomputed slopes."""
-        own = np.union1d(self.space.indices(*fit.names), self.space.indices(GAIN))
+        fitted = np.union1d(self.space.indices(*fit.names), self.space.indices(GAIN))
         fresh = Slopes(fit.vector, fit.slopes.indices, fit.slopes.values)
-        if len(own):
-            known = np.intersect1d(own, fit.slopes.indices)
+        if len(fitted):
+            known = np.intersect1d(fitted, fit.slopes.indices)
             fresh = fresh.with_values(known, self.loss.slopes(fit.vector, known))
         return self.fit(fit.names, fresh, iterations=iterations)
 

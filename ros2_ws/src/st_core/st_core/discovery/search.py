@@ -202,7 +202,7 @@ class Search:
         # Significant effects come first: with much noise, others gain more by chance.
         library = len(p.space.hypotheses)
         significant = [e for e in ranked
-                       if library_p_value(found.scores.own[e], gains[e][0], found.scores,
+                       if library_p_value(found.scores.by_effect[e], gains[e][0], found.scores,
                                           library) <= limits.false_alarm]
         contenders = (significant or ranked)[:CONTENDERS]
         contenders += [m for e in contenders for m in get_effect(e).members if m in gains and m not in contenders]

@@ -57,8 +57,8 @@ class HorizonErrors:
         count = np.bincount(self.block[known], minlength=self.problem.blocks)
         sums = [np.bincount(self.block[known], v[known], self.problem.blocks) for v in (before, after)]
         number = np.maximum(self._weights @ count, 1)
-        fall = mean(self._weights @ sums[0] / number) - mean(self._weights @ sums[1] / number)
-        low, high = np.quantile(fall, (0.025, 0.975))
+        reduction = mean(self._weights @ sums[0] / number) - mean(self._weights @ sums[1] / number)
+        low, high = np.quantile(reduction, (0.025, 0.975))
         base, augmented = (float(mean(v[known].mean())) for v in (before, after))
         return Change(base, augmented, (float(low), float(high)), UNITS[channel])
 
@@ -190,9 +190,9 @@ def budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varying: Fit
 
     def fitted(names: tuple[str, ...]) -> Fit:
         """The best of the base and two fits, started at the answer and at the base."""
-        near = problem.refit(problem.fit(names, final.slopes, iterations=3))
-        far = problem.refit(problem.fit(names, problem.slopes_of_all(base.vector), base.vector, names))
-        return min((near, far, base), key=lambda fit: float(fit.held_out.sum()))
+        from_answer = problem.refit(problem.fit(names, final.slopes, iterations=3))
+        from_base = problem.refit(problem.fit(names, problem.slopes_of_all(base.vector), base.vector, names))
+        return min((from_answer, from_base, base), key=lambda fit: float(fit.held_out.sum()))
 
     base = problem.fit_at(base.names, base.vector, base.indices, base.slopes)
     start, end = size(base), size(final)
@@ -208,8 +208,8 @@ def budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varying: Fit
     extended = (corrected if corrected is not final else None, varying)
     for part, fit in zip(PARTS[len(EFFECT_KINDS):], extended, strict=False):
         if fit is not None:
-            better = size(fit)
-            reduction = end[0] - min(better[0], end[0]), end[1] - min(better[1], end[1])
+            extended_size = size(fit)
+            reduction = end[0] - min(extended_size[0], end[0]), end[1] - min(extended_size[1], end[1])
             lines.append(line(part, reduction, reduction))
             end = end[0] - reduction[0], end[1] - reduction[1]
     return [*lines, line(PARTS[-1], end, end)]

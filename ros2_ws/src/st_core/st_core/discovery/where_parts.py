@@ -155,21 +155,21 @@ def excesses(samples: Samples, members: np.ndarray, ranges: tuple[Range, ...], r
     found = []
     expected_members = membership(reference)[1] if reference is not None else None
     for number, (channel, squares) in enumerate(samples.squares.items()):
-        here = _means(squares, samples.block, members, np.random.default_rng((seed, number, 0)), resamples)
+        means = _means(squares, samples.block, members, np.random.default_rng((seed, number, 0)), resamples)
         if reference is None or expected_members is None:
             expected = np.full(len(ranges), noise[channel] ** 2)
             spread, covered = np.zeros(len(ranges)), np.ones(len(ranges), bool)
         else:
-            there = _means(reference.squares[channel], reference.block, expected_members,
+            floor = _means(reference.squares[channel], reference.block, expected_members,
                            np.random.default_rng((seed, number, 1)), resamples)
-            covered = there.blocks >= MIN_BLOCKS
+            covered = floor.blocks >= MIN_BLOCKS
             # Where the reference hardly drove: its largest error anywhere, to avoid false alarms.
-            most = int(np.nanargmax(np.where(covered, there.mean, -1.0)))
-            expected = np.where(covered, there.mean, there.mean[most])
-            spread = np.where(covered, there.deviation, there.deviation[most])
-        for k in np.flatnonzero(here.blocks >= MIN_BLOCKS):
-            found.append(_excess(channel, ranges[k], float(here.mean[k]), float(expected[k]),
-                                 math.hypot(here.deviation[k], spread[k]), int(here.blocks[k]), bool(covered[k])))
+            worst = int(np.nanargmax(np.where(covered, floor.mean, -1.0)))
+            expected = np.where(covered, floor.mean, floor.mean[worst])
+            spread = np.where(covered, floor.deviation, floor.deviation[worst])
+        for k in np.flatnonzero(means.blocks >= MIN_BLOCKS):
+            found.append(_excess(channel, ranges[k], float(means.mean[k]), float(expected[k]),
+                                 math.hypot(means.deviation[k], spread[k]), int(means.blocks[k]), bool(covered[k])))
     return _with_significance(found)
 
 
@@ -254,8 +254,8 @@ def changes(samples: Samples, channel: str, noise: float, block: float, seed: in
             continue
         p = max(q for _, q in edges)
         for a, b in itertools.pairwise(cuts):
-            rest = np.concatenate((values[:a], values[b:]))
-            ratio = math.exp(0.5 * float(values[a:b].mean() - rest.mean()))
+            outside = np.concatenate((values[:a], values[b:]))
+            ratio = math.exp(0.5 * float(values[a:b].mean() - outside.mean()))
             if ratio >= MIN_ERROR_RATIO:
                 parts.append(Part(channel, int(run), float(time[a]), float(time[b - 1] + 1.0), ratio, p))
     return parts

@@ -44,8 +44,8 @@ class CurveFit:
         return np.sqrt(np.diag(self.covariance))
 
     def at_bound(self, index: int) -> bool:
-        near = BOUND_TOLERANCE * (self.upper[index] - self.lower[index])
-        return not self.lower[index] + near < self.values[index] < self.upper[index] - near
+        margin = BOUND_TOLERANCE * (self.upper[index] - self.lower[index])
+        return not self.lower[index] + margin < self.values[index] < self.upper[index] - margin
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,8 @@ def fit_curve(residuals: Residuals, starts: Sequence[Sequence[float]], lower: Se
     n, k = found.jac.shape
     freedom = n - k
     scatter = math.sqrt(2.0 * found.cost / freedom) if freedom > 0 else math.nan
-    near = BOUND_TOLERANCE * (high - low)
-    free = (found.x > low + near) & (found.x < high - near)
+    margin = BOUND_TOLERANCE * (high - low)
+    free = (found.x > low + margin) & (found.x < high - margin)
     covariance = np.zeros((k, k))
     if free.any():
         jacobian = found.jac[:, free]
@@ -95,19 +95,19 @@ def _interval_end(residuals: Residuals, fit: CurveFit, index: int, side: float) 
     threshold = fit.scatter**2 * float(fisher.ppf(0.95, 1, fit.freedom))
     bound = float((fit.upper if side > 0.0 else fit.lower)[index])
     value, spread = float(fit.values[index]), float(fit.deviations[index])
-    room = abs(bound - value)
-    if room <= BOUND_TOLERANCE * float(fit.upper[index] - fit.lower[index]):
+    to_bound = abs(bound - value)
+    if to_bound <= BOUND_TOLERANCE * float(fit.upper[index] - fit.lower[index]):
         return bound, True
-    distance = min(math.sqrt(threshold) / fit.scatter * spread, room) if spread > 0.0 else 0.1 * room
-    least = float(fit.residuals @ fit.residuals)
+    distance = min(math.sqrt(threshold) / fit.scatter * spread, to_bound) if spread > 0.0 else 0.1 * to_bound
+    minimum = float(fit.residuals @ fit.residuals)
     others = np.arange(len(fit.values)) != index
     slope = fit.covariance[others, index] / spread**2 if spread > 0.0 else np.zeros(int(others.sum()))
     start = fit.values[others] + slope * side * distance
     known = (0.0, 0.0)
     for _ in range(MAX_STEPS):
         start, cost = _fit_with_fixed(residuals, fit, index, value + side * distance, start)
-        root = math.sqrt(max(cost - least, 0.0) / threshold)
-        if distance >= room and root < 1.0:
+        root = math.sqrt(max(cost - minimum, 0.0) / threshold)
+        if distance >= to_bound and root < 1.0:
             return bound, True
         if abs(root - 1.0) < END_TOLERANCE or distance == known[0]:
             break
@@ -115,7 +115,7 @@ def _interval_end(residuals: Residuals, fit: CurveFit, index: int, side: float) 
         known = (distance, root)
         step = (1.0 - root) / steepness if steepness > 0.0 else distance
         # Steps are limited: not back past the estimate, and not far beyond it.
-        distance = min(max(distance + step, 0.3 * distance), 4.0 * distance, room)
+        distance = min(max(distance + step, 0.3 * distance), 4.0 * distance, to_bound)
     return value + side * distance, False
 
 

@@ -76,12 +76,12 @@ class RelationSearch:
 
     def not_examined(self) -> list[str]:
         """Model terms whose detection limit exceeds MAX_DETECTABLE usual sizes."""
-        size: dict[str, float] = {}
+        smallest: dict[str, float] = {}
         for name, limit in self.detection_limits.items():
-            term, _, rest = name.partition(" over ")
-            usual = USUAL_SIZES[term] / FACTORS.get(rest.partition(" times ")[2], 1.0)
-            size[term] = min(size.get(term, np.inf), limit / usual)
-        return [term for term, least in size.items() if least > MAX_DETECTABLE]
+            term, _, quantities = name.partition(" over ")
+            usual_size = USUAL_SIZES[term] / FACTORS.get(quantities.partition(" times ")[2], 1.0)
+            smallest[term] = min(smallest.get(term, np.inf), limit / usual_size)
+        return [term for term, size in smallest.items() if size > MAX_DETECTABLE]
 
 
 def needs_search(found: Discovery) -> bool:
@@ -127,9 +127,9 @@ def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehiclePa
 
 
 def _select(screened: Sequence[Screened], fits: RelationFits, without: RelationFit, vehicle: VehicleParameters,
-            settings: DiscoverySettings, stated: Sequence[str], reported: Collection[tuple[str, str]],
+            settings: DiscoverySettings, named: Sequence[str], reported: Collection[tuple[str, str]],
             tick: Callable[[], None]) -> RelationSearch:
-    """The best significant candidate, or the reason for none. stated: names of the answer's effects."""
+    """The best significant candidate, or the reason for none. named: effects of the answer."""
     limits, number = settings.limits, fits.loss.scored_count
     p_values = selection.p_values(screened, fits.blocks)
     tried = {s.candidate.name: (s.gain / number, p_values[s.candidate.name])
@@ -139,9 +139,9 @@ def _select(screened: Sequence[Screened], fits: RelationFits, without: RelationF
     significant = sorted((s for s in screened if p_values[s.candidate.name] <= limits.false_alarm),
                          key=lambda s: -s.gain)
     if not significant:
-        name, (gain, chance) = next(iter(tried.items()))
+        name, (gain, p_value) = next(iter(tried.items()))
         return RelationSearch(None, f"no relation is significant. The best, {name}, lowers the held-out loss by "
-                              f"{gain:.3f} per scored error, p = {chance:.2g} over all candidates; "
+                              f"{gain:.3f} per scored error, p = {p_value:.2g} over all candidates; "
                               f"p < {limits.false_alarm:g} is required", tried, detection_limits)
     explained = {one: finding for one in significant if (finding := _reported(one.candidate, reported))}
     fitted, accepted, against = _fit_candidates([s for s in significant if s not in explained], fits, without, vehicle,
@@ -152,7 +152,7 @@ def _select(screened: Sequence[Screened], fits: RelationFits, without: RelationF
         first = next(one for one in significant if one in against)
         return RelationSearch(None, against[first], tried, detection_limits)
     best = selection.best_of(accepted, limits.relevant * number)
-    relation, why = _make_relation(best, fitted, without, fits, p_values, settings, vehicle, stated)
+    relation, why = _make_relation(best, fitted, without, fits, p_values, settings, vehicle, named)
     return RelationSearch(relation, why, tried, detection_limits)
 
 
@@ -203,15 +203,15 @@ def _too_short(windows: RunWindows, settings: DiscoverySettings) -> str:
 
 def _make_relation(best: Screened, fitted: Fitted, without: RelationFit, fits: RelationFits,
                    p_values: Mapping[str, float], settings: DiscoverySettings, vehicle: VehicleParameters,
-                   stated: Sequence[str]) -> tuple[Relation, str]:
+                   named: Sequence[str]) -> tuple[Relation, str]:
     """The relation with everything reported of it, and a sentence on its gain."""
     fit, limits, c = fitted[best], settings.limits, best.candidate
-    falls = without.held_out - fit.held_out
+    gains = without.held_out - fit.held_out
     before, after = (selection.held_out_positions(fits, f) for f in (without, fit))
     rivals = [one for one in fitted if one is not best]
-    worse = np.array([fitted[one].held_out - fit.held_out for one in rivals])
-    alike = selection.equally_good(worse, limits.undecided_p, settings.seed)
-    equal = {one.candidate.name: fitted[one] for one, near in zip(rivals, alike, strict=True) if near}
+    excess = np.array([fitted[one].held_out - fit.held_out for one in rivals])
+    as_good = selection.equally_good(excess, limits.undecided_p, settings.seed)
+    equal = {one.candidate.name: fitted[one] for one, is_equal in zip(rivals, as_good, strict=True) if is_equal}
     u = driven_quantities(fits.windows, vehicle)[c.quantity]
     at = np.linspace(c.low, c.high, selection.POINTS)
     splines = c.splines(at)
@@ -225,10 +225,10 @@ def _make_relation(best: Screened, fitted: Fitted, without: RelationFit, fits: R
     answer = full.only(e for e in full.effects if e.name != c.effect)
     relation = Relation(
         c, fit.coefficients, at, fit.coefficients @ splines, deviation, density,
-        float(falls.sum()) / fits.loss.scored_count, p_values[c.name],
+        float(gains.sum()) / fits.loss.scored_count, p_values[c.name],
         (float(np.nanmean(before)), float(np.nanmean(after))), runs, answer,
         {name: selection.cosine(fits, fit, other) for name, other in equal.items()},
         simulated_formulas(fits, fit, without), selection.run_shares(fits, fit),
-        selection.redundant_effects(fits, c, fit, without, stated, limits),
+        selection.redundant_effects(fits, c, fit, without, named, limits),
         next_drives(fits, c, fit, equal, best.design_effect, at, deviation, sparse_ranges(at, density, c.parity)))
-    return relation, f"it {selection.gain_text(fits, falls, before - after, limits)}"
+    return relation, f"it {selection.gain_text(fits, gains, before - after, limits)}"

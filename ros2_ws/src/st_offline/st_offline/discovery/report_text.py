@@ -141,12 +141,12 @@ def drives(found: Discovery) -> list[tuple[str, str]]:
     """Which runs are suspect and which are reference, by name and seconds."""
     lines = []
     for role in ("suspect", "reference"):
-        mine = [run for run in found.runs if run.role == role]
-        names = ", ".join(f"{run.name} {run.seconds:.0f} s" for run in mine)
-        sites = len({run.site for run in mine})
+        runs = [run for run in found.runs if run.role == role]
+        names = ", ".join(f"{run.name} {run.seconds:.0f} s" for run in runs)
+        sites = len({run.site for run in runs})
         where = f" at {sites} sites (overlapping tracks are one site)" if sites > 1 else ""
-        lines.append((role, f"{len(mine)} run{'' if len(mine) == 1 else 's'}, {sum(r.seconds for r in mine):.0f} s"
-                      f"{where}: {names}" if mine else "none; the search starts from the vehicle file"))
+        lines.append((role, f"{len(runs)} run{'' if len(runs) == 1 else 's'}, {sum(r.seconds for r in runs):.0f} s"
+                      f"{where}: {names}" if runs else "none; the search starts from the vehicle file"))
     return lines
 
 
@@ -320,9 +320,9 @@ def corrections(found: Discovery) -> list[str]:
     if not found.effective:
         return []
     gap, named = (one.get("position_5s") for one in (found.gap, found.gap_named))
-    fall = f" ({metres(named.augmented)} → {metres(gap.augmented)} after 5 s)" if gap and named else ""
+    errors = f" ({metres(named.augmented)} → {metres(gap.augmented)} after 5 s)" if gap and named else ""
     names = ", ".join(f"{plain(e.name)} {short_values(e.name, e.parameters)}" for e in found.effective)
-    return [f"{names}{fall}: improves predictions, but is not a property of the car; in model.yaml, marked effective"]
+    return [f"{names}{errors}: improves predictions, but is not a property of the car; in model.yaml, marked effective"]
 
 
 def _vehicle_lines(found: Discovery, update: VehicleUpdate | None) -> list[str]:

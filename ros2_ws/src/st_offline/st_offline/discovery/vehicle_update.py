@@ -177,13 +177,13 @@ def _remaining(found: Discovery, car: VehicleParameters, folded: Sequence[type[E
     for effect in folded:
         values[effect.name] = {}
         for p in (p for p in effect.parameters if p.fit):
-            stated, best = found.named.values[effect.name][p.name], found.model.values[effect.name][p.name]
-            further = best / stated if p.null == 1.0 else best - stated + p.null
-            values[effect.name][p.name] = float(np.clip(further, *p.bounds))
+            named, best = found.named.values[effect.name][p.name], found.model.values[effect.name][p.name]
+            remaining = best / named if p.null == 1.0 else best - named + p.null
+            values[effect.name][p.name] = float(np.clip(remaining, *p.bounds))
     model = found.model.with_values(values)
-    off = np.concatenate([a - b for a, b in zip(_errors(model, car, drives), _errors(found.model, vehicle, drives),
-                                                strict=True)])
-    similar = np.nanmean(np.hypot(off[:, 0], off[:, 1])) < MAX_POSITION_DIFFERENCE
+    difference = np.concatenate([a - b for a, b in zip(
+        _errors(model, car, drives), _errors(found.model, vehicle, drives), strict=True)])
+    similar = np.nanmean(np.hypot(difference[:, 0], difference[:, 1])) < MAX_POSITION_DIFFERENCE
     return model if similar else without(found.named, folded)
 
 
@@ -238,8 +238,8 @@ def _interval(found: Discovery, vehicle: VehicleParameters, folded: Sequence[typ
             ends = [centre]
             for edge in p.interval:
                 limited = float(np.clip(own[name] + edge - p.value, *bounds[name]))
-                moved = {**values, effect.name: {**own, name: limited}}
-                ends.append(value_of(fold(vehicle, folded, moved), key))
+                changed = {**values, effect.name: {**own, name: limited}}
+                ends.append(value_of(fold(vehicle, folded, changed), key))
             below += (centre - min(ends)) ** 2
             above += (max(ends) - centre) ** 2
     return centre - math.sqrt(below), centre + math.sqrt(above)
@@ -252,8 +252,8 @@ def updated_text(request: Request, car: VehicleParameters, changes: Mapping[str,
     A derived lambda_ky is written only where the edited file would give another value. A file that cannot be edited so
     that it reads as `car` is written as a whole.
     """
-    stated = yaml.safe_load(request.vehicle_text)
-    derived = [f"{tyre}.lambda_ky" for tyre in TYRES if "lambda_ky" not in stated[tyre]]
+    original = yaml.safe_load(request.vehicle_text)
+    derived = [f"{tyre}.lambda_ky" for tyre in TYRES if "lambda_ky" not in original[tyre]]
     stable = f"stable with steps of {1e3 * PredictionSettings().step:g} ms"
     entries = {key: _entry(change[:2], stable, about) if key == SLIP_SPEED else _entry(change, source, about)
                for key, change in changes.items() if key not in derived}
