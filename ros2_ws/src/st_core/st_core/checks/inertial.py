@@ -231,7 +231,7 @@ def check_accelerations(motion: Motion) -> list[Comparison]:
         lateral = name == "acceleration_y"
         tolerances = Tolerances(name, "velocity and yaw rate" if lateral else "velocity", "m/s^2", lags[name],
                                 ACCELERATION_SCALE, LIMITS.bias_acceleration, (0.0, 0.0, SEVERE_ACCELERATION),
-                                factors=FACTORS, causes=": mounted askew, or the road is not level?")
+                                factors=FACTORS, causes=": mounted at an angle, or the road is not level?")
         title = f"{'lateral' if lateral else 'forward'} acceleration: sensor against velocity"
         comparisons.append((*judge_agreement(found, tolerances), agreement_panel(found, tolerances, title)))
     return comparisons
