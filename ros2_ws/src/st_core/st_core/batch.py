@@ -87,7 +87,7 @@ class LogBatch:
         self._unique, first, self._inverse = np.unique(self.starts_ns, return_index=True, return_inverse=True)
         if not isinstance(inputs, str):
             self._ahead = self._check_planned(inputs, substeps, first)
-        self._speeds = self._occurring_speeds()
+        self._speeds = self._speed_range()
         self._recorded = Recording(self.signals)
         self._single_block: dict[tuple[int, bool], list[Block]] = {}
 
@@ -110,10 +110,10 @@ class LogBatch:
             if values.shape != expected:
                 raise ConfigurationError(f"planned {name}: shape {values.shape}, not {expected}")
         if substeps != 1:
-            raise ConfigurationError("substeps: planned inputs are on the half-step grid; take 1")
+            raise ConfigurationError("substeps: planned inputs are on the half-step grid; use 1")
         return tuple(values[rows] for values in planned)
 
-    def _occurring_speeds(self) -> tuple[float, ...]:
+    def _speed_range(self) -> tuple[float, ...]:
         if not len(self._unique):
             return ()
         last = int(self._unique[-1]) + round(self.steps * self.step / NANOSECOND)
@@ -169,7 +169,7 @@ class LogBatch:
         return self._single_block[count, separate]
 
     def _planned(self, count: int, separate: bool) -> Iterator[Block]:
-        # Held inputs are needed at the start alone, unless the wheels lag the steering of before the start.
+        # Held inputs are needed at the start alone, unless earlier steering still acts on the wheels.
         throughout = self._inputs == "measured" or separate
         instants = half_step_grid(0, self.steps * count, self.step / count) if throughout else np.zeros(1, np.int64)
         return plan(self._unique, instants, self._backend.LANES, share=not separate)

@@ -55,14 +55,14 @@ class _Layout:
 @cache
 def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composed:
     """The functions of a base model with effects, in the order in which they act; the same objects at every call."""
-    own = tuple(e for e in effects if e.lifts or any(getattr(e, hook) for hook in ("inputs", *EQUATION_HOOKS)))
-    if not own:
+    acting = tuple(e for e in effects if e.lifts or any(getattr(e, hook) for hook in ("inputs", *EQUATION_HOOKS)))
+    if not acting:
         return Composed((), base.inputs, base.rhs)
-    layouts = _layouts(own)
-    signals = tuple(dict.fromkeys(name for effect in own for name in effect.signals))
+    layouts = _layouts(acting)
+    signals = tuple(dict.fromkeys(name for effect in acting for name in effect.signals))
     changed_inputs = _changed_inputs(layouts, signals)
-    if not any(e.lifts or getattr(e, hook) for e in own for hook in EQUATION_HOOKS):
-        return Composed(own, _inputs_only(base.inputs, changed_inputs), _rhs_of_base(base.rhs), signals=signals)
+    if not any(e.lifts or getattr(e, hook) for e in acting for hook in EQUATION_HOOKS):
+        return Composed(acting, _inputs_only(base.inputs, changed_inputs), _rhs_of_base(base.rhs), signals=signals)
     base_begin = layouts[-1].given[1]
     geometric_slips, base_forces, motion = _dynamics(base, layouts, base_begin)
     rhs = _rhs(geometric_slips, _chain(_unchanged_slips, _add_slip_angles, layouts, "slip_angles"),
@@ -71,16 +71,16 @@ def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composed:
                _chain(_nothing, _add_rates, layouts, "rates"))
     if base.axles is None:
         rhs = _blended(base.rhs, rhs, base_begin, _lift(layouts).index)
-    extra_states = tuple(f"{e.name}.{name}" for e in own for name in e.extra_states)
+    extra_states = tuple(f"{e.name}.{name}" for e in acting for name in e.extra_states)
     start = _start(_chain(_nothing, _add_start, layouts, "extra_states"), geometric_slips) if extra_states else None
     force = _chain(_no_force, _add_specific_force, layouts, "specific_force")
-    return Composed(own, _inputs(base.inputs, changed_inputs, _given(layouts, signals)), rhs, start,
+    return Composed(acting, _inputs(base.inputs, changed_inputs, _given(layouts, signals)), rhs, start,
                     None if force is _no_force else _specific_force(force), extra_states, signals)
 
 
-def _layouts(own: tuple[type[Effect], ...]) -> list[_Layout]:
+def _layouts(acting: tuple[type[Effect], ...]) -> list[_Layout]:
     layouts, w, state = [], 2, STATES
-    for index, effect in enumerate(own):
+    for index, effect in enumerate(acting):
         given = (w, w + len(effect.prepared or effect.signals))
         extra = (state, state + len(effect.extra_states))
         w, state = given[1], extra[1]
@@ -198,8 +198,8 @@ def _inputs_only(base_inputs, changed_inputs):
 def _inputs(base_inputs, changed_inputs, given):
     def inputs(road_wheel_angle, velocity_x_dot, p, *signals):
         angle, acceleration = changed_inputs(road_wheel_angle, velocity_x_dot, p, signals)
-        own = given(angle, acceleration, p, signals)
-        return angle, acceleration, *own, *base_inputs(angle, acceleration, p.base)
+        added = given(angle, acceleration, p, signals)
+        return angle, acceleration, *added, *base_inputs(angle, acceleration, p.base)
     return inputs
 
 
@@ -294,8 +294,8 @@ def _add_rates(previous, layout):
     hook, index, (begin, end), (first, last) = layout.effect.rates, layout.index, layout.given, layout.extra
 
     def rates(state, slips, forces, at):
-        own = hook(state[first:last], slips, forces, at, at.w[begin:end], at.p.effects[index])
-        return *previous(state, slips, forces, at), *own
+        added = hook(state[first:last], slips, forces, at, at.w[begin:end], at.p.effects[index])
+        return *previous(state, slips, forces, at), *added
     return rates
 
 

@@ -198,9 +198,9 @@ class VehicleParameters:
 
         It is taken from the file, else from DEFAULT_UNCERTAINTIES; None if unknown.
         """
-        stated = self.provenance.get(key)
-        if stated is not None and stated.uncertainty:
-            return stated.uncertainty
+        entry = self.provenance.get(key)
+        if entry is not None and entry.uncertainty:
+            return entry.uncertainty
         default = DEFAULT_UNCERTAINTIES.get(key)
         return None if default is None else default.of(value_of(self, key)) or None
 
@@ -262,13 +262,13 @@ class VehicleParameters:
 
         A derived lambda_ky is recomputed. Raises ConfigurationError for an invalid car.
         """
-        own: dict[str, Any] = {key: value for key, value in values.items() if "." not in key}
+        fields: dict[str, Any] = {key: value for key, value in values.items() if "." not in key}
         for tyre in TYRES:
             changes = {key.partition(".")[2]: value for key, value in values.items() if key.startswith(f"{tyre}.")}
-            own[tyre] = getattr(self, tyre)._replace(**changes)
+            fields[tyre] = getattr(self, tyre)._replace(**changes)
         derived = [tyre for tyre in TYRES if self.sources.get(f"{tyre}.lambda_ky") == DERIVED
                    and f"{tyre}.lambda_ky" not in values]
-        return replace(self, **own).with_derived_scales(derived)
+        return replace(self, **fields).with_derived_scales(derived)
 
     def to_yaml(self) -> str:
         """A vehicle file, SI units, that `from_yaml` reads back to the same parameters (and hash).

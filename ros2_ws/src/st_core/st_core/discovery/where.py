@@ -38,7 +38,7 @@ SHORT_HORIZON = 1.0  # s, of errors of velocity, rate and acceleration: near the
 RESAMPLES = 1000  # of the bootstrap
 MAX_RANGES = 3  # statements about conditions per channel
 SIGNED = ("lateral acceleration", "steering angle", "steering rate")
-MIN_CONTRAST = 1.15  # error of a range over that of the channel everywhere, from which it is reported
+MIN_CONTRAST = 1.15  # error of a range over that of the channel everywhere, above which it is reported
 
 
 def largest_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters,
@@ -71,7 +71,7 @@ def window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: Vehi
     """Errors and conditions of all windows of the runs, see `windows.Windows`."""
     windows = Windows(runs, vehicle, settings)
     squares = _squares(windows, np.square(windows.errors(model, gain)))
-    rows = [_of_run(log, windows.seconds[windows.run == number], float(windows.time[-1]))
+    rows = [_places_of_run(log, windows.seconds[windows.run == number], float(windows.time[-1]))
             for number, log in enumerate(runs)]
     place = {name: np.concatenate([r[name] for r in rows]) for name in rows[0]}
     known = np.isfinite(np.stack([*squares.values(), *place.values()])).all(axis=0)
@@ -92,7 +92,7 @@ def _squares(windows: Windows, squares: np.ndarray) -> dict[str, np.ndarray]:
     return found
 
 
-def _of_run(log: DriveLog, seconds: np.ndarray, horizon: float) -> dict[str, np.ndarray]:
+def _places_of_run(log: DriveLog, seconds: np.ndarray, horizon: float) -> dict[str, np.ndarray]:
     """Place and conditions of the windows of one run, seconds after INS and steering have both begun."""
     signals = LogSignals(log, 0.1, 5.0, "zero_phase")
     begin = max((int(t[0]) for t in (log.ins_time_ns, log.steering_time_ns) if len(t)), default=0)

@@ -137,7 +137,7 @@ def fitted_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadr
     1984).
     """
     at = np.linspace(candidate.low, candidate.high, POINTS)
-    into, value = np.linalg.pinv(candidate.splines(at).T, rcond=1e-6), coefficients @ candidate.splines(at)
+    to_splines, value = np.linalg.pinv(candidate.splines(at).T, rcond=1e-6), coefficients @ candidate.splines(at)
 
     def rise(distance: np.ndarray) -> np.ndarray:
         """(b,) rise of the loss over that of the curve, at a distance from its coefficients."""
@@ -154,10 +154,10 @@ def fitted_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadr
         def numbers(known: np.ndarray, count: int = count, function: ShapeFunction = function) -> np.ndarray:
             h, g = ridge(profile.hessian[known].sum(axis=0)), profile.gradient[known].sum(axis=0)
             root, target = np.linalg.cholesky(h), coefficients + np.linalg.solve(h, g)
-            return _least_squares(lambda x: (into @ function(at, x) - target) @ root, count, at, value)
+            return _least_squares(lambda x: (to_splines @ function(at, x) - target) @ root, count, at, value)
 
         def distance(p: np.ndarray, function: ShapeFunction = function) -> np.ndarray:
-            return into @ function(at, p) - coefficients
+            return to_splines @ function(at, p) - coefficients
 
         best = numbers(np.ones(len(fold), bool))
         if shape == "dead zone":
@@ -224,17 +224,17 @@ def _simulated(fits: RelationFits, fit: RelationFit, without: RelationFit, shape
     assert candidate is not None
     at = np.linspace(candidate.low, candidate.high, POINTS)
     splines = candidate.splines(at)
-    loss, into = fits.loss_of(candidate), np.linalg.pinv(splines.T, rcond=1e-6)
+    loss, to_splines = fits.loss_of(candidate), np.linalg.pinv(splines.T, rcond=1e-6)
 
     def refitted(numbers: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, float]:
         """(vector with a shape in place of the curve, everything else fitted to the known blocks; offset)."""
         scale = fits.space.scale[fit.indices]
         count = len(fit.coefficients)
         fixed = np.zeros(len(scale))
-        fixed[-count:] = (into @ shape.function(at, numbers) - fit.coefficients) / scale[-count:]
+        fixed[-count:] = (to_splines @ shape.function(at, numbers) - fit.coefficients) / scale[-count:]
         basis = np.eye(len(scale))[:, :len(scale) - count]
         if with_offset:
-            constant = np.concatenate([np.zeros(len(scale) - count), (into @ np.ones(POINTS)) / scale[-count:]])
+            constant = np.concatenate([np.zeros(len(scale) - count), (to_splines @ np.ones(POINTS)) / scale[-count:]])
             basis = np.column_stack([basis, constant])
         h, g = fit.q.hessian[known].sum(axis=0), fit.q.gradient[known].sum(axis=0)
         step = np.linalg.solve(ridge(basis.T @ h @ basis), basis.T @ (g - h @ fixed))

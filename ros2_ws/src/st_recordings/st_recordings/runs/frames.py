@@ -104,9 +104,9 @@ def without_clock_steps(frames: Frames) -> tuple[Frames, list[float]]:
     back = np.nonzero(steps < -MIN_CLOCK_STEP * 1e9)[0]
     if not len(back):
         return frames, []
-    usual_step = int(np.median(steps[steps >= 0])) if (steps >= 0).any() else 0
+    median_step = int(np.median(steps[steps >= 0])) if (steps >= 0).any() else 0
     correction = np.zeros(len(frames), dtype=np.int64)
-    correction[back + 1] = usual_step - steps[back]
+    correction[back + 1] = median_step - steps[back]
     return replace(frames, time_ns=frames.time_ns + np.cumsum(correction)), (steps[back] * 1e-9).tolist()
 
 
