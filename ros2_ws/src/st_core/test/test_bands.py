@@ -207,5 +207,5 @@ def test_half_widths_as_a_casadi_function_are_those_of_the_band(bands, leaf):
         here = np.abs([[velocity, velocity * rate, acceleration, activity]])
         found = function([0.0, 0.0, velocity, 0.1, 0.5, rate], [0.02, acceleration], activity)
         np.testing.assert_allclose(np.asarray(found), band.half_widths(here, 0.9)[0], rtol=1e-9)
-    with pytest.raises(ConfigurationError, match="bands state"):
+    with pytest.raises(ConfigurationError, match="bands have"):
         half_width_function(band, 0.99, leaf)
