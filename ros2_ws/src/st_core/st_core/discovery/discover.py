@@ -190,7 +190,7 @@ class _Work:
         return _Names(stated, minor, contradicted, verdicts, leave_one_out, curves, combinations)
 
     def _named_model(self, found: Found, names: _Names) -> AugmentedModel | None:
-        """The model without the denied effects; None if no effect was found."""
+        """The model without the contradicted effects; None if no effect was found."""
         if not found.fit.names:
             return None
         return self.space.at(self.problem.vector_without(found.fit, *(e.name for e in names.contradicted)))
