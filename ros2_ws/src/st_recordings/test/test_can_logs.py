@@ -123,6 +123,20 @@ def test_a_bad_file_among_good_ones_costs_a_warning(tmp_path: Path) -> None:
     assert "b.MF4: the file is empty" in log.warnings[0]
 
 
+def test_frames_marked_as_invalid_are_left_out(tmp_path: Path) -> None:
+    from asammdf import MDF, Signal
+    numbers = np.arange(100)
+    rows = np.zeros(100, [("CAN_DataFrame.ID", "<u4"), ("CAN_DataFrame.DLC", "u1"),
+                          ("CAN_DataFrame.DataBytes", "(8,)u1")])
+    rows["CAN_DataFrame.ID"], rows["CAN_DataFrame.DLC"] = numbers, 8
+    with MDF(version="4.10") as mdf:
+        mdf.append([Signal(rows, numbers * 0.01, name="CAN_DataFrame", invalidation_bits=numbers < 7)])
+        mdf.save(tmp_path / "a.mf4")
+    log = read_can_logs([tmp_path / "a.mf4"])
+    assert log.frames.id.tolist() == list(range(7, 100))
+    assert "7 of 100 frames (7 %) are marked as invalid by the logger" in log.warnings[0]
+
+
 def test_a_clock_set_back_on_the_way_goes_on(tmp_path: Path) -> None:
     frames = some_frames(400)
     file = tmp_path / "back.log"

@@ -96,6 +96,24 @@ def test_remote_frames_decode_to_nothing(frames: Frames) -> None:
         "steering_wheel_angle") is None
 
 
+def test_a_multiplexed_steering_angle_is_not_missing_in_the_other_frames(tmp_path) -> None:
+    (tmp_path / "car.dbc").write_text(
+        'VERSION ""\n\nBS_:\n\nBU_: X\n\nBO_ 37 Steer: 8 X\n SG_ Page M : 0|8@1+ (1,0) [0|255] "" X\n'
+        ' SG_ Angle m3 : 15|16@0- (0.1,0) [-900|900] "deg" X\n SG_ Other m4 : 15|16@0- (1,0) [0|0] "" X\n')
+    (tmp_path / "car.yaml").write_text(
+        "messages: {Steer: {needed: true, period: {value: 0.01, unit: s}, timeout: {value: 0.2, unit: s}, signals: "
+        "{Angle: {name: steering_wheel_angle, unit: deg, sign: 1, range: [-900, 900], max_rate: 2000}}}}\n")
+    n = 400
+    payload = np.zeros((n, 8), np.uint8)
+    payload[:, 0], payload[:, 1], payload[:, 2] = 3 + np.arange(n) % 2, np.arange(n) % 2 * 0x7F, np.arange(n) // 4
+    pages = Frames(np.arange(n) * 5_000_000, np.full(n, 37, np.uint32), payload, np.full(n, 8, np.uint8),
+                   np.zeros(n, np.uint8), np.zeros(n, np.uint8))
+    signals = decode_signals(pages, load_signal_table(tmp_path / "car.dbc", tmp_path / "car.yaml"))
+    steering = signals.first_of("steering_wheel_angle")
+    np.testing.assert_allclose(np.degrees(steering.values), 0.1 * (np.arange(0, n, 2) // 4))
+    assert not signals.faults and not signals.rejected
+
+
 def test_the_same_message_on_two_buses_counts_once(frames: Frames) -> None:
     steering = frames.select(frames.id == 2)
     twice = Frames(*(np.repeat(getattr(steering, c), 2, axis=0) for c in ("time_ns", "id", "payload", "length", "bus",

@@ -393,6 +393,16 @@ def replaced(lines: list[str], line: str) -> str:
     return "\n".join([*lines[:5000], line, *lines[5001:]])
 
 
+def later(line: str, seconds: float = 0.8) -> str:
+    stamp, _, rest = line.partition(" ")
+    return f"({float(stamp[1:-1]) + seconds:.6f}) {rest}"
+
+
+def earlier(lines: list[str]) -> list[str]:
+    """The first third, an hour before: of another drive."""
+    return [later(line, -3600.0) for line in lines[: len(lines) // 3]]
+
+
 LOGS: list[tuple[str, Callable[[list[str]], str], str, str]] = [
     ("run.log", lambda lines: spoilt(lines, 3000), "utf-8", r"lines \(0\.03\d? %\) cannot be read, .* line 3000"),
     ("run.log", "\n".join, "utf-16", ""),
@@ -407,6 +417,10 @@ LOGS: list[tuple[str, Callable[[list[str]], str], str, str]] = [
     ("run.asc", lambda lines: asc(lines, "Wed Sep 3 18:00:00.005 pm 2025"), "utf-8", ""),
     ("run.asc", lambda lines: asc(lines, "Mi Mär 3 18:00:00.005 2025"), "cp1252", ""),
     ("run.asc", lambda lines: asc(lines, "mercredi 3 septembre"), "utf-8", "its date .* cannot be read"),
+    ("run.asc", lambda lines: asc(lines) * 2, "utf-8", r"its clock steps, .*: 2\d\.\d of 5\d\.\d s \(50 %\) fit"),
+    ("run.log", lambda lines: "\n".join([*lines, *earlier(lines)]), "utf-8", r" of 3\d\.\d s \(75 %\) fit the INS"),
+    ("run.log", lambda lines: "\n".join([*earlier(lines), *lines]), "utf-8", r" of 3\d\.\d s \(75 %\) fit the INS"),
+    ("run.log", lambda lines: replaced(lines, later(lines[5001])), "utf-8", ""),
     ("run.trc", lambda lines: trc(lines, True), "ascii", ""),
     ("run.trc", lambda lines: trc(lines, False), "ascii", ""),
 ]

@@ -116,6 +116,14 @@ def test_packets_inside_an_xcom_container_are_found(tmp_path: Path) -> None:
     assert len(read_ncom(file).time_ns) == 100
 
 
+def test_packets_of_two_units_are_named(tmp_path: Path) -> None:
+    file = tmp_path / "drive.ncom"
+    one = packets([0.01 * k for k in range(100)])
+    two = b"".join(packets([0.01 * k], east=12.0) for k in range(100))
+    file.write_bytes(b"".join(one[k : k + 72] + two[k : k + 72] for k in range(0, len(one), 72)))
+    assert "100 of 200 packets (50 %) are not later than those before, and not the same" in read_ncom(file).warnings[0]
+
+
 @pytest.mark.parametrize(("mark", "head", "size"), [
     (b"\xd4\xc3\xb2\xa1", 16, 72), (b"\x4d\x3c\xb2\xa1", 16, 72), (b"\n\r\r\n", 28, 72), (b"\xd4\xc3\xb2\xa1", 16, 54)])
 def test_packets_in_a_network_capture(tmp_path: Path, mark: bytes, head: int, size: int) -> None:

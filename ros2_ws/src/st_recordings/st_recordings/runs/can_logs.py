@@ -61,7 +61,8 @@ def read_can_logs(files: Sequence[Path]) -> CanLog:
     if repeated:
         warnings.append(f"{used[0]}: {repeated} frames are in the log twice; one of each was kept")
     warnings += [str(error) for error in errors] + _missing_splits(used)
-    return CanLog(frames, used, min(log.start_ns for log in logs), logs[0].absolute, tuple(warnings))
+    return CanLog(frames, used, min(log.start_ns for log in logs), logs[0].absolute, tuple(warnings),
+                  tuple(step for log in logs for step in log.steps))
 
 
 def _read_log(file: Path) -> CanLog:
@@ -84,12 +85,12 @@ def _read_log(file: Path) -> CanLog:
     notes: list[str] = []
     if file.suffix.lower() not in kind.extensions:
         notes.append(f"is a {kind.name} log with the extension {file.suffix or '(none)'}; it was read as such")
-    frames = _read_with_python_can(file, kind, notes)
+    frames, steps = _read_with_python_can(file, kind, notes)
     start_ns = int(frames.time_ns[0])
-    return CanLog(frames, (file,), start_ns, start_ns >= FIRST_ABSOLUTE_TIME * 10**9, tuple(notes))
+    return CanLog(frames, (file,), start_ns, start_ns >= FIRST_ABSOLUTE_TIME * 10**9, tuple(notes), tuple(steps))
 
 
-def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> Frames:
+def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> tuple[Frames, list[tuple[int, float]]]:
     parts, format_notes, impossible, too_long = list[Frames](), list[str](), 0, 0
     try:
         messages = kind.messages(file, format_notes)
@@ -121,7 +122,7 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> Frames:
         format_notes.append("its times are relative to the previous frame (candump -t d); they were summed")
     frames, clock_steps = without_clock_steps(frames)
     notes += [*format_notes, *clock_step_notes(clock_steps)]
-    return merged([frames])
+    return merged([frames]), clock_steps
 
 
 def _columns(messages: Sequence[can.Message]) -> Frames:

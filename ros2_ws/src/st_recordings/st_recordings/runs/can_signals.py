@@ -1,7 +1,7 @@
 """Signals of the suite decoded from the frames of a log, as columns: what the live CAN bridge would have published."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +46,17 @@ class CanSignals:
 
     def all_of(self, name: str) -> list[Signal]:
         return [signal for signal in self.signals.values() if signal.name == name]
+
+    def between(self, start_ns: int, end_ns: int) -> "CanSignals":
+        """The signals from one time to before another."""
+        parts = {}
+        for key, signal in self.signals.items():
+            rows = slice(*np.searchsorted(signal.time_ns, (start_ns, end_ns)).tolist())
+            if rows.start < rows.stop:
+                parts[key] = replace(signal, **{name: getattr(signal, name)[rows]
+                                                for name in ("time_ns", "values", "valid", "rows")})
+        rejected = {name: time[(time >= start_ns) & (time < end_ns)] for name, time in self.rejected.items()}
+        return CanSignals(parts, self.faults, rejected)
 
     def first_of(self, name: str) -> Signal | None:
         return next(iter(self.all_of(name)), None)
@@ -171,9 +182,10 @@ def check_frames(spec: MessageSpec, payload: np.ndarray, time_ns: np.ndarray,
     possible = keep.copy()
     for signal in spec.signals:
         if np.isfinite(signal.maximum) or np.isfinite(signal.max_rate):
-            passed = plausible(signal, spec, time_ns[keep], values[signal.name][keep])
-            possible[keep] &= passed
-            if len(bad := values[signal.name][keep][~passed] / signal.factor):
+            sent = keep if not signal.dbc.multiplexer_ids else keep & np.isfinite(values[signal.name])
+            passed = plausible(signal, spec, time_ns[sent], values[signal.name][sent])
+            possible[sent] &= passed
+            if len(bad := values[signal.name][sent][~passed] / signal.factor):
                 worst = float(bad[np.argmax(np.abs(bad))])
                 faults.append(f"{signal.dbc.name} implausible (up to {worst:.6g} {signal.unit}) in {len(bad)}")
     return possible, valid & possible, f"{', '.join(faults)} of {n} frames" if faults else ""

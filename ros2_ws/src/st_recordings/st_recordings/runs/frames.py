@@ -10,6 +10,8 @@ import numpy as np
 EXTENDED = 0x8000_0000  # flag in an id, as in canedge_bridge.extraction and in Linux
 SENT, REMOTE, ERROR, FD = 1, 2, 4, 8  # bits of Frames.flags
 MIN_CLOCK_STEP = 0.005  # s; a smaller step back is jitter of the time stamps, not a clock being set
+MAX_EARLY_FRAMES = 5
+"""Number of frames in front of earlier ones, up to which they are only out of order: their own stamps are wrong."""
 # Layout of st_msgs/CanFrames in CDR.
 FRAME_HEAD_LENGTH = 20  # bytes of a frame before its data: stamp, id, four flags, length of the data
 MAX_DATA_LENGTH = 64
@@ -45,7 +47,8 @@ class CanLog:
     """One recording of one logger, in any number of files.
 
     start_ns: start of the first session by its header, else the first frame. absolute: whether times are UTC (of
-    the logger's clock); otherwise they count from the start of the log. warnings: whole sentences.
+    the logger's clock); otherwise they count from the start of the log. warnings: whole sentences. steps: of
+    the clock, as of `without_clock_steps`.
     """
 
     frames: Frames
@@ -53,6 +56,7 @@ class CanLog:
     start_ns: int
     absolute: bool = True
     warnings: tuple[str, ...] = ()
+    steps: tuple[tuple[int, float], ...] = ()
 
 
 def no_frames() -> Frames:
@@ -93,29 +97,34 @@ def without_duplicates(frames: Frames) -> tuple[Frames, int]:
     return frames.select(np.delete(np.arange(len(frames)), rows + 1)), len(rows)
 
 
-def without_clock_steps(frames: Frames) -> tuple[Frames, list[float]]:
+def without_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]]]:
     """Frames in the order they were written, with the time after each step back of the clock moved forward.
 
     A logger writes frames as they arrive, so a step back in time means that its clock was set. The frames after it
     continue where those before it ended; the true gap between the two frames, a millisecond on a busy bus, is lost.
-    Returns the frames and the sizes of the steps [s], negative.
+    Returns the frames and the steps: time of the frame after it [ns], size [s], negative.
     """
-    steps = np.diff(frames.time_ns)
+    time_ns = frames.time_ns
+    steps = np.diff(time_ns)
     back = np.nonzero(steps < -MIN_CLOCK_STEP * 1e9)[0]
+    in_order = [not (time_ns[max(k - MAX_EARLY_FRAMES, 0) : k] <= time_ns[k + 1]).any() for k in back]
+    back = back[np.array(in_order, bool)]
     if not len(back):
         return frames, []
     median_step = int(np.median(steps[steps >= 0])) if (steps >= 0).any() else 0
     correction = np.zeros(len(frames), dtype=np.int64)
     correction[back + 1] = median_step - steps[back]
-    return replace(frames, time_ns=frames.time_ns + np.cumsum(correction)), (steps[back] * 1e-9).tolist()
+    time_ns = time_ns + np.cumsum(correction)
+    return replace(frames, time_ns=time_ns), list(zip(time_ns[back + 1].tolist(), (steps[back] * 1e-9).tolist(),
+                                                      strict=True))
 
 
-def clock_step_notes(steps: Sequence[float]) -> list[str]:
+def clock_step_notes(steps: Sequence[tuple[int, float]]) -> list[str]:
     """A sentence about the steps of `without_clock_steps`; none without steps."""
     if not steps:
         return []
     times = f"{len(steps)} times, first " if len(steps) > 1 else ""
-    return [f"the logger's clock was set back {times}by {-steps[0]:.3f} s; the times after it were moved forward"]
+    return [f"the logger's clock was set back {times}by {-steps[0][1]:.3f} s; the times after it were moved forward"]
 
 
 def read_frames(messages: Iterable[bytes]) -> Frames:

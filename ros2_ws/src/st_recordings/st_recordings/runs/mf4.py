@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from . import mdf_blocks
-from .errors import RunError, check_readable, short
+from .errors import RunError, check_readable, share, short
 from .frames import (
     ERROR,
     EXTENDED,
@@ -89,12 +89,16 @@ def read_mf4(path: Path) -> CanLog:
         if not 0 <= start_ns < LATEST_START * 10**9:
             raise DamageError("the session start time is invalid")
         parts = []
-        clock_steps: list[float] = []
+        clock_steps: list[tuple[int, float]] = []
         for group in range(len(log.groups)):
             if _frame_channel(log, group) is None:
                 decoded_signals += [c.name for c in log.groups[group].channels if c.channel_type not in _TIME_CHANNELS]
             pieces = list(_group_frames(log, group, start_ns))
             if pieces:
+                recorded, valid = log.groups[group].channel_group.cycles_nr, sum(map(len, pieces))
+                if valid < recorded:
+                    warnings.append(f"{share(recorded - valid, recorded, 'frames')} are marked as invalid by the "
+                                    "logger; they were left out")
                 part, steps = without_clock_steps(concatenated(pieces))
                 clock_steps += steps
                 parts.append(part)
@@ -104,7 +108,8 @@ def read_mf4(path: Path) -> CanLog:
                        "give the log with the raw frames, or export the signals as CSV (asammdf) and give that")
     if not parts:
         raise RunError(path, "the log contains no CAN frames", "check that the logger was on the right bus")
-    return CanLog(merged(parts), (path,), start_ns, warnings=(*warnings, *clock_step_notes(clock_steps)))
+    return CanLog(merged(parts), (path,), start_ns, warnings=(*warnings, *clock_step_notes(clock_steps)),
+                  steps=tuple(clock_steps))
 
 
 def _head(path: Path) -> bytes:
@@ -212,7 +217,7 @@ def _group_frames(log: Any, group: int, start_ns: int) -> Iterator[Frames]:
     for first in range(0, count, RECORDS_AT_ONCE):
         # Not more than exist: asammdf allocates the requested number. Times out of range are rejected in _frames.
         with np.errstate(all="ignore"):
-            signal = log.get(name, group=group, raw=True, ignore_invalidation_bits=True, record_offset=first,
+            signal = log.get(name, group=group, raw=True, ignore_invalidation_bits=False, record_offset=first,
                              record_count=min(RECORDS_AT_ONCE, count - first))
         yield _frames(name, signal, bus, start_ns, {c.name.rsplit(".", 1)[-1]: c for c in content.channels})
 

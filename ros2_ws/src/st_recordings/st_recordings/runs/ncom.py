@@ -11,7 +11,7 @@ from oxts_bridge.ncom import BATCH_S, BY_STATUS, ECCENTRICITY_SQUARED, SEMI_MAJO
 from st_core.checks import InsQuality
 
 from .errors import RunError, check_readable, share
-from .ins_log import InsLog, usable_rows
+from .ins_log import MAX_LOST_SHARE, InsLog, usable_rows
 
 ACCURACIES = {3: ("EastAcc", "NorthAcc", "AltAcc"), 4: ("VeAcc", "VnAcc", "VdAcc"),
               5: ("RollAcc", "PitchAcc", "HeadingAcc")}
@@ -115,7 +115,14 @@ def _damage_warnings(columns: file_decoder.Columns, file: Path) -> list[str]:
         lost.append(f"{counters.checksum_errors} packets have a wrong checksum")
     if counters.duplicates:
         lost.append(f"{counters.duplicates} packets are duplicates")
-    return [f"{file}: {', '.join(lost)}; they were left out"] if lost else []
+    notes = [f"{file}: {', '.join(lost)}; they were left out"] if lost else []
+    regular = columns.kind == file_decoder.REGULAR
+    other = regular & np.isin(columns.order, (packet_time.SAME, packet_time.LATE))
+    if other.sum() > MAX_LOST_SHARE * regular.sum():
+        count = share(int(other.sum()), int(regular.sum()), "packets")
+        notes.append(f"{file}: {count} are not later than those before, and not the same; they were left out; of two "
+                     "units, export one (tshark -Y 'ip.src == ADDRESS')")
+    return notes
 
 
 def status_values(columns: Columns, channel: int, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,8 @@
 """Decodes the INS recording and CAN logs of a run, and aligns their clocks."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,11 @@ from .readers import READERS
 from .run_file import TABLE_KEYS
 from .run_types import LoadedRun, ReadSettings, RunSource, drive_log, signal_files
 from .sources import find_runs
+
+MAX_LOG_GAP = 10.0
+"""s without a frame, after which a log may be of another drive."""
+MAX_PARTS = 20
+"""Number of parts of a log that are tried, the longest first."""
 
 
 @dataclass(frozen=True)
@@ -66,15 +72,47 @@ def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns, keep_
     table = load_signal_table(dbc, file)
     signals = decode_signals(can.frames, table)
     steering = steering_of(signals, can.files[0], table) if needs_steering else None
+    parts = _parts_of(can)
     if not keep_frames:
         can = replace(can, frames=no_frames())
     ins, options = read_ins(source, settings), clock_settings(source, settings)
     alignment, shared = align_clocks(ins, signals, **options)
+    notes = []
+    if alignment.verdict is Verdict.REFUSED and (part := _part_that_aligns(ins, signals, parts, options)):
+        span, alignment, shared = part
+        signals = signals.between(*span)
+        can = replace(can, frames=can.frames.select(slice(*np.searchsorted(can.frames.time_ns, span).tolist())))
+        steering = steering_of(signals, can.files[0], table) if needs_steering else None
+        used, total = (1e-9 * sum(end - start for start, end in some) for some in ([span], parts))
+        notes.append(f"{can.files[0]}: its clock steps, or it is of several drives: {used:.1f} of {total:.1f} s "
+                     f"({100.0 * used / total:.0f} %) fit the INS recording and are used")
     origin = "given" if settings.ins_can_latency or source.settings.get("ins_can_latency") else "assumed"
     latency = "{:g} ± {:g} ms, ".format(*(1e3 * value for value in options["latency"])) + origin
     faults = [f"{can.files[0]}: {message}: {fault}" for message, fault in signals.faults.items()]
     return RawRun(source.name, dbc, ins, can, signals, steering, alignment, shared, latency,
-                  (*ins.warnings, *can.warnings, *faults))
+                  (*ins.warnings, *can.warnings, *faults, *notes))
+
+
+def _parts_of(can: CanLog) -> list[tuple[int, int]]:
+    """Start and end of the parts of a log in which its clock does not step and no MAX_LOG_GAP is without frames [ns],
+    the longest first."""
+    time_ns = can.frames.time_ns
+    starts = np.flatnonzero(np.isin(time_ns, [at for at, _ in can.steps])
+                            | (np.diff(time_ns, prepend=time_ns[0]) > MAX_LOG_GAP * 1e9))
+    edges = np.unique([0, *starts, len(time_ns)])
+    parts = [(int(time_ns[first]), int(time_ns[last - 1]) + 1) for first, last in pairwise(edges.tolist())]
+    return sorted(parts, key=lambda part: part[0] - part[1])
+
+
+def _part_that_aligns(ins: InsLog, signals: CanSignals, parts: Sequence[tuple[int, int]], options: Mapping[str, Any]
+                      ) -> tuple[tuple[int, int], Alignment, list[SharedSignal]] | None:
+    """(start and end, alignment and shared signals) of the longest part of a log that can be aligned: a logger's clock
+    was set, or logs of several drives were joined."""
+    for part in parts[:MAX_PARTS] if len(parts) > 1 else ():
+        alignment, shared = align_clocks(ins, signals.between(*part), **options)
+        if alignment.verdict is not Verdict.REFUSED:
+            return part, alignment, shared
+    return None
 
 
 def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings,
