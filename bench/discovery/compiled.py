@@ -75,8 +75,8 @@ def drive(car: Car, settings: Settings, programme: Programme, seed: int,
     plant = Plant(car, settings, seed)
     plant.place(0.0, 0.0, float(programme.yaw[0]), float(programme.speed[0]))
     # State, hand, pedal, loose play, the two gusts, heading left over, gain; the plant drew four numbers for gusts.
-    state = np.array([*plant.state, 0.0, 0.0, 0.0, plant.here.wind_x,
-                      plant.here.wind_y - settings["wind_speed"], 0.0, 1.0])
+    state = np.array([*plant.state, 0.0, 0.0, 0.0, plant.surroundings.wind_x,
+                      plant.surroundings.wind_y - settings["wind_speed"], 0.0, 1.0])
     draw = normal_stream(np.random.default_rng([seed, 1]))
     for _ in range(4):
         draw()

@@ -96,7 +96,7 @@ def by_the_plant(settings, p: Programme):
     hand = pedal = 0.0
     states, read, angles = [], [], []
     for k in range(len(p.hand)):
-        s, f, here = plant.state, plant.observe(NOMINAL.mass * pedal), plant.here
+        s, f, here = plant.state, plant.observe(NOMINAL.mass * pedal), plant.surroundings
         truth = Truth(0.01 * k, *s[:4], s[VX], s[VY], s[YAW_RATE], f.acceleration_x, f.acceleration_y,
                       f.yaw_acceleration, hand, 0.0, velocity_z=f.velocity_z, roll=plant.body_roll + here.bank_angle,
                       pitch=plant.body_pitch + here.grade_angle,

@@ -42,7 +42,7 @@ def conclude(folder: Path, outcome: Outcome, about: dict[str, Any], console: Con
             return 1
         summary = summarise(results, {**about, "exit_statuses": outcome.statuses})
         write_summary(folder / "summary.json", summary)
-        paths_figure(results, f"{about['what']}: {finding(summary)}", folder / "paths.png")
+        paths_figure(results, f"{about['what']}: {headline(summary)}", folder / "paths.png")
     console.print(error_table(summary, f"{about['what']}: error over each 5 s horizon, at the INS point"))
     for line in band_lines(results.bands):
         console.print(line, highlight=False, soft_wrap=True)
@@ -165,7 +165,7 @@ def _cell(models: dict[str, Any], mode: str, axis: str, row: dict[str, Any]) -> 
     return Text(" | ").join(parts)
 
 
-def finding(summary: dict[str, Any]) -> str:
+def headline(summary: dict[str, Any]) -> str:
     """One sentence for a title: the lateral RMSE in hindsight, best model first."""
     lateral = {m: v["hindsight"]["lateral"]["rmse"] for m, v in summary["models"].items()}
     known = sorted((value, model) for model, value in lateral.items() if value is not None)

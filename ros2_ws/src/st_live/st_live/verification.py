@@ -101,7 +101,7 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     car, recorded, source = configuration_of(drive.records, vehicle)
     settings = _settings(recorded)
     scores = read_scores(score_bags, progress)
-    others = {mode: read_planned(bag, mode, progress) for mode in PLANNED_MODES}
+    planned_by_mode = {mode: read_planned(bag, mode, progress) for mode in PLANNED_MODES}
     signals = LogSignals(drive.log, settings.maximum_gap, settings.filter_cutoff)
     truncated = [TRUNCATED.format(file, "compared") for file in dict.fromkeys((bag, *score_bags))
                  if was_interrupted(file)]
@@ -113,7 +113,7 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
             warnings.append(f"predictions of {name} are not compared: the library has no model of this name")
             continue
         model_scores = {mode: scores[name, mode] for mode in (*MODES, *PLANNED_MODES) if (name, mode) in scores}
-        planned = {mode: by_model[name] for mode, by_model in others.items() if name in by_model}
+        planned = {mode: by_model[name] for mode, by_model in planned_by_mode.items() if name in by_model}
         comparisons.append(_compare(model, car, signals, live, planned, model_scores, settings.filter_cutoff, progress))
     expected = configuration_hash(car, settings)
     same = all(live.hashes == {expected} for live in predictions.values())
@@ -152,11 +152,11 @@ def _compare(model: Model, car: VehicleParameters, signals: LogSignals, live: Pr
     is_settled = settled(live.starts_ns, signals.log.ins_time_ns, cutoff)
     result.n_settling = int((~is_settled).sum())
     starts_ns, live_states = live.starts_ns[is_settled], live.states[is_settled]
-    ahead: dict[Mode, FutureInputs] = {mode: predictions.inputs_at for mode, predictions in planned.items()}
+    future_inputs: dict[Mode, FutureInputs] = {mode: predictions.inputs_at for mode, predictions in planned.items()}
     # Without the recorded prediction of a plan or course its inputs are unknown, so its score cannot be compared.
     scores = {mode: scored.at(planned[mode].starts_ns) if mode in planned else scored for mode, scored in scores.items()
               if mode in MODES or mode in planned}
-    for rows, block in evaluate_blocks([model], car, signals, starts_ns, settings, ahead):
+    for rows, block in evaluate_blocks([model], car, signals, starts_ns, settings, future_inputs):
         computed, recorded = block.trajectories[model.name, "forecast"], live_states[rows]
         known = np.isfinite(computed).all(axis=(1, 2)) & np.isfinite(recorded).all(axis=(1, 2))
         difference = computed[known] - recorded[known]

@@ -13,14 +13,12 @@ from .checking import check_report
 
 # The colours of the models are made for white paper; these are lighter ones for a dark page.
 DARK = {"kinematic": "#6cb4ee", "linear": "#ffa657", "nonlinear": "#d08be0", "augmented": "#3fd0a4"}
-
-
 MAX_UNWRAPPED = 30  # letters; a column with a longer text wraps
 
 
 @dataclass(frozen=True)
 class Table:
-    """A folded table of a page. rows: as many texts as the head has. about: in addition to the title."""
+    """A folded table of a page. rows: a text for each column. about: text beside the title."""
 
     title: str
     note: str
@@ -31,13 +29,14 @@ class Table:
 
 def columns(head: Sequence[str], rows: Iterable[Sequence[Any]], names: int) -> list[tuple[str, str, tuple[Any, ...]]]:
     """(title, class, cells) of the columns of a table that are not empty. names: leading columns of text."""
-    found = []
+    result = []
     for k, (title, cells) in enumerate(zip(head, zip(*rows, strict=True), strict=True)):
         texts = [str(cell) for cell in cells]
         if any(text not in ("", "-") for text in texts):
-            long, text = max(map(len, texts)) > MAX_UNWRAPPED, k < names or any(one[:1].isalpha() for one in texts)
-            found.append((title, "words" if long else "name" if text else "", cells))
-    return found
+            is_text = k < names or any(one[:1].isalpha() for one in texts)
+            kind = "words" if max(map(len, texts)) > MAX_UNWRAPPED else "name" if is_text else ""
+            result.append((title, kind, cells))
+    return result
 
 
 def template(name: str, **filters: Callable) -> jinja2.Template:

@@ -25,7 +25,7 @@ def errors(mean: np.ndarray, seed: int = 0) -> ModelErrors:
 
 def entry(longitudinal, lateral) -> dict:
     """Statistics of one model: (mean, max, rmse) of each axis."""
-    axes = {axis: dict(zip(tables.KINDS, v, strict=True)) for axis, v in
+    axes = {axis: dict(zip(tables.STATISTICS, v, strict=True)) for axis, v in
             (("longitudinal", longitudinal), ("lateral", lateral), ("yaw", (0.0, 0.0, 0.0)))}
     one = {"n_starts": 7, "n_incomplete": 1, **axes, "samples": {"n_starts": 7, **axes}}
     return dict.fromkeys(MODES, one)

@@ -11,7 +11,7 @@ from st_core.vehicle import VehicleParameters
 TRACK_SPAN = 90.0  # s of measured track kept
 STALE_PATH = 1.0  # s; an older path is not drawn
 GHOST_AGES = (1.0, 2.0, 3.0, 4.0, 5.0)  # s
-GHOST_TOLERANCE = 0.15  # s; a ghost further off its age than this is not drawn
+GHOST_TOLERANCE = 0.15  # s; a prediction whose age differs by more is not drawn
 BAND_MODE = "forecast"  # the bands drawn: inputs held, as for the path itself
 
 
@@ -126,9 +126,8 @@ class History:
         found = []
         for age in GHOST_AGES:
             due_ns = now_ns - round(age * 1e9)
-            near = bisect_left(starts, due_ns)
-            candidates = [p for p in paths[max(near - 1, 0):near + 1]]
-            best = min(candidates, key=lambda p: abs(p.start_ns - due_ns), default=None)
+            index = bisect_left(starts, due_ns)
+            best = min(paths[max(index - 1, 0):index + 1], key=lambda p: abs(p.start_ns - due_ns), default=None)
             if best is not None and abs(best.start_ns - due_ns) <= GHOST_TOLERANCE * 1e9:
                 found.append((age, best))
         return found

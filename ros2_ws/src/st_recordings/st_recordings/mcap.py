@@ -41,8 +41,8 @@ class BagWriter:
     """Writes one bag.
 
     A full or failing disk does not raise: the bag is closed at its last whole chunk, `error` gives the reason, and
-    later messages are counted in `lost`. A file that was renamed or deleted is closed whole; `error` reports it and
-    `moved` is set. syncer: state of the synchronisation with the disk; None without one.
+    later messages are counted in `lost`. A file that was renamed or deleted is closed with its index; `error`
+    reports it and `moved` is set. syncer: state of the synchronisation with the disk; None without one.
     """
 
     def __init__(self, directory: Path | str, records: Mapping[str, Mapping[str, str]] | None = None,

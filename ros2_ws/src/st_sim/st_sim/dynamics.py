@@ -176,18 +176,18 @@ def air_force(still_air: bool, drag_area: float, yaw: float, vx: float, vy: floa
 
 
 # long: one set of equations over two dozen shared symbols, evaluated twice per step of 2 ms.
-def derivative(s: Sequence[float], rack_target: float, drive_force: float, here: tuple,  # noqa: PLR0915
+def derivative(s: Sequence[float], rack_target: float, drive_force: float, surroundings: tuple,  # noqa: PLR0915
                c: Constants) -> tuple[tuple, tuple]:
     """Time derivative of the state, and the wheel quantities that `Forces` contains.
 
-    here: (friction, bank, grade [rad], wind_x, wind_y [m/s]). Second result: road-wheel angle; lateral and longitudinal
-    force, load [N], velocity across and along [m/s] of each wheel.
+    surroundings: (friction, bank, grade [rad], wind_x, wind_y [m/s]). Second result: road-wheel angle; lateral and
+    longitudinal force, load [N], velocity across and along [m/s] of each wheel.
     """
     (mass, yaw_inertia, to_front, to_rear, lag, steering_offset, compliance, roll_steer, rear_roll_steer, roll_gradient,
      camber, ackermann, max_rate, relaxation, combined, rolling, drag_area, drive_offset, transfer_x, transfer_y,
      static_front, static_rear, still_air, front, rear) = c
     (_, _, _, yaw, vx, vy, r, rack, compliance_angle, s_fl, s_fr, s_rl, s_rr, a_y, a_y_rate, a_x) = s
-    friction, bank, grade, wind_x, wind_y = here
+    friction, bank, grade, wind_x, wind_y = surroundings
     half_track = TRACK_WIDTH / 2
     roll = roll_gradient * a_y
 

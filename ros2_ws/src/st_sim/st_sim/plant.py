@@ -121,7 +121,7 @@ class Plant:
         self.state: tuple[float, ...] = (0.0,) * STATES
         self.forces: Forces
         self.parked = False
-        self.here = self.environment.at(0.0, 0.0, 0.0)
+        self.surroundings = self.environment.at(0.0, 0.0, 0.0)
         self.constants = constants(car, settings, step)
         self.mass, self.yaw_inertia = self.constants.mass, self.constants.yaw_inertia
         self.to_front, self.to_rear = self.constants.to_front, self.constants.to_rear
@@ -139,7 +139,7 @@ class Plant:
         rack = atan(self.car.wheelbase * curvature)
         values[RACK] = rack
         self.state = tuple(values)
-        self.here = self.environment.at(x, y, yaw)
+        self.surroundings = self.environment.at(x, y, yaw)
         self._after_play = rack * self._ratio
         self._delay = deque([self._after_play] * len(self._delay))
 
@@ -164,7 +164,7 @@ class Plant:
         steering_wheel_angle: true, left + [rad]; drive_force: sum over the wheels, braking < 0 [N].
         """
         s, dt = self.state, self.time_step
-        self.here = here = self.environment.at(s[X], s[Y], s[YAW])
+        self.surroundings = surroundings = self.environment.at(s[X], s[Y], s[YAW])
         target = self._rack_target(steering_wheel_angle)
         if self.constants.lag == 0.0:
             s = (*s[:RACK], target, *s[RACK + 1 :])
@@ -173,17 +173,17 @@ class Plant:
             return
         self.parked = False
         c = self.constants
-        k1, _ = derivative(s, target, drive_force, here, c)
-        k2, _ = derivative([a + dt * b for a, b in zip(s, k1, strict=True)], target, drive_force, here, c)
+        k1, _ = derivative(s, target, drive_force, surroundings, c)
+        k2, _ = derivative([a + dt * b for a, b in zip(s, k1, strict=True)], target, drive_force, surroundings, c)
         half = dt / 2
-        s = tuple([a + half * (b + c) for a, b, c in zip(s, k1, k2, strict=True)])
+        s = tuple([x + half * (rate_1 + rate_2) for x, rate_1, rate_2 in zip(s, k1, k2, strict=True)])
         self.parked = s[VX] < STANDSTILL and drive_force <= 0.0
         self.state = self._at_rest(s) if self.parked else s
 
     def observe(self, drive_force: float) -> Forces:
         """Forces and accelerations at the present state, also stored in `forces`. At rest nothing accelerates."""
         s, moving = self.state, not self.parked
-        rates, wheels = derivative(s, s[RACK], drive_force, self.here, self.constants)
+        rates, wheels = derivative(s, s[RACK], drive_force, self.surroundings, self.constants)
         road_wheel_angle, lateral, longitudinal, load, across_speeds, along_speeds = wheels
         slip = [atan2(across, max(abs(along), MIN_SLIP_SPEED))
                 for across, along in zip(across_speeds, along_speeds, strict=True)]

@@ -80,17 +80,17 @@ class PhasePlan:
         self.path = Path([Piece(2 * math.pi * radius, side / radius, side / radius, speed)])
         self.start = 0.0
         self._cruise, self._phases = speed, tuple(phases)
-        self._index, self._since, self._target, self._last = 0, 0.0, speed, 0.0
+        self._index, self._phase_start, self._target, self._last_time = 0, 0.0, speed, 0.0
 
     def speed_at(self, distance: float) -> float:
         return self._cruise
 
     def demand(self, time: float, distance: float, speed: float) -> Demand:
         phase = self._phases[self._index]
-        if time - self._since >= phase.duration - 1e-9 or speed <= phase.until:
-            self._index, self._since = (self._index + 1) % len(self._phases), time
+        if time - self._phase_start >= phase.duration - 1e-9 or speed <= phase.until:
+            self._index, self._phase_start = (self._index + 1) % len(self._phases), time
             phase = self._phases[self._index]
-        dt, self._last = time - self._last, time
+        dt, self._last_time = time - self._last_time, time
         self._target = min(max(self._target + phase.acceleration * dt, 0.0), self._cruise)
         if phase.acceleration < 0:
             # While the brake force builds up the target must not run ahead, or braking would exceed the demand.

@@ -52,10 +52,10 @@ class SimulatedCar:
                      yaw_rate=s[YAW_RATE], acceleration_x=forces.acceleration_x, acceleration_y=forces.acceleration_y,
                      yaw_acceleration=forces.yaw_acceleration, velocity_z=forces.velocity_z,
                      steering_wheel_angle=self.driver.steering_wheel_angle, steering_wheel_rate=self._hand_rate,
-                     road_wheel_angle=forces.road_wheel_angle, roll=plant.body_roll + plant.here.bank_angle,
-                     pitch=plant.body_pitch + plant.here.grade_angle,
+                     road_wheel_angle=forces.road_wheel_angle, roll=plant.body_roll + plant.surroundings.bank_angle,
+                     pitch=plant.body_pitch + plant.surroundings.grade_angle, gear=DRIVE,
                      roll_rate=0.0 if plant.parked else plant.settings["roll_gradient"] * s[A_Y_RATE],
-                     wheel_speed=forces.wheel_speed, gear=DRIVE, forces=forces, surroundings=plant.here._asdict())
+                     wheel_speed=forces.wheel_speed, forces=forces, surroundings=plant.surroundings._asdict())
 
 
 class ControlledCar:

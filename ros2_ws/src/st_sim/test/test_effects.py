@@ -176,7 +176,7 @@ def test_wind_pushes_and_turns_with_the_heading():
     for yaw in (0.0, math.pi):
         plant = Plant(CAR, resolve("ideal", ["wind_speed=15"]))
         plant.place(0.0, 0.0, yaw, 10.0)
-        plant.here = plant.environment.at(0.0, 0.0, yaw)
+        plant.surroundings = plant.environment.at(0.0, 0.0, yaw)
         pushes.append(plant.observe(0.0).acceleration_y * CAR.mass)
     # 1/2 rho A |w| w_y with 10 m/s of headwind and 15 m/s across.
     assert pushes[0] == pytest.approx(0.5 * 1.2 * 2.5 * math.hypot(10, 15) * 15, rel=1e-6)

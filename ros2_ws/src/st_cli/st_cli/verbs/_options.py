@@ -206,16 +206,16 @@ def resolve_car(car: str | None, vehicle: Path | None, dbc: Path | None = None, 
     from st_recordings.runs.errors import RunError
 
     steering = {"steering_sign": steering_sign, "steering_latency": steering_latency}
-    given: dict[str, Any] = {name: value for name, value in steering.items() if value is not None}
+    from_options: dict[str, Any] = {name: value for name, value in steering.items() if value is not None}
     if car is None:
-        return NamedCar(vehicle, dbc, signals, given)
+        return NamedCar(vehicle, dbc, signals, from_options)
     named = load_car(car)
     for file, option in ((dbc or named.dbc, "--dbc"), (signals or named.signals, "--signals")):
         if complete and not file.is_file():
             raise RunError(file, "does not exist, so the bus of this car is not described",
                            f"write it, or name another with {option}")
-    own: dict[str, Any] = {"steering_sign": named.steering_sign, "steering_latency": named.steering_latency}
-    return NamedCar(vehicle or named.vehicle, dbc or named.dbc, signals or named.signals, own | given)
+    of_car: dict[str, Any] = {"steering_sign": named.steering_sign, "steering_latency": named.steering_latency}
+    return NamedCar(vehicle or named.vehicle, dbc or named.dbc, signals or named.signals, of_car | from_options)
 
 
 LEAF = config("car/leaf/vehicle.yaml")

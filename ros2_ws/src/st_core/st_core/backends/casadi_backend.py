@@ -107,16 +107,16 @@ def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1,
     x, u, h = casadi.SX.sym("x", len(states)), casadi.SX.sym("u", len(INPUTS)), casadi.SX.sym("h")
     symbols = [casadi.SX.sym(v.name) for v in parameters]
     tail, tail_name = ([casadi.vertcat(*symbols)], ["p"]) if symbols else ([], [])
-    chosen = _with_symbols(model, p, dict(zip(free, symbols, strict=False)))
-    w = model.inputs(*casadi.vertsplit(u), chosen, *symbols[len(free):])
+    symbolic_p = _with_symbols(model, p, dict(zip(free, symbols, strict=False)))
+    w = model.inputs(*casadi.vertsplit(u), symbolic_p, *symbols[len(free):])
 
-    rates = casadi.vertcat(*model.rhs(tuple(casadi.vertsplit(x)), w, chosen))
+    rates = casadi.vertcat(*model.rhs(tuple(casadi.vertsplit(x)), w, symbolic_p))
     state = tuple(casadi.vertsplit(x))
     for _ in range(substeps):
-        state = rk4_step(model.rhs, state, w, w, w, chosen, h / substeps)
+        state = rk4_step(model.rhs, state, w, w, w, symbolic_p, h / substeps)
     after = casadi.vertcat(*state)
     six = casadi.SX.sym("x_six", len(STATE_NAMES))
-    begin = casadi.vertcat(*model.start_state(tuple(casadi.vertsplit(six)), w, chosen))
+    begin = casadi.vertcat(*model.start_state(tuple(casadi.vertsplit(six)), w, symbolic_p))
 
     def function(kind: str, arguments: dict[str, Any], results: dict[str, Any]) -> casadi.Function:
         return casadi.Function(f"{model.name}_{kind}", [*arguments.values(), *tail], [*results.values()],
@@ -125,12 +125,12 @@ def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1,
     def jacobian(of: casadi.SX) -> dict[str, casadi.SX]:
         return {"A": casadi.jacobian(of, x), "B": casadi.jacobian(of, u)}
 
-    now, ahead = {"x": x, "u": u}, {"x": x, "u": u, "h": h}
+    of_state, of_step = {"x": x, "u": u}, {"x": x, "u": u, "h": h}
     return SymbolicModel(
         model.name, states, INPUTS, parameters, substeps,
         tuple(e.name for e in getattr(model, "effects", ()) if e.steering or e.observe),
-        function("dynamics", now, {"x_dot": rates}), function("step", ahead, {"x_next": after}),
-        function("dynamics_jacobian", now, jacobian(rates)), function("step_jacobian", ahead, jacobian(after)),
+        function("dynamics", of_state, {"x_dot": rates}), function("step", of_step, {"x_next": after}),
+        function("dynamics_jacobian", of_state, jacobian(rates)), function("step_jacobian", of_step, jacobian(after)),
         function("start", {"x_six": six, "u": u}, {"x": begin}))
 
 

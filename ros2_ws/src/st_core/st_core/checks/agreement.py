@@ -27,8 +27,8 @@ class Agreement:
     """Lag [s], scale [1] and bias [unit] of a measured quantity against a derived one.
 
     correlation: at that lag; correlation_without_lag: at none. spread: standard deviation of the derived quantity.
-    time, measured, derived: the filtered series at that lag, for a figure. other_lags: further lags [s] that do
-    not fit significantly worse, as the drive repeats itself. is_late: whether the usual lag fits significantly worse.
+    time, measured, derived: the filtered series at that lag, for a figure. other_lags: further lags [s] that do not
+    fit significantly worse, as the drive repeats itself. is_late: whether the expected lag fits significantly worse.
     determines_lag: whether lags LAG_TEST_SHIFT away fit significantly worse; a drive that changes slowly determines
     none.
     """

@@ -11,7 +11,7 @@ SCHEMA = 1  # of check.json; keys are added, never renamed, within a number
 
 
 class Severity(StrEnum):
-    """Severity of a finding. error: an evaluation would be meaningless; warning: biased; note: harmless here."""
+    """Severity of a finding. error: an evaluation would be meaningless; warning: biased; note: hardly affected."""
 
     ERROR = "error"
     WARNING = "warning"
@@ -127,7 +127,7 @@ class Identity:
 class Checked:
     """Result of a check: findings, the most severe first; channels by name; identities in the order they were judged.
 
-    estimates: (value, low, high), 95 %, of every quantity measured, by the name of the finding it would be.
+    estimates: (value, low, high), 95 %, of every quantity measured, by the name of its finding.
     """
 
     findings: tuple[Finding, ...]
@@ -191,7 +191,7 @@ class AuxiliaryData:
 
 
 HORIZON = 5.0  # s, over which the effect of a fault is judged
-WHEEL_SCALE = 0.03  # 1; wear and inflation change the radius of a tyre by that
+WHEEL_SCALE = 0.03  # 1; wear and inflation change the radius of a tyre by that much
 
 
 @dataclass(frozen=True)
@@ -202,7 +202,7 @@ class Limits:
     warning: float = 0.25  # m; the best models are wrong by 0.4 m over such horizons
     error: float = 5.0  # m; as wrong as a model that drives straight on in a bend of 250 m at 10 m/s
     unit: float = 1.33  # factor beyond which a ratio is a unit, a sign or an axis, not a calibration
-    channel_unit: float = 2.0  # the same for accelerometers and wheels, which roll and tyres change more
+    channel_unit: float = 2.0  # the same for accelerometers (roll) and wheel speeds (tyre radius)
     settling: float = 0.2  # s, in which an error of a model's initial yaw rate decays
     lag: float = 0.015  # s; a smaller one is filtering inside a sensor
     severe_lag: float = 0.05  # s; a larger one would be mistaken for a steering delay

@@ -129,7 +129,7 @@ def yaw_is_late(motion: Motion, earlier: Motion) -> bool:
 
 
 def _correct_both_turns(motion: Motion) -> Corrected:
-    """Yaw, of either sense, and yaw rate in one unit, shown by the course: here the rate is corrected, later yaw."""
+    """Yaw rate in the same wrong unit as yaw (of either sense), known from the course; yaw is corrected later."""
     r = ratios(motion)
     # A course over one short bend is wrong by ten per cent; yaw and yaw rate decide together.
     size = _angle_unit(r.rate_course, SAME_RATIO_FACTOR)
@@ -279,13 +279,13 @@ def _correct_distance(motion: Motion) -> Corrected:
     unit = f": {SPEEDS[speed]}?" if speed else ""
     both = motion.with_(velocity_x=motion.velocity_x / factor, velocity_y=motion.velocity_y / factor)
     forward = motion.with_(velocity_x=motion.velocity_x / factor)
-    alone = _misfit(forward) < TIE_MISFIT_RATIO * _misfit(both)
-    name, channel = ("velocity_x_scale", "velocity_x") if alone else ("velocity_scale", "velocity")
-    channels = ("velocity_x",) if alone else ("velocity_x", "velocity_y")
-    text = (f"{' and '.join(channels)} {'is' if alone else 'are'} {1.0 / r.distance:.3g} times the rate of change of "
-            f"positions{unit}")
-    return (forward if alone else both), _error(name, channels, text, 1.0 / r.distance,
-                                                Advice.correct(channel, scale=1.0 / factor))
+    forward_only = _misfit(forward) < TIE_MISFIT_RATIO * _misfit(both)
+    name, channel = ("velocity_x_scale", "velocity_x") if forward_only else ("velocity_scale", "velocity")
+    channels = ("velocity_x",) if forward_only else ("velocity_x", "velocity_y")
+    text = (f"{' and '.join(channels)} {'is' if forward_only else 'are'} {1.0 / r.distance:.3g} times the rate of "
+            f"change of positions{unit}")
+    return (forward if forward_only else both), _error(name, channels, text, 1.0 / r.distance,
+                                                       Advice.correct(channel, scale=1.0 / factor))
 
 
 def _displacements(motion: Motion, east: np.ndarray, north: np.ndarray) -> tuple[Windows, np.ndarray, np.ndarray]:

@@ -80,18 +80,19 @@ def _steady_forces(model: Model, vehicle: VehicleParameters, slip: np.ndarray) -
         rates = model.rhs(model.start_state((zero, zero, zero + SPEED, v_y, zero, r), w, p), w, p)
         return rates[3] + SPEED * r, rates[5], angle
 
-    given, (found, yaw, angle) = zero, accelerations(zero)
+    a_y, (resulting, yaw_acceleration, angle) = zero, accelerations(zero)
     slope = zero
     for _ in range(SECANT_STEPS):
-        last, before = given, found
-        given = given + (found - given) / (1.0 - slope)
-        found, yaw, angle = accelerations(given)
-        change = given - last
-        slope = np.divide(found - before, change, out=zero.copy(), where=np.abs(change) > 1e-9)
-        if np.abs(found - given).max() < 1e-6:
+        last_a_y, last_resulting = a_y, resulting
+        a_y = a_y + (resulting - a_y) / (1.0 - slope)
+        resulting, yaw_acceleration, angle = accelerations(a_y)
+        change = a_y - last_a_y
+        slope = np.divide(resulting - last_resulting, change, out=zero.copy(), where=np.abs(change) > 1e-9)
+        if np.abs(resulting - a_y).max() < 1e-6:
             break
-    return ((car.cg_to_rear_axle * car.mass * found + car.yaw_inertia * yaw) / (car.wheelbase * np.cos(angle)),
-            (car.cg_to_front_axle * car.mass * found - car.yaw_inertia * yaw) / car.wheelbase)
+    force, moment = car.mass * resulting, car.yaw_inertia * yaw_acceleration
+    return ((car.cg_to_rear_axle * force + moment) / (car.wheelbase * np.cos(angle)),
+            (car.cg_to_front_axle * force - moment) / car.wheelbase)
 
 
 def axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven_slip: np.ndarray,
@@ -103,11 +104,11 @@ def axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven
     `draw_models`; the band is their central `level` at each slip, extended to the curves of `also`. original: model of
     the vehicle file, by default the base model without effects. Raises StCoreError for fewer than two driven slips.
     """
-    size = np.abs(np.asarray(driven_slip, float))
-    size = size[np.isfinite(size)]
-    if len(size) < 2 or not size.max() > 0.0:
-        raise StCoreError(f"{axle} axle: {len(size)} driven slip angles; two or more above 0 are needed")
-    slip = np.linspace(0.0, float(np.quantile(size, DRIVEN_QUANTILE)), points)
+    abs_slip = np.abs(np.asarray(driven_slip, float))
+    abs_slip = abs_slip[np.isfinite(abs_slip)]
+    if len(abs_slip) < 2 or not abs_slip.max() > 0.0:
+        raise StCoreError(f"{axle} axle: {len(abs_slip)} driven slip angles; two or more above 0 are needed")
+    slip = np.linspace(0.0, float(np.quantile(abs_slip, DRIVEN_QUANTILE)), points)
     model = get_model(model)
     if original is None:
         original = model.base if isinstance(model, AugmentedModel) else model
@@ -115,7 +116,7 @@ def axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven
     rows = [axle_force(candidate, vehicle, axle, slip) for candidate in draws]
     low, high = np.quantile(rows, (0.5 - 0.5 * level, 0.5 + 0.5 * level), axis=0) if rows else (force, force)
     curves = [force, *(axle_force(candidate, vehicle, axle, slip) for candidate in also)]
-    counts = np.histogram(size, slip)[0]
+    counts = np.histogram(abs_slip, slip)[0]
     return AxleCurve(axle, slip, force, np.min([low, *curves], axis=0), np.max([high, *curves], axis=0), file,
                      counts / max(int(counts.sum()), 1), level)
 

@@ -70,8 +70,8 @@ def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
                       nuisance: Sequence[str] = NUISANCE) -> Identification:
     """Both stiffnesses with their uncertainty over runs.
 
-    vehicle: everything else, and where the fit starts. base: linear, nonlinear, or either with effects that are known
-    (`augment`: for example drive force on steered wheels). also: further parameters to fit and report, of
+    vehicle: all other values, and the start values of the fit. base: linear, nonlinear, or either with effects that are
+    known (`augment`: for example drive force on steered wheels). also: further parameters to fit and report, of
     `driving_fit.FREE_PARAMETERS` (steering_ratio needs low and high speeds, cg_to_ins_x tight bends). nuisance:
     fitted too, not reported. Raises IdentificationError for too little excitation.
     """
@@ -210,7 +210,7 @@ def make_identification(what: str, vehicle: VehicleParameters, fit: DrivingFit, 
 
 
 def _judge_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[str, Status]:
-    """(verdict: how well the data determine the value, and their number; status)."""
+    """(verdict: how well the value is determined, and by how many predictions; status)."""
     name, value = fit.names[index], fit.values[index]
     basis = f"{fit.n_predictions} predictions in {fit.spread.basis[index]}"
     if name in fit.at_bound:

@@ -156,8 +156,8 @@ def share_sums(models: Sequence[Model], vehicle: VehicleParameters, signals: Log
     for model in models:
         starts, total, parts = squared_contributions(model, vehicle, signals, settings, intervals.get(model.name))
         found[model.name] = {"starts": starts, "total": _seconds(total),
-                             "parts": {kind: {name: _seconds(squares) for (of, name), squares in parts.items()
-                                              if of == kind} for kind in (PARAMETERS, SENSORS)}}
+                             "parts": {kind: {name: _seconds(squares) for (group, name), squares in parts.items()
+                                              if group == kind} for kind in (PARAMETERS, SENSORS)}}
     return {"shares": found}
 
 

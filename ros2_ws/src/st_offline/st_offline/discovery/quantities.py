@@ -11,7 +11,7 @@ from st_core.relations import Candidate
 from st_core.vehicle import VehicleParameters
 
 MAX_DECIMALS = 6
-ON_BOUND = Limits().at_bound  # distance from a bound, in usual sizes
+ON_BOUND = Limits().at_bound  # distance from a bound, over the usual size of the effect
 _DISPLAY = {"rad": ("°", 57.29577951308232), "rad/s": ("°/s", 57.29577951308232)}
 
 
@@ -54,7 +54,7 @@ def metres(value: float) -> str:
 
 
 def digits(p: FittedParameter) -> int:
-    """Significant decimals, by the width of the interval."""
+    """Decimals to print, by the width of the interval."""
     half = 0.5 * (p.interval[1] - p.interval[0]) * factor(p.unit)
     return max(1 - math.floor(math.log10(half) + 1e-6), 0) if math.isfinite(half) and half > 0.0 else 3
 
@@ -73,12 +73,12 @@ def value(p: FittedParameter, parameter: Parameter | None = None, interval: bool
 
     parameter: that of the effect; a value on one of its bounds is reported as such. The interval may cross a bound.
     """
-    usual = abs(parameter.initial - parameter.null) if parameter else 0.0
-    edges = [] if parameter is None or parameter.shape else [
-        edge for edge in parameter.bounds if edge not in (parameter.null, parameter.theory)]
+    usual_size = abs(parameter.initial - parameter.null) if parameter else 0.0
+    bounds = [] if parameter is None or parameter.shape else [
+        bound for bound in parameter.bounds if bound not in (parameter.null, parameter.theory)]
     number, *ends = (decimal(x * factor(p.unit), digits(p)) for x in (p.value, *p.interval))
     text = f"× {number}" if p.unit == "1" and p.null == 1.0 else with_unit(number, p.unit)
-    on_bound = " on its bound" if any(abs(p.value - edge) < ON_BOUND * usual for edge in edges) else ""
+    on_bound = " on its bound" if any(abs(p.value - bound) < ON_BOUND * usual_size for bound in bounds) else ""
     return f"{text}{on_bound}{f' ({ends[0]} to {ends[1]})' if interval else ''}"
 
 

@@ -35,43 +35,44 @@ class RelationReport:
 def relation_report(found: RelationSearch, answer: Discovery, vehicle: VehicleParameters,
                     folder: str) -> RelationReport:
     """Everything that is reported of a search for a relation. folder: of the results."""
-    one = found.relation
+    relation = found.relation
     terms = ", ".join(quantities.TERMS[name] for name in found.not_examined())
     excluded: Groups = [("not excluded", [f"a relation of these terms, which is not detectable in the drives: {terms}"]
                          )] if terms else []
-    if one is None:
+    if relation is None:
         return RelationReport([("proposal", [f"none: {quantities.spell_out(found.why, found.tried)}"]), *excluded])
-    without, with_it = one.position_5s
-    runs = ", ".join(f"{name} ({before:.2f} → {after:.2f} m)" for name, (before, after) in one.worse_runs().items())
-    worse, causes = f"WORSE by a quarter or more in {runs}", one.formulas[0].causes if one.formulas else ""
-    proposal = [f"{f'{worse}. ' if runs else ''}{title_of(one)}. A proposal is not established: try it, then keep or "
-                "delete it", *([f"textbook causes: {causes}. These drives do not show the cause"] if causes else [])]
-    headline = (f"PROPOSAL, not established: {title_of(one)}; {without:.2f} m → {with_it:.2f} m (held-out)"
+    without, with_it = relation.position_5s
+    runs = ", ".join(f"{name} ({before:.2f} → {after:.2f} m)"
+                     for name, (before, after) in relation.worse_runs().items())
+    worse, causes = f"WORSE by a quarter or more in {runs}", relation.formulas[0].causes if relation.formulas else ""
+    proposal = [f"{f'{worse}. ' if runs else ''}{title_of(relation)}. A proposal is not established: try it, then keep "
+                "or delete it", *([f"textbook causes: {causes}. These drives do not show the cause"] if causes else [])]
+    headline = (f"PROPOSAL, not established: {title_of(relation)}; {without:.2f} m → {with_it:.2f} m (held-out)"
                 f"{f'; {worse}' if runs else ''}")
-    groups: Groups = [("proposal", proposal), ("effect size", _effect_size(one, answer, found.why)),
-                      ("formula", _formula(one, vehicle)), ("uncertainty of the curve", _uncertainty(one)),
-                      ("alternatives", _alternatives(one)), ("next drive", next_drive_sentences(one)), *excluded,
-                      ("files", _files(one, answer.model is not None, folder))]
+    groups: Groups = [("proposal", proposal), ("effect size", _effect_size(relation, answer, found.why)),
+                      ("formula", _formula(relation, vehicle)), ("uncertainty of the curve", _uncertainty(relation)),
+                      ("alternatives", _alternatives(relation)), ("next drive", next_drive_sentences(relation)),
+                      *excluded, ("files", _files(relation, answer.model is not None, folder))]
     filled = [(question, lines) for question, lines in groups if lines]
-    tables = [_errors_by_run(one, answer), *_values_with_and_without(one, answer, vehicle)]
+    tables = [_errors_by_run(relation, answer), *_values_with_and_without(relation, answer, vehicle)]
     return RelationReport(filled, tables, headline)
 
 
-def _effect_size(one: Relation, answer: Discovery, why: str) -> list[str]:
-    without, with_it = one.position_5s
-    worse = [name for name, (before, after) in one.runs.items() if after >= before]
+def _effect_size(relation: Relation, answer: Discovery, why: str) -> list[str]:
+    without, with_it = relation.position_5s
+    worse = [name for name, (before, after) in relation.runs.items() if after >= before]
     but = f", not in {', '.join(worse)}" if worse else ""
     noise = f"; noise floor {answer.gap['position_5s'].floor:.3f} m" if "position_5s" in answer.gap else ""
     return [f"held-out mean position error after 5 s: {without:.3f} m without the relation, {with_it:.3f} m with "
             f"it{noise}", why,
-            f"smaller errors in {len(one.runs) - len(worse)} of {len(one.runs)} runs{but}"]
+            f"smaller errors in {len(relation.runs) - len(worse)} of {len(relation.runs)} runs{but}"]
 
 
-def _formula(one: Relation, vehicle: VehicleParameters) -> list[str]:
-    c = one.candidate
+def _formula(relation: Relation, vehicle: VehicleParameters) -> list[str]:
+    c = relation.candidate
     lines = [f"{'or ' if k else ''}{r.text.replace('^2', '²').replace('^3', '³')} "
              f"({r.shape}; keeps {r.kept:.0%} of the curve's held-out gain when "
-             "simulated in its place)" for k, r in enumerate(one.formulas)
+             "simulated in its place)" for k, r in enumerate(relation.formulas)
              ] or ["no simple formula keeps 90 % of the curve's held-out gain when simulated in its place"]
     return [*lines, f"y: {quantities.axis(c)}, {c.unit.translate(SQUARES)}; u: "
             f"{quantities.QUANTITIES[c.quantity]}{quantities.SIGNS.get(c.quantity, '')}, "
@@ -79,46 +80,47 @@ def _formula(one: Relation, vehicle: VehicleParameters) -> list[str]:
             *filter(None, [quantities.in_newtons(c, vehicle)])]
 
 
-def _uncertainty(one: Relation) -> list[str]:
+def _uncertainty(relation: Relation) -> list[str]:
     """Driven range, the widest interval, sparse ranges, variation between runs."""
-    c, widest = one.candidate, int(one.deviation.argmax())
-    (up, unit), (across, across_unit) = display_unit(c.unit), display_unit(QUANTITIES[c.quantity])
-    lines = [f"driven: {quantities.QUANTITIES[c.quantity]} from {across * c.low:.3g} to {across * c.high:.3g} "
-             f"{across_unit}; the curve is constant beyond",
-             f"widest interval at {across * one.at[widest]:.3g} {across_unit}: {up * one.value[widest]:.2g} ± "
-             f"{up * report_text.Z95 * one.deviation[widest]:.2g} {unit} (95 %)"]
-    if one.drives.sparse:
+    c, widest = relation.candidate, int(relation.deviation.argmax())
+    (y_scale, unit), (x_scale, x_unit) = display_unit(c.unit), display_unit(QUANTITIES[c.quantity])
+    lines = [f"driven: {quantities.QUANTITIES[c.quantity]} from {x_scale * c.low:.3g} to {x_scale * c.high:.3g} "
+             f"{x_unit}; the curve is constant beyond",
+             f"widest interval at {x_scale * relation.at[widest]:.3g} {x_unit}: {y_scale * relation.value[widest]:.2g} "
+             f"± {y_scale * report_text.Z95 * relation.deviation[widest]:.2g} {unit} (95 %)"]
+    if relation.drives.sparse:
         mirrored = ", to either side" if c.parity == ODD else ""
-        lines.append(f"sparsely driven: {_ranges(one, one.drives.sparse)}{mirrored}. There the curve is interpolated, "
-                     "and the interval assumes the same smoothness: drive some seconds there, turning to both sides")
-    absent = one.shares.absent() if one.shares.p_equal < P_DIFFERENT else []
+        lines.append(f"sparsely driven: {_ranges(relation, relation.drives.sparse)}{mirrored}. There the curve is "
+                     "interpolated, and the interval assumes the same smoothness: drive some seconds there, "
+                     "turning to both sides")
+    absent = relation.shares.absent() if relation.shares.p_equal < P_DIFFERENT else []
     if absent:
         shares = ", ".join(f"{name} {share:.1f} ± {report_text.Z95 * deviation:.1f}" for name, (share, deviation) in
-                           one.shares.by_run.items())
+                           relation.shares.by_run.items())
         lines.append(f"varies between runs: nearly absent in {', '.join(absent)} (its size by run, 95 %: {shares})")
     return lines
 
 
-def _alternatives(one: Relation) -> list[str]:
+def _alternatives(relation: Relation) -> list[str]:
     lines = []
-    if one.others:
-        names = "; ".join(f"{quantities.written_out(name)} ({cosine:.2f})" for name, cosine in one.others.items())
+    if relation.others:
+        names = "; ".join(f"{quantities.written_out(name)} ({cosine:.2f})" for name, cosine in relation.others.items())
         lines.append(f"these drives do not separate it from: {names}. In brackets the cosine similarity of the two "
                      "effects on the predictions: 1 the same, 0 unrelated")
-    for name, share in one.redundant.items():
+    for name, share in relation.redundant.items():
         lines.append(f"{quantities.plain(name)} is named above, but is redundant with this relation (without it "
                      f"{share:.1%} of the residual returns): it may have imitated the relation")
     return lines
 
 
-def _files(one: Relation, corrected: bool, folder: str) -> list[str]:
+def _files(relation: Relation, corrected: bool, folder: str) -> list[str]:
     """corrected: whether the answer without the relation has files of its own."""
-    if one.candidate.quantity == "run_time":
+    if relation.candidate.quantity == "run_time":
         return ["no effect file is written: the time in a run predicts nothing of another drive"]
-    lines = [f"with the relation: the original vehicle file, proposed.yaml and effects/{name_of(one)}.py. To predict "
-             f"drives: --model {folder}/proposed.yaml --effects {folder}/effects of st evaluate, demo and export; to "
-             f"search for further effects: --base {folder}/proposed.yaml --effects {folder}/effects of st discover; to "
-             f"test the file: st effects check {folder}/effects/{name_of(one)}.py"]
+    lines = [f"with the relation: the original vehicle file, proposed.yaml and effects/{name_of(relation)}.py. To "
+             f"predict: --model {folder}/proposed.yaml --effects {folder}/effects of st evaluate, demo and export; "
+             f"to search for further effects: --base {folder}/proposed.yaml --effects {folder}/effects of st discover; "
+             f"to test the file: st effects check {folder}/effects/{name_of(relation)}.py"]
     if corrected:
         lines += ["without the relation: vehicle.yaml and model.yaml",
                   "do not combine proposed.yaml with vehicle.yaml (it is rejected): proposed.yaml itself contains the "
@@ -126,27 +128,27 @@ def _files(one: Relation, corrected: bool, folder: str) -> list[str]:
     return lines
 
 
-def _errors_by_run(one: Relation, answer: Discovery) -> Table:
+def _errors_by_run(relation: Relation, answer: Discovery) -> Table:
     first: Mapping[str, tuple[float, float]] = answer.steps[0].runs if answer.steps else {}
     start = answer.steps[0].position_5s.base if answer.steps else None
     errors = [(name, first[name][0] if name in first else None, *pair) for name, pair in sorted(
-        one.runs.items(), key=lambda item: item[1][1] - item[1][0])]
+        relation.runs.items(), key=lambda item: item[1][1] - item[1][0])]
     rows = [(name, "-" if before is None else f"{before:.3f}", f"{without:.3f}", f"{with_it:.3f}",
              f"{with_it - without:+.3f} ({100.0 * (with_it / max(without, 1e-9) - 1.0):+.0f} %)".replace("-", "−"))
-            for name, before, without, with_it in (*errors, ("all windows", start, *one.position_5s))]
+            for name, before, without, with_it in (*errors, ("all windows", start, *relation.position_5s))]
     return Table("Held-out mean position error after 5 s, by run, m",
                  "Every run is predicted with values fitted to other driving. Sorted by the change; + is a larger "
                  "error.",
                  ("run", answer.start, "without the relation", "with the relation", "change"), rows)
 
 
-def _values_with_and_without(one: Relation, answer: Discovery, vehicle: VehicleParameters) -> list[Table]:
+def _values_with_and_without(relation: Relation, answer: Discovery, vehicle: VehicleParameters) -> list[Table]:
     """The same quantities fitted without and with the relation: which value belongs to which file."""
     if answer.model is None:
         return []
     rows = []
-    for effect in one.model.effects:
-        original, refitted = answer.model.values.get(effect.name), one.model.values[effect.name]
+    for effect in relation.model.effects:
+        original, refitted = answer.model.values.get(effect.name), relation.model.values[effect.name]
         free = [p for p in effect.parameters if p.fit]
         if original is None or all(refitted[p.name] == p.null == original[p.name] for p in free):
             continue
@@ -161,13 +163,13 @@ def _values_with_and_without(one: Relation, answer: Discovery, vehicle: VehicleP
                   ("quantity", "without the relation", "with the relation"), rows)] if rows else []
 
 
-def next_drive_sentences(one: Relation) -> list[str]:
+def next_drive_sentences(relation: Relation) -> list[str]:
     """What to drive to separate the relation from rivals, to narrow its curve, and to cover sparse ranges."""
-    c, drives = one.candidate, one.drives
+    c, drives = relation.candidate, relation.drives
     if c.quantity in INDEPENDENT_OF_MANOEUVRE:
         return [ELSEWHERE]
     lines = []
-    separating, precise = drives.most_separating(), drives.most_precise(one.deviation)
+    separating, precise = drives.most_separating(), drives.most_precise(relation.deviation)
     if separating is not None:
         option, rival = separating
         gain = option.separation[rival] / max(drives.current_separation[rival], 1e-9)
@@ -176,19 +178,19 @@ def next_drive_sentences(one: Relation) -> list[str]:
     elif drives.current_separation:
         lines.append("no manoeuvre of the catalogue separates it much better from its alternatives: look for the "
                      "cause on the car")
-    if len(drives.current_separation) < len(one.others):
+    if len(drives.current_separation) < len(relation.others):
         lines.append(f"to separate it from effects of place, course or time: {ELSEWHERE}")
     if precise is not None:
-        up, unit = display_unit(c.unit)
+        y_scale, unit = display_unit(c.unit)
         lines.append(f"for a narrower interval: {_manoeuvre(precise)}. The widest 95 % interval then falls from "
-                     f"± {up * report_text.Z95 * one.deviation.max():.2g} to ± "
-                     f"{up * report_text.Z95 * precise.deviation.max():.2g} {unit}")
+                     f"± {y_scale * report_text.Z95 * relation.deviation.max():.2g} to ± "
+                     f"{y_scale * report_text.Z95 * precise.deviation.max():.2g} {unit}")
     return lines
 
 
-def _ranges(one: Relation, ranges: Sequence[tuple[float, float]]) -> str:
-    across, unit = display_unit(QUANTITIES[one.candidate.quantity])
-    return ", ".join(f"{across * low:.2g} to {across * high:.2g} {unit}" for low, high in ranges)
+def _ranges(relation: Relation, ranges: Sequence[tuple[float, float]]) -> str:
+    x_scale, unit = display_unit(QUANTITIES[relation.candidate.quantity])
+    return ", ".join(f"{x_scale * low:.2g} to {x_scale * high:.2g} {unit}" for low, high in ranges)
 
 
 def _manoeuvre(option: Option) -> str:

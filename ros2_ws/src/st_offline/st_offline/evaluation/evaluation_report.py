@@ -154,7 +154,7 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
         band_rows=band_rows(pooled_bands or None),
         adaptive_rows=adaptive_rows(content.get("adaptive_bands_all_runs")),
         share_rows=share_rows(pooled_bands.get("shares", {})),
-        over=over, what=tables.WHAT[over], axes=tables.SHOWN_AXES, kinds=tables.KINDS, modes=modes,
+        over=over, what=tables.WHAT[over], axes=tables.SHOWN_AXES, kinds=tables.STATISTICS, modes=modes,
         figures={good[0].name: of_run} if of_run else {}, in_metres=tables.in_metres, best=tables.best,
         values=tables.values, slug=slug)
     file.write_text(text, encoding="utf-8")

@@ -18,7 +18,7 @@ from st_core.palette import MODEL_COLOUR
 
 from .drive_parts import DrivePart, assign
 
-KINDS = ("mean", "max", "rmse")
+STATISTICS = ("mean", "max", "rmse")
 
 Entry = dict[str, Any]
 
@@ -29,8 +29,8 @@ def entry(errors: ModelErrors, select: np.ndarray | slice = ALL) -> Entry:
     count = int(complete.sum())
     return {
         "n_starts": count, "n_incomplete": len(complete) - count,
-        **{axis: _kinds(*values) for axis, values in errors.by_axis("means", select).items()},
-        "samples": {"n_starts": count, **{axis: _kinds(*v) for axis, v in errors.by_axis("samples", select).items()}},
+        **{axis: _statistics(*values) for axis, values in errors.by_axis("means", select).items()},
+        "samples": {"n_starts": count, **{a: _statistics(*v) for a, v in errors.by_axis("samples", select).items()}},
     }
 
 
@@ -46,7 +46,7 @@ def by_second(evaluation: LogEvaluation) -> dict[str, dict[str, dict[str, Entry]
     for (model, mode), errors in evaluation.errors.items():
         values = errors.at_seconds[errors.complete]
         found[model][mode] = {} if not len(values) else {
-            str(k + 1): {axis: _kinds(v.mean(), np.abs(v).max(), np.sqrt(np.square(v).mean()))
+            str(k + 1): {axis: _statistics(v.mean(), np.abs(v).max(), np.sqrt(np.square(v).mean()))
                          for axis, v in zip(AXES, values[:, k].T, strict=True)} for k in range(values.shape[1])}
     return found
 
@@ -89,17 +89,17 @@ def _joined(entries: Sequence[Entry]) -> Entry:
     for axis in AXES:
         known = [(e["n_starts"], e[axis]) for e in entries if e["n_starts"]]
         total = sum(n for n, _ in known)
-        joined[axis] = _kinds(
+        joined[axis] = _statistics(
             sum(n * v["mean"] for n, v in known) / total, max(v["max"] for _, v in known),
-            math.sqrt(sum(n * v["rmse"] ** 2 for n, v in known) / total)) if total else _kinds(*[math.nan] * 3)
+            math.sqrt(sum(n * v["rmse"] ** 2 for n, v in known) / total)) if total else _statistics(*[math.nan] * 3)
     if "samples" in entries[0]:
         joined["samples"] = _joined([e["samples"] for e in entries])
     return joined
 
 
-def _kinds(*values: float) -> Entry:
+def _statistics(*values: float) -> Entry:
     """Statistics by name; None in place of NaN, which JSON does not have."""
-    return {kind: float(v) if math.isfinite(v) else None for kind, v in zip(KINDS, values, strict=True)}
+    return {kind: float(v) if math.isfinite(v) else None for kind, v in zip(STATISTICS, values, strict=True)}
 
 
 DIGITS = 2  # as the paper: centimetres
@@ -147,7 +147,7 @@ def terminal_table(reports: Sequence[Any], over: str, title: str, width: int) ->
             cells = [Text(" | ").join(
                 Text(f"{in_metres(values(report.models, model, 'hindsight', axis, over)[kind]):>5}",
                      style="bold" if best(report.models, model, "hindsight", axis, kind, over) else "")
-                for kind in KINDS) for axis in SHOWN_AXES]
+                for kind in STATISTICS) for axis in SHOWN_AXES]
             forecasts = [" | ".join(f"{in_metres(values(report.models, model, mode, axis, over)['rmse']):>5}"
                                     for axis in SHOWN_AXES) if mode in report.models[model] else "" for mode in ahead]
             starts = str(report.models[model]["hindsight"]["n_starts"])
@@ -173,7 +173,7 @@ def latex_table(reports: Sequence[Any], over: str, what: str) -> str:
 
     def triple(report: Any, model: str, axis: str) -> str:
         parts = []
-        for kind in KINDS:
+        for kind in STATISTICS:
             text = in_metres(values(report.models, model, "hindsight", axis, over)[kind])
             bold = rf"\mathbf{{{text}}}" if best(report.models, model, "hindsight", axis, kind, over) else text
             parts.append(rf"\phantom{{-}}{bold}" if kind == "mean" and not text.startswith("-") else bold)
@@ -230,4 +230,4 @@ def _model_rows(head: Row, models: Models) -> Iterator[Row]:
 
 def _flat(entry: Mapping[str, Any]) -> Row:
     units = {"longitudinal": "m", "lateral": "m", "yaw": "rad"}
-    return {f"{axis}_{kind}_{units[axis]}": entry[axis][kind] for axis in AXES for kind in KINDS}
+    return {f"{axis}_{kind}_{units[axis]}": entry[axis][kind] for axis in AXES for kind in STATISTICS}

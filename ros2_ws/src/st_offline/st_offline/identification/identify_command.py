@@ -55,9 +55,7 @@ class Job:
 
 
 def run(job: Job, console: Console) -> int:
-    """Exit status: 0 when something was identified, else 1. Raises StCoreError, RunError, OutputError: one
-    line for the user.
-    """
+    """Exit status: 0 when something was identified, else 1. Raises StCoreError, RunError, OutputError."""
     with console.status(f"identifying: {job.experiment.what}"):
         found = tuple(replace(outcome, warnings=(*outcome.warnings, *filter(None, (
             compare_with_file(job.setup.vehicle, estimate) for estimate in outcome.estimates))))
@@ -147,10 +145,10 @@ def vehicle_text(file: Path, car: VehicleParameters, found: Sequence[Identificat
             if quantity(e.parameter) is not None and e.status != "unidentifiable"]
 
     def entry(key: str, unit: str, factor: float) -> str:
-        about = car.provenance.get(key, Provenance())
-        about = replace(about, uncertainty=None if about.uncertainty is None else about.uncertainty / factor)
+        source = car.provenance.get(key, Provenance())
+        source = replace(source, uncertainty=None if source.uncertainty is None else source.uncertainty / factor)
         return (f"{{value: {number(value_of(car, key) / factor)}, unit: {quoted(unit)}, "
-                f"source: {quoted(car.sources[key])}{about.entries()}}}")
+                f"source: {quoted(car.sources[key])}{source.entries()}}}")
 
     try:
         text = file.read_text(encoding="utf-8")

@@ -44,7 +44,7 @@ class Table:
 
     columns: values in SI by channel, NaN for a missing number. time_ns: of all rows that have a time, in the order of
     the file; rows_without_time: number of the others, which are left out. used: (n,) whether a row has a time later
-    than all before (ins_log.usable_rows). warnings name the file.
+    than all before (ins_log.usable_rows). warnings name the file. words: first cell of the channels without a number.
     """
 
     file: Path
@@ -96,7 +96,7 @@ def header_of(file: Path) -> list[str]:
 
 
 def read_table(file: Path, layout: Layout) -> Table:
-    """The table in a CSV file. Raises RunError for a binary file, unreadable times, or a row unlike the header."""
+    """The table in a CSV file. Raises RunError for a binary file, unreadable times, or rows unlike the header."""
     check_readable(file)
     text = read_text(file)
     warnings: list[str] = []
@@ -167,24 +167,24 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
     if time is None:
         return Table(file, tuple(names), sources, columns, np.empty(0, np.int64), 0, np.empty(0, bool), tuple(warnings))
     seconds = _seconds(file, rows[:, time.column], time, warnings)
-    timed, time_ns, used = _usable_times(file, seconds, time, first_time, warnings)
-    columns = {channel: values[timed] for channel, values in columns.items()}
-    return Table(file, tuple(names), sources, columns, time_ns, int((~timed).sum()), used, tuple(warnings), words)
+    has_time, time_ns, used = _usable_times(file, seconds, time, first_time, warnings)
+    columns = {channel: values[has_time] for channel, values in columns.items()}
+    return Table(file, tuple(names), sources, columns, time_ns, int((~has_time).sum()), used, tuple(warnings), words)
 
 
 def _usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_time: str | None,
                   warnings: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(whether each row has a time, those times [ns], whether each of them is used). Raises RunError without any."""
-    timed = np.abs(seconds) <= LATEST_TIME
+    has_time = np.abs(seconds) <= LATEST_TIME
     if first_time is not None and len(seconds) and not np.isfinite(seconds).any():
         raise RunError(file, f"no time in column {source.name} can be read, the first is {first_time!r}",
                        "export seconds, or date and time with seconds, as 2026-05-04 10:11:12.3")
-    if not timed.any() and np.isfinite(seconds).any():
+    if not has_time.any() and np.isfinite(seconds).any():
         largest = np.abs(seconds[np.isfinite(seconds)]).max()
         raise RunError(file, f"times like {largest:.3g} in column {source.name} are not in {source.unit}",
                        "declare their unit in a run.yaml, as units: {t: us}")
     # A float of seconds since 1970 resolves microseconds.
-    time_ns = np.round(seconds[timed] * 1e6).astype(np.int64) * 1000
+    time_ns = np.round(seconds[has_time] * 1e6).astype(np.int64) * 1000
     usable, notes = usable_rows(time_ns, "rows") if len(time_ns) else (np.empty(0, np.int64), [])
     used = np.zeros(len(time_ns), dtype=bool)
     used[usable] = True
@@ -195,7 +195,7 @@ def _usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_t
     if not source.stated and used.sum() > 2 and (step := float(np.median(np.diff(time_ns[used])) * 1e-9)) > 1.0:
         warnings.append(f"{file}: its times are {step:g} s apart; if they are not seconds, declare their unit in a "
                         "run.yaml, as units: {t: ms}")
-    return timed, time_ns, used
+    return has_time, time_ns, used
 
 
 def _header_line(lines: list[str], layout: Layout | None = None) -> int:
@@ -213,7 +213,7 @@ def _header_line(lines: list[str], layout: Layout | None = None) -> int:
 
 def _split_header(header: str) -> tuple[list[str], str]:
     """(names, delimiter)."""
-    delimiter = max(";\t|,", key=re.sub('"[^"]*"', "", header).count)  # the first of those that occur as often
+    delimiter = max(";\t|,", key=re.sub('"[^"]*"', "", header).count)  # of equally frequent ones the first
     if delimiter not in header and len(header.split()) > 2:
         return header.split(), " "
     try:
@@ -255,9 +255,9 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequenc
         raise RunError(
             file, f"unit row: {units[channel][:40]!r} of column {sources[channel].name} is not a unit of {kind}",
             f"known are {', '.join(UNITS[kind])}; or set it in a run.yaml, as units: {{{channel}: ...}}")
-    stated = {channel: replace(sources[channel], unit=unit, stated=True) for channel, text in (units or {}).items()
+    with_units = {channel: replace(sources[channel], unit=unit, stated=True) for channel, text in (units or {}).items()
               if channel not in layout.units and (unit := unit_named(COLUMNS[channel].kind, text))}
-    return {**sources, **stated}, "\n".join(lines)
+    return {**sources, **with_units}, "\n".join(lines)
 
 
 def _read_units_of_cells(sources: dict[str, ColumnSource], body: str, delimiter: str,
@@ -273,9 +273,9 @@ def _read_units_of_cells(sources: dict[str, ColumnSource], body: str, delimiter:
         for row in rows:
             if (column := sources[channel].column) < len(row):
                 row[column] = row[column].strip(' \r"').removesuffix(text)
-    stated = {channel: replace(sources[channel], unit=unit, stated=True) for channel, text in found.items()
+    with_units = {channel: replace(sources[channel], unit=unit, stated=True) for channel, text in found.items()
               if channel not in layout.units and (unit := unit_named(COLUMNS[channel].kind, text))}
-    return {**sources, **stated}, "\n".join(map(delimiter.join, rows))
+    return {**sources, **with_units}, "\n".join(map(delimiter.join, rows))
 
 
 def _split_unit(channel: str, cell: str) -> str:
