@@ -166,7 +166,7 @@ def test_positions_that_jump(log, size, end, stretches):
     wrong = replace(log, x=log.x + 0.6 * away, y=log.y - 0.8 * away)
     one = found(wrong)["position_jumps"]
     assert one.value == 2.0
-    assert float(re.search(r"([\d.]+) m at most", one.text)[1]) == pytest.approx(size, abs=0.02)
+    assert float(re.search(r"largest ([\d.]+) m", one.text)[1]) == pytest.approx(size, abs=0.02)
     assert one.where == (pytest.approx((12.34, 12.35)), pytest.approx((end - 0.01, end)))
     left_out = one.advice.entry["leave_out"]
     assert np.ravel(left_out) == pytest.approx(stretches, abs=0.011)

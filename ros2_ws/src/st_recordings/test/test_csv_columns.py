@@ -296,7 +296,7 @@ def test_the_unit_of_times_since_1970_follows_from_their_size(tmp_path: Path, fa
     drive = read_csv(file)
     assert_whole(drive.log)
     assert drive.log.ins_time_ns[0] == 1_700_000_000_000_000_000
-    assert any(f"taken as {unit} since 1970" in warning for warning in drive.warnings) == (factor > 1)
+    assert any(f"read as {unit} since 1970" in warning for warning in drive.warnings) == (factor > 1)
 
 
 @pytest.mark.parametrize(("stamp", "start"), [

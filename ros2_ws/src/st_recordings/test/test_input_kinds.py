@@ -513,7 +513,7 @@ def test_a_cut_blf_is_read_up_to_the_cut_with_a_warning(tmp_path: Path, drive) -
     assert_same(read(whole, CAR).log, drive[1], lost=0, steering=0.003)
     blf.write_bytes(blf.read_bytes()[: blf.stat().st_size // 2])
     run = read(find_runs([tmp_path])[0], CAR)
-    assert_warned(run.warnings, r"run\.blf: .*(cut|header)")
+    assert_warned(run.warnings, r"run\.blf: .*(truncated|header)")
 
 
 @pytest.mark.parametrize("options", [(), ("--no-fd",)], ids=["with FD group", "without FD group"])
