@@ -66,7 +66,7 @@ def _check_null(effect: type[Effect], vehicle: VehicleParameters) -> str:
         model = neutral(active)
         change = float(np.abs(_predict_floats(model, vehicle) - _predict_floats(base, vehicle)).max())
         if np.isnan(change) or change > 0.0:
-            return f"at null the path of the {base.name} model changes by {change:.3g}; it must be equal to the last bit"
+            return f"at null the path of {base.name} changes by {change:.3g}; it must be equal to the last bit"
         readings = model.observe(READING), model.correct(READING)
         if readings != (READING, READING) or model.effective_vehicle(vehicle) != vehicle:
             return "at null a reading or the car is changed"
