@@ -19,8 +19,8 @@ HAND_TIME = 0.08  # s, time constant of the hand
 MAX_HAND_RATE, MAX_HAND_ANGLE = 8.0, 9.5
 """rad/s and rad at the hand wheel: 460 deg/s is fast for a person, 540 deg is the end stop."""
 TREMOR_TIME = 0.4  # s, correlation time of random steering
-INTEGRAL_STEER, INTEGRAL_LIMIT = 0.015, 0.03
-SPEED_GAIN, SPEED_INTEGRAL = 1.2, 0.5
+INTEGRAL_STEER, INTEGRAL_LIMIT = 0.015, 0.03  # 1/(m^2 s), 1/m
+SPEED_GAIN, SPEED_INTEGRAL = 1.2, 0.5  # 1/s, 1/s^2
 MIN_STEERING_SPEED = 0.5  # m/s. Below, the hand wheel is held, because the course angle is not defined
 JERK = 10.0  # m/s^3, of the pedals
 MAX_BRAKING, MAX_DRIVE, HOLDING_BRAKE = 7.0, 3.5, 2.0  # m/s^2

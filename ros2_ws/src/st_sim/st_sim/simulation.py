@@ -19,12 +19,12 @@ class SimulatedCar:
         self.plant = Plant(car, settings, seed)
         self.driver = Driver(car, settings, plan, seed)
         self._step = self.plant.time_step
-        before = plan.start
+        distance = plan.start
         for _ in range(round(RUN_IN / self._step)):
-            before -= plan.speed_at(before) * self._step
-        road = plan.path.pose(before)
-        self.plant.place(road.x, road.y, road.yaw, plan.speed_at(before), plan.path.curvature(before))
-        self.driver.place(self.plant, before)
+            distance -= plan.speed_at(distance) * self._step
+        road = plan.path.pose(distance)
+        self.plant.place(road.x, road.y, road.yaw, plan.speed_at(distance), plan.path.curvature(distance))
+        self.driver.place(self.plant, distance)
         self._count = -round(RUN_IN / self._step)
         self._hand_rate = 0.0
         self.duration: float | None = None

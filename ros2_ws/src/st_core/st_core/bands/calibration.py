@@ -9,7 +9,7 @@ is not exceeded by the last with the probability k/(n + 1) = level, for any dist
 no bound exists: n runs support levels up to n/(n + 1). To make the result independent of the draw, the factor c has the
 mean coverage over all draws, with equal weights of the runs:
 
-    F(c) = E[ F(k-th smallest of one window a run) ],     F(s) = 1/n sum_r 1/n_r #{i : s_ri <= s}
+    F(c) = E[ F(k-th smallest of one window per run) ],     F(s) = 1/n sum_r 1/n_r #{i : s_ri <= s}
 
 For a k that is not an integer, E[...] is interpolated between the neighbouring integers. With one window per run and an
 integer k, c is exactly the split-conformal quantile. The coverage is proven for one draw; for the average over draws it

@@ -105,13 +105,13 @@ def cg_height(data: Lift, car: LiftedCar) -> Identification:
     used = tuple(dict.fromkeys(data.lifts))
     method = (f"ISO 10392 axle lift, {len(data.pitch)} rows in {len(used)} lift{'s' * (len(used) != 1)} up to "
               f"{math.degrees(data.pitch.max()):.1f} deg, wheel centres at {radius:.3f} m")
-    gave = "" if deflection is None else (
+    deflection_note = "" if deflection is None else (
         f" At the steepest pitch the rear tyres deflected by a further {1e3 * deflection:.1f} mm, which is not "
         "included.")
     estimate = Estimate(
         "cg_height", height, "m", spread, symmetric_interval(height, spread, freedom), method, used,
         f"The CG is {height:.3f} m above the ground, {arm:.3f} m above the wheel centres; the average over the pitch "
-        f"angles, as the paper takes it, is {average:.3f} m.{gave}")
+        f"angles, as the paper takes it, is {average:.3f} m.{deflection_note}")
     edges = np.arange(0.0, data.pitch.max() + BIN, BIN)
     counts = np.histogram(data.pitch, edges)[0]
     coverage = Coverage("pitch", "deg", np.degrees(edges), counts, 1, 2)

@@ -164,9 +164,9 @@ def _warnings(data: Turntable, line: Line) -> list[str]:
     if left_turn.any() and right_turn.any() and inner.mean() < -math.radians(0.3):
         sentences.append(f"The outer wheel turns further than the inner one by {math.degrees(-inner.mean()):.1f} deg "
                          "on average: left and right columns may be exchanged. Their mean, and with it the ratio, "
-                         "does not suffer.")
+                         "is not affected.")
     if len(line.levels) > 1:
         play = math.degrees(max(line.levels.values()) - min(line.levels.values()))
         sentences.append(f"The sweeps lie up to {play:.2f} deg apart at the road wheel: play, friction, or turntables "
-                         "set to zero again.")
+                         "that were zeroed again.")
     return sentences

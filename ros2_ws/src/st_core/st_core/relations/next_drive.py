@@ -115,15 +115,15 @@ def _loss(fits: RelationFits, windows: Windows, candidate: Candidate, fit: Relat
 
 def _joint(loss: Loss, rows: np.ndarray, slopes: np.ndarray, rival_slopes: np.ndarray, fit: RelationFit) -> np.ndarray:
     """Curvature in the other parameters, the coefficients of a rival, and the size of the relation."""
-    own = np.einsum("p,pnm->nm", fit.coefficients, slopes[-COUNT:])
-    return loss.quadratic(rows, np.concatenate([slopes[:-COUNT], rival_slopes, own[None]])).hessian.sum(axis=0)
+    size_slope = np.einsum("p,pnm->nm", fit.coefficients, slopes[-COUNT:])
+    return loss.quadratic(rows, np.concatenate([slopes[:-COUNT], rival_slopes, size_slope[None]])).hessian.sum(axis=0)
 
 
 def _strength(h: np.ndarray, fit: RelationFit, other: RelationFit, design_effect: float) -> float:
     """Separation of a relation from a rival, in standard deviations. h: of `_joint`."""
-    others = len(fit.indices) - COUNT
+    n_others = len(fit.indices) - COUNT
     penalty = np.zeros((len(h) - 1, len(h) - 1))
-    penalty[others:, others:] = other.penalty[-COUNT:, -COUNT:]
+    penalty[n_others:, n_others:] = other.penalty[-COUNT:, -COUNT:]
     unexplained = float(h[-1, -1] - h[-1, :-1] @ np.linalg.solve(ridge(h[:-1, :-1] + penalty), h[:-1, -1]))
     return float(np.sqrt(max(2.0 * unexplained / design_effect, 0.0)))
 

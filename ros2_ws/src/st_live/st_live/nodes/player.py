@@ -93,7 +93,7 @@ class Player:
     def __init__(self, options: argparse.Namespace):
         self.stop = False
         self._bag, self._rate = options.bag, options.rate
-        self._played = dict(zip((options.odometry, options.steering), INPUTS, strict=True))
+        self._names = dict(zip((options.odometry, options.steering), INPUTS, strict=True))
         self._steering = options.steering
         self._field = None
         if options.steering_field:
@@ -146,13 +146,13 @@ class Player:
         publishers: dict[str, Publisher] = {}
         for connection in connections:
             if connection.msgtype == "st_msgs/msg/InputPlan":
-                self._played[connection.topic] = PLAN
+                self._names[connection.topic] = PLAN
             elif connection.topic.endswith(ORIGIN) and connection.msgtype == "sensor_msgs/msg/NavSatFix":
-                self._played[connection.topic] = ORIGIN
-            if connection.topic in self._played and connection.topic not in publishers:
+                self._names[connection.topic] = ORIGIN
+            if connection.topic in self._names and connection.topic not in publishers:
                 converted = self._field and connection.topic == self._steering
                 message_type = Steering if converted else message_class(connection.msgtype)
-                name = self._played[connection.topic]
+                name = self._names[connection.topic]
                 qos = LATCHED if name == ORIGIN else QoSProfile(depth=DEPTH)
                 publishers[connection.topic] = self._node.create_publisher(message_type, name, qos)
         return publishers

@@ -45,9 +45,9 @@ def drive_parts(log: DriveLog, labels: Sequence[Label] = ()) -> list[DrivePart]:
     states = _states(*(uniform_filter1d(values, min(width, len(grid)), mode="nearest") for values in (speed, yaw_rate)))
     parts = []
     for first, last in _stretches(states, round(SHORTEST / GRID)):
-        turned = float(yaw[last] - yaw[first])
-        gained = float(speed[last] - speed[first]) / max(grid[last] - grid[first], GRID)
-        parts.append(DrivePart(_name(states[first], turned, gained), float(grid[first]), float(grid[last]), turned))
+        start, end, heading_change = float(grid[first]), float(grid[last]), float(yaw[last] - yaw[first])
+        acceleration = float(speed[last] - speed[first]) / max(end - start, GRID)
+        parts.append(DrivePart(_name(states[first], heading_change, acceleration), start, end, heading_change))
     return parts
 
 
@@ -87,11 +87,11 @@ def _stretches(states: np.ndarray, shortest: int) -> list[tuple[int, int]]:
     return [(a, min(b, len(states) - 1)) for a, b in spans]
 
 
-def _name(state: int, turned: float, acceleration: float) -> str:
+def _name(state: int, heading_change: float, acceleration: float) -> str:
     if state == -2:
         return "standing"
-    size = abs(turned)
+    size = abs(heading_change)
     if state == 0 and size < BEND:
         return "braking" if acceleration < -HARD else "accelerating" if acceleration > HARD else "straight"
     shape = "wide curve" if state == 0 else "circle" if size >= CIRCLE else "U-turn" if size >= U_TURN else "turn"
-    return ("left " if (state or turned) > 0 else "right ") + (shape if size >= BEND else "bend")
+    return ("left " if (state or heading_change) > 0 else "right ") + (shape if size >= BEND else "bend")
