@@ -50,18 +50,19 @@ def with_steady_sideslip(log: DriveLog, vehicle: VehicleParameters) -> DriveLog:
     if np.std(angle) < MAX_COURSE_ERROR or not _is_course(log, steady.yaw_rate, fast):
         return log
     speed, yaw = log.velocity_x, log.yaw - angle
-    rate = _derivative(log, yaw) if _is_derived(log) else log.yaw_rate
+    rate = derived_yaw_rate(log.ins_time_ns, yaw) if has_derived_yaw_rate(log) else log.yaw_rate
     return replace(log, yaw=yaw, velocity_x=speed * np.cos(angle), velocity_y=speed * np.sin(angle), yaw_rate=rate,
                    sideslip_measured=False)
 
 
-def _derivative(log: DriveLog, yaw: np.ndarray) -> np.ndarray:
-    return np.gradient(yaw, (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND)
+def derived_yaw_rate(time_ns: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+    """Derivative of unwrapped yaw [rad/s], averaged over RATE_WIDTH_NS: that of a course from step to step is noise."""
+    return smoothed(time_ns, np.gradient(yaw, (time_ns - time_ns[0]) * NANOSECOND), RATE_WIDTH_NS)
 
 
-def _is_derived(log: DriveLog) -> bool:
+def has_derived_yaw_rate(log: DriveLog) -> bool:
     """Whether the yaw rate is the derivative of yaw, except at gaps: no gyroscope was recorded."""
-    return float(np.median(np.abs(_derivative(log, log.yaw) - log.yaw_rate))) < MAX_DERIVATIVE_ERROR
+    return float(np.median(np.abs(derived_yaw_rate(log.ins_time_ns, log.yaw) - log.yaw_rate))) < MAX_DERIVATIVE_ERROR
 
 
 def _is_course(log: DriveLog, yaw_rate: np.ndarray, fast: np.ndarray) -> bool:

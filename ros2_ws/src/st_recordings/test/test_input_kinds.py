@@ -15,11 +15,12 @@ from mcap.writer import CompressionType, IndexType
 from raw_drives import write_drives
 from st_core.checks import check
 from st_core.log import DriveLog
+from st_recordings.car import load_car, read_vehicle
 from st_recordings.runs import ReadSettings, RunError, find_runs, read
 from st_recordings.runs.raw import read_pair
 from st_recordings.runs.run_types import SteeringField
 from st_recordings.runs.write import import_run
-from support import shared
+from support import EXAMPLES, shared
 
 WHEEL = ReadSettings(steering=SteeringField("", "Steer", "wheel", "deg"))
 
@@ -169,6 +170,7 @@ TABLES: list[tuple[str, Callable[[DriveLog], str], str, str]] = [
     ("etas.csv", lambda log: "ETASAsciiItemFile\trecord\n" + csv(
         rows(log), "\t".join(["time", *(name + "\\CCP:1" for name in NAMES[1:])]) + "\n" + "\t".join(["f8"] * 8) +
         "\ns\tm\tm\trad\tm/s\tm/s\trad/s\trad", "\t"), "utf-8", "header is in line 2"),
+    ("empty_rows.csv", lambda log: csv(rows(log)) + (",,,,,,,\n" * 500), "utf-8", ""),
     ("labview.csv", lambda log: degrees(log, "\t".join(["X_Value", *NAMES[1:]])).replace(",", "\t").replace(
         "X_Value", "Channels\t7\nY_Unit_Label\tm\tm\tdeg\tm/s\tm/s\tdeg/s\tdeg\n***End_of_Header***\nX_Value"),
      "utf-8", "header is in line 4"),
@@ -291,6 +293,30 @@ def test_vbo(tmp_path: Path, drive, start: float, seconds_of_day: bool) -> None:
     np.testing.assert_allclose(log.steering_wheel_angle, columns(truth)[7][:-1], atol=1e-4)
     known = "course over ground|derivative of the heading|the last of"
     assert_warned(run.warnings, f"{known}|its times are not HHMMSS" if seconds_of_day else known)
+
+
+def test_a_vbo_of_two_drives(tmp_path: Path, drive) -> None:
+    file = tmp_path / "drive.vbo"
+    file.write_text(vbo(drive[1], last_wrong=False) * 2)
+    run = read(find_runs([file])[0], CAR, WHEEL)
+    assert_warned(run.warnings, r"the clock was set back once, .* rows \(50 %\) are not used")
+    file.write_text(vbo(drive[1]) + vbo(drive[1]).replace("heading Steer", "Steer heading"))
+    with pytest.raises(RunError, match="several files with different"):
+        read(find_runs([file])[0], CAR, WHEEL)
+
+
+def test_a_noisy_course_makes_no_error_of_a_healthy_drive(tmp_path: Path) -> None:
+    """The yaw rate is its derivative, from row to row mostly noise."""
+    rows = [line.split(",") for line in (EXAMPLES / "rfs_turn_a.csv").read_text().splitlines()]
+    at = [rows[0].index(name) for name in ("t", "x", "y", "yaw", "vx", "vy", "delta")]
+    t, x, y, yaw, vx, vy, delta = np.array([[float(row[k]) for k in at] for row in rows[1:1350]]).T
+    cells = np.stack([t, x, y, np.pi / 2 - yaw - np.arctan2(vy, vx), np.hypot(vx, vy), delta], axis=1)
+    file = tmp_path / "course.csv"
+    np.savetxt(file, cells, "%.5f", ",", header="t,x,y,course,speed,delta", comments="")
+    car = read_vehicle(load_car("hyundai_genesis").vehicle)
+    run = read(find_runs([file])[0], car)
+    found = {one.name: one.severity for one in check(run.log, car, run.auxiliary).findings}
+    assert not [name for name in found if name.startswith(("yaw_rate", "steering"))], found
 
 
 @pytest.mark.parametrize(("change", "warning", "lost"), [

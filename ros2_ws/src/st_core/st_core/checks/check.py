@@ -6,6 +6,7 @@ import numpy as np
 
 from ..channels import CHANNELS
 from ..log import INS_SIGNALS, STEERING, DriveLog
+from ..sideslip import has_derived_yaw_rate
 from ..vehicle import VehicleParameters
 from . import inertial, position, sampling, vehicle_relations
 from .agreement import Agreement
@@ -87,13 +88,25 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
             estimates |= values
             panels += [panel] if panel else []
     findings += vehicle_relations.check_standstill(motion.with_(velocity_x=speed))
-    if not sideslip_measured:  # yaw may be the course, which differs by the sideslip
-        findings = [_without_sideslip(finding, motion) for finding in findings]
+    findings = _of_measured_channels(findings, log, motion)
+    if not sideslip_measured:
         estimates = {name: value for name, value in estimates.items() if name not in CHANGED_BY_SIDESLIP}
     if vehicle is not None:
         findings = try_corrections(findings, log, vehicle)
     return Checked(_ordered(findings), channels, tuple(panels),
                    {name: (estimate.value, *estimate.interval) for name, estimate in estimates.items()})
+
+
+def _of_measured_channels(findings: list[Finding], log: DriveLog, motion: Motion) -> list[Finding]:
+    """The findings, as far as yaw rate and heading of the drive were measured.
+
+    Compared with a yaw rate that is derived from yaw, the noise of yaw looks like another scale. Without velocity_y,
+    yaw may be the course, which differs by the sideslip.
+    """
+    if has_derived_yaw_rate(log):
+        compared = ("yaw_rate_scale", "yaw_rate_bias", "yaw_rate_lag")
+        findings = [one for one in findings if one.severity is Severity.ERROR or one.name not in compared]
+    return findings if CHANNELS["velocity_y"].is_in(log) else [_without_sideslip(one, motion) for one in findings]
 
 
 def _without_sideslip(finding: Finding, motion: Motion) -> Finding:

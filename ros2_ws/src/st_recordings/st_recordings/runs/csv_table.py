@@ -10,6 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from st_core.sideslip import derived_yaw_rate
 
 from .can_formats import month_number
 from .columns import COLUMNS, UNITS, ColumnSource, Layout, find_columns, unit_named
@@ -432,7 +433,7 @@ def _cells(file: Path, lines: Iterable[str], delimiter: str) -> list[list[str]]:
 
 def _numbers(file: Path, body: str, delimiter: str, width: int, warnings: list[str]) -> np.ndarray:
     """The numbers in the rows, (n, width), NaN where there is none. Rows of another width are left out."""
-    lines = [line for line in body.splitlines() if line.strip() and not _is_comment(line, delimiter)]
+    lines = [line for line in body.splitlines() if line.strip(f' \t"{delimiter}') and not _is_comment(line, delimiter)]
     try:
         return _parsed(lines, delimiter, width)
     except ValueError as first:
@@ -485,9 +486,9 @@ def all_known(columns: Mapping[str, np.ndarray], names: Iterable[str]) -> np.nda
 
 
 def rate_of(table: Table, angle: np.ndarray) -> np.ndarray:
-    """Derivative of an angle [rad/s] at the used rows that have it; NaN elsewhere, and with fewer than three."""
+    """Yaw rate of a yaw angle [rad/s] at the used rows that have it; NaN elsewhere, and with fewer than three."""
     rate = np.full(len(angle), np.nan)
     rows = np.flatnonzero(table.used & np.isfinite(angle))
     if len(rows) > 2:
-        rate[rows] = np.gradient(np.unwrap(angle[rows]), table.time_ns[rows] * 1e-9)
+        rate[rows] = derived_yaw_rate(table.time_ns[rows], np.unwrap(angle[rows]))
     return rate

@@ -44,6 +44,8 @@ def read_vbo(file: Path, layout: Layout) -> Table:
         raise RunError(file, "this is not a VBO file: sections [column names] and [data] are missing",
                        "correct its extension")
     names = _names(sections)
+    if len({*re.findall(r"(?mi)^\[column names\]\s*\n(.*)", text)}) > 1:
+        raise RunError(file, "it consists of several files with different [column names]", "give them one by one")
     sources = _sources(file, names, sections, layout)
     warnings: list[str] = []
     body = re.sub(r"[ \t]+", " ", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", sections["data"]))
@@ -73,8 +75,13 @@ def lacks_steering(file: Path) -> bool:
 
 
 def _sections(text: str) -> dict[str, str]:
+    """Section -> its text. Data of several files in one follow each other; otherwise a repeated section counts once."""
     parts = _SECTION.split(text)
-    return {name.strip().lower(): content for name, content in zip(parts[1::2], parts[2::2], strict=True)}
+    sections: dict[str, str] = {}
+    for name, content in zip(parts[1::2], parts[2::2], strict=True):
+        key = name.strip().lower()
+        sections[key] = sections.get(key, "") + content if key == "data" else sections.get(key, content)
+    return sections
 
 
 def _names(sections: dict[str, str]) -> list[str]:
