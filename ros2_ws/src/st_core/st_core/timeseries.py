@@ -289,17 +289,17 @@ def _filter_causally(times_ns: np.ndarray, values: np.ndarray, cutoff: float,
 def smoothed(time_ns: np.ndarray, values: np.ndarray, width_ns: int) -> np.ndarray:
     """Centred mean over `width_ns` about each sample, over fewer samples at the ends."""
     total = np.concatenate(([0.0], np.cumsum(values)))
-    low, high = _averaged(time_ns, width_ns)
+    low, high = _averaging_windows(time_ns, width_ns)
     return (total[high] - total[low]) / (high - low)
 
 
 def smoothed_deviation(time_ns: np.ndarray, width_ns: int) -> float:
     """Standard deviation of white noise after `smoothed` over that before [1]: sqrt(mean(1 / number of samples))."""
-    low, high = _averaged(time_ns, width_ns)
+    low, high = _averaging_windows(time_ns, width_ns)
     return float(np.sqrt(np.mean(1.0 / (high - low)))) if len(time_ns) else 1.0
 
 
-def _averaged(time_ns: np.ndarray, width_ns: int) -> tuple[np.ndarray, np.ndarray]:
+def _averaging_windows(time_ns: np.ndarray, width_ns: int) -> tuple[np.ndarray, np.ndarray]:
     """(first, end) index of the samples averaged about each sample."""
     return (np.searchsorted(time_ns, time_ns - width_ns // 2),
             np.searchsorted(time_ns, time_ns + width_ns // 2, side="right"))

@@ -337,20 +337,20 @@ class _Work:
                   leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, Reason]:
         """The verdict on each effect of the answer. With a reference, intervals do not decide, as they contain the
         uncertainty of the healthy car."""
-        worse: dict[str, str] = {}
-        objected: dict[str, str] = {}
+        worse_axle: dict[str, str] = {}
+        objection: dict[str, str] = {}
         driven_share, names = 1.0, [e.name for e in effects]
         if axles is not None and not self.reference:
             driven_share = max(axles.driven_shares().values())
             for axle in axles.contradicting(self.space.at(self.space.null), leave_one_out):
-                worse |= dict.fromkeys(axles.acting(axle, names), axle)
+                worse_axle |= dict.fromkeys(axles.acting(axle, names), axle)
             for name in names:
                 alone = self.space.at(self.problem.start).with_values({name: self.space.values(name, found.fit.vector)})
-                objected[name] = next(iter(objections(alone.effective_vehicle(self.vehicle), self.vehicle)), "")
+                objection[name] = next(iter(objections(alone.effective_vehicle(self.vehicle), self.vehicle)), "")
         return {e.name: decision.naming_verdict(found.evidence[e.name], self.limits, decision.Checks(
             bool(self.reference) or null_excluded(e), "" if self.reference else parameter_across_bound(e),
-            driven_share if get_effect(e.name).at_peak_force else 1.0, worse.get(e.name, ""),
-            _summed(e.name, names) if axles is not None else (), objected.get(e.name, ""))) for e in effects}
+            driven_share if get_effect(e.name).at_peak_force else 1.0, worse_axle.get(e.name, ""),
+            _summed(e.name, names) if axles is not None else (), objection.get(e.name, ""))) for e in effects}
 
     def _effective(self, problem: Problem, fit: Fit, found: Found) -> tuple[FoundEffect, ...]:
         """The effective corrections: effects of the fit that are not in the answer."""

@@ -361,7 +361,7 @@ class Discovery:
 def known_together(combinations: Sequence[Combination], named: Sequence[FoundEffect]) -> tuple[Combination, ...]:
     """Stiffness-to-mass ratios that differ significantly from the vehicle file while no named effect accounts for it;
     if there are none, the first other combination of stiffness (understeer gradient, yaw gain) with this property; and
-    the total delay of the steering, if it has."""
+    the total delay of the steering, if it differs."""
     names = {name for e in named for name in (e.name, *e.alternatives)}
     found = [c for c in combinations if c.differs and not names.intersection(c.effects)]
     delay = [c for c in found if c.is_time]

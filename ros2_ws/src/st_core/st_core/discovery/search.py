@@ -289,22 +289,22 @@ class Search:
             fit = without
         return fit
 
-    def predicted_rise(self, fit: Fit, *names: str, held: tuple[str, ...] = ()) -> float:
-        """Increase of the loss without some effects of a fit, by its quadratic. held: effects that keep their values;
-        the others follow."""
+    def predicted_rise(self, fit: Fit, *names: str, fixed: tuple[str, ...] = ()) -> float:
+        """Increase of the loss without some effects of a fit, by its quadratic. fixed: effects that keep their values;
+        the others are refitted."""
         p = self.problem
         kept = tuple(n for n in fit.names if n not in names)
         removed = np.isin(fit.indices, np.setdiff1d(p.space.indices(*names), p.space.indices(*kept)))
         step = np.where(removed, -p.distance(fit.vector)[fit.indices], 0.0)
-        free = ~removed & ~np.isin(fit.indices, p.space.indices(*held))
+        free = ~removed & ~np.isin(fit.indices, p.space.indices(*fixed))
         return _constrained_step(p, fit.quadratic, fit.vector, fit.indices, step, free)[0]
 
     def cancelling(self, fit: Fit, name: str) -> tuple[str, ...]:
         """Effects of a fit that cancel one: without both, the loss rises by less than `limits.min_rival_gain` of its
         rise without either one while the other keeps its value. The drives then show the sum of the two."""
         def cancels(other: str) -> bool:
-            one = min(self.predicted_rise(fit, name, held=(other,)), self.predicted_rise(fit, other, held=(name,)))
-            return self.predicted_rise(fit, name, other) < self.limits.min_rival_gain * one
+            alone = min(self.predicted_rise(fit, name, fixed=(other,)), self.predicted_rise(fit, other, fixed=(name,)))
+            return self.predicted_rise(fit, name, other) < self.limits.min_rival_gain * alone
         return tuple(n for n in fit.names if n != name and cancels(n))
 
     def _prune(self, vector: np.ndarray, names: list[str]) -> Fit | None:

@@ -48,7 +48,7 @@ class CanSignals:
         return [signal for signal in self.signals.values() if signal.name == name]
 
     def between(self, start_ns: int, end_ns: int) -> "CanSignals":
-        """The signals from one time to before another."""
+        """The signals with start_ns <= time < end_ns."""
         parts = {}
         for key, signal in self.signals.items():
             rows = slice(*np.searchsorted(signal.time_ns, (start_ns, end_ns)).tolist())

@@ -24,14 +24,14 @@ COLUMN_ADVICE = ("name the columns as in docs/csv_columns.md, or write a {stem}.
 STEERING_ADVICE = ("name its column, --steering-field NAME --steering-is wheel (or road), with --steering-sign -1 if "
                    "right is positive; or give the CAN log that has the steering as well")
 RELATED = {"time": "t", "x": "longitude", "y": "latitude", "yaw": COMPASS}
-"""Channel -> the one whose column gives it, if it has none of its own."""
+"""Channel -> the channel it is computed from, if it has no column of its own."""
 QUATERNION = [f"orientation_{axis}" for axis in "xyzw"]
 MIN_COURSE_SPEED = 1.0
 """m/s; a velocity noise of 0.05 m/s turns the course by 3 degrees there."""
 MAX_HELD_SHARE = 0.3
 """Share of rows of a moving car with an unchanged position, above which positions have a lower rate than the rows."""
-MIN_LOWER_RATE = 1.5
-"""Ratio of the usual time between two numbers of a channel to that of another, above which its rate is lower."""
+MIN_INTERVAL_RATIO = 1.5
+"""Ratio of the median time between two numbers of a channel to that of another, above which its rate is lower."""
 MIN_LOST_INTERVAL = 2.5
 """Ratio of the time between two rows to the median one, above which rows between them are missing."""
 MAX_LATE_SHARE = 0.1
@@ -201,8 +201,8 @@ def _with_derived(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray]
     if not {"x", "y"} <= columns.keys() and columns.keys() >= {"latitude", "longitude"}:
         latitude, longitude = columns["latitude"], columns["longitude"]
         for name, limit in (("latitude", 90), ("longitude", 360)):
-            if np.isfinite(columns[name]).any() and (usual := np.degrees(np.nanmedian(np.abs(columns[name])))) > limit:
-                raise RunError(table.file, f"{name} (column {table.sources[name].name}) is about {usual:.6g} deg",
+            if np.isfinite(columns[name]).any() and (median := np.degrees(np.nanmedian(np.abs(columns[name])))) > limit:
+                raise RunError(table.file, f"{name} (column {table.sources[name].name}) is about {median:.6g} deg",
                                "export decimal degrees, not degrees and minutes as 5206.123; or declare the unit in a "
                                f"run.yaml, as units: {{{name}: 1e-7 deg}}")
         has_fix = (latitude != 0.0) | (longitude != 0.0)  # loggers write zeros before the first fix
@@ -221,7 +221,7 @@ def _with_derived(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray]
 def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
     """Interpolates INS channels of a lower rate than another, or with stamps of their own, at the rows of that one.
 
-    Loggers write such tables with blanks. Where a channel of the same rate has no number, none is made; nor across
+    Loggers write such tables with blanks. Missing numbers of a channel of the highest rate stay missing, as do
     gaps in a channel.
     """
     names = [name for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, COMPASS, COURSE, "velocity_east", "velocity_north")
@@ -232,24 +232,24 @@ def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes
     if len(rows) < 3:
         return
     changed = []
-    for name, own in known.items():
-        if len(own) < 3:
+    for name, samples in known.items():
+        if len(samples) < 3:
             continue
-        steps = np.diff(time[own])
-        usual = np.median(steps)
-        is_regular = np.mean(steps <= MIN_LOWER_RATE * usual) > MIN_REGULAR_SHARE
-        is_slower = usual > MIN_LOWER_RATE * np.median(np.diff(time[rows]))
-        if not is_regular or not (is_slower or np.isin(own, rows).mean() < 0.5):
+        steps = np.diff(time[samples])
+        median_step = np.median(steps)
+        is_regular = np.mean(steps <= MIN_INTERVAL_RATIO * median_step) > MIN_REGULAR_SHARE
+        is_slower = median_step > MIN_INTERVAL_RATIO * np.median(np.diff(time[rows]))
+        if not is_regular or not (is_slower or np.isin(samples, rows).mean() < 0.5):
             continue
-        values = columns[name][own]
+        values = columns[name][samples]
         if name in ("yaw", COMPASS, COURSE):
             values = np.unwrap(values)
-        found = np.interp(time[rows], time[own], values, np.nan, np.nan)
-        after = np.clip(np.searchsorted(time[own], time[rows]), 1, len(own) - 1)
-        found[(steps[after - 1] > MIN_LOST_INTERVAL * usual) & ~np.isin(rows, own)] = np.nan
+        interpolated = np.interp(time[rows], time[samples], values, np.nan, np.nan)
+        after = np.clip(np.searchsorted(time[samples], time[rows]), 1, len(samples) - 1)
+        interpolated[(steps[after - 1] > MIN_LOST_INTERVAL * median_step) & ~np.isin(rows, samples)] = np.nan
         columns[name] = columns[name].copy()
-        columns[name][rows] = found
-        changed.append(f"{name} {share(len(own), int(table.used.sum()), 'rows')}")
+        columns[name][rows] = interpolated
+        changed.append(f"{name} {share(len(samples), int(table.used.sum()), 'rows')}")
     if changed:
         notes.append(f"{table.file}: lower rate, or stamps of their own: {', '.join(changed)}; the others were "
                      "interpolated")

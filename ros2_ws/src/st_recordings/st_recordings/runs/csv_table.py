@@ -263,7 +263,7 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequenc
 
 def _read_units_of_cells(sources: dict[str, ColumnSource], body: str, delimiter: str,
                          layout: Layout) -> tuple[dict[str, ColumnSource], str]:
-    """(sources with the units that stand behind the numbers of their cells, the body without those)."""
+    """(sources with the units that follow the numbers in their cells, the body without them)."""
     first = _first_row(body, delimiter)
     found = {channel: text for channel, source in sources.items() if source.column < len(first)
              and (text := _split_unit(channel, first[source.column]))}
@@ -280,7 +280,7 @@ def _read_units_of_cells(sources: dict[str, ColumnSource], body: str, delimiter:
 
 
 def _split_unit(channel: str, cell: str) -> str:
-    """The unit behind the number in a cell of a channel, as written; empty without one."""
+    """The unit after the number in a cell of a channel, as written; empty without one."""
     match = _WITH_UNIT.fullmatch(cell)
     return match[2] if match and unit_named(COLUMNS[channel].kind, match[2]) else ""
 

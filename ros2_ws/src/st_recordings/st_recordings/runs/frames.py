@@ -11,7 +11,7 @@ EXTENDED = 0x8000_0000  # flag in an id, as in canedge_bridge.extraction and in 
 SENT, REMOTE, ERROR, FD = 1, 2, 4, 8  # bits of Frames.flags
 MIN_CLOCK_STEP = 0.005  # s; a smaller step back is jitter of the time stamps, not a clock being set
 MAX_EARLY_FRAMES = 5
-"""Number of frames in front of earlier ones, up to which they are only out of order: their own stamps are wrong."""
+"""Up to this many frames before an earlier one are only out of order; more mean that the clock was set."""
 # Layout of st_msgs/CanFrames in CDR.
 FRAME_HEAD_LENGTH = 20  # bytes of a frame before its data: stamp, id, four flags, length of the data
 MAX_DATA_LENGTH = 64
@@ -102,13 +102,13 @@ def without_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]]
 
     A logger writes frames as they arrive, so a step back in time means that its clock was set. The frames after it
     continue where those before it ended; the true gap between the two frames, a millisecond on a busy bus, is lost.
-    Returns the frames and the steps: time of the frame after it [ns], size [s], negative.
+    Returns the frames and the steps: (time of the frame after the step [ns], size [s], negative).
     """
     time_ns = frames.time_ns
     steps = np.diff(time_ns)
     back = np.nonzero(steps < -MIN_CLOCK_STEP * 1e9)[0]
-    in_order = [not (time_ns[max(k - MAX_EARLY_FRAMES, 0) : k] <= time_ns[k + 1]).any() for k in back]
-    back = back[np.array(in_order, bool)]
+    is_step = [not (time_ns[max(k - MAX_EARLY_FRAMES, 0) : k] <= time_ns[k + 1]).any() for k in back]
+    back = back[np.array(is_step, bool)]
     if not len(back):
         return frames, []
     median_step = int(np.median(steps[steps >= 0])) if (steps >= 0).any() else 0

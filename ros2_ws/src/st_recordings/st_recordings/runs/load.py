@@ -86,8 +86,8 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
 
 
 def uncovered(source: RunSource, log: DriveLog) -> list[str]:
-    """Warnings on what INS and steering recorded without the other, with its share. Raises RunError where they do not
-    overlap in time."""
+    """Warnings of time that only INS or only steering covers, with its share. Raises RunError where they do not overlap
+    in time."""
     spans = {"INS": log.ins_time_ns, "steering": log.steering_time_ns}
     if min(map(len, spans.values())) < 2:
         raise RunError(source.where, "it contains fewer than two measurements of INS or steering",

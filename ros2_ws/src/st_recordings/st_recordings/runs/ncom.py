@@ -108,7 +108,7 @@ def _damage_warnings(columns: file_decoder.Columns, file: Path) -> list[str]:
     counters = columns.counters
     lost = []
     with file.open("rb") as stream:
-        is_capture = stream.read(4) in file_decoder.CAPTURE_MARKS  # has heads between the packets
+        is_capture = stream.read(4) in file_decoder.CAPTURE_MARKS  # has headers between the packets
     if counters.skipped_bytes and not is_capture:
         lost.append(f"{share(counters.skipped_bytes, file.stat().st_size, 'bytes')} are not part of a packet")
     if counters.checksum_errors:
@@ -120,8 +120,8 @@ def _damage_warnings(columns: file_decoder.Columns, file: Path) -> list[str]:
     other = regular & np.isin(columns.order, (packet_time.SAME, packet_time.LATE))
     if other.sum() > MAX_LOST_SHARE * regular.sum():
         count = share(int(other.sum()), int(regular.sum()), "packets")
-        notes.append(f"{file}: {count} are not later than those before, and not the same; they were left out; of two "
-                     "units, export one (tshark -Y 'ip.src == ADDRESS')")
+        notes.append(f"{file}: {count} are not later than those before, and differ from them; they were left out; of "
+                     "two units, export one (tshark -Y 'ip.src == ADDRESS')")
     return notes
 
 

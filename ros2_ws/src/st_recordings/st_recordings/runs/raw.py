@@ -83,8 +83,8 @@ def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns, keep_
         signals = signals.between(*span)
         can = replace(can, frames=can.frames.select(slice(*np.searchsorted(can.frames.time_ns, span).tolist())))
         steering = steering_of(signals, can.files[0], table) if needs_steering else None
-        used, total = (1e-9 * sum(end - start for start, end in some) for some in ([span], parts))
-        notes.append(f"{can.files[0]}: its clock steps, or it is of several drives: {used:.1f} of {total:.1f} s "
+        used, total = (1e-9 * sum(end - start for start, end in spans) for spans in ([span], parts))
+        notes.append(f"{can.files[0]}: its clock was set, or it is of several drives: {used:.1f} of {total:.1f} s "
                      f"({100.0 * used / total:.0f} %) fit the INS recording and are used")
     origin = "given" if settings.ins_can_latency or source.settings.get("ins_can_latency") else "assumed"
     latency = "{:g} ± {:g} ms, ".format(*(1e3 * value for value in options["latency"])) + origin
