@@ -443,7 +443,7 @@ LOGS: list[tuple[str, Callable[[list[str]], str], str, str]] = [
     ("run.asc", lambda lines: asc(lines, "Wed Sep 3 18:00:00.005 pm 2025"), "utf-8", ""),
     ("run.asc", lambda lines: asc(lines, "Mi Mär 3 18:00:00.005 2025"), "cp1252", ""),
     ("run.asc", lambda lines: asc(lines, "mercredi 3 septembre"), "utf-8", "its date .* cannot be read"),
-    ("run.asc", lambda lines: asc(lines) * 2, "utf-8", r"its clock steps, .*: 2\d\.\d of 5\d\.\d s \(50 %\) fit"),
+    ("run.asc", lambda lines: asc(lines) * 2, "utf-8", r"its clock was set, .*: 2\d\.\d of 5\d\.\d s \(50 %\) fit"),
     ("run.log", lambda lines: "\n".join([*lines, *earlier(lines)]), "utf-8", r" of 3\d\.\d s \(75 %\) fit the INS"),
     ("run.log", lambda lines: "\n".join([*earlier(lines), *lines]), "utf-8", r" of 3\d\.\d s \(75 %\) fit the INS"),
     ("run.log", lambda lines: replaced(lines, later(lines[5001])), "utf-8", ""),

@@ -37,7 +37,9 @@ MIN_LOST_INTERVAL = 2.5
 MAX_LATE_SHARE = 0.1
 """Share of the new positions that follow missing rows, above which the stamps jitter and no row is missing."""
 MAX_ROUNDED_STEP = 1.01
-"""Ratio of the steps of a position to the smallest one, up to which they are steps of its rounding."""
+"""Ratio of the steps of a position to the smallest one, up to which they may be steps of its rounding."""
+MIN_HELD_ALIKE = 0.8
+"""Share of positions held for the usual number of rows, above which they have a lower rate and are not rounded."""
 MIN_REGULAR_SHARE = 0.9
 """Share of the distances between known samples of a channel [rows] that are multiples of the usual distance, above
 which the blanks are due to its lower rate."""
@@ -311,7 +313,9 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], no
     moving = np.abs(columns["velocity_x"][rows][1:]) * np.diff(seconds) > np.median(step[new]) / 20 + resolution / 20
     recorded = ("x", "y") if "x" in table.columns else ("latitude", "longitude")
     sizes = [size[size > 0] for name in recorded for size in [np.abs(np.diff(columns[name][rows]))]]
-    is_rounded = all(np.mean(size <= MAX_ROUNDED_STEP * size.min()) > MIN_REGULAR_SHARE for size in sizes if len(size))
+    held = np.diff(np.flatnonzero(new))
+    is_rounded = len(held) and np.mean(held == np.median(held)) < MIN_HELD_ALIKE and all(
+        np.mean(size <= MAX_ROUNDED_STEP * size.min()) > MIN_REGULAR_SHARE for size in sizes if len(size))
     if is_rounded or (moving & ~new).sum() <= MAX_HELD_SHARE * max(moving.sum(), 1):
         return
     fresh = np.concatenate(([True], new))
