@@ -37,9 +37,7 @@ MIN_LOST_INTERVAL = 2.5
 MAX_LATE_SHARE = 0.1
 """Share of the new positions that follow missing rows, above which the stamps jitter and no row is missing."""
 MAX_ROUNDED_STEP = 1.01
-"""Ratio of the steps of a position to the smallest one, up to which they may be steps of its rounding."""
-MIN_HELD_ALIKE = 0.8
-"""Share of positions held for the usual number of rows, above which they have a lower rate and are not rounded."""
+"""Ratio of the steps of a position to the smallest one, up to which they are steps of its rounding."""
 MIN_REGULAR_SHARE = 0.9
 """Share of the distances between known samples of a channel [rows] that are multiples of the usual distance, above
 which the blanks are due to its lower rate."""
@@ -312,10 +310,7 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], no
     resolution = max(float(step[new].min()), 1e-9)
     moving = np.abs(columns["velocity_x"][rows][1:]) * np.diff(seconds) > np.median(step[new]) / 20 + resolution / 20
     recorded = ("x", "y") if "x" in table.columns else ("latitude", "longitude")
-    sizes = [size[size > 0] for name in recorded for size in [np.abs(np.diff(columns[name][rows]))]]
-    held = np.diff(np.flatnonzero(new))
-    is_rounded = len(held) and np.mean(held == np.median(held)) < MIN_HELD_ALIKE and all(
-        np.mean(size <= MAX_ROUNDED_STEP * size.min()) > MIN_REGULAR_SHARE for size in sizes if len(size))
+    is_rounded = all(_has_steps_of_one_digit(columns[name][rows] / table.sources[name].factor) for name in recorded)
     if is_rounded or (moving & ~new).sum() <= MAX_HELD_SHARE * max(moving.sum(), 1):
         return
     fresh = np.concatenate(([True], new))
@@ -333,6 +328,16 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], no
     rate = (fresh.sum() - 1) / max(seconds[fresh][-1] - seconds[0], 1e-9)
     notes.append(f"{table.file}: positions change in {share(int(fresh.sum()), len(rows), 'rows')}, about {rate:.0f} "
                  "Hz; the others were interpolated")
+
+
+def _has_steps_of_one_digit(values: np.ndarray) -> bool:
+    """Whether a position [unit of the file] changes by one unit of its last decimal at a time: it is rounded."""
+    size = np.abs(np.diff(values))
+    size = size[size > 0]
+    if not len(size):
+        return True
+    digit = 10.0 ** np.round(np.log10(size.min()))
+    return bool(np.mean(np.maximum(size / digit, digit / size) <= MAX_ROUNDED_STEP) > MIN_REGULAR_SHARE)
 
 
 def _use_steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehicleParameters | None,
