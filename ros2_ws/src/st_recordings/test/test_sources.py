@@ -182,6 +182,12 @@ def test_a_drive_named_alone_is_read_by_the_each_of_its_folder(tmp_path: Path) -
     assert "offste is not known" in str(find_runs([a])[0].problem)
 
 
+def test_frames_in_a_table_are_no_can_log(tmp_path: Path) -> None:
+    touch(tmp_path, "run.ncom", "run.csv", content="Time Stamp,ID,Extended,Dir,Bus,LEN,D1\n")
+    (run,) = find_runs([tmp_path])
+    assert "no CAN log has the same stem; " in str(run.problem) and "if run.csv is one, convert it" in str(run.problem)
+
+
 @pytest.mark.parametrize(("name", "error"), [
     ("a.bag", "convert the ROS 1 bag with rosbags-convert"), ("a.zip", "unpack it first"),
     ("notes.txt", "no recording is in this folder")])

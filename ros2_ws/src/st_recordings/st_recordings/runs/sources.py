@@ -1,5 +1,6 @@
 """Groups files into runs: by stem, folder, list of files, the splits of a bag, or a run.yaml."""
 
+import glob
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -167,8 +168,11 @@ def _unmatched(recordings: Sequence[Path], readers: dict[Path, Reader], logs: Se
             yield _single_run(file, readers[file])  # its reader reports what is missing
             continue
         why = "there are several INS recordings and CAN logs" if logs else "no CAN log has the same stem"
-        yield _failed(file, RunError(file, f"no CAN log belongs to it: {why}",
-                                     "give them the same name, or list the files of each run in a run.yaml"))
+        advice = "give them the same name, or list the files of each run in a run.yaml"
+        others = [f.name for f in sorted(file.parent.glob(f"{glob.escape(file.stem)}.*")) if f not in recordings]
+        if others and not logs:
+            advice += f"; if {others[0]} is one, convert it to .asc, .blf, .log (candump), .trc or .mf4"
+        yield _failed(file, RunError(file, f"no CAN log belongs to it: {why}", advice))
     for session in dict.fromkeys(session_of(f)[0] for f in logs) if not recordings else ():
         file = next(f for f in logs if session_of(f)[0] == session)
         csv = READERS["csv"]
