@@ -203,6 +203,7 @@ def test_a_law_that_makes_one_run_surely_worse_is_no_proposal(laws):
     noise = 0.01 * np.random.default_rng(5).normal(size=len(before))
     second = laws.windows.run == 1
     assert harmful(laws, "law", before, before - 0.1 + noise, Limits()) == ""
+    assert harmful(laws, "law", before, before + np.where(second, 0.01, -0.2) + 0.1 * noise, Limits()) == ""  # 1 cm
     mixed = before + np.where(second, 0.05, -0.2) + noise
     said = [harmful(laws, "law", before, after, Limits()) for after in (mixed, before + 0.1)]
     assert f"raises the held-out error of {laws.windows.names[1]}" in said[0]

@@ -172,7 +172,7 @@ def rejected_curve(fits: RelationFits, fit: RelationFit, vehicle: VehicleParamet
 
 def harmful(fits: RelationFits, name: str, before: np.ndarray, after: np.ndarray, limits: Limits) -> str:
     """Why a relation increases held-out errors, "" if it does not: the mean position error after 5 s rises, or that of
-    one run rises significantly. before, after: (n,) [m]."""
+    one run rises significantly and by `limits.relevant_position` or more. before, after: (n,) [m]."""
     rise = after - before
     if not np.isfinite(rise).any():
         return ""
@@ -182,9 +182,10 @@ def harmful(fits: RelationFits, name: str, before: np.ndarray, after: np.ndarray
     blocks, run, names = by_block(fits, rise), fits.problem.run_of_block, fits.windows.names
     for k in np.unique(run):
         of_run = blocks[(run == k) & np.isfinite(blocks)]
-        # Bonferroni over the runs.
-        if len(of_run) > 2 and lower_bound(of_run, limits.undecided_p / len(names)) > 0.0:
-            windows = fits.windows.run == k
+        windows = fits.windows.run == k
+        if len(of_run) <= 2 or np.nanmean(rise[windows]) < limits.relevant_position:
+            continue
+        if lower_bound(of_run, limits.undecided_p / len(names)) > 0.0:  # Bonferroni over the runs
             return (f"{name} is significant, but raises the held-out error of {names[k]}: "
                     f"{np.nanmean(before[windows]):.3f} to {np.nanmean(after[windows]):.3f} m after 5 s")
     return ""
