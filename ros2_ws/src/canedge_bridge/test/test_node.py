@@ -154,7 +154,7 @@ def test_steering_by_numbers_from_the_vehicle_file(rig, dbc_file):
     status, output = run.stop()
     assert status == 0
     assert "road_wheel_angle = (+1 * sensor - (-0.047124 rad)) / 17.3" in output
-    assert "needs Leaf_Steering" in output
+    assert "requires Leaf_Steering" in output
 
 
 def test_explicit_parameters_win_and_the_sign_comes_first(rig, dbc_file):
