@@ -137,7 +137,7 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     frame = reconstruction.map_frame()
     if reads_odometry:
         first: Any = store.deserialize_cdr(next(storage.messages(topics[ODOMETRY])), ODOMETRY)
-        frame = first.header.frame_id
+        frame = getattr(first.header, "frame_id", "")  # the definition of a header in the bag may lack it
     origin = reconstruction.origin()
     if origin is not None:
         origin = math.radians(origin[0]), math.radians(origin[1]), origin[2]

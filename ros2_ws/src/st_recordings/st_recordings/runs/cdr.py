@@ -262,7 +262,7 @@ def _block(stream: BinaryIO, chunk: ChunkIndex, channel: int, buffer: np.ndarray
 
 def _chunk_content(stream: BinaryIO, chunk: ChunkIndex) -> bytes:
     record = os.pread(stream.fileno(), chunk.chunk_length, chunk.chunk_start_offset)
-    if len(record) < chunk.chunk_length or record[0] != Opcode.CHUNK:
+    if not 0 < chunk.chunk_length <= len(record) or record[0] != Opcode.CHUNK:
         raise ValueError("a chunk is missing")
     if chunk.compression not in ("", "zstd", "lz4"):
         raise ValueError(f"compression {chunk.compression!r} is not known")
