@@ -7,7 +7,7 @@ import numpy as np
 
 WORSE = 1.02
 """A held-out error counts as worse above this factor: two short drives differ by so much."""
-OF_COMBINATIONS = ("worn_front", "worn_rear", "compliance", "delay")
+OF_STIFFNESS = ("worn_front", "worn_rear", "compliance")
 MEMBERS = {"tyre_stiffness": ("front_stiffness", "rear_stiffness")}
 
 
@@ -61,8 +61,7 @@ def true_range(name: str, result: Mapping[str, Any]) -> list[float] | None:
 def hidden(result: Mapping[str, Any]) -> dict[str, bool]:
     """By hidden error: whether it is named, alone or in a set.
 
-    A combination whose interval contradicts the vehicle file counts as such a set for errors of axle stiffness and for
-    a delay. For a
+    A combination whose interval contradicts the vehicle file counts as such a set for errors of axle stiffness. For a
     load it does not, because the guessed stiffness of the file contradicts it anyway.
     """
     stated, combined = set(), set()
@@ -72,7 +71,7 @@ def hidden(result: Mapping[str, Any]) -> dict[str, bool]:
     for one in result["answer"].get("combinations", ()) or ():
         low, high = one["interval"]
         combined |= set() if low <= one["file"] <= high else set(one["effects"])
-    return {name: bool((stated | (combined if name in OF_COMBINATIONS else set())) & set(about["accepted"]))
+    return {name: bool((stated | (combined if name in OF_STIFFNESS else set())) & set(about["accepted"]))
             for name, about in result["truth"]["hidden"].items()}
 
 

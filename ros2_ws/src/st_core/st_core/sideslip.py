@@ -61,8 +61,10 @@ def derived_yaw_rate(time_ns: np.ndarray, yaw: np.ndarray) -> np.ndarray:
 
 
 def has_derived_yaw_rate(log: DriveLog) -> bool:
-    """Whether the yaw rate is the derivative of yaw, except at gaps: no gyroscope was recorded."""
-    return float(np.median(np.abs(derived_yaw_rate(log.ins_time_ns, log.yaw) - log.yaw_rate))) < MAX_DERIVATIVE_ERROR
+    """Whether the yaw rate of the driving car is the derivative of yaw, except at gaps: no gyroscope was recorded."""
+    fast = log.velocity_x > MIN_SPEED
+    error = np.abs(derived_yaw_rate(log.ins_time_ns, log.yaw) - log.yaw_rate)[fast]
+    return bool(fast.any() and np.median(error) < MAX_DERIVATIVE_ERROR)
 
 
 def _is_course(log: DriveLog, yaw_rate: np.ndarray, fast: np.ndarray) -> bool:

@@ -11,7 +11,7 @@ from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.result import IdentificationError
 from st_core.log import DriveLog
 from st_core.log_evaluation import evaluate_log
-from st_core.sideslip import derived_yaw_rate, steady_velocity_y, with_steady_sideslip
+from st_core.sideslip import derived_yaw_rate, has_derived_yaw_rate, steady_velocity_y, with_steady_sideslip
 from st_core.vehicle import VehicleParameters
 from support import ROOT
 from winding_road import Truth, winding_road
@@ -93,3 +93,18 @@ def test_a_straight_road_without_lateral_velocity_locates_nothing() -> None:
     rate = np.random.default_rng(2).normal(0.0, 0.001, 3000)
     log = DriveLog("straight", time_ns, 0.1 * np.arange(3000), zero, zero, zero + 10.0, zero, rate, time_ns, zero)
     assert not {"measuring_point", "heading_misaligned"} & {finding.name for finding in check(log, CAR).findings}
+
+
+def test_a_drive_with_a_long_stop_has_the_yaw_rate_of_its_gyroscope(heading: DriveLog) -> None:
+    """At standstill the derivative of a constant yaw is the yaw rate of zero."""
+    stop, rest = 0.0 * heading.yaw_rate, np.arange(3 * len(heading.x)) >= len(heading.x)
+    time_ns = heading.ins_time_ns[0] + np.arange(len(rest)) * int(np.median(np.diff(heading.ins_time_ns)))
+
+    def stopped(values: np.ndarray, at_rest: np.ndarray) -> np.ndarray:
+        return np.where(rest, np.resize(at_rest, len(rest)), np.resize(values, len(rest)))
+
+    still = {name: stopped(getattr(heading, name), getattr(heading, name)[-1:]) for name in ("x", "y", "yaw")}
+    moved = {name: stopped(getattr(heading, name), stop[:1]) for name in ("velocity_x", "velocity_y", "yaw_rate")}
+    log = replace(heading, ins_time_ns=time_ns, **still, **moved, acceleration_x=None, acceleration_y=None)
+    assert not has_derived_yaw_rate(log)
+    assert has_derived_yaw_rate(replace(log, yaw_rate=derived_yaw_rate(time_ns, log.yaw)))

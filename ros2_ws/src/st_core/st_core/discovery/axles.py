@@ -39,7 +39,7 @@ class Axles:
         self.model = problem.space.at(fit.vector)
         self.sideslip = "velocity_y" in problem.errors.windows.settings.channels
         self.regressions = self._regressions()
-        self.near = valid_models([problem.space.at(vector) for vector in near], vehicle) if joint else []
+        self.near = valid_models([problem.space.at(vector) for vector in near], vehicle) if joint is not None else []
         self.draws: list[AugmentedModel] = []
         if joint is not None:
             inside = joint.indices < len(problem.space) - 1  # the last number is the gain of the accelerometer

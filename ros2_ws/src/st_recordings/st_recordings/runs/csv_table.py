@@ -256,9 +256,13 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequenc
         raise RunError(
             file, f"unit row: {units[channel][:40]!r} of column {sources[channel].name} is not a unit of {kind}",
             f"known are {', '.join(UNITS[kind])}; or set it in a run.yaml, as units: {{{channel}: ...}}")
-    with_units = {channel: replace(sources[channel], unit=unit, stated=True) for channel, text in (units or {}).items()
-              if channel not in layout.units and (unit := unit_named(COLUMNS[channel].kind, text))}
-    return {**sources, **with_units}, "\n".join(lines)
+    return _with_units(sources, units or {}, layout), "\n".join(lines)
+
+
+def _with_units(sources: dict[str, ColumnSource], texts: Mapping[str, str], layout: Layout) -> dict[str, ColumnSource]:
+    """The sources with the units in texts by channel; those of the layout have priority."""
+    return {**sources, **{channel: replace(sources[channel], unit=unit, stated=True) for channel, text in texts.items()
+                          if channel not in layout.units and (unit := unit_named(COLUMNS[channel].kind, text))}}
 
 
 def _read_units_of_cells(sources: dict[str, ColumnSource], body: str, delimiter: str,
@@ -274,9 +278,7 @@ def _read_units_of_cells(sources: dict[str, ColumnSource], body: str, delimiter:
         for row in rows:
             if (column := sources[channel].column) < len(row):
                 row[column] = row[column].strip(' \r"').removesuffix(text)
-    with_units = {channel: replace(sources[channel], unit=unit, stated=True) for channel, text in found.items()
-              if channel not in layout.units and (unit := unit_named(COLUMNS[channel].kind, text))}
-    return {**sources, **with_units}, "\n".join(map(delimiter.join, rows))
+    return _with_units(sources, found, layout), "\n".join(map(delimiter.join, rows))
 
 
 def _split_unit(channel: str, cell: str) -> str:
