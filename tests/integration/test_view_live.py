@@ -127,7 +127,7 @@ def test_a_recording_is_drawn_as_it_was_seen_live(circle, tmp_path: Path) -> Non
     file = tmp_path / "view.rrd"
     command = [str(ROOT / "st"), "view", str(circle[1]), "--vehicle", str(VEHICLE), "--save", str(file)]
     done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
-    assert int(re.search(r"(\d+) pictures", done.stdout).group(1)) > 5 * DURATION
+    assert int(re.search(r"(\d+) frames", done.stdout).group(1)) > 5 * DURATION
     shown = subprocess.run(["rerun", "rrd", "print", str(file)], capture_output=True, text=True, check=True).stdout
     wanted = {f"/{root}/{what}" for root in ("map", "ahead") for what in ("car", "track", "ghosts", "errors")}
     wanted |= {f"/{what}/{m}" for m in MODELS for what in ("map/paths", "ahead/paths", "ahead/names", "plots/lateral")}

@@ -22,6 +22,7 @@ MAX_HEADER_LINES = 60  # exports of loggers have some lines of their own before 
 MISSING = frozenset(("", "-", "--", "nan", "na", "n/a", "#n/a", "#na", "null", "none", "inf", "-inf", "+inf", "nil"))
 _GROUPED = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+") for mark in ",."}
 _GROUPED_CELL = re.compile(r"(?:^|[;\t])\s*[+-]?[1-9]\d{0,2}(?:,\d{3})+\s*(?=[;\t\r\n]|$)", re.MULTILINE)
+_GROUPED_POINTS = re.compile(r"\.(?<=\d.)\d{3}\.\d{3}(?!\d)")  # 1.234.567; a fixed first character is quick
 _NUMERIC = re.compile(r'[\s"]*[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?[\s"]*')
 # 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.2026 10:11:12,5, 10:11:12.5, 10:11:12:500, 11:12.5 PM; 11:12.5 of
 # a spreadsheet is minutes and seconds, 05/04/2026 may be in April or May.
@@ -36,7 +37,7 @@ DAY, HOUR = 86400.0, 3600.0  # s
 _DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # day number of 1970-01-01, and the program
 _EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
 _SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # how a spreadsheet marks its delimiter
-_THOUSANDS_SPACES = re.compile(r"(?<=\d)[\u00a0\u202f\u2009'](?=\d{3}(?!\d))")
+_THOUSANDS_SPACES = re.compile(r"[\u00a0\u202f\u2009'](?<=\d.)(?=\d{3}(?!\d))")
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,9 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
              sources: dict[str, ColumnSource] | None = None, above: Sequence[str] = ()) -> Table:
     """The table of rows of text. sources: by channel, default from the names. above: lines before the header, which
     may give the units. Raises RunError."""
-    body = _FORTRAN.sub("E", body.replace("\u2212", "-"))
+    body = body.replace("\u2212", "-")
+    if "D+" in body or "D-" in body or "d+" in body or "d-" in body:  # the search takes a third of the reading
+        body = _FORTRAN.sub("E", body)
     if sources is None:
         sources = find_columns(file, names, layout)
         sources, body = _read_unit_rows(file, sources, above, body, delimiter, layout)
@@ -395,7 +398,7 @@ def _with_decimal_points(file: Path, body: str, delimiter: str) -> str:
     """
     body = _THOUSANDS_SPACES.sub("", body)
     quoted = delimiter == "," and '"' in body
-    if not quoted and (delimiter == "," or "," not in body) and not re.search(r"\d\.\d{3}\.\d{3}(?!\d)", body):
+    if not quoted and (delimiter == "," or "," not in body) and not _GROUPED_POINTS.search(body):
         return body
     if not quoted and "." not in body and not _GROUPED_CELL.search(body):
         return body.replace(",", ".")
