@@ -23,8 +23,8 @@ from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings
 from st_core.models import Model, get_model
 from st_core.vehicle import VehicleParameters
-from st_offline.bands.bands_report import finished_shares, share_rows, share_sums
-from st_offline.bands.scoring import band_sums, finished, pooled_sums
+from st_offline.bands.bands_report import share_rows, share_sums, summarise_shares
+from st_offline.bands.scoring import band_sums, pooled_sums, summarise_bands
 from st_recordings.paths import config, project_root
 from st_recordings.runs import find_runs, read
 
@@ -196,7 +196,7 @@ def corrected() -> dict[str, Row]:
 
 def _write_shares(runs: Sequence[dict]) -> None:
     """Write the decomposition of the error of the corrected car into the page."""
-    shares = finished_shares(pooled_sums(runs))
+    shares = summarise_shares(pooled_sums(runs))
     (one,) = shares.values()
     causes = {name: values["5"]["lateral"] for name, values in one["rms_of_cause"].items()}
     largest = sorted(causes, key=causes.get, reverse=True)[:5]
@@ -287,7 +287,7 @@ def tested(band: Band, known: Sequence[ErrorSamples], new: Sequence[ErrorSamples
 
 def row(runs: Sequence[dict], refused: Sequence[str]) -> Row:
     """refused: groups for which no band could be calibrated, with the reason."""
-    of_all = finished({"models": {"m": {"q": pooled_sums(runs)}}})["models"]["m"]["q"] if runs else None
+    of_all = summarise_bands({"models": {"m": {"q": pooled_sums(runs)}}})["models"]["m"]["q"] if runs else None
     if of_all is None or not of_all["starts"]:
         return dict.fromkeys(COLUMNS, "-") | {"no band": "; ".join(refused) or "100%"}
     every = {level: [one["coverage"][level] / one["starts"] for one in runs if one["starts"]]

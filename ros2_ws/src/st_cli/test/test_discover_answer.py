@@ -119,7 +119,7 @@ def test_recordings_are_to_be_corrected_only_if_a_correction_exists(logs):
 
 
 def test_changes_of_the_vehicle_file_have_their_unit():
-    assert report_text.keys({"steering_wheel_offset": (0.0, 0.0208), "steering_ratio": (16.3, 15.05)}) == \
+    assert report_text.format_changes({"steering_wheel_offset": (0.0, 0.0208), "steering_ratio": (16.3, 15.05)}) == \
         "steering_wheel_offset 0 → 0.0208 rad, steering_ratio 16.3 → 15.05"
 
 

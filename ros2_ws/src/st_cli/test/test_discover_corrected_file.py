@@ -19,7 +19,7 @@ from st_core.vehicle import VehicleParameters, value_of
 from st_offline.discovery.discovery_report import model_file
 from st_offline.discovery.drives import Drive, Request, read_drive
 from st_offline.discovery.report_text import to_do
-from st_offline.discovery.vehicle_update import KEYS, edited, folded_update, update_vehicle
+from st_offline.discovery.vehicle_update import KEYS, edit_entries, folded_update, update_vehicle
 from st_recordings.car_skeleton import STABILITY_SPEEDS
 from st_recordings.runs import ReadSettings, find_runs
 from support import ROOT
@@ -157,7 +157,8 @@ def test_blocks_and_comments_of_the_user_stay(driven):
 
 
 def test_a_key_the_file_leaves_out_is_put_in():
-    text = edited(TEXT, {"tyre_front.lambda_muy": lambda unit, factor: f'{{value: 0.8, unit: "{unit}", source: "x"}}'})
+    text = edit_entries(TEXT, {
+        "tyre_front.lambda_muy": lambda unit, factor: f'{{value: 0.8, unit: "{unit}", source: "x"}}'})
     found = VehicleParameters.from_yaml(text)
     assert found.tyre_front.lambda_muy == 0.8 and replace(found, tyre_front=CAR.tyre_front) == CAR
 

@@ -14,18 +14,19 @@ from st_core.clock_types import Alignment, SharedSignal
 from st_core.palette import MEASURED_COLOUR, RC
 
 OTHER_COLOUR = "#d55e00"
-CLOSE_UP = 10.0  # s
+CLOSE_UP_DURATION = 10.0  # s
 MAX_POINTS = 4000  # of a line
 
 
 def alignment_figure(signals: Sequence[SharedSignal], alignment: Alignment, title: str, file: Path) -> None:
     """Write the figure: a speed over the drive, the most active 10 s of a yaw rate, correlation, residual lags."""
-    plain = [s for s in signals if not s.angle] or list(signals)
-    speed = next((s for s in plain if "velocity" in s.name or "speed" in s.name), plain[0])
+    candidates = [s for s in signals if not s.angle] or list(signals)
+    speed = next((s for s in candidates if "velocity" in s.name or "speed" in s.name), candidates[0])
     with plt.rc_context(RC):
         figure, axes = plt.subplots(2, 2, figsize=(11, 6.0))
         _draw_signal(axes[0, 0], speed, alignment, whole=True)
-        _draw_signal(axes[0, 1], next((s for s in plain if "rate" in s.name), plain[0]), alignment, whole=False)
+        rate = next((s for s in candidates if "rate" in s.name), candidates[0])
+        _draw_signal(axes[0, 1], rate, alignment, whole=False)
         axes[0, 0].legend(loc="best")
         _draw_correlation(axes[1, 0], signals, alignment)
         _draw_lags(axes[1, 1], signals, alignment)
@@ -46,20 +47,20 @@ def _draw_signal(ax: plt.Axes, signal: SharedSignal, alignment: Alignment, whole
     for time, line, colour, width, alpha, label in (
             (reference, signal.reference, MEASURED_COLOUR, 3.0, 0.55, "INS recording"),
             (other, values, OTHER_COLOUR, 1.0, 1.0, "CAN log")):
-        rows = np.flatnonzero((time >= start) & (time <= (np.inf if whole else start + CLOSE_UP)))
+        rows = np.flatnonzero((time >= start) & (time <= (np.inf if whole else start + CLOSE_UP_DURATION)))
         rows = rows[::max(len(rows) // MAX_POINTS, 1)]
         ax.plot(time[rows], line[rows], color=colour, lw=width, alpha=alpha, label=label)
     units = {"velocity": "m/s", "speed": "m/s", "rate": "rad/s", "curvature": "1/m, steering scaled"}
     unit = next((unit for word, unit in units.items() if word in signal.name), "rad")
-    ax.set(title="Aligned" if whole else f"The most active {CLOSE_UP:.0f} s",
+    ax.set(title="Aligned" if whole else f"The most active {CLOSE_UP_DURATION:.0f} s",
            xlabel="s after the first INS measurement", ylabel=f"{signal.name.split(' (')[0]}, {unit}")
 
 
 def _most_active(time: np.ndarray, values: np.ndarray, other: np.ndarray) -> float:
     """Start of the stretch, inside the time common to both, in which the signal varies most."""
-    low, high = max(time[0], other[0]), min(time[-1], other[-1]) - CLOSE_UP
-    starts = np.arange(low, max(high, low + 1e-3), CLOSE_UP / 4)
-    edges = np.searchsorted(time, np.stack([starts, starts + CLOSE_UP]))
+    low, high = max(time[0], other[0]), min(time[-1], other[-1]) - CLOSE_UP_DURATION
+    starts = np.arange(low, max(high, low + 1e-3), CLOSE_UP_DURATION / 4)
+    edges = np.searchsorted(time, np.stack([starts, starts + CLOSE_UP_DURATION]))
     spread = [np.nanstd(values[a:b]) if np.isfinite(values[a:b]).sum() > 5 else 0.0 for a, b in edges.T]
     return float(starts[int(np.argmax(spread))])
 

@@ -35,6 +35,6 @@ def report_problem(name: str, problem: str, console: Console) -> None:
 
 
 def list_files(files: Mapping[Path, str], console: Console) -> None:
-    """Files, with what they are."""
+    """Print files, each with a description."""
     for file, what in files.items():
         line(f"  {escape(str(file))}  [dim]{what}[/dim]", console)

@@ -7,7 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from st_core.palette import MODEL_COLOUR
-from st_offline.evaluation.drawing import MAX_POINTS, FigureOutput, broken, finish, style, thinned
+from st_offline.evaluation.drawing import MAX_POINTS, FigureOutput, break_at_gaps, reduce_points, save_figure, style
 
 
 @pytest.fixture
@@ -17,7 +17,7 @@ def drawn(tmp_path):
         axes.plot([0, 1], [0.123456789, 1], color=MODEL_COLOUR["nonlinear"])
         axes.plot([0, 1], [1, 0], ".", rasterized=True)
         axes.set_xlabel("time, s")
-        return finish(figure, FigureOutput(tmp_path, ("png", "pdf"), "S6-"), "test", "x < y & z", "how to read it")
+        return save_figure(figure, FigureOutput(tmp_path, ("png", "pdf"), "S6-"), "test", "x < y & z", "how to read it")
 
 
 def test_files_of_every_format(drawn, tmp_path):
@@ -48,12 +48,12 @@ def test_long_lines_keep_their_extremes():
     values = np.sin(time / 500.0)
     values[77_777], values[12_345] = 9.0, -9.0
     values[50_000:60_000] = np.nan
-    few_times, few = thinned(time, values)
+    few_times, few = reduce_points(time, values)
     assert len(few) <= MAX_POINTS + 2 and np.nanmax(few) == 9.0 and np.nanmin(few) == -9.0
     assert (np.diff(few_times) > 0).all() and np.isnan(few).sum() > 10
-    assert thinned(time[:100], values[:100])[1] is not None and len(thinned(time[:100], values[:100])[0]) == 100
+    assert len(reduce_points(time[:100], values[:100])[0]) == 100
 
 
 def test_a_line_breaks_at_gaps_only():
-    time, values = broken(np.array([0.0, 1.0, 5.0, 6.0]), np.array([1.0, 2.0, 3.0, 4.0]), gap=2.0)
+    time, values = break_at_gaps(np.array([0.0, 1.0, 5.0, 6.0]), np.array([1.0, 2.0, 3.0, 4.0]), gap=2.0)
     assert np.isnan(values).tolist() == [False, False, True, False, False] and len(time) == 5

@@ -15,15 +15,15 @@ from st_core.models import Model
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
 from st_core.vehicle import VehicleParameters
 
-from ..evaluation.drawing import TEXT, WIDTH, Drawn, FigureOutput, finish, style
+from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, save_figure, style
 from ..terminal import line, rows_table
-from .scoring import Sums, finished, finished_adaptive, pooled_sums, top_level
+from .scoring import Sums, pooled_sums, summarise_adaptive, summarise_bands, top_level
 
 MODE_TITLES = {"hindsight": "model (measured inputs)", "forecast": "forecast (inputs held)"}
 
 
-def band_figures(content: dict[str, Any] | None, output: FigureOutput) -> list[Drawn]:
-    """Reliability diagram from the content of `finished`; none if no start had a band."""
+def band_figures(content: dict[str, Any] | None, output: FigureOutput) -> list[PageFigure]:
+    """Reliability diagram from the content of `summarise_bands`; none if no start had a band."""
     models = {} if content is None else {
         model: modes for model, modes in content["models"].items() if any(one["starts"] for one in modes.values())}
     if not models:
@@ -45,9 +45,9 @@ def band_figures(content: dict[str, Any] | None, output: FigureOutput) -> list[D
         handles = [Line2D([], [], color=MODEL_COLOUR.get(m, TEXT), ls=MODEL_LINE.get(m, "solid"), label=m)
                    for m in models]
         figure.legend(handles=handles, loc="outside lower left", ncols=6)
-        return [finish(figure, output, "bands_reliability",
-                       f"Reliability of the bands; farthest from {_percent(top)}: {worst}",
-                       "Grey: coverage equal to the nominal one. Below it the band covers less.")]
+        return [save_figure(figure, output, "bands_reliability",
+                            f"Reliability of the bands; farthest from {_percent(top)}: {worst}",
+                            "Grey: coverage equal to the nominal one. Below it the band covers less.")]
 
 
 NO_BANDS = ("[dim]bands: none given; `st calibrate RUN… --vehicle FILE --output bands.yaml` makes them from "
@@ -55,7 +55,7 @@ NO_BANDS = ("[dim]bands: none given; `st calibrate RUN… --vehicle FILE --outpu
 
 
 def band_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
-    """One row for each model and mode from the content of `finished`; columns by their titles."""
+    """One row for each model and mode from the content of `summarise_bands`; columns by their titles."""
     rows, top = [], _top_level(content)
     for model, modes in (content or {"models": {}})["models"].items():
         for mode, one in modes.items():
@@ -84,11 +84,10 @@ def _percent(level: str) -> str:
 
 
 def adaptive_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
-    """One row for each model and mode of `finished_adaptive`; columns by their titles."""
+    """One row for each model and mode of `summarise_adaptive`; columns by their titles."""
     return [{"model": model, "inputs": mode, "starts": str(one["starts"]),
-             **{f"{100 * float(level):g} % covers": _share(share) for level, share in one["coverage"].items()},
-             **{f"{100 * float(level):g} % after 2 min": _share(share)
-                for level, share in one["late_coverage"].items()}}
+             **{f"{_percent(level)} covers": _share(share) for level, share in one["coverage"].items()},
+             **{f"{_percent(level)} after 2 min": _share(share) for level, share in one["late_coverage"].items()}}
             for model, modes in (content or {}).items() for mode, one in modes.items()]
 
 
@@ -111,7 +110,7 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
     """
     pooled = pooled_sums(sums)
     if tested:
-        content = finished(pooled)
+        content = summarise_bands(pooled)
         rows = band_rows(content)
         for title, columns in _terminal_tables(_top_level(content)).items():
             shown = [{column: row[column] for column in ("model", "inputs", *columns)} for row in rows]
@@ -122,9 +121,9 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
     elif not adaptive:
         console.print(NO_BANDS, highlight=False, soft_wrap=True)
     if adaptive:
-        console.print(rows_table(adaptive_rows(finished_adaptive(pooled)), width=min(console.width, 140),
+        console.print(rows_table(adaptive_rows(summarise_adaptive(pooled)), width=min(console.width, 140),
                                  title="Adaptive bands: how often the whole path lies inside"))
-    if rows := share_rows(finished_shares(pooled)):
+    if rows := share_rows(summarise_shares(pooled)):
         console.print(rows_table(rows, title="Decomposition of the error with measured inputs: shares of its mean "
                                  "square, along | across", width=min(console.width, 140)))
 
@@ -140,7 +139,7 @@ def _pair(axes: dict[str, float] | None) -> str:
 
 
 RESIDUAL = "what remains"
-SHOWN = ("1", "3", "5")  # seconds ahead, in the table
+SHOWN_SECONDS = ("1", "3", "5")  # ahead, in the table
 
 
 def intervals_of(files: Sequence[ModelFile]) -> dict[str, Intervals]:
@@ -155,35 +154,35 @@ def share_sums(models: Sequence[Model], vehicle: VehicleParameters, signals: Log
     found: Sums = {}
     for model in models:
         starts, total, parts = squared_contributions(model, vehicle, signals, settings, intervals.get(model.name))
-        found[model.name] = {"starts": starts, "total": _seconds(total),
-                             "parts": {kind: {name: _seconds(squares) for (group, name), squares in parts.items()
+        found[model.name] = {"starts": starts, "total": _by_second(total),
+                             "parts": {kind: {name: _by_second(squares) for (group, name), squares in parts.items()
                                               if group == kind} for kind in (PARAMETERS, SENSORS)}}
     return {"shares": found}
 
 
-def _seconds(values: np.ndarray) -> dict[str, dict[str, float]]:
+def _by_second(values: np.ndarray) -> dict[str, dict[str, float]]:
     return {str(k + 1): dict(zip(AXES, row.tolist(), strict=True)) for k, row in enumerate(values)}
 
 
-def finished_shares(sums: Sums) -> dict[str, Any]:
+def summarise_shares(sums: Sums) -> dict[str, Any]:
     """By model: starts, rms of the error [m, m, rad] and of each cause by second and axis, and shares of the mean
     square error; those of all causes and the residual add up to 1."""
     found = {}
     for model, one in sums.get("shares", {}).items():
         if not one["starts"]:
             continue
-        total, count = _array(one["total"]), one["starts"]
-        causes = {f"{kind}: {name}": _array(squares) for kind, parts in one["parts"].items()
+        total, count = _as_array(one["total"]), one["starts"]
+        causes = {f"{kind}: {name}": _as_array(squares) for kind, parts in one["parts"].items()
                   for name, squares in parts.items()}
         kinds = {kind: sum((v for k, v in causes.items() if k.startswith(f"{kind}: ")), np.zeros_like(total))
                  for kind in (PARAMETERS, SENSORS)}
         shares = {kind: squares / total for kind, squares in kinds.items()}
         shares[RESIDUAL] = 1.0 - sum(shares.values())
         found[model] = {
-            "starts": count, "rms": _seconds(np.sqrt(total / count)),
-            "rms_of_cause": {name: _seconds(np.sqrt(squares / count)) for name, squares in causes.items()},
+            "starts": count, "rms": _by_second(np.sqrt(total / count)),
+            "rms_of_cause": {name: _by_second(np.sqrt(squares / count)) for name, squares in causes.items()},
             "stated": list(one["parts"][PARAMETERS]),
-            "share": {kind: _seconds(values) for kind, values in shares.items()}}
+            "share": {kind: _by_second(values) for kind, values in shares.items()}}
     return found
 
 
@@ -191,7 +190,7 @@ def share_rows(shares: Mapping[str, Any]) -> list[dict[str, str]]:
     """One row for each model and second shown; columns by their titles."""
     rows = []
     for model, one in shares.items():
-        for second in (s for s in SHOWN if s in one["rms"]):
+        for second in (s for s in SHOWN_SECONDS if s in one["rms"]):
             rms = one["rms"][second]
             row = {"model": model, "second": second,
                    "rms along | across, m": f"{rms['longitudinal']:.2f} | {rms['lateral']:.2f}"}
@@ -203,5 +202,6 @@ def share_rows(shares: Mapping[str, Any]) -> list[dict[str, str]]:
     return rows
 
 
-def _array(seconds: Mapping[str, Mapping[str, float]]) -> np.ndarray:
-    return np.array([[one[axis] for axis in AXES] for one in seconds.values()])
+def _as_array(by_second: Mapping[str, Mapping[str, float]]) -> np.ndarray:
+    """(seconds, axes)."""
+    return np.array([[second[axis] for axis in AXES] for second in by_second.values()])

@@ -83,7 +83,7 @@ class AdaptiveScorer:
         return {"adaptive": pooled_sums(self._sums)}
 
 
-def finished_adaptive(sums: Sums) -> dict[str, Any]:
+def summarise_adaptive(sums: Sums) -> dict[str, Any]:
     """{model: {mode: starts, coverage, late_starts, late_coverage}}, shares by level; None where nothing was scored."""
     return {model: {mode: {**one, "coverage": _divided(one["coverage"], one["starts"]),
                            "late_coverage": _divided(one["late_coverage"], one["late_starts"])}
@@ -189,7 +189,7 @@ def _add(total: Sums, one: Mapping[str, Any]) -> None:
             total[key] = total.get(key, 0) + value
 
 
-def finished(sums: Sums) -> dict[str, Any]:
+def summarise_bands(sums: Sums) -> dict[str, Any]:
     """{model: {mode: shares and means}} and the known recordings; None where no start had a band."""
     return {"known_recordings": sums.get("known_recordings", []),
             "models": {model: {mode: _means(one) for mode, one in modes.items()}
@@ -208,6 +208,7 @@ def _means(sums: Sums) -> dict[str, Any]:
 
 
 def _divided(value: Any, count: int) -> Any:
+    """The value, or every number in a nested mapping, over `count`; None for a count of 0."""
     if isinstance(value, Mapping):
         return {key: _divided(one, count) for key, one in value.items()}
     return value / count if count else None

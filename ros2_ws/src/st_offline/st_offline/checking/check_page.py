@@ -10,7 +10,18 @@ import numpy as np
 from st_core.checks import Checked, Identity, Severity
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 
-from ..evaluation.drawing import BAD, TEXT, WARN, WIDTH, Drawn, FigureOutput, broken, finish, style, thinned
+from ..evaluation.drawing import (
+    BAD,
+    TEXT,
+    WARN,
+    WIDTH,
+    FigureOutput,
+    PageFigure,
+    break_at_gaps,
+    reduce_points,
+    save_figure,
+    style,
+)
 from ..evaluation.evaluation_report import MAX_FIGURES
 from ..evaluation.work import slug
 from ..pages import template
@@ -18,13 +29,13 @@ from . import check_report
 from .check_report import CheckedRun, residual_rms
 
 HEIGHT = 3.1  # inch
-GAP = 1.5  # s; no line across
+MAX_LINE_GAP = 1.5  # s; a line is interrupted at longer gaps
 MIN_SHADE_WIDTH = 0.004  # of the width, so that short stretches are visible
 SHADE = {Severity.ERROR: BAD, Severity.WARNING: WARN, Severity.NOTE: MEASURED_COLOUR}
 DERIVED_COLOUR = MODEL_COLOUR["kinematic"]
 
 
-def draw_panel(identity: Identity, checked: Checked, output: FigureOutput) -> Drawn:
+def draw_panel(identity: Identity, checked: Checked, output: FigureOutput) -> PageFigure:
     """Figure of one identity, with the stretches of its findings shaded."""
     findings = sorted((finding for finding in checked.findings if finding.name in identity.findings),
                       key=check_report.severity_rank)
@@ -36,7 +47,7 @@ def draw_panel(identity: Identity, checked: Checked, output: FigureOutput) -> Dr
                 (upper, measured, MEASURED_COLOUR, 2.6, identity.measured_label),
                 (upper, derived, DERIVED_COLOUR, 0.9, identity.derived_label),
                 (lower, measured - derived, TEXT, 0.9, None)):
-            axes.plot(*thinned(*broken(time, values, GAP)), color=colour, lw=width, label=label)
+            axes.plot(*reduce_points(*break_at_gaps(time, values, MAX_LINE_GAP)), color=colour, lw=width, label=label)
         shortest = MIN_SHADE_WIDTH * float(np.ptp(upper.get_xlim()))
         for finding in findings:
             for start, end in finding.where:
@@ -54,7 +65,7 @@ def draw_panel(identity: Identity, checked: Checked, output: FigureOutput) -> Dr
         caption = f"Grey: {identity.measured_label}; blue: {identity.derived_label}; below, grey minus blue{shaded}."
         size = f"{residual_rms(identity):.2g} {check_report.unit_symbol(identity.unit)}".strip()
         found = findings[0].text if findings else f"no finding; they differ by {size} (root mean square)"
-        return finish(figure, output, key, f"{identity.title[0].upper()}{identity.title[1:]}: {found}", caption)
+        return save_figure(figure, output, key, f"{identity.title[0].upper()}{identity.title[1:]}: {found}", caption)
 
 
 def page_title(good: Sequence[CheckedRun]) -> str:
@@ -104,7 +115,7 @@ def write_page(file: Path, good: Sequence[CheckedRun], failed: Mapping[str, str]
     file.write_text(text, encoding="utf-8")
 
 
-def _figures(runs: Sequence[CheckedRun]) -> list[Drawn]:
+def _figures(runs: Sequence[CheckedRun]) -> list[PageFigure]:
     """At most MAX_FIGURES comparisons, those with the worst findings first."""
     ranked: list[tuple[int, float, int, CheckedRun, Identity]] = []
     for run in runs:

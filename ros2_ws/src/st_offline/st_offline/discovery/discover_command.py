@@ -24,7 +24,7 @@ from st_recordings.paths import json_ready, json_text, new_folder
 from st_recordings.runs import find_runs
 from st_recordings.runs.errors import join_problems
 
-from ..evaluation.drawing import Drawn, FigureOutput, check_formats
+from ..evaluation.drawing import FigureOutput, PageFigure, check_formats
 from ..terminal import progress_bars
 from .discovery_report import document, model_file, show, write_page
 from .drives import Drive, Request, answer_key, cache_folder, clock_deviations, read_answer, read_drives, write_answer
@@ -175,7 +175,7 @@ def sensor_estimates(drives: Sequence[Drive]) -> dict[str, tuple[float, float, f
                            for d in drives if d.log is not None])
 
 
-def draw(found: Discovery, request: Request, output: FigureOutput) -> list[Drawn]:
+def draw(found: Discovery, request: Request, output: FigureOutput) -> list[PageFigure]:
     """The figures of the page, in its order."""
     runs = _logs(request.drives)
     # Of the channels that all runs have.
@@ -190,7 +190,7 @@ def draw(found: Discovery, request: Request, output: FigureOutput) -> list[Drawn
 
 
 def write_results(found: Discovery, request: Request, update: VehicleUpdate | None, folder: Path,
-                  drawn: Sequence[Drawn] | None, seconds: dict[str, float],
+                  drawn: Sequence[PageFigure] | None, seconds: dict[str, float],
                   relations: RelationSearch | None = None, report: RelationReport | None = None) -> dict[str, Path]:
     """Write all files; paths by kind. drawn: None for no page. report: of the relations beyond the library."""
     files = {"discovery.json": folder / "discovery.json"}

@@ -19,7 +19,7 @@ from st_recordings.paths import json_ready
 from st_recordings.results import versions
 
 from ..checking.check_report import findings_from_json
-from ..evaluation.drawing import Drawn
+from ..evaluation.drawing import PageFigure
 from ..pages import Table, template
 from ..terminal import list_files, report_problem, rows_table
 from . import quantities, report_text
@@ -108,7 +108,7 @@ def model_file(found: Discovery, request: Request, update: VehicleUpdate) -> Mod
 
 
 def write_page(file: Path, found: Discovery, update: VehicleUpdate | None, content: dict[str, Any],
-               figures: Sequence[Drawn], relation: RelationReport | None = None) -> None:
+               figures: Sequence[PageFigure], relation: RelationReport | None = None) -> None:
     """content: of discovery.json. relation: of the relation proposed beyond the library."""
     about, plain = content["provenance"], quantities.plain
     refused = {name: {"findings": findings} for name, findings in about["refused"].items()}

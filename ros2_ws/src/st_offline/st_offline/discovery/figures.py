@@ -18,7 +18,7 @@ from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_core.relations import Relation
 from st_core.relations.candidates import QUANTITIES
 
-from ..evaluation.drawing import BAD, TEXT, WIDTH, Drawn, FigureOutput, finish, style
+from ..evaluation.drawing import BAD, TEXT, WIDTH, FigureOutput, PageFigure, save_figure, style
 from . import quantities, report_text
 from .relation_files import title_of
 
@@ -47,7 +47,7 @@ class Scene:
         return report_text.worst_channel(self.found, list(self.before.squares))
 
 
-def waterfall(scene: Scene) -> Drawn | None:
+def waterfall(scene: Scene) -> PageFigure | None:
     """Held-out 5 s position error from the base model to the last step."""
     steps = scene.found.steps
     if not steps or not all(np.isfinite((s.position_5s.base, s.position_5s.augmented)).all() for s in steps):
@@ -86,14 +86,14 @@ def waterfall(scene: Scene) -> Drawn | None:
         figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
         caption = ("Each row adds one effect and refits all values: value and change are those of that step. Line: "
                    "95 % interval of the change.")
-        return finish(figure, scene.output, "waterfall", "Error of each step of the search", caption)
+        return save_figure(figure, scene.output, "waterfall", "Error of each step of the search", caption)
 
 
 def _label(axes: plt.Axes, x: float, row: int, text: str) -> None:
     axes.annotate(text, (x, row), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8)
 
 
-def axle_curves(scene: Scene) -> Drawn | None:
+def axle_curves(scene: Scene) -> PageFigure | None:
     """Force of each axle versus slip angle, within the driven range, with its band, and the share of samples at each
     slip angle."""
     curves = scene.found.axle_curves
@@ -116,11 +116,11 @@ def axle_curves(scene: Scene) -> Drawn | None:
                    Line2D([], [], color=AFTER, label="complete model"),
                    Patch(color=AFTER, alpha=0.25, label="90 % interval")]
         figure.legend(handles=handles, loc="outside lower left", ncols=3)
-        return finish(figure, scene.output, "axle_curves", "Axle force versus slip angle, within the driven range",
-                      "The band includes the uncertainty of the other vehicle parameters.")
+        return save_figure(figure, scene.output, "axle_curves", "Axle force versus slip angle, within the driven range",
+                           "The band includes the uncertainty of the other vehicle parameters.")
 
 
-def maps(scene: Scene) -> Drawn | None:
+def maps(scene: Scene) -> PageFigure | None:
     """The track of one run, coloured by the error of the channel with the largest excess, before and after."""
     run, levels = _worst_run(scene)
     if run is None:
@@ -133,13 +133,13 @@ def maps(scene: Scene) -> Drawn | None:
         shape = np.ptp(log.y) / max(np.ptp(log.x), 1e-9) if _aspect(log) > MIN_ASPECT else 0.5
         size = (HALF_WIDTH, float(np.clip(0.4 * HALF_WIDTH * shape, 1.2, 3.5)) + 0.9)
         figure, panels = plt.subplots(1, len(sides), figsize=size, sharex=True, sharey=True, squeeze=False)
-        every = max(1, len(log.x) // 600)
+        stride = max(1, len(log.x) // 600)
         for axes, (name, samples) in zip(panels[0], sides, strict=True):
             rows = np.flatnonzero(samples.run == run)
             rows = rows[:: max(1, len(rows) // 500)]
             x, y = samples.x[rows], samples.y[rows]
             level = quantities.factor(unit) * np.sqrt(samples.squares[scene.channel][rows])
-            axes.plot(log.x[::every], log.y[::every], color=MEASURED_COLOUR, lw=0.6, alpha=0.6, zorder=1)
+            axes.plot(log.x[::stride], log.y[::stride], color=MEASURED_COLOUR, lw=0.6, alpha=0.6, zorder=1)
             points = axes.scatter(x, y, c=level, s=14, cmap="cividis", zorder=2, linewidths=0, rasterized=True,
                                   vmin=0.0, vmax=top)
             if _aspect(log) > MIN_ASPECT:
@@ -150,8 +150,8 @@ def maps(scene: Scene) -> Drawn | None:
         bar = figure.colorbar(points, ax=list(panels[0]))
         bar.set_label(f"{quantities.channel(scene.channel)} error, {quantities.display_unit(unit)}")
         title = f"{log.name}: where on the track the {quantities.channel(scene.channel)} is wrong"
-        return finish(figure, scene.output, "map", title, "Every point is one prediction, coloured by its error; the "
-                      "same colours on both sides.")
+        caption = "Every point is one prediction, coloured by its error; the same colours on both sides."
+        return save_figure(figure, scene.output, "map", title, caption)
 
 
 def _worst_run(scene: Scene) -> tuple[int | None, np.ndarray]:
@@ -179,7 +179,7 @@ MAX_ROWS = 14  # of a level
 MAX_RATIO = 3.0  # end of the axis, where intervals are cut off
 
 
-def agreement(scene: Scene) -> Drawn | None:
+def agreement(scene: Scene) -> PageFigure | None:
     """Ratio of the local to the overall estimate of each effect, by part of the driving."""
     effects = [e for e in scene.found.effects if any(e.agreement.values())]
     if not effects:
@@ -212,7 +212,7 @@ def agreement(scene: Scene) -> Drawn | None:
         caption = ("Point: effect refitted to one part of the driving, the other effects fixed, divided by the overall "
                    "estimate; filled where the 95 % interval (bar) excludes zero. Solid line: the overall estimate; "
                    "dotted: zero. A property of the car is the same everywhere.")
-        return finish(figure, scene.output, "agreement", "Local estimates of each effect", caption)
+        return save_figure(figure, scene.output, "agreement", "Local estimates of each effect", caption)
 
 
 def _draw_ratios(axes: plt.Axes, ratios: Sequence[tuple[int, LocalEstimate]]) -> None:
@@ -229,7 +229,7 @@ def _draw_ratios(axes: plt.Axes, ratios: Sequence[tuple[int, LocalEstimate]]) ->
     axes.set_xlim(max(min([-0.2, *ends]), -MAX_RATIO) - 0.05, min(max([1.2, *ends]), MAX_RATIO) + 0.05)
 
 
-def relation_figure(one: Relation, output: FigureOutput) -> Drawn:
+def relation_figure(one: Relation, output: FigureOutput) -> PageFigure:
     """Curve and 95 % band above, share of the driving below; angles in degrees, shares in per cent."""
     c = one.candidate
     (up, unit), (across, across_unit) = display_unit(c.unit), display_unit(QUANTITIES[c.quantity])
@@ -260,7 +260,7 @@ def relation_figure(one: Relation, output: FigureOutput) -> Drawn:
                    "identified effects; constant beyond the driven range. Grey: sparsely driven; there the curve is "
                    "interpolated, and the interval assumes the same smoothness. The other figures do not contain the "
                    "relation.")
-        return finish(figure, output, "law", title, caption)
+        return save_figure(figure, output, "law", title, caption)
 
 
 def display_unit(unit: str) -> tuple[float, str]:

@@ -124,7 +124,7 @@ def effect_file(one: Relation, runs: Sequence[str], created: str) -> str:
         unit=c.unit, meaning=f"y [{c.unit}]: {meaning}.", before=one.position_5s[0], after=one.position_5s[1],
         p_value=one.p_value, formulas=formulas, heights=terms, cls="".join(w.title() for w in name_of(one).split("_")),
         odd=", odd=True" if c.changes_sides else "", name=name_of(one),
-        ops=OPS.get(c.quantity, "absolute, maximum, minimum"), memory=_memory(c),
+        ops=OPS.get(c.quantity, "absolute, maximum, minimum"), memory=_memory_declaration(c),
         physics=f"y = curve of {c.quantity}: {meaning}", body=_body(one),
         kind=_kind(c), slot=SLOT[c.term])
 
@@ -143,10 +143,10 @@ def _body(one: Relation) -> str:
         before = ("\n    @staticmethod\n    def constants(vehicle):  # static load of the axle [N]\n"
                   f"        return 9.81 * vehicle.mass * vehicle.{LOAD[c.term]} / vehicle.wheelbase\n")
     y = f"theta.share * relation({_quantity(c.quantity)})" + (f" * {_quantity(c.factor)}" if c.factor else "")
-    return f"{before}\n    @staticmethod\n    def {hook}:\n        {text.format(y=y)}{_lagging(c)}"
+    return f"{before}\n    @staticmethod\n    def {hook}:\n        {text.format(y=y)}{_memory_hooks(c)}"
 
 
-def _with_memory(c: Candidate) -> str:
+def _memory_quantity(c: Candidate) -> str:
     """The quantity with memory of a candidate; "" for none."""
     return next((q for q in (c.quantity, c.factor) if q in MEMORY), "")
 
@@ -159,18 +159,18 @@ def _quantity(name: str) -> str:
     return "extra[0]" if kind == "lagging" else f"({STATE_EXPRESSIONS[source]} - extra[0]) / {tau!r}"
 
 
-def _memory(c: Candidate) -> str:
-    if not _with_memory(c):
+def _memory_declaration(c: Candidate) -> str:
+    if not _memory_quantity(c):
         return ""
-    unit = QUANTITIES[MEMORY[_with_memory(c)][0]]
+    unit = QUANTITIES[MEMORY[_memory_quantity(c)][0]]
     return f'\n    extra_states = ("lagging",)\n    extra_units = ("{unit}",)'
 
 
-def _lagging(c: Candidate) -> str:
+def _memory_hooks(c: Candidate) -> str:
     """Hooks of a relation with memory."""
-    if not _with_memory(c):
+    if not _memory_quantity(c):
         return ""
-    source, _, tau = MEMORY[_with_memory(c)]
+    source, _, tau = MEMORY[_memory_quantity(c)]
     now = STATE_EXPRESSIONS[source]
     return (f"\n\n    @staticmethod\n    def start(slips, at, given, theta):\n        return ({now},)\n\n"
             "    @staticmethod\n    def rates(extra, slips, forces, at, given, theta):\n"

@@ -14,7 +14,7 @@ from ..pages import Table
 from . import quantities, report_text
 from .figures import display_unit
 from .relation_files import name_of, title_of
-from .vehicle_update import changed
+from .vehicle_update import changed_keys
 
 P_DIFFERENT = 0.01  # p-value of equal shares below which the relation varies between runs
 SQUARES = str.maketrans({"^": None, "2": "²"})
@@ -61,11 +61,11 @@ def relation_report(found: RelationSearch, answer: Discovery, vehicle: VehiclePa
 def _effect_size(relation: Relation, answer: Discovery, why: str) -> list[str]:
     without, with_it = relation.position_5s
     worse = [name for name, (before, after) in relation.runs.items() if after >= before]
-    but = f", not in {', '.join(worse)}" if worse else ""
+    exceptions = f", not in {', '.join(worse)}" if worse else ""
     noise = f"; noise floor {answer.gap['position_5s'].floor:.3f} m" if "position_5s" in answer.gap else ""
     return [f"held-out mean position error after 5 s: {without:.3f} m without the relation, {with_it:.3f} m with "
             f"it{noise}", why,
-            f"smaller errors in {len(relation.runs) - len(worse)} of {len(relation.runs)} runs{but}"]
+            f"smaller errors in {len(relation.runs) - len(worse)} of {len(relation.runs)} runs{exceptions}"]
 
 
 def _formula(relation: Relation, vehicle: VehicleParameters) -> list[str]:
@@ -152,9 +152,12 @@ def _values_with_and_without(relation: Relation, answer: Discovery, vehicle: Veh
         free = [p for p in effect.parameters if p.fit]
         if original is None or all(refitted[p.name] == p.null == original[p.name] for p in free):
             continue
-        rows.append((quantities.plain(effect.name), *(
-            "; ".join(filter(None, (quantities.fitted(effect.name, {p.name: v[p.name] for p in free}),
-                                    report_text.keys(changed(vehicle, effect, v))))) for v in (original, refitted))))
+        cells = [quantities.plain(effect.name)]
+        for values in (original, refitted):
+            texts = (quantities.fitted(effect.name, {p.name: values[p.name] for p in free}),
+                     report_text.format_changes(changed_keys(vehicle, effect, values)))
+            cells.append("; ".join(filter(None, texts)))
+        rows.append(tuple(cells))
     return [Table("Values without and with the relation",
                   "Two fits of the same car: with the relation, the values explain less of the errors. Without the "
                   "relation: the values above, for vehicle.yaml and model.yaml. With it: for proposed.yaml only. A "

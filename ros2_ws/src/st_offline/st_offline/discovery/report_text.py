@@ -119,7 +119,7 @@ def summary(found: Discovery, update: VehicleUpdate | None, findings: Mapping[st
             ) -> list[tuple[str, str]]:
     """(name, text) below the title: residual, inseparable and undetectable effects, recordings, recommendations.
     findings: of the checks, by run."""
-    unknown = [residual(found), not_separable(found), *refuted(found), not_detectable(found)]
+    unknown = [residual(found), not_separable(found), *contradicted_quantities(found), not_detectable(found)]
     serious = [(one, names) for one, names in group_by_name(findings) if one.severity is not Severity.NOTE]
     recordings = ""
     if serious:
@@ -167,7 +167,7 @@ def meaning(found: Discovery) -> list[str]:
     return lines
 
 
-def varying(one: VaryingEffect) -> str:
+def describe_varying(one: VaryingEffect) -> str:
     """An effect that varies over the driving, with its most significant local values relative to the largest."""
     ranked = sorted(one.values, key=lambda v: -abs(v.ratio) / max(v.deviation, 1e-9))[:MAX_PARTS]
     ratios = "; ".join(f"{v.where}: {v.ratio:.2f} ± {Z95 * v.deviation:.2f}" for v in one.values if v in ranked)
@@ -257,7 +257,7 @@ def not_detectable(found: Discovery) -> str:
     return f"not detectable in these drives: {names}{f' and {more} more' if more > 0 else ''}" if names else ""
 
 
-def refuted(found: Discovery) -> list[str]:
+def contradicted_quantities(found: Discovery) -> list[str]:
     """Quantities of the vehicle file that the best fit contradicts."""
     texts = {r.subject: r.text for r in found.reasons if r.rule == FILE}
     return [f"{plain(name)}: {text}" for name, text in texts.items()]
@@ -268,7 +268,7 @@ def separation(strength: float) -> str:
     return f"{strength:.1f}" if strength < MAX_SEPARATION else f"more than {MAX_SEPARATION:g}"
 
 
-def detectable(found: Discovery) -> str:
+def detectable_sizes(found: Discovery) -> str:
     """The smallest detectable size of each effect in these drives, vehicle parameters first."""
     best: dict[str, Power] = {}
     for power in sorted(found.certificate.powers, key=lambda p: abs(p.size)):
@@ -297,7 +297,7 @@ def next_drive(found: Discovery) -> str:
             f"{MIN_SEPARATION:g} σ)")
 
 
-def assumed(found: Discovery) -> list[str]:
+def prior_quantities(found: Discovery) -> list[str]:
     """Quantities of the vehicle file used as priors with their deviations."""
     known = [f"{a.key} {decimal(a.value, _digits(a.deviation))} ± {decimal(a.deviation, _digits(a.deviation))} "
              f"{a.unit.removesuffix('1')}".rstrip() + ("" if a.stated else " (default)")
@@ -343,8 +343,8 @@ def _vehicle_lines(found: Discovery, update: VehicleUpdate | None) -> list[str]:
     if update is not None and update.folded:
         changes = {key: change for key, change in update.changes.items() if key != SLIP_SPEED}
         slip = {key: change for key, change in update.changes.items() if key == SLIP_SPEED}
-        entries = keys(changes) if len(changes) <= MAX_KEYS else f"{len(changes)} entries are corrected"
-        stable = f"; {keys(slip)}, for stable steps of 50 ms" if slip else ""
+        entries = format_changes(changes) if len(changes) <= MAX_KEYS else f"{len(changes)} entries are corrected"
+        stable = f"; {format_changes(slip)}, for stable steps of 50 ms" if slip else ""
         gap = found.gap.get("position_5s")
         together = f", with model.yaml by {1.0 - gap.augmented / gap.base:.0%}" if gap and gap.base > 0.0 else ""
         alone = (f"; vehicle.yaml alone reduces the position error after 5 s by "
@@ -365,7 +365,7 @@ def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
     for name, change_of in (update.kept if update is not None else {}).items():
         lines.append(f"{plain(name)} is in model.yaml, because no entry of the vehicle file can correct it: these "
                      "recordings contain the road wheel angle, or play in the steering acts before the ratio; for "
-                     f"recordings of the steering wheel, set {keys(change_of)}")
+                     f"recordings of the steering wheel, set {format_changes(change_of)}")
     rest = [e for e in found.effects if update is None or e.name not in update.folded]
     sensors = [plain(e.name) for e in rest if e.kind == "sensors"]
     if sensors:
@@ -379,9 +379,9 @@ def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
                      "residual: compare them with what you know of the car")
     if found.outcome == "unknown" or found.signature:
         lines.append("see where and when the model fails; you can add your own effect (docs/manual/effects.md)")
-    shows = list(dict.fromkeys(n.manoeuvre for n in found.not_testable if n.manoeuvre))
+    manoeuvres = list(dict.fromkeys(n.manoeuvre for n in found.not_testable if n.manoeuvre))
     if found.outcome == "not_testable":
-        lines.append(f"drive more{': ' + ', '.join(shows) if shows else ''}, and add it to the runs")
+        lines.append(f"drive more{': ' + ', '.join(manoeuvres) if manoeuvres else ''}, and add it to the runs")
     if found.outcome == "ambiguous" and found.next_manoeuvre is not None:
         lines.append("do the next drive and add it to the runs")
     if not all(c.is_time for c in found.known_together):
@@ -395,7 +395,7 @@ def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
     return lines or ["nothing"]
 
 
-def keys(changes_of: Mapping[str, Sequence[float]]) -> str:
+def format_changes(changes_of: Mapping[str, Sequence[float]]) -> str:
     """Keys of a vehicle file before and after; SI, with the unit, since the file may use another."""
     units = {key: VEHICLE_QUANTITIES[key].si_unit.removesuffix("1") for key in changes_of if key in VEHICLE_QUANTITIES}
     numbers = {key: [f"{x:.0f}" if abs(x) >= 1000.0 else f"{x:.4g}" for x in pair[:2]]
@@ -409,8 +409,9 @@ def details(found: Discovery, update: VehicleUpdate | None) -> list[tuple[str, l
     minor = [f"{with_alternatives(found, e)}: {why[e.name]}" for e in by_size(found.minor) if e.name in why]
     lines = [*((role, [text]) for role, text in drives(found)), ("meaning", meaning(found)),
              ("tests passed", certainty(found)), ("not named", minor), ("what to do", to_do(found, update)[1:]),
-             ("effective corrections", corrections(found)), ("taken from the vehicle file", assumed(found)),
-             ("varying, not named", list(map(varying, found.varying))), ("these drives", [detectable(found)])]
+             ("effective corrections", corrections(found)), ("taken from the vehicle file", prior_quantities(found)),
+             ("varying, not named", list(map(describe_varying, found.varying))),
+             ("these drives", [detectable_sizes(found)])]
     return [(question, texts) for question, answer in lines if (texts := [text for text in answer if text])]
 
 

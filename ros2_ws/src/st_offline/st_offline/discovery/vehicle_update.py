@@ -96,7 +96,7 @@ def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
         candidate = (*folded, effect)
         try:
             car = fold(request.vehicle, candidate, found.named.values)
-            errors = _errors(without(found.named, candidate), car, drives)
+            errors = _errors(without_effects(found.named, candidate), car, drives)
         except StCoreError:  # impossible, or beyond the limits of a vehicle file
             continue
         if all(a.shape == b.shape and np.allclose(a, b, rtol=0.0, atol=POSE_TOLERANCE, equal_nan=True)
@@ -107,17 +107,17 @@ def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
     if not folded:
         return _without_file(request.vehicle, found.model, kept)
     car = fold(request.vehicle, folded, found.named.values)
-    model = _remaining(found, car, folded, drives, request.vehicle)
+    model = _remaining_model(found, car, folded, drives, request.vehicle)
     needed = _slip_speed(car, model)
     if needed > car.minimum_slip_speed:  # the model is used with the written file, which must keep it stable
         car = replace(car, minimum_slip_speed=needed)
-        model = _remaining(found, car, folded, drives, request.vehicle)
+        model = _remaining_model(found, car, folded, drives, request.vehicle)
     error, worse = _held_out_error(found, request.vehicle, folded, drives)
     changes = {key: (*change, *_interval(found, request.vehicle, folded, key))
                for key, change in _changes(request.vehicle, car).items()}
     if SLIP_SPEED in changes:  # derived, without an interval of its own
         changes[SLIP_SPEED] = (*changes[SLIP_SPEED][:2], car.minimum_slip_speed, car.minimum_slip_speed)
-    text = updated_text(request, car, changes, *_origin(found, folded))
+    text = updated_vehicle_text(request, car, changes, *_origin(found, folded))
     vehicle = VehicleParameters.from_yaml(text, "vehicle.yaml")
     shown = {key: change for key, change in changes.items() if not key.endswith("lambda_ky")}
     return VehicleUpdate(vehicle, text, model, tuple(effect.name for effect in folded), shown, kept, error,
@@ -168,8 +168,8 @@ def _held_out_error(found: Discovery, vehicle: VehicleParameters, folded: Sequen
     return ((float(sums[0] / sums[2]), float(sums[1] / sums[2])) if sums[2] else (math.nan, math.nan)), tuple(worse)
 
 
-def _remaining(found: Discovery, car: VehicleParameters, folded: Sequence[type[Effect]], drives: Sequence[DriveLog],
-               vehicle: VehicleParameters) -> AugmentedModel:
+def _remaining_model(found: Discovery, car: VehicleParameters, folded: Sequence[type[Effect]],
+                     drives: Sequence[DriveLog], vehicle: VehicleParameters) -> AugmentedModel:
     """Model for the updated vehicle with the predictions of the whole model; without effective corrections if those
     differ."""
     assert found.model is not None and found.named is not None
@@ -184,7 +184,7 @@ def _remaining(found: Discovery, car: VehicleParameters, folded: Sequence[type[E
     difference = np.concatenate([a - b for a, b in zip(
         _errors(model, car, drives), _errors(found.model, vehicle, drives), strict=True)])
     similar = np.nanmean(np.hypot(difference[:, 0], difference[:, 1])) < MAX_POSITION_DIFFERENCE
-    return model if similar else without(found.named, folded)
+    return model if similar else without_effects(found.named, folded)
 
 
 def _changes(vehicle: VehicleParameters, other: VehicleParameters) -> dict[str, tuple[float, float]]:
@@ -193,8 +193,8 @@ def _changes(vehicle: VehicleParameters, other: VehicleParameters) -> dict[str, 
     return {key: pair for key, pair in pairs.items() if not math.isclose(*pair, rel_tol=1e-9, abs_tol=1e-12)}
 
 
-def changed(vehicle: VehicleParameters, effect: type[Effect], values: Mapping[str, float]
-            ) -> dict[str, tuple[float, float]]:
+def changed_keys(vehicle: VehicleParameters, effect: type[Effect], values: Mapping[str, float]
+                 ) -> dict[str, tuple[float, float]]:
     """(before, after) of every key of the vehicle file that an effect changes."""
     if not effect.fold:
         return {}
@@ -205,7 +205,7 @@ def changed(vehicle: VehicleParameters, effect: type[Effect], values: Mapping[st
     return {key: pair for key, pair in pairs.items() if not key.endswith("lambda_ky")}
 
 
-def without(model: AugmentedModel, effects: Iterable[type[Effect]]) -> AugmentedModel:
+def without_effects(model: AugmentedModel, effects: Iterable[type[Effect]]) -> AugmentedModel:
     """The model with these effects at null."""
     return model.with_values({e.name: {p.name: p.null for p in e.parameters} for e in effects})
 
@@ -245,8 +245,8 @@ def _interval(found: Discovery, vehicle: VehicleParameters, folded: Sequence[typ
     return centre - math.sqrt(below), centre + math.sqrt(above)
 
 
-def updated_text(request: Request, car: VehicleParameters, changes: Mapping[str, tuple[float, ...]], source: str,
-                 about: Provenance) -> str:
+def updated_vehicle_text(request: Request, car: VehicleParameters, changes: Mapping[str, tuple[float, ...]],
+                         source: str, about: Provenance) -> str:
     """The user's vehicle file with these keys replaced; everything else, comments included, is unchanged.
 
     A derived lambda_ky is written only where the edited file would give another value. A file that cannot be edited so
@@ -265,11 +265,11 @@ def updated_text(request: Request, car: VehicleParameters, changes: Mapping[str,
                 for key in derived if not _close(first, car, key, VALUE_TOLERANCE)}
     sources = {key: f"{stable if key == SLIP_SPEED else source}; before {number(change[0])}"
                for key, change in changes.items()}
-    return edited_or_whole(request.vehicle_text, entries,
+    return edit_or_rewrite(request.vehicle_text, entries,
                            replace(car, sources={**request.vehicle.sources, **sources}), VALUE_TOLERANCE)
 
 
-def edited_or_whole(text: str, entries: Mapping[str, Callable[[str, float], str]], car: VehicleParameters,
+def edit_or_rewrite(text: str, entries: Mapping[str, Callable[[str, float], str]], car: VehicleParameters,
                     tolerance: float) -> str:
     """A vehicle file with these entries replaced; the whole car, newly written, if the result would not read as `car`.
 

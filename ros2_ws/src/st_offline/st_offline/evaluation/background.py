@@ -23,7 +23,7 @@ def in_background(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
         return
     context = multiprocessing.get_context("fork")
     receiver, sender = context.Pipe(duplex=False)
-    child = context.Process(target=_do, args=(work, sender), daemon=True)
+    child = context.Process(target=_send_result, args=(work, sender), daemon=True)
     child.start()
     sender.close()
 
@@ -41,7 +41,7 @@ def in_background(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
         child.join()
 
 
-def _do(work: Callable[[], T], sender: Connection) -> None:
+def _send_result(work: Callable[[], T], sender: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent, which ends this
     with contextlib.suppress(Exception):  # the parent repeats the work and reports its error
         sender.send(work())

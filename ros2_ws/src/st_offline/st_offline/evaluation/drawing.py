@@ -38,7 +38,7 @@ MAX_POINTS = 900  # of a line; more cannot be distinguished on 9 inches
 
 
 @dataclass(frozen=True)
-class Drawn:
+class PageFigure:
     """One figure: key for file names, title with the finding, caption, and the SVG for the page."""
 
     key: str
@@ -68,7 +68,7 @@ def style():
     return plt.rc_context(SETTINGS)
 
 
-def finish(figure: Figure, output: FigureOutput, key: str, title: str, caption: str) -> Drawn:
+def save_figure(figure: Figure, output: FigureOutput, key: str, title: str, caption: str) -> PageFigure:
     """Save the figure and close it. Files carry the title; on the page it is a heading."""
     lines = textwrap.wrap(title, round(TITLE_LETTERS * figure.get_figwidth() / WIDTH))
     heading = figure.suptitle("\n".join(lines), x=0.01, ha="left", fontweight="bold", fontsize=10)
@@ -90,7 +90,7 @@ def finish(figure: Figure, output: FigureOutput, key: str, title: str, caption: 
         figure.savefig(svg, format="svg", transparent=True, metadata={"Date": None}, dpi=PAGE_DPI,
                        bbox_inches=Bbox([[0.0, 0.0], [width, min(below, height)]]))
     plt.close(figure)
-    return Drawn(key, title, caption, page_svg(svg.getvalue(), f"{output.prefix}{key}-"))
+    return PageFigure(key, title, caption, page_svg(svg.getvalue(), f"{output.prefix}{key}-"))
 
 
 def page_svg(svg: str, prefix: str) -> str:
@@ -103,19 +103,19 @@ def page_svg(svg: str, prefix: str) -> str:
     svg = re.sub(r"font-family: [^;\"]*;? ?", "", svg)
     svg = re.sub(r'<g id="[^"]*"', "<g", svg)
     svg = re.sub(r'(\bid="|url\(#|xlink:href="#)', rf"\g<1>{prefix}", svg)
-    svg = re.sub(r"<[^>]*>", lambda tag: re.sub(r"-?\d+\.\d{2,}", _short, tag.group()), svg)  # not in texts
+    svg = re.sub(r"<[^>]*>", lambda tag: re.sub(r"-?\d+\.\d{2,}", _rounded, tag.group()), svg)  # not in texts
     svg = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg, count=1)
     svg = re.sub(r'(<svg[^>]*?) width="[^"]*"', r'\1 role="img"', svg, count=1)
     return re.sub(r"\s*\n\s*", " ", svg)
 
 
-def _short(number: re.Match) -> str:
+def _rounded(number: re.Match) -> str:
     # To 0.1 points, in drawings 650 points wide; small numbers are opacities and line widths.
     value = float(number.group())
     return f"{value:.1f}" if abs(value) >= 2.0 else f"{value:.3g}"
 
 
-def thinned(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def reduce_points(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A line of at most MAX_POINTS that looks the same: the smallest and largest value of each section."""
     if len(time) <= MAX_POINTS:
         return time, values
@@ -130,7 +130,7 @@ def thinned(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return time[keep], values[keep]
 
 
-def broken(time: np.ndarray, values: np.ndarray, gap: float) -> tuple[np.ndarray, np.ndarray]:
+def break_at_gaps(time: np.ndarray, values: np.ndarray, gap: float) -> tuple[np.ndarray, np.ndarray]:
     """The line with a break (NaN) where its points are more than `gap` apart."""
     at = np.flatnonzero(np.diff(time) > gap) + 1
     return np.insert(time.astype(float), at, np.nan), np.insert(values.astype(float), at, np.nan)

@@ -11,12 +11,12 @@ from st_recordings.runs import Label
 
 GRID = 0.1  # s
 SMOOTHING = 1.0  # s, moving average; short enough for both sides of a double lane change
-STANDSTILL = 0.5  # m/s
+STANDSTILL_SPEED = 0.5  # m/s
 # A bend begins above the first and ends below the second: a radius of 100 m and 200 m, or a slow car at 0.8 m/s^2.
 CURVATURE = (0.01, 0.005)  # 1/m
 LATERAL_ACCELERATION = (0.8, 0.4)  # m/s^2
 SHORTEST = 1.5  # s; a shorter part joins its neighbour
-HARD = 0.7  # m/s^2, mean forward acceleration above which a straight is called braking or accelerating
+HARD_ACCELERATION = 0.7  # m/s^2, forward, mean, above which a straight is called braking or accelerating
 BEND, U_TURN, CIRCLE = np.radians([30.0, 150.0, 240.0])  # heading change from which a bend is a turn, U-turn, circle
 
 
@@ -66,7 +66,7 @@ def _states(speed: np.ndarray, yaw_rate: np.ndarray) -> np.ndarray:
     side = 0
     for i, (v, begins, continues, turn) in enumerate(zip(speed, enter, stay, sides, strict=True)):
         side = turn if begins or (continues and turn == side) else 0
-        states[i] = -2 if v < STANDSTILL else side
+        states[i] = -2 if v < STANDSTILL_SPEED else side
     return states
 
 
@@ -92,6 +92,8 @@ def _name(state: int, heading_change: float, acceleration: float) -> str:
         return "standing"
     size = abs(heading_change)
     if state == 0 and size < BEND:
-        return "braking" if acceleration < -HARD else "accelerating" if acceleration > HARD else "straight"
+        if abs(acceleration) <= HARD_ACCELERATION:
+            return "straight"
+        return "braking" if acceleration < 0.0 else "accelerating"
     shape = "wide curve" if state == 0 else "circle" if size >= CIRCLE else "U-turn" if size >= U_TURN else "turn"
     return ("left " if (state or heading_change) > 0 else "right ") + (shape if size >= BEND else "bend")

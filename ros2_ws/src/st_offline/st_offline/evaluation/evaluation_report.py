@@ -16,17 +16,17 @@ from st_core.palette import MODEL_COLOUR
 from st_core.vehicle import VehicleParameters
 from st_recordings.results import versions
 
-from ..bands.bands_report import adaptive_rows, band_figures, band_rows, finished_shares, share_rows
-from ..bands.scoring import finished, finished_adaptive, pooled_sums
+from ..bands.bands_report import adaptive_rows, band_figures, band_rows, share_rows, summarise_shares
+from ..bands.scoring import pooled_sums, summarise_adaptive, summarise_bands
 from ..checking.check_report import describe_clocks, describe_effect, findings_from_json, group_by_name
 from ..pages import template
 from . import tables
-from .drawing import TEXT, WIDTH, Drawn, FigureOutput, finish, style
+from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, save_figure, style
 from .tables import SHOWN_AXES, in_metres, pooled, pooled_by, values
 from .work import RunReport, Task, slug
 
 SCHEMA = 1
-BUDGET = 4_500_000  # bytes of figures, so that the page stays below 5 MB
+MAX_FIGURE_BYTES = 4_500_000  # on the page, so that it stays below 5 MB
 MAX_FIGURES = 6  # on the page; the others are files
 MAX_RUNS = 40  # in the overview
 
@@ -53,7 +53,7 @@ def settings_in_words(choices: Choices) -> dict[str, str]:
                                 f"{filters[s.acceleration]}",
         "measured inputs": f"{inputs}; nothing across gaps above {p.maximum_gap:g} s",
         **({"course": choices.task.course[0]} if choices.task.course else {}),
-        "table": f"mean | max | RMSE over {tables.WHAT[choices.over]}",
+        "table": f"mean | max | RMSE over {tables.OVER_LABELS[choices.over]}",
     }
 
 
@@ -84,11 +84,11 @@ def document(reports: Sequence[RunReport], choices: Choices) -> dict[str, Any]:
 
 def _bands(good: Sequence[RunReport], task: Task) -> dict[str, Any]:
     sums = pooled_sums([r.bands for r in good])
-    fixed = {"bands": {r.name: finished(r.bands) for r in good},
-             "bands_all_runs": {"file": task.bands[0], **finished(sums), "shares": finished_shares(sums)}
+    fixed = {"bands": {r.name: summarise_bands(r.bands) for r in good},
+             "bands_all_runs": {"file": task.bands[0], **summarise_bands(sums), "shares": summarise_shares(sums)}
              } if task.bands else {}
-    return fixed | ({"adaptive_bands": {r.name: finished_adaptive(r.bands) for r in good},
-                     "adaptive_bands_all_runs": finished_adaptive(sums)} if task.adaptive else {})
+    return fixed | ({"adaptive_bands": {r.name: summarise_adaptive(r.bands) for r in good},
+                     "adaptive_bands_all_runs": summarise_adaptive(sums)} if task.adaptive else {})
 
 
 def pooled_bins(reports: Sequence[RunReport]) -> list[dict[str, Any]]:
@@ -112,7 +112,7 @@ def write_results(reports: Sequence[RunReport], choices: Choices, title: str) ->
     good = [r for r in reports if not r.problem]
     content = document(reports, choices)
     files = {"json": folder / "evaluation.json", "page": folder / "report.html", "latex": folder / "table.tex"}
-    files["json"].write_text(_readable(content))
+    files["json"].write_text(_json_by_line(content))
     for name, rows in tables.csv_rows(good).items():
         files[name] = folder / f"{name}.csv"
         tables.write_csv(files[name], rows)
@@ -125,7 +125,7 @@ def write_results(reports: Sequence[RunReport], choices: Choices, title: str) ->
     return files
 
 
-def _readable(content: dict[str, Any]) -> str:
+def _json_by_line(content: dict[str, Any]) -> str:
     # A line for each key and each entry of its lists; with an indent the json module is ten times slower.
     def line(value: Any) -> str:
         return json.dumps(value, allow_nan=False, ensure_ascii=False)
@@ -136,11 +136,11 @@ def _readable(content: dict[str, Any]) -> str:
 
 
 def write_page(file: Path, title: str, reports: Sequence[RunReport], content: dict[str, Any],
-               settings: dict[str, str], overview: Drawn | None, bands: Sequence[Drawn], over: str) -> None:
+               settings: dict[str, str], overview: PageFigure | None, bands: Sequence[PageFigure], over: str) -> None:
     """content: of evaluation.json. bands: figures of the tested bands."""
     good = [r for r in reports if not r.problem]
     leading = [overview] if overview and len(good) > 1 else [f for r in good for f in r.figures[1:2]]
-    bytes_left, of_run = BUDGET, list[Drawn]()  # of the first run; the others are files
+    bytes_left, of_run = MAX_FIGURE_BYTES, list[PageFigure]()  # of the first run; the others are files
     for figure in (f for f in good[0].figures if f not in leading) if good else ():
         bytes_left -= len(figure.svg.encode())
         if len(leading) + len(bands) + len(of_run) < MAX_FIGURES and bytes_left > 0:
@@ -154,13 +154,13 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
         band_rows=band_rows(pooled_bands or None),
         adaptive_rows=adaptive_rows(content.get("adaptive_bands_all_runs")),
         share_rows=share_rows(pooled_bands.get("shares", {})),
-        over=over, what=tables.WHAT[over], axes=tables.SHOWN_AXES, kinds=tables.STATISTICS, modes=modes,
+        over=over, what=tables.OVER_LABELS[over], axes=tables.SHOWN_AXES, kinds=tables.STATISTICS, modes=modes,
         figures={good[0].name: of_run} if of_run else {}, in_metres=tables.in_metres, best=tables.best,
         values=tables.values, slug=slug)
     file.write_text(text, encoding="utf-8")
 
 
-def overview(reports: Sequence[RunReport], over: str, output: FigureOutput) -> Drawn | None:
+def overview(reports: Sequence[RunReport], over: str, output: FigureOutput) -> PageFigure | None:
     """RMSE in hindsight of every model and run; of more than MAX_RUNS, those with the largest lateral error."""
     if not reports:
         return None
@@ -194,7 +194,7 @@ def overview(reports: Sequence[RunReport], over: str, output: FigureOutput) -> D
         caption = "Hindsight: measured inputs over the horizon."
         if len(chosen) < len(reports):
             caption += f" The {MAX_RUNS} of {len(reports)} runs with the largest lateral error."
-        return finish(figure, output, "overview", "RMSE of each run and model", caption)
+        return save_figure(figure, output, "overview", "RMSE of each run and model", caption)
 
 
 def finding(reports: Sequence[RunReport], over: str) -> str:

@@ -17,12 +17,12 @@ from st_core.readings import readings
 from st_core.vehicle import VehicleParameters
 
 from .background import in_background
-from .drawing import TEXT, WIDTH, Drawn, FigureOutput, broken, finish, style, thinned
+from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, break_at_gaps, reduce_points, save_figure, style
 
 SIDE = {"longitudinal": "ahead", "lateral": "left"}
 AXIS_LABEL = {axis: f"{axis} error, m\n(+ = predicted {side})" for axis, side in SIDE.items()}
 AXLES = ("front", "rear")
-NOTICEABLE = 0.5  # m; half of the free width of a lane with a car in it
+NOTICEABLE_ERROR = 0.5  # m; half of the free width of a lane with a car in it
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def legend(figure: plt.Figure, drawing: Drawing, extra: Sequence[Line2D], solid:
     figure.legend(handles=[*handles, *extra], loc="outside lower left", ncols=6)
 
 
-def run_figures(drawing: Drawing) -> list[Drawn]:
+def run_figures(drawing: Drawing) -> list[PageFigure]:
     """All figures for which this run has data."""
     if not any(e.n_starts for e in drawing.evaluation.errors.values()):
         return []
@@ -81,7 +81,7 @@ def run_figures(drawing: Drawing) -> list[Drawn]:
     return [figure for figure in drawn if figure is not None]
 
 
-def segments(drawing: Drawing) -> Drawn | None:
+def segments(drawing: Drawing) -> PageFigure | None:
     """Measured and predicted paths from a few starts, and the errors over those horizons: the paper's first figure."""
     evaluation = drawing.evaluation
     rows = chosen_starts(evaluation, drawing.starts)
@@ -120,7 +120,7 @@ def segments(drawing: Drawing) -> Drawn | None:
     title = f"{drawing.name}: largest distance after {length:g} s from {these}: {worst}"
     caption = ("Predictions with the measured inputs (hindsight) from chosen starts, and their errors over the "
                "horizon, along and across the measured heading.")
-    return finish(figure, drawing.output, "segments", title, caption)
+    return save_figure(figure, drawing.output, "segments", title, caption)
 
 
 def _measured_path(axes: plt.Axes, drawing: Drawing, start_ns: int, length: float) -> None:
@@ -134,16 +134,16 @@ def _measured_path(axes: plt.Axes, drawing: Drawing, start_ns: int, length: floa
     drawn = np.flatnonzero(near)[:: max(1, int(near.sum()) // 400)]
     passes = np.flatnonzero(np.diff(np.cumsum(~near)[drawn])) + 1  # the car left the frame between two passes
     axes.plot(*(np.insert(v[drawn], passes, np.nan) for v in (log.x, log.y)), color=MEASURED_COLOUR, lw=0.8, alpha=0.5)
-    every = max(1, len(log.x[around]) // 200)
-    axes.plot(log.x[around][::every], log.y[around][::every], color=MEASURED_COLOUR, lw=1.2)
-    every = max(1, len(x) // 100)
-    axes.plot(x[::every], y[::every], color=MEASURED_COLOUR, lw=5, alpha=0.45, solid_capstyle="butt")
+    stride = max(1, len(log.x[around]) // 200)
+    axes.plot(log.x[around][::stride], log.y[around][::stride], color=MEASURED_COLOUR, lw=1.2)
+    stride = max(1, len(x) // 100)
+    axes.plot(x[::stride], y[::stride], color=MEASURED_COLOUR, lw=5, alpha=0.45, solid_capstyle="butt")
     axes.plot(x[:1], y[:1], "o", ms=4, color=TEXT, zorder=5)
     axes.set_aspect("equal", adjustable="box")
     axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
 
 
-def horizon_means(drawing: Drawing) -> Drawn:
+def horizon_means(drawing: Drawing) -> PageFigure:
     """Horizon-mean errors of all models, speed and acceleration over the start time: the paper's second figure."""
     evaluation = drawing.evaluation
     figure, (upper, lower, context) = plt.subplots(
@@ -167,14 +167,15 @@ def horizon_means(drawing: Drawing) -> Drawn:
     length = evaluation.horizon[-1]
     title = f"{drawing.name}: {ranking(evaluation)}"
     caption = f"Error averaged over each {length:g} s horizon (hindsight: measured inputs), over its start time."
-    return finish(figure, drawing.output, "horizon_means", title, caption)
+    return save_figure(figure, drawing.output, "horizon_means", title, caption)
 
 
 def _over_time(evaluation: LogEvaluation, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return broken(*thinned(evaluation.time, values), gap=max(1.0, 3.0 * float(np.ptp(evaluation.time)) / 600.0))
+    gap = max(1.0, 3.0 * float(np.ptp(evaluation.time)) / 600.0)
+    return break_at_gaps(*reduce_points(evaluation.time, values), gap)
 
 
-def error_against_horizon(drawing: Drawing) -> Drawn:
+def error_against_horizon(drawing: Drawing) -> PageFigure:
     """Root mean square error at each point of the horizon, hindsight and forecast."""
     evaluation = drawing.evaluation
     lines: tuple[tuple[Mode, float, float], ...] = ("hindsight", 1.6, 1.0), ("forecast", 0.9, 0.7)
@@ -194,12 +195,12 @@ def error_against_horizon(drawing: Drawing) -> Drawn:
     parts = []
     for model in drawing.models:
         profile = evaluation.errors[model.name, "hindsight"].profile_rmse[:, 1]
-        beyond = np.flatnonzero(profile > NOTICEABLE)
+        beyond = np.flatnonzero(profile > NOTICEABLE_ERROR)
         parts.append(f"{model.name} " + (f"after {evaluation.horizon[beyond[0]]:.1f} s" if len(beyond) else "never"))
-    title = f"{drawing.name}: lateral RMSE exceeds {NOTICEABLE:g} m in hindsight: {', '.join(parts)}"
+    title = f"{drawing.name}: lateral RMSE exceeds {NOTICEABLE_ERROR:g} m in hindsight: {', '.join(parts)}"
     caption = ("RMSE over all starts at each point of the horizon. Hindsight: measured inputs, the error of the "
                "model. Forecast: inputs held, the error for a planner.")
-    return finish(figure, drawing.output, "error_against_horizon", title, caption)
+    return save_figure(figure, drawing.output, "error_against_horizon", title, caption)
 
 
 def ranking(evaluation: LogEvaluation) -> str:
@@ -213,7 +214,7 @@ def ranking(evaluation: LogEvaluation) -> str:
     return text + (f" ({ratio:.1f} times)" if len(values) > 1 and ratio > 1.15 else "")
 
 
-def slip(drawing: Drawing) -> Drawn | None:
+def slip(drawing: Drawing) -> PageFigure | None:
     """Predicted slip angles and lateral forces of both axles, and slip angles from the measured motion."""
     models = [m for m in drawing.models if m.axles is not None and not m.extra_states and not m.signals]
     evaluation, signals, vehicle = drawing.evaluation, drawing.signals, drawing.vehicle
@@ -254,7 +255,7 @@ def slip(drawing: Drawing) -> Drawn | None:
     peak = np.degrees(np.nanmax(np.abs(measured_slip)))
     caption = (f"Slip angles and forces that the models predict with the measured inputs; measured slip angles reach "
                f"{peak:.1f}°. The start: the requested one, else that of the largest lateral acceleration.")
-    return finish(figure, drawing.output, "slip_and_forces", title, caption)
+    return save_figure(figure, drawing.output, "slip_and_forces", title, caption)
 
 
 def _slip_angles(model: Model, vehicle: VehicleParameters, states: np.ndarray, angle: np.ndarray,

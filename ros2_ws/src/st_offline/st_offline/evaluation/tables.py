@@ -106,7 +106,7 @@ DIGITS = 2  # as the paper: centimetres
 WIDE = 100  # characters, width of the table with forecasts
 SHOWN_AXES = ("longitudinal", "lateral")
 NOTE = "mean | max | RMSE over {what}, m; bold: smallest magnitude of each run"
-WHAT = {"means": "the horizon means", "samples": "all samples of all horizons"}
+OVER_LABELS = {"means": "the horizon means", "samples": "all samples of all horizons"}
 
 Models = Mapping[str, Any]  # {model: {mode: entry}}
 
@@ -136,7 +136,7 @@ def terminal_table(reports: Sequence[Any], over: str, title: str, width: int) ->
     wide = width >= WIDE
     ahead = list(dict.fromkeys(mode for r in reports for modes in r.models.values() for mode in modes
                                if mode != "hindsight"))
-    heading = Text(f"{title}\n{NOTE.format(what=WHAT[over])}", style="bold")
+    heading = Text(f"{title}\n{NOTE.format(what=OVER_LABELS[over])}", style="bold")
     table = Table(title=heading, title_justify="left", box=None, padding=(0, 1))
     table.add_column("run", overflow="fold")
     table.add_column("model", no_wrap=True)
@@ -164,7 +164,7 @@ def latex_table(reports: Sequence[Any], over: str, what: str) -> str:
     legend = ", ".join(f"m$_{{{k + 1}}}$ {_tex(model)}" for k, model in enumerate(models))
     lines = [
         r"\begin{table}[t]", r"\centering",
-        rf"\caption{{Mean error, maximum absolute error and RMSE over {WHAT[over]}; {legend}. "
+        rf"\caption{{Mean error, maximum absolute error and RMSE over {OVER_LABELS[over]}; {legend}. "
         rf"Bold: lowest magnitude. {_tex(what)}}}",
         r"\begin{tabular}{cccc}",
         r"& & \multicolumn{2}{c}{\textbf{Error (mean $\mid$ max $\mid$ RMSE) [m]}} \\", r"\cmidrule(lr){3-4}",

@@ -37,7 +37,7 @@ from ..checking.check_report import findings_as_json
 from ..checking.gate import RUN_ERRORS, Refused, check_for_use, describe_problem
 from . import tables
 from .background import in_background
-from .drawing import Drawn, FigureOutput
+from .drawing import FigureOutput, PageFigure
 from .drive_parts import drive_parts
 from .run_figures import Drawing, ranking, run_figures
 
@@ -80,7 +80,7 @@ class RunReport:
     seconds_ahead: dict[str, Any] = field(default_factory=dict)
     bins: list[dict[str, Any]] = field(default_factory=list)
     manoeuvres: list[dict[str, Any]] = field(default_factory=list)
-    figures: list[Drawn] = field(default_factory=list)
+    figures: list[PageFigure] = field(default_factory=list)
     bands: dict[str, Any] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
 

@@ -21,25 +21,25 @@ from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_recordings.runs import RunError, find_runs, read
 
 from ..checking.gate import check_log, refuse_errors
-from ..evaluation.drawing import TEXT, WIDTH, Drawn, FigureOutput, finish, style
+from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, save_figure, style
 from .experiment import Experiment, Setup, number
 
 MAX_POINTS = 4000
 """Dots of a scatter plot; more only make it darker."""
-PAPER, BETTER = MODEL_COLOUR["linear"], MODEL_COLOUR["augmented"]
+PAPER_COLOUR, FIT_COLOUR = MODEL_COLOUR["linear"], MODEL_COLOUR["augmented"]
 DEG = np.rad2deg(1.0)
 UNITS = {"rad": (DEG, "deg"), "N/rad": (1e-3, "kN/rad")}
 
 
-def draw_offset(found: Identification, output: FigureOutput) -> Drawn:
+def draw_offset(found: Identification, output: FigureOutput) -> PageFigure:
     """Offset of every straight window and both results; yaw-rate residuals."""
     data = found.figure
     with style():
         figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.4), width_ratios=(2, 1))
-        position = _in_line(data["run"], data["time"])
+        position = _concatenate_times(data["run"], data["time"])
         left.plot(position, data["offset"] * DEG, ".", color=MEASURED_COLOUR, ms=4, label="steady straight window")
-        for estimate, colour, label in ((found.estimates[0], PAPER, "yaw rate (paper)"),
-                                        (found.estimates[1], BETTER, "mean of windows")):
+        for estimate, colour, label in ((found.estimates[0], PAPER_COLOUR, "yaw rate (paper)"),
+                                        (found.estimates[1], FIT_COLOUR, "mean of windows")):
             left.axhspan(*(np.array(estimate.interval95) * DEG), color=colour, alpha=0.25, lw=0)
             left.axhline(estimate.value * DEG, color=colour, label=label)
         left.set(xlabel="driving, s (runs one after the other, straights only)", ylabel="hand wheel when straight, deg")
@@ -47,17 +47,17 @@ def draw_offset(found: Identification, output: FigureOutput) -> Drawn:
         right.hist(data["residual_yaw_rate"] * DEG, 40, color=MEASURED_COLOUR)
         right.set(xlabel="yaw rate simulated - measured, deg/s", ylabel="predictions")
         first, second = (e.value * DEG for e in found.estimates[:2])
-        return finish(figure, output, "steering-offset",
-                      f"Steering offset {first:.2f} deg by the yaw rate, {second:.2f} deg by the mean reading",
-                      "Bands: 95 % intervals. Right: residuals of the yaw rate.")
+        return save_figure(figure, output, "steering-offset",
+                           f"Steering offset {first:.2f} deg by the yaw rate, {second:.2f} deg by the mean reading",
+                           "Bands: 95 % intervals. Right: residuals of the yaw rate.")
 
 
-def draw_mounting(found: Identification, output: FigureOutput) -> Drawn:
+def draw_mounting(found: Identification, output: FigureOutput) -> PageFigure:
     """Lateral over forward velocity against curvature, slip removed; the slope is the distance to the axle."""
     data = found.figure
     with style():
         figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
-        thin = _thin(len(data["curvature"]))
+        thin = _thinned_rows(len(data["curvature"]))
         for index, name in enumerate(data["names"]):
             rows = thin[data["run"][thin] == index]
             left.plot(data["curvature"][rows], data["slope"][rows], ".", ms=2.5, label=name)
@@ -70,11 +70,12 @@ def draw_mounting(found: Identification, output: FigureOutput) -> Drawn:
         right.axhline(0.0, color=TEXT, lw=0.8)
         right.set(xlabel="forward velocity, m/s", ylabel="residual, mm/s")
         lever, angle = found["cg_to_ins_x"], found["ins_misalignment"]
-        return finish(figure, output, "ins", f"INS {_value(lever)} ahead of the CG, heading turned by {_value(angle)}",
-                      "Slope of the line: INS ahead of the rear axle. Where it crosses zero curvature: misalignment.")
+        title = f"INS {_value(lever)} ahead of the CG, heading turned by {_value(angle)}"
+        caption = "Slope of the line: INS ahead of the rear axle. Where it crosses zero curvature: misalignment."
+        return save_figure(figure, output, "ins", title, caption)
 
 
-def draw_stiffness(found: Identification, output: FigureOutput) -> Drawn:
+def draw_stiffness(found: Identification, output: FigureOutput) -> PageFigure:
     """Axle force against slip angle, as in the paper; of the stiffness by prediction both slopes and 95 % regions."""
     paper = found.figure.get("paper")
     both = ", ".join(f"{axle} {_value(found[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))
@@ -83,7 +84,7 @@ def draw_stiffness(found: Identification, output: FigureOutput) -> Drawn:
         if found.what == "stiffness-paper":
             figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
             _clouds(panels, found, (found,))
-            return finish(figure, output, found.what, f"Slopes {both}", f"Dots: {cloud}")
+            return save_figure(figure, output, found.what, f"Slopes {both}", f"Dots: {cloud}")
         figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 3.6), width_ratios=(1.2, 1.2, 1))
         if paper is not None:
             _clouds(panels[:2], paper, (paper, found))
@@ -92,7 +93,7 @@ def draw_stiffness(found: Identification, output: FigureOutput) -> Drawn:
                 axes.set_axis_off()
         pair = panels[2]
         _ellipse(pair, found, found.estimates[:2])
-        for one, colour, label in ((found, BETTER, "prediction"), (paper, PAPER, "regression (paper)")):
+        for one, colour, label in ((found, FIT_COLOUR, "prediction"), (paper, PAPER_COLOUR, "regression (paper)")):
             if one is not None and np.isfinite([e.value for e in one.estimates[:2]]).all():
                 front, rear = one.estimates[:2]
                 pair.errorbar(
@@ -101,18 +102,18 @@ def draw_stiffness(found: Identification, output: FigureOutput) -> Drawn:
                        for axis, e in (("x", front), ("y", rear))})
         pair.set(xlabel="front, kN/rad", ylabel="rear, kN/rad")
         pair.legend(fontsize=8)
-        return finish(figure, output, "stiffness", f"Cornering stiffness {both} by prediction",
-                      "Left: the paper's force and slip, with both slopes. Right: 95 % intervals and region of both.")
+        caption = "Left: the paper's force and slip, with both slopes. Right: 95 % intervals and region of both."
+        return save_figure(figure, output, "stiffness", f"Cornering stiffness {both} by prediction", caption)
 
 
-def draw_prediction(found: Identification, output: FigureOutput) -> Drawn:
+def draw_prediction(found: Identification, output: FigureOutput) -> PageFigure:
     """Residuals of a fit of predictions, run after run, and the first parameter with its strongest correlation."""
     data, first = found.figure, found.estimates[0]
     with style():
         figure, panels = plt.subplot_mosaic([["rate", "pair"], ["across", "pair"]], figsize=(WIDTH, 4.2),
                                             width_ratios=(1.5, 1))
-        position = _in_line(data["residual_run"], data["residual_time"])
-        thin = _thin(len(position))
+        position = _concatenate_times(data["residual_run"], data["residual_time"])
+        thin = _thinned_rows(len(position))
         begins = position[np.unique(data["residual_run"], return_index=True)[1]]
         for column, (key, label, factor) in enumerate((("rate", "yaw rate, deg/s", DEG),
                                                        ("across", "lateral velocity, mm/s", 1e3))):
@@ -137,19 +138,20 @@ def draw_prediction(found: Identification, output: FigureOutput) -> Drawn:
             getattr(pair, f"set_{axis}label")(one.parameter.replace("_", " ") + (f", {unit}" if unit != "1" else ""))
         pair.legend(loc="lower left", fontsize=8)
         title = "; ".join(f"{e.parameter.replace('_', ' ')} {_value(e)}" for e in (first, second))
-        return finish(figure, output, found.what, title,
-                      "Left: predicted minus measured, dotted lines between runs. Right: the first parameter and the "
-                      "one it is correlated with most; intervals include what the runs cannot show.")
+        caption = ("Left: predicted minus measured, dotted lines between runs. Right: the first parameter and the one "
+                   "it is correlated with most; intervals include systematic uncertainty.")
+        return save_figure(figure, output, found.what, title, caption)
 
 
 def _clouds(panels: Sequence[plt.Axes], cloud: Identification, lines: Sequence[Identification]) -> None:
     for axes, axle in zip(panels, ("front", "rear"), strict=True):
         slip, force = cloud.figure[f"slip_{axle}"], cloud.figure[f"force_{axle}"]
-        thin = _thin(len(slip))
+        thin = _thinned_rows(len(slip))
         axes.plot(slip[thin] * DEG, force[thin] * 1e-3, ".", color=MEASURED_COLOUR, ms=2)
         # Through the middle of the cloud: an offset of steering or INS moves it away from the origin.
         middle, ends = slip.mean(), np.array([slip.min(), slip.max()])
-        for one, colour, label in zip(lines, (PAPER, BETTER), ("regression (paper)", "prediction"), strict=False):
+        styles = ((PAPER_COLOUR, "regression (paper)"), (FIT_COLOUR, "prediction"))
+        for one, (colour, label) in zip(lines, styles, strict=False):
             estimate = one[f"cornering_stiffness_{axle}"]
             if not np.isfinite(estimate.value):
                 continue
@@ -167,15 +169,15 @@ def _ellipse(axes: plt.Axes, found: Identification, pair: Sequence[Estimate]) ->
     size = directions * np.sqrt(chi2.ppf(0.95, 2) * np.maximum(values, 0.0))
     angle = np.linspace(0.0, 2.0 * np.pi, 121)
     x, y = size @ np.stack([np.cos(angle), np.sin(angle)])
-    axes.plot((pair[0].value + x) * _unit(names[0])[0], (pair[1].value + y) * _unit(names[1])[0], color=BETTER, lw=1,
-              label="95 % region")
+    axes.plot((pair[0].value + x) * _unit(names[0])[0], (pair[1].value + y) * _unit(names[1])[0], color=FIT_COLOUR,
+              lw=1, label="95 % region")
 
 
-def _thin(count: int) -> np.ndarray:
+def _thinned_rows(count: int) -> np.ndarray:
     return np.arange(0, count, max(1, count // MAX_POINTS))
 
 
-def _in_line(run: np.ndarray, time: np.ndarray) -> np.ndarray:
+def _concatenate_times(run: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Times of all runs, concatenated [s]."""
     result, end = np.zeros(len(time)), 0.0
     for index in np.unique(run):

@@ -13,13 +13,13 @@ from st_core.vehicle import VehicleParameters, quantity, value_of
 from st_recordings.runs import ReadSettings
 from st_recordings.runs.errors import RunError, check_readable
 
-from ..evaluation.drawing import Drawn, FigureOutput
+from ..evaluation.drawing import FigureOutput, PageFigure
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What every experiment may use in addition to its files. read: how recordings are read. force: use drives that the
-    checks refuse. model: what drives are predicted with.
+    """Inputs of every experiment in addition to its files. read: options of reading recordings. force: use drives that
+    the checks refuse. model: for the prediction of drives.
     """
 
     vehicle: VehicleParameters
@@ -46,7 +46,7 @@ class Experiment:
     what: str
     files: str
     identify: Callable[[Sequence[Path], Setup], tuple[Identification, ...]]
-    draw: Callable[[Identification, FigureOutput], Drawn] | None = None
+    draw: Callable[[Identification, FigureOutput], PageFigure] | None = None
     files_needed: bool = True
     drives: bool = False
 
@@ -56,10 +56,10 @@ COLUMN_NAMES = ("parameter", "value", "±", "95 % interval", "unit", "in the fil
 
 def rows(found: Identification, vehicle: VehicleParameters) -> list[Sequence[str]]:
     """One row of COLUMN_NAMES per estimate; "in the file": value of `vehicle`."""
-    return [row(estimate, vehicle) for estimate in found.estimates]
+    return [_row(estimate, vehicle) for estimate in found.estimates]
 
 
-def row(estimate: Estimate, vehicle: VehicleParameters) -> Sequence[str]:
+def _row(estimate: Estimate, vehicle: VehicleParameters) -> Sequence[str]:
     factor, unit = (180.0 / math.pi, "deg") if estimate.unit == "rad" else (1.0, estimate.unit)
     spread = estimate.standard_uncertainty * factor
     before = ""

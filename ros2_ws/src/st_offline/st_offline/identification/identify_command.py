@@ -28,8 +28,8 @@ from st_recordings.runs import find_runs
 from st_recordings.runs.load import file_hashes
 
 from ..checking.check_report import findings_as_json, print_findings
-from ..discovery.vehicle_update import edited_or_whole
-from ..evaluation.drawing import Drawn, FigureOutput
+from ..discovery.vehicle_update import edit_or_rewrite
+from ..evaluation.drawing import FigureOutput, PageFigure
 from ..pages import template
 from ..terminal import line, list_files, rows_table
 from .driving import DRIVING
@@ -154,7 +154,7 @@ def vehicle_text(file: Path, car: VehicleParameters, found: Sequence[Identificat
         text = file.read_text(encoding="utf-8")
     except OSError:
         return car.to_yaml()
-    return edited_or_whole(text, {key: partial(entry, key) for key in keys}, car, 1e-12)
+    return edit_or_rewrite(text, {key: partial(entry, key) for key in keys}, car, 1e-12)
 
 
 def details(found: Identification) -> dict[str, Any]:
@@ -174,7 +174,7 @@ def details(found: Identification) -> dict[str, Any]:
     }
 
 
-def page(found: Sequence[Identification], figures: Sequence[Drawn | None], vehicle: VehicleParameters,
+def page(found: Sequence[Identification], figures: Sequence[PageFigure | None], vehicle: VehicleParameters,
          facts: dict[str, Any]) -> str:
     """report.html, self-contained."""
     values = [f"{name.replace('_', ' ')} "

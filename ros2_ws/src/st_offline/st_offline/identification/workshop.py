@@ -16,7 +16,7 @@ from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_core.vehicle import TYRES
 from st_recordings.runs.errors import RunError
 
-from ..evaluation.drawing import TEXT, WIDTH, Drawn, FigureOutput, finish, style
+from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, save_figure, style
 from .experiment import Experiment, Setup, Table, read_columns
 
 NOTES = ("weighing", "driver", "payload")
@@ -42,7 +42,7 @@ def identify_scales(files: Sequence[Path], setup: Setup) -> tuple[Identification
     return (replace(found, warnings=(*found.warnings, *([swapped] if swapped else []))),)
 
 
-def draw_scales(found: Identification, output: FigureOutput) -> Drawn:
+def draw_scales(found: Identification, output: FigureOutput) -> PageFigure:
     """Every weighing and the 95 % interval of both values."""
     data = found.figure
     rows = np.arange(len(data["names"]))
@@ -64,8 +64,9 @@ def draw_scales(found: Identification, output: FigureOutput) -> Drawn:
             axes.grid(axis="y", visible=False)
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower left", ncols=4)
-        return finish(figure, output, "scales", f"{found['mass'].verdict} {found['cg_to_front_axle'].verdict}",
-                      "One point per weighing. The interval contains their scatter and the scales' own uncertainty.")
+        caption = "One point per weighing. The interval contains their scatter and the scales' own uncertainty."
+        title = f"{found['mass'].verdict} {found['cg_to_front_axle'].verdict}"
+        return save_figure(figure, output, "scales", title, caption)
 
 
 SCALES = Experiment("scales", "mass and CG position from four wheel scales",
@@ -87,7 +88,7 @@ def identify_ratio(files: Sequence[Path], setup: Setup) -> tuple[Identification,
     return (steering_ratio(Turntable(hand, left, right, tuple(names))),)
 
 
-def draw_ratio(found: Identification, output: FigureOutput) -> Drawn:
+def draw_ratio(found: Identification, output: FigureOutput) -> PageFigure:
     """Wheel angles over the hand-wheel angle with the fitted line, and its residuals."""
     data, estimate = found.figure, found.estimates[0]
     hand, sweeps = np.degrees(data["hand"]), np.asarray(data["sweeps"])
@@ -116,8 +117,8 @@ def draw_ratio(found: Identification, output: FigureOutput) -> Drawn:
         figure.legend(*zip(*handles, strict=True), loc="outside lower left", ncols=4, fontsize=8)
         low, high = estimate.interval95
         title = f"Steering ratio {estimate.value:.2f}, 95 % interval {low:.2f} to {high:.2f}"
-        return finish(figure, output, "steering-ratio", title,
-                      "Left: both front wheels, their mean, and the line. Right: residuals of the line.")
+        return save_figure(figure, output, "steering-ratio", title,
+                           "Left: both front wheels, their mean, and the line. Right: residuals of the line.")
 
 
 STEERING_RATIO = Experiment("steering-ratio", "steering ratio from turntables",
@@ -164,7 +165,7 @@ def _pitch(table: Table, wheelbase: float) -> np.ndarray:
     return pitch_from_lift(columns["lift"], columns["front_radius"], columns["rear_radius"], wheelbase)
 
 
-def draw_height(found: Identification, output: FigureOutput) -> Drawn:
+def draw_height(found: Identification, output: FigureOutput) -> PageFigure:
     """Rear load over tan(pitch) with the line, and the height from each row alone."""
     data, estimate = found.figure, found.estimates[0]
     pitch, lifts = np.degrees(data["pitch"]), np.asarray(data["lifts"])
@@ -187,9 +188,9 @@ def draw_height(found: Identification, output: FigureOutput) -> Drawn:
         right.legend(fontsize=8)
         low, high = estimate.interval95
         title = f"CG {estimate.value:.3f} m above the ground, 95 % interval {low:.3f} to {high:.3f} m"
-        return finish(figure, output, "cg-height", title,
-                      "Left: rear load and the line with slope m (h - r) / l over tan(pitch). Right: the height from "
-                      "each lifted row alone.")
+        caption = ("Left: rear load and the line with slope m (h - r) / l over tan(pitch). Right: the height from each "
+                   "lifted row alone.")
+        return save_figure(figure, output, "cg-height", title, caption)
 
 
 CG_HEIGHT = Experiment("cg-height", "CG height from the axle-lift test (ISO 10392)",
@@ -237,7 +238,7 @@ def read_tables(files: Sequence[Path]) -> list[FlatPlank]:
     return tables
 
 
-def draw_tyre(found: Identification, output: FigureOutput) -> Drawn:
+def draw_tyre(found: Identification, output: FigureOutput) -> PageFigure:
     """Measured and fitted force, residuals, and the stiffness over the load."""
     data = found.figure
     slip = np.degrees(data["slip"])
@@ -259,8 +260,8 @@ def draw_tyre(found: Identification, output: FigureOutput) -> Drawn:
         share = 100.0 * np.sqrt(np.mean(data["residuals"] ** 2)) / np.abs(data["force"]).max()
         axle = data["tyre"].removeprefix("tyre_")
         title = f"Magic Formula of the {axle} tyre: {share:.2f} % of the largest force unexplained"
-        return finish(figure, output, data["tyre"].replace("_", "-"), title,
-                      "Points: measured. Lines: Magic Formula. Bars: 95 % interval of the stiffness at zero slip.")
+        return save_figure(figure, output, data["tyre"].replace("_", "-"), title,
+                           "Points: measured. Lines: Magic Formula. Bars: 95 % interval of the stiffness at zero slip.")
 
 
 TYRE = Experiment("tyre", "Magic Formula parameters from flat-plank tables",
