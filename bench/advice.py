@@ -13,7 +13,7 @@ from st_core.palette import MODEL_COLOUR
 from st_core.vehicle import VehicleParameters
 from st_offline.evaluation import advice as advice_report
 from st_offline.evaluation.advice import cheapest, measure
-from st_offline.evaluation.drawing import TEXT, WIDTH, FigureOutput, finish, style
+from st_offline.evaluation.drawing import TEXT, WIDTH, FigureOutput, save_figure, style
 from st_offline.evaluation.work import Task
 from st_recordings.paths import config, project_root
 from st_recordings.runs import find_runs
@@ -61,8 +61,8 @@ def figure(costs: Mapping[advice_report.Key, advice_report.Cost],
                     Line2D([], [], ls="", marker="D", color=TEXT, ms=5, mfc="none", label="half-width of the band"),
                     Line2D([], [], color=TEXT, lw=0.7, ls=(0, (4, 3)), label=f"{tolerance:g} m")]
         drawn.legend(handles=handles, loc="outside lower left", ncols=6)
-        finish(drawn, output, "advice", "Cost and accuracy of each model and step",
-                      f"Filled: rms error; hollow: half-width of the band; dashed: {tolerance:g} m.")
+        save_figure(drawn, output, "advice", "Cost and accuracy of each model and step",
+                           f"Filled: rms error; hollow: half-width of the band; dashed: {tolerance:g} m.")
 
 
 def run() -> dict:
