@@ -21,7 +21,7 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.utilities import remove_ros_args
-from st_core.course import SPACING, Course, Pass, Visit
+from st_core.course import SPACING, Course, NearPoint, Pass
 from st_core.errors import StCoreError
 from st_core.models import MODELS, get_model
 from st_core.types import VehicleState, ins_to_cg
@@ -58,18 +58,18 @@ def scenario_course(name: str) -> Course:
     return Course((Pass(name, (), np.array(points)),))
 
 
-def next_visit(course: Course, last: Visit, state: VehicleState) -> Visit | None:
-    """The course point near the car that continues the last visit; None off the road.
+def next_point(course: Course, last: NearPoint, state: VehicleState) -> NearPoint | None:
+    """The course point near the car that continues the last one; None off the road.
 
     The nearest point may belong to another lap with another continuation.
     """
     return min(course.near(state.x, state.y, state.yaw), default=None,
-               key=lambda visit: (visit.number != last.number, abs(visit.row - last.row)))
+               key=lambda point: (point.number != last.number, abs(point.row - last.row)))
 
 
-def reference(course: Course, visit: Visit, state: VehicleState, steps: int, step: float) -> Reference | None:
+def reference(course: Course, point: NearPoint, state: VehicleState, steps: int, step: float) -> Reference | None:
     """The road at the end of each step [s] for a car at its speed; None close to the end of the road."""
-    points = course.passes[visit.number].points[visit.row:]
+    points = course.passes[point.number].points[point.row:]
     x, y, yaw = points[0, :3]
     along = np.arange(len(points)) * SPACING
     ahead = [float(np.cos(yaw) * (state.x - x) + np.sin(yaw) * (state.y - y))]
@@ -108,7 +108,7 @@ class Planner(Node):
         self._odometry = PolledSubscription(self, Odometry, "ins/odometry", qos)
         self._steering = PolledSubscription(self, Steering, "vehicle/steering", qos)
         self._publisher = self.create_publisher(InputPlan, "plan/inputs", QoSProfile(depth=10))
-        self._visit = Visit(0, 0, 0.0)
+        self._point = NearPoint(0, 0, 0.0)
         self._sample = None
         self._angle, self._angle_ns = 0.0, 0
         self._counts = {"published": 0, "without a road": 0, "not solved": 0, "slow or not measured": 0}
@@ -134,9 +134,9 @@ class Planner(Node):
             return "slow or not measured"
         state = ins_to_cg(now, car.cg_to_ins_x, car.cg_to_ins_y)
         step = self._controller.tuning.step
-        visit = next_visit(self._course, self._visit, state)
-        road = reference(self._course, visit, state, self._controller.steps, step) if visit else None
-        self._visit = visit or self._visit
+        point = next_point(self._course, self._point, state)
+        road = reference(self._course, point, state, self._controller.steps, step) if point else None
+        self._point = point or self._point
         if road is None:
             self._controller.reset()
             return "without a road"

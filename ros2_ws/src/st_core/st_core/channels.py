@@ -1,7 +1,4 @@
-"""The channels of a discovery: the measured quantities with which predictions are compared.
-
-Everything about a channel is in CHANNELS, for recordings, corrections, CSV columns, search, figures and reports.
-"""
+"""The channels of a discovery: the measured quantities with which predictions are compared. CHANNELS defines them."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -22,14 +19,13 @@ class Channel:
     """One measured quantity.
 
     label: name in reports. unit: SI. resolution [unit]: of an INS; smaller errors are not distinguished.
-    signals: fields of DriveLog that measure it. columns: in which it is scored. Both default to `name`.
-    predicted(readings, true): reading of the sensor, from `effects.Measured` with and without the errors of the INS;
-    None for the field `name` of `readings`. errors(measured, readings): by column; None for measured minus predicted.
-    smoothed: measured and predicted are averaged over SMOOTHING_NS. adds_up: its errors grow over the horizon.
-    zero_is_none: a recording that does not have it is 0 throughout.
-    noise(log, step, x, y, yaw, v_x, v_y, r): standard deviation of the errors at the end of windows due to noise alone,
-    for each column, from redundant sensors without a car or model; arrays (windows, instants `step` [s] apart). None
-    for white noise by third differences, to which the motion of a car does not contribute.
+    signals: fields of DriveLog that measure it. columns: components of its error. Both default to `name`.
+    errors(measured, readings): measured minus predicted `effects.Measured`, by column; None: difference of the field
+    `name`. smoothed: measured and predicted are averaged over SMOOTHING_NS. accumulates: its errors grow over the
+    horizon. zero_means_missing: all zeros in a recording mean that it was not measured.
+    noise(log, step, x, y, yaw, v_x, v_y, r): standard deviation, by column, of the errors at the end of windows due to
+    noise alone, by comparison of redundant measurements; arrays (windows, instants `step` [s] apart). None for white
+    noise by third differences, to which the motion of a car does not contribute.
     """
 
     name: str
@@ -38,35 +34,32 @@ class Channel:
     resolution: float
     signals: tuple[str, ...] = ()
     columns: tuple[str, ...] = ()
-    predicted: Callable[[Any, Any], Any] | None = None
     errors: Callable[[Mapping[str, np.ndarray], Any], tuple[np.ndarray, ...]] | None = None
     smoothed: bool = False
-    adds_up: bool = False
-    zero_is_none: bool = False
+    accumulates: bool = False
+    zero_means_missing: bool = False
     noise: Callable[..., tuple[float, ...]] | None = None
 
     def __post_init__(self) -> None:
-        for which in ("signals", "columns"):
-            object.__setattr__(self, which, getattr(self, which) or (self.name,))
+        for field in ("signals", "columns"):
+            object.__setattr__(self, field, getattr(self, field) or (self.name,))
 
     def is_in(self, log: Any) -> bool:
-        """Whether a DriveLog has the channel. In a log at standstill throughout, 0 is a valid lateral velocity."""
+        """Whether a DriveLog contains the channel. At standstill throughout, 0 is a valid lateral velocity."""
         if self.name == "velocity_y" and not log.sideslip_measured:
             return False
         values = [getattr(log, name) for name in self.signals]
-        zero_is_none = self.zero_is_none and bool((np.abs(log.velocity_x) > STANDSTILL_SPEED).any())
-        return all(v is not None and np.isfinite(v).any() and not (zero_is_none and not v.any()) for v in values)
+        zero_means_missing = self.zero_means_missing and bool((np.abs(log.velocity_x) > STANDSTILL_SPEED).any())
+        return all(v is not None and np.isfinite(v).any() and not (zero_means_missing and not v.any()) for v in values)
 
-    def reading(self, readings: Any, true: Any) -> Any:
-        """Predicted reading of the sensor [unit]."""
-        return self.predicted(readings, true) if self.predicted else getattr(readings, self.name)
-
-    def residuals(self, measured: Mapping[str, np.ndarray], readings: Any, true: Any) -> tuple[np.ndarray, ...]:
-        """Measured minus predicted [unit], one for each column."""
-        return self.errors(measured, readings) if self.errors else (measured[self.name] - self.reading(readings, true),)
+    def residuals(self, measured: Mapping[str, np.ndarray], readings: Any) -> tuple[np.ndarray, ...]:
+        """Measured minus predicted [unit], by column."""
+        if self.errors:
+            return self.errors(measured, readings)
+        return (measured[self.name] - getattr(readings, self.name),)
 
     def noise_errors(self, log: Any, *motion: Any) -> tuple[float, ...]:
-        """Errors due to noise alone [unit], one for each column."""
+        """Errors due to noise alone [unit], by column."""
         if self.noise:
             return self.noise(log, *motion)
         values = getattr(log, self.name)
@@ -104,18 +97,18 @@ def _integral(values: np.ndarray, step: float) -> np.ndarray:
 
 
 CHANNELS: Mapping[str, Channel] = {channel.name: channel for channel in (
-    Channel("velocity_y", "lateral velocity", "m/s", 1e-3, zero_is_none=True),
+    Channel("velocity_y", "lateral velocity", "m/s", 1e-3, zero_means_missing=True),
     Channel("yaw_rate", "yaw rate", "rad/s", 2e-4, smoothed=True),
     Channel("acceleration_y", "lateral acceleration", "m/s^2", 5e-3, smoothed=True),
     Channel("yaw", "heading", "rad", 1e-4, errors=lambda m, readings: (wrap_angle(m["yaw"] - readings.yaw),),
-            adds_up=True, noise=_heading_noise),
+            accumulates=True, noise=_heading_noise),
     Channel("position", "position", "m", 1e-3, ("x", "y"), ("position_lateral", "position_longitudinal"),
-            errors=_position_residuals, adds_up=True, noise=_position_noise),
+            errors=_position_residuals, accumulates=True, noise=_position_noise),
 )}
 """By name, the channel most informative about the car first."""
 
 CHANNEL_OF_COLUMN = {column: channel for channel in CHANNELS.values() for column in channel.columns}
 POSITION_5S = "position_5s"
+"""Mean position error at the end of the horizon, which is reported first."""
 UNITS = {POSITION_5S: "m"} | {name: channel.unit for name, channel in CHANNELS.items()}
 LABELS = {POSITION_5S: "position after 5 s"} | {name: channel.label for name, channel in CHANNELS.items()}
-"""With the mean position error at the end of the horizon, which is reported first."""

@@ -38,7 +38,7 @@ STEP_SEARCH = 5.0, 40.0  # s; the second where one offset does not fit the whole
 def manual_alignment(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal] = ()) -> Alignment:
     """Alignment with a given offset, reference minus other clock [ns], of unknown uncertainty (NaN).
 
-    signals: compared with it within 5 s for the verdict; the offset is used as given in any case.
+    signals: for the verdict, aligned within 5 s of the offset, which is used as given in any case.
     """
     offset = offset_ns * 1e-9
     check = align(signals, search=(offset - 5.0, offset + 5.0)) if signals else refused_alignment()
@@ -173,7 +173,7 @@ def _with_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other
     refusals, doubts = [], []
     assert result.peak and result.second_peak
     (first, r_first), (second, r_second) = result.peak, result.second_peak
-    # Of the fit, since a drift smears the peak of the coarse search.
+    # The correlation of the fit, since a drift lowers the peak of the coarse search.
     weakest = min(max(s.correlation, 0.0) for s in result.signals)
     strongest = max(s.correlation for s in result.signals)
     if strongest < USABLE_PEAK:
@@ -224,20 +224,20 @@ def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.n
     return (curve[0] + (r0 - o0) * 1e-9, curve[1]) if curve else (np.zeros(0), np.zeros(0))
 
 
-def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment, search: float = 2.0) -> list[WindowLag]:
-    """Residual offsets of windows of 30 s after an alignment; time [s] after `at_ns`, other clock."""
+def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment) -> list[WindowLag]:
+    """Residual offsets, within 2 s, of windows of 30 s after an alignment; time [s] after `at_ns`, other clock."""
     fine, r0, o0 = _fine_pairs(signals)
     if not fine:
         return []
     middle = (alignment.at_ns - o0) * 1e-9
-    found = window_lags(fine, (alignment.offset_ns - (r0 - o0)) * 1e-9, search)
+    found = window_lags(fine, (alignment.offset_ns - (r0 - o0)) * 1e-9, 2.0)
     drift = alignment.drift_ppm * 1e-6
     return [WindowLag(w.time - middle, w.lag - drift * (w.time - middle), w.deviation) for w in found]
 
 
 def mask_standstill(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np.ndarray, speed: np.ndarray,
-                    threshold: float = 0.3, margin: float = 2.0) -> np.ndarray:
-    """The values, NaN where the speed stays below `threshold` [m/s] within `margin` [s].
+                    threshold: float = 0.3) -> np.ndarray:
+    """The values, NaN where the speed stays below `threshold` [m/s] from 2 s before to 2 s after.
 
     Standstill carries no information about time, but correlates with every other standstill.
     """
@@ -247,7 +247,7 @@ def mask_standstill(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np.n
     index = np.searchsorted(moving_ns, time_ns)
     before = time_ns - moving_ns[np.clip(index - 1, 0, len(moving_ns) - 1)]
     after = moving_ns[np.clip(index, 0, len(moving_ns) - 1)] - time_ns
-    near = np.minimum(np.abs(before), np.abs(after)) * 1e-9 <= margin
+    near = np.minimum(np.abs(before), np.abs(after)) * 1e-9 <= 2.0
     return np.where(near, values, np.nan)
 
 
@@ -297,7 +297,7 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
         drift_deviation=float(np.sqrt(covariance[1, 1])) * 1e6,
         method="time frame", verdict=Verdict.GOOD, overlap=float(time[-1] - time[0]),
     )
-    # Of the offsets, not of the residuals: a step has tilted the line.
+    # A step also changes the slope of the fitted line, so the offsets are examined, not the residuals.
     usual, edges = np.median(offset), np.linspace(0, len(time), min(len(time), MAX_WINDOWS) + 1).astype(int)
     lags = [WindowLag(float(np.median(time[a:b])) - middle, float(np.median(offset[a:b]) - usual), scale)
             for a, b in pairwise(edges)]

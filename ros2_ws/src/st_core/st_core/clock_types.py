@@ -6,14 +6,14 @@ from enum import StrEnum
 import numpy as np
 
 AMBIGUOUS_PEAK_RATIO = 0.9  # second peak of the correlation over the first
-UNUSUAL_DRIFT_PPM = 200.0
+UNUSUAL_DRIFT_PPM = 200.0  # above that of quartz clocks
 MAX_STEP = 0.05  # s
 MAX_SPAN = 48 * 3600.0  # s; in a longer recording the clock was set while it ran
 
 
 class Verdict(StrEnum):
-    """Verdict on an alignment. good: use it; doubtful: look at the figure first; refused: not an alignment; not needed:
-    everything was recorded on one clock."""
+    """Verdict on an alignment. doubtful: look at the figure before use; refused: none was found; not needed: everything
+    was recorded on one clock."""
 
     GOOD = "good"
     DOUBTFUL = "doubtful"
@@ -26,8 +26,8 @@ class SharedSignal:
     """One quantity in both recordings, each on its own clock; NaN where it should not be used (standstill, not ready).
 
     times: int64 ns, strictly increasing. Values share sign and, up to a gain and a bias, scale.
-    angle: the values are an angle [rad], wrapped or not, with a zero of its own on each side; its rate is compared.
-    latency: the other recording stamps the value this late after the instant it was true [s], with its uncertainty.
+    angle: the values are an angle [rad], wrapped or not, whose zero differs between the recordings; its rate is
+    compared. latency: delay from the instant of the value to its stamp in the other recording [s], with uncertainty.
     min_deviation: standard deviation below which the signal is taken as constant [unit of the values].
     """
 
@@ -44,7 +44,8 @@ class SharedSignal:
 
 @dataclass(frozen=True)
 class SignalLag:
-    """Fit of one signal alone: offset minus the common one [s], deviation [s], residual over spread, correlation."""
+    """Fit of one signal alone: offset minus the common one, its standard deviation [s], residual over spread,
+    correlation."""
 
     name: str
     difference: float
@@ -99,9 +100,9 @@ class Alignment:
         return replace(self, verdict=verdict, reasons=(*self.reasons, *reasons))
 
 
-def alignment_not_needed(at_ns: int = 0) -> Alignment:
+def alignment_not_needed() -> Alignment:
     """Alignment of recordings that are on one clock already."""
-    return Alignment(at_ns, 0, 0.0, 0.0, 0.0, "none", Verdict.NOT_NEEDED)
+    return Alignment(0, 0, 0.0, 0.0, 0.0, "none", Verdict.NOT_NEEDED)
 
 
 def refused_alignment(*reasons: str) -> Alignment:

@@ -1,9 +1,8 @@
 """Known course: speed and curvature along the path, from recordings of earlier drives at the same place.
 
-A course is a set of passes. Each is the path of one recording without its pauses, sampled every SPACING metres. Laps,
-both directions and branches are passes, or parts of one, side by side; `Course.near` finds all that continue from a
-place in a direction. Their mean and spread are computed in `course_tracker` only, because a mean over slow and fast
-laps would fit neither. Checked by: test_course.py.
+A course is a set of passes: paths of recordings, split at pauses and sampled every SPACING metres. Laps, opposite
+directions and branches are not merged: a mean over slow and fast laps would fit neither. `Course.near` finds all that
+pass a place in a direction, and `course_tracker` weights them. Checked by: test_course.py.
 """
 
 import hashlib
@@ -28,14 +27,16 @@ SPACING = 1.0
 SMOOTHING = 3.0
 """Length of the moving average of curvature and direction [m]: about one wheelbase, as the curvature of a path hardly
 changes over shorter distances."""
-REACH = 4.0
+MAX_DISTANCE = 4.0
 """m, largest distance of a pass from the car: one lane and its neighbour."""
 MAX_HEADING_DIFFERENCE = 0.5
 """rad, between the directions of car and pass; more is the opposite direction or a crossing."""
 PAUSE_SPEED = 0.5
 """m/s; slower parts are left out, as curvature is undefined at standstill."""
+MAX_GAP = 0.1
+"""s between samples of a pass."""
 MIN_LENGTH = 20.0
-"""m, of a pass; a shorter one ends within a horizon."""
+"""m, length of a pass; a shorter one ends within the horizon."""
 MAX_ORIGIN_DISTANCE = 5000.0
 """m, between map origins; beyond it the axes differ by more than 1 mrad at latitude 50."""
 SCHEMA = 1
@@ -45,7 +46,7 @@ COLUMNS = ("x", "y", "direction", "curvature", "speed")
 
 @dataclass(frozen=True, eq=False)
 class Pass:
-    """Path of a recording. recording: its name; digests: sha256 of its files.
+    """Continuous path of a recording. recording: its name; digests: sha256 of its files.
 
     points: (n, 5), every SPACING m, columns as COLUMNS: INS point in the map frame [m], course angle of the INS point
     from east, counter-clockwise + [rad], curvature yaw_rate/v_x [1/m], left +, v_x [m/s].
@@ -56,8 +57,8 @@ class Pass:
     points: np.ndarray
 
 
-class Visit(NamedTuple):
-    """Point of a pass near the car. number, row: of the pass, and of the point in it. distance: from the car [m]."""
+class NearPoint(NamedTuple):
+    """Point of a pass near the car. number: index of the pass; row: of the point in it. distance: from the car [m]."""
 
     number: int
     row: int
@@ -72,8 +73,8 @@ class Course:
     origin: tuple[float, float] | None = None
 
     @cached_property
-    def _owners(self) -> tuple[np.ndarray, np.ndarray]:
-        """Number of the pass and row in it of every point, (points,) each."""
+    def _indices(self) -> tuple[np.ndarray, np.ndarray]:
+        """Index of the pass and row in it of every point, (points,) each."""
         sizes = [len(pass_.points) for pass_ in self.passes]
         return np.repeat(np.arange(len(sizes)), sizes), np.concatenate([np.arange(n) for n in sizes])
 
@@ -81,31 +82,30 @@ class Course:
     def _tree(self) -> cKDTree:
         return cKDTree(np.concatenate([pass_.points[:, :2] for pass_ in self.passes]))
 
-    def near(self, x: float, y: float, direction: float) -> list[Visit]:
-        """The passes within REACH in the direction of the car, one visit for each lap, the nearest first.
+    def near(self, x: float, y: float, direction: float) -> list[NearPoint]:
+        """Points of passes within MAX_DISTANCE in the direction of the car, one for each lap, the nearest first.
 
         x, y: INS point in the map frame [m]. direction: course angle from east, counter-clockwise + [rad].
         """
         if not self.passes:
             return []
-        found = np.array(sorted(self._tree.query_ball_point((x, y), REACH)), int)
+        found = np.array(sorted(self._tree.query_ball_point((x, y), MAX_DISTANCE)), int)
         if not len(found):
             return []
-        number, row = (index[found] for index in self._owners)
+        number, row = (index[found] for index in self._indices)
         points = np.stack([self.passes[n].points[k] for n, k in zip(number.tolist(), row.tolist(), strict=True)])
         same = np.abs(wrap_angle(points[:, 2] - direction)) < MAX_HEADING_DIFFERENCE
         number, row, points = number[same], row[same], points[same]
         distance = np.hypot(points[:, 0] - x, points[:, 1] - y)
         # Points of one lap are consecutive; another lap of the same pass begins with a jump of the row.
         begins = np.flatnonzero((np.diff(number, prepend=-1) != 0) | (np.diff(row, prepend=-9) > 1))
-        visits = [Visit(int(number[part[0]]), int(row[part[k]]), float(distance[part[k]]))
-                  for part in np.split(np.arange(len(number)), begins)[1:] for k in [int(distance[part].argmin())]]
-        return sorted(visits, key=lambda visit: visit.distance)
+        nearest = [NearPoint(int(number[part[0]]), int(row[part[k]]), float(distance[part[k]]))
+                   for part in np.split(np.arange(len(number)), begins)[1:] for k in [int(distance[part].argmin())]]
+        return sorted(nearest, key=lambda point: point.distance)
 
     def without(self, digests: Sequence[str]) -> "Course":
         """The course without passes of the recordings with these sha256, so that no run is predicted from itself."""
-        known = set(digests)
-        return Course(tuple(pass_ for pass_ in self.passes if not known & set(pass_.digests)), self.origin)
+        return Course(tuple(p for p in self.passes if not set(p.digests) & set(digests)), self.origin)
 
     def moved(self, east: float, north: float) -> "Course":
         """The course in a parallel map frame in which its origin is at (east, north) [m].
@@ -176,17 +176,17 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def passes_of(log: DriveLog, digests: Sequence[str], maximum_gap: float = 0.1) -> list[Pass]:
+def passes_of(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
     """The passes of one drive, which is split at pauses, gaps in time and jumps of position.
 
-    maximum_gap [s]. Raises StCoreError, one line, for a drive without MIN_LENGTH metres of driving.
+    Raises StCoreError, one line, for a drive without MIN_LENGTH metres of driving.
     """
     time = (log.ins_time_ns - log.ins_time_ns[:1]) * 1e-9
     spacing = np.diff(time)
     displacement = np.hypot(np.diff(log.x), np.diff(log.y))
     travelled = 0.5 * (log.velocity_x[1:] + log.velocity_x[:-1]) * spacing
     slow = np.minimum(log.velocity_x[1:], log.velocity_x[:-1]) < PAUSE_SPEED
-    breaks = slow | (spacing > maximum_gap) | (np.abs(displacement - travelled) > 0.5 + 0.5 * travelled)
+    breaks = slow | (spacing > MAX_GAP) | (np.abs(displacement - travelled) > 0.5 + 0.5 * travelled)
     edges = np.flatnonzero(np.diff(np.concatenate([[True], breaks, [True]]).astype(int)))
     found = [Pass(log.name, tuple(digests), points) for first, last in edges.reshape(-1, 2)
              if (points := _resampled(log, slice(int(first), int(last) + 1))) is not None]
@@ -197,7 +197,7 @@ def passes_of(log: DriveLog, digests: Sequence[str], maximum_gap: float = 0.1) -
 
 
 def _resampled(log: DriveLog, rows: slice) -> np.ndarray | None:
-    """Points (n, 5) every SPACING m along the path of some rows; None for less than MIN_LENGTH."""
+    """Points (n, 5) of a Pass from rows of a drive; None for less than MIN_LENGTH."""
     x, y, speed = log.x[rows], log.y[rows], log.velocity_x[rows]
     seconds = (log.ins_time_ns[rows] - log.ins_time_ns[rows][:1]) * 1e-9
     distance = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(seconds))])

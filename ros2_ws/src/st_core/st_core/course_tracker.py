@@ -1,19 +1,19 @@
-"""Inputs over the horizon from a remembered course, mixed with held inputs according to their recent errors.
+"""Inputs over the horizon from a recorded course, mixed with held inputs according to their recent errors.
 
 At every start the passes near the car are candidates. A candidate predicts, over the distance s ahead,
 
     v(s) = v_pass(s) v_now / v_pass(0),      k(s) = k_pass(s) + e''(s),     e(s) = A exp(-s / l_1) + B exp(-s / l_2)
 
-e: lateral distance to the pass, as a driver returns to a line; A and B follow from the present distance and direction.
+e: lateral distance to the pass, which a driver reduces to 0; A and B follow from the present distance and direction.
 Its weight is exp(-d^2 / 2), d^2 the sum of squared differences in position, direction, recent speed and recent
-curvature, each over its scale. The weighted mean of the candidates is one of the curvatures and speeds that are mixed:
+curvature, each over its scale. The weighted mean of the candidates, "course" below, is mixed with held inputs:
 
-    curvature: held, course              speed: acceleration held, none, fading with FADING, course
-    share of each ~ E^-2,      E: mean square error of the forecasts that have ended, forgotten with FORGETTING
+    curvature: held, course        speed: acceleration held, zero, decaying with DECAY_TIME, course
+    share of each ~ E^-2,      E: mean square error of ended forecasts, weighted exponentially over FORGETTING_TIME
 
-E of a curvature is that of the position after the distance driven, E of a speed that of the distance. So when the
-driver leaves the remembered line or speed, the held one takes over within seconds, smoothly and independently. Source:
-combination by past performance, Bates and Granger, The combination of forecasts, 1969. Checked by: test_course.py;
+The error of a curvature is that of the position after the distance driven, the error of a speed that of the distance
+driven. So when the driver leaves the recorded line or speed, the held one takes over within seconds, smoothly and
+independently. Source: Bates and Granger, The combination of forecasts, 1969. Checked by: test_course.py;
 docs/manual/forecast.md.
 """
 
@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from .course import SPACING, Course, Visit
+from .course import SPACING, Course, NearPoint
 from .log_signals import LogSignals
 from .planned_inputs import SLIP_FREE, path_inputs
 from .timeseries import NANOSECOND
@@ -35,31 +35,30 @@ from .vehicle import VehicleParameters
 
 RETURN_LENGTHS = (40.0, 100.0)
 """m, l_1 and l_2: at 15 m/s a driver returns to the line within about 10 s."""
-SCALES = {"place": 2.0, "direction": 0.1, "speed": 0.1, "curvature": 0.01}
+SCALES = {"position": 2.0, "direction": 0.1, "speed": 0.1, "curvature": 0.01}
 """m, rad, share of the speed, 1/m: differences between drives of one driver on one course."""
 MAX_DIFFERENCE = 7.0
-"""d of the nearest candidate above which the driver follows none."""
-RECENT = 2.0
+"""d of the best candidate above which the driver follows none."""
+RECENT_TIME = 2.0
 """s of past driving that is compared with a candidate."""
-BLEND = 0.3
-"""s, time constant from the measured to the remembered steering and acceleration: the lag of a driver."""
-FADING = 0.7
-"""s, time constant of a fading acceleration: pedals change about once a second."""
-FORGETTING = 10.0
+BLEND_TIME = 0.3
+"""s, time constant from the measured to the predicted steering and acceleration: the lag of a driver."""
+DECAY_TIME = 0.7
+"""s, time constant of a decaying acceleration: pedals change about once a second."""
+FORGETTING_TIME = 10.0
 """s, memory of the errors E: two horizons."""
 CURVATURE_PRIOR, SPEED_PRIOR = (1.0, 0.2), (1.0, 1.0, 0.5, 0.3)
 """m^2, initial E in the order above, from leave-one-run-out errors of real laps."""
-SQUARES = (0.01, 9.0)
+SQUARED_ERROR_LIMITS = (0.01, 9.0)
 """m^2, limits of a squared error: the accuracy of the INS, and the largest influence of one error."""
-JUMP = 2.0
+MAX_JUMP = 2.0
 """m, difference between displacement and distance driven above which the tracker restarts."""
 MIN_SPEED = 0.5
 """m/s: curvature is not defined at standstill."""
 
 
-class Own(NamedTuple):
-    """Own motion at a start, INS point: [ns], map frame [m, rad], body axes [m/s], [rad/s], [m/s^2]; road wheel angle
-    [rad]."""
+class EgoMotion(NamedTuple):
+    """Motion of the car at a start, INS point; [ns], map frame [m, rad], body axes [m/s, rad/s, m/s^2], [rad]."""
 
     time_ns: int
     x: float
@@ -95,13 +94,13 @@ class CourseForecast:
     reason: str = ""
 
 
-class _Open(NamedTuple):
-    """A forecast that has not ended: its end [ns], distance [m] and motion at its start, predicted distances [m] by
-    kind of speed, and path of the course (points, 2) [m] every SPACING m."""
+class _PendingForecast(NamedTuple):
+    """A forecast that has not ended. end_ns: its end. distance [m], ego: at its start. distances: predicted for each
+    of the mixed speeds [m]. path: of the course, (points, 2), every SPACING m [m]."""
 
     end_ns: int
     distance: float
-    own: Own
+    ego: EgoMotion
     distances: np.ndarray
     path: np.ndarray
 
@@ -109,8 +108,8 @@ class _Open(NamedTuple):
 class CourseTracker:
     """Follows the car along a course; called at every start, in order of time.
 
-    horizon, step [s]. Keeps RECENT seconds of driving and the forecasts that have not ended. Restarts when time runs
-    backward or pauses for longer than a horizon, and when the position jumps.
+    horizon, step [s]. Keeps the last RECENT_TIME of driving and the forecasts that have not ended. Restarts when time
+    runs backward or pauses for longer than a horizon, and when the position jumps.
     """
 
     def __init__(self, course: Course, vehicle: VehicleParameters, horizon: float = 5.0, step: float = 0.05):
@@ -120,121 +119,121 @@ class CourseTracker:
         self.restart()
 
     def restart(self) -> None:
-        """Forget past driving, open forecasts and errors."""
+        """Forget past driving, pending forecasts and errors."""
         self._distance = 0.0
-        self._past: deque[tuple[float, Own]] = deque()
-        self._open: deque[_Open] = deque()
+        self._past: deque[tuple[float, EgoMotion]] = deque()
+        self._pending: deque[_PendingForecast] = deque()
         self._curvature_errors, self._speed_errors = np.array(CURVATURE_PRIOR), np.array(SPEED_PRIOR)
 
-    def update(self, own: Own) -> CourseForecast:
+    def update(self, ego: EgoMotion) -> CourseForecast:
         """The forecast from this start; without inputs where the motion is not finite or no pass continues."""
-        if not all(map(math.isfinite, own)) or own.velocity_x < MIN_SPEED:
+        if not all(map(math.isfinite, ego)) or ego.velocity_x < MIN_SPEED:
             return CourseForecast(None, reason="course: the car's own motion is not known or too slow")
-        elapsed = self._advance(own)
-        self._score(own, elapsed)
-        visits = self.course.near(own.x, own.y, own.direction)
-        candidates = [found for visit in visits if (found := self._candidate(visit, own)) is not None]
+        elapsed = self._advance(ego)
+        self._score(ego, elapsed)
+        near = self.course.near(ego.x, ego.y, ego.direction)
+        candidates = [found for point in near if (found := self._candidate(point, ego)) is not None]
         if not candidates:
-            return CourseForecast(None, reason="course: it ends within the horizon" if visits else
+            return CourseForecast(None, reason="course: it ends within the horizon" if near else
                                   "course: no earlier drive near the car in its direction")
         squares = np.array([square for square, _, _ in candidates])
         weights = np.exp(-0.5 * squares)
         if squares.min() > MAX_DIFFERENCE**2:
             return CourseForecast(None, reason="course: the driver follows no earlier drive in line and speed")
-        return self._mixed(candidates, weights / weights.sum(), own)
+        return self._mix(candidates, weights / weights.sum(), ego)
 
-    def _advance(self, own: Own) -> float:
+    def _advance(self, ego: EgoMotion) -> float:
         """Time since the last start [s]; 0 after a restart."""
         elapsed = 0.0
         if self._past:
             last = self._past[-1][1]
-            elapsed = (own.time_ns - last.time_ns) * NANOSECOND
-            driven = 0.5 * (own.velocity_x + last.velocity_x) * elapsed
-            jumped = abs(math.hypot(own.x - last.x, own.y - last.y) - driven) > JUMP + 0.1 * driven
+            elapsed = (ego.time_ns - last.time_ns) * NANOSECOND
+            driven = 0.5 * (ego.velocity_x + last.velocity_x) * elapsed
+            jumped = abs(math.hypot(ego.x - last.x, ego.y - last.y) - driven) > MAX_JUMP + 0.1 * driven
             if not 0.0 < elapsed < self._horizon_ns * NANOSECOND or jumped:
                 self.restart()
                 elapsed = 0.0
             else:
                 self._distance += driven
-        self._past.append((self._distance, own))
-        while (own.time_ns - self._past[0][1].time_ns) * NANOSECOND > RECENT:
+        self._past.append((self._distance, ego))
+        while (ego.time_ns - self._past[0][1].time_ns) * NANOSECOND > RECENT_TIME:
             self._past.popleft()
         return elapsed
 
-    def _score(self, own: Own, elapsed: float) -> None:
-        """Update E with the errors of the forecasts that have ended."""
-        share = min(elapsed / FORGETTING, 1.0)
-        while self._open and self._open[0].end_ns <= own.time_ns:
-            ended = self._open.popleft()
+    def _score(self, ego: EgoMotion, elapsed: float) -> None:
+        """Update the mean square errors with those of the forecasts that have ended."""
+        share = min(elapsed / FORGETTING_TIME, 1.0)
+        while self._pending and self._pending[0].end_ns <= ego.time_ns:
+            ended = self._pending.popleft()
             driven = self._distance - ended.distance
             row = min(max(driven / SPACING, 0.0), len(ended.path) - 1.001)
             before, after = ended.path[int(row)], ended.path[int(row) + 1]
-            positions = np.array([_arc(ended.own, driven), before + (row - int(row)) * (after - before)])
-            squares = np.square(positions - (own.x, own.y)).sum(axis=1), np.square(ended.distances - driven)
+            positions = np.array([_arc(ended.ego, driven), before + (row - int(row)) * (after - before)])
+            squares = np.square(positions - (ego.x, ego.y)).sum(axis=1), np.square(ended.distances - driven)
             self._curvature_errors, self._speed_errors = (
-                (1.0 - share) * errors + share * np.clip(new, *SQUARES)
+                (1.0 - share) * errors + share * np.clip(new, *SQUARED_ERROR_LIMITS)
                 for errors, new in zip((self._curvature_errors, self._speed_errors), squares, strict=True))
 
-    def _candidate(self, visit: Visit, own: Own) -> tuple[float, np.ndarray, np.ndarray] | None:
+    def _candidate(self, point: NearPoint, ego: EgoMotion) -> tuple[float, np.ndarray, np.ndarray] | None:
         """(d^2, speed and curvature every SPACING m ahead); None where the pass ends within the horizon."""
-        points = self.course.passes[visit.number].points
-        ahead = points[visit.row:]
-        speed = ahead[:, 4] * (own.velocity_x / ahead[0, 4])
+        points = self.course.passes[point.number].points
+        ahead = points[point.row:]
+        speed = ahead[:, 4] * (ego.velocity_x / ahead[0, 4])
         arrival = np.cumsum(SPACING / speed)
         if arrival[-1] < 1.2 * self._time[-1]:
             return None
         length = int(np.searchsorted(arrival, 2.0 * self._time[-1])) + 2
         ahead, speed = ahead[:length], speed[:length]
         behind = np.array([self._distance - distance for distance, _ in self._past])
-        rows = np.round(visit.row - behind / SPACING).astype(int)
+        rows = np.round(point.row - behind / SPACING).astype(int)
         of_pass = points[np.maximum(rows, 0)][rows >= 0]
         driven = np.array([[one.velocity_x, one.curvature] for _, one in self._past])[rows >= 0]
-        turned = float(wrap_angle(own.direction - ahead[0, 2]))
-        differences = {"place": visit.distance, "direction": turned,
+        turned = float(wrap_angle(ego.direction - ahead[0, 2]))
+        differences = {"position": point.distance, "direction": turned,
                        "speed": float(np.sqrt(np.square(np.log(driven[:, 0] / of_pass[:, 4])).mean())),
                        "curvature": float(np.sqrt(np.square(driven[:, 1] - of_pass[:, 3]).mean()))}
         square = sum((differences[name] / scale) ** 2 for name, scale in SCALES.items())
-        across = math.cos(ahead[0, 2]) * (own.y - ahead[0, 1]) - math.sin(ahead[0, 2]) * (own.x - ahead[0, 0])
+        across = math.cos(ahead[0, 2]) * (ego.y - ahead[0, 1]) - math.sin(ahead[0, 2]) * (ego.x - ahead[0, 0])
         return min(square, 200.0), speed, ahead[:, 3] + _return_curvature(across, turned, len(ahead))
 
-    def _mixed(self, candidates: list[tuple[float, np.ndarray, np.ndarray]], weights: np.ndarray,
-               own: Own) -> CourseForecast:
+    def _mix(self, candidates: list[tuple[float, np.ndarray, np.ndarray]], weights: np.ndarray,
+             ego: EgoMotion) -> CourseForecast:
         length = min(len(speed) for _, speed, _ in candidates)
         speeds = np.stack([speed[:length] for _, speed, _ in candidates])
         remembered, curvature = weights @ speeds, weights @ np.stack([k[:length] for *_, k in candidates])
         arrival = np.concatenate([[0.0], np.cumsum(2.0 * SPACING / (remembered[1:] + remembered[:-1]))])
         end = min(int(np.searchsorted(arrival, self._time[-1])), length - 1)
         spread = float(np.sqrt(weights @ np.square(speeds[:, end] - remembered[end])))
-        t, acceleration = self._time, own.velocity_x_dot
-        options = np.stack([own.velocity_x + acceleration * t, np.full_like(t, own.velocity_x),
-                            own.velocity_x + acceleration * FADING * (1.0 - np.exp(-t / FADING)),
+        t, acceleration = self._time, ego.velocity_x_dot
+        options = np.stack([ego.velocity_x + acceleration * t, np.full_like(t, ego.velocity_x),
+                            ego.velocity_x + acceleration * DECAY_TIME * (1.0 - np.exp(-t / DECAY_TIME)),
                             np.interp(t, arrival, remembered)]).clip(0.0)
         distances = 0.5 * (options[:, 1:] + options[:, :-1]) @ np.diff(t)
-        heading = own.direction + cumulative_trapezoid(curvature, dx=SPACING, initial=0.0)
-        path = np.array([[own.x, own.y]]) + cumulative_trapezoid(np.stack([np.cos(heading), np.sin(heading)], 1),
+        heading = ego.direction + cumulative_trapezoid(curvature, dx=SPACING, initial=0.0)
+        path = np.array([[ego.x, ego.y]]) + cumulative_trapezoid(np.stack([np.cos(heading), np.sin(heading)], 1),
                                                                  dx=SPACING, axis=0, initial=0.0)
         shares, speed_shares = (errors**-2.0 / (errors**-2.0).sum()
                                 for errors in (self._curvature_errors, self._speed_errors))
-        self._open.append(_Open(own.time_ns + self._horizon_ns, self._distance, own, distances, path))
+        self._pending.append(_PendingForecast(ego.time_ns + self._horizon_ns, self._distance, ego, distances, path))
         speed = speed_shares @ options
         distance = cumulative_trapezoid(speed, dx=float(t[1]), initial=0.0)
-        mixed = shares[0] * own.curvature + shares[1] * np.interp(distance, SPACING * np.arange(length), curvature)
-        return CourseForecast(self._inputs(own, speed, mixed), float(shares[1]), float(speed_shares[3]), spread)
+        mixed = shares[0] * ego.curvature + shares[1] * np.interp(distance, SPACING * np.arange(length), curvature)
+        return CourseForecast(self._inputs(ego, speed, mixed), float(shares[1]), float(speed_shares[3]), spread)
 
-    def _inputs(self, own: Own, speed: np.ndarray, curvature: np.ndarray) -> InputSequence:
-        share = 1.0 - np.exp(-self._time / BLEND)
+    def _inputs(self, ego: EgoMotion, speed: np.ndarray, curvature: np.ndarray) -> InputSequence:
+        share = 1.0 - np.exp(-self._time / BLEND_TIME)
         path = path_inputs(speed, curvature, self._time, self._vehicle)
-        signals = {name: own.road_wheel_angle + share * (angle - own.road_wheel_angle)
+        signals = {name: ego.road_wheel_angle + share * (angle - ego.road_wheel_angle)
                    for name, angle in path.signals.items()}
-        return InputSequence(own.road_wheel_angle + share * (path.road_wheel_angle - own.road_wheel_angle),
-                             own.velocity_x_dot + share * (path.velocity_x_dot - own.velocity_x_dot), signals)
+        return InputSequence(ego.road_wheel_angle + share * (path.road_wheel_angle - ego.road_wheel_angle),
+                             ego.velocity_x_dot + share * (path.velocity_x_dot - ego.velocity_x_dot), signals)
 
 
-def _arc(own: Own, distance: float) -> tuple[float, float]:
+def _arc(ego: EgoMotion, distance: float) -> tuple[float, float]:
     """Position after a distance [m] of constant curvature."""
-    chord = own.direction + 0.5 * own.curvature * distance
-    length = distance * float(np.sinc(0.5 * own.curvature * distance / math.pi))
-    return own.x + length * math.cos(chord), own.y + length * math.sin(chord)
+    chord = ego.direction + 0.5 * ego.curvature * distance
+    length = distance * float(np.sinc(0.5 * ego.curvature * distance / math.pi))
+    return ego.x + length * math.cos(chord), ego.y + length * math.sin(chord)
 
 
 def _return_curvature(across: float, turned: float, count: int) -> np.ndarray:
@@ -247,14 +246,14 @@ def _return_curvature(across: float, turned: float, count: int) -> np.ndarray:
 
 def course_inputs(course: Course, signals: LogSignals, vehicle: VehicleParameters, horizon: float,
                   step: float) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
-    """The course as inputs of `log_evaluation.evaluate_log`: a tracker that follows the starts of a drive."""
+    """Inputs from a course for `log_evaluation.evaluate_log`; one tracker follows the starts of a drive."""
 
     def ahead(starts_ns: np.ndarray) -> tuple[np.ndarray, ...]:
         tracker = CourseTracker(course, vehicle, horizon, step)
-        columns = [*signals.ins_at(starts_ns, *Own._fields[1:-1]), signals.road_wheel_angle_at(starts_ns)]
+        columns = [*signals.ins_at(starts_ns, *EgoMotion._fields[1:-1]), signals.road_wheel_angle_at(starts_ns)]
         inputs = np.full((3, len(starts_ns), round(2.0 * horizon / step) + 1), np.nan)
         for k, (time_ns, *values) in enumerate(zip(starts_ns.tolist(), *(c.tolist() for c in columns), strict=True)):
-            found = tracker.update(Own(time_ns, *values)).inputs
+            found = tracker.update(EgoMotion(time_ns, *values)).inputs
             if found is not None:
                 inputs[:, k] = found.road_wheel_angle, found.velocity_x_dot, found.signals[SLIP_FREE]
         return tuple(inputs)

@@ -46,7 +46,7 @@ class PiecewiseLinear:
 
 @dataclass(frozen=True)
 class Sine:
-    """A sine whose frequency rises exponentially from `low` to `high` [Hz] within `duration` [s], then straight."""
+    """A sine whose frequency rises exponentially from `low` to `high` [Hz] within `duration` [s], then 0."""
 
     low: float
     high: float
@@ -54,8 +54,8 @@ class Sine:
 
     def __call__(self, time: np.ndarray) -> np.ndarray:
         rate = math.log(self.high / self.low) / self.duration
-        turns = self.low * (np.expm1(rate * time) / rate if rate else time)
-        return np.where(time < self.duration, np.sin(2 * np.pi * turns), 0.0)
+        cycles = self.low * (np.expm1(rate * time) / rate if rate else time)
+        return np.where(time < self.duration, np.sin(2 * np.pi * cycles), 0.0)
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Manoeuvre:
     and the speed of the start [m/s^2]. period: after which the manoeuvre repeats [s]. rounds: periods in one drive.
     pedals: consecutive (duration [s], forward acceleration [m/s^2]), never beyond the speed of the start; empty for
     constant speed. follows: the driver follows a road of this curvature (PiecewiseLinear) in closed loop; otherwise the
-    steering is open loop. With pedals the road is a circle, and the steering is held while braking. meaning: in words.
+    steering is open loop. With pedals the road is a circle, and the steering is held while braking. meaning: one line.
     """
 
     name: str
@@ -146,12 +146,12 @@ def brake_in_turn(speed: float, lateral: float, cruise: float = 8.0, braking: fl
                              "m/s^2 with the steering wheel held")
 
 
-def lane_change(speed: float, lateral: float, width: float = 3.5) -> Manoeuvre:
-    """Double lane change: `width` [m] to the side, 25 m in the other lane, and back; 40 m before and 35 m after it.
+def lane_change(speed: float, lateral: float) -> Manoeuvre:
+    """Double lane change: 3.5 m to the side, 25 m in the other lane, and back; 40 m before and 35 m after it.
 
     The curvature runs 0, k, -k, 0 within the length s of one change: width = 2 k (s / 4)^2 for small angles.
     """
-    quarter = math.sqrt(width * speed**2 / (2 * abs(lateral)))
+    quarter = math.sqrt(3.5 * speed**2 / (2 * abs(lateral)))
     there = ((quarter, 0.0, 1.0), (2 * quarter, 1.0, -1.0), (quarter, -1.0, 0.0))
     back = tuple((length, -first, -last) for length, first, last in there)
     metres = ((40.0, 0.0, 0.0), *there, (25.0, 0.0, 0.0), *back, (35.0, 0.0, 0.0))
@@ -180,20 +180,19 @@ def circle(speed: float, lateral: float, hold: float = 10.0, ramp: float = 2.0) 
                                                           f"{abs(lateral):g} m/s^2, with the steering wheel held")
 
 
-def there_and_back(speed: float, lateral: float, straight: float = 10.0, ramp: float = 1.0) -> Manoeuvre:
-    """Straight [s], a U-turn, straight back, a U-turn: what is fixed in the map, like wind, changes sides."""
-    arc = math.pi * speed / abs(lateral) - ramp
-    half = ((straight, 0.0, 0.0), (ramp, 0.0, 1.0), (arc, 1.0, 1.0), (ramp, 1.0, 0.0))
+def there_and_back(speed: float, lateral: float) -> Manoeuvre:
+    """10 s straight, a U-turn, straight back, a U-turn: a wind of constant direction then acts from both sides."""
+    half = ((10.0, 0.0, 0.0), (1.0, 0.0, 1.0), (math.pi * speed / abs(lateral) - 1.0, 1.0, 1.0), (1.0, 1.0, 0.0))
     shape = PiecewiseLinear(half + half)
     return Manoeuvre("there_and_back", speed, lateral, shape, shape.duration, follows=True,
                      meaning=f"straight there and straight back at {speed:g} m/s")
 
 
-def figure_eight(speed: float = 4.0, radius: float = 11.5) -> Manoeuvre:
+def figure_eight() -> Manoeuvre:
     """S1 of the paper: 240 deg loops to both sides, transitions of 6 m, and straights that close the course."""
-    blend, straight = 6.0, 34.3015  # m
-    arc = math.radians(240.0) * radius - blend
-    half = ((straight / 2, 0.0, 0.0), (blend, 0.0, 1.0), (arc, 1.0, 1.0), (blend, 1.0, 0.0), (straight / 2, 0.0, 0.0))
+    speed, radius, ramp, straight = 4.0, 11.5, 6.0, 34.3015  # m/s, then m
+    arc = math.radians(240.0) * radius - ramp
+    half = ((straight / 2, 0.0, 0.0), (ramp, 0.0, 1.0), (arc, 1.0, 1.0), (ramp, 1.0, 0.0), (straight / 2, 0.0, 0.0))
     metres = half + tuple((length, -first, -last) for length, first, last in half)
     shape = PiecewiseLinear(tuple((length / speed, first, last) for length, first, last in metres))
     return Manoeuvre("S1", speed, speed**2 / radius, shape, shape.duration, follows=True,
@@ -216,4 +215,4 @@ CATALOGUE = (
     there_and_back(8.0, 3.0),
     figure_eight(),
 )
-"""Manoeuvres that are suggested, and that the virtual car drives by name."""
+"""Manoeuvres that `st discover` suggests and the virtual car drives by name."""

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from st_core.course import Course, Pass, passes_of
-from st_core.course_tracker import CourseTracker, Own, course_inputs
+from st_core.course_tracker import CourseTracker, EgoMotion, course_inputs
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings, evaluate_log
@@ -49,10 +49,10 @@ def errors(leaf, log: DriveLog, course: Course) -> tuple[float, float]:
 
 def follow(course: Course, log: DriveLog, leaf, every=10):
     tracker = CourseTracker(course, leaf)
-    columns = [getattr(log, name)[::every].tolist() for name in ("ins_time_ns", *Own._fields[1:7])]
+    columns = [getattr(log, name)[::every].tolist() for name in ("ins_time_ns", *EgoMotion._fields[1:7])]
     gain = np.gradient(log.velocity_x, 0.01)[::every].tolist()
     columns += [gain, log.road_wheel_angle[::every].tolist()]
-    return [tracker.update(Own(*row)) for row in zip(*columns, strict=True)]
+    return [tracker.update(EgoMotion(*row)) for row in zip(*columns, strict=True)]
 
 
 @pytest.mark.parametrize(("course", "most"), [
@@ -101,7 +101,7 @@ def test_a_position_jump_restarts_the_tracker(leaf):
     found = follow(course, jumped, leaf)
     assert found[199].inputs is not None and found[200].inputs is None
     assert all(np.isfinite(one.inputs.road_wheel_angle).all() for one in found if one.inputs is not None)
-    nothing = CourseTracker(course, leaf).update(Own(T0, *[math.nan] * 8))
+    nothing = CourseTracker(course, leaf).update(EgoMotion(T0, *[math.nan] * 8))
     assert nothing.inputs is None and "not known" in nothing.reason
 
 

@@ -87,7 +87,7 @@ def _squares(windows: Windows, squares: np.ndarray) -> dict[str, np.ndarray]:
     found: dict[str, np.ndarray] = {}
     for column, square in zip(windows.columns, np.moveaxis(squares, -1, 0), strict=True):
         channel = CHANNEL_OF_COLUMN[column]
-        value = square[:, -1] if channel.adds_up else square[:, short].mean(axis=1)
+        value = square[:, -1] if channel.accumulates else square[:, short].mean(axis=1)
         found[channel.name] = found.get(channel.name, 0.0) + value
     return found
 

@@ -210,14 +210,14 @@ class Windows:
 
         gain [1]: relative excess of the accelerometer over the motion, as from body roll.
         """
-        readings, true = self._predicted_readings(model, gain)
+        readings = self._predicted_readings(model, gain)
         with np.errstate(all="ignore"):  # of predictions that diverge
-            parts = [part for channel in self.channels for part in channel.residuals(self._measured, readings, true)]
+            parts = [part for channel in self.channels for part in channel.residuals(self._measured, readings)]
         return np.stack(parts, axis=-1)
 
-    def _predicted_readings(self, model: AugmentedModel, gain: float) -> tuple[Measured, Measured]:
-        """INS readings at the scored points with and without sensor errors; acceleration and yaw rate as means over
-        2 STEP, like the measurements. The gain applies to the true specific force, before the sensor errors."""
+    def _predicted_readings(self, model: AugmentedModel, gain: float) -> Measured:
+        """INS readings at the scored points; acceleration and yaw rate as means over 2 STEP, like the measurements.
+        The gain applies to the true specific force, before the sensor errors."""
         states = self._batch.predict(model, self.vehicle).states
         with np.errstate(all="ignore"):
             readings = faultless_readings(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)))
@@ -230,7 +230,7 @@ class Windows:
             true = true._replace(yaw_rate=rate, acceleration_x=0.0 * a_y,
                                  acceleration_y=(1.0 + gain) * (a_y + specific_force),
                                  yaw_acceleration=(after.yaw_rate - before.yaw_rate) / (2 * STEP))
-            return model.observe(true), true
+            return model.observe(true)
 
     def _specific_force(self, model: AugmentedModel, states: np.ndarray) -> np.ndarray | float:
         """Lateral specific force minus lateral acceleration at the scored points [m/s^2]."""

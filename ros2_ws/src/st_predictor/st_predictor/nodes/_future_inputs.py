@@ -6,7 +6,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import NavSatFix
 from st_core.course import Course
-from st_core.course_tracker import CourseForecast, CourseTracker, Own
+from st_core.course_tracker import CourseForecast, CourseTracker, EgoMotion
 from st_core.errors import StCoreError
 from st_core.planned_inputs import PlannedInputs
 from st_core.prediction import Predictor, Start
@@ -106,7 +106,7 @@ class CourseInput:
         sample = core.history.ins_at(start.time_ns)
         assert sample is not None  # known at every start
         self._forecast = self._tracker.update(
-            Own(*sample, float(start.inputs.velocity_x_dot), float(start.inputs.road_wheel_angle)))
+            EgoMotion(*sample, float(start.inputs.velocity_x_dot), float(start.inputs.road_wheel_angle)))
         self._counts["held" if self._forecast.inputs is None else "used"] += 1
         return self._forecast.inputs
 
