@@ -89,7 +89,7 @@ def write_tables(car: VehicleParameters, folder: Path, seed: int = 2) -> dict[st
                                                    lift.rear_radius, strict=True)]),
         "steering_ratio": ("series,steering_wheel_deg,left_wheel_deg,right_wheel_deg",
                            [(name, *(f"{np.degrees(x):.2f}" for x in row)) for name, *row in
-                            zip(table.sweeps, table.hand, table.left, table.right, strict=True)]),
+                            zip(table.sweeps, table.steering, table.left, table.right, strict=True)]),
         "flat_plank": ("tyre,load_n,slip_angle_deg,lateral_force_n",
                        [(p.tyre.removeprefix("tyre_"), f"{f:.0f}", f"{np.degrees(a):.2f}", f"{y:.1f}") for p in planks
                         for f, a, y in zip(p.load, p.slip, p.force, strict=True)]),

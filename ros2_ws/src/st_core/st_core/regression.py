@@ -57,9 +57,9 @@ def correlation_of(covariance: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def ridge(h: np.ndarray, share: float = 1e-6) -> np.ndarray:
-    """h (n, n) plus a share of its mean diagonal on the diagonal; solvable where a parameter has no effect."""
-    return h + (share * np.trace(h) / max(len(h), 1) + 1e-9) * np.eye(len(h))
+def ridge(h: np.ndarray) -> np.ndarray:
+    """h (n, n) plus a millionth of its mean diagonal on the diagonal; solvable where a parameter has no effect."""
+    return h + (1e-6 * np.trace(h) / max(len(h), 1) + 1e-9) * np.eye(len(h))
 
 
 def robust_deviation(values: np.ndarray) -> float:
@@ -94,7 +94,7 @@ def extrapolation_uncertainty(full: tuple[float, float, float], low: tuple[float
 class Spread:
     """Uncertainty of estimates: covariance (p, p) and degrees of freedom (p,) for Student's t.
 
-    basis: (p,) description of the samples it is based on.
+    basis: (p,) text, number of runs or blocks.
     """
 
     covariance: np.ndarray
@@ -107,8 +107,8 @@ class Spread:
 
     def interval(self, index: int, value: float, deviation: float | None = None) -> tuple[float, float]:
         """95 % interval about a value. deviation: standard uncertainty to use in place of the covariance."""
-        own = float(self.deviations[index]) if deviation is None else float(deviation)
-        return symmetric_interval(float(value), own, float(self.freedom[index]))
+        uncertainty = self.deviations[index] if deviation is None else deviation
+        return symmetric_interval(float(value), float(uncertainty), float(self.freedom[index]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -152,24 +152,26 @@ def test_turntables_find_the_ratio_within_its_interval(leaf):
 
 def test_a_ratio_that_is_not_constant_is_said_with_its_centre(leaf):
     data = turntable(leaf, 0)
-    bent = 0.5 * (data.left + data.right) * (1.0 + 0.04 * (data.hand / data.hand.max()) ** 2)
+    bent = 0.5 * (data.left + data.right) * (1.0 + 0.04 * (data.steering / data.steering.max()) ** 2)
     found = steering_ratio(replace(data, left=bent, right=bent))
     assert found.figure["significant"] and "The ratio is not constant: 17.3" in found["steering_ratio"].verdict
     assert found["steering_ratio"].value < 17.0
 
 
 @pytest.mark.parametrize(("change", "said"), [
-    (lambda d: replace(d, hand=np.radians(d.hand)), "the hand wheel ranges over 18.9 deg, at least 90"),
-    (lambda d: replace(d, hand=np.degrees(d.hand)), "the hand wheel angle reaches 3.09"),
+    (lambda d: replace(d, steering=np.radians(d.steering)), "the steering wheel ranges over 18.9 deg, at least 90"),
+    (lambda d: replace(d, steering=np.degrees(d.steering)), "the steering wheel angle reaches 3.09"),
     (lambda d: replace(d, left=np.degrees(d.left)), "the left wheel angle reaches"),
-    (lambda d: replace(d, hand=-d.hand), "turn against each other"),
-    (lambda d: replace(d, hand=0.15 * d.left, left=d.hand * 0.05, right=d.hand * 0.05), "the hand wheel ranges over"),
-    (lambda d: replace(d, hand=d.left * 6.0, left=d.hand / 9.0, right=d.hand / 9.0), "the left wheel angle reaches"),
-    (lambda d: replace(d, hand=np.zeros(50)), "the hand wheel angle is 0 deg in every row"),
+    (lambda d: replace(d, steering=-d.steering), "turn against each other"),
+    (lambda d: replace(d, steering=0.15 * d.left, left=d.steering * 0.05, right=d.steering * 0.05),
+     "the steering wheel ranges over"),
+    (lambda d: replace(d, steering=d.left * 6.0, left=d.steering / 9.0, right=d.steering / 9.0),
+     "the left wheel angle reaches"),
+    (lambda d: replace(d, steering=np.zeros(50)), "the steering wheel angle is 0 deg in every row"),
     (lambda d: replace(d, right=np.zeros(50)), "the right wheel angle is 0 deg in every row"),
     (lambda d: replace(d, right=d.right * np.nan), "the right wheel angle is missing in row 1"),
-    (lambda d: replace(d, hand=d.hand[:4], left=d.left[:4], right=d.right[:4], sweeps=d.sweeps[:4]), "4 rows, at "
-                                                                                                     "least 5"),
+    (lambda d: replace(d, steering=d.steering[:4], left=d.left[:4], right=d.right[:4], sweeps=d.sweeps[:4]),
+     "4 rows, at least 5"),
 ])
 def test_turntable_data_that_give_no_ratio_are_refused(leaf, change, said):
     with pytest.raises(IdentificationError) as caught:

@@ -94,8 +94,9 @@ def test_slow_and_hard_driving_is_rejected_and_counted(leaf, road):
     slow[:, 4:7] *= 0.2
     hard[:, 5:7] *= 2.5
     tracker = track(leaf, slow.tolist())
-    assert tracker.seconds.used == 0.0 and tracker.seconds.rejected["too slow"] == pytest.approx(100.0, abs=0.3)
-    assert track(leaf, hard[:3000].tolist()).seconds.rejected["a_y"] > 3.0
+    driven = tracker.driving_time
+    assert driven.used == 0.0 and driven.rejected["too slow"] == pytest.approx(100.0, abs=0.3)
+    assert track(leaf, hard[:3000].tolist()).driving_time.rejected["a_y"] > 3.0
 
 
 def test_values_no_car_has_are_not_estimated(leaf, road):
@@ -111,11 +112,11 @@ def test_reset_forgets_everything_and_so_does_a_jump_of_time(leaf, tracked):
     other = replace(leaf, steering_ratio=15.0)
     fresh = OnlineIdentifier(other)
     tracked.reset(other)
-    assert tracked.estimates() == fresh.estimates() and tracked.seconds == fresh.seconds
+    assert tracked.estimates() == fresh.estimates() and tracked.driving_time == fresh.driving_time
     assert dict(zip(NAMES, tracked.estimates(), strict=True))["steering_ratio"].value == 15.0
     tracker = track(leaf, [[10.0 + 0.01 * k, 0.1 * k, 0.0, 0.0, 10.0, 0.0, 0.0, 0.0] for k in range(100)])
-    assert tracker.seconds.used == pytest.approx(0.99, abs=0.02)
-    assert not tracker.add_ins(InsSample(1, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0)) and tracker.seconds.used == 0.0
+    assert tracker.driving_time.used == pytest.approx(0.99, abs=0.02)
+    assert not tracker.add_ins(InsSample(1, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0)) and tracker.driving_time.used == 0.0
 
 
 def test_samples_that_are_not_finite_or_not_newer_are_refused(leaf):

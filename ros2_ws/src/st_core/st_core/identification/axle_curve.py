@@ -22,12 +22,13 @@ from .cornering_stiffness import DRIVEN_QUANTILE, AxleSamples
 SPEED = 20.0  # m/s, at which the curve is evaluated: no minimum_slip_speed is higher
 MIN_DRAWS = 20
 SECANT_STEPS = 6  # of the lateral acceleration, with an error below 0.1 % at the bounds of roll steer
+BAND = (0.05, 0.95)  # quantiles of the draws
 
 
 @dataclass(frozen=True, eq=False)
 class AxleCurve:
     """Force curve of one axle. slip: (m,) [rad], 0 to the driven slip; force, low, high, file: (m,) [N], opposing the
-    slip; low and high: the band of `level`, equal to force without draws; file: the original model's.
+    slip; low and high: 90 % band, equal to force without draws; file: of the original model.
 
     density: (m - 1,) share of the driving between two values of slip [1], sum 1 up to the driven slip.
     """
@@ -39,7 +40,6 @@ class AxleCurve:
     high: np.ndarray
     file: np.ndarray
     density: np.ndarray
-    level: float
 
 
 def axle_forces(model: str | Model, vehicle: VehicleParameters, slip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -96,40 +96,40 @@ def _steady_forces(model: Model, vehicle: VehicleParameters, slip: np.ndarray) -
 
 
 def axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven_slip: np.ndarray,
-               draws: Iterable[Model] = (), original: str | Model | None = None, level: float = 0.9,
-               points: int = 41, also: Iterable[Model] = ()) -> AxleCurve:
-    """The force curve of one axle with its band over the driven slip.
+               draws: Iterable[Model] = (), original: str | Model | None = None,
+               also: Iterable[Model] = ()) -> AxleCurve:
+    """The force curve of one axle with its band over the driven slip, at 41 slip angles.
 
     driven_slip: (n,) slip angles of the axle while driving [rad], either sign. draws: models with other values, from
-    `draw_models`; the band is their central `level` at each slip, extended to the curves of `also`. original: model of
+    `draw_models`; the band is their central 90 % at each slip, extended to the curves of `also`. original: model of
     the vehicle file, by default the base model without effects. Raises StCoreError for fewer than two driven slips.
     """
     abs_slip = np.abs(np.asarray(driven_slip, float))
     abs_slip = abs_slip[np.isfinite(abs_slip)]
     if len(abs_slip) < 2 or not abs_slip.max() > 0.0:
         raise StCoreError(f"{axle} axle: {len(abs_slip)} driven slip angles; two or more above 0 are needed")
-    slip = np.linspace(0.0, float(np.quantile(abs_slip, DRIVEN_QUANTILE)), points)
+    slip = np.linspace(0.0, float(np.quantile(abs_slip, DRIVEN_QUANTILE)), 41)
     model = get_model(model)
     if original is None:
         original = model.base if isinstance(model, AugmentedModel) else model
     force, file = (axle_force(candidate, vehicle, axle, slip) for candidate in (model, original))
     rows = [axle_force(candidate, vehicle, axle, slip) for candidate in draws]
-    low, high = np.quantile(rows, (0.5 - 0.5 * level, 0.5 + 0.5 * level), axis=0) if rows else (force, force)
+    low, high = np.quantile(rows, BAND, axis=0) if rows else (force, force)
     curves = [force, *(axle_force(candidate, vehicle, axle, slip) for candidate in also)]
     counts = np.histogram(abs_slip, slip)[0]
     return AxleCurve(axle, slip, force, np.min([low, *curves], axis=0), np.max([high, *curves], axis=0), file,
-                     counts / max(int(counts.sum()), 1), level)
+                     counts / max(int(counts.sum()), 1))
 
 
-def draw_models(model: AugmentedModel, covariance: np.ndarray, vehicle: VehicleParameters, count: int = 200,
-                seed: int = 0) -> list[AugmentedModel]:
+def draw_models(model: AugmentedModel, covariance: np.ndarray, vehicle: VehicleParameters,
+                count: int) -> list[AugmentedModel]:
     """Models with values drawn from a normal distribution about those of `model`, within the bounds of each parameter.
 
     covariance: (p, p) of `model.vector` [SI]; rows of zeros for what is constant. vehicle: draws outside the limits of
     a vehicle file are dropped. Raises StCoreError for fewer than MIN_DRAWS: the uncertainty is as wide as the bounds.
     """
     low, high = np.array([p.bounds for _, p in model.free]).T.reshape(2, -1)
-    values = np.random.default_rng(seed).multivariate_normal(model.vector, covariance, count, method="eigh")
+    values = np.random.default_rng(0).multivariate_normal(model.vector, covariance, count, method="eigh")
     models = valid_models([model.with_vector(row.tolist()) for row in np.clip(values, low, high)], vehicle)
     if len(models) < MIN_DRAWS:
         raise StCoreError(f"{len(models)} of {count} drawn parameter sets are valid cars; {MIN_DRAWS} are needed")
@@ -148,12 +148,12 @@ def valid_models(models: Iterable[AugmentedModel], vehicle: VehicleParameters) -
     return found
 
 
-def force_error(model: str | Model, vehicle: VehicleParameters, samples: AxleSamples, bins: int = 12) -> float:
+def force_error(model: str | Model, vehicle: VehicleParameters, samples: AxleSamples) -> float:
     """Root mean square difference of a model's axle force and the measured one over the slip, over the peak [1].
 
         sqrt(mean over bins of (F_model(alpha) - mean F)^2) / max |mean F|
 
     The bins of `AxleSamples.binned` divide the driven |slip| evenly, so that straights do not outweigh bends.
     """
-    slip, force = samples.binned(bins)
+    slip, force = samples.binned()
     return float(np.sqrt(np.mean((axle_force(model, vehicle, samples.axle, slip) - force) ** 2)) / force.max())

@@ -139,6 +139,6 @@ def _fit_with_fixed(residuals: Residuals, fit: CurveFit, index: int, value: floa
     def of_others(free: np.ndarray) -> np.ndarray:
         return residuals(np.insert(free, index, value, axis=-1))
 
-    # The rise is about a twentieth of the sum; a ten-thousandth is exact enough.
+    # The rise is about 5 % of the sum of squares; a tolerance of 0.01 % is sufficient.
     found = _solve(of_others, start, low, high, 1e-4, 60)
     return found.x, 2.0 * found.cost

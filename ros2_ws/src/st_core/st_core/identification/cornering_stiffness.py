@@ -38,6 +38,7 @@ METHOD = "regression of axle force on slip angle (paper)"
 MIN_SPEED, MAX_RADIUS, MAX_ACCELERATION = 3.0, 300.0, 4.0  # m/s, m, m/s^2
 MAX_SLIP = np.deg2rad(2.0)
 MIN_AXLE_SAMPLES = 500  # of a regression
+N_BINS = 12  # of the slip angle
 MAX_RANGE_RATIO = 0.8
 """Largest mean slip or acceleration of the lower range over that of all driving: extrapolation to zero multiplies their
 difference by up to 5."""
@@ -60,7 +61,7 @@ class AxleSamples:
     time: np.ndarray
     used: np.ndarray
 
-    def binned(self, count: int = 12) -> tuple[np.ndarray, np.ndarray]:
+    def binned(self) -> tuple[np.ndarray, np.ndarray]:
         """(slip, mean force) per bin of |slip|, (b,) each, force opposing the slip.
 
         Both signs are combined after subtracting the slip at which the force vanishes, which offsets of steering and
@@ -68,9 +69,9 @@ class AxleSamples:
         """
         slip = self.slip - self.zero_force_slip()
         size, force = np.abs(slip), -self.force * np.sign(slip)
-        number = np.digitize(size, np.linspace(0.0, float(np.quantile(size, DRIVEN_QUANTILE)), count + 1)) - 1
-        members = [number == k for k in range(count)]
-        members = [member for member in members if member.sum() >= max(0.01 * len(size) / count, 5)]
+        number = np.digitize(size, np.linspace(0.0, float(np.quantile(size, DRIVEN_QUANTILE)), N_BINS + 1)) - 1
+        members = [number == k for k in range(N_BINS)]
+        members = [member for member in members if member.sum() >= max(0.01 * len(size) / N_BINS, 5)]
         return (np.array([size[member].mean() for member in members]),
                 np.array([force[member].mean() for member in members]))
 

@@ -2,8 +2,8 @@
 
 Problem, loss and fit are those of `discovery`: windows of the drives are predicted with the measured inputs,
 errors of yaw rate and lateral velocity at the INS have Student's distribution, and the effects that represent the
-parameters are fitted together. Nothing else is free, and the vehicle file is no prior. Unlike a
-regression of force on slip, the estimate is not attenuated by noise of the slip angle. Checked by: test_driving_fit.py.
+parameters are fitted together, without a prior. Unlike a regression of force on slip, the estimate is not attenuated by
+noise of the slip angle. Checked by: test_driving_fit.py.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -52,8 +52,8 @@ Values = Mapping[str, float]
 class FreeParameter:
     """A quantity [unit, SI] that can be identified from driving, and the effect that represents it in the fit.
 
-    value: of the quantity from the vehicle and the values of the effects by "effect.parameter". relative: judged by
-    its relative uncertainty; else it counts as identified up to max_uncertainty [SI].
+    value: function of the vehicle and the values of the effects, by "effect.parameter". relative: its relative
+    uncertainty decides whether it is identified; else max_uncertainty [SI].
     """
 
     effect: str
@@ -95,8 +95,8 @@ FREE_PARAMETERS: Mapping[str, FreeParameter] = {
 class DrivingFitSettings:
     """horizon [s] of the predictions, 1 or more; interval [s] between their starts. Windows are used when over the
     whole horizon the speed is at least minimum_speed [m/s] and |v_x r| at most maximum_acceleration [m/s^2]; fewer
-    than min_windows are refused. channels: what predictions are compared with; without velocity_y a prediction
-    starts from steady sideslip.
+    than min_windows are refused. channels: measured quantities to compare predictions with; without velocity_y a
+    prediction starts from steady sideslip.
     """
 
     horizon: float = 1.5
@@ -107,14 +107,17 @@ class DrivingFitSettings:
     channels: tuple[str, ...] = ("yaw_rate", "velocity_y")
 
 
-class _GatedWindows(Windows):
+SETTINGS = DrivingFitSettings()
+
+
+class _LimitedWindows(Windows):
     """Windows limited to the speed and acceleration of the settings. used: (n,) whether a window is within them."""
 
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DrivingFitSettings):
         super().__init__(runs, vehicle, DiscoverySettings(
             channels=tuple(name for name in settings.channels if all(CHANNELS[name].is_in(run) for run in runs)),
             horizon=settings.horizon, windows=20_000, interval=settings.interval))
-        self._batch._substeps = 2  # slow and stiff: 50 ms are too long for some cars at 5 m/s
+        self._batch._substeps = 2  # steps of 50 ms are unstable for some cars at 5 m/s
         grid = np.round(np.arange(0.0, self.time[-1] + 0.5 * STEP, STEP) / NANOSECOND).astype(np.int64)
         speed, rate = self.measured_at(self.starts_ns[:, None] + grid, "velocity_x", "yaw_rate")
         with np.errstate(invalid="ignore"):
@@ -172,13 +175,12 @@ class DrivingFit:
 
 
 def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Sequence[str],
-                base: str | Model = "nonlinear", settings: DrivingFitSettings | None = None) -> DrivingFit:
+                base: str | Model = "nonlinear", settings: DrivingFitSettings = SETTINGS) -> DrivingFit:
     """Values of `names` (of FREE_PARAMETERS, each once) that predict the drives best; all others stay fixed.
 
     logs: as `run_samples.prepare_drives` returns them. base: linear, nonlinear, or either with known effects.
     Raises IdentificationError for an unknown name, too few windows, and values that the drives do not determine.
     """
-    settings = settings or DrivingFitSettings()
     for name in names:
         if name not in FREE_PARAMETERS:
             raise IdentificationError(f"{name}: not identifiable from driving; known are {', '.join(FREE_PARAMETERS)}")
@@ -186,7 +188,7 @@ def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Seq
     model = get_model(base)
     library = {*effects, *(model.values if isinstance(model, AugmentedModel) else ())}
     try:
-        windows = _GatedWindows(logs, vehicle, settings)
+        windows = _LimitedWindows(logs, vehicle, settings)
     except StCoreError as error:
         raise IdentificationError(str(error)) from None
     counts = {name: (int(windows.used[windows.run == k].sum()), int((windows.run == k).sum()))
@@ -217,7 +219,7 @@ def _fit_with_scale(problem: Problem, effects: tuple[str, ...]) -> np.ndarray:
     return vector
 
 
-def _make_fit(problem: Problem, windows: _GatedWindows, vector: np.ndarray, effects: tuple[str, ...],
+def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, effects: tuple[str, ...],
               names: Sequence[str], counts: Mapping[str, tuple[int, int]]) -> DrivingFit:
     space, indices = problem.space, problem.free_indices(effects)
     rows = problem.errors.at(vector)

@@ -35,7 +35,16 @@ from ..regression import correlation_of, extrapolation_uncertainty
 from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from .cornering_stiffness import DRIVEN_QUANTILE, MAX_RANGE_RATIO, MAX_RELATIVE_UNCERTAINTY, slip_angles
-from .driving_fit import DELAY, FREE_PARAMETERS, MISALIGNMENT, RELAXATION, DrivingFit, DrivingFitSettings, fit_driving
+from .driving_fit import (
+    DELAY,
+    FREE_PARAMETERS,
+    MISALIGNMENT,
+    RELAXATION,
+    SETTINGS,
+    DrivingFit,
+    DrivingFitSettings,
+    fit_driving,
+)
 from .result import (
     Coverage,
     Estimate,
@@ -66,7 +75,7 @@ rear stiffness 4.6 m^2 / R^2 too small, 1.1 % at 20 m, 0.1 % at 60 m. All of it 
 
 
 def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
-                      settings: DrivingFitSettings | None = None, *, also: Sequence[str] = (),
+                      settings: DrivingFitSettings = SETTINGS, *, also: Sequence[str] = (),
                       nuisance: Sequence[str] = NUISANCE) -> Identification:
     """Both stiffnesses with their uncertainty over runs.
 
@@ -75,7 +84,6 @@ def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
     `driving_fit.FREE_PARAMETERS` (steering_ratio needs low and high speeds, cg_to_ins_x tight bends). nuisance:
     fitted too, not reported. Raises IdentificationError for too little excitation.
     """
-    settings = settings or DrivingFitSettings()
     names = tuple(dict.fromkeys((*STIFFNESSES, *also, *nuisance)))
     logs, notices = prepare_drives(logs, vehicle)
     needs = REQUIRED_COVERAGE | ({"speed": (5.0, 2)} if RATIO in names else {})
@@ -128,27 +136,27 @@ def driven_slip(logs: Sequence[DriveLog], vehicle: VehicleParameters, settings: 
     return np.quantile(np.concatenate(driven, axis=1), DRIVEN_QUANTILE, axis=1)
 
 
-def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
-                      settings: DrivingFitSettings | None = None) -> Identification:
+def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters,
+                      base: str | Model = "nonlinear") -> Identification:
     """Ratio and offset with their uncertainty, and the stiffnesses fitted with them.
 
     Raises IdentificationError for too little excitation: two bins of speed at least.
     """
-    result = predict_stiffness(logs, vehicle, base, settings, also=(RATIO, OFFSET),
-                               nuisance=(*NUISANCE, DELAY, RELAXATION))
+    result = predict_stiffness(logs, vehicle, base, also=(RATIO, OFFSET), nuisance=(*NUISANCE, DELAY, RELAXATION))
     order = [e.parameter for e in result.estimates]
     chosen = [order.index(name) for name in (RATIO, OFFSET, *(n for n in order if n not in (RATIO, OFFSET)))]
     correlation = result.correlation[chosen][:, chosen] if result.correlation is not None else None
-    return replace(result, what="steering", estimates=tuple(result.estimates[i] for i in chosen),
+    return replace(result, experiment="steering", estimates=tuple(result.estimates[i] for i in chosen),
                    correlation=correlation)
 
 
-def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
-                         settings: DrivingFitSettings = TRANSIENT_SETTINGS) -> Identification:
+def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
+                         base: str | Model = "nonlinear") -> Identification:
     """Yaw inertia with its uncertainty; stiffnesses and steering delay are reported too.
 
     Raises IdentificationError without transients: half a second of r_dot above 0.3 rad/s^2 to either side.
     """
+    settings = TRANSIENT_SETTINGS
     logs, notices = prepare_drives(logs, vehicle)
     runs = [run_samples(log, vehicle, cutoff=5.0) for log in logs]
     fast = [run.yaw_acceleration[run.velocity_x >= settings.minimum_speed] for run in runs]
@@ -157,7 +165,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, b
                                [run.time for run in runs], 0.5, 5))
     require_coverage(covered, "Steady bends do not show the yaw inertia: drive steps, lane changes or a sine sweep.")
     fit = fit_driving(logs, vehicle, INERTIA_NAMES, base, settings)
-    # Of the dead time [s], and through it of the inertia; see the module.
+    # Uncertainty of the dead time [s], and through it of the inertia; see the module.
     sampling = float(np.median(np.concatenate([np.diff(log.steering_time_ns) for log in logs]))) * NANOSECOND
     dead_time = sampling / np.sqrt(12.0 * sum(used > 0 for used, _ in fit.windows.values()))
     timing = {DELAY: dead_time, "yaw_inertia": abs(fit.change_with(DELAY)["yaw_inertia"]) * dead_time}
@@ -210,7 +218,7 @@ def make_identification(what: str, vehicle: VehicleParameters, fit: DrivingFit, 
 
 
 def _judge_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[str, Status]:
-    """(verdict: how well the value is determined, and by how many predictions; status)."""
+    """(verdict: uncertainty and number of predictions; status)."""
     name, value = fit.names[index], fit.values[index]
     basis = f"{fit.n_predictions} predictions in {fit.spread.basis[index]}"
     if name in fit.at_bound:
@@ -225,7 +233,7 @@ def _judge_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[st
 
 
 def describe_model(base: str | Model) -> str:
-    """Text that names the model of a fit."""
+    """Name of the model of a fit, for texts."""
     if isinstance(base, AugmentedModel):
         return f"{base.base.name} tyres with {', '.join(effect.name for effect in base.effects)}"
     return f"{get_model(base).name} tyres"

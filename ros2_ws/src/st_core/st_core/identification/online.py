@@ -63,7 +63,7 @@ class Tracked:
 
 @dataclass
 class DrivingTime:
-    """Time of driving used so far [s], by kind; loaded: bends above MIN_LOADED_ACCELERATION. rejected: by reason."""
+    """Driving used so far [s], by kind; loaded: bends above MIN_LOADED_ACCELERATION. rejected [s]: by reason."""
 
     used: float = 0.0
     straight: float = 0.0
@@ -125,7 +125,7 @@ class OnlineIdentifier:
     def reset(self, vehicle: VehicleParameters) -> None:
         """Forget all driving and start with this vehicle."""
         self.vehicle = vehicle
-        self.seconds = DrivingTime()
+        self.driving_time = DrivingTime()
         capacity = round(BUFFER / NANOSECOND / SPACING_NS)
         self._ins: deque[InsSample] = deque(maxlen=capacity)
         self._steering: deque[tuple[int, float]] = deque(maxlen=capacity)
@@ -158,11 +158,11 @@ class OnlineIdentifier:
     @property
     def due(self) -> bool:
         """Whether there is enough new driving for another fit."""
-        return self.seconds.used - self._fitted_at >= FIT_INTERVAL and len(self._steering) > 1
+        return self.driving_time.used - self._fitted_at >= FIT_INTERVAL and len(self._steering) > 1
 
     def snapshot(self) -> tuple[DriveLog, VehicleParameters]:
         """Stored driving, for `fit_recent`; the next fit is due FIT_INTERVAL later."""
-        self._fitted_at = self.seconds.used
+        self._fitted_at = self.driving_time.used
         columns = np.array([sample[1:7] for sample in self._ins]).T
         times = np.array([sample.time_ns for sample in self._ins], np.int64)
         steering_times = np.array([time for time, _ in self._steering], np.int64)
@@ -191,33 +191,34 @@ class OnlineIdentifier:
         return tuple(estimates)
 
     def _count(self, sample: InsSample, time: float) -> None:
-        speed, rate, seconds = sample.velocity_x, sample.yaw_rate, self.seconds
+        speed, rate, driven = sample.velocity_x, sample.yaw_rate, self.driving_time
         rejected = "too slow" if speed < SETTINGS.minimum_speed else (
             "a_y" if abs(speed * rate) > SETTINGS.maximum_acceleration else "")
         if rejected:
-            seconds.rejected[rejected] = seconds.rejected.get(rejected, 0.0) + time
+            driven.rejected[rejected] = driven.rejected.get(rejected, 0.0) + time
             return
         bend, acceleration = self.vehicle.wheelbase * rate / speed, speed * rate
-        seconds.used += time
-        seconds.straight += time * (abs(bend) < 0.25 * MIN_BEND_ANGLE)
-        seconds.left += time * (bend > MIN_BEND_ANGLE)
-        seconds.right += time * (bend < -MIN_BEND_ANGLE)
-        seconds.loaded_left += time * (acceleration > MIN_LOADED_ACCELERATION)
-        seconds.loaded_right += time * (acceleration < -MIN_LOADED_ACCELERATION)
-        seconds.speeds[sum(speed >= edge for edge in SPEED_BINS[1:])] += time
+        driven.used += time
+        driven.straight += time * (abs(bend) < 0.25 * MIN_BEND_ANGLE)
+        driven.left += time * (bend > MIN_BEND_ANGLE)
+        driven.right += time * (bend < -MIN_BEND_ANGLE)
+        driven.loaded_left += time * (acceleration > MIN_LOADED_ACCELERATION)
+        driven.loaded_right += time * (acceleration < -MIN_LOADED_ACCELERATION)
+        driven.speeds[sum(speed >= edge for edge in SPEED_BINS[1:])] += time
 
     def _missing_driving(self) -> Mapping[str, str]:
-        """Missing driving in words, by parameter; "" where there is enough."""
-        s = self.seconds
-        bends = min(s.left, s.right)
-        filled = sum(time >= 5.0 for time in s.speeds)
+        """Text of the missing driving, by parameter; "" where there is enough."""
+        driven = self.driving_time
+        bends = min(driven.left, driven.right)
+        filled = sum(time >= 5.0 for time in driven.speeds)
         needs = {
-            "steering_wheel_offset": [(s.used, 10.0, "driving"), (max(s.straight, bends), 5.0, "straights")],
+            "steering_wheel_offset": [(driven.used, 10.0, "driving"), (max(driven.straight, bends), 5.0, "straights")],
             # At a single speed, ratio and front stiffness are not separable.
-            "steering_ratio": [(s.left, 5.0, "left bends"), (s.right, 5.0, "right bends"),
+            "steering_ratio": [(driven.left, 5.0, "left bends"), (driven.right, 5.0, "right bends"),
                                (filled, 2, "speeds, 5 s each")],
-            "stiffness_scale": [(s.loaded_left, 3.0, "left bends above 1.5 m/s^2"),
-                                (s.loaded_right, 3.0, "right bends above 1.5 m/s^2"), (filled, 2, "speeds, 5 s each")],
+            "stiffness_scale": [(driven.loaded_left, 3.0, "left bends above 1.5 m/s^2"),
+                                (driven.loaded_right, 3.0, "right bends above 1.5 m/s^2"),
+                                (filled, 2, "speeds, 5 s each")],
         }
         return {name: "; ".join(f"{have:.0f} of {needed:g}{'' if isinstance(needed, int) else ' s'} {what}"
                                 for have, needed, what in rows if have < needed) for name, rows in needs.items()}

@@ -28,8 +28,8 @@ class Estimate:
     """One parameter, named as in the vehicle file ("mass", "tyre_front.p_ky1"); SI units, as in VehicleParameters.
 
     standard_uncertainty: one standard deviation of the value. interval95: lower and upper end, not always symmetric.
-    An unidentifiable parameter may have an infinite uncertainty and interval. method: a few words. runs: data used.
-    verdict: whole sentences for the user. A quantity the vehicle file does not have carries a name of its own.
+    An unidentifiable parameter may have an infinite uncertainty and interval. method: short text. runs: data used.
+    verdict: whole sentences for the user.
     """
 
     parameter: str
@@ -77,12 +77,12 @@ class Identification:
     An estimate with zero inside its 95 % interval is doubtful at most, and unidentifiable where only positive values
     are possible; parameters of the tyres' formula, which may well be zero, are exempt.
 
-    what: name of the experiment in `st identify`. used: names of the data. rejected: (data, reason). correlation:
+    experiment: name of the experiment in `st identify`. used: names of the data. rejected: (data, reason). correlation:
     matrix over the estimates, in their order, or None. coverage: excitation by signal. warnings: sentences. figure:
     arrays, numbers and texts for its figure. findings: of the checks, by drive, used or refused.
     """
 
-    what: str
+    experiment: str
     estimates: tuple[Estimate, ...]
     used: tuple[str, ...]
     rejected: tuple[tuple[str, str], ...] = ()
@@ -114,7 +114,7 @@ NOT_ZERO = " Not distinguishable from zero."
 
 
 def _with_status(estimate: Estimate) -> Estimate:
-    """The estimate with the status that its interval allows: zero may be inside."""
+    """The estimate with the status that follows from zero inside its interval; see `Identification`."""
     low, high = estimate.interval95
     if not low <= 0.0 <= high or estimate.status == "unidentifiable" or "." in estimate.parameter:
         return estimate
@@ -167,7 +167,7 @@ def apply_to_vehicle(vehicle: VehicleParameters, found: Iterable[Identification]
             key = estimate.parameter
             values[key] = estimate.value
             doubt = ", doubtful" if estimate.status == "doubtful" else ""
-            sources[key] = f"st identify {identification.what}{doubt}"
+            sources[key] = f"st identify {identification.experiment}{doubt}"
             spread = estimate.standard_uncertainty if math.isfinite(estimate.standard_uncertainty) else None
             provenance[key] = Provenance(spread, estimate.method, ", ".join(estimate.runs), date)
     changed = vehicle.with_values(values)

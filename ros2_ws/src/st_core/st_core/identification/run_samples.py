@@ -20,7 +20,7 @@ MAXIMUM_GAP = 0.1
 MIN_COMMON_TIME, MIN_SAMPLES = 5.0, 50
 """Least overlap of INS and steering [s], and least number of INS samples, of a usable drive."""
 MIN_REPORTED_BIAS = 5.0e-4
-"""rad/s, 0.03 deg/s: above the drift of a faultless INS; it acts as 0.1 deg at the hand wheel at 15 m/s."""
+"""rad/s, 0.03 deg/s: above the drift of a faultless INS; it acts as 0.1 deg at the steering wheel at 15 m/s."""
 SPEED_EDGES = np.array([0.0, 3.0, 6.0, 9.0, 12.0, 15.0, 20.0, 30.0, 60.0])  # m/s
 ACCELERATION_EDGES = np.array([-8.0, -4.0, -3.0, -2.0, -1.0, -0.3, 0.3, 1.0, 2.0, 3.0, 4.0, 8.0])  # m/s^2, left +
 
@@ -79,9 +79,9 @@ def run_samples(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) 
 
 def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                    *needed: str) -> tuple[list[DriveLog], tuple[str, ...]]:
-    """(drives as the estimators need them, warnings).
+    """(drives prepared for an estimator, warnings).
 
-    The road wheel angle is that of this vehicle's ratio and offset, where the hand wheel was recorded. The mean
+    The road wheel angle is that of this vehicle's ratio and offset, where the steering wheel was recorded. The mean
     difference of yaw rate and rate of change of yaw is removed from each drive: the bias of a gyro would appear as an
     offset of the steering. needed: channels that each drive must have. Raises IdentificationError for no drive, two of
     one name, and one that is too short or lacks a channel.
@@ -96,19 +96,19 @@ def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
             if not CHANNELS[name].is_in(log):
                 raise IdentificationError(f"{log.name}: {name} is not measured, and this identification needs it: "
                                           "record it with a dual-antenna INS, or leave the drive out")
-    own = [log if log.steering_wheel_angle is None else log.with_steering(vehicle) for log in logs]
+    prepared = [log if log.steering_wheel_angle is None else log.with_steering(vehicle) for log in logs]
     biases = []
-    for k, log in enumerate(own):
+    for k, log in enumerate(prepared):
         if log.overlap < MIN_COMMON_TIME or len(log.ins_time_ns) < MIN_SAMPLES:
             raise IdentificationError(
                 f"{log.name}: {len(log.ins_time_ns)} INS samples, which overlap with the steering for "
                 f"{log.overlap:.1f} s; at least {MIN_SAMPLES} and {MIN_COMMON_TIME:g} s are needed")
         bias = yaw_rate_bias(log)
-        own[k] = replace(log, yaw_rate=log.yaw_rate - bias)
+        prepared[k] = replace(log, yaw_rate=log.yaw_rate - bias)
         if abs(bias) > MIN_REPORTED_BIAS:
             biases.append(f"{log.name} {bias:+.4f}")
     warning = f"Yaw rate bias relative to the heading rate, removed [rad/s]: {', '.join(biases)}."
-    return own, (warning,) if biases else ()
+    return prepared, (warning,) if biases else ()
 
 
 def yaw_rate_bias(log: DriveLog) -> float:

@@ -5,8 +5,8 @@ reading while the car drives straight, corrected by the remaining curvature kapp
 
     o = mean(delta_h) - i L kappa (1 + K v_x^2),    kappa = change of heading / distance
 
-in windows with a steady hand. The first rests on the gyro, the second on the heading; a crowned road, side wind or
-worn tyres turn the steering wheel in both. Checked by: test_identification_driving.py.
+in windows of nearly constant steering. The first uses the gyro, the second the heading; a crowned road, side wind or
+worn tyres shift both results. Checked by: test_identification_driving.py.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,30 +27,29 @@ PAPER, DIRECT = "steering_wheel_offset", "steering_wheel_offset_direct"
 SETTINGS = DrivingFitSettings(horizon=2.0, maximum_acceleration=0.5, min_windows=40, channels=("yaw_rate",))
 WINDOW = 2.0  # s
 MIN_RADIUS = 500.0  # m
-MAX_HAND_DEVIATION = np.deg2rad(3.0)  # at the hand wheel, standard deviation in a window
+MAX_ANGLE_DEVIATION = np.deg2rad(3.0)  # at the steering wheel, standard deviation in a window
 MIN_WINDOWS = 10
 CUTOFF = 1.0  # Hz, low-pass on the measured yaw rate, forward and backward
 
 
-def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameters,
-                             settings: DrivingFitSettings = SETTINGS) -> Identification:
-    """Offset by both methods [rad at the hand wheel, left +]; parameters PAPER and DIRECT.
+def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
+    """Offset by both methods [rad at the steering wheel, left +]; parameters PAPER and DIRECT.
 
     vehicle: its offset is the start of the fit. Raises IdentificationError for too little straight driving.
     """
     logs, notes = prepare_drives(logs, vehicle)
     runs = [run_samples(log, vehicle) for log in logs]
-    windows = [_straight_windows(run, vehicle, settings.minimum_speed) for run in runs]
+    windows = [_straight_windows(run, vehicle) for run in runs]
     values = np.concatenate([w[:, 1] for w in windows])
     if len(values) < MIN_WINDOWS:
         raise IdentificationError(
-            f"too few samples: {len(values)} windows of {WINDOW:g} s are straighter than R = {MIN_RADIUS:g} m, with a "
-            f"steady hand and faster than {settings.minimum_speed:g} m/s; {MIN_WINDOWS} are needed")
+            f"too few samples: {len(values)} windows of {WINDOW:g} s are straighter than R = {MIN_RADIUS:g} m, with "
+            f"constant steering and faster than {SETTINGS.minimum_speed:g} m/s; {MIN_WINDOWS} are needed")
     # Smoothing uses all samples of the yaw rate, not only those at the points of the horizon, where road noise would be
-    # 0.02 deg at the hand wheel after four minutes.
+    # 0.02 deg at the steering wheel after four minutes.
     smooth = [replace(log, yaw_rate=filtered_derivative(log.ins_time_ns, log.yaw_rate, CUTOFF, 0.1, "zero_phase")[0])
               for log in logs]
-    fit = fit_driving(smooth, vehicle, (PAPER,), "linear", settings)
+    fit = fit_driving(smooth, vehicle, (PAPER,), "linear", SETTINGS)
     predicted = {name: count for name, (count, _) in fit.windows.items()}
     paper = _estimate(PAPER, fit.values[0], fit.spread, "simulated against measured yaw rate (paper)", predicted,
                       f"{fit.n_predictions} predictions on straights")
@@ -72,21 +71,21 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
                           rejected, None, (), (*notes, *([conflict] if conflict else [])), figure)
 
 
-def _straight_windows(run: RunSamples, vehicle: VehicleParameters, minimum_speed: float) -> np.ndarray:
+def _straight_windows(run: RunSamples, vehicle: VehicleParameters) -> np.ndarray:
     """(time, offset [rad]) of the steady straight windows of a run, (n, 2)."""
     understeer = stability_factor(vehicle)
     rows = []
     for start in np.arange(run.time[0], run.time[-1] - WINDOW, WINDOW):
         part = slice(*np.searchsorted(run.time, (start, start + WINDOW)))
-        time, hand, speed = run.time[part], run.steering_wheel_angle[part], run.velocity_x[part]
-        if len(time) < 10 or time[-1] - time[0] < 0.9 * WINDOW or speed.min() < minimum_speed:
+        time, angle, speed = run.time[part], run.steering_wheel_angle[part], run.velocity_x[part]
+        if len(time) < 10 or time[-1] - time[0] < 0.9 * WINDOW or speed.min() < SETTINGS.minimum_speed:
             continue
         mean_speed = float(speed.mean())
         curvature = float(run.yaw[part][-1] - run.yaw[part][0]) / (mean_speed * float(time[-1] - time[0]))
-        if abs(curvature) * MIN_RADIUS > 1.0 or hand.std() > MAX_HAND_DEVIATION:
+        if abs(curvature) * MIN_RADIUS > 1.0 or angle.std() > MAX_ANGLE_DEVIATION:
             continue
         road_wheel_angle = vehicle.wheelbase * curvature * (1.0 + understeer * mean_speed**2)
-        rows.append((start, float(hand.mean()) - vehicle.steering_ratio * road_wheel_angle))
+        rows.append((start, float(angle.mean()) - vehicle.steering_ratio * road_wheel_angle))
     return np.array(rows).reshape(-1, 2)
 
 
@@ -95,5 +94,5 @@ def _estimate(name: str, value: float, spread: Spread, method: str, used: Mappin
     degrees, deviation = np.rad2deg(value), np.rad2deg(uncertainty)
     return Estimate(name, float(value), "rad", uncertainty, spread.interval(0, value), method,
                     tuple(n for n, c in used.items() if c),
-                    f"The hand wheel reads {degrees:.2f} +/- {deviation:.2f} deg when driving straight, from {basis} "
-                    f"in {spread.basis[0]}.", "identified" if deviation < 0.5 else "doubtful")
+                    f"The steering wheel reads {degrees:.2f} +/- {deviation:.2f} deg when driving straight, from "
+                    f"{basis} in {spread.basis[0]}.", "identified" if deviation < 0.5 else "doubtful")

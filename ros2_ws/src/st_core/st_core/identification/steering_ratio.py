@@ -1,4 +1,4 @@
-"""Steering ratio from turntables: hand-wheel angle against the angles of both front wheels.
+"""Steering ratio from turntables: steering-wheel angle against the angles of both front wheels.
 
     delta = (left + right) / 2,    delta_k = a_j + delta_h,k / i + e_k,    i = 1 / b,    u(i) = i^2 u(b)
 
@@ -81,17 +81,17 @@ def _subtract_means(values: np.ndarray, members: Iterable[np.ndarray]) -> np.nda
 
 
 MIN_ROWS = 5
-MIN_RANGE = math.radians(90.0)  # of the hand wheel
-MAX_HAND_ANGLE = math.radians(1200.0)
+MIN_RANGE = math.radians(90.0)  # of the steering wheel
+MAX_STEERING_ANGLE = math.radians(1200.0)
 MAX_WHEEL_ANGLE = math.radians(60.0)
 BIN = math.radians(90.0)
 
 
 @dataclass(frozen=True)
 class Turntable:
-    """hand: hand-wheel angle (n,); left, right: angles of the front wheels (n,). rad, left +. sweeps: name per row."""
+    """Angles (n,) [rad], left +: of the steering wheel and of both front wheels. sweeps: name per row."""
 
-    hand: np.ndarray
+    steering: np.ndarray
     left: np.ndarray
     right: np.ndarray
     sweeps: tuple[str, ...]
@@ -105,31 +105,32 @@ def steering_ratio(data: Turntable) -> Identification:
     """
     _check_rows(data)
     mean = 0.5 * (data.left + data.right)
-    line = fit_line(data.hand, mean, data.sweeps)
+    line = fit_line(data.steering, mean, data.sweeps)
     limits = VEHICLE_QUANTITIES["steering_ratio"]
     ratio = 1.0 / line.slope if line.slope else math.inf
     if not (limits.minimum <= ratio <= limits.maximum):
-        hint = ("hand wheel and road wheels turn against each other: left is positive in every column" if ratio < 0.0
-                else "are hand-wheel and road-wheel columns exchanged, or their units?")
-        raise IdentificationError(f"the hand wheel turns {ratio:.3g} times as far as the road wheels, limit "
+        hint = ("steering wheel and road wheels turn against each other: left is positive in every column"
+                if ratio < 0.0 else "are steering-wheel and road-wheel columns exchanged, or their units?")
+        raise IdentificationError(f"the steering wheel turns {ratio:.3g} times as far as the road wheels, limit "
                                   f"{limits.minimum:g} to {limits.maximum:g}: {hint}")
     spread = ratio**2 * line.uncertainty
     low, high = symmetric_interval(line.slope, line.uncertainty, line.freedom)
-    cubic, significant = cubic_nonlinearity(data.hand, line, data.sweeps)
+    cubic, significant = cubic_nonlinearity(data.steering, line, data.sweeps)
     used = tuple(dict.fromkeys(data.sweeps))
-    span = math.degrees(data.hand.min()), math.degrees(data.hand.max())
+    span = math.degrees(data.steering.min()), math.degrees(data.steering.max())
     method = (f"turntables, {len(mean)} rows in {len(used)} sweep{'s' * (len(used) != 1)}, {span[0]:.0f} to "
               f"{span[1]:.0f} deg")
     largest = math.degrees(float(np.abs(line.residuals).max()))
-    verdict = (f"The hand wheel turns {ratio:.2f} times as far as the mean of the front wheels; the straight line "
+    verdict = (f"The steering wheel turns {ratio:.2f} times as far as the mean of the front wheels; the straight line "
                f"deviates by at most {largest:.2f} deg at the road wheel.")
     centre = 1.0 / (line.slope + cubic[0]) if significant else ratio
     if significant:
         verdict += f" The ratio is not constant: {centre:.2f} about the centre of the range."
     estimate = Estimate("steering_ratio", ratio, "1", spread, (1.0 / high, 1.0 / low), method, used, verdict)
-    edges = BIN * np.arange(math.floor(data.hand.min() / BIN), math.ceil(data.hand.max() / BIN) + 1)
-    coverage = Coverage("hand-wheel angle", "deg", np.degrees(edges), np.histogram(data.hand, edges)[0], 1, 2)
-    figure = {"hand": data.hand, "left": data.left, "right": data.right, "mean": mean, "sweeps": data.sweeps,
+    edges = BIN * np.arange(math.floor(data.steering.min() / BIN), math.ceil(data.steering.max() / BIN) + 1)
+    counts = np.histogram(data.steering, edges)[0]
+    coverage = Coverage("steering-wheel angle", "deg", np.degrees(edges), counts, 1, 2)
+    figure = {"hand": data.steering, "left": data.left, "right": data.right, "mean": mean, "sweeps": data.sweeps,
               "slope": line.slope, "levels": line.levels, "residuals": line.residuals, "cubic": cubic,
               "significant": significant}
     return Identification("steering-ratio", (estimate,), used, (), None, (coverage,), tuple(_warnings(data, line)),
@@ -137,10 +138,10 @@ def steering_ratio(data: Turntable) -> Identification:
 
 
 def _check_rows(data: Turntable) -> None:
-    columns = {"hand wheel": (data.hand, MAX_HAND_ANGLE), "left wheel": (data.left, MAX_WHEEL_ANGLE),
+    columns = {"steering wheel": (data.steering, MAX_STEERING_ANGLE), "left wheel": (data.left, MAX_WHEEL_ANGLE),
                "right wheel": (data.right, MAX_WHEEL_ANGLE)}
-    if len(data.hand) < MIN_ROWS:
-        raise IdentificationError(f"{len(data.hand)} rows, at least {MIN_ROWS} are needed")
+    if len(data.steering) < MIN_ROWS:
+        raise IdentificationError(f"{len(data.steering)} rows, at least {MIN_ROWS} are needed")
     for name, (angle, largest) in columns.items():
         if not np.isfinite(angle).all():
             raise IdentificationError(f"the {name} angle is missing in row {int(np.argmin(np.isfinite(angle))) + 1}")
@@ -151,14 +152,14 @@ def _check_rows(data: Turntable) -> None:
         if not np.ptp(angle) > 0.0:
             raise IdentificationError(f"the {name} angle is {math.degrees(angle[0]):.4g} deg in every row: it must "
                                       "vary")
-    if np.ptp(data.hand) < MIN_RANGE:
-        raise IdentificationError(f"the hand wheel ranges over {math.degrees(np.ptp(data.hand)):.3g} deg, at least 90 "
-                                  "are needed; if the column is in radians, name it steering_wheel_rad")
+    if np.ptp(data.steering) < MIN_RANGE:
+        raise IdentificationError(f"the steering wheel ranges over {math.degrees(np.ptp(data.steering)):.3g} deg, at "
+                                  "least 90 are needed; if the column is in radians, name it steering_wheel_rad")
 
 
 def _warnings(data: Turntable, line: Line) -> list[str]:
     sentences = []
-    left_turn, right_turn = data.hand > MIN_RANGE, data.hand < -MIN_RANGE
+    left_turn, right_turn = data.steering > MIN_RANGE, data.steering < -MIN_RANGE
     split = data.left - data.right - np.median(data.left - data.right)
     inner = np.concatenate([split[left_turn], split[right_turn]])
     if left_turn.any() and right_turn.any() and inner.mean() < -math.radians(0.3):

@@ -81,10 +81,10 @@ def draw_stiffness(found: Identification, output: FigureOutput) -> PageFigure:
     both = ", ".join(f"{axle} {_value(found[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))
     cloud = "force and slip angle of the axle from force and moment balance, up to 2 deg of slip."
     with style():
-        if found.what == "stiffness-paper":
+        if found.experiment == "stiffness-paper":
             figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
             _clouds(panels, found, (found,))
-            return save_figure(figure, output, found.what, f"Slopes {both}", f"Dots: {cloud}")
+            return save_figure(figure, output, found.experiment, f"Slopes {both}", f"Dots: {cloud}")
         figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 3.6), width_ratios=(1.2, 1.2, 1))
         if paper is not None:
             _clouds(panels[:2], paper, (paper, found))
@@ -140,7 +140,7 @@ def draw_prediction(found: Identification, output: FigureOutput) -> PageFigure:
         title = "; ".join(f"{e.parameter.replace('_', ' ')} {_value(e)}" for e in (first, second))
         caption = ("Left: predicted minus measured, dotted lines between runs. Right: the first parameter and the one "
                    "it is correlated with most; intervals include systematic uncertainty.")
-        return save_figure(figure, output, found.what, title, caption)
+        return save_figure(figure, output, found.experiment, title, caption)
 
 
 def _clouds(panels: Sequence[plt.Axes], cloud: Identification, lines: Sequence[Identification]) -> None:
@@ -229,7 +229,7 @@ def experiment(name: str, what: str, needs: str, compute: Callable[..., Identifi
                 "no drives were given; name at least one recording")
         found = compute(logs, setup.vehicle, **({"base": setup.model} if predicts else {}))
         left_out = ((source, str(error)) for source, error in failed.items())
-        return (replace(found, what=name, rejected=(*left_out, *found.rejected),
+        return (replace(found, experiment=name, rejected=(*left_out, *found.rejected),
                         warnings=(*found.warnings, *warnings), findings=findings),)
 
     return Experiment(name, what, f"{RECORDINGS}; {needs}", identify, draw, drives=True)

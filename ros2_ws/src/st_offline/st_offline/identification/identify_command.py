@@ -91,7 +91,7 @@ def show(found: Sequence[Identification], vehicle: VehicleParameters, stale: Seq
             {"parameter": escape(f"{name}{'' if unit == '1' else f', {unit}'}"), "value": value,
              "95 % interval": interval, "file": before, "status": f"[{STATUS_STYLE[status]}]{status}[/]"}
             for name, value, _, interval, unit, before, status in rows(outcome, vehicle)],
-            title=outcome.what, title_justify="left", padding=(0, 2, 0, 0)))
+            title=outcome.experiment, title_justify="left", padding=(0, 2, 0, 0)))
         for style, texts in (("default", [f"{e.parameter}: {e.verdict}" for e in outcome.estimates]),
                              ("dim", [coverage.describe() for coverage in outcome.coverage]),
                              ("dim", [f"left out: {name}: {why}" for name, why in outcome.rejected]),
@@ -122,7 +122,7 @@ def about(job: Job, now: datetime) -> dict[str, Any]:
 def write(job: Job, found: Sequence[Identification], car: VehicleParameters, facts: dict[str, Any]) -> dict[str, Path]:
     """Writes all files of the results folder; returns their paths by name."""
     output = FigureOutput(new_folder(job.folder, ""), FORMATS)
-    figures = [draw(outcome, output) if (draw := EXPERIMENTS[outcome.what].draw) else None for outcome in found]
+    figures = [draw(outcome, output) if (draw := EXPERIMENTS[outcome.experiment].draw) else None for outcome in found]
     texts = {
         "identification.json": json_text({name: entry for outcome in found
                                           for name, entry in outcome.document().items()}),
@@ -161,7 +161,7 @@ def details(found: Identification) -> dict[str, Any]:
     """One experiment in details.json."""
     matrix = found.correlation
     return {
-        "what": found.what, "used": list(found.used),
+        "what": found.experiment, "used": list(found.used),
         "rejected": [{"data": name, "why": why} for name, why in found.rejected],
         "parameters": [e.parameter for e in found.estimates],
         "status": {e.parameter: e.status for e in found.estimates},

@@ -77,7 +77,7 @@ class IdentifierNode(Node):
 
     def _publish(self) -> None:
         self._reload_vehicle_file()
-        vehicle, seconds = self._vehicle, self._core.seconds
+        vehicle, seconds = self._vehicle, self._core.driving_time
         message = TrackedParameters(vehicle=vehicle.name, vehicle_hash=vehicle.hash, resets=self._resets,
                                     seconds_used=seconds.used, seconds_rejected=float(sum(seconds.rejected.values())))
         message.header.stamp = self.get_clock().now().to_msg()
@@ -111,7 +111,7 @@ class IdentifierNode(Node):
         return float(getattr(self._vehicle, estimate.parameter, 1.0))
 
     def _checks(self) -> list[Check]:
-        seconds = self._core.seconds
+        seconds = self._core.driving_time
         used = {"used [s]": round(seconds.used, 1), **{f"left out, {why} [s]": round(time, 1)
                                                       for why, time in seconds.rejected.items()}, **self._received}
         checks = [Check("driving", diagnostics.OK, f"{seconds.used:.0f} s of driving used", used)]
