@@ -56,7 +56,7 @@ def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehi
     """The corrected drive.
 
     Each channel is scaled, then offset, then shifted in time; "position" and "velocity" apply to both components, after
-    the corrections of the single ones. Then
+    corrections of a single component. Then
 
         heading.add = a:    yaw -> yaw + a,  (v, acceleration)_body -> R(-a) (v, acceleration)_body,  so that R(yaw) v,
                             the velocity over ground, does not change
@@ -64,8 +64,8 @@ def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehi
 
     An INS channel shifted in time is interpolated at the stamps of the others; samples without a value there (the ends,
     gaps longer than MAXIMUM_GAP) are removed, for an acceleration set to NaN. Steering has its own stamps, which are
-    shifted. A hand-wheel angle is corrected so that ratio and offset of `vehicle` give the corrected road wheel angle;
-    without a vehicle it is removed.
+    shifted. A steering wheel angle is corrected so that ratio and offset of `vehicle` give the corrected road wheel
+    angle; without a vehicle it is removed.
 
     leave_out: intervals of INS samples to remove, (start, end) [s] after the first recorded one, both included.
     Raises StCoreError for a channel not in CHANNELS, a value beyond MAX_VALUES, and where no sample remains.
@@ -109,21 +109,19 @@ def check_corrections(corrections: Mapping[str, Correction]) -> None:
 
 def describe_corrections(corrections: Mapping[str, Correction]) -> tuple[str, ...]:
     """A phrase for each channel, such as "yaw_rate x 0.01745 - 0.004 rad/s, 0.31 s earlier"."""
-    return tuple(_describe(channel, correction) for channel, correction in corrections.items())
-
-
-def _describe(channel: str, correction: Correction) -> str:
-    words = [channel]
-    if correction.scale != 1.0:
-        words.append(f"x {correction.scale:.6g}")
-    if correction.add:
-        words.append(f"{'+' if correction.add > 0 else '-'} {abs(correction.add):.6g} {UNITS[channel]}")
-    phrase = " ".join(words)
-    if correction.earlier:
-        phrase += f", {abs(correction.earlier):.6g} s {'earlier' if correction.earlier > 0 else 'later'}"
-    if correction.ahead:
-        phrase += f", {abs(correction.ahead):.6g} m {'ahead' if correction.ahead > 0 else 'behind'}"
-    return phrase
+    phrases = []
+    for phrase, correction in corrections.items():
+        unit = UNITS[phrase]
+        if correction.scale != 1.0:
+            phrase += f" x {correction.scale:.6g}"
+        if correction.add:
+            phrase += f" {'+' if correction.add > 0 else '-'} {abs(correction.add):.6g} {unit}"
+        if correction.earlier:
+            phrase += f", {abs(correction.earlier):.6g} s {'earlier' if correction.earlier > 0 else 'later'}"
+        if correction.ahead:
+            phrase += f", {abs(correction.ahead):.6g} m {'ahead' if correction.ahead > 0 else 'behind'}"
+        phrases.append(phrase)
+    return tuple(phrases)
 
 
 def _correct_ins(log: DriveLog, corrections: Mapping[str, Correction]) -> DriveLog:

@@ -19,7 +19,7 @@ LAG_TEST_SHIFT = 0.3  # s; the fit this far to both sides of a lag must be worse
 BIAS_RESIDUAL_RATIO = 1.25  # residual with a scale over that with a bias; above it, a bias is reported instead
 MIN_CERTAIN_CORRELATION = 0.98  # above it, noise changes a scale by less than 4 %
 MIN_RESIDUAL_SHARE = 1e-4  # of the variance; interpolation and filters alone leave 1 % of a signal
-GRID_LOSS = 0.1  # of the variance, lost at most where a maximum is half a grid step off the grid
+GRID_LOSS = 0.1  # of the variance; largest loss where a maximum lies half a grid step off the grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,8 +142,8 @@ def _residual_shares(pair: Pair, offsets: Sequence[float]) -> tuple[list[float],
 
 
 def _fit_line(problem: Regression, derived: np.ndarray, correlation: float, biased: bool) -> tuple[Estimate, Estimate]:
-    """(scale, bias). On one long bend the two are confounded, and noise turns one into the other: then the one that
-    explains more is estimated, and the other is assumed faultless."""
+    """(scale, bias). On one long bend the two are confounded: then the one with the smaller residual is estimated, and
+    the other is assumed faultless."""
     confounded = abs(float(derived.mean())) > float(derived.std()) and abs(correlation) < MIN_CERTAIN_CORRELATION
     if biased and not confounded:
         both = problem.estimates(("scale", "bias"))

@@ -34,7 +34,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
     accelerations, other speeds); relations with the vehicle. Every fault found is removed from a working copy before
     the next check.
 
-    vehicle: for the relations with the vehicle; without one they are skipped. auxiliary: what else was recorded. Never
+    vehicle: for the relations with the vehicle; without one they are skipped. auxiliary: further recorded data. Never
     raises for the content of a recording: a channel too short or too poor to judge gives no finding.
     """
     auxiliary = auxiliary or AuxiliaryData()
@@ -74,21 +74,21 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
     if coarse & {"velocity_y", "yaw_rate"}:
         motion = motion.with_(acceleration_y=None)
     if not any(finding.name == "samples_repeated" and {"x", "y"} & {*finding.channels} for finding in stuck):
-        motion, steps = check_position_steps(motion)  # held positions step by nature
+        motion, steps = check_position_steps(motion)  # held positions always step
         findings += steps
-    speed, by_hand, sideslip_measured = (
+    speed, wheel_measured, sideslip_measured = (
         motion.velocity_x, log.steering_wheel_angle is not None, CHANNELS["velocity_y"].is_in(log))
     rate, (motion, fine, estimates, panels) = _check_sensors_at_true_rate(motion, time_unit, _removed_factors(gross))
     findings += rate + position.with_sign_alternative(_merge_gross_and_fine(gross, fine, estimates), recorded, motion)
     if vehicle is not None:
         frozen = {channel for finding in stuck if finding.name == "channel_frozen" for channel in finding.channels}
         unusable = coarse | frozen if sideslip_measured else {*coarse, *frozen, "velocity_y"}
-        for more, values, panel in _compare_with_vehicle(motion, vehicle, by_hand, broken, unusable):
+        for more, values, panel in _compare_with_vehicle(motion, vehicle, wheel_measured, broken, unusable):
             findings += more
             estimates |= values
             panels += [panel] if panel else []
     findings += vehicle_relations.check_standstill(motion.with_(velocity_x=speed))
-    findings = _of_measured_channels(findings, log, motion)
+    findings = _limit_to_measured_channels(findings, log, motion)
     if not sideslip_measured:
         estimates = {name: value for name, value in estimates.items() if name not in CHANGED_BY_SIDESLIP}
     if vehicle is not None:
@@ -97,11 +97,11 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
                    {name: (estimate.value, *estimate.interval) for name, estimate in estimates.items()})
 
 
-def _of_measured_channels(findings: list[Finding], log: DriveLog, motion: Motion) -> list[Finding]:
-    """The findings, as far as yaw rate and heading of the drive were measured.
+def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: Motion) -> list[Finding]:
+    """The findings without those that are due to a yaw rate derived from yaw, or to a course in place of yaw.
 
-    Compared with a yaw rate that is derived from yaw, the noise of yaw looks like another scale. Without velocity_y,
-    yaw may be the course, which differs by the sideslip.
+    The noise of yaw changes the scale of a yaw rate derived from it. Without velocity_y, yaw may be the course, which
+    differs by the sideslip.
     """
     if has_derived_yaw_rate(log):
         compared = ("yaw_rate_scale", "yaw_rate_bias", "yaw_rate_lag")
@@ -187,12 +187,12 @@ def _check_sensors(motion: Motion, removed: dict[str, float]) -> SensorResult:
     return motion, findings, estimates, panels
 
 
-def _compare_with_vehicle(motion: Motion, vehicle: VehicleParameters, hand_wheel: bool, broken: set[str],
+def _compare_with_vehicle(motion: Motion, vehicle: VehicleParameters, wheel_measured: bool, broken: set[str],
                           unusable: set[str]) -> list[inertial.Comparison]:
     """Steering, rear axle and lateral acceleration against the vehicle, without broken, frozen or coarse channels."""
     comparisons = []
     if not broken & {*STEERING}:
-        comparisons.append(vehicle_relations.check_steering(motion, vehicle, hand_wheel))
+        comparisons.append(vehicle_relations.check_steering(motion, vehicle, wheel_measured))
     if not unusable & {"velocity_y", "yaw_rate"}:  # both are needed to locate the INS
         comparisons.append(vehicle_relations.check_rear_axle(motion, vehicle))
     return [*comparisons, (vehicle_relations.check_tyre_limit(motion), {}, None)]
@@ -200,7 +200,7 @@ def _compare_with_vehicle(motion: Motion, vehicle: VehicleParameters, hand_wheel
 
 def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
     """As `correct_units`, with a lag between yaw and yaw rate removed meanwhile, since it changes size and sign of
-    their ratio over windows of a second. The lag itself is judged later, so the result still has it."""
+    their ratio over windows of a second. The result contains the lag, which is checked later."""
     lag = inertial.yaw_rate_lag(motion)
     if not lag:
         return correct_units(motion)

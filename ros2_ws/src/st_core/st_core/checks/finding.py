@@ -20,7 +20,7 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True)
 class Advice:
-    """What corrects a finding; line: one line to paste, or what to look at.
+    """Remedy of a finding. line: one line to paste, or what to look at.
 
     kind: "run.yaml": `entry` is to be merged into the run's run.yaml; "vehicle": a value of the vehicle file;
     "option": an option of the command line; "look": nothing to paste.
@@ -62,7 +62,7 @@ class Finding:
 
     @property
     def of_acceleration(self) -> bool:
-        """Whether no prediction depends on it: only identification and discovery use measured accelerations."""
+        """Whether it concerns accelerations only, which identification and discovery use, but no prediction."""
         return (self.effect is None and bool(self.channels)
                 and all(channel.startswith("acceleration") for channel in self.channels))
 
@@ -171,7 +171,7 @@ class InsQuality:
 
 @dataclass(frozen=True, eq=False)
 class AuxiliaryData:
-    """What was recorded in addition to the drive, all optional.
+    """Data recorded in addition to the drive, all optional.
 
     stamps: of "INS" and "steering" [int64 ns], in the order of the recording, before rows were left out. missing: rows
     without a usable value, left out, by channel. wheel_speed: of the wheels or the car's own speed signal [m/s].
@@ -209,7 +209,7 @@ class Limits:
     correlation: float = 0.6  # below it two estimates of a quantity are not compared
     bias_acceleration: float = 0.1  # m/s^2; 0.6 deg of mounting or road
     tyre: float = 13.0  # m/s^2; no road tyre gives more
-    # Steering over curvature of a healthy car, beyond the understeer of its file (ratio, wheelbase, stiffnesses).
+    # Steering over curvature of a faultless car, beyond the understeer of its file (ratio, wheelbase, stiffnesses).
     steering_unit: float = 1.5
     steering_lag: float = 0.1  # s; the response of the car itself may be that late
     steering_offset: float = 0.02  # rad, at the road wheels

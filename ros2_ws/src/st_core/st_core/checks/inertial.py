@@ -2,8 +2,8 @@
 
     r = d(yaw)/dt        a_x = dv_x/dt - v_y r        a_y = dv_y/dt + v_x r
 
-An accelerometer measures gravity as well: a slope is a bias of a_x, a banked road or a mounting angle one of a_y. One
-that sits a metre or two from the point of the velocities seems to lag by distance / v in a_y at speed v.
+An accelerometer measures gravity as well: a slope is a bias of a_x, a banked road or a mounting angle one of a_y. At a
+distance d behind the point of the velocities it measures an a_y that lags by d / v at speed v.
 """
 
 import math
@@ -174,8 +174,7 @@ Comparison = tuple[list[Finding], dict[str, Estimate], Identity | None]
 
 
 def compare_yaw_rate(motion: Motion) -> tuple[Agreement | None, Tolerances]:
-    """Yaw rate against the change of yaw. An error of the initial yaw rate decays within the settling time of a model.
-    """
+    """Yaw rate against the change of yaw. An error of the initial yaw rate decays within LIMITS.settling."""
     position_effect = LIMITS.settling * float(np.median(np.abs(motion.velocity_x))) * HORIZON
     found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, GYRO_CUTOFF, True)
     return found, Tolerances("yaw_rate", "yaw", "rad/s", LIMITS.lag, GYRO_SCALE, GYRO_BIAS,
@@ -183,7 +182,7 @@ def compare_yaw_rate(motion: Motion) -> tuple[Agreement | None, Tolerances]:
 
 
 def yaw_rate_lag(motion: Motion) -> float:
-    """Lag of the yaw rate behind yaw [s] that hides their agreement; 0 where they agree without it."""
+    """Lag of the yaw rate behind yaw [s]; 0 where it is small, or the two agree without its correction."""
     found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, ACCELERATION_CUTOFF, True)
     if found is None or not (found.is_late and found.lag.significant) or abs(found.lag.value) < LIMITS.severe_lag:
         return 0.0

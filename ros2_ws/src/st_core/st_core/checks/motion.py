@@ -9,6 +9,7 @@ import numpy as np
 
 from ..log import DriveLog
 from ..timeseries import NANOSECOND
+from ..types import body_to_map
 from .finding import AuxiliaryData
 
 MAX_GAP = 0.25  # s between samples; nothing is integrated across a longer one
@@ -72,8 +73,7 @@ class Motion:
     @property
     def velocity_map(self) -> tuple[np.ndarray, np.ndarray]:
         """Velocity in the map frame, (east, north) [m/s]: R(yaw) v."""
-        cosine, sine = np.cos(self.yaw), np.sin(self.yaw)
-        return (cosine * self.velocity_x - sine * self.velocity_y, sine * self.velocity_x + cosine * self.velocity_y)
+        return body_to_map(self.velocity_x, self.velocity_y, self.yaw)
 
     def steering_at_ins(self) -> np.ndarray:
         """Road wheel angle at the instants of the INS, NaN outside the recorded time."""
@@ -83,9 +83,8 @@ class Motion:
 
 
 def is_driven(motion: Motion) -> bool:
-    """Whether the car drives, in whatever units: positions keep their direction of travel, or the forward velocity
-    exceeds its noise by far, and one of the two is faster than MOVING. A standing car with a wandering receiver does
-    neither, a creeping one is too slow."""
+    """Whether the car drives, in any units: positions keep their direction of travel, or the forward velocity exceeds
+    its noise by far, and one of the two is faster than MOVING. A parked car with drifting positions fulfils neither."""
     length = max(1.0, 5.0 * float(np.median(np.diff(motion.time))))
     over = windows(motion.time, length, max(MAX_GAP, 0.5 * length))
     if len(over) < MIN_DRIVEN_WINDOWS:
@@ -141,7 +140,7 @@ def windows(time: np.ndarray, length: float, longest_gap: float = MAX_GAP) -> Wi
     if len(time) < 2:
         empty = np.zeros(0, np.int64)
         return Windows(empty, empty, np.zeros(0))
-    # By the samples, not by the seconds, since a gap may last years.
+    # Iterates over the samples, not the seconds, since a gap may last years.
     edges = np.flatnonzero(np.diff(np.floor((time - time[0]) / length), prepend=-1.0))
     first, last = edges[:-1], edges[1:]
     gaps = np.concatenate(([0], np.cumsum(np.diff(time) > longest_gap)))

@@ -27,7 +27,7 @@ SENTINEL_HOLD_RATIO = 3.0  # times the usual hold of a channel; shorter ones are
 MIN_MOVING_SPEED = 1.0  # m/s
 MAX_BAD_SHARE = 0.5  # of the samples; beyond it the channel is unusable and nothing is left out
 NOTE_SHARE = 0.01  # of the samples, up to which spikes are a note
-WRAP_LIMIT = 0.3  # of the largest plausible step; smaller wraps are within what a channel can do anyway
+WRAP_LIMIT = 0.3  # of the largest plausible step; smaller wraps cannot be distinguished from changes of the channel
 WRAP_SPREAD, WRAP_SYMMETRY = 0.1, 0.2  # of the wrap's size: largest difference of its steps, asymmetry of its ends
 MAX_WRAPPED_SHARE = 0.2  # of the samples; beyond it the true range is uncertain
 MAX_NET_CHANGE = 0.5  # net change of a stretch over the sum of its |steps|: 1 for a turn in another unit, 0 for noise
@@ -173,7 +173,7 @@ def _channel(name: str, time: np.ndarray, values: np.ndarray) -> _Channel | None
 
 
 def _is_moving(log: DriveLog) -> np.ndarray:
-    """Whether the car moves at each INS sample, by velocity or by positions: a dropout of one of them is not a stop."""
+    """Whether the car moves at each INS sample, by velocity or by positions, as one of them may drop out."""
     if len(log.ins_time_ns) < 2:
         return np.zeros(len(log.ins_time_ns), bool)
     time = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9

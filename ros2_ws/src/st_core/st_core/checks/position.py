@@ -2,7 +2,7 @@
 
     p(t2) - p(t1) = integral of R(yaw) v dt
 
-over windows of a second. The residual of a wrong recording has a few possible causes, each linear in its size:
+over windows of a second. The residual of a faulty recording has a few possible causes, each linear in its size:
 
     x or y scale s        p = s p_true                           s - 1 times the derived displacement along that axis
     map shear h           x = x_true + h y_true                  h times the displacement north, in x
@@ -34,7 +34,7 @@ MIN_LATERAL_VELOCITY = 0.02  # m/s, root mean square
 SPHERICAL_EARTH_SCALE = 0.005  # a map projected with one radius of the earth is wrong by up to half a per cent per axis
 MIN_VELOCITY_BIAS = 0.05  # m/s; velocities of an INS are known to 0.03
 AXES = {"x_scale", "y_scale"}
-# Causes that are confounded at one speed; one of them is fitted, a bias only where it explains clearly more.
+# Causes that are confounded at one speed; one of them is fitted, a bias only where its loss is clearly smaller.
 BIASES = {"velocity_x_bias": {*AXES, "velocity_scale"}, "velocity_y_bias": {"yaw_offset"}}
 CONFOUNDED = {"velocity_scale": {*AXES, "velocity_x_bias"}, "yaw_offset": {"velocity_y_bias"}, **BIASES,
               **{axis: {"velocity_scale", "velocity_x_bias"} for axis in AXES}}
@@ -47,7 +47,7 @@ TEXT = {
     "yaw_offset": "yaw is {size:.4f} ± {half:.4f} rad ({degrees:.2f} deg) too far {side} for positions and velocities",
     "position_lag": "positions {lag} velocity and yaw by {size:.3f} ± {half:.3f} s",
     "velocity_lag": "velocities {lag} positions and yaw by {size:.3f} ± {half:.3f} s",
-    "position_reference": "positions are of a point {size:.2f} ± {half:.2f} m {ahead} the one velocities are of",
+    "position_reference": "positions refer to a point {size:.2f} ± {half:.2f} m {ahead} that of the velocities",
     "velocity_x_bias": "velocity_x is {size:.2f} ± {half:.2f} m/s too {high} for positions, at every speed",
     "velocity_y_bias": "velocity_y is {size:.2f} ± {half:.2f} m/s too {high} for positions and yaw, at every speed",
 }
@@ -228,7 +228,7 @@ def _combine_scales(problem: Regression, causes: dict[str, Estimate], always: tu
 
 
 def _estimate_all(problem: Regression, found: dict[str, Estimate]) -> dict[str, Estimate]:
-    """Estimate of each cause, fitted together with those found, in the terms of its finding."""
+    """Estimate of each cause, fitted together with those found, as the value of its finding."""
     estimates = {}
     for name in problem.columns:
         alongside = tuple(other for other in found if other != name and other not in CONFOUNDED.get(name, ()))
@@ -259,7 +259,7 @@ def _make_finding(name: str, cause: Estimate, problem: Regression) -> Finding:
 
 
 def _as_reported(name: str, cause: Estimate) -> Estimate:
-    """Estimate of a cause in the terms of its finding (a faultless scale is 1), systematic uncertainty included."""
+    """Estimate of a cause as the value of its finding (a faultless scale is 1), systematic uncertainty included."""
     if name == "velocity_scale":
         return with_systematic(name, cause.shifted(1.0).inverse())
     return with_systematic(name, cause.shifted(1.0) if name.endswith("_scale") else cause)

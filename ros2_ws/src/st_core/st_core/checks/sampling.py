@@ -1,4 +1,4 @@
-"""How a recording was sampled: stamps, gaps, repeated, frozen and rounded values; the noise of each channel."""
+"""Sampling of a recording: stamps, gaps, repeated, frozen and rounded values; the noise of each channel."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -101,7 +101,7 @@ def _missing_values(channel: str, count: int, motion: Motion, auxiliary: Auxilia
         advice = "nothing, if that is the rate of the sensor"
     else:
         text = f"{channel}: {count} rows hold no usable value ({100 * share:.3g} %); they were left out"
-        advice = "look at what the logger writes there"
+        advice = "look at the values that the logger writes there"
     severity = Severity.NOTE if rate or share <= NOTE_SHARE else Severity.WARNING
     return Finding("values_missing", severity, (channel,), text, share, advice=Advice("look", advice))
 
@@ -123,8 +123,8 @@ def refused_frames(time: np.ndarray, frames: int, reason: str) -> Finding:
 def _slower_rate(time: np.ndarray, rows: np.ndarray, missing: float) -> float:
     """Rate [Hz] of a sensor that is slower than the rows of the recording; 0 where the samples are not evenly spaced.
 
-    time: of its samples [s]; rows: of all rows [s]; missing: share of the rows without a sample. After a gap the
-    others are one row apart, which no slower sensor is. One sample in a hundred may be off.
+    time: of its samples [s]; rows: of all rows [s]; missing: share of the rows without a sample. If a gap caused the
+    missing rows, the samples are one row apart. One sample in a hundred may be off.
     """
     spacing, between = np.diff(time), np.diff(rows)
     if len(spacing) < 20 or len(between) < 20:
@@ -158,7 +158,7 @@ def _check_stamps(signal: str, stamps: np.ndarray) -> list[Finding]:
             advice = "look at the logger: its clock was set back, or it restarted; split the recording there into runs"
         else:
             text = (f"{count} of {len(stamps)} stamps of the {signal} "
-                    f"{'go back' if name == 'time_order' else 'are there twice'}; those rows were left out")
+                    f"{'go back' if name == 'time_order' else 'are duplicates'}; those rows were left out")
             advice = "look at how the rows were stamped and merged"
         severity = Severity.WARNING if reset or share > NOTE_SHARE else Severity.NOTE
         findings.append(Finding(name, severity, STAMPS_OF[signal], text, share, where=where,

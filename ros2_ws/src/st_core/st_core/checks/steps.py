@@ -29,7 +29,7 @@ MAX_CROSS_TRACK_SHARE = 0.3  # of a stale sample's step
 
 
 def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """(the motion, with evenly spaced stamps where they only jitter; the findings)."""
+    """(the motion, with even stamps in place of jittering ones; the findings)."""
     if len(motion.time) < 50:
         return motion, []
     errors, along = _step_errors(motion)
@@ -71,7 +71,7 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
     spread = ROBUST * float(np.median(np.abs(age[known][small]))) if small.any() else np.inf
     speed = motion.speed[1:]
     across = np.sqrt(np.maximum(np.abs(errors) ** 2 - np.where(known, along * speed, 0.0) ** 2, 0.0))
-    # Noise is as large across the track as along it; at low speed its part along is many milliseconds.
+    # Noise is equally large across the track and along it; at low speed the latter is many milliseconds.
     noise = ROBUST * float(np.median(across[known]))
     large = (known & (np.abs(age) > max(OUTLIER_SIGMAS * spread, 0.15 * spacing))
              & (np.abs(age) * speed > OUTLIER_SIGMAS * noise))
@@ -118,7 +118,7 @@ def _check_jumps(motion: Motion, errors: np.ndarray, stale: np.ndarray, rounding
 
 
 def _leave_out_jumps(where: Sequence[tuple[float, float]]) -> Advice:
-    """Makes a gap at each jump: nothing is compared, and no prediction scored, across one."""
+    """Gaps at the jumps, across which nothing is compared and no prediction scored."""
     if len(where) > MAX_LISTED_JUMPS:
         return Advice("look", "too many to leave out: use the positions of one receiver, with RTK, or post-process")
     gaps: list[list[float]] = []
@@ -160,6 +160,6 @@ def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
     effect = deviation * float(np.median(motion.speed[1:][inside]))
     if slope < 0.5 or effect < LIMITS.min_reported_effect:
         return []
-    text = f"the stamps jitter by {deviation * 1e3:.1f} ms, the motion does not: they are times of arrival"
+    text = f"the stamps jitter by {deviation * 1e3:.1f} ms, the motion does not: they are times of reception"
     return [Finding("time_jitter", LIMITS.severity(effect), ("time",), text, deviation, "s", effect=effect, advice=
-                    Advice("look", "use the time of measurement (GPS time), not that of reception"))]
+                    Advice("look", "use the time of measurement (GPS time)"))]

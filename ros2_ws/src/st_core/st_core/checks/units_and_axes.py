@@ -154,8 +154,7 @@ def _correct_turns(motion: Motion) -> Corrected:
 
 
 def _correct_north_east(motion: Motion) -> Corrected:
-    """Positions (north, east) and yaw of the opposite sense to the yaw rate, where the other channels confirm the rate.
-    """
+    """Positions (north, east) and a clockwise yaw, where the other channels confirm the sign of the yaw rate."""
     r = ratios(motion)
     if not (is_near(r.yaw_rate, -1.0, LIMITS.unit) and is_near(r.yaw_course, 1.0, LIMITS.unit)):
         return motion, None
@@ -229,7 +228,8 @@ def _angle_unit(factor: float, within: float = 1.06) -> float:
 
 
 def _without_wraps(motion: Motion, yaw: np.ndarray) -> np.ndarray:
-    """A yaw unwrapped as if it were in rad still steps where it was wrapped: such steps follow the yaw rate instead."""
+    """The yaw without the steps that remain if an angle in other units is unwrapped as rad; there the yaw rate is used.
+    """
     step = np.diff(yaw)
     expected = np.diff(integral(motion.time, motion.yaw_rate))
     error = np.abs(step - expected)

@@ -1,13 +1,13 @@
 """Relations that involve the vehicle, with bounds so wide that only a faulty recording exceeds them.
 
-Steering: a car without slip steers atan(L r / v_x). Ratio and wheelbase of a real one change it by some ten per cent,
-understeer at 20 m/s may nearly double it, a wrong unit makes it 57 times as large. Rear axle: that of a slow car moves
-in its heading, so at the INS point
+Steering: the road wheel angle of a car without slip is atan(L r / v_x). Errors of ratio and wheelbase change it by some
+ten per cent, understeer at 20 m/s may nearly double it, a wrong unit makes it 57 times as large. Rear axle: at low
+speed it moves in the direction of the heading, so at the INS point
 
     v_y = -a v_x + d r - s v_x^2 r - e d(v_x r)/dt
 
-a: heading reported too far left, d: ahead of the rear axle, s: slip of the rear, e: sideways shift of the point as the
-body rolls, per lateral acceleration; slip that builds up late has the same influence.
+a: heading reported too far left, d: distance ahead of the rear axle, s: slip of the rear axle, e: sideways shift of the
+point by body roll, per lateral acceleration; a delay of the slip has the same influence.
 """
 
 from dataclasses import replace
@@ -28,13 +28,14 @@ DEGREE = 180.0 / np.pi
 WINDOW = 0.5  # s
 MAX_COSINE = 0.9  # between speed and yaw rate over the drive: 1 on a circle
 MIN_STEERING_ANGLE = 0.01  # rad, root mean square
-MIN_ANGLE_FOR_SIGN = 0.003  # rad, root mean square; fast wide bends show the sign, if not the size
+MIN_ANGLE_FOR_SIGN = 0.003  # rad, root mean square; fast wide bends determine the sign, not the size
 MAX_OPPOSITE_CORRELATION = -0.8  # of steering and curvature, up to which the sensor has the opposite sign
 MIN_GAIN = 1e-6  # of steering over curvature; a smaller one is a constant angle, reported as frozen
 
 
-def check_steering(motion: Motion, vehicle: VehicleParameters, hand_wheel: bool) -> Comparison:
-    """Steering against curvature. hand_wheel: whether its angle was recorded; its offset is in the vehicle file."""
+def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: bool) -> Comparison:
+    """Steering against curvature. wheel_measured: whether the steering wheel angle was recorded, whose offset is in the
+    vehicle file."""
     moving = motion.velocity_x > MIN_SPEED
     curvature = np.where(moving, motion.yaw_rate / np.maximum(motion.velocity_x, MOVING), np.nan)
     derived = np.arctan(vehicle.wheelbase * curvature)
@@ -52,7 +53,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, hand_wheel: bool)
         found = replace(found, scale=gain, bias=ZERO)
     gain = with_systematic("steering_scale", found.scale)
     late = with_systematic("steering_lag", found.lag.shifted(response))
-    findings = [_unit_finding(gain, understeer, vehicle), _offset_finding(found, speed, vehicle, hand_wheel)]
+    findings = [_unit_finding(gain, understeer, vehicle), _offset_finding(found, speed, vehicle, wheel_measured)]
     estimates = {"steering_scale": gain, "steering_sign": gain}
     # Steering that falls where curvature rises is the driver's reaction to another yaw moment: it has no lag.
     if found.correlation * gain.value >= 0.0:
@@ -68,7 +69,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, hand_wheel: bool)
 def _steering_gain(motion: Motion, derived: np.ndarray) -> Estimate | None:
     """Road wheel angle over that of the curvature, without an offset; None where the car hardly turns.
 
-    A negative gain needs less turning: only the sign is reported, which an offset does not change.
+    For a negative gain smaller angles suffice: only its sign is reported, which an offset does not change.
     """
     angle = motion.steering_at_ins()
     known = np.flatnonzero(np.isfinite(derived) & np.isfinite(angle))[::10]
@@ -109,7 +110,7 @@ def _lateral_shift(error: float, speed: float, vehicle: VehicleParameters) -> fl
 
 
 def _unit_finding(gain: Estimate, understeer: float, vehicle: VehicleParameters) -> Finding | None:
-    """understeer: factor that the vehicle explains; its stiffnesses may be guessed, so 1 is accepted as well."""
+    """understeer: factor from the vehicle file; its stiffnesses may be guesses, so 1 is accepted as well."""
     value, limit = gain.value, LIMITS.steering_unit
     if abs(value) < MIN_GAIN or (gain.interval[1] > 1.0 / limit and gain.interval[0] < limit * understeer):
         return None
@@ -147,7 +148,7 @@ def _lag_finding(late: Estimate, found: Agreement, speed: float, vehicle: Vehicl
                    late.interval, (), effect, replace(advice, line=f"{advice.line}  # or --steering-latency"))
 
 
-def _offset_finding(found: Agreement, speed: float, vehicle: VehicleParameters, hand_wheel: bool) -> Finding | None:
+def _offset_finding(found: Agreement, speed: float, vehicle: VehicleParameters, wheel_measured: bool) -> Finding | None:
     size = abs(found.scale.value)
     bias = found.bias.scaled(1.0 / size) if size > LIMITS.steering_unit else found.bias
     offset = with_systematic("steering_offset", bias)
@@ -158,7 +159,7 @@ def _offset_finding(found: Agreement, speed: float, vehicle: VehicleParameters, 
     effect = _lateral_shift(offset.value, speed, vehicle)
     # In the direction that counts once the sign is corrected, where that is wrong too.
     left = offset.value * float(np.sign(found.scale.value))
-    if hand_wheel:
+    if wheel_measured:
         wheel = vehicle.steering_wheel_offset + left * vehicle.steering_ratio
         line = f"steering_wheel_offset: {{value: {wheel * DEGREE:.2f}, unit: deg, source: st check}}"
         advice = Advice("vehicle", f"{line}  # check with st identify steering-offset",
@@ -209,8 +210,8 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> Comparison:
 def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, separable: bool) -> dict[str, Estimate]:
     """heading [rad], point [m ahead of the rear axle], slip [s^2/m] and roll [s^2].
 
-    separable: whether the speed varies. Where slip and point are confounded, the slip is that of the vehicle file,
-    within half of its value.
+    separable: whether the speed varies. Where slip and point are confounded, the slip is that of the vehicle file
+    +/- 50 %.
     """
     expected = rear_slip_coefficient(vehicle)
     if separable:
