@@ -110,12 +110,12 @@ def check_corrections(corrections: Mapping[str, Correction]) -> None:
 def describe_corrections(corrections: Mapping[str, Correction]) -> tuple[str, ...]:
     """A phrase for each channel, such as "yaw_rate x 0.01745 - 0.004 rad/s, 0.31 s earlier"."""
     phrases = []
-    for phrase, correction in corrections.items():
-        unit = UNITS[phrase]
+    for channel, correction in corrections.items():
+        phrase = channel
         if correction.scale != 1.0:
             phrase += f" x {correction.scale:.6g}"
         if correction.add:
-            phrase += f" {'+' if correction.add > 0 else '-'} {abs(correction.add):.6g} {unit}"
+            phrase += f" {'+' if correction.add > 0 else '-'} {abs(correction.add):.6g} {UNITS[channel]}"
         if correction.earlier:
             phrase += f", {abs(correction.earlier):.6g} s {'earlier' if correction.earlier > 0 else 'later'}"
         if correction.ahead:
