@@ -33,7 +33,7 @@ def steered(factor: float, offset: float = 0.0) -> Fault:
 
 
 def wheel_turned(angle: float) -> Fault:
-    """The hand wheel reads so much too far left; the road wheel angle is made of it with the ratio of the file."""
+    """The steering wheel reads so much too far left; the road wheel angle is made of it with the ratio of the file."""
     return lambda log: replace(log, steering_wheel_angle=log.steering_wheel_angle + angle)
 
 

@@ -59,7 +59,7 @@ def turntable(car: VehicleParameters, seed: int) -> Turntable:
                              + random.normal(0.0, TABLE_NOISE, len(hand))) / np.radians(0.1)) * np.radians(0.1)
                    for sign in (1.0, -1.0))
     noisy = np.round((hand + random.normal(0.0, np.radians(1.0), len(hand))) / HAND_STEP) * HAND_STEP
-    # The hand wheel is never exactly at its mark, and the log says where it was.
+    # The steering wheel is never exactly at its mark, and the log says where it was.
     true_mean = noisy / car.steering_ratio - mean
     return Turntable(noisy, left + true_mean, right + true_mean, ("to the left",) * len(half) + ("to the "
                                                                                                  "right",) * len(half))

@@ -19,7 +19,7 @@ class Truth:
 
 
 def winding_road(car: VehicleParameters, truth: Truth, seconds: float, seed: int, noise: float = 1.0) -> np.ndarray:
-    """Rows of (t, x, y, yaw, v_x, v_y, yaw rate, hand wheel) at RATE, INS point; SI, hand wheel as the sensor says.
+    """Rows of (t, x, y, yaw, v_x, v_y, yaw rate, steering wheel angle as measured) at RATE, INS point; SI.
 
     Straights, bends to both sides up to 3 m/s^2, 6 to 15 m/s. Noise 1: that of an INS with RTK and a 0.1 deg sensor.
     """

@@ -50,7 +50,7 @@ def circle(angle: float, count: int = 800) -> Programme:
 
 
 def single_track(v: VehicleParameters, hand: float) -> float:
-    """Steady yaw rate [rad/s] of the linear single track at SPEED for a hand-wheel angle [rad]."""
+    """Steady yaw rate [rad/s] of the linear single track at SPEED for a steering-wheel angle [rad]."""
     front, rear = v.cornering_stiffness_front, v.cornering_stiffness_rear
     gradient = v.mass * (v.cg_to_rear_axle * rear - v.cg_to_front_axle * front) / (v.wheelbase**2 * front * rear)
     return SPEED * v.road_wheel_angle(hand) / (v.wheelbase * (1 + gradient * SPEED**2))

@@ -37,7 +37,7 @@ def st(*arguments: object, status: tuple[int, ...] = (0,)) -> str:
 
 
 def road(path: Path, seconds: float, seed: int, offset: float = 0.0) -> Path:
-    """A drive of the Leaf on a winding road. offset: of the hand wheel, which the vehicle file does not know [rad]."""
+    """A drive of the Leaf on a winding road. offset: of the steering wheel, not in the vehicle file [rad]."""
     car = VehicleParameters.from_yaml(LEAF.read_text())
     truth = Truth(offset, car.steering_ratio, 0.95)
     time, x, y, yaw, forward, across, rate, _ = winding_road(car, truth, seconds, seed, 0.0).T

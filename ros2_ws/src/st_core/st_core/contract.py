@@ -1,7 +1,7 @@
 """Requirements on every effect, checked by `st effects check` for the library and for users' own effects.
 
-Each function in `REQUIREMENTS` returns the violation by an effect and a car, in one line with figures, or "". It covers
-all backends: floats, the numpy batch, the compiled lanes and CasADi. Checked by: test_contract.py.
+Each function in `REQUIREMENTS` returns the violation by an effect and a car, in one line with numbers, or "". Covered
+are all backends: floats, the numpy batch, the compiled lanes and CasADi. Checked by: test_contract.py.
 """
 
 import importlib.util
@@ -25,7 +25,7 @@ STEP, STEPS = 0.05, 40
 SPEEDS = (4.0, 8.0, 15.0, 25.0)  # m/s
 STANDSTILL = (-1.0, 0.0, 1e-9, 0.5, 2.0)  # m/s
 ROUNDING = 1e-9  # relative to max(1, |value|): permitted difference between backends
-# Permitted residual after `correct`, relative to the change by `observe`; not 0, as `correct` knows the reading only.
+# Permitted residual after `correct`, relative to the change by `observe`; not 0, as `correct` starts from the reading.
 CORRECTION_RESIDUAL = 0.05
 GROWTH_RATE = 0.1  # 1/s, permitted for a mode beyond that of the base
 MIRROR = np.array([1.0, -1.0, 1.0, -1.0, -1.0, -1.0])
@@ -35,16 +35,16 @@ READING = Measured(3.0, -2.0, 0.2, 12.0, 0.1, 0.25, 0.4, 2.9, 0.3)
 
 @dataclass(frozen=True)
 class Requirement:
-    """A requirement in words, and its violation, "" if fulfilled."""
+    """Text of a requirement, and its violation, "" if fulfilled."""
 
-    what: str
+    text: str
     problem: str
 
 
 def check_effect(effect: type[Effect], vehicle: VehicleParameters) -> tuple[Requirement, ...]:
     """Result of every requirement, in the order of REQUIREMENTS; an exception counts as a violation."""
     results = []
-    for what, find_violation in REQUIREMENTS.items():
+    for text, find_violation in REQUIREMENTS.items():
         try:
             with np.errstate(all="ignore"):
                 problem = find_violation(effect, vehicle)
@@ -52,11 +52,11 @@ def check_effect(effect: type[Effect], vehicle: VehicleParameters) -> tuple[Requ
             problem = str(error)
         except Exception as error:
             problem = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        results.append(Requirement(what, problem))
+        results.append(Requirement(text, problem))
     return tuple(results)
 
 
-def _check_texts(effect: type[Effect], vehicle: VehicleParameters) -> str:
+def _check_docstring(effect: type[Effect], vehicle: VehicleParameters) -> str:
     text = effect.__doc__ or sys.modules[effect.__module__].__doc__ or ""
     return "" if text.strip() else "no docstring; write the equation there, with units and signs"
 
@@ -162,7 +162,7 @@ def _check_correction(effect: type[Effect], vehicle: VehicleParameters) -> str:
 
 
 REQUIREMENTS = {
-    "the equation is written in the file": _check_texts,
+    "the equation is written in the file": _check_docstring,
     "at null it changes nothing, to the last bit": _check_null,
     "at its initial values it changes something": _check_change,
     "finite at its bounds, and at standstill": _check_finite,

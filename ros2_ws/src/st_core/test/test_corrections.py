@@ -55,7 +55,7 @@ def test_scale_and_bias_of_every_channel(channel: str) -> None:
     true = drive()
     name = "road_wheel_angle" if channel == "steering" else channel
     spoilt = replace(true, **{name: (getattr(true, name) - 0.3) / -2.5})
-    if name == "road_wheel_angle":  # the sensor sits at the hand wheel
+    if name == "road_wheel_angle":  # the sensor sits at the steering wheel
         wheel = LEAF.steering_wheel_offset + (spoilt.road_wheel_angle) * LEAF.steering_ratio
         spoilt = replace(spoilt, steering_wheel_angle=wheel)
     mended = apply_corrections(spoilt, {channel: Correction(scale=-2.5, add=0.3)}, LEAF)

@@ -15,7 +15,7 @@ TRUTH = Truth(math.radians(-4.0), 16.6, 0.85)
 
 
 def track(car, rows, tracker=None):
-    """rows: (t, x, y, yaw, v_x, v_y, yaw rate, hand wheel) at the INS point, SI."""
+    """rows: (t, x, y, yaw, v_x, v_y, yaw rate, steering wheel) at the INS point, SI."""
     tracker = tracker or OnlineIdentifier(car)
     for row in rows:
         time = round(row[0] * 1e9) + 1

@@ -13,7 +13,7 @@ from st_core.discovery import DiscoverySettings, discover
 from st_core.discovery.loss import Quadratic
 from st_core.discovery.settings import Limits
 from st_core.effects import EFFECTS, Measured
-from st_core.effects._law import COUNT, Law, curve
+from st_core.effects._relation import COUNT, Relation, curve
 from st_core.errors import ConfigurationError
 from st_core.integrate import rk4
 from st_core.models import MODELS
@@ -59,7 +59,7 @@ def test_every_place_can_be_asked_and_the_library_does_not_hold_the_law():
 def test_curve_of_the_equations_is_that_of_the_splines(parity):
     c = Candidate("yaw_moment", "yaw_rate", parity, -0.5, 0.5)
     heights = np.random.default_rng(1).normal(size=COUNT)
-    theta = Law.Theta(**{p.name: p.null for p in Law.parameters} | c.constants
+    theta = Relation.Theta(**{p.name: p.null for p in Relation.parameters} | c.constants
                       | {f"c{k}": h for k, h in enumerate(heights)}, car=())
     u = np.linspace(-0.8, 0.8, 33)
     assert USUAL_SIZES["yaw_moment"] * curve(u, theta) == pytest.approx(heights @ c.splines(u), abs=1e-12)

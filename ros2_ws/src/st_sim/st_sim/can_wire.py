@@ -43,7 +43,7 @@ class CanWire:
         self._counters: dict[str, int] = {}
 
     def steering(self, angle: float, rate: float) -> list[Frame]:
-        """Frame with the measured hand-wheel angle, left + [rad], and its rate [rad/s].
+        """Frame with the measured steering-wheel angle, left + [rad], and its rate [rad/s].
 
         The rate is sent unsigned, as on the car; its scale on the car is unknown, 4 deg/s is assumed.
         """

@@ -1,4 +1,4 @@
-"""Driver model: preview steering along the road with limited hand-wheel rate, and speed control."""
+"""Driver model: preview steering along the road with limited steering-wheel rate, and speed control."""
 
 import math
 
@@ -17,11 +17,11 @@ PREVIEW_TIME, MIN_PREVIEW = 0.8, 4.0  # s, m
 ANTICIPATION = 0.18  # s by which the curvature is steered early, to compensate the lag of hand, steering and tyres
 HAND_TIME = 0.08  # s, time constant of the hand
 MAX_HAND_RATE, MAX_HAND_ANGLE = 8.0, 9.5
-"""rad/s and rad at the hand wheel: 460 deg/s is fast for a person, 540 deg is the end stop."""
+"""rad/s and rad at the steering wheel: 460 deg/s is fast for a person, 540 deg is the end stop."""
 TREMOR_TIME = 0.4  # s, correlation time of random steering
 INTEGRAL_STEER, INTEGRAL_LIMIT = 0.015, 0.03  # 1/(m^2 s), 1/m
 SPEED_GAIN, SPEED_INTEGRAL = 1.2, 0.5  # 1/s, 1/s^2
-MIN_STEERING_SPEED = 0.5  # m/s. Below, the hand wheel is held, because the course angle is not defined
+MIN_STEERING_SPEED = 0.5  # m/s. Below, the steering wheel is held, because the course angle is not defined
 JERK = 10.0  # m/s^3, of the pedals
 MAX_BRAKING, MAX_DRIVE, HOLDING_BRAKE = 7.0, 3.5, 2.0  # m/s^2
 
@@ -44,7 +44,7 @@ class Driver:
         self._holding = False
 
     def place(self, plant: Plant, distance: float) -> None:
-        """Start at a distance along the road [m] with the hand-wheel angle of the plant."""
+        """Start at a distance along the road [m] with the steering-wheel angle of the plant."""
         self.distance = distance
         self.steering_wheel_angle = self._target = plant.rack_steering_wheel_angle
         self._mass = plant.mass
@@ -88,7 +88,7 @@ class Driver:
             self.distance += math.cos(road.yaw) * (x - road.x) + math.sin(road.yaw) * (y - road.y)
 
     def _continue_from_here(self, s: tuple[float, ...]) -> None:
-        """Move the road to the car after a phase with a held hand wheel; its curvature continues."""
+        """Move the road to the car after a phase with a held steering wheel; its curvature continues."""
         course = s[YAW] + math.atan2(s[VY], s[VX])
         self.plan.path.anchor(self.distance, Pose(s[X], s[Y], course))
         self._steer_sum = 0.0

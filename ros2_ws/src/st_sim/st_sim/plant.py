@@ -9,7 +9,7 @@ negative.
     I_z dr/dt           = sum (x_i F_y,i - y_i F_x,i) + wind moment
 
 with forces rotated from wheel to body axes, tyre force from the delayed slip, loads from filtered accelerations, and
-the steering chain hand wheel -> delay -> play -> ratio -> lag -> offset, roll steer, compliance.
+the steering chain steering wheel -> delay -> play -> ratio -> lag -> offset, roll steer, compliance.
 
 Source: Pacejka, Tire and Vehicle Dynamics, ch. 1 and 7. Checked by: test_plant.py, test_effects.py.
 """
@@ -113,7 +113,7 @@ class Truth:
 
 
 class Plant:
-    """State of one car; `step` advances it by one time step with constant hand-wheel angle and drive force."""
+    """State of one car; `step` advances it by one time step with constant steering-wheel angle and drive force."""
 
     def __init__(self, car: Car, settings: Settings, seed: int = 0, step: float = STEP):
         self.car, self.settings, self.time_step = car, settings, step

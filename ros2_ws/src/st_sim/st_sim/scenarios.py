@@ -27,7 +27,7 @@ SPEED_SLACK = 0.15  # m/s by which the target may fall below the speed while bra
 class Demand:
     """Target of the driver: speed [m/s], acceleration [m/s^2], and steering.
 
-    steer: "path" (follow the road), "hold" (constant hand wheel) or an open-loop road-wheel angle.
+    steer: "path" (follow the road), "hold" (constant steering wheel) or an open-loop road-wheel angle.
     """
 
     speed: float

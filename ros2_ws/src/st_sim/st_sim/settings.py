@@ -44,12 +44,12 @@ class Setting:
 
 
 _TABLE = (
-    # Hand wheel -> mean road-wheel angle. Left positive everywhere.
+    # Steering wheel -> mean road-wheel angle. Left positive everywhere.
     ("steering_ratio_factor", "steering", 1.0, 0.5, 2.0, "1", "true steering ratio relative to the vehicle file"),
-    ("steering_offset", "steering", 0.0, -0.1, 0.1, "rad", "road-wheel angle with a straight hand wheel"),
-    ("steering_delay", "steering", 0.0, 0.0, 0.5, "s", "dead time hand wheel to rack"),
-    ("steering_lag", "steering", 0.0, 0.0, 0.5, "s", "first-order lag, hand wheel to rack"),
-    ("steering_backlash", "steering", 0.0, 0.0, 0.3, "rad", "total play, at the hand wheel"),
+    ("steering_offset", "steering", 0.0, -0.1, 0.1, "rad", "road-wheel angle with a straight steering wheel"),
+    ("steering_delay", "steering", 0.0, 0.0, 0.5, "s", "dead time steering wheel to rack"),
+    ("steering_lag", "steering", 0.0, 0.0, 0.5, "s", "first-order lag, steering wheel to rack"),
+    ("steering_backlash", "steering", 0.0, 0.0, 0.3, "rad", "total play, at the steering wheel"),
     ("steering_compliance", "steering", 0.0, 0.0, 1e-5, "rad/N", "road-wheel angle lost per force of the front axle"),
     ("roll_steer", "steering", 0.0, -0.5, 0.5, "1", "front steer left per roll right; < 0 understeers"),
     ("rear_roll_steer", "steering", 0.0, -0.5, 0.5, "1", "rear steer left per roll right; > 0 understeers"),
@@ -82,7 +82,7 @@ _TABLE = (
     ("wind_speed", "environment", 0.0, -40.0, 40.0, "m/s", "steady wind, towards north"),
     ("gust_speed", "environment", 0.0, 0.0, 20.0, "m/s", "standard deviation of gusts, correlated over 1.5 s"),
     # Driver.
-    ("driver_tremor", "driver", 0.0, 0.0, 0.2, "rad", "standard deviation of random steering, at the hand wheel"),
+    ("driver_tremor", "driver", 0.0, 0.0, 0.2, "rad", "standard deviation of random steering, at the steering wheel"),
     # INS. Noise 1 = RT3000 with RTK on a normal road.
     ("ins_noise", "ins", 0.0, 0.0, 10.0, "1", "noise, in multiples of the unit's normal noise"),
     ("ins_latency", "ins", 0.0, 0.0, 0.5, "s", "delay from measurement to datagram; the stamp is not affected"),
@@ -95,7 +95,7 @@ _TABLE = (
     ("ins_packet_loss", "ins", 0.0, 0.0, 0.9, "1", "share of datagrams lost"),
     ("ins_outage_every", "ins", 0.0, 0.0, 3600.0, "s", "silent for 1 s at every multiple; 0 never"),
     # CAN.
-    ("steering_sensor_noise", "can", 0.0, 0.0, 0.1, "rad", "standard deviation at the hand wheel, before rounding"),
+    ("steering_sensor_noise", "can", 0.0, 0.0, 0.1, "rad", "standard deviation at the steering wheel, before rounding"),
     ("steering_sensor_latency", "can", 0.0, 0.0, 0.5, "s", "delay from sample to frame"),
     ("wheel_speed_scale", "can", 1.0, 0.8, 1.2, "1", "factor on the four wheel speeds"),
     ("can_frame_loss", "can", 0.0, 0.0, 0.9, "1", "share of frames lost; counters continue"),

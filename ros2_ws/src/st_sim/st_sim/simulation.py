@@ -87,7 +87,7 @@ class ControlledCar:
     def advance(self, duration: float, road_wheel_angle: float, velocity_x_dot: float) -> None:
         """Simulate a duration [s] with constant commands.
 
-        road_wheel_angle [rad, left +]: reached through the nominal steering ratio, the limited hand-wheel rate and the
+        road_wheel_angle [rad, left +]: reached through nominal steering ratio, limited steering-wheel rate and the
         steering of the plant. velocity_x_dot [m/s^2]: realised by a drive force from the nominal mass, with the
         cornering resistance compensated; drag, slopes and tyre limits are not.
         """

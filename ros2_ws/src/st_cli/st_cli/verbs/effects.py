@@ -80,7 +80,7 @@ def _check_contracts(files: Sequence[Path], car: "VehicleParameters", console: C
         all_met &= not violated
         verdict = f"{len(violated)} of {len(results)} requirements violated" if violated else "all requirements met"
         lines = [f"{effect.name}: {verdict}"]
-        lines += [f"  no   {one.what}: {one.problem}" for one in violated]
-        lines += [f"  yes  {one.what}" for one in results if files and not one.problem]
+        lines += [f"  no   {one.text}: {one.problem}" for one in violated]
+        lines += [f"  yes  {one.text}" for one in results if files and not one.problem]
         console.print("\n".join(lines), markup=False, highlight=False)
     return all_met

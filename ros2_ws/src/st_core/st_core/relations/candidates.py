@@ -7,7 +7,7 @@ import numpy as np
 
 from ..discovery.levels import sites
 from ..discovery.windows import Windows
-from ..effects._law import COUNT, INTERVALS, TERMS, Law, LawMemory, LawTimed, spline
+from ..effects._relation import COUNT, INTERVALS, TERMS, LaggedRelation, Relation, TimedRelation, spline
 from ..timeseries import NANOSECOND, smoothed
 from ..vehicle import VehicleParameters
 
@@ -78,8 +78,8 @@ class Candidate:
     def effect(self) -> str:
         """Name of the effect that implements it."""
         if self.quantity == "run_time":
-            return LawTimed.name
-        return LawMemory.name if self.quantity in MEMORY or self.factor in MEMORY else Law.name
+            return TimedRelation.name
+        return LaggedRelation.name if self.quantity in MEMORY or self.factor in MEMORY else Relation.name
 
     @property
     def of_sensor(self) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 from ..discovery.loss import Errors, Loss
 from ..discovery.next_manoeuvre import MIN_SEPARATION, REPETITIONS, simulated
 from ..discovery.windows import Windows
-from ..effects._law import COUNT
+from ..effects._relation import COUNT
 from ..manoeuvres import Manoeuvre
 from ..regression import ridge
 from .candidates import ODD, Candidate, driven_quantities

@@ -10,7 +10,7 @@ from scipy import stats
 from ..contract import describe_instability
 from ..discovery.settings import Limits
 from ..effects import get_effect
-from ..effects._law import COUNT, MAX_HEIGHT
+from ..effects._relation import COUNT, MAX_HEIGHT
 from ..models import get_model
 from ..regression import ridge
 from ..vehicle import VehicleParameters

@@ -4,7 +4,7 @@
     f(u) = sum over k of c_k (B(t(u) - k) + parity B(t(-u) - k)),   B the cubic B-spline on whole numbers, k = -1 ... 6
 
 f, times one `by_` quantity if requested, times one `to_` weight is added to that term. parity: -1 odd, +1 even, 0
-neither. All weights, the range and the parity are constants, so that all laws of a kind are the same compiled function.
+neither. All weights, the range and the parity are constants, so that all relations of a kind share a compiled function.
 Three kinds: `law` of present quantities, `law_memory` of a quantity q with a lag or of its rate,
 
     s_dot = (q - s) / tau,   s = q at the start;   u = s, or u = (q - s) / tau
@@ -18,8 +18,8 @@ from ..ops import absolute, cos, maximum, minimum, sin
 from ._base import Effect, Parameter, unlisted
 
 COUNT = 8
-MAX_HEIGHT = 100.0  # usual sizes, bound of the coefficients
-INTERVALS = 5.0
+MAX_HEIGHT = 100.0  # bound of the coefficients, which are scaled to their usual size
+INTERVALS = 5.0  # between the knots of u
 MOTION = ("steering", "acceleration_y", "acceleration_x", "speed", "yaw_rate", "north", "east", "position_x",
           "position_y")
 INPUTS = ("slip_front", "slip_rear", *MOTION)
@@ -90,14 +90,14 @@ def curve_of_readings(measured, theta):
 
 def _constant(name: str, meaning: str, null: float = 0.0) -> Parameter:
     return Parameter(name, "1", null=null, initial=null, bounds=(-1e6, 1e6), fit=False, meaning=meaning,
-                     source="of the law")
+                     source="of the relation")
 
 
 def _parameters(*more: Parameter) -> tuple[Parameter, ...]:
-    """Parameters of a kind of law: coefficients, range, parity, weights; more: its own constants."""
+    """Parameters of a kind of relation: coefficients, range, parity, weights; more: further constants."""
     return (
         *(Parameter(f"c{k}", "1", null=0.0, initial=1.0, bounds=(-MAX_HEIGHT, MAX_HEIGHT),
-                    meaning=f"coefficient of spline {k}", source="of the law") for k in range(COUNT)),
+                    meaning=f"coefficient of spline {k}", source="of the relation") for k in range(COUNT)),
         _constant("low", "smallest value of u"), _constant("spacing", "of the knots of u", 1.0),
         _constant("parity", "-1 odd, +1 even, 0 neither"),
         *(_constant(f"in_{name}", "weight in u") for name in INPUTS),
@@ -107,7 +107,7 @@ def _parameters(*more: Parameter) -> tuple[Parameter, ...]:
 
 
 @unlisted
-class Law(Effect):
+class Relation(Effect):
     name = "law"
     physics = "a smooth curve of one quantity, added to one term of the model"
     excited_by = "driving that covers the range of the quantity"
@@ -145,7 +145,7 @@ class Law(Effect):
 
 
 @unlisted
-class LawMemory(Effect):
+class LaggedRelation(Effect):
     name = "law_memory"
     physics = "a smooth curve of a quantity that lags, or of its rate, added to the steering of an axle"
     excited_by = "transients that cover the range of the quantity"
@@ -160,22 +160,22 @@ class LawMemory(Effect):
 
     @staticmethod
     def slip_angles(slip_front, slip_rear, extra, at, given, theta):
-        rate = (remembered_quantity(at, theta) - extra[0]) / theta.tau
+        rate = (lagging_quantity(at, theta) - extra[0]) / theta.tau
         y = curve(weighted_motion(at, theta) + theta.in_lagging * extra[0] + theta.in_rate * rate, theta)
         y = y * (factor_of_curve(at, theta) + theta.by_rate * rate)
         return slip_front - theta.to_front_steer * y, slip_rear - theta.to_rear_steer * y
 
     @staticmethod
     def start(slips, at, given, theta):
-        return (remembered_quantity(at, theta),)
+        return (lagging_quantity(at, theta),)
 
     @staticmethod
     def rates(extra, slips, forces, at, given, theta):
-        return ((remembered_quantity(at, theta) - extra[0]) / theta.tau,)
+        return ((lagging_quantity(at, theta) - extra[0]) / theta.tau,)
 
 
 @unlisted
-class LawTimed(Effect):
+class TimedRelation(Effect):
     name = "law_timed"
     physics = "a smooth curve of the time in the run, added to the steering or to the grip of an axle"
     excited_by = "long runs"
@@ -197,8 +197,8 @@ class LawTimed(Effect):
         return changed_forces(forces, slip_front, slip_rear, at, curve(given[0], theta), theta)
 
 
-def remembered_quantity(at, theta):
-    """q of a law with memory."""
+def lagging_quantity(at, theta):
+    """q of a lagged relation."""
     return theta.of_steering * at.road_wheel_angle + theta.of_acceleration_y * at.velocity_x * at.yaw_rate
 
 
