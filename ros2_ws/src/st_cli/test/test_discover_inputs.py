@@ -10,7 +10,7 @@ from st_cli.cli import app
 from st_core.augmented import augment
 from st_core.errors import ConfigurationError
 from st_core.log import DriveLog
-from st_core.model_file import ModelFile, Provenance
+from st_core.model_file import ModelFile, ModelProvenance
 from st_core.vehicle import VehicleParameters
 from st_live.configuration import model_parameters
 from st_live.suite import SuiteError
@@ -150,7 +150,7 @@ def test_effects_that_do_not_load_are_one_line(drive, tmp_path):
 def test_model_file_of_another_car_is_refused(drive, tmp_path):
     model = tmp_path / "model.yaml"
     lag = augment("nonlinear", {"steering_lag": {"time_constant": 0.1}})
-    model.write_text(ModelFile.of(lag, car(GENESIS), Provenance()).to_yaml())
+    model.write_text(ModelFile.of(lag, car(GENESIS), ModelProvenance()).to_yaml())
     result = discover(drive, "--base", model, "--output", tmp_path / "o")
     assert result.exit_code == 2 and "the values hold for 'Hyundai Genesis'" in result.output
     with pytest.raises(SuiteError, match="the values hold for 'Hyundai Genesis'"):

@@ -14,7 +14,7 @@ from st_core.bands import Bands, CalibrationDomain, ErrorSamples, calibrate, con
 from st_core.bands.file import configuration_of
 from st_core.integrate import rk4_step
 from st_core.log_evaluation import EvaluationSettings
-from st_core.model_file import ModelFile, Provenance
+from st_core.model_file import ModelFile, ModelProvenance
 from st_core.models import MODELS
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
@@ -35,7 +35,7 @@ def vehicle(name="leaf"):
 @pytest.fixture
 def augmented(tmp_path):
     path = tmp_path / "model.yaml"
-    path.write_text(ModelFile.of(augment("nonlinear", EFFECTS), vehicle(), Provenance()).to_yaml())
+    path.write_text(ModelFile.of(augment("nonlinear", EFFECTS), vehicle(), ModelProvenance()).to_yaml())
     return path
 
 
@@ -141,7 +141,7 @@ def test_what_is_refused(tmp_path, arguments, message):
 @pytest.mark.parametrize("embed", [False, True])
 def test_a_model_file_requires_its_car(tmp_path, embed):
     path = tmp_path / "model.yaml"
-    path.write_text(ModelFile.of(augment("linear", ["mass"]), vehicle(), Provenance(), embed=embed).to_yaml())
+    path.write_text(ModelFile.of(augment("linear", ["mass"]), vehicle(), ModelProvenance(), embed=embed).to_yaml())
     wrong = run(path, "--vehicle", ROOT / "config/vehicle/hyundai_genesis.yaml", "--output", tmp_path / "out")
     assert wrong.exit_code == 2 and "the values hold for" in wrong.output
     assert run(path, "--output", tmp_path / "out").exit_code == 0

@@ -1,4 +1,4 @@
-"""Recent measurements: INS and steering on one time axis with filtered forward acceleration, and two of their faults.
+"""Recent measurements: INS and steering on one time axis with filtered forward acceleration, and detection of faults.
 
 Position jump: a displacement between two samples that the integrated velocity does not explain,
 
@@ -104,7 +104,6 @@ class MeasurementHistory:
 
     def __init__(self, span: float, maximum_gap: float, filter_cutoff: float):
         self._settings = span, maximum_gap, filter_cutoff
-        self._cutoff = filter_cutoff
         self.ins = TimeSeries(INS_COLUMNS, span, maximum_gap, angles=("yaw",))
         self.steering = TimeSeries(("road_wheel_angle",), span, maximum_gap)
         self.generation = 0
@@ -160,7 +159,7 @@ class MeasurementHistory:
 
     def _filter_from(self, position: int) -> None:
         # One step in the usual case of the newest sample; one that is sorted in changes all after it.
-        times, rows = self.ins.times, self.ins.rows
+        times, rows, (*_, cutoff) = self.ins.times, self.ins.rows, self._settings
         for i in range(position, len(times)):
             spacing_ns = int(times[i] - times[i - 1]) if i else 0
             now = float(rows[i, VELOCITY_X])
@@ -169,7 +168,7 @@ class MeasurementHistory:
             else:
                 filtered, before = float(rows[i - 1, FILTERED]), float(rows[i - 1, VELOCITY_X])
                 rows[i, FILTERED], rows[i, DERIVATIVE] = low_pass_step(
-                    filtered, before, now, spacing_ns * NANOSECOND, self._cutoff)
+                    filtered, before, now, spacing_ns * NANOSECOND, cutoff)
 
     def ins_at(self, time_ns: int) -> InsSample | None:
         """The INS sample at an instant, interpolated; None where it is unknown."""

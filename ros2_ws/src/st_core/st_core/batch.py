@@ -1,8 +1,8 @@
 """Predictions over a recorded drive, all at once: from a log and start times to states at horizon points.
 
-The numbers are those of `prediction.predict` with the inputs of the log; the backend decides how they are
-computed. Work is done block by block: in addition to the result, memory contains the two inputs of the log on the
-grid, 16 bytes each half step, as much again for a model that changes what was measured, and the tables of one block.
+The results equal those of `prediction.predict` with the inputs of the log, for any backend. Starts are computed in
+blocks: in addition to the result, memory contains the two inputs of the log on the grid, 16 bytes each half step, twice
+that for a model that corrects the measurements, and the tables of one block.
 """
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence

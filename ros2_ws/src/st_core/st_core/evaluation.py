@@ -68,13 +68,12 @@ class _Pending:
 class Evaluator:
     """Scores every prediction once its horizon has passed in the measurements.
 
-    span [s]: how much measurement is kept; at least two horizons. models: further ones, of model files. runners: for
-    some models, by name, something faster than `predict` for predictions of these settings (see compiled.py).
-    Memory is bounded: by the span, and by MAXIMUM_PENDING predictions waiting (the oldest then end incomplete).
+    span [s]: of the measurements kept; at least two horizons. models: of model files, in addition to MODELS. runners:
+    compiled replacements of `predict` by name of the model, for predictions with these settings (see compiled.py).
+    Memory is bounded by the span and by MAXIMUM_PENDING waiting predictions; beyond it the oldest end incomplete.
     """
 
-    # Wait after the end of a horizon for a signal that lags behind [s].
-    SIGNAL_TIMEOUT = 1.0
+    SIGNAL_TIMEOUT = 1.0  # s after the end of a horizon, for a signal that arrives late
     MAXIMUM_PENDING = 3000
 
     def __init__(self, vehicle: VehicleParameters, settings: PredictionSettings | None = None, span: float = 30.0,
@@ -125,10 +124,10 @@ class Evaluator:
             self._abandon([min(self._waiting)], f"more than {self.MAXIMUM_PENDING} predictions waiting")
 
     def poll(self, newest_ns: int | None = None) -> list[Score]:
-        """Scores of all predictions with a horizon that has passed in both signals.
+        """Scores of all predictions with a horizon that has ended in both signals.
 
-        newest_ns: the present on the clock of the stamps, None for the newest INS sample; a prediction with a horizon
-        that ended SIGNAL_TIMEOUT before it is scored with the available measurements.
+        newest_ns: the present on the clock of the stamps, None for the newest INS sample. SIGNAL_TIMEOUT after the end
+        of a horizon the available measurements are used.
         """
         scores, self._abandoned = self._abandoned, []
         ins, steering = (_NEVER if s.newest is None else s.newest for s in (self.history.ins, self.history.steering))
@@ -150,12 +149,12 @@ class Evaluator:
     def _abandon(self, keys: Sequence[tuple[int, int, float]], reason: str) -> None:
         for key in keys:
             start_ns, steps, step = key
-            nothing = [np.full(steps + 1, math.nan)] * 3
+            unknown = [np.full(steps + 1, math.nan)] * 3
             for pending in self._waiting.pop(key):
                 modes: tuple[Mode, ...] = (pending.mode, "hindsight") if pending.mode == "forecast" else (pending.mode,)
                 for mode in modes:
-                    self._abandoned.append(make_score(pending.model, mode, start_ns, step, nothing, reason))
-        # The scores wait for `poll`, bounded like their predictions, as it may never be called.
+                    self._abandoned.append(make_score(pending.model, mode, start_ns, step, unknown, reason))
+        # Bounded like the predictions, since `poll` may never be called.
         del self._abandoned[:-2 * self.MAXIMUM_PENDING]
 
     def _score(self, key: tuple[int, int, float], group: Sequence[_Pending]) -> list[Score]:
@@ -165,10 +164,10 @@ class Evaluator:
         angle = self.history.steering.sample(times)[:, 0]
         measured = ins[::2, 0], ins[::2, 1], ins[::2, YAW]
         inputs = InputSequence(angle, ins[:, DERIVATIVE])
-        no_position = self._why("INS", self.history.ins, times[::2], measured[0], start_ns)
-        no_inputs = (self._why("INS", self.history.ins, times, ins[:, DERIVATIVE], start_ns)
-                     or self._why("steering", self.history.steering, times, angle, start_ns))
-        # The same points for every model: some models have a finite last position without the last input.
+        no_position = self._describe_unknown("INS", self.history.ins, times[::2], measured[0], start_ns)
+        no_inputs = (self._describe_unknown("INS", self.history.ins, times, ins[:, DERIVATIVE], start_ns)
+                     or self._describe_unknown("steering", self.history.steering, times, angle, start_ns))
+        # The same points for every model: that of some is finite at the end without the last input.
         scorable = inputs.known_so_far[::2]
         jump_ns, jump = self._jump(start_ns, int(times[-1]))
         unbroken = times[::2] < jump_ns
@@ -201,12 +200,13 @@ class Evaluator:
         return min(within), f"INS: {self.history.ins.breaks[min(within)]} at {after:.3f} s of the horizon"
 
     @staticmethod
-    def _why(name: str, series: TimeSeries, times: np.ndarray, values: np.ndarray, start_ns: int) -> str:
+    def _describe_unknown(name: str, series: TimeSeries, times: np.ndarray, values: np.ndarray, start_ns: int) -> str:
         unknown = np.flatnonzero(~np.isfinite(values))
         if not len(unknown):
             return ""
         time_ns = int(times[unknown[0]])
-        reason = series.why_unknown(time_ns) if series.at(time_ns) is None else "acceleration not known after a gap"
+        reason = ("acceleration not known after a gap" if series.at(time_ns) is not None
+                  else series.describe_unknown(time_ns))
         return f"{name}: {reason} at {(time_ns - start_ns) * NANOSECOND:.3f} s of the horizon"
 
 

@@ -1,8 +1,8 @@
 """Evaluation of models over a recorded drive: a prediction every 100 ms, compared with the measured motion.
 
 The offline counterpart of Predictor and Evaluator: from the same start it gives the same trajectory and the same error
-(`st verify` measures that). Memory is bounded: whole trajectories exist for one block of starts at a time; for each
-start the mean, mean square and largest error over the horizon are kept, and the errors at whole seconds.
+(`st verify` measures that). Whole trajectories exist for one block of starts at a time; for each start the mean, mean
+square and largest error over the horizon are kept, and the errors at whole seconds.
 """
 
 from collections import deque
@@ -45,7 +45,7 @@ once, with all starts."""
 
 @dataclass(frozen=True)
 class EvaluationSettings:
-    """How a drive is evaluated. Raises ConfigurationError naming the key and the limit.
+    """Settings of an evaluation. Raises ConfigurationError naming the key and the limit.
 
     prediction: as for the live nodes; stale_after has no meaning here. interval: between starts [s].
     acceleration: filter of the forward speed before its derivative, causal as in the car, or zero_phase.
@@ -96,10 +96,9 @@ class ModelErrors:
         """Starts with a completely scored horizon."""
         return int(self.complete.sum())
 
-    def statistics(self, axis: str, over: Literal["means", "samples"] = "means",
-                   select: np.ndarray | slice = ALL) -> tuple[float, float, float]:
+    def statistics(self, axis: str, over: Literal["means", "samples"] = "means") -> tuple[float, float, float]:
         """(mean, largest magnitude, root mean square) of one axis; see `by_axis`."""
-        return self.by_axis(over, select)[axis]
+        return self.by_axis(over)[axis]
 
     def by_axis(self, over: Literal["means", "samples"] = "means",
                 select: np.ndarray | slice = ALL) -> dict[str, tuple[float, float, float]]:
@@ -234,10 +233,10 @@ def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals
                     future_inputs: Mapping[Mode, FutureInputs] | None = None) -> Iterator[tuple[slice, Block]]:
     """Errors and whole trajectories of BLOCK starts at a time, with their rows of `starts_ns`.
 
-    The next blocks are computed in threads meanwhile: compiled kernels and array operations release the interpreter.
+    The next blocks are computed in threads: compiled kernels and array operations release the interpreter lock.
     """
     blocks = [slice(first, min(first + BLOCK, len(starts_ns))) for first in range(0, len(starts_ns), BLOCK)]
-    # In order of time and in this thread: a course follows the drive.
+    # In order of time and in this thread, since the tracker of a course has a state.
     inputs = {mode: of_mode(starts_ns) for mode, of_mode in (future_inputs or {}).items()} if len(starts_ns) else {}
 
     def make(starts_ns: np.ndarray, rows: slice) -> Block:
@@ -268,7 +267,7 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
     speed, yaw_rate, acceleration, angle = (v[place].T for v in (*others, signals.road_wheel_angle_at(instants)))
     measured, held = (LogBatch(signals, starts_ns, step * steps, step, inputs=kind) for kind in ("measured", "held"))
     trajectories: dict[tuple[str, Mode], np.ndarray] = {}
-    batches: dict[Mode, LogBatch] = {mode: LogBatch(signals, starts_ns, step * steps, step, inputs=_or_held(
+    batches: dict[Mode, LogBatch] = {mode: LogBatch(signals, starts_ns, step * steps, step, inputs=_fill_with_held(
         planned, angle[:, 0], acceleration[:, 0])) for mode, planned in future_inputs.items()}
     for model in models:
         trajectories[model.name, "hindsight"] = (
@@ -296,7 +295,7 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
     return Block(errors, trajectories, conditions, {name: int(b.sum()) for name, b in incomplete.items() if b.any()})
 
 
-def _or_held(planned: Planned, angle: np.ndarray, acceleration: np.ndarray) -> Planned:
+def _fill_with_held(planned: Planned, angle: np.ndarray, acceleration: np.ndarray) -> Planned:
     """Planned inputs (n, m), and the held ones (n,) for the starts where a planned one is not known."""
     known = np.isfinite(np.stack(planned)).all(axis=(0, 2))[:, None]
     held = angle[:, None], acceleration[:, None], angle[:, None]
@@ -317,9 +316,9 @@ def _instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.ndarray, 
 def predict_held_per_step(model: Model, vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
                           times_ns: np.ndarray, step: float) -> np.ndarray:
     """(n, points, 6): as `LogBatch.predict`, but each step with the inputs at its start. times_ns: (n, points)."""
-    own = signals.of(correct_log(model, signals.log, signals.maximum_gap))
-    angle, acceleration = own.road_wheel_angle_at(times_ns), own.ins_at(times_ns, "velocity_x_dot")[0]
-    states = own.states_at(starts_ns, model.effective_vehicle(vehicle))
+    corrected = signals.of(correct_log(model, signals.log, signals.maximum_gap))
+    angle, acceleration = corrected.road_wheel_angle_at(times_ns), corrected.ins_at(times_ns, "velocity_x_dot")[0]
+    states = corrected.states_at(starts_ns, model.effective_vehicle(vehicle))
     p = model.parameters(vehicle)
     with np.errstate(all="ignore"):
         grid = [model.inputs(a, b, p) for a, b in zip(angle.T, acceleration.T, strict=True)]

@@ -9,9 +9,9 @@
     hash: "..."
 
 The values are valid for one car, that of `vehicle.hash`. A value with `effective: true` improves the prediction but is
-no property of the car. An interval is a 95 % confidence interval under the assumptions of its source, null if unknown.
-The hash covers base, values and vehicle: a file whose hash does not match its content was edited and is refused; a file
-without a hash is not checked.
+not a property of the car. An interval is a 95 % confidence interval under the assumptions of its source, null if
+unknown. The hash covers base, values and vehicle: a file with a hash that does not match its content was edited and is
+refused; a file without a hash is not checked.
 """
 
 import hashlib
@@ -36,7 +36,7 @@ HEADER = "# Model file: base model, effects on top of it (SI units, 95 % interva
 class Estimate:
     """Value of one parameter of an effect [its unit], with its 95 % interval if known, and its source.
 
-    effective: the value improves the prediction but is no property of the car.
+    effective: the value improves the prediction but is not a property of the car.
     """
 
     value: float
@@ -46,7 +46,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Provenance:
+class ModelProvenance:
     """date: of the estimate, ISO 8601. version: of st_core. data: sha256 by name of each run used. note: free text."""
 
     date: str = ""
@@ -67,10 +67,10 @@ class ModelFile:
     vehicle: VehicleParameters | None = None
     vehicle_name: str = ""
     vehicle_hash: str = ""
-    provenance: Provenance = field(default_factory=Provenance)
+    provenance: ModelProvenance = field(default_factory=ModelProvenance)
 
     @classmethod
-    def of(cls, model: AugmentedModel, vehicle: VehicleParameters, provenance: Provenance,
+    def of(cls, model: AugmentedModel, vehicle: VehicleParameters, provenance: ModelProvenance,
            intervals: Mapping[tuple[str, str], Interval] | None = None, source: str = "not stated",
            embed: bool = True) -> "ModelFile":
         """The file of a model. intervals: by (effect, parameter). embed: put the vehicle's parameters in the file."""
@@ -204,13 +204,13 @@ def _vehicle(section: Any) -> tuple[VehicleParameters | None, str, str]:
     return vehicle, name, digest
 
 
-def _provenance(section: Any) -> Provenance:
+def _provenance(section: Any) -> ModelProvenance:
     section = _mapping("provenance", section or {})
     check_keys("provenance.", section, ["date", "version", "data", "note"])
     data = {str(k): _text(f"provenance.data.{k}", v)
             for k, v in _mapping("provenance.data", section.get("data") or {}).items()}
     texts = {key: _text(f"provenance.{key}", section.get(key, "")) for key in ("date", "version", "note")}
-    return Provenance(data=data, **texts)
+    return ModelProvenance(data=data, **texts)
 
 
 def _mapping(where: str, value: Any) -> dict[str, Any]:

@@ -77,10 +77,10 @@ def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState,
     """Trajectory of one model from one state: RK4 with a fixed step.
 
     inputs: held over the horizon (ControlInput), or on the half-step grid (InputSequence of 2 * steps + 1 values).
-    horizon, step [s]: horizon a whole number of steps. Returns steps + 1 states, the start first. substeps: >= 1, into
-    which each step is divided, inputs interpolated linearly between the given ones; see `stability` for when one is not
-    enough. NaN in the state or an input gives NaN from there on; a step too long for the stiffness at hand gives large
-    or non-finite numbers, never an exception. Raises StCoreError for inputs of the wrong length.
+    horizon, step [s]: horizon a whole number of steps. Returns steps + 1 states, the start first. substeps: number >= 1
+    of integration steps in a step, with inputs interpolated linearly; see `stability` for the number needed. NaN in the
+    state or an input gives NaN from there on; a step too long for the stiffness gives large or non-finite numbers,
+    never an exception. Raises StCoreError for inputs of the wrong length.
     """
     model = get_model(model)
     p = model.parameters(vehicle)
@@ -140,13 +140,12 @@ Runner = Callable[[VehicleState, ControlInput | InputSequence], Trajectory]
 class Predictor:
     """The live prediction: measurements in, a start and its trajectories out.
 
-    models: names, or models such as those of a model file. runners: for some of them, by name, something faster than
-    `predict` that gives the same numbers (see compiled.py). Raises ConfigurationError for an unknown or no model, and
-    for one that needs signals which are not measured live.
+    models: names, or models such as those of a model file. runners: compiled replacements of `predict` by name of the
+    model, with the same results (see compiled.py). Raises ConfigurationError for an unknown or no model, and for one
+    that needs signals which are not measured live.
     """
 
-    # s of history, for late samples and the memory of the filter.
-    SPAN = 2.0
+    SPAN = 2.0  # s of history, for late samples and the memory of the filter
 
     def __init__(self, vehicle: VehicleParameters, models: Sequence[str | Model],
                  settings: PredictionSettings | None = None, runners: Mapping[str, Runner] | None = None):
@@ -258,7 +257,7 @@ class Predictor:
         for name, series in (("INS", self.history.ins), ("steering", self.history.steering)):
             if common is not None and series.known_until(common) != common:
                 old = "" if time_ns is None else f", last known {(now_ns - time_ns) * NANOSECOND:.2f} s ago"
-                return f"{name}: {series.why_unknown(common)} at the newest common instant{old}"
+                return f"{name}: {series.describe_unknown(common)} at the newest common instant{old}"
         return "INS and steering: no common instant"
 
     def planned(self, plan: PlannedInputs, start: Start) -> InputSequence | str:

@@ -1,4 +1,4 @@
-"""Numerical stability of the integration step at a given stiffness and speed.
+"""Stability of the integration step at a given stiffness and speed.
 
 The lateral dynamics of a car become stiffer at lower speed: their damping is proportional to C / (m v). Classical
 Runge-Kutta damps a mode with eigenvalue s if |R(h s)| <= 1; otherwise a prediction oscillates, diverges or converges to

@@ -2,8 +2,8 @@
 
 Windows of starts 0.1 s apart overlap fifty-fold. Where the starts are multiples of half an integration step apart, the
 instants are shared: one grid for the log, stored as [phase, index] of grid point g = index * q + phase, q half steps
-between starts. So neighbouring starts are neighbours in memory at every instant, and no window is copied. Starts at
-other times get instants of their own in the same layout.
+between starts. So neighbouring starts are neighbours in memory at every instant, and no window is copied. For starts at
+other times, each has separate instants in the same layout.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 SHARED_BLOCK = 8192  # starts, 33 000 grid points
-OWN_BLOCK = 2**17  # instants
+SEPARATE_BLOCK = 2**17  # instants
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,11 +64,11 @@ def plan(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, share: bool
     if runs and columns <= 2 * len(starts_ns) + lanes:
         yield from _shared(starts_ns, instants_ns, lanes, runs)
     else:
-        yield from _own(starts_ns, instants_ns, lanes)
+        yield from _separate(starts_ns, instants_ns, lanes)
 
 
 def _reach(spacing: int, instants_ns: np.ndarray) -> int:
-    """Columns that a window extends beyond its own."""
+    """Number of columns between the first and the last of a window."""
     return (len(instants_ns) - 1) // spacing
 
 
@@ -134,9 +134,9 @@ def _joined(number: int, pieces: list[tuple], instants_ns: np.ndarray, lanes: in
                  (k % spacing) * indices + k // spacing, columns, spacing)
 
 
-def _own(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int) -> Iterator[Block]:
+def _separate(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int) -> Iterator[Block]:
     count = len(instants_ns)
-    size = _padded(max(min(OWN_BLOCK // count, SHARED_BLOCK), 1), lanes)
+    size = _padded(max(min(SEPARATE_BLOCK // count, SHARED_BLOCK), 1), lanes)
     for number, first in enumerate(range(0, len(starts_ns), size)):
         starts = starts_ns[first:first + size]
         columns = _padded(len(starts), lanes)

@@ -173,7 +173,7 @@ class TimeSeries:
             return False
         return bool(self.times[position] - self.times[position - 1] <= self.maximum_gap_ns)
 
-    def why_unknown(self, time_ns: int) -> str:
+    def describe_unknown(self, time_ns: int) -> str:
         """Reason why the signal is unknown at an instant, naming the samples around it."""
         times = self.times
         if not len(times):

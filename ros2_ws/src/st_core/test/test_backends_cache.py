@@ -191,5 +191,5 @@ def test_a_function_is_more_than_its_file():
     assert len(set(prints)) == 3
     assert structure.fingerprint(make(1.0, double)) == prints[0]
     assert [f.__name__ for f in structure.reachable(make(1.0, double))] == ["double", "outer"]
-    with pytest.raises(structure.Unnamed):
+    with pytest.raises(structure.UnhashableError):
         structure.fingerprint(make(object(), double))

@@ -167,7 +167,7 @@ def test_a_file_is_read_back_and_an_edited_one_refused(bands):
 
 
 def test_conditions_never_seen_are_named(bands):
-    why = bands.domain.why_outside
+    why = bands.domain.describe_outside
     assert why(np.array([8.0, 1.0, 0.2, 0.02])) == ""
     assert why(np.array([40.0, 1.0, 0.2, 0.02])) == (
         "40.0 m/s with 1.0 m/s^2 lateral acceleration was driven in fewer than 2 calibration runs")

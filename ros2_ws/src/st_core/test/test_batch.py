@@ -139,7 +139,7 @@ def test_blocks_do_not_show(leaf, log, backend, monkeypatch):
     starts = [regular(500, 150), regular(500, 150) + np.arange(150)]
     whole = [predict_log("linear", leaf, log, s, 1.0, backend=backend).states for s in starts]
     monkeypatch.setattr(start_grid, "SHARED_BLOCK", 20)
-    monkeypatch.setattr(start_grid, "OWN_BLOCK", 500)
+    monkeypatch.setattr(start_grid, "SEPARATE_BLOCK", 500)
     for s, expected in zip(starts, whole, strict=True):
         states = predict_log("linear", leaf, log, s, 1.0, backend=backend).states
         np.testing.assert_allclose(states, expected, rtol=1e-12, atol=1e-12)
@@ -232,7 +232,7 @@ def test_starts_that_share_a_grid_share_its_instants():
     assert block.shared and block.count == 1000 and len(block.selected) == 960
     blocks = list(plan(regular(0, 1000) + np.arange(1000), instants, 1))
     assert not any(b.shared for b in blocks) and sum(b.count for b in blocks) == 1000
-    assert max(b.times_ns.size for b in blocks) <= start_grid.OWN_BLOCK
+    assert max(b.times_ns.size for b in blocks) <= start_grid.SEPARATE_BLOCK
     hours_apart = np.concatenate([regular(0, 1000), regular(10**7 + 3, 1000)])
     block, = plan(hours_apart, instants, 48)
     assert block.shared and block.count == 1000 + 50 + 1000

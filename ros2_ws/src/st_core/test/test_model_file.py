@@ -8,13 +8,13 @@ import yaml
 from st_core.augmented import augment
 from st_core.effects import EFFECTS, applicable
 from st_core.errors import ConfigurationError
-from st_core.model_file import Estimate, ModelFile, Provenance
+from st_core.model_file import Estimate, ModelFile, ModelProvenance
 from st_core.models import MODELS
 from st_core.prediction import predict
 from st_core.types import ControlInput, VehicleState
 
 STATE, HELD = VehicleState(0.0, 0.0, 12.0, 0.1, 0.3, 0.2), ControlInput(0.08, -0.5)
-PROVENANCE = Provenance("2026-11-21", "0.1.0", {"run one.ncom": "ab12", 'with "quotes".mf4': "cd34"},
+PROVENANCE = ModelProvenance("2026-11-21", "0.1.0", {"run one.ncom": "ab12", 'with "quotes".mf4': "cd34"},
                         "fitted: 7 runs, ü")
 
 
@@ -48,7 +48,7 @@ def test_what_is_written_is_read_back(leaf, embed):
 
 @pytest.mark.parametrize("base", MODELS)
 def test_every_effect_survives_the_file(leaf, base):
-    file = ModelFile.of(augment(base, applicable(base)), leaf, Provenance())
+    file = ModelFile.of(augment(base, applicable(base)), leaf, ModelProvenance())
     again = ModelFile.from_yaml(file.to_yaml())
     assert again == file and again.model().values == file.model().values
 
@@ -64,7 +64,7 @@ def test_a_file_written_by_hand_needs_little():
 
 def test_hash_is_of_what_changes_a_prediction(leaf):
     file = written(leaf)
-    assert replace(file, provenance=Provenance(), vehicle=None).hash == file.hash
+    assert replace(file, provenance=ModelProvenance(), vehicle=None).hash == file.hash
     changes = {"base": "linear", "effects": {}, "vehicle_hash": "0"}
     assert len({file.hash, *(replace(file, **{k: v}).hash for k, v in changes.items())}) == 4
 

@@ -46,7 +46,7 @@ def test_a_jump_is_found_where_it_is_and_nothing_is_known_across_it(size, period
     assert live.ins_at(inside) is None
     assert np.isnan(live.ins.sample(np.array([inside]))).all()
     assert live.ins.known_until(inside) == T0 + (1000 - period) * MS
-    assert live.ins.why_unknown(inside) == f"position jumps by {live.jump.size:.2f} m"
+    assert live.ins.describe_unknown(inside) == f"position jumps by {live.jump.size:.2f} m"
     assert live.ins_at(live.jump.time_ns) is not None
 
 

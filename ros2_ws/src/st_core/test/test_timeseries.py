@@ -70,7 +70,7 @@ def test_interpolation_between_neighbours_and_never_across_a_gap(times, wanted):
             np.testing.assert_array_equal(row, one)
         else:
             assert np.isnan(row).all()
-            assert samples.why_unknown(time_ns)
+            assert samples.describe_unknown(time_ns)
 
 
 def test_angles_go_the_short_way_round():
@@ -117,10 +117,10 @@ def test_one_sample_from_the_future_is_outlived():
 def test_forward_jump_leaves_a_gap():
     samples = filled([*range(0, 100, 10), *range(1000, 1100, 10)])
     assert samples.at(T0 + 500 * MS) is None
-    assert samples.why_unknown(T0 + 500 * MS) == "gap of 0.910 s"
-    assert samples.why_unknown(T0 + 1190 * MS) == "ends 0.100 s before"
-    assert samples.why_unknown(T0 - 20 * MS) == "begins 0.020 s after"
-    assert series().why_unknown(T0) == "no samples"
+    assert samples.describe_unknown(T0 + 500 * MS) == "gap of 0.910 s"
+    assert samples.describe_unknown(T0 + 1190 * MS) == "ends 0.100 s before"
+    assert samples.describe_unknown(T0 - 20 * MS) == "begins 0.020 s after"
+    assert series().describe_unknown(T0) == "no samples"
 
 
 def test_memory_follows_the_span():

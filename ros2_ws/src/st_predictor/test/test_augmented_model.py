@@ -20,7 +20,7 @@ from circle_feeder import pose_at
 from ros_processes import Processes, wait_for
 from scipy.optimize import fsolve
 from st_core.augmented import augment
-from st_core.model_file import ModelFile, Provenance
+from st_core.model_file import ModelFile, ModelProvenance
 from st_core.vehicle import VehicleParameters
 from support import ROOT
 
@@ -45,7 +45,7 @@ def on_the_circle(leaf: VehicleParameters) -> ModelFile:
         p = model(unknown).parameters(leaf)
         return np.array(model(unknown).rhs(state, model(unknown).inputs(ANGLE, 0.0, p), p))[[3, 5]]
 
-    return ModelFile.of(model(fsolve(residual, [0.5, 0.0], xtol=1e-12)), leaf, Provenance(note="steady circle"))
+    return ModelFile.of(model(fsolve(residual, [0.5, 0.0], xtol=1e-12)), leaf, ModelProvenance(note="steady circle"))
 
 
 @dataclass

@@ -20,7 +20,7 @@ from .runs.cdr import field_of, typestore
 PREDICTION, ERROR = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
 PLANNED = "st_msgs/msg/PlannedPrediction"
 STATE_FIELDS = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
-# Phrases in the evaluator's reason for an incomplete score (st_core: MeasurementHistory, TimeSeries.why_unknown).
+# Phrases in the evaluator's reason for an incomplete score (st_core: MeasurementHistory, TimeSeries.describe_unknown).
 JUMP_REASON = "position jumps"
 END_REASON = ": ends "  # a signal has no later sample
 Progress = Callable[[int, int], None]

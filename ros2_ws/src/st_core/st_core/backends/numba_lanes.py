@@ -93,7 +93,7 @@ def _compile(model: Model, shape, fields: int, states: int):
     try:
         fingerprint = structure.fingerprint(cast(FunctionType, model.rhs), STOP)
         numba_cache.enable(kernel, f"{fingerprint} {shape} {fields} {states}")
-    except structure.Unnamed:
+    except structure.UnhashableError:
         pass  # not cached: compiled in every process
     try:
         with _interleaved():

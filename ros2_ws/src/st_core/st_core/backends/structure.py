@@ -47,15 +47,15 @@ def _names(code: CodeType) -> list[str]:
     return list(dict.fromkeys((*code.co_names, *inner)))
 
 
-class Unnamed(Exception):
-    """A value without a name that is the same in every process."""
+class UnhashableError(Exception):
+    """A value without a content that is the same in every process."""
 
 
 def fingerprint(function: FunctionType, stop: frozenset[str] = frozenset()) -> str:
     """sha256 (hex) of a function, of all functions it can reach, of their values and source files.
 
-    The same in every process for the same sources. Raises Unnamed for an object in a closure that is neither a number,
-    text, tuple, class, module nor plain function.
+    The same in every process for the same sources. Raises UnhashableError for an object in a closure that is neither a
+    number, text, tuple, class, module nor plain function.
     """
     digest = hashlib.sha256()
     functions = reachable(function, stop)
@@ -96,4 +96,4 @@ def _name(value: Any, number: dict[FunctionType, str], stop: frozenset[str]) -> 
         return f"{_name(type(value), number, stop)}({inner})"
     if isinstance(value, BuiltinFunctionType) and isinstance(value.__self__, ModuleType):
         return f"{value.__module__}.{value.__qualname__}"
-    raise Unnamed(f"{value!r}")
+    raise UnhashableError(f"{value!r}")

@@ -54,7 +54,7 @@ class AdaptiveBand:
         self._weight = self._elapsed = 0.0
         self._last_ns: int | None = None
         self._issued: deque[tuple[int, np.ndarray, dict[float, float]]] = deque()
-        self._open: deque[tuple[int, np.ndarray]] = deque()
+        self._pending: deque[tuple[int, np.ndarray]] = deque()
 
     @property
     def is_calibrated(self) -> bool:
@@ -109,7 +109,7 @@ class AdaptiveBand:
             updated = self._logs[level] + gain * weight * (float(score > issued) - (1.0 - level))
             self._logs[level] = min(max(updated, math.log(MIN_FACTOR)), math.log(MAX_FACTOR))
         if self._band is None:
-            self._learn(errors, weight)
+            self._update_squares(errors, weight)
         return {level: score <= issued for level, issued in factors.items()}
 
     def follow(self, starts_ns: np.ndarray, conditions: np.ndarray,
@@ -124,16 +124,16 @@ class AdaptiveBand:
         factors: dict[float, list[float]] = {level: [] for level in self._logs}
         scales = np.empty(errors.shape)
         for k, start in enumerate(starts_ns.tolist()):
-            while self._open and self._open[0][0] + horizon_ns <= start:
-                self.observe(*self._open.popleft())
+            while self._pending and self._pending[0][0] + horizon_ns <= start:
+                self.observe(*self._pending.popleft())
             scales[k] = np.sqrt(self._squares) if calibrated is None else calibrated[k]
             self.issue(start, conditions[k], scales[k])
-            self._open.append((start, errors[k]))
+            self._pending.append((start, errors[k]))
             for level, factor in self.factors.items():
                 factors[level].append(factor)
         return {level: np.array(values) for level, values in factors.items()}, scales
 
-    def _learn(self, errors: np.ndarray, weight: float) -> None:
+    def _update_squares(self, errors: np.ndarray, weight: float) -> None:
         """Running mean square of the errors: at first their average, later with exponential forgetting."""
         self._weight = min(self._weight + weight, SCALE_FORGETTING)
         share = weight / (self._weight + 5.0)

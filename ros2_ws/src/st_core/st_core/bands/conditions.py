@@ -62,13 +62,13 @@ def conditions_at(signals: LogSignals, starts_ns: np.ndarray) -> np.ndarray:
 
 MIN_STARTS = 10  # of a run in a cell of speed and lateral acceleration, to count: one second of driving
 MIN_RUNS = 2  # with MIN_STARTS in a cell, because one run does not show the variation between runs
-CELLED = {CONDITIONS.index("speed"): SPEED, CONDITIONS.index("lateral_acceleration"): LATERAL_ACCELERATION}
+CELL_EDGES = {CONDITIONS.index("speed"): SPEED, CONDITIONS.index("lateral_acceleration"): LATERAL_ACCELERATION}
 """Edges by column of the conditions."""
 
 
 def cells(conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Indices (n,) of the bins of speed and of lateral acceleration of conditions (n, 4)."""
-    row, column = (np.searchsorted(edges, conditions[:, k], side="right") - 1 for k, edges in CELLED.items())
+    row, column = (np.searchsorted(edges, conditions[:, k], side="right") - 1 for k, edges in CELL_EDGES.items())
     return row, column
 
 
@@ -83,7 +83,7 @@ class CalibrationDomain:
     @classmethod
     def of(cls, conditions: Sequence[np.ndarray]) -> "CalibrationDomain":
         """The domain of conditions (n, 4), one array for each run."""
-        starts = np.zeros((len(conditions), *map(len, CELLED.values())), int)
+        starts = np.zeros((len(conditions), *map(len, CELL_EDGES.values())), int)
         for run, counts in zip(conditions, starts, strict=True):
             np.add.at(counts, cells(run), 1)
         enough = (starts >= MIN_STARTS).sum(axis=0) >= MIN_RUNS
@@ -96,7 +96,7 @@ class CalibrationDomain:
         rows = np.where(known[:, None], conditions, 0.0)
         return known & (self.starts[cells(rows)] > 0) & (rows[:, 2:] <= self.largest).all(axis=1)
 
-    def why_outside(self, condition: Sequence[float]) -> str:
+    def describe_outside(self, condition: Sequence[float]) -> str:
         """Reason, in one line, why conditions (four numbers) are outside the domain; empty if they are inside."""
         if self(np.array([condition], float))[0]:
             return ""

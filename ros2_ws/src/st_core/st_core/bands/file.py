@@ -9,7 +9,7 @@
     bands: {linear: {configuration_hash: "...", hindsight: {...}, forecast: {...}}}
     hash: "..."
 
-Half-widths are in m, m and rad; coefficients, factors and ratios have no unit. A file that does not match its hash
+Half-widths are in m, m and rad; coefficients, factors and ratios are dimensionless. A file that does not match its hash
 was edited and is refused.
 """
 
@@ -67,7 +67,7 @@ class Bands:
         """(n, points + 1, 3): along, across the predicted path [m] and in yaw [rad], 0 at the start.
 
         conditions: (n, 4), `conditions.conditions`. NaN outside the calibration domain
-        (`CalibrationDomain.why_outside`). With the probability `level` the whole measured path of the INS point is
+        (`CalibrationDomain.describe_outside`). With the probability `level` the whole measured path of the INS point is
         inside, in all three at all points. Raises KeyError for a model, mode or level that is not in the file.
         """
         band = self.bands[model, mode]
@@ -179,7 +179,7 @@ def _band(entry: Mapping[str, Any], time: np.ndarray) -> Band:
 
 
 def _flow(value: Any) -> str:
-    """JSON text, which is valid YAML; floats so that YAML does not read them as text, as 1e-05."""
+    """JSON text, which is valid YAML; floats with a decimal point, since YAML reads 1e-05 as text."""
     if isinstance(value, float):
         return number(value)
     if isinstance(value, Mapping):

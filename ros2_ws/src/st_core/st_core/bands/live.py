@@ -74,9 +74,9 @@ class LiveBands:
             for level, one in zip(self.levels, of_pair, strict=True):
                 self.half_widths[model][mode, level] = one.T
 
-    def why_outside(self, condition: Sequence[float]) -> str:
+    def describe_outside(self, condition: Sequence[float]) -> str:
         """Reason, in one line, why there is no band under these conditions; empty if there is one."""
-        return self._domain.why_outside(condition)
+        return self._domain.describe_outside(condition)
 
     def __call__(self, condition: Sequence[float]) -> bool:
         """Update `half_widths` for four conditions. False, without an update, outside the calibration domain."""
@@ -129,7 +129,7 @@ class AdaptiveBands:
         """
         reason = ""
         if self._calibrated and not self._calibrated(condition):
-            reason = self._calibrated.why_outside(condition)
+            reason = self._calibrated.describe_outside(condition)
         found: set[ModelMode] = set()
         for model, half_widths in self.half_widths.items():
             for mode in modes:

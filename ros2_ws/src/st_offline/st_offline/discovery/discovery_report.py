@@ -13,7 +13,7 @@ from st_core.discovery import Discovery
 from st_core.discovery.axles import SMALL_SLIP
 from st_core.discovery.decision import MINOR
 from st_core.discovery.result import plain_data
-from st_core.model_file import Interval, ModelFile, Provenance
+from st_core.model_file import Interval, ModelFile, ModelProvenance
 from st_core.vehicle import quantity
 from st_recordings.paths import json_ready
 from st_recordings.results import versions
@@ -81,7 +81,7 @@ def model_file(found: Discovery, request: Request, update: VehicleUpdate) -> Mod
              for name, digest in d.about["files"].items()}
     companion = f", used with the vehicle.yaml that has {', '.join(update.folded)}" if update.folded else ""
     note = f"st discover, outcome {found.outcome}, from {request.base}{companion}"
-    about = Provenance(f"{datetime.now(UTC):%Y-%m-%d}", data=files, note=note)
+    about = ModelProvenance(f"{datetime.now(UTC):%Y-%m-%d}", data=files, note=note)
     stated = {e.name: e.parameters for e in found.effects}
     complete = ModelFile.of(update.model, update.vehicle, about, intervals, "st discover: found in the runs")
     from_start = "st discover: the healthy car's, from the reference drives" if request.healthy else "part of the base"

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from st_core.discovery.next_manoeuvre import REPETITIONS
 from st_core.effects import Effect, load_file, source_file
-from st_core.model_file import Estimate, ModelFile, Provenance
+from st_core.model_file import Estimate, ModelFile, ModelProvenance
 from st_core.relations import Candidate, Relation, RelationSearch
 from st_core.relations.candidates import ALL_TERMS, MEMORY, QUANTITIES
 from st_core.vehicle import VehicleParameters
@@ -202,7 +202,7 @@ def write_files(found: RelationSearch, vehicle: VehicleParameters, runs: Sequenc
         for module in user_folder.glob("*.py"):
             if not (effects / module.name).exists():
                 shutil.copyfile(module, effects / module.name)
-    about = Provenance(created[:10], data=digests, note=f"PROPOSAL of st discover: {_title_with_causes(one)}")
+    about = ModelProvenance(created[:10], data=digests, note=f"PROPOSAL of st discover: {_title_with_causes(one)}")
     plain = ModelFile.of(one.model, vehicle, about, source="fitted together with the relation")
     active = {name: parts for name, parts in plain.effects.items()
               if any(parts[p.name].value != p.null for e in one.model.effects if e.name == name

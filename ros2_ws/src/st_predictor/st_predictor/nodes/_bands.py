@@ -74,7 +74,7 @@ class PredictionBands:
         if self._fixed is None:
             return {}
         condition = conditions_now(history, time_ns)
-        self._missing = "" if self._fixed(condition) else self._fixed.why_outside(condition)
+        self._missing = "" if self._fixed(condition) else self._fixed.describe_outside(condition)
         return {} if self._missing else self._messages.fill()
 
     def observe_scores(self) -> None:
