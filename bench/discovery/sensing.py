@@ -13,7 +13,7 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.runs.ncom import to_body
 from st_sim.car import GRAVITY, Car
 from st_sim.dynamics import A_X, A_Y, A_Y_RATE, STATES, VX, VY, YAW, YAW_RATE, X, Y, Z
-from st_sim.sensors import NOISE, ROUGH_SPEED
+from st_sim.sensors import FULL_VIBRATION_SPEED, NOISE
 from st_sim.settings import Settings
 
 from .compiled import Recording
@@ -95,7 +95,7 @@ def _noise(seed: int, count: int, speed: np.ndarray) -> np.ndarray:
     kinds = len(CHANNELS)
     draws = _stream(np.random.default_rng([seed, 3]), kinds * (1 + 2 * count), 4096)
     first, draws = draws[:kinds], draws[kinds:].reshape(count, kinds, 2)
-    rough = 0.1 + 0.9 * np.minimum(np.abs(speed) / ROUGH_SPEED, 1.0)
+    rough = 0.1 + 0.9 * np.minimum(np.abs(speed) / FULL_VIBRATION_SPEED, 1.0)
     result = np.empty((kinds, count))
     for i, (name, (white, slow, time)) in enumerate(NOISE.items()):
         memory = np.exp(-PERIOD / time)

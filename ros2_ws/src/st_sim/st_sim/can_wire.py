@@ -106,10 +106,10 @@ class Background:
         for index, (identifier, period) in enumerate(_BACKGROUND.items()):
             message = can.Message(arbitration_id=identifier, is_extended_id=False, data=generator.bytes(8))
             self._frames.append((period, index % period, Frame(message, VEHICLE_BUS)))
-        own = 100 + 2 * 50 + 1000 / 60
+        decoded = 100 + 2 * 50 + 1000 / 60
         listed = sum(1000 / period for period, _, _ in self._frames)
-        # The recording has more identifiers than the list; the fastest ones are sent in place of the others.
-        extra = max(0, round((CAR_CAN_RATE - own - listed) / 100))
+        # The recording has more identifiers than the list; further frames of the fastest ones replace those.
+        extra = max(0, round((CAR_CAN_RATE - decoded - listed) / 100))
         self._frames += [(10, i % 10, self._frames[i % 12][2]) for i in range(extra)]
 
     def frames(self, millisecond: int) -> list[Frame]:

@@ -14,9 +14,9 @@ from .settings import Settings
 
 SAMPLING_TIME = 0.01  # s
 PREVIEW_TIME, MIN_PREVIEW = 0.8, 4.0  # s, m
-ANTICIPATION = 0.18  # s by which the curvature is steered early, to compensate the lag of hand, steering and tyres
-HAND_TIME = 0.08  # s, time constant of the hand
-MAX_HAND_RATE, MAX_HAND_ANGLE = 8.0, 9.5
+ANTICIPATION = 0.18  # s by which the curvature is steered early, to compensate the lag of driver, steering and tyres
+STEERING_TIME = 0.08  # s, time constant of the driver's steering movement
+MAX_STEERING_WHEEL_RATE, MAX_STEERING_WHEEL_ANGLE = 8.0, 9.5
 """rad/s and rad at the steering wheel: 460 deg/s is fast for a person, 540 deg is the end stop."""
 TREMOR_TIME = 0.4  # s, correlation time of random steering
 INTEGRAL_STEER, INTEGRAL_LIMIT = 0.015, 0.03  # 1/(m^2 s), 1/m
@@ -40,7 +40,7 @@ class Driver:
         self._tremor_size = settings["driver_tremor"]
         self._draw = normal_stream(np.random.default_rng([seed, 2]))
         self._tremor = self._steer_sum = self._speed_sum = self._pedal = self._target = 0.0
-        self._next = -math.inf
+        self._next_decision = -math.inf
         self._holding = False
 
     def place(self, plant: Plant, distance: float) -> None:
@@ -50,12 +50,12 @@ class Driver:
         self._mass = plant.mass
 
     def advance(self, plant: Plant, time: float, step: float) -> None:
-        if time >= self._next - 1e-9:
+        if time >= self._next_decision - 1e-9:
             # Counted from the first call, so that a drive does not depend on the time at its start.
-            self._next = time + SAMPLING_TIME
+            self._next_decision = time + SAMPLING_TIME
             self._decide(plant, time)
-        move = (self._target + self._tremor - self.steering_wheel_angle) * step / HAND_TIME
-        max_step = MAX_HAND_RATE * step
+        move = (self._target + self._tremor - self.steering_wheel_angle) * step / STEERING_TIME
+        max_step = MAX_STEERING_WHEEL_RATE * step
         self.steering_wheel_angle += min(max(move, -max_step), max_step)
 
     def _decide(self, plant: Plant, time: float) -> None:
@@ -66,12 +66,12 @@ class Driver:
         if callable(demand.steer):
             self._target = demand.steer(self.car.wheelbase) * self.car.steering_ratio
         elif demand.steer == "path":
-            steers = speed > MIN_STEERING_SPEED
-            if self._holding and steers:
+            fast_enough = speed > MIN_STEERING_SPEED
+            if self._holding and fast_enough:
                 self._continue_from_here(s)
-            if steers:
+            if fast_enough:
                 angle = self._steer_along(s, speed) * self.car.steering_ratio
-                self._target = min(max(angle, -MAX_HAND_ANGLE), MAX_HAND_ANGLE)
+                self._target = min(max(angle, -MAX_STEERING_WHEEL_ANGLE), MAX_STEERING_WHEEL_ANGLE)
                 self._holding = False
         else:
             self._holding = True

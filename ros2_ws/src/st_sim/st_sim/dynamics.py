@@ -31,7 +31,7 @@ X, Y, Z, YAW, VX, VY, YAW_RATE, RACK, COMPLIANCE_ANGLE, S_FL, S_FR, S_RL, S_RR, 
 STATES = A_X + 1
 
 
-class TyreLaw(NamedTuple):
+class TyreCoefficients(NamedTuple):
     """Coefficients of `tyre_force`; stiffness: p_ky1 F_z0 lambda [N/rad]; inverse_load: 1 / (p_ky2 F_z0) [1/N]."""
 
     nominal: float
@@ -72,8 +72,8 @@ class Constants(NamedTuple):
     static_front: float
     static_rear: float
     still_air: bool
-    front: TyreLaw
-    rear: TyreLaw
+    front: TyreCoefficients
+    rear: TyreCoefficients
 
 
 def constants(car: Car, settings: Settings, step: float) -> Constants:
@@ -95,19 +95,19 @@ def constants(car: Car, settings: Settings, step: float) -> Constants:
         static_front=mass * GRAVITY * to_rear / car.wheelbase / 2,
         static_rear=mass * GRAVITY * to_front / car.wheelbase / 2,
         still_air=not (s["wind_speed"] or s["gust_speed"]),
-        front=tyre_law(car.tyre_front, s["front_stiffness_factor"]),
-        rear=tyre_law(car.tyre_rear, s["rear_stiffness_factor"]))
+        front=tyre_coefficients(car.tyre_front, s["front_stiffness_factor"]),
+        rear=tyre_coefficients(car.tyre_rear, s["rear_stiffness_factor"]))
 
 
-def tyre_law(tyre: Tyre, stiffness_factor: float) -> TyreLaw:
+def tyre_coefficients(tyre: Tyre, stiffness_factor: float) -> TyreCoefficients:
     """Coefficients of one tyre with its cornering stiffness K scaled by a factor."""
     nominal = tyre.nominal_load
     stiffness = tyre.p_ky1 * nominal * tyre.lambda_ky * stiffness_factor
-    return TyreLaw(nominal, tyre.p_cy1, stiffness, 1.0 / (tyre.p_ky2 * nominal), tyre.p_ky4, tyre.p_dy1, tyre.p_dy2,
-                   tyre.p_ey1, tyre.p_ey2, tyre.p_ey3)
+    return TyreCoefficients(nominal, tyre.p_cy1, stiffness, 1.0 / (tyre.p_ky2 * nominal), tyre.p_ky4, tyre.p_dy1,
+                            tyre.p_dy2, tyre.p_ey1, tyre.p_ey2, tyre.p_ey3)
 
 
-def tyre_force(law: TyreLaw, slip_angle: float, load: float, friction_factor: float) -> tuple[float, float]:
+def tyre_force(tyre: TyreCoefficients, slip_angle: float, load: float, friction_factor: float) -> tuple[float, float]:
     """(F_y, peak) [N] of one tyre; slip_angle [rad], load [N].
 
         F_y = D sin(C atan(B a - E (B a - atan(B a)))),  D = mu F_z,  B = K / (C D)
@@ -119,7 +119,7 @@ def tyre_force(law: TyreLaw, slip_angle: float, load: float, friction_factor: fl
 
     Source: the paper's appendix. Checked by: test_tyres.py (slope, peak, load dependency, lambda).
     """
-    nominal, shape, stiffness, inverse_load, p_ky4, p_dy1, p_dy2, p_ey1, p_ey2, p_ey3 = law
+    nominal, shape, stiffness, inverse_load, p_ky4, p_dy1, p_dy2, p_ey1, p_ey2, p_ey3 = tyre
     excess = load / nominal - 1.0
     peak = (p_dy1 + p_dy2 * excess) * friction_factor * load
     curvature = p_ey1 + p_ey2 * excess
@@ -137,8 +137,8 @@ def lateral_share(longitudinal: float, peak: float) -> float:
     return sqrt(1.0 - used * used) if -1.0 < used < 1.0 else 0.0
 
 
-def wheel(contact: tuple[float, float, float], law: TyreLaw, friction: float, load: float, slip: float, across: float,
-          along: float, drive: float) -> tuple[float, float, float]:
+def wheel(contact: tuple[float, float, float], tyre: TyreCoefficients, friction: float, load: float, slip: float,
+          across: float, along: float, drive: float) -> tuple[float, float, float]:
     """Lateral and longitudinal force of one wheel [N] and the rate of its delayed slip.
 
     contact: relaxation length [m], share of combined slip, largest relaxation rate [1/s]. slip: delayed (state).
@@ -154,7 +154,7 @@ def wheel(contact: tuple[float, float, float], law: TyreLaw, friction: float, lo
             slip += CREEP_DAMPING * across * (1.0 - speed / CREEP_SPEED)
     else:
         rate, slip = 0.0, steady
-    lateral, peak = tyre_force(law, atan(slip), load, friction)
+    lateral, peak = tyre_force(tyre, atan(slip), load, friction)
     if abs(drive) > 0.98 * peak:
         drive = 0.98 * peak if drive > 0 else -0.98 * peak
     if combined:

@@ -8,10 +8,9 @@ import numpy as np
 
 from .settings import Settings
 
-# Terrain wave along x; patches of other friction along x [m].
-WAVE_LENGTH = 80.0
-PATCH_LENGTH, PATCH_PERIOD = 10.0, 40.0
-GUST_TIME = 1.5  # correlation time of gusts [s]
+WAVE_LENGTH = 80.0  # m, of the terrain along x
+PATCH_LENGTH, PATCH_PERIOD = 10.0, 40.0  # m, of other friction along x
+GUST_TIME = 1.5  # s, correlation time of gusts
 
 
 class Surroundings(NamedTuple):

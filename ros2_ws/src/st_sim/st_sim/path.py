@@ -116,14 +116,14 @@ class Path:
         index = min(bisect.bisect_right(self._ends, along), len(self.pieces)) - 1
         return self.pieces[index], along - self._ends[index]
 
-    def _heading(self, rest: float) -> float:
+    def _heading(self, remaining: float) -> float:
         yaw = 0.0
         for piece in self.pieces:
-            along = min(rest, piece.length)
+            along = min(remaining, piece.length)
             rise = piece.curvature_end - piece.curvature_start
             yaw += along * piece.curvature_start + along**2 / (2 * piece.length) * rise
-            rest -= along
-            if rest <= 0:
+            remaining -= along
+            if remaining <= 0:
                 break
         return yaw
 

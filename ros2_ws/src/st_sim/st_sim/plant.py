@@ -8,8 +8,8 @@ negative.
     m (dv_y/dt + r v_x) = sum F_y + wind - m g sin(bank)
     I_z dr/dt           = sum (x_i F_y,i - y_i F_x,i) + wind moment
 
-with forces rotated from wheel to body axes, tyre force from the delayed slip, loads from filtered accelerations, and
-the steering chain steering wheel -> delay -> play -> ratio -> lag -> offset, roll steer, compliance.
+with forces rotated from wheel to body axes, tyre force from the delayed slip, loads from filtered accelerations,
+and the chain from steering wheel to road wheels: delay -> play -> ratio -> lag -> offset, roll steer, compliance.
 
 Source: Pacejka, Tire and Vehicle Dynamics, ch. 1 and 7. Checked by: test_plant.py, test_effects.py.
 """
@@ -145,7 +145,7 @@ class Plant:
 
     @property
     def rack_steering_wheel_angle(self) -> float:
-        """Hand-wheel angle of the present rack position [rad]."""
+        """Steering-wheel angle of the present rack position [rad]."""
         return self.state[RACK] * self._ratio
 
     @property
@@ -205,11 +205,11 @@ class Plant:
             values[i] *= 1.0 - self.time_step / PITCH_TIME
         return tuple(values)
 
-    def _rack_target(self, hand: float) -> float:
+    def _rack_target(self, angle: float) -> float:
         if self._delay:
-            self._delay.append(hand)
-            hand = self._delay.popleft()
+            self._delay.append(angle)
+            angle = self._delay.popleft()
         if self._play:
-            self._after_play = min(max(self._after_play, hand - self._play), hand + self._play)
-            hand = self._after_play
-        return hand / self._ratio
+            self._after_play = min(max(self._after_play, angle - self._play), angle + self._play)
+            angle = self._after_play
+        return angle / self._ratio

@@ -12,7 +12,7 @@ from .plant import Truth
 from .settings import Settings
 
 OUTAGE_LENGTH = 1.0  # s
-ROUGH_SPEED = 5.0  # m/s, speed from which vibration noise is full; at rest it is a tenth
+FULL_VIBRATION_SPEED = 5.0  # m/s, from which vibration noise is full; at rest it is a tenth
 MIN_WHEEL_SPEED, MIN_VEHICLE_SPEED = 1.1 / 3.6, 2.8 / 3.6
 """m/s, below which wheel speeds and vehicle speed are sent as 0 (as in recordings of this car family)."""
 
@@ -42,21 +42,11 @@ class InsReading:
 # Standard deviations (white, slow) and correlation time [s] of each value. RT3000 v3 with RTK: 0.01 m, 0.014 m/s,
 # 0.1 deg heading, 0.03 deg roll and pitch, mostly slow, because filtered. Rates and forces: vibration by the road.
 NOISE = {
-    "x": (0.001, 0.006, 60.0),
-    "y": (0.001, 0.006, 60.0),
-    "z": (0.002, 0.012, 60.0),
-    "velocity_x": (0.002, 0.005, 20.0),
-    "velocity_y": (0.002, 0.005, 20.0),
-    "velocity_z": (0.003, 0.007, 20.0),
-    "yaw": (1e-4, 8e-4, 100.0),
-    "roll": (5e-5, 3e-4, 100.0),
-    "pitch": (5e-5, 3e-4, 100.0),
-    "rate_x": (0.006, 5e-5, 300.0),
-    "rate_y": (0.006, 5e-5, 300.0),
-    "rate_z": (0.002, 5e-5, 300.0),
-    "force_x": (0.06, 0.003, 300.0),
-    "force_y": (0.06, 0.003, 300.0),
-    "force_z": (0.15, 0.003, 300.0),
+    **dict.fromkeys(("x", "y"), (0.001, 0.006, 60.0)), "z": (0.002, 0.012, 60.0),
+    **dict.fromkeys(("velocity_x", "velocity_y"), (0.002, 0.005, 20.0)), "velocity_z": (0.003, 0.007, 20.0),
+    "yaw": (1e-4, 8e-4, 100.0), **dict.fromkeys(("roll", "pitch"), (5e-5, 3e-4, 100.0)),
+    **dict.fromkeys(("rate_x", "rate_y"), (0.006, 5e-5, 300.0)), "rate_z": (0.002, 5e-5, 300.0),
+    **dict.fromkeys(("force_x", "force_y"), (0.06, 0.003, 300.0)), "force_z": (0.15, 0.003, 300.0),
 }
 ACCURACY = {"position": 0.01, "velocity": 0.008, "heading": 0.001, "level": 0.0005}
 """Reported standard deviations [m, m/s, rad, rad]."""
@@ -71,9 +61,10 @@ class _Noise:
         self._increment = slow * math.sqrt(1 - self._memory**2)
         self._slow = slow * draw()
 
-    def __call__(self, roughness: float = 1.0) -> float:
+    def __call__(self, vibration: float = 1.0) -> float:
+        """Next value; vibration: factor on the white noise."""
         self._slow = self._memory * self._slow + self._increment * self._draw()
-        return self._slow + self._white * roughness * self._draw()
+        return self._slow + self._white * vibration * self._draw()
 
 
 class Ins:
@@ -99,7 +90,7 @@ class Ins:
             rates=_body_rates(truth), specific_force=_specific_force(ax, ay, truth.roll, truth.pitch))
         self._add_errors(reading)
         if self._noise:
-            self._add_noise(reading, 0.1 + 0.9 * min(abs(truth.velocity_x) / ROUGH_SPEED, 1.0))
+            self._add_noise(reading, 0.1 + 0.9 * min(abs(truth.velocity_x) / FULL_VIBRATION_SPEED, 1.0))
         return reading
 
     def _add_errors(self, r: InsReading) -> None:
@@ -119,14 +110,14 @@ class Ins:
         fx, fy, fz = r.specific_force
         r.specific_force = (fx, fy + s["lateral_acceleration_bias"], fz)
 
-    def _add_noise(self, r: InsReading, rough: float) -> None:
+    def _add_noise(self, r: InsReading, vibration: float) -> None:
         n = self._noise
         for name in ("x", "y", "z", "velocity_x", "velocity_y", "velocity_z", "yaw", "roll", "pitch"):
             setattr(r, name, getattr(r, name) + n[name]())
         wx, wy, wz = r.rates
-        r.rates = (wx + n["rate_x"](rough), wy + n["rate_y"](rough), wz + n["rate_z"](rough))
+        r.rates = (wx + n["rate_x"](vibration), wy + n["rate_y"](vibration), wz + n["rate_z"](vibration))
         fx, fy, fz = r.specific_force
-        r.specific_force = (fx + n["force_x"](rough), fy + n["force_y"](rough), fz + n["force_z"](rough))
+        r.specific_force = (fx + n["force_x"](vibration), fy + n["force_y"](vibration), fz + n["force_z"](vibration))
 
 
 def _body_rates(truth: Truth) -> tuple[float, float, float]:
@@ -151,7 +142,7 @@ def _specific_force(ax: float, ay: float, roll: float, pitch: float) -> tuple[fl
 
 
 class SteeringSensor:
-    """Hand-wheel angle sensor: true angle plus the offset of the vehicle file and noise, left + [rad]."""
+    """Steering-wheel angle sensor: true angle plus the offset of the vehicle file and noise, left + [rad]."""
 
     def __init__(self, car: Car, settings: Settings, seed: int):
         self._offset, self._noise = car.steering_wheel_offset, settings["steering_sensor_noise"]

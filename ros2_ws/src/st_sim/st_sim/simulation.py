@@ -3,7 +3,7 @@
 from math import sin
 
 from .car import Car
-from .driver import MAX_BRAKING, MAX_DRIVE, MAX_HAND_RATE, Driver
+from .driver import MAX_BRAKING, MAX_DRIVE, MAX_STEERING_WHEEL_RATE, Driver
 from .plant import A_Y_RATE, DRIVE, RACK, VX, VY, YAW, YAW_RATE, Plant, Truth, X, Y, Z
 from .scenarios import Plan
 from .settings import Settings
@@ -26,7 +26,7 @@ class SimulatedCar:
         self.plant.place(road.x, road.y, road.yaw, plan.speed_at(distance), plan.path.curvature(distance))
         self.driver.place(self.plant, distance)
         self._count = -round(RUN_IN / self._step)
-        self._hand_rate = 0.0
+        self._steering_wheel_rate = 0.0
         self.duration: float | None = None
         self.advance(0.0)
 
@@ -42,7 +42,7 @@ class SimulatedCar:
             before = driver.steering_wheel_angle
             driver.advance(plant, self._count * step, step)
             plant.step(driver.steering_wheel_angle, driver.drive_force)
-            self._hand_rate = (driver.steering_wheel_angle - before) / step
+            self._steering_wheel_rate = (driver.steering_wheel_angle - before) / step
             self._count += 1
 
     def truth(self) -> Truth:
@@ -51,7 +51,8 @@ class SimulatedCar:
         return Truth(time=self.time, x=s[X], y=s[Y], z=s[Z], yaw=s[YAW], velocity_x=s[VX], velocity_y=s[VY],
                      yaw_rate=s[YAW_RATE], acceleration_x=forces.acceleration_x, acceleration_y=forces.acceleration_y,
                      yaw_acceleration=forces.yaw_acceleration, velocity_z=forces.velocity_z,
-                     steering_wheel_angle=self.driver.steering_wheel_angle, steering_wheel_rate=self._hand_rate,
+                     steering_wheel_angle=self.driver.steering_wheel_angle,
+                     steering_wheel_rate=self._steering_wheel_rate,
                      road_wheel_angle=forces.road_wheel_angle, roll=plant.body_roll + plant.surroundings.bank_angle,
                      pitch=plant.body_pitch + plant.surroundings.grade_angle, gear=DRIVE,
                      roll_rate=0.0 if plant.parked else plant.settings["roll_gradient"] * s[A_Y_RATE],
@@ -92,7 +93,7 @@ class ControlledCar:
         cornering resistance compensated; drag, slopes and tyre limits are not.
         """
         plant, target = self.plant, road_wheel_angle * self.car.steering_ratio
-        max_step = MAX_HAND_RATE * plant.time_step
+        max_step = MAX_STEERING_WHEEL_RATE * plant.time_step
         for _ in range(round(duration / plant.time_step)):
             self.steering_wheel_angle += min(max(target - self.steering_wheel_angle, -max_step), max_step)
             plant.step(self.steering_wheel_angle, self._drive_force(velocity_x_dot))

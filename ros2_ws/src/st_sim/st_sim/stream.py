@@ -25,6 +25,7 @@ STEERING_SCHEDULE, WHEEL_SCHEDULE, GEAR_SCHEDULE = (10, 2), (20, 6), (60, 8)
 INS_CAN_DELAY = 0.0015  # s from the datagram to the first frame on CAN
 EARLY_TOLERANCE = 0.0003  # s. A frame due within this time is sent at once, as exact as on a bus
 LATE_THRESHOLD = 0.005  # s after the deadline; an output beyond it counts as late
+INITIALISING_END, LOCKING_LENGTH = 7.0, 11.0  # s, of the start-up of a unit
 
 
 class Kind(IntEnum):
@@ -52,22 +53,20 @@ class Source(Protocol):
     def truth(self) -> Truth: ...
 
 
-class StartUp:
-    """Start-up of a unit: raw IMU at 10 Hz, pause of 1 s, initialising 1 s behind real time, 11 s locking, locked."""
+def start_up_status(time: float) -> tuple[int, float] | None:
+    """Navigation status and delay [s] of the epoch at `time` [s] after power-up; None: not sent.
 
-    NOTHING_UNTIL, RAW_UNTIL, SILENT_UNTIL, INITIALISING_UNTIL, LOCKING_LENGTH = 0.5, 2.0, 3.0, 7.0, 11.0
-
-    def status(self, time: float) -> tuple[int, float] | None:
-        """Navigation status and delay [s] of the epoch measured at `time` [s]; None: not sent."""
-        if time < self.RAW_UNTIL:
-            sent = round(time * 1000) % 100 == 0
-            return (NO_DATA if time < self.NOTHING_UNTIL else RAW_IMU, 0.0) if sent else None
-        if time < self.SILENT_UNTIL:
-            return None
-        if time < self.INITIALISING_UNTIL:
-            return INITIALISING, 1.0
-        progress = (time - self.INITIALISING_UNTIL) / self.LOCKING_LENGTH
-        return (LOCKING, 1.0 - progress) if progress < 1.0 else (LOCKED, 0.0)
+    No data, then raw IMU at 10 Hz, a pause of 1 s, initialising 1 s behind real time, 11 s locking, locked.
+    """
+    if time < 2.0:
+        sent = round(time * 1000) % 100 == 0
+        return (NO_DATA if time < 0.5 else RAW_IMU, 0.0) if sent else None
+    if time < 3.0:
+        return None
+    if time < INITIALISING_END:
+        return INITIALISING, 1.0
+    progress = (time - INITIALISING_END) / LOCKING_LENGTH
+    return (LOCKING, 1.0 - progress) if progress < 1.0 else (LOCKED, 0.0)
 
 
 class Stream:
@@ -79,7 +78,7 @@ class Stream:
         self._ins, self._steering, self._ncom, self._can = ins, steering, ncom, can
         self._ins_period = 1000 // ins_rate
         self._background = Background(seed) if background else None
-        self._start_up = StartUp() if start_up else None
+        self._start_up = start_up
         self._ins_loss = Loss(settings["ins_packet_loss"], settings["ins_outage_every"], (seed, 7))
         self._can_loss = Loss(settings["can_frame_loss"], settings["can_outage_every"], (seed, 8))
         self._queue: list[Output] = []
@@ -120,7 +119,7 @@ class Stream:
 
     def _send_ins(self, truth: Truth, time: float) -> None:
         reading = self._ins.read(truth)
-        state = self._start_up.status(time) if self._start_up else (LOCKED, 0.0)
+        state = start_up_status(time) if self._start_up else (LOCKED, 0.0)
         if state is None:
             return
         status, delay = state
@@ -173,8 +172,7 @@ class LiveOutput:
             self._socket.sendto(packet, self._address)
             self.report.ncom_packets += 1
         except OSError:
-            # No receiver or a full buffer: not detected by a real unit either.
-            pass
+            pass  # no receiver or a full buffer, which a real unit does not detect either
 
     def send_frame(self, frame: Frame, due: float) -> None:
         try:

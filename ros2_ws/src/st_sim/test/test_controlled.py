@@ -5,7 +5,7 @@ import math
 import pytest
 from st_sim.car import read_car
 from st_sim.settings import PRESETS, resolve
-from st_sim.simulation import MAX_BRAKING, MAX_HAND_RATE, ControlledCar
+from st_sim.simulation import MAX_BRAKING, MAX_STEERING_WHEEL_RATE, ControlledCar
 from support import ROOT
 
 CAR = read_car(ROOT / "config/vehicle/leaf.yaml")
@@ -46,7 +46,7 @@ def test_left_is_left_and_the_circle_is_that_of_the_angle():
 def test_hand_and_tyres_have_limits():
     car = placed(speed=15.0)
     car.advance(0.1, 0.5, 0.0)
-    assert car.steering_wheel_angle == pytest.approx(0.1 * MAX_HAND_RATE)
+    assert car.steering_wheel_angle == pytest.approx(0.1 * MAX_STEERING_WHEEL_RATE)
     car = placed(speed=15.0)
     car.advance(1.0, 0.0, -30.0)
     assert car.state[2] == pytest.approx(15.0 - MAX_BRAKING, abs=0.1)

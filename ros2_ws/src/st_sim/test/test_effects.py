@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from st_sim.car import GRAVITY, TRACK_WIDTH, read_car
-from st_sim.dynamics import tyre_force, tyre_law
+from st_sim.dynamics import tyre_coefficients, tyre_force
 from st_sim.environment import Environment
 from st_sim.plant import RACK, STEP, VX, YAW_RATE, Plant, Y, Z
 from st_sim.scenarios import load
@@ -158,7 +158,7 @@ def test_combined_slip_costs_lateral_force():
     bound.state = free.state
     free, bound = free.observe(-6.0 * CAR.mass), bound.observe(-6.0 * CAR.mass)
     for wheel in (0, 1):
-        peak = tyre_force(tyre_law(CAR.tyre_front, 1.0), 0.0, free.load[wheel], 1.0)[1]
+        peak = tyre_force(tyre_coefficients(CAR.tyre_front, 1.0), 0.0, free.load[wheel], 1.0)[1]
         share = math.sqrt(1 - (free.longitudinal[wheel] / peak) ** 2)
         assert share < 0.9
         assert bound.lateral[wheel] == pytest.approx(share * free.lateral[wheel])

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from st_sim.car import read_car
-from st_sim.driver import MAX_HAND_RATE
+from st_sim.driver import MAX_STEERING_WHEEL_RATE
 from st_sim.path import Path, SpeedProfile, lane_shift, straight, turn
 from st_sim.scenarios import SCENARIOS, load
 from st_sim.settings import SimulationError, resolve
@@ -178,7 +178,7 @@ def test_ramp_exceeds_the_limit():
 def test_hands_are_those_of_a_person(name):
     """Hand-wheel rate and pedals are limited, and equal seeds give equal drives."""
     d, again, other = Drive(name, 8), Drive(name, 8), Drive(name, 8, seed=1)
-    assert np.abs(np.diff(d.hand)).max() * RATE <= MAX_HAND_RATE + 1e-9
+    assert np.abs(np.diff(d.hand)).max() * RATE <= MAX_STEERING_WHEEL_RATE + 1e-9
     assert np.abs(np.diff(d.force)).max() <= 10.0 * CAR.mass / RATE * 1.3
     assert (d.x == again.x).all() and (d.hand == again.hand).all()
     assert (d.hand != other.hand).any()
