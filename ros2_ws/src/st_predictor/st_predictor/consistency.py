@@ -40,8 +40,8 @@ class Consistency:
     Measurements before a position jump are not used. One check of half a minute may be wrong, so a fault is reported
     when two successive checks find it, and cleared by the first check without it.
 
-    share: of a core since the first poll, the limit for the checks (the first one with a finding compiles its trial).
-    verdict: the newest one. seconds: processor time of all checks.
+    share: limit of the checks' processor time since the first poll, as a share of a core (the first check with a
+    finding compiles its trial). verdict: the newest one. seconds: processor time of all checks.
     """
 
     def __init__(self, vehicle: VehicleParameters, share: float = CPU_SHARE):
@@ -51,7 +51,7 @@ class Consistency:
         self._found: frozenset[str] = frozenset()  # faults of the last check
         self._checked_ns: int | None = None
         self._began: float | None = None
-        self._at = self._not_before = -math.inf
+        self._checked_at = self._not_before = -math.inf
 
     def poll(self, history: MeasurementHistory, now: float) -> bool:
         """Run the checks if they are due; returns whether they were. now: of a steady clock [s].
@@ -64,10 +64,10 @@ class Consistency:
         if newest is None or now < self._not_before:
             return False
         if self._checked_ns is not None and 0 <= newest - self._checked_ns < PERIOD / NANOSECOND:
-            if now - self._at > HISTORY_SPAN:
+            if now - self._checked_at > HISTORY_SPAN:
                 self.verdict = _waiting(0.0)
             return False
-        self._checked_ns, self._at = newest, now
+        self._checked_ns, self._checked_at = newest, now
         try:
             self._check(recent(history), self._began)
         except Exception as error:  # must never stop the scoring of predictions

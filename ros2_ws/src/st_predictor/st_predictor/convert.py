@@ -1,4 +1,4 @@
-"""Between the messages of the predictor's topics and the plain values of st_core."""
+"""Conversion between the messages of the predictor's topics and the values of st_core."""
 
 import math
 from array import array
@@ -22,10 +22,8 @@ from st_ros.polling import from_nanoseconds, to_nanoseconds
 
 from .map_drawing import BAND_MODE, Path, ribbon
 
-# A unit quaternion that went through float32 is off by 1e-7; one that was never set has length 0.
-QUATERNION_TOLERANCE = 0.01
-# rmw's own value for "never"; rclpy turns it into this many nanoseconds or more.
-_NEVER_NS = 9_223_372_036 * 1_000_000_000
+QUATERNION_TOLERANCE = 0.01  # of the squared length; float32 costs 1e-7, an orientation that was not set has length 0
+_NEVER_NS = 9_223_372_036 * 1_000_000_000  # rmw's value for "never"; rclpy returns this or more
 PLANNED_MODES: tuple[Mode, ...] = ("plan", "course")  # modes of st_msgs/PlannedPrediction
 
 

@@ -1,4 +1,4 @@
-"""What views draw on a map: the measured track, predicted paths with their bands, and the outline of the car."""
+"""Content of map views: the measured track, predicted paths with their bands, and the outline of the car."""
 
 from bisect import bisect_left
 from collections import deque
@@ -10,7 +10,7 @@ from st_core.vehicle import VehicleParameters
 
 TRACK_SPAN = 90.0  # s of measured track kept
 STALE_PATH = 1.0  # s; an older path is not drawn
-GHOST_AGES = (1.0, 2.0, 3.0, 4.0, 5.0)  # s
+GHOST_AGES = (1.0, 2.0, 3.0, 4.0, 5.0)  # s, of the earlier predictions drawn in addition to the newest one
 GHOST_TOLERANCE = 0.15  # s; a prediction whose age differs by more is not drawn
 BAND_MODE = "forecast"  # the bands drawn: inputs held, as for the path itself
 

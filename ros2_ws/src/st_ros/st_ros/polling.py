@@ -46,7 +46,7 @@ class _NeverReady(CallbackGroup):
 
 
 class PolledSubscription:
-    """raw=True hands out the serialised bytes instead of messages."""
+    """Subscription that the node reads itself. raw: serialised bytes in place of messages."""
 
     def __init__(self, node: Node, message_type: type, topic: str, qos: QoSProfile, raw: bool = False):
         self._node = node
@@ -69,10 +69,8 @@ class PolledSubscription:
             yield message, info["received_timestamp"], info["source_timestamp"]
 
     def take_numbered(self, limit: int = 1000) -> Iterator[tuple[Any, int, int | None]]:
-        """As `take`, with the number its publisher gave the message in place of when it was sent.
-
-        Each publisher counts its own messages from 1; None where the middleware does not report it.
-        """
+        """As `take`, with the sequence number of the publisher, from 1, in place of sent_ns; None where the middleware
+        does not report it."""
         for message, info in self._waiting(limit):
             yield message, info["received_timestamp"], info["publication_sequence_number"]
 
@@ -98,10 +96,7 @@ class PolledSubscription:
 
 
 def wait_for_any(node: Node, subscriptions: Sequence[PolledSubscription], seconds: float) -> None:
-    """Sleep until one of them has a message, at most `seconds`; returns at once where a message is waiting.
-
-    For a callback that needs a message which is about to arrive: no other callback of the node runs meanwhile.
-    """
+    """Sleep until one of them has a message, at most `seconds`; no other callback of the node runs meanwhile."""
     waiting = rclpy_implementation.WaitSet(len(subscriptions), 0, 0, 0, 0, 0, node.context.handle)
     with waiting:
         waiting.clear_entities()
@@ -126,7 +121,7 @@ class OnDemandPublisher:
         self._has_subscribers = False
 
     def has_subscribers(self, now: float) -> bool:
-        """now: a monotonic clock [s]. At most SUBSCRIBER_COUNT_PERIOD old."""
+        """Whether there were subscribers at most SUBSCRIBER_COUNT_PERIOD ago. now: of a monotonic clock [s]."""
         if self._publisher is not None and now - self._counted_at > SUBSCRIBER_COUNT_PERIOD:
             self._counted_at = now
             self._has_subscribers = self._publisher.get_subscription_count() > 0

@@ -1,7 +1,7 @@
 """Scheduling of this process: policy, priority, nice value, and nice value of its autogroup.
 
 Between sessions, Linux with autogroups (the default of Debian and Ubuntu) compares the nice values of the session
-groups, not of the processes. Each process of `st` is a session of its own.
+groups, not of the processes. Each process of `st` is a separate session.
 """
 
 import contextlib
@@ -21,8 +21,8 @@ _TRIES, _PAUSE = 5, 0.11
 
 @dataclass(frozen=True)
 class Scheduling:
-    """policy: in words. priority: of the real-time policies, else 0. autogroup: nice value of the session's group,
-    None without autogroups; with them it counts between sessions, `nice` within one."""
+    """policy: its name. priority: of the real-time policies, else 0. autogroup: nice value of the session's group,
+    None without autogroups; with them it applies between sessions, `nice` within one."""
 
     policy: str
     priority: int
@@ -53,7 +53,7 @@ def lower_priority(nice: int) -> None:
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, max(nice, os.getpriority(os.PRIO_PROCESS, 0)))
     if os.getsid(0) != os.getpid():
-        return  # in a session with others, those of a launch file for instance, it would lower them too
+        return  # otherwise it would lower the other processes of the session too, as those of a launch file
     for _ in range(_TRIES):
         try:
             _GROUP.write_text(str(nice))

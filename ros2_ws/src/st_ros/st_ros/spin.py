@@ -1,4 +1,4 @@
-"""Start a node, spin it, and leave nothing behind: exit 0 on SIGINT or SIGTERM, 2 on a wrong configuration."""
+"""Start, spin and end a node: exit status 0 on SIGINT or SIGTERM, 2 on a wrong configuration."""
 
 import atexit
 import gc
@@ -17,8 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 from . import scheduling
 from .parameters import ConfigurationError
 
-# Longest delay of a stop signal by the executor [s].
-WAKE_PERIOD = 0.1
+WAKE_PERIOD = 0.1  # s, longest delay of a stop signal by the executor
 # Longest wait at the end of a node until its subscribers acknowledged all messages [s]. Fast DDS detects what was lost
 # over UDP with its next heartbeat, every 3 s; ros2 launch kills after 5 s.
 FLUSH_TIMEOUT = 4.0
@@ -79,7 +78,7 @@ def flush(node: Node) -> None:
 
 
 class _StopRequest:
-    """SIGINT and SIGTERM as a flag; later ones change nothing, so that closing is not interrupted."""
+    """SIGINT and SIGTERM as a flag; further signals are ignored, so that closing is not interrupted."""
 
     def __init__(self) -> None:
         self.requested = False

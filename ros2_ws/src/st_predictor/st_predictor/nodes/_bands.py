@@ -84,7 +84,7 @@ class PredictionBands:
                 self._adaptive.observe(score)
 
     def add_predictions(self, start: Start, issued: Mapping[str, Mapping[Mode, Trajectory]]) -> None:
-        """Keep the predictions just issued, by model and mode, until their horizon has passed."""
+        """Store the predictions just issued, by model and mode, until their horizon has passed."""
         if not self._adaptive:
             return
         for model, by_mode in issued.items():

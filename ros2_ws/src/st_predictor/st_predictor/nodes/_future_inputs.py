@@ -21,8 +21,7 @@ from st_ros.polling import LATCHED, PolledSubscription
 from .. import convert
 
 QUEUE_DEPTH = 10  # only the newest plan is used
-# After this long without a plan the planner counts as ended, and its last plan is no longer a warning [s].
-PLAN_TIMEOUT = 10.0
+PLAN_TIMEOUT = 10.0  # s without a plan until the planner counts as ended, and its last plan is no longer a warning
 NOT_USED = "not used: no prediction at the moment"
 
 
@@ -75,7 +74,7 @@ class CourseInput:
     """Predicts inputs from the course of the parameter `course_file`; without a course it returns None.
 
     If the map origins of course and run (ins/origin) are known, the course is moved into the frame of this run; a
-    course of another place is not used. `CourseTracker` returns to held inputs gradually.
+    course of another place is not used.
     """
 
     def __init__(self, node: Node, course: Course | None, vehicle: VehicleParameters, horizon: float, step: float):

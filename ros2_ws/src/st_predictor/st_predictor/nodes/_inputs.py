@@ -16,8 +16,7 @@ from st_ros.polling import UNRESOLVED_NODE, PolledSubscription, to_nanoseconds, 
 
 from .. import convert
 
-# After this long without a message the accepted publisher counts as ended; another one of the same node name is then
-# its restart [s].
+# s without a message until the accepted publisher counts as ended; another one of the same node name is its restart.
 SILENCE_TIMEOUT = 1.0
 MAX_LOST = 1000  # largest gap in the accepted publisher's message numbers: four seconds at 250 Hz
 QUEUE_DEPTH = 4000  # queued messages per topic: 16 s at 250 Hz, so that a node starved of processor time loses nothing
@@ -27,7 +26,7 @@ class PublisherLock:
     """Accepts messages of the first publisher of an input only.
 
     A message does not name its publisher, but publishers number their messages consecutively, so that each publisher's
-    messages form a chain. Where two chains meet, neither is used: no prediction is better than one from two mixed cars.
+    messages form a chain. Where two chains have the same number, neither is used, so that two cars are never mixed.
 
     names: full node names of all publishers at the last `update`. rejected: number of messages rejected so far.
     """
@@ -88,7 +87,7 @@ class PublisherLock:
 
 
 class Inputs:
-    """Passes every usable sample to `add_ins` and `add_steering` and keeps the reason why others were refused.
+    """Passes every usable sample to `add_ins` and `add_steering`; `last_refusal`: why the newest one was refused.
 
     on_change: called when `checks` has changed and should be published at once.
     """

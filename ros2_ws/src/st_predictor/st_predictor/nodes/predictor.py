@@ -26,8 +26,7 @@ from ._bands import PredictionBands
 from ._future_inputs import CourseInput, PlanInput
 from ._inputs import Inputs
 
-# A longer step is a jump of the clock (someone skipped ahead in a replay), not an overrun.
-MAX_OVERRUN_NS = 10_000_000_000
+MAX_OVERRUN_NS = 10_000_000_000  # a longer step is a jump of the clock, as in a replay, not an overrun
 # Queues are emptied this often between ticks, so that a tick has only a few milliseconds of input to process [s].
 DRAIN_PERIOD = 0.02
 STATUS_PERIOD = 1.0
@@ -37,8 +36,7 @@ STATUS_PERIOD = 1.0
 LIVE_DEPTH, REPLAY_DEPTH = 10, 1000
 MAX_WAIT_SHARE = 0.5  # longest wait for samples as a share of the period, so that the next tick is not late
 JUMP_WARNING_DURATION = 10.0  # a position jump is reported as a warning for this long [s]
-# A tick that takes a larger share of its period is a warning: the computer is too slow or too busy.
-BUSY_TICK_SHARE = 0.5
+BUSY_TICK_SHARE = 0.5  # of the period; a longer tick is a warning: the computer is too slow or too busy
 
 
 class TickCounter:
@@ -155,7 +153,7 @@ class PredictorNode(Node):
         period_ns = round(self._period / NANOSECOND)
         next_due_ns = self.get_clock().now().nanoseconds + self._timer.time_until_next_call()
         missed = self._counter.count_missed(next_due_ns, period_ns)
-        # A state just before the arrival of a sample is one sample period older than one just after it.
+        # Just before the arrival of a sample, the newest state is one sample period older than just after it.
         self._inputs.wait(next_due_ns - period_ns, self._wait)
         began = time.perf_counter()
         start = self._find_start(self.get_clock().now().nanoseconds)
@@ -208,7 +206,7 @@ class PredictorNode(Node):
             self._state_ages.append((now.nanoseconds - start.time_ns) * NANOSECOND)
             issued[model]["forecast"] = trajectory
             paths.append((model, path_publisher, trajectory, car))
-        # Paths come last: only viewers read them, and filling one takes longer than running all models.
+        # Paths are published last: only viewers read them, and filling one takes longer than running all models.
         for model, path_publisher, trajectory, car in paths:
             if np.isfinite(trajectory.states).all():
                 path_publisher.publish(self._path.fill(start.time_ns, trajectory, car))

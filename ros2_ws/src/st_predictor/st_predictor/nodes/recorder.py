@@ -26,12 +26,11 @@ from .. import convert, params
 from ._bag import is_complete, open_bag, recording_check
 
 NICE = 5  # lower priority than bridges and predictor: a third of their CPU share under contention
-WORK_PERIOD = 0.05  # the queues are emptied this often [s]; each message carries the time it arrived
+WORK_PERIOD = 0.05  # s between readings of the queues, in which each message has its time of arrival
 TOPIC_SCAN_PERIOD = 0.25  # s
 # After a full disk: interval between checks for free space [s], and the space needed for a new bag [bytes].
 RESUME_PERIOD, RESUME_SPACE = 5.0, 200_000_000
-# A resumed recording stays a warning for this long [s].
-RESUME_WARNING_DURATION = 10.0
+RESUME_WARNING_DURATION = 10.0  # s, of the warning that a recording was resumed
 DIAGNOSTICS = "/diagnostics"
 SILENCE_TIMEOUT = 10.0  # every node publishes /diagnostics once a second; a node silent for this long is reported [s]
 QUEUE_DEPTH = 1000  # queued messages per topic: four seconds at 250 Hz, for a slow disk
@@ -68,7 +67,7 @@ class PublisherWatchdog:
                 node_topics.setdefault(names.pop(), []).append(topic)
         self._since = {name: self._since.get(name, now) for name in node_topics}
         last = {name: max(self._since[name], self._node_times.get(name, 0.0),
-                          *(self._topic_times.get(topic, 0.0) for topic in own)) for name, own in node_topics.items()}
+                          *(self._topic_times.get(t, 0.0) for t in topics)) for name, topics in node_topics.items()}
         return {name: now - at for name, at in sorted(last.items()) if now - at > SILENCE_TIMEOUT}
 
 
