@@ -68,6 +68,7 @@ class Field:
 
 
 def checksum_of(rule: Rule, field: Field, data: bytes, arbitration_id: int) -> int:
+    """The checksum that a frame with this payload must have in `field`, whatever it has there."""
     return rule.value(field.with_value(data, 0), arbitration_id)
 
 
@@ -97,8 +98,8 @@ class CounterCheck:
         self.lost += max(step - 1, 0)
         return step == 1
 
-    def pass_over(self, time_ns: int) -> None:
-        """Counts a frame with invalid content as the next one, without reading its counter."""
+    def skip(self, time_ns: int) -> None:
+        """Assumes that a frame with invalid content has the next counter value."""
         if self._last is not None:
             self._last = (self._last + 1) & self._field.mask
             self._last_ns = time_ns

@@ -38,7 +38,7 @@ class Decoded:
 
 @dataclass
 class MessageStatistics:
-    """Counts of the frames of one message. last_seen_ns: time of the last good one; None before it."""
+    """Counts of the frames of one message. last_seen_ns: time of the last good one; None before the first."""
 
     good: int = 0
     wrong_length: int = 0
@@ -70,7 +70,7 @@ class Plausibility:
         """period: seconds between frames. timeout: seconds after which two values are not compared."""
         self._spec = spec
         self._period = period
-        self._remember_ns = int(timeout * 1e9)
+        self._timeout_ns = int(timeout * 1e9)
         self._previous: tuple[int, float] | None = None  # of the frame before, None if it was out of range
         self._accepted: tuple[int, float] | None = None
         self._recent: deque[bool] = deque(maxlen=PLAUSIBILITY_FRAMES)
@@ -94,16 +94,16 @@ class Plausibility:
         return possible
 
     def _reachable(self, value: float, time_ns: int) -> bool:
-        references = [one for one in (self._previous, self._accepted)
-                      if one is not None and 0 < time_ns - one[0] <= self._remember_ns]
+        references = [reference for reference in (self._previous, self._accepted)
+                      if reference is not None and 0 < time_ns - reference[0] <= self._timeout_ns]
         # At least the period, because frames can arrive closer together than they were sent.
         return not references or any(
             abs(value - last) <= self._spec.max_rate * max((time_ns - last_ns) * 1e-9, self._period)
             for last_ns, last in references)
 
     @property
-    def implausible_signal(self) -> str:
-        """Reason why the signal is withheld at present, empty if it is plausible; good frames end it."""
+    def fault(self) -> str:
+        """Reason why the signal is withheld at present; empty if it is plausible, or plausible again."""
         bad = self._recent.count(False)
         if bad <= MAX_IMPLAUSIBLE or self._accepted_in_a_row >= MAX_IMPLAUSIBLE:
             return ""
@@ -191,12 +191,12 @@ class Decoder:
         if not all(possible):
             row.statistics.implausible += 1
             return False
-        return not any(check.implausible_signal for _, check in row.plausibility)
+        return not any(check.fault for _, check in row.plausibility)
 
     def implausible_signals(self) -> list[str]:
         """A sentence for every signal that is withheld at present because of implausible values."""
         checks = [check for row in self._rows.values() for _, check in row.plausibility]
-        return [text for check in checks if (text := check.implausible_signal)]
+        return [text for check in checks if (text := check.fault)]
 
     def _check(self, row: _Row, data: bytes, time_ns: int) -> tuple[str, bool]:
         """(fault, whether to drop the frame)"""
@@ -208,7 +208,7 @@ class Decoder:
             if found != expected:
                 statistics.wrong_checksum += 1
                 if row.counter is not None:
-                    row.counter.pass_over(time_ns)
+                    row.counter.skip(time_ns)
                 return f"{spec.checksum.signal} is {found:#x}, {expected:#x} expected", checksum_mode is Mode.DROP
         if row.counter is not None and spec.counter is not None and counter_mode is not Mode.OFF:
             correct = row.counter.accepts(data, time_ns)

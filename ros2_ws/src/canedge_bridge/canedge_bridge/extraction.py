@@ -131,8 +131,8 @@ def _physical(signal: DbcSignal, raw: np.ndarray) -> np.ndarray:
             signal.length]
         values = raw.astype(unsigned).view(floating).astype(np.float64)
     elif signal.is_signed:
-        spare = np.uint64(64 - signal.length)
-        values = ((raw << spare).view(np.int64) >> np.int64(64 - signal.length)).astype(np.float64)
+        unused_bits = 64 - signal.length  # shifted out and back, which extends the sign
+        values = ((raw << np.uint64(unused_bits)).view(np.int64) >> np.int64(unused_bits)).astype(np.float64)
     else:
         values = raw.astype(np.float64)
     return values * signal.scale + signal.offset

@@ -22,7 +22,7 @@ class Health:
         """now_ns: clock that stamps the frames [ns since 1970]."""
         self._bus_name, self._decoder, self._receiver_status = bus_name, decoder, receiver_status
         self._now_ns = now_ns
-        self._started_at = self._rated_at = time.monotonic()
+        self._started_at = self._rates_updated_at = time.monotonic()
         self._previous_frames, self._rate, self._previous_bad = 0, 0.0, 0
         self._previous_good: dict[str, int] = {}
         self._rates: dict[str, float] = {}
@@ -38,10 +38,10 @@ class Health:
         status = self._receiver_status()
         now = time.monotonic()
         # Every change of the bus state calls this as well: a rate over a few milliseconds would be noise.
-        elapsed = now - self._rated_at
+        elapsed = now - self._rates_updated_at
         if elapsed > 0.5:
             self._rate = (status.frames - self._previous_frames) / elapsed
-            self._rated_at, self._previous_frames = now, status.frames
+            self._rates_updated_at, self._previous_frames = now, status.frames
             good = {name: self._decoder.statistics(name).good for name in self._decoder.table.messages}
             self._rates = {name: (count - self._previous_good.get(name, 0)) / elapsed for name, count in good.items()}
             self._previous_good = good
@@ -84,12 +84,10 @@ class Health:
             counts = self._decoder.statistics(name)
             values[f"{name} good"] = counts.good
             values[f"{name} rate, expected [frames/s]"] = f"{self._rates.get(name, 0.0):.1f}, {1 / message.period:g}"
-            for what, count in (("lost", counts.lost), ("wrong counter", counts.wrong_counter),
-                                ("wrong checksum", counts.wrong_checksum), ("wrong length", counts.wrong_length),
-                                ("not finite", counts.not_finite), ("implausible", counts.implausible),
-                                ("dropped", counts.dropped)):
-                if count:
-                    values[f"{name} {what}"] = count
+            for fault in ("lost", "wrong_counter", "wrong_checksum", "wrong_length", "not_finite", "implausible",
+                          "dropped"):
+                if count := getattr(counts, fault):
+                    values[f"{name} {fault.replace('_', ' ')}"] = count
             bad += (counts.wrong_counter + counts.wrong_checksum + counts.wrong_length + counts.not_finite
                     + counts.implausible)
         values["unknown identifiers"] = self._decoder.frames.unknown

@@ -88,6 +88,8 @@ class SignalSpec:
 
 @dataclass(frozen=True)
 class CheckSpec:
+    """Counter or checksum of a message. signal: its DBC name. rule: None for a counter."""
+
     signal: str
     field: Field
     mode: Mode
@@ -194,7 +196,7 @@ def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
 
 
 def _reduced(text: str, names: frozenset[str]) -> str:
-    """Text of a DBC with only the named messages and their float and multiplexing attributes; empty if it has none."""
+    """Text of a DBC with only the named messages and their float and multiplexing attributes; empty without any."""
     blocks = [block for block in _MESSAGE.finditer(text) if block["name"] in names]
     ids = {block["id"] for block in blocks}
     lines = [block[0] for block in blocks]
@@ -271,10 +273,10 @@ def _signal(entry: Entry, message: DbcMessage, dbc: DbcSignal, dbc_path: Path) -
     scale = entry.number("scale", 0.01, 100.0, default=1.0)
     offset = entry.number("offset", -1e6, 1e6, default=0.0)
     low, high = entry.interval("range", default=(-math.inf, math.inf))
-    negative = _find(message, entry.text("sign_signal"), dbc_path, entry) if "sign_signal" in entry else None
+    sign_signal = _find(message, entry.text("sign_signal"), dbc_path, entry) if "sign_signal" in entry else None
     spec = SignalSpec(dbc=dbc, name=name, unit=unit, gain=sign * scale * factor, bias=offset * factor, factor=factor,
                       minimum=low, maximum=high, max_rate=entry.number("max_rate", 0.0, 1e9, default=math.inf),
-                      sign_signal=negative)
+                      sign_signal=sign_signal)
     _check_span(spec, entry, dbc_path)
     return spec
 
@@ -282,7 +284,7 @@ def _signal(entry: Entry, message: DbcMessage, dbc: DbcSignal, dbc_path: Path) -
 def _unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
     """Unit of a signal in the table; raises TableError if the DBC gives another known unit."""
     text = entry.text("unit")
-    unit, given = unit_of(text), unit_of(dbc.unit)
+    unit, dbc_unit = unit_of(text), unit_of(dbc.unit)
     origin = f"{entry.origin}: {entry.path}.unit"
     if unit is None:
         raise TableError(f"{origin}: {text!r} is not one of {', '.join(o or repr(o) for o in UNITS)}")
@@ -292,7 +294,7 @@ def _unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
         missing = f", and {dbc_path} gives no unit" if not (dbc.unit or "") and not unit else ""
         raise TableError(f"{origin}: {text!r} cannot be converted to {si_unit!r} ({name}){missing}; "
                          f"write {possible!r}, the unit of the sensor")
-    if given and given != unit:
+    if dbc_unit and dbc_unit != unit:
         raise TableError(f"{origin}: {text!r}, but {dbc_path} gives {dbc.unit!r}")
     return unit
 

@@ -31,7 +31,7 @@ def test_rate(plausibility):
 @pytest.mark.parametrize("bad", [[500], [1000], [1000] * 100, [500, -500]])
 def test_only_the_bad_frames_are_refused(plausibility, bad):
     assert judge(plausibility, [0, 0, *bad, *[0] * 10]) == [True] * 2 + [False] * len(bad) + [True] * 10
-    assert plausibility.implausible_signal == ""
+    assert plausibility.fault == ""
 
 
 def test_a_step_within_the_range_costs_one_frame(plausibility):
@@ -48,11 +48,11 @@ def test_after_a_gap_any_angle_is_possible(plausibility):
 
 def test_stray_frames_do_not_condemn_a_signal(plausibility):
     judge(plausibility, [0, 0, 0, 0, 1000, 0, 0, 0, 0, 1000, 0, 0])
-    assert plausibility.implausible == 2 and plausibility.implausible_signal == ""
+    assert plausibility.implausible == 2 and plausibility.fault == ""
 
 
 def test_nonsense_and_its_end(plausibility):
     judge(plausibility, [0, 1000] * 20)
-    assert "decodes to implausible values: 20 of the last 40 frames" in plausibility.implausible_signal
+    assert "decodes to implausible values: 20 of the last 40 frames" in plausibility.fault
     judge(plausibility, [0.0] * 100)
-    assert plausibility.implausible_signal == ""
+    assert plausibility.fault == ""

@@ -408,7 +408,7 @@ FIELDS: dict[int, dict[str, Field]] = {
 _DECODERS = {channel: tuple((field.name, field.decoder()) for field in fields) for channel, fields in TABLE.items()}
 _TRIGGER = struct.Struct("<iHbB")
 UTC_CHANNEL = 16
-_READ_UTC_OFFSET = FIELDS[UTC_CHANNEL]["TimeUtcOffset"].decoder()
+_DECODE_UTC_OFFSET = FIELDS[UTC_CHANNEL]["TimeUtcOffset"].decoder()
 
 
 def decode_channel(channel: int, data: bytes) -> dict[str, Value]:
@@ -437,7 +437,7 @@ def trigger_nanoseconds(data: bytes) -> int | None:
 
 def utc_offset(data: bytes) -> int | None:
     """UTC - GPS time [s] from the 8 bytes of channel 16; None if invalid or positive (UTC is never ahead of GPS)."""
-    offset = _READ_UTC_OFFSET(int.from_bytes(data, "little"), data)
+    offset = _DECODE_UTC_OFFSET(int.from_bytes(data, "little"), data)
     return None if offset is None or offset > 0 else int(offset)
 
 
@@ -462,10 +462,10 @@ def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
         if field.validity.flag is not None:
             groups.setdefault(field.validity.flag, []).append(field)
     for flag, group in groups.items():
-        given = [values.get(field.name) is not None for field in group]
-        if any(given) and not all(given):
+        is_set = [values.get(field.name) is not None for field in group]
+        if any(is_set) and not all(is_set):
             raise NcomError(f"channel {channel}: {', '.join(f.name for f in group)} are valid together or not at all")
-        buffer[flag] = group[0].validity.flag_valid if any(given) else 0xFF
+        buffer[flag] = group[0].validity.flag_valid if any(is_set) else 0xFF
     if any(f.validity.text.startswith(_FRESH_TEXT) and values.get(f.name) is not None for f in fields.values()):
         buffer[6] = 0
     for name, field in fields.items():

@@ -48,12 +48,12 @@ def derive(columns: Columns, settings: Settings) -> Mapping[str, np.ndarray]:
     seconds = float_seconds(columns)
     level_velocity, level_rate = _to_level_heading(velocity, heading), _apply(level, rate)
     out["Vf"], out["Vl"] = level_velocity[0], level_velocity[1]
-    _speed_and_slip(out, velocity, heading, level_rate[2], _forward_fill(settings.speed_accuracy, len(columns)))
-    _distances(out, columns, seconds)
+    _add_speed_and_slip(out, velocity, heading, level_rate[2], _forward_fill(settings.speed_accuracy, len(columns)))
+    _add_distances(out, columns, seconds)
     out["Af"], out["Al"], out["Ad"] = _apply(level, acceleration)
     out["Wf"], out["Wl"], out["Wd"] = np.degrees(level_rate)
-    _angular_acceleration(out, columns, seconds)
-    _filtered(out, columns, seconds, settings)
+    _add_angular_acceleration(out, columns, seconds)
+    _add_filtered(out, columns, seconds, settings)
     for prefix, frd in (("IsoVo", _apply_transposed(level, level_velocity)), ("IsoVh", level_velocity),
                         ("IsoAo", _without_gravity(columns, velocity, heading, level, acceleration))):
         out[f"{prefix}X"], out[f"{prefix}Y"], out[f"{prefix}Z"] = frd[0], -frd[1], -frd[2]
@@ -92,8 +92,8 @@ def _to_level_heading(ned: np.ndarray, heading: np.ndarray) -> np.ndarray:
     return np.array([ned[0] * c + ned[1] * s, -ned[0] * s + ned[1] * c, ned[2]])
 
 
-def _speed_and_slip(out: dict, velocity: np.ndarray, heading: np.ndarray, yaw_rate: np.ndarray,
-                    accuracy: np.ndarray) -> None:
+def _add_speed_and_slip(out: dict, velocity: np.ndarray, heading: np.ndarray, yaw_rate: np.ndarray,
+                        accuracy: np.ndarray) -> None:
     north, east, down = velocity
     speed = np.hypot(north, east)
     out["Speed2d"] = speed
@@ -117,7 +117,7 @@ def _forward_fill(changes: list[tuple[int, float]], count: int) -> np.ndarray:
     return np.where(newest >= 0, values[np.maximum(newest, 0)], np.nan)
 
 
-def _distances(out: dict, columns: Columns, seconds: np.ndarray) -> None:
+def _add_distances(out: dict, columns: Columns, seconds: np.ndarray) -> None:
     """Trapezoidal integral of speed; a trigger packet gets the distance at its time without advancing it."""
     for name, speed in (("Dist2d", out["Speed2d"]), ("Dist3d", out["Speed3d"])):
         usable = ~np.isnan(speed) & ~np.isnan(seconds)
@@ -146,7 +146,7 @@ def _count_skipped_packets(columns: Columns, series: np.ndarray) -> int:
     return int(not np.any((columns.navigation_status[earlier] == 10) & (columns.channel[earlier] == 0)))
 
 
-def _angular_acceleration(out: dict, columns: Columns, seconds: np.ndarray) -> None:
+def _add_angular_acceleration(out: dict, columns: Columns, seconds: np.ndarray) -> None:
     """Backward difference of the angular rate over the packet time [deg/s^2], regular packets only."""
     rate = np.degrees(columns.angular_rate)
     series = np.flatnonzero((columns.kind == REGULAR) & ~np.isnan(seconds) & ~np.isnan(rate).any(axis=0))
@@ -158,7 +158,7 @@ def _angular_acceleration(out: dict, columns: Columns, seconds: np.ndarray) -> N
     out["Yx"], out["Yy"], out["Yz"] = result
 
 
-def _filtered(out: dict, columns: Columns, seconds: np.ndarray, settings: Settings) -> None:
+def _add_filtered(out: dict, columns: Columns, seconds: np.ndarray, settings: Settings) -> None:
     regular = (columns.kind == REGULAR) & ~np.isnan(seconds)
     groups = (("FiltA", columns.acceleration, settings.acceleration_filter),
               ("FiltY", np.array([out["Yx"], out["Yy"], out["Yz"]]), settings.rate_filter))
@@ -217,17 +217,15 @@ def _without_gravity(columns: Columns, velocity: np.ndarray, heading: np.ndarray
     A: specific force. w_ie: rotation of the earth, w_en: of the local frame as it moves over the earth.
     """
     latitude, height = columns.latitude, columns.altitude
-    north, east, down = velocity
+    north, east, _ = velocity
     s, c = np.sin(latitude), np.cos(latitude)
     w = 1 - ECCENTRICITY_SQUARED * s**2
     normal = SEMI_MAJOR_AXIS / np.sqrt(w)
     meridian = normal * (1 - ECCENTRICITY_SQUARED) / w
-    rotation_north = 2 * EARTH_RATE * c + east / (normal + height)
-    rotation_east = -north / (meridian + height)
-    rotation_down = -2 * EARTH_RATE * s - east * s / c / (normal + height)
-    correction = np.array([-(rotation_east * down - rotation_down * east),
-                           -(rotation_down * north - rotation_north * down),
-                           gravity(latitude, height) - (rotation_north * east - rotation_east * north)])
+    rotation = np.array([2 * EARTH_RATE * c + east / (normal + height), -north / (meridian + height),
+                         -2 * EARTH_RATE * s - east * s / c / (normal + height)])
+    correction = -np.cross(rotation, velocity, axis=0)
+    correction[2] += gravity(latitude, height)
     return acceleration + _apply_transposed(level, _to_level_heading(correction, heading))
 
 

@@ -35,11 +35,12 @@ def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Pa
     status_path: pkt,channel,field,valid,value, one row per change of value or validity.
     Raises NcomError for a file without packets and for an output that is the recording or the other output; OSError.
     """
-    outputs = [Path(path).resolve() for path in (csv_path, status_path) if path is not None]
-    if Path(ncom_path).resolve() in outputs:
-        raise NcomError(f"{ncom_path}: input and CSV output are the same file; choose another output")
-    if len(set(outputs)) < len(outputs):
-        raise NcomError(f"{csv_path}: values and status need two different output files")
+    outputs = [Path(path) for path in (csv_path, status_path) if path is not None]
+    for output in outputs:
+        if output.exists() and output.samefile(ncom_path):
+            raise NcomError(f"output {output} is the recording itself: name another file")
+    if len({output.resolve() for output in outputs}) < len(outputs):
+        raise NcomError(f"values and status would both be written to {csv_path}: name two files")
     columns = decode_file(ncom_path)
     changes, settings = _read_status(columns)
     table = _table(columns, settings)

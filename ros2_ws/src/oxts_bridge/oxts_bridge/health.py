@@ -105,9 +105,9 @@ class Health:
             return Check("stream", ERROR, "no NCOM packet yet", values)
         if age > self._silence_after:
             return Check("stream", ERROR, f"no packet for {age:.1f} s", values)
-        trouble = [f"{count} {'late packets' if name == 'late' else name}" for name, count in new.items() if count > 0]
-        if trouble:
-            return Check("stream", WARN, ", ".join(trouble) + " since the last report", values)
+        problems = [f"{count} {'late packets' if name == 'late' else name}" for name, count in new.items() if count > 0]
+        if problems:
+            return Check("stream", WARN, ", ".join(problems) + " since the last report", values)
         return Check("stream", OK, f"{rate:.0f} packets/s", values)
 
     def _check_solution(self) -> Check:

@@ -183,9 +183,9 @@ class OxtsBridge(LifecycleNode):
         self._health.incomplete += in_series and motion is None and received.rule.navigation == "valid"
         position = self._position(publishers, received_ns, motion)
         if (event := self._events.event(received)) is not None:
-            where = (position, motion) if event.complete else (None, None)
+            pose = (position, motion) if event.complete else (None, None)
             publishers.trigger(make_trigger(unix_nanoseconds(event.gps_ns, self._parser.utc_offset),
-                                            self._settings.map_frame, event.channel, event.count, *where))
+                                            self._settings.map_frame, event.channel, event.count, *pose))
         if in_series:
             self._continuity.update(received.packet)
             self._statistics.add(received)

@@ -60,7 +60,7 @@ class GpsClock:
         self.jumps = 0
         self._received_ns: int | None = None
         self._unconfirmed: int | None = None  # difference of the last sent minute from the count
-        self._late_count = 0  # length of the present run of late packets, and its newest time
+        self._late_count = 0  # length of the current run of late packets, and its newest time
         self._late_ms = 0
         self._late_minute: int | None = None
 

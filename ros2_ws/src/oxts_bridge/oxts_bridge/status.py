@@ -52,17 +52,17 @@ class StatusTracker:
         self.seen.add(channel)
         fields = decode_channel(channel, data) if decoded is None else dict(decoded)
         for name, modulus in _CYCLIC.get(channel, ()):
-            before = self.values.get(name)
-            if before is not None:
-                fields[name] = before + (fields[name] - before) % modulus
+            previous = self.values.get(name)
+            if previous is not None:
+                fields[name] = previous + (fields[name] - previous) % modulus
         if channel in TRIGGER_CHANNELS:
             time, name = trigger_nanoseconds(data), TRIGGER_CHANNELS[channel]
             fields = {name: self.values.get(name) if time is None else time / 1e9}
         elif channel == 23:
             lag, code = fields["BnsLag"], fields.pop("UpTimeCode")
             if lag is not None:
-                before = self.values.get("BnsLagFilt")
-                fields["BnsLagFilt"] = lag if before is None else before * (1 - _LAG_WEIGHT) + lag * _LAG_WEIGHT
+                previous = self.values.get("BnsLagFilt")
+                fields["BnsLagFilt"] = lag if previous is None else previous * (1 - _LAG_WEIGHT) + lag * _LAG_WEIGHT
             fields["UpTime"] = None if code is None else up_time(code)
         elif channel == 25:
             self._set_legacy_origin(fields, data, position)
@@ -114,9 +114,9 @@ class StatusTracker:
         if milliseconds is None or gps_seconds is None:
             return  # without a new time the last frequency stays valid
         time = 60.0 * round((gps_seconds - milliseconds * 1e-3) / 60.0) + milliseconds * 1e-3
-        count, before = fields["WSpeedCount"], self._last_pulses
+        count, previous = fields["WSpeedCount"], self._last_pulses
         fields["WSpeedFreq"] = (
-            (count - before[1]) % (1 << 32) / (time - before[0]) if before and time > before[0] else None)
+            (count - previous[1]) % (1 << 32) / (time - previous[0]) if previous and time > previous[0] else None)
         self._last_pulses = time, count
         fields["WSpeedTime"] = time
 

@@ -85,12 +85,12 @@ def live_parameters(folder: Path, vehicle: Path, bridges: Parameters, model: Par
 
 def replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfiguration) -> dict[str, dict[str, Any]]:
     """Parameters of REPLAY_NODES: those in the recording, else of config/nodes.yaml."""
-    replayed = {"vehicle_file": str(vehicle), "use_sim_time": True}
-    before = {node: recorded.nodes.get(node, {}) for node in ("predictor", "evaluator")}
+    common = {"vehicle_file": str(vehicle), "use_sim_time": True}
+    nodes = {node: {**recorded.nodes.get(node, {}), **common} for node in ("predictor", "evaluator")}
     merged = merge(config("nodes.yaml"), {
         # The files named in the recording may have moved or changed; `add_files` sets those of this run.
-        "predictor": {**before["predictor"], **replayed, "bands_file": "", "course_file": ""},
-        "evaluator": {**before["evaluator"], **replayed, "output_directory": str(folder / "errors")},
+        "predictor": {**nodes["predictor"], "bands_file": "", "course_file": ""},
+        "evaluator": {**nodes["evaluator"], "output_directory": str(folder / "errors")},
         "recorder": {"use_sim_time": True, "output_directory": str(folder / "bag"),
                      "configuration_files": [str(vehicle), str(folder / "parameters.yaml")]},
     })

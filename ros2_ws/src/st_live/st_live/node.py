@@ -25,8 +25,8 @@ from st_ros.polling import PolledSubscription
 AGGREGATE_PERIOD = 1.0  # s between messages on /diagnostics_agg
 PREDICTION_PERIOD = 0.25  # s between reads of the newest prediction
 STATUS_TIMEOUT = 5.0  # s without an update before a status is silent
-STALE = 3
 LEVELS = ("ok", "warning", "error", "stale")
+STALE = LEVELS.index("stale")
 
 
 @dataclass(frozen=True)
@@ -112,25 +112,22 @@ class Monitor:
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._aggregate.publish(message)
 
-    def close(self) -> None:
+    def __enter__(self) -> "Monitor":
+        return self
+
+    def __exit__(self, *_: object) -> None:
         self._executor.shutdown()
         self._thread.join()
         self._node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 
-    def __enter__(self) -> "Monitor":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def _spin(self) -> None:
         with contextlib.suppress(ExternalShutdownException):
             self._executor.spin()
 
-    def _set(self, **news: Any) -> None:
+    def _set(self, **changes: Any) -> None:
         with self._lock:  # called by its own thread and by that of the caller
-            self.state = replace(self.state, **news)
+            self.state = replace(self.state, **changes)
 
     def _read_predictions(self) -> None:
         for subscription in self._predictions:
@@ -142,9 +139,9 @@ class Monitor:
         self._update_health({s.name: Status(s.name, int.from_bytes(s.level, "little"), s.message, now)
                              for s in message.status})
 
-    def _update_health(self, news: dict[str, Status]) -> None:
+    def _update_health(self, statuses: dict[str, Status]) -> None:
         with self._lock:
-            self.state = replace(self.state, health={**self.state.health, **news})
+            self.state = replace(self.state, health={**self.state.health, **statuses})
 
 
 def progress_view(state: SuiteState, elapsed: float, duration: float | None, title: str) -> RenderableType:

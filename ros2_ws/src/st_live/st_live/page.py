@@ -91,7 +91,7 @@ class _Handler(BaseHTTPRequestHandler):
     disable_nagle_algorithm = True
 
     def do_GET(self) -> None:
-        if not self._is_addressed_here():
+        if not self._host_is_allowed():
             self.send_error(403, "this host is not served under that name")
         elif self.path.split("?")[0] == "/":
             self._answer(self.server.page, "text/html; charset=utf-8")
@@ -102,8 +102,8 @@ class _Handler(BaseHTTPRequestHandler):
         else:
             self.send_error(404)
 
-    def _is_addressed_here(self) -> bool:
-        """On loopback, a page of another site could read frames through a name that resolves to 127.0.0.1."""
+    def _host_is_allowed(self) -> bool:
+        """On loopback only local names: else another site's page could read frames by a name that is 127.0.0.1."""
         name = self.headers.get("Host", "").rpartition(":")[0]
         return self.server.server_address[0] != LOOPBACK or name in (LOOPBACK, "localhost")
 
@@ -169,7 +169,7 @@ class LiveView:
         if not line:
             output = self._server.last_lines() or "the page did not start"
             raise SuiteError(f"--view: {output} (log: {self._server.log})")
-        self.url = f"http://{_reachable(self._host)}:{line.strip().rpartition(':')[2]}/"
+        self.url = f"http://{_address_for_others(self._host)}:{line.strip().rpartition(':')[2]}/"
         show_address(self.url, console)
 
     def finish(self, folder: Path, console: Console) -> None:
@@ -191,7 +191,7 @@ class LiveView:
             self._processes = None
 
 
-def _reachable(host: str) -> str:
+def _address_for_others(host: str) -> str:
     """Address for other devices: for ALL_ADDRESSES that of the interface with the default route."""
     if host != ALL_ADDRESSES:
         return host

@@ -47,7 +47,7 @@ MODEL_WIDTHS = tuple(rr.Radius.ui_points(points) for points in (3.2, 2.0, 1.0, 0
 Projection = Callable[[np.ndarray, np.ndarray], np.ndarray]  # map x, y to the screen
 Pose = tuple[float, float, float]
 PERIOD_NS = 100_000_000
-FLUSH = 5.0  # s between writes; few large chunks load quickly
+FLUSH_PERIOD = 5.0  # s between writes; few large chunks load quickly
 TEXT_PERIOD_NS = 1_000_000_000
 MODELS = ("kinematic", "linear", "nonlinear", "augmented")
 LEVELS = ("ok", "warning", "**error**", "stale")
@@ -113,15 +113,6 @@ def grid(pose: Pose, spacing: float, reach: float) -> list[tuple[np.ndarray, np.
     return lines
 
 
-def recording(name: str, flush: float, *sinks: Any) -> rr.RecordingStream:
-    """A recording into sinks, with the layout of the panels. flush: interval between writes [s]."""
-    batches = rr.ChunkBatcherConfig(flush_tick=flush, flush_num_bytes=2_000_000)
-    stream = rr.RecordingStream("single_track_predictor", batcher_config=batches)
-    stream.send_recording_name(name)
-    stream.set_sinks(*sinks, default_blueprint=blueprint())
-    return stream
-
-
 class Scene:
     """Draws into a recording: a map with north up, and a picture with the heading up.
 
@@ -136,7 +127,7 @@ class Scene:
         rings = [np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1) for r in RINGS]
         recording.log("ahead/rings", rr.LineStrips2D(rings, colors=[LIGHT_GREY], radii=THIN, draw_order=-1.0),
                       static=True)
-        # Ahead to the right, where paths are rarely drawn.
+        # At the front right, where paths rarely cover them.
         recording.log("ahead/ring_names", rr.Points2D(
             [(0.7 * r, -0.7 * r) for r in RINGS[1::2]], radii=THIN, colors=[(120, 120, 120)],
             labels=[f"{r} m" for r in RINGS[1::2]], show_labels=True), static=True)
@@ -241,7 +232,10 @@ def draw(path: Path, file: Path, vehicle: Path | None = None) -> int:
     bag, _ = recordings_of(path)
     open_bag(bag)
     car, recorded, _ = configuration_of(read_bag(bag).records, vehicle)
-    stream = recording(path.name, FLUSH, rr.FileSink(str(file)))
+    batches = rr.ChunkBatcherConfig(flush_tick=FLUSH_PERIOD, flush_num_bytes=2_000_000)
+    stream = rr.RecordingStream("single_track_predictor", batcher_config=batches)
+    stream.send_recording_name(path.name)
+    stream.set_sinks(rr.FileSink(str(file)), default_blueprint=blueprint())
     feed = Feed(Scene(stream, car), recorded.nodes.get("predictor", {}).get("map_frame", "map"))
     pictures, due_ns = 0, 0
     with AnyReader([bag], default_typestore=typestore(definitions_folder())) as reader:

@@ -46,7 +46,7 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
     if reconstructed:
         raise RunError(bag, f"cannot be played: no {' and no '.join(reconstructed)}",
                        "st evaluate and st verify reconstruct them from raw packets and frames")
-    for line in not_played(bag, drive.unknown):
+    for line in describe_not_played(bag, drive.unknown):
         console.print(f"[yellow]{escape(line)}[/yellow]", highlight=False, soft_wrap=True)
     car, recorded, _ = configuration_of(drive.records, vehicle)
     file = folder / "vehicle.yaml"
@@ -63,7 +63,7 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
     return outcome, car.name
 
 
-def not_played(bag: Path, unknown: Sequence[str]) -> list[str]:
+def describe_not_played(bag: Path, unknown: Sequence[str]) -> list[str]:
     """Lines that name what a replay leaves out: topics of unknown type, and the end of a truncated recording."""
     topics = [f"of unknown type and not played: {', '.join(unknown)}"] if unknown else []
     return topics + ([TRUNCATED.format(bag, "played")] if was_interrupted(bag) else [])

@@ -25,7 +25,7 @@ from .suite import VIEW_NICE, Processes, SuiteError
 LOOPBACK = "127.0.0.1"
 READY_TIMEOUT = 20.0  # s
 STOP_TIMEOUT = 3.0  # s until a process is killed
-WITHOUT_RERUN = ("rerun-sdk is not installed (its numpy 2 conflicts with a sourced ROS); "
+RERUN_MISSING = ("rerun-sdk is not installed (its numpy 2 conflicts with a sourced ROS); "
                  "RViz, Foxglove and PlotJuggler show the same data, see docs/manual/viewing.md")
 HOP_BY_HOP = {"connection", "keep-alive", "transfer-encoding", "date", "server"}
 POLICY = ("default-src 'self' data: blob:; connect-src 'self' data: blob:; "
@@ -102,8 +102,8 @@ class RecordingView:
         self.url = f"http://{LOOPBACK}:{self._page.server_port}/?url={quote(recording, safe='')}"
         self._processes = Processes(folder)
         self._processes.environment |= rerun_environment(folder / "settings")
-        # The program itself: the command `rerun` is a script, whose end would leave the program running. For an address
-        # it starts no server of recordings, which would need 3 % of a core while idle.
+        # The executable, not the script `rerun`, which would leave the executable running when it is ended. With a URL
+        # it starts no server of its own for recordings, which would use 3 % of a core while idle.
         found = importlib.util.find_spec("rerun_cli")
         assert found and found.submodule_search_locations
         self._rerun = self._processes.start("rerun", [
@@ -142,7 +142,7 @@ def _listens(port: int) -> bool:
 def check_rerun(option: str) -> None:
     """Raises SuiteError where rerun-sdk is not installed."""
     if importlib.util.find_spec("rerun") is None:
-        raise SuiteError(f"{option}: {WITHOUT_RERUN}")
+        raise SuiteError(f"{option}: {RERUN_MISSING}")
 
 
 def show_address(url: str, console: Console) -> None:

@@ -19,7 +19,7 @@ from .node import Monitor, Status, health, progress_view, ticks
 from .page import LiveView
 from .suite import REALTIME_PERMISSION, Parameters, Suite, SuiteError, chosen_domain_id, claimed_domain
 
-SILENCE_TIMEOUT = 8.0  # s without /diagnostics, which every node publishes once a second, until a running node hangs
+SILENCE_TIMEOUT = 8.0  # s without /diagnostics (published once a second), after which a running node is taken to hang
 FIRST_STATUS_TIMEOUT = 30.0  # s from a start to the first /diagnostics
 BACK_OFF_FIRST, BACK_OFF_LAST = 0.5, 10.0  # s between a failure and the restart
 BACK_OFF_RESET_TIME = 60.0  # s without failure
@@ -241,11 +241,11 @@ class _StopRequest:
         os.write(self._write, b"x")
 
     def __enter__(self) -> "_StopRequest":
-        self._before = {s: signal.signal(s, self._request) for s in (signal.SIGINT, signal.SIGTERM)}
+        self._handlers = {s: signal.signal(s, self._request) for s in (signal.SIGINT, signal.SIGTERM)}
         return self
 
     def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
+        for number, handler in self._handlers.items():
             signal.signal(number, handler)
         os.close(self._read)
         os.close(self._write)

@@ -40,11 +40,13 @@ Parameters = Mapping[str, Mapping[str, Any]]
 
 
 class SuiteError(RuntimeError):
-    """A process of the suite could not be started or died; the text says which and where its log is."""
+    """A process of the suite could not be started or has ended; the text names it and its log."""
 
 
 @dataclass(frozen=True)
 class Child:
+    """One process. log: file of its output."""
+
     name: str
     process: subprocess.Popen
     log: Path

@@ -175,9 +175,9 @@ def reads_recordings(*names: str, **changed: Any) -> Callable[[Callable[..., Any
 
         options = [inspect.Parameter(f.name, inspect.Parameter.KEYWORD_ONLY, default=f.default,
                                      annotation=changed.get(f.name, f.type)) for f in chosen]
-        of_verb = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in inspect.signature(verb).parameters.values()]
-        place = next(k for k, p in enumerate(of_verb) if p.name == "read_options")
-        parameters = [*of_verb[:place], *options, *of_verb[place + 1 :]]
+        own = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in inspect.signature(verb).parameters.values()]
+        position = next(k for k, p in enumerate(own) if p.name == "read_options")
+        parameters = [*own[:position], *options, *own[position + 1 :]]
         called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         called.__annotations__ = {p.name: p.annotation for p in parameters}
         return called

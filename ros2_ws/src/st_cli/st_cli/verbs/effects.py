@@ -28,8 +28,9 @@ def effects(
 ) -> None:
     """List the effects: kind, slot, hooks, similar effects, channels needed; or check effect files of your own.
 
-    check: null exactly the base model, finite in its bounds, the same on floats, batches, compiled and in CasADi,
-    mirror images, stable. Exit status: 0 all requirements met, 1 some not, 2 a file cannot be loaded.
+    check: identical to the base model at null, finite within its bounds, equal on floats, batches, compiled and in
+    CasADi, symmetric in left and right, stable. Exit status: 0 all requirements met, 1 some not, 2 a file cannot be
+    loaded.
     """
     from st_core.effects import load_folder
 

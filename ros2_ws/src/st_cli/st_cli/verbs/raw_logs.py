@@ -84,8 +84,8 @@ def report(pair, console) -> None:
             table.add_row("INS minus CAN clock", f"{_seconds(alignment.offset_ns)} s",
                           f"{at:.1f} s later, in the middle of the common time")
             table.add_row("  deviation there", f"{alignment.offset_deviation * 1e3:.2f} ms",
-                          f"{max(alignment.offset_deviation**2 - assumed**2, 0.0) ** 0.5 * 1e3:.2f} ms without that of "
-                          "the assumed delay")
+                          f"{max(alignment.offset_deviation**2 - assumed**2, 0.0) ** 0.5 * 1e3:.2f} ms without the "
+                          "deviation of the assumed delay")
             table.add_row("drift", f"{alignment.drift_ppm:+.2f} ± {alignment.drift_deviation:.2f} ppm",
                           "INS against CAN clock")
             table.add_row("common time", f"{alignment.overlap:.1f} s", "")
@@ -105,8 +105,8 @@ def report(pair, console) -> None:
 
 def _seconds(nanoseconds: int) -> str:
     """All digits down to the microsecond, also of an offset of years, which a float would round."""
-    sign, rest = ("-", -nanoseconds) if nanoseconds < 0 else ("+", nanoseconds)
-    return f"{sign}{rest // 10**9}.{rest % 10**9 // 1000:06d}"
+    seconds, remainder = divmod(abs(nanoseconds), 10**9)
+    return f"{'-' if nanoseconds < 0 else '+'}{seconds}.{remainder // 1000:06d}"
 
 
 @shared.reads_recordings()
@@ -193,13 +193,6 @@ def ncom(
     """Write an NCOM file as CSV: time, acceleration, rates, position, velocity, attitude and derived values."""
     from oxts_bridge.export import write_csv
 
-    for option, path in (("--csv", csv), ("--status", status)):
-        if path is not None and path.exists() and path.samefile(file):
-            typer.echo(f"st ncom: {option} {path} is the recording itself: name another file", err=True)
-            raise typer.Exit(2)
-    if status is not None and status.absolute() == csv.absolute():
-        typer.echo(f"st ncom: --csv and --status are both {csv}: name two files", err=True)
-        raise typer.Exit(2)
     try:
         write_csv(file, csv, status)
     except (OSError, ValueError) as error:

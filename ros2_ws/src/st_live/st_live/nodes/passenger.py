@@ -86,10 +86,10 @@ class PassengerFrames:
 
     def frame(self, now: float) -> dict[str, Any]:
         """JSON-able content of the page. `received`: time of the newest odometry, null before the first."""
-        light, text = self._light(now)
+        level, text = self._worst_check(now)
         sample, (mode, mode_time), (angle, angle_time) = self._sample, self._mode, self._steering
         frame: dict[str, Any] = {
-            "received": self._received and round(self._received, 4), "light": light, "text": text, "mode": mode,
+            "received": self._received and round(self._received, 4), "light": level, "text": text, "mode": mode,
             "mode_age": round(now - mode_time, 1), "reason": self._reason,
             "errors": {model: error | {"age": round(now - at, 1)} for mode, of_model in self._errors.items()
                        if mode == "forecast" or any(now - at < STALE for at, _ in self._predictions[mode].values())
@@ -124,7 +124,7 @@ class PassengerFrames:
             path["band"] = np.round(np.asarray(band.across, float)[::PATH_STRIDE], 2).tolist()
         return path
 
-    def _light(self, now: float) -> tuple[str, str]:
+    def _worst_check(self, now: float) -> tuple[str, str]:
         """(level, text) of the worst check; a silent node is an error; "none" without diagnostics."""
         current = [(level, f"{node}: {text}") for node, (at, timeout, checks) in self._health.items()
                    for level, text in (checks.values() if now - at < timeout else
@@ -195,21 +195,21 @@ class PassengerNode(Node):
         super().__init__("passenger")
         self._frames, self._server = frames, server
         self._subscriptions_by_topic = {"predictor/status": self._subscribe("predictor/status")}
-        steady_timer(self, PERIOD, self._show)
+        steady_timer(self, PERIOD, self._send_frame)
 
     def _subscribe(self, topic: str) -> PolledSubscription:
         kind = TOPICS[topic]
         qos = QoSProfile(depth=DEPTH.get(kind, DEFAULT_DEPTH), reliability=ReliabilityPolicy.BEST_EFFORT)
         return PolledSubscription(self, TYPES[kind], topic, qos)
 
-    def _show(self) -> None:
-        started = False
+    def _send_frame(self) -> None:
+        received = False
         for topic, subscription in self._subscriptions_by_topic.items():
             for message, received_ns, _ in subscription.take():
                 waited = max((time.time_ns() - received_ns) * 1e-9, 0.0)  # in the queue
                 self._frames.take(topic, message, time.monotonic() - waited)
-                started = True
-        if started and len(self._subscriptions_by_topic) == 1:
+                received = True
+        if received and len(self._subscriptions_by_topic) == 1:
             # Not earlier, because the player of `st replay` counts the subscribers of its topics before it begins.
             self._subscriptions_by_topic |= {topic: self._subscribe(topic) for topic in TOPICS
                                              if topic not in self._subscriptions_by_topic}

@@ -55,8 +55,8 @@ class Follower:
 
     def __init__(self, node: Node, sources: Mapping[str, tuple[type, Callable[[bytes], int]]], lead: float):
         self._node, self._lead_ns = node, round(lead * 1e9)
-        self._sources = [(PolledSubscription(node, message_type, topic, QoSProfile(depth=DEPTH), raw=True), instant)
-                         for topic, (message_type, instant) in sources.items()]
+        self._sources = [(PolledSubscription(node, message_type, topic, QoSProfile(depth=DEPTH), raw=True), read_stamp)
+                         for topic, (message_type, read_stamp) in sources.items()]
         self._newest_ns = 0
         self._progresses = True
 
@@ -65,9 +65,9 @@ class Follower:
         end = time.monotonic() + (TIMEOUT if self._progresses else SHORT_TIMEOUT)
         before = self._newest_ns
         while True:
-            for subscription, instant in self._sources:
+            for subscription, read_stamp in self._sources:
                 for data, _, _ in subscription.take(DEPTH):
-                    self._newest_ns = max(self._newest_ns, instant(data))
+                    self._newest_ns = max(self._newest_ns, read_stamp(data))
             reached = self._newest_ns >= clock_ns - self._lead_ns
             if reached or time.monotonic() > end:
                 self._progresses = reached or self._newest_ns > before  # a slow node gets the long timeout again
