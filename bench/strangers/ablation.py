@@ -34,7 +34,7 @@ from . import score
 from .cases import cases
 from .recordings import write
 
-Work = importlib.import_module("st_core.discovery.discover")._Work  # the package exports the function of that name
+Work = importlib.import_module("st_core.discovery.discover")._Analysis  # the package exports the function of that name
 PAGE = project_root() / "docs" / "measurements" / "discovery_limits.md"
 LINES = project_root() / ".st" / "strangers" / "ablation.jsonl"
 DIVERSE = ("light_ev_ratio", "suv_worn_rear", "van_lever", "escort_ratio", "saloon_worn_front", "bmw_320i_gyro_bias",

@@ -152,8 +152,8 @@ def test_model_file_of_another_car_is_refused(drive, tmp_path):
     lag = augment("nonlinear", {"steering_lag": {"time_constant": 0.1}})
     model.write_text(ModelFile.of(lag, car(GENESIS), ModelProvenance()).to_yaml())
     result = discover(drive, "--base", model, "--output", tmp_path / "o")
-    assert result.exit_code == 2 and "the values hold for 'Hyundai Genesis'" in result.output
-    with pytest.raises(SuiteError, match="the values hold for 'Hyundai Genesis'"):
+    assert result.exit_code == 2 and "the values are valid for 'Hyundai Genesis'" in result.output
+    with pytest.raises(SuiteError, match="the values are valid for 'Hyundai Genesis'"):
         model_parameters(model, None, LEAF)
     chosen = model_parameters(model, None, GENESIS)
     assert chosen["predictor"] == chosen["evaluator"] == {"model_file": str(model), "effects_directory": ""}

@@ -143,5 +143,5 @@ def test_a_model_file_requires_its_car(tmp_path, embed):
     path = tmp_path / "model.yaml"
     path.write_text(ModelFile.of(augment("linear", ["mass"]), vehicle(), ModelProvenance(), embed=embed).to_yaml())
     wrong = run(path, "--vehicle", ROOT / "config/vehicle/hyundai_genesis.yaml", "--output", tmp_path / "out")
-    assert wrong.exit_code == 2 and "the values hold for" in wrong.output
+    assert wrong.exit_code == 2 and "the values are valid for" in wrong.output
     assert run(path, "--output", tmp_path / "out").exit_code == 0

@@ -91,7 +91,7 @@ class ModelFile:
                 (self.vehicle_name, self.vehicle_hash), (vehicle.name, vehicle.hash)))
             different = _differences(self.vehicle, vehicle) if self.vehicle else ""
             differ = f" (they differ in {different})" if different else ""
-            raise ConfigurationError(f"vehicle.hash: the values hold for {expected}, {origin} is {given}{differ}; "
+            raise ConfigurationError(f"vehicle.hash: the values are valid for {expected}, {origin} is {given}{differ}; "
                                      "use the vehicle file of their identification")
 
     @property

@@ -81,7 +81,7 @@ class TimeSeries:
     def add(self, time_ns: int, row: Sequence[float]) -> tuple[int | None, bool]:
         """Add a sample; returns (its position in `rows`, None if it was refused; whether the time jumped back).
 
-        A row with NaN, a repeated time and a late sample are refused. After a jump back the series holds only the
+        A row with NaN, a repeated time and a late sample are refused. After a jump back the series contains only the
         samples after it, and the position is 0.
         """
         if not np.isfinite(row).all():

@@ -143,7 +143,7 @@ def test_a_slower_sensor_in_the_same_rows_lacks_nothing(log):
 def test_a_hole_is_no_slower_sensor(log, hole):
     place = np.linspace(0.0, 1.0, len(log.steering_time_ns))
     one = steered(log, (place < hole[0]) | (place > hole[1]))
-    assert one.severity is Severity.WARNING and "hold no usable value" in one.text
+    assert one.severity is Severity.WARNING and "have no usable value" in one.text
 
 
 @pytest.mark.parametrize(("channel", "share"), [("road_wheel_angle", 0.5), ("yaw_rate", 0.5), ("acceleration_x", 1.0)])

@@ -27,7 +27,8 @@ NOT_LIVE = frozenset(("heading_misaligned", "measuring_point", "time_gaps", "sam
 
 @dataclass(frozen=True)
 class Verdict:
-    """Result of one check. severity: of the worst finding, "" without any. values: of each finding, ± half interval."""
+    """Result of one check. severity: of the worst finding, "" without any. values: of each finding, ± half interval.
+    """
 
     severity: str
     message: str

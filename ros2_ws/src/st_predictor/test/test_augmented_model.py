@@ -167,7 +167,7 @@ ANOTHER_CAR = MASS + 'vehicle: {name: "Truck", hash: "abcdef"}\n'
     (None, "model.yaml: No such file"),
     (MASS.replace("1.1", "9.0"), "effects.mass.factor: 9.0 is outside 0.6 to 2 1"),
     (TOW_HOOK, "unknown effect 'tow_hook'"),
-    (ANOTHER_CAR, "the values hold for 'Truck' abcdef"),
+    (ANOTHER_CAR, "the values are valid for 'Truck' abcdef"),
 ])
 def test_a_wrong_model_file_stops_the_start_with_one_line(
         processes: Processes, node: str, text: str | None, message: str):

@@ -96,11 +96,11 @@ def _missing_values(channel: str, count: int, motion: Motion, auxiliary: Auxilia
         share = count / max(len(time) + count, 1)
         rate = _slower_rate(time, rows * 1e-9, share)
     if rate:
-        text = (f"{channel}: {100 * share:.3g} % of the rows hold no value, and those that do are evenly spaced: it "
-                f"was recorded at {rate:.3g} Hz")
+        text = (f"{channel}: {100 * share:.3g} % of the rows have no value, and the others are evenly spaced: it was "
+                f"recorded at {rate:.3g} Hz")
         advice = "nothing, if that is the rate of the sensor"
     else:
-        text = f"{channel}: {count} rows hold no usable value ({100 * share:.3g} %); they were left out"
+        text = f"{channel}: {count} rows have no usable value ({100 * share:.3g} %); they were left out"
         advice = "look at the values that the logger writes there"
     severity = Severity.NOTE if rate or share <= NOTE_SHARE else Severity.WARNING
     return Finding("values_missing", severity, (channel,), text, share, advice=Advice("look", advice))

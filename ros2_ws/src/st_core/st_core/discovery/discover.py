@@ -73,8 +73,8 @@ def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | M
     Raises StCoreError for runs in which nothing can be predicted, ConfigurationError for settings that do not fit the
     base. Checked by: test_discovery*.py, bench/discovery.
     """
-    return _Work(runs, vehicle, base, reference, settings or DiscoverySettings(), progress, identities or {},
-                 parallel, clocks or {}).result()
+    return _Analysis(runs, vehicle, base, reference, settings or DiscoverySettings(), progress, identities or {},
+                     parallel, clocks or {}).result()
 
 
 def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model, names: Sequence[str],
@@ -107,7 +107,7 @@ class _Names(NamedTuple):
     combinations: tuple[Combination, ...]
 
 
-class _Work:
+class _Analysis:
     """One discovery: its inputs, and the steps from the search to the answer."""
 
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model,
@@ -220,7 +220,7 @@ class _Work:
         problem.loss.scale = scale
         fit = free.fit_at(fit.names, fit.vector, fit.indices, fit.slopes)
         gain = free.held_out_gain(found.fit, fit)
-        # Of the same windows, so that sums compare as means do; 0 where position is no channel.
+        # Both over the same windows, so that the sums can be compared; 0 if position is not a channel.
         named, best = (np.nansum(p.position_error(p.held_out_rows(f))) for p, f in ((problem, found.fit), (free, fit)))
         return (problem, found.fit) if gain < self.limits.relevant or best > named else (free, fit)
 

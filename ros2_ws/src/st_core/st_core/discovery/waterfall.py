@@ -94,7 +94,7 @@ def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Lev
     change = np.abs(fit.vector - space.null)[own]
     for name, level in levels.items():
         if name != "place":
-            half = np.maximum(half, change * _over_parts(agreement(problem, fit, effect, *level).ratios))
+            half = np.maximum(half, change * _prediction_interval(agreement(problem, fit, effect, *level).ratios))
     others = np.array([v[own] for v in (fit.vector, *(vector for names, vector in near if effect in names))])
     others -= fit.vector[own]
     for i, r, below, above in zip(own, half, others.min(axis=0), others.max(axis=0), strict=True):
@@ -106,14 +106,12 @@ def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Lev
     return result
 
 
-def _over_parts(collected: Mapping[str, tuple[float, float]]) -> float:
-    """Half width of the 95 % prediction interval for another part, relative to the value; 0 with fewer than three
-    parts.
-    """
-    if len(collected) < 3:
+def _prediction_interval(ratios: Mapping[str, tuple[float, float]]) -> float:
+    """Half width of the 95 % prediction interval for another part, relative to the value; 0 with fewer than 3 parts."""
+    if len(ratios) < 3:
         return 0.0
-    shares, deviations = np.array(list(collected.values())).T
-    _, error, between, _ = random_effects(shares, np.square(deviations))
+    values, deviations = np.array(list(ratios.values())).T
+    _, error, between, _ = random_effects(values, np.square(deviations))
     return TWO_SIDED * float(np.sqrt(between + error**2))
 
 

@@ -82,7 +82,8 @@ def window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: Vehi
 
 
 def _squares(windows: Windows, squares: np.ndarray) -> dict[str, np.ndarray]:
-    """(n,) by channel: mean square error over the first second; where errors add up, at the end of the horizon."""
+    """(n,) by channel: mean square error over the first second; of errors that accumulate, at the end of the horizon.
+    """
     short = windows.time <= max(SHORT_HORIZON, float(windows.time[0]))
     found: dict[str, np.ndarray] = {}
     for column, square in zip(windows.columns, np.moveaxis(squares, -1, 0), strict=True):

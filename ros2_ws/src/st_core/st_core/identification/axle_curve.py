@@ -137,7 +137,7 @@ def draw_models(model: AugmentedModel, covariance: np.ndarray, vehicle: VehicleP
 
 
 def valid_models(models: Iterable[AugmentedModel], vehicle: VehicleParameters) -> list[AugmentedModel]:
-    """Those whose values are within the limits of a vehicle file."""
+    """The models with values within the limits of a vehicle file."""
     found = []
     for candidate in models:
         try:

@@ -78,7 +78,7 @@ class DrivingTime:
 @dataclass(frozen=True)
 class OnlineFit:
     """Result of one fit: values and deviations (3,) in the order of NAMES. unexplained: root mean square residual over
-    that of the yaw rate. at_bound: names at a bound. problem: why there is no fit, else empty."""
+    that of the yaw rate. at_bound: names at a bound. problem: reason for a missing fit, else empty."""
 
     values: tuple[float, ...]
     deviations: tuple[float, ...]

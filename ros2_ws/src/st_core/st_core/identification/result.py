@@ -67,7 +67,7 @@ class Coverage:
 
     def describe(self) -> str:
         return (f"{self.signal}: {self.filled} of {len(self.counts)} bins from {self.edges[0]:.4g} to "
-                f"{self.edges[-1]:.4g} {self.unit} hold at least {self.needed} samples (needed: {self.bins_needed})")
+                f"{self.edges[-1]:.4g} {self.unit} have at least {self.needed} samples (needed: {self.bins_needed})")
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ def apply_to_vehicle(vehicle: VehicleParameters, found: Iterable[Identification]
     """The vehicle with every identified or doubtful value of a parameter it has; unidentifiable ones are unchanged.
 
     date: YYYY-MM-DD, for the provenance. A lambda_ky that was derived from the stiffness is derived again.
-    Raises ConfigurationError, naming the key and the limit, when a value lies outside what a vehicle file may hold.
+    Raises ConfigurationError, naming the key and the limit, for a value beyond the limits of a vehicle file.
     """
     values: dict[str, float] = {}
     sources: dict[str, str] = {}
