@@ -31,12 +31,14 @@ class Bin:
 
 def bins(evaluation: LogEvaluation) -> list[Bin]:
     """All bins that are not empty; a start under unknown conditions (NaN) is in no bin."""
-    conditions = evaluation.conditions
+    conditions, turn = evaluation.conditions, evaluation.conditions["heading_change"]
     candidates = [
         *_bins_of("speed", "m/s", conditions["speed"], SPEED),
         *_bins_of("lateral acceleration", "m/s²", np.abs(conditions["lateral_acceleration"]), LATERAL_ACCELERATION),
         *_bins_of("steering rate", "rad/s", conditions["steering_rate"], STEERING_RATE),
-        *_directions(conditions["heading_change"]),
+        Bin("direction", "left", STRAIGHT, None, turn >= STRAIGHT),
+        Bin("direction", "straight", -STRAIGHT, STRAIGHT, np.abs(turn) < STRAIGHT),
+        Bin("direction", "right", None, -STRAIGHT, turn <= -STRAIGHT),
     ]
     return [candidate for candidate in candidates if candidate.select.any()]
 
@@ -45,9 +47,3 @@ def _bins_of(quantity: str, unit: str, values: np.ndarray, lower: tuple[float, .
     inner = [Bin(quantity, f"{low:g} to {high:g} {unit}", low, high, (values >= low) & (values < high))
              for low, high in pairwise(lower)]
     return [*inner, Bin(quantity, f"above {lower[-1]:g} {unit}", lower[-1], None, values >= lower[-1])]
-
-
-def _directions(heading_change: np.ndarray) -> list[Bin]:
-    return [Bin("direction", "left", STRAIGHT, None, heading_change >= STRAIGHT),
-            Bin("direction", "straight", -STRAIGHT, STRAIGHT, np.abs(heading_change) < STRAIGHT),
-            Bin("direction", "right", None, -STRAIGHT, heading_change <= -STRAIGHT)]

@@ -13,7 +13,7 @@ from st_core.discovery import DiscoverySettings, discover
 from st_core.discovery.loss import Quadratic
 from st_core.discovery.settings import Limits
 from st_core.effects import EFFECTS, Measured
-from st_core.effects._relation import COUNT, Relation, curve
+from st_core.effects._relation import COUNT, RelationEffect, curve
 from st_core.errors import ConfigurationError
 from st_core.integrate import rk4
 from st_core.models import MODELS
@@ -31,7 +31,7 @@ from st_core.relations.candidates import (
 from st_core.relations.formulas import fitted_shapes, simulated_formulas
 from st_core.relations.relation_fit import RelationFits, RunWindows
 from st_core.relations.relation_search import _reported
-from st_core.relations.selection import RunShares, equally_good, harmful, lower_bound, rejected_curve, too_small
+from st_core.relations.selection import RunShares, deterioration, equally_good, lower_bound, rejected_curve, small_gain
 from st_core.vehicle import VehicleParameters
 from support import ROOT
 
@@ -59,7 +59,7 @@ def test_every_place_can_be_asked_and_the_library_does_not_hold_the_law():
 def test_curve_of_the_equations_is_that_of_the_splines(parity):
     c = Candidate("yaw_moment", "yaw_rate", parity, -0.5, 0.5)
     heights = np.random.default_rng(1).normal(size=COUNT)
-    theta = Relation.Theta(**{p.name: p.null for p in Relation.parameters} | c.constants
+    theta = RelationEffect.Theta(**{p.name: p.null for p in RelationEffect.parameters} | c.constants
                       | {f"c{k}": h for k, h in enumerate(heights)}, car=())
     u = np.linspace(-0.8, 0.8, 33)
     assert USUAL_SIZES["yaw_moment"] * curve(u, theta) == pytest.approx(heights @ c.splines(u), abs=1e-12)
@@ -202,10 +202,11 @@ def test_a_law_that_makes_one_run_surely_worse_is_no_proposal(laws):
     before = np.full(len(laws.windows), 0.5)
     noise = 0.01 * np.random.default_rng(5).normal(size=len(before))
     second = laws.windows.run == 1
-    assert harmful(laws, "law", before, before - 0.1 + noise, Limits()) == ""
-    assert harmful(laws, "law", before, before + np.where(second, 0.01, -0.2) + 0.1 * noise, Limits()) == ""  # 1 cm
+    assert deterioration(laws, "law", before, before - 0.1 + noise, Limits()) == ""
+    slightly = before + np.where(second, 0.01, -0.2) + 0.1 * noise  # by 1 cm
+    assert deterioration(laws, "law", before, slightly, Limits()) == ""
     mixed = before + np.where(second, 0.05, -0.2) + noise
-    said = [harmful(laws, "law", before, after, Limits()) for after in (mixed, before + 0.1)]
+    said = [deterioration(laws, "law", before, after, Limits()) for after in (mixed, before + 0.1)]
     assert f"raises the held-out error of {laws.windows.names[1]}" in said[0]
     assert "raises the held-out position error after 5 s from 0.500 to 0.6" in said[1]
 
@@ -220,7 +221,7 @@ def test_a_law_with_which_the_path_is_perhaps_no_better_is_no_proposal(laws):
     moment, gyroscope = (Candidate(place, "yaw_rate", -1.0, -0.5, 0.5) for place in ("yaw_moment", "sensor_yaw_rate"))
 
     def said(law: Candidate, closer: np.ndarray) -> str:
-        return too_small(laws, law, falls, closer[laws.block], Limits())
+        return small_gain(laws, law, falls, closer[laws.block], Limits())
 
     assert said(moment, 0.05 * share) == ""
     assert all("the gain in the predicted path is not" in said(moment, closer)

@@ -53,6 +53,7 @@ TEXT = {
 }
 UNIT = {"yaw_offset": "rad", "position_lag": "s", "velocity_lag": "s", "position_reference": "m",
         **dict.fromkeys(BIASES, "m/s")}
+MIN_REPORTED = {"s": LIMITS.lag, "m": LIMITS.mounting, "m/s": MIN_VELOCITY_BIAS}
 CHANNELS = {"x_scale": ("x",), "y_scale": ("y",), "map_shear": ("x",), "yaw_offset": ("yaw",),
             "velocity_scale": ("velocity_x", "velocity_y"), "position_lag": ("x", "y"),
             "velocity_lag": ("velocity_x", "velocity_y"),
@@ -91,7 +92,7 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
         if len(problem.time) < MIN_WINDOWS:
             return motion, [], {}
         min_values = {name: max(LIMITS.min_reported_effect / max(problem.effect(name, 1.0, HORIZON, WINDOW), 1e-9),
-                                _min_reported(name)) for name in problem.columns}
+                                MIN_REPORTED.get(UNIT.get(name, ""), 0.0)) for name in problem.columns}
         refined = _refine_causes(problem, found, min_values, has_varying_speed(motion.velocity_x))
         found = {name: estimate for name, estimate in refined.items() if is_relevant(estimate, min_values[name])}
         corrected = _without_causes(motion, found)
@@ -237,10 +238,6 @@ def _estimate_all(problem: Regression, found: dict[str, Estimate]) -> dict[str, 
     # Scale of the positions if the velocity is right.
     estimates["position_scale"] = estimates["velocity_scale"].inverse()
     return estimates
-
-
-def _min_reported(name: str) -> float:
-    return {"s": LIMITS.lag, "m": LIMITS.mounting, "m/s": MIN_VELOCITY_BIAS}.get(UNIT.get(name, "1"), 0.0)
 
 
 def _make_finding(name: str, cause: Estimate, problem: Regression) -> Finding:

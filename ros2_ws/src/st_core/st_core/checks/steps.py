@@ -35,17 +35,13 @@ def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
     errors, along = _step_errors(motion)
     jitter = _check_jitter(motion, along)
     if jitter:
-        return motion.with_(time=_even_stamps(motion.time)), jitter
+        edges = np.concatenate(([0], np.flatnonzero(np.diff(motion.time) > MAX_GAP) + 1, [len(motion.time)]))
+        even = [np.linspace(motion.time[a], motion.time[b - 1], b - a) for a, b in pairwise(edges)]
+        return motion.with_(time=np.concatenate(even)), jitter
     rounding = max(resolution(motion.time, motion.x), resolution(motion.time, motion.y))
     stale, findings = _check_stale(motion, errors, along, rounding)
     findings += _check_jumps(motion, errors, stale, rounding)
     return motion, findings + (_check_noise(motion, errors) if rounding == 0.0 else [])
-
-
-def _even_stamps(time: np.ndarray) -> np.ndarray:
-    """Evenly spaced stamps in each stretch without a gap."""
-    edges = np.concatenate(([0], np.flatnonzero(np.diff(time) > MAX_GAP) + 1, [len(time)]))
-    return np.concatenate([np.linspace(time[a], time[b - 1], b - a) for a, b in pairwise(edges)])
 
 
 def _step_errors(motion: Motion) -> tuple[np.ndarray, np.ndarray]:

@@ -107,7 +107,7 @@ def _parameters(*more: Parameter) -> tuple[Parameter, ...]:
 
 
 @unlisted
-class Relation(Effect):
+class RelationEffect(Effect):
     name = "law"
     physics = "a smooth curve of one quantity, added to one term of the model"
     excited_by = "driving that covers the range of the quantity"
@@ -145,7 +145,7 @@ class Relation(Effect):
 
 
 @unlisted
-class LaggedRelation(Effect):
+class LaggedRelationEffect(Effect):
     name = "law_memory"
     physics = "a smooth curve of a quantity that lags, or of its rate, added to the steering of an axle"
     excited_by = "transients that cover the range of the quantity"
@@ -175,7 +175,7 @@ class LaggedRelation(Effect):
 
 
 @unlisted
-class TimedRelation(Effect):
+class TimedRelationEffect(Effect):
     name = "law_timed"
     physics = "a smooth curve of the time in the run, added to the steering or to the grip of an axle"
     excited_by = "long runs"

@@ -7,7 +7,15 @@ import numpy as np
 
 from ..discovery.levels import sites
 from ..discovery.windows import Windows
-from ..effects._relation import COUNT, INTERVALS, TERMS, LaggedRelation, Relation, TimedRelation, spline
+from ..effects._relation import (
+    COUNT,
+    INTERVALS,
+    TERMS,
+    LaggedRelationEffect,
+    RelationEffect,
+    TimedRelationEffect,
+    spline,
+)
 from ..timeseries import NANOSECOND, smoothed
 from ..vehicle import VehicleParameters
 
@@ -78,8 +86,8 @@ class Candidate:
     def effect(self) -> str:
         """Name of the effect that implements it."""
         if self.quantity == "run_time":
-            return TimedRelation.name
-        return LaggedRelation.name if self.quantity in MEMORY or self.factor in MEMORY else Relation.name
+            return TimedRelationEffect.name
+        return LaggedRelationEffect.name if self.quantity in MEMORY or self.factor in MEMORY else RelationEffect.name
 
     @property
     def of_sensor(self) -> bool:

@@ -13,13 +13,13 @@ from ..discovery.settings import DiscoverySettings
 from ..discovery.space import GAIN, Space
 from ..discovery.windows import Windows
 from ..effects import get_effect
-from ..effects._relation import COUNT, Relation
+from ..effects._relation import COUNT, RelationEffect
 from ..log import DriveLog
 from ..regression import ridge
 from ..vehicle import VehicleParameters
 from .candidates import Candidate, run_time
 
-RELATION = Relation.name  # the three kinds have the same indices in the vector
+RELATION = RelationEffect.name  # the three kinds have the same indices in the vector
 SMOOTHING = (0.003, 0.03, 0.3)  # penalty on second differences, shares of the coefficients' mean curvature
 SIZE_PENALTY = 0.1  # on the coefficients, over that on their second differences; draws uninformed ones to 0
 ITERATIONS, STEP_SHARES, MIN_LOSS_FALL = 8, (1.0, 0.5, 0.2), 2e-4  # of a fit; the last: per scored error, ends it

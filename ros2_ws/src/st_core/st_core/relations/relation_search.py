@@ -151,7 +151,9 @@ def _select(screened: Sequence[Screened], fits: RelationFits, without: RelationF
     if not accepted:
         first = next(one for one in significant if one in against)
         return RelationSearch(None, against[first], tried, detection_limits)
-    best = selection.best_of(accepted, limits.relevant * number)
+    # A candidate of two quantities must be better by the smallest relevant gain.
+    best = min(accepted, key=lambda s: float(accepted[s].held_out.sum())
+               + (limits.relevant * number if s.candidate.factor else 0.0))
     relation, why = _make_relation(best, fitted, without, fits, p_values, settings, vehicle, named)
     return RelationSearch(relation, why, tried, detection_limits)
 
@@ -168,12 +170,13 @@ def _fit_candidates(significant: Sequence[Screened], fits: RelationFits, without
     accepted: Fitted = {}
     against: dict[Screened, str] = {}
     before = selection.held_out_positions(fits, without)
-    for one in selection.to_fit(significant):
+    for one in selection.shortlist(significant):
         tick()
         fit = fits.fit(one.candidate, without, one.smooth)
         name, after = one.candidate.name, selection.held_out_positions(fits, fit)
-        wrong = selection.rejected_curve(fits, fit, vehicle) or selection.harmful(fits, name, before, after, limits)
-        small = selection.too_small(fits, one.candidate, without.held_out - fit.held_out, before - after, limits)
+        wrong = (selection.rejected_curve(fits, fit, vehicle)
+                 or selection.deterioration(fits, name, before, after, limits))
+        small = selection.small_gain(fits, one.candidate, without.held_out - fit.held_out, before - after, limits)
         if wrong or small:
             against[one] = wrong or small
         else:

@@ -131,15 +131,10 @@ class RunShares:
         return [name for name, (share, deviation) in self.by_run.items() if share + TWO_SIDED_95 * deviation < 0.5]
 
 
-def to_fit(significant: Sequence[Screened]) -> list[Screened]:
+def shortlist(significant: Sequence[Screened]) -> list[Screened]:
     """The best candidate of every term, then the best of all; `significant`: best first."""
     first = {one.candidate.term: one for one in reversed(significant)}
     return list(dict.fromkeys([*sorted(first.values(), key=lambda s: -s.gain), *significant]))[:REFITTED]
-
-
-def best_of(fits: Mapping[Screened, RelationFit], min_gain: float) -> Screened:
-    """The smallest held-out loss; a candidate of two quantities must be better by `min_gain`."""
-    return min(fits, key=lambda s: float(fits[s].held_out.sum()) + (min_gain if s.candidate.factor else 0.0))
 
 
 def lower_bound(values: np.ndarray, p: float) -> float:
@@ -170,7 +165,7 @@ def rejected_curve(fits: RelationFits, fit: RelationFit, vehicle: VehicleParamet
     return f"with {name} the simulated car is unstable and cannot predict: {problem}" if problem else ""
 
 
-def harmful(fits: RelationFits, name: str, before: np.ndarray, after: np.ndarray, limits: Limits) -> str:
+def deterioration(fits: RelationFits, name: str, before: np.ndarray, after: np.ndarray, limits: Limits) -> str:
     """Why a relation increases held-out errors, "" if it does not: the mean position error after 5 s rises, or that of
     one run rises significantly and by `limits.relevant_position` or more. before, after: (n,) [m]."""
     rise = after - before
@@ -191,32 +186,34 @@ def harmful(fits: RelationFits, name: str, before: np.ndarray, after: np.ndarray
     return ""
 
 
-def gain_text(fits: RelationFits, gains: np.ndarray, closer: np.ndarray, limits: Limits) -> str:
-    """The held-out gain in a phrase. gains: (b,) reduction of the loss. closer: (n,) that of the position error [m]."""
+def gain_text(fits: RelationFits, gains: np.ndarray, position_gain: np.ndarray, limits: Limits) -> str:
+    """Text of the held-out gain. gains: (b,) reduction of the loss. position_gain: (n,) of the position error [m]."""
     gain, low = (-np.expm1(-total / fits.loss.scored_count)
                  for total in (gains.sum(), lower_bound(gains, limits.undecided_p)))
     return (f"reduces the held-out residual of all channels by {gain:.1%} (95 %: at least {low:.1%}), "
-            f"and the position error after 5 s by {100 * mean_of(closer):.1f} cm")
+            f"and the position error after 5 s by {100 * finite_mean(position_gain):.1f} cm")
 
 
-def too_small(fits: RelationFits, candidate: Candidate, gains: np.ndarray, closer: np.ndarray, limits: Limits) -> str:
+def small_gain(fits: RelationFits, candidate: Candidate, gains: np.ndarray, position_gain: np.ndarray,
+               limits: Limits) -> str:
     """Why the effect size is below the thresholds, "" if it is not: too little held-out gain, possibly none, or no
     significant gain (`limits.false_alarm`) in the predicted path.
 
     The path criterion does not apply to sensor relations, nor with fewer than two blocks with a position.
     """
-    little = gains.sum() < limits.relevant * fits.loss.scored_count and mean_of(closer) < limits.relevant_position
-    if little or lower_bound(gains, limits.undecided_p) <= 0.0:
-        return f"{candidate.name} is significant, but {gain_text(fits, gains, closer, limits)}"
-    blocks = by_block(fits, closer)
+    small = (gains.sum() < limits.relevant * fits.loss.scored_count
+             and finite_mean(position_gain) < limits.relevant_position)
+    if small or lower_bound(gains, limits.undecided_p) <= 0.0:
+        return f"{candidate.name} is significant, but {gain_text(fits, gains, position_gain, limits)}"
+    blocks = by_block(fits, position_gain)
     blocks = blocks[np.isfinite(blocks)]
     if not candidate.of_sensor and len(blocks) > 1 and lower_bound(blocks, limits.false_alarm) <= 0.0:
         return (f"{candidate.name} is significant, but the gain in the predicted path is not: it "
-                f"{gain_text(fits, gains, closer, limits)}")
+                f"{gain_text(fits, gains, position_gain, limits)}")
     return ""
 
 
-def mean_of(values: np.ndarray) -> float:
+def finite_mean(values: np.ndarray) -> float:
     """Mean of the finite values; 0 without one."""
     return float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
 

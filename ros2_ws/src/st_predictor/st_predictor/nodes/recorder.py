@@ -77,7 +77,8 @@ class RecorderNode(Node):
         values = parameters.declare(self, params.RECORDER)
         if not values.output_directory:
             raise ConfigurationError(f"{values.where}output_directory: not set; name a new directory for the bag")
-        self._patterns = [self._resolve(topic) for topic in values.topics]
+        namespace = self.get_namespace().rstrip("/")
+        self._patterns = [topic if topic.startswith("/") else f"{namespace}/{topic}" for topic in values.topics]
         self._values, self._records = values, metadata_records(values)
         self._bag = open_bag(values, self._records)
         self._stopped = ""  # why an earlier bag of this run ended
@@ -92,9 +93,6 @@ class RecorderNode(Node):
         self._diagnostics = Diagnostics(self, str(self._bag.directory), self._checks)
         self._subscribe_new()
         self.get_logger().info(f"recording into {self._bag.directory}")
-
-    def _resolve(self, pattern: str) -> str:
-        return pattern if pattern.startswith("/") else f"{self.get_namespace().rstrip('/')}/{pattern}"
 
     def _subscribe_new(self) -> None:
         """Subscribe to new topics that match the patterns."""
@@ -142,7 +140,9 @@ class RecorderNode(Node):
             return
         self._resume_at = now + RESUME_PERIOD
         with contextlib.suppress(OSError, ConfigurationError):
-            if shutil.disk_usage(_nearest_existing(self._bag.directory)).free < RESUME_SPACE:
+            folder = self._bag.directory
+            existing = next(place for place in (folder, *folder.parents) if place.exists())
+            if shutil.disk_usage(existing).free < RESUME_SPACE:
                 return
             self._resume_at = float("inf")
             bag = open_bag(self._values, self._records)
@@ -182,11 +182,6 @@ class RecorderNode(Node):
         self._bag.close()
         if self._bag.error:
             self.get_logger().error(self._bag.error)
-
-
-def _nearest_existing(folder: Path) -> Path:
-    """The folder, or its nearest existing parent."""
-    return next(place for place in (folder, *folder.parents) if place.exists())
 
 
 def metadata_records(values: SimpleNamespace) -> dict[str, dict[str, str]]:
