@@ -187,7 +187,7 @@ class CourseTracker:
         behind = np.array([self._distance - distance for distance, _ in self._past])
         rows = np.round(point.row - behind / SPACING).astype(int)
         of_pass = points[np.maximum(rows, 0)][rows >= 0]
-        driven = np.array([[one.velocity_x, one.curvature] for _, one in self._past])[rows >= 0]
+        driven = np.array([[motion.velocity_x, motion.curvature] for _, motion in self._past])[rows >= 0]
         turned = float(wrap_angle(ego.direction - ahead[0, 2]))
         differences = {"position": point.distance, "direction": turned,
                        "speed": float(np.sqrt(np.square(np.log(driven[:, 0] / of_pass[:, 4])).mean())),

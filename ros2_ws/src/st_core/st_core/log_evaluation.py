@@ -299,7 +299,7 @@ def _fill_with_held(planned: Planned, angle: np.ndarray, acceleration: np.ndarra
     """Planned inputs (n, m), and the held ones (n,) for the starts where a planned one is not known."""
     known = np.isfinite(np.stack(planned)).all(axis=(0, 2))[:, None]
     held = angle[:, None], acceleration[:, None], angle[:, None]
-    return tuple(np.where(known, values, one) for values, one in zip(planned, held, strict=False))
+    return tuple(np.where(known, values, held_value) for values, held_value in zip(planned, held, strict=False))
 
 
 def _instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

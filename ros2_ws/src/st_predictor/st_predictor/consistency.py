@@ -81,8 +81,8 @@ class Consistency:
             self.verdict = _waiting(log)
             return
         begin = time.thread_time()
-        findings = [one for one in check(log, self._vehicle).findings if one.name not in NOT_LIVE]
-        self._found = frozenset(one.name for one in findings if one.severity != "note")
+        findings = [finding for finding in check(log, self._vehicle).findings if finding.name not in NOT_LIVE]
+        self._found = frozenset(finding.name for finding in findings if finding.severity != "note")
         self.verdict = _verdict(findings, before, log.duration)
         self.seconds += time.thread_time() - begin
         self._not_before = began + self.seconds / self._share

@@ -88,8 +88,8 @@ class PolledSubscription:
     def publishers(self) -> list[str]:
         """Full node name of each publisher of the topic; UNRESOLVED_NODE for one not resolved yet."""
         found = self._node.get_publishers_info_by_topic(self.topic)
-        return [UNRESOLVED_NODE if one.node_name.startswith(UNRESOLVED_PREFIX)
-                else f"{one.node_namespace.rstrip('/')}/{one.node_name}" for one in found]
+        return [UNRESOLVED_NODE if publisher.node_name.startswith(UNRESOLVED_PREFIX)
+                else f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}" for publisher in found]
 
     def destroy(self) -> None:
         self._node.destroy_subscription(self.subscription)
@@ -100,8 +100,8 @@ def wait_for_any(node: Node, subscriptions: Sequence[PolledSubscription], second
     waiting = rclpy_implementation.WaitSet(len(subscriptions), 0, 0, 0, 0, 0, node.context.handle)
     with waiting:
         waiting.clear_entities()
-        for one in subscriptions:
-            waiting.add_subscription(one.subscription.handle)
+        for subscription in subscriptions:
+            waiting.add_subscription(subscription.subscription.handle)
         waiting.wait(round(seconds * 1e9))
 
 

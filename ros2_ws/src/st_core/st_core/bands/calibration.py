@@ -63,12 +63,12 @@ def conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[float]) -> 
     """
     count = len(scores)
     check_levels(levels, count)
-    if any(len(one) == 0 for one in scores):
+    if any(len(run) == 0 for run in scores):
         raise StCoreError("a run has no scored prediction; leave it out")
-    values = np.sort(np.concatenate([np.asarray(one, float) for one in scores]))
+    values = np.sort(np.concatenate([np.asarray(run, float) for run in scores]))
     if not np.isfinite(values).all():
         raise StCoreError("a score is not finite; bands cannot be calibrated with such errors")
-    by_run = np.stack([np.searchsorted(np.sort(one), values, side="right") / len(one) for one in scores])
+    by_run = np.stack([np.searchsorted(np.sort(run), values, side="right") / len(run) for run in scores])
     covered = by_run.mean(axis=0)
     # at_least[k]: distribution function of the k-th smallest score of a draw. mean[k]: its mean coverage; of k = 0: 0.
     at_least = _probability_of_at_least(by_run)
@@ -164,6 +164,6 @@ def _quantiles(ratios: Sequence[np.ndarray]) -> np.ndarray:
     """(3, levels), runs with equal weights: the inverse of the mean of their distribution functions."""
     found = []
     for axis in range(ratios[0].shape[1]):
-        parts = [np.quantile(one[:, axis], np.linspace(0.0, 1.0, 201)) for one in ratios]
+        parts = [np.quantile(ratio[:, axis], np.linspace(0.0, 1.0, 201)) for ratio in ratios]
         found.append(np.quantile(np.concatenate(parts), RELIABILITY))
     return np.array(found)

@@ -71,8 +71,8 @@ class LiveBands:
         self._ahead = widths.reshape(len(self.levels), -1, widths.shape[-1])[..., 1:]
         self.half_widths: Mapping[str, HalfWidths] = {model: {} for model, _ in pairs}
         for (model, mode), of_pair in zip(pairs, widths.swapaxes(0, 1), strict=True):
-            for level, one in zip(self.levels, of_pair, strict=True):
-                self.half_widths[model][mode, level] = one.T
+            for level, level_widths in zip(self.levels, of_pair, strict=True):
+                self.half_widths[model][mode, level] = level_widths.T
 
     def describe_outside(self, condition: Sequence[float]) -> str:
         """Reason, in one line, why there is no band under these conditions; empty if there is one."""
@@ -142,8 +142,8 @@ class AdaptiveBands:
                 if not band.remaining_warm_up:
                     found.add(pair)
                     self._since[pair] = min(self._since.get(pair, start_ns), start_ns)  # time may jump back
-                    for level, one in widths.items():
-                        half_widths[mode, level][1:] = one
+                    for level, level_widths in widths.items():
+                        half_widths[mode, level][1:] = level_widths
         return found, reason
 
     def observe(self, score: Score) -> None:
@@ -153,7 +153,7 @@ class AdaptiveBands:
         inside = self._bands[pair].observe(score.start_ns, errors)
         if inside and score.start_ns >= self._since.get(pair, math.inf):
             n, counts = self.counts.get(pair, (0, {}))
-            self.counts[pair] = n + 1, {level: counts.get(level, 0) + one for level, one in inside.items()}
+            self.counts[pair] = n + 1, {level: counts.get(level, 0) + is_inside for level, is_inside in inside.items()}
 
 
 ALTERNATIVE = 5.0 / 9.0
@@ -182,8 +182,8 @@ class Coverage:
     def add(self, start_ns: int, horizon: float, inside: Mapping[float, bool]) -> None:
         """Count one window. inside: whether the whole path was inside, by level; the highest is tested. horizon [s]."""
         self.n += 1
-        for level, one in inside.items():
-            self.inside[level] = self.inside.get(level, 0) + one
+        for level, is_inside in inside.items():
+            self.inside[level] = self.inside.get(level, 0) + is_inside
         level = max(inside)
         before, self._last_ns = self._last_ns, start_ns
         interval = 0.0 if before is None else (start_ns - before) * NANOSECOND / horizon
@@ -219,13 +219,14 @@ class Coverages:
         errors = np.abs(to_predicted_frame(np.stack([score.longitudinal, score.lateral, score.yaw], axis=-1)))
         # Without the start, which is the measurement itself.
         inside = {level: bool((errors[1:] <= widths[1:]).all()) for level, widths in by_level.items()}
-        one = self.by_pair.setdefault((score.model, score.mode), Coverage())
-        one.add(score.start_ns, float(score.horizon[-1]), inside)
+        coverage = self.by_pair.setdefault((score.model, score.mode), Coverage())
+        coverage.add(score.start_ns, float(score.horizon[-1]), inside)
 
     def warning(self) -> str:
         """Names bands with coverage significantly below the nominal level, in one line; empty without one."""
-        found = [f"{mode} of {model} (the {max(one.inside):.0%} band {one.share(max(one.inside)):.0%} so far)"
-                 for (model, mode), one in self.by_pair.items() if one.warns]
+        found = [f"{mode} of {model} (the {level:.0%} band {coverage.share(level):.0%} so far)"
+                 for (model, mode), coverage in self.by_pair.items() if coverage.warns
+                 for level in [max(coverage.inside)]]
         if not found:
             return ""
         return f"coverage far below the nominal level: {', '.join(found)}; have car, road or driving changed?"

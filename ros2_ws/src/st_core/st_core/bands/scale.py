@@ -111,15 +111,15 @@ def fit_scale(conditions: Sequence[np.ndarray], errors: Sequence[np.ndarray], ti
     Raises StCoreError where the fit fails.
     """
     knots = knots_of(float(time[-1]))
-    selected = [evenly_spaced(len(one)) for one in conditions]
-    phi = np.concatenate([features(one[rows]) for one, rows in zip(conditions, selected, strict=True)])
+    selected = [evenly_spaced(len(run)) for run in conditions]
+    phi = np.concatenate([features(run[rows]) for run, rows in zip(conditions, selected, strict=True)])
     weights = np.concatenate([np.full(len(rows), 1.0 / (len(rows) * len(selected))) for rows in selected])
-    squares = [np.maximum(np.square(one[rows].astype(float)), np.square(ERROR_RESOLUTION))
-               for one, rows in zip(errors, selected, strict=True)]
-    first, last = np.sqrt(np.mean([one[:, [0, -1]].mean(axis=0) for one in squares], axis=0))
+    squares = [np.maximum(np.square(run[rows].astype(float)), np.square(ERROR_RESOLUTION))
+               for run, rows in zip(errors, selected, strict=True)]
+    first, last = np.sqrt(np.mean([run[:, [0, -1]].mean(axis=0) for run in squares], axis=0))
     floor = np.stack([NOISE * first, FLOOR_SHARE * last])
     near = [int(np.abs(time - knot).argmin()) for knot in knots]
-    targets = np.concatenate([one[:, near] for one in squares]).reshape(len(phi), -1)  # (n, knots * 3)
+    targets = np.concatenate([run[:, near] for run in squares]).reshape(len(phi), -1)  # (n, knots * 3)
     c = _gamma_regression(phi, weights, targets)
     return Scale(c.reshape(phi.shape[1], len(knots), 3).transpose(2, 1, 0), floor, np.asarray(time, float), knots)
 
@@ -146,7 +146,7 @@ def _gamma_regression(phi: np.ndarray, weights: np.ndarray, squares: np.ndarray)
     for _ in range(MAX_STEPS):
         if np.abs(slope).max() < TOLERANCE:
             return c
-        hessian = np.stack([phi.T @ ((2.0 * weights * one)[:, None] * phi) for one in ratio.T]) + regularisation
+        hessian = np.stack([phi.T @ ((2.0 * weights * column)[:, None] * phi) for column in ratio.T]) + regularisation
         step, share = np.linalg.solve(hessian, slope.T[:, :, None])[:, :, 0].T, np.ones(c.shape[1])
         for _ in range(MAX_HALVINGS):
             tried, tried_slope, tried_ratio = loss(c - share * step)

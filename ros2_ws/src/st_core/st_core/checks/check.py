@@ -105,8 +105,8 @@ def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: 
     """
     if has_derived_yaw_rate(log):
         compared = ("yaw_rate_scale", "yaw_rate_bias", "yaw_rate_lag")
-        findings = [one for one in findings if one.severity is Severity.ERROR or one.name not in compared]
-    return findings if CHANNELS["velocity_y"].is_in(log) else [_without_sideslip(one, motion) for one in findings]
+        findings = [f for f in findings if f.severity is Severity.ERROR or f.name not in compared]
+    return findings if CHANNELS["velocity_y"].is_in(log) else [_without_sideslip(f, motion) for f in findings]
 
 
 def _without_sideslip(finding: Finding, motion: Motion) -> Finding:

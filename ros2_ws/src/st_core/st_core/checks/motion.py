@@ -45,8 +45,8 @@ class Motion:
     def of(cls, log: DriveLog, start: int, auxiliary: AuxiliaryData) -> "Motion":
         """Working copy of a drive. start: zero of the times [ns]."""
         series = {"wheel_speed": auxiliary.wheel_speed, "ins_speed": auxiliary.ins_speed}
-        speeds = {name: ((one.time_ns - start) * NANOSECOND, one.values)
-                  for name, one in series.items() if one and len(one.time_ns) > 1}
+        speeds = {name: ((signal.time_ns - start) * NANOSECOND, signal.values)
+                  for name, signal in series.items() if signal and len(signal.time_ns) > 1}
         return cls((log.ins_time_ns - start) * NANOSECOND, log.x - log.x[:1], log.y - log.y[:1], log.yaw,
                    log.velocity_x, log.velocity_y, log.yaw_rate, (log.steering_time_ns - start) * NANOSECOND,
                    log.road_wheel_angle, log.acceleration_x, log.acceleration_y, speeds)

@@ -66,15 +66,15 @@ class Axles:
 
     def curves(self, base: AugmentedModel) -> tuple[ForceCurve, ...]:
         """Force curves of front and rear axle over the driven slip with a 90 % band, and those of the file."""
-        found = (axle_curve(self.model, self.vehicle, one.axle, one.samples.slip, self.draws, base,
-                            also=self.near) for one in self.regressions)
+        found = (axle_curve(self.model, self.vehicle, regression.axle, regression.samples.slip, self.draws, base,
+                            also=self.near) for regression in self.regressions)
         return tuple(ForceCurve(c.axle, *(tuple(values.tolist()) for values in (
             c.slip, c.force, c.low, c.high, c.file, c.density))) for c in found)
 
     def combinations(self, base: AugmentedModel) -> tuple[Combination, ...]:
         """`COMBINATIONS` of vehicle parameters, with 95 % intervals."""
         value, file = _combined(self.model, self.vehicle), _combined(base, self.vehicle)
-        drawn = np.array([_combined(one, self.vehicle) for one in self.draws]) if self.draws else value[None]
+        drawn = np.array([_combined(model, self.vehicle) for model in self.draws]) if self.draws else value[None]
         low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
         low, high = np.minimum(low, value).tolist(), np.maximum(high, value).tolist()
         changing = {name: tuple(e.name for e in EFFECTS.values() if name in e.combinations) for name in COMBINATIONS}
@@ -84,16 +84,18 @@ class Axles:
     def driven_shares(self) -> dict[str, float]:
         """Force at the largest driven slip over the peak force, by axle [1]."""
         found = {}
-        for one in self.regressions:
+        for regression in self.regressions:
             slip = np.linspace(0.0, MAX_SLIP, 61)
-            force = axle_force(self.model, self.vehicle, one.axle, slip)
-            driven = float(np.quantile(np.abs(one.samples.slip), 0.995))
-            found[one.axle] = float(np.interp(driven, slip, np.maximum.accumulate(force)) / max(force.max(), 1.0))
+            force = axle_force(self.model, self.vehicle, regression.axle, slip)
+            driven = float(np.quantile(np.abs(regression.samples.slip), 0.995))
+            reached = float(np.interp(driven, slip, np.maximum.accumulate(force)))
+            found[regression.axle] = reached / max(float(force.max()), 1.0)
         return found
 
     def acting(self, axle: str, names: Sequence[str]) -> tuple[str, ...]:
         """The effects, of those named, that change the force of an axle at the driven slip."""
-        slip = next(np.quantile(np.abs(one.samples.slip), (0.5, 0.95)) for one in self.regressions if one.axle == axle)
+        samples = next(regression.samples for regression in self.regressions if regression.axle == axle)
+        slip = np.quantile(np.abs(samples.slip), (0.5, 0.95))
         force = axle_force(self.model, self.vehicle, axle, slip)
         acting = []
         for name in names:
@@ -111,20 +113,20 @@ class Axles:
         """
         space, found = self.problem.space, []
         base = base.with_values({name: space.values(name, self.fit.vector) for name in space.additions})
-        for one in self.regressions if self.sideslip else ():
-            if not one.usable:
+        for regression in self.regressions if self.sideslip else ():
+            if not regression.usable:
                 continue
             sums = np.zeros(2)
             for k, run in enumerate(self.runs):
-                of_run = np.asarray(one.samples.run_of) == k
+                of_run = np.asarray(regression.samples.run_of) == k
                 if of_run.sum() < 100:
                     continue
-                samples = replace(one.samples, **{name: getattr(one.samples, name)[of_run]
+                samples = replace(regression.samples, **{name: getattr(regression.samples, name)[of_run]
                                                   for name in ("slip", "force", "run_of", "time", "used")})
                 without = self.model.with_values(leave_one_out.get(run.name, {}))
                 sums += [force_error(m, self.vehicle, samples) ** 2 for m in (without, base)]
             if sums[0] > sums[1]:
-                found.append(one.axle)
+                found.append(regression.axle)
         return tuple(found)
 
 

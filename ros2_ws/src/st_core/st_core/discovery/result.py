@@ -355,7 +355,7 @@ class Discovery:
 
     def document(self) -> dict[str, Any]:
         """The body of discovery.json: dicts, lists, texts and numbers only."""
-        return {json_key(one): plain_data(getattr(self, one.name)) for one in fields(self) if one.name not in MODELS}
+        return {json_key(f): plain_data(getattr(self, f.name)) for f in fields(self) if f.name not in MODELS}
 
 
 def known_together(combinations: Sequence[Combination], named: Sequence[FoundEffect]) -> tuple[Combination, ...]:
@@ -372,7 +372,7 @@ def known_together(combinations: Sequence[Combination], named: Sequence[FoundEff
 def plain_data(value: Any) -> Any:
     """Dataclasses, mappings, tuples and NumPy numbers as dicts, lists and numbers."""
     if is_dataclass(value) and not isinstance(value, type):
-        return {json_key(one): plain_data(getattr(value, one.name)) for one in fields(value)}
+        return {json_key(f): plain_data(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, Mapping):
         return {str(k): plain_data(v) for k, v in value.items()}
     if isinstance(value, (tuple, list)):

@@ -14,9 +14,9 @@ def stored_as(key: str) -> dict[str, str]:
     return {"key": key}
 
 
-def json_key(one: Field) -> str:
+def json_key(entry: Field) -> str:
     """Name of a dataclass field in discovery.json."""
-    return one.metadata.get("key", one.name)
+    return entry.metadata.get("key", entry.name)
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ def varying(problem: Problem, fit: Fit, levels: Mapping[str, Level]) -> list[Var
     library = [n for n in problem.space.hypotheses if not get_effect(n).members]
     found = [_by_part(problem, fit, q, effect, name, level, len(library) * len(usable))
              for name, level in usable.items() for effect in library]
-    return sorted((one for one in found if one), key=lambda one: -one.gain)
+    return sorted((v for v in found if v), key=lambda v: -v.gain)
 
 
 def _by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, level: Level,

@@ -145,14 +145,15 @@ def _groups(bins: Sequence[BinExcess]) -> list[list[BinExcess]]:
     for _, of_quantity in itertools.groupby((b for b in bins if b.range.quantity != EVERYWHERE),
                                             key=lambda b: b.range.quantity):
         current: list[BinExcess] = []
-        for one in of_quantity:
-            similar = current and one.range.low == current[-1].range.high and one.range.low is not None and (
-                max(one.excess, current[-1].excess) <= 1.5 * min(one.excess, current[-1].excess))
-            if one.significant and similar:
-                current.append(one)
+        for bin_excess in of_quantity:
+            low, excess = bin_excess.range.low, bin_excess.excess
+            similar = current and low == current[-1].range.high and low is not None and (
+                max(excess, current[-1].excess) <= 1.5 * min(excess, current[-1].excess))
+            if bin_excess.significant and similar:
+                current.append(bin_excess)
             else:
                 groups.append(current)
-                current = [one] if one.significant else []
+                current = [bin_excess] if bin_excess.significant else []
         groups.append(current)
     return [g for g in groups if g]
 

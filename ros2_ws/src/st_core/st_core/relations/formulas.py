@@ -174,20 +174,20 @@ def fitted_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadr
 
 def _ordered(found: Sequence[FittedShape]) -> Sequence[FittedShape]:
     """The preferred shape first, the others by held-out loss."""
-    order = sorted((one for one in found if not any(
-        len(o.numbers) < len(one.numbers) and o.explained > one.explained - MIN_EXPLAINED_MORE for o in found)),
-        key=lambda one: float(one.held_out.sum()))
+    order = sorted((shape for shape in found if not any(
+        len(o.numbers) < len(shape.numbers) and o.explained > shape.explained - MIN_EXPLAINED_MORE for o in found)),
+        key=lambda shape: float(shape.held_out.sum()))
     if not order:
         return ()
     best = order[0]
 
-    def as_good(one: FittedShape) -> bool:
-        worse, share = one.held_out - best.held_out, one.explained / best.explained
+    def as_good(shape: FittedShape) -> bool:
+        worse, share = shape.held_out - best.held_out, shape.explained / best.explained
         within_error = float(worse.sum()) <= float(worse.std(ddof=1)) * np.sqrt(len(worse))
         return share >= FULL_SHARE or (share >= NEAR_SHARE and within_error)
 
-    first = min(filter(as_good, order), key=lambda one: len(one.numbers))
-    return (first, *(one for one in order if one is not first))[:MAX_FORMULAS]
+    first = min(filter(as_good, order), key=lambda shape: len(shape.numbers))
+    return (first, *(shape for shape in order if shape is not first))[:MAX_FORMULAS]
 
 
 def simulated_formulas(fits: RelationFits, fit: RelationFit, without: RelationFit) -> tuple[Formula, ...]:

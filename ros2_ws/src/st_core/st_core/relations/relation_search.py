@@ -143,13 +143,13 @@ def _select(screened: Sequence[Screened], fits: RelationFits, without: RelationF
         return RelationSearch(None, f"no relation is significant. The best, {name}, lowers the held-out loss by "
                               f"{gain:.3f} per scored error, p = {p_value:.2g} over all candidates; "
                               f"p < {limits.false_alarm:g} is required", tried, detection_limits)
-    explained = {one: finding for one in significant if (finding := _reported(one.candidate, reported))}
+    explained = {trial: finding for trial in significant if (finding := _reported(trial.candidate, reported))}
     fitted, accepted, against = _fit_candidates([s for s in significant if s not in explained], fits, without, vehicle,
                                                 limits, tick)
-    against |= {one: f"{one.candidate.name} is significant, but st check reports the sensor itself: {finding}. Correct "
-                     "that first and search again" for one, finding in explained.items()}
+    against |= {trial: f"{trial.candidate.name} is significant, but st check reports the sensor itself: {finding}. "
+                       "Correct that first and search again" for trial, finding in explained.items()}
     if not accepted:
-        first = next(one for one in significant if one in against)
+        first = next(trial for trial in significant if trial in against)
         return RelationSearch(None, against[first], tried, detection_limits)
     # A candidate of two quantities must be better by the smallest relevant gain.
     best = min(accepted, key=lambda s: float(accepted[s].held_out.sum())
@@ -170,19 +170,19 @@ def _fit_candidates(significant: Sequence[Screened], fits: RelationFits, without
     accepted: Fitted = {}
     against: dict[Screened, str] = {}
     before = selection.held_out_positions(fits, without)
-    for one in selection.shortlist(significant):
+    for trial in selection.shortlist(significant):
         tick()
-        fit = fits.fit(one.candidate, without, one.smooth)
-        name, after = one.candidate.name, selection.held_out_positions(fits, fit)
+        fit = fits.fit(trial.candidate, without, trial.smooth)
+        name, after = trial.candidate.name, selection.held_out_positions(fits, fit)
         wrong = (selection.rejected_curve(fits, fit, vehicle)
                  or selection.deterioration(fits, name, before, after, limits))
-        small = selection.small_gain(fits, one.candidate, without.held_out - fit.held_out, before - after, limits)
+        small = selection.small_gain(fits, trial.candidate, without.held_out - fit.held_out, before - after, limits)
         if wrong or small:
-            against[one] = wrong or small
+            against[trial] = wrong or small
         else:
-            accepted[one] = fit
+            accepted[trial] = fit
         if not wrong:
-            fitted[one] = fit  # a possible rival, also if too small to be proposed
+            fitted[trial] = fit  # a possible rival, also if too small to be proposed
     return fitted, accepted, against
 
 
@@ -211,10 +211,10 @@ def _make_relation(best: Screened, fitted: Fitted, without: RelationFit, fits: R
     fit, limits, c = fitted[best], settings.limits, best.candidate
     gains = without.held_out - fit.held_out
     before, after = (selection.held_out_positions(fits, f) for f in (without, fit))
-    rivals = [one for one in fitted if one is not best]
-    excess = np.array([fitted[one].held_out - fit.held_out for one in rivals])
+    rivals = [trial for trial in fitted if trial is not best]
+    excess = np.array([fitted[trial].held_out - fit.held_out for trial in rivals])
     as_good = selection.equally_good(excess, limits.undecided_p, settings.seed)
-    equal = {one.candidate.name: fitted[one] for one, is_equal in zip(rivals, as_good, strict=True) if is_equal}
+    equal = {trial.candidate.name: fitted[trial] for trial, is_equal in zip(rivals, as_good, strict=True) if is_equal}
     u = driven_quantities(fits.windows, vehicle)[c.quantity]
     at = np.linspace(c.low, c.high, selection.POINTS)
     splines = c.splines(at)

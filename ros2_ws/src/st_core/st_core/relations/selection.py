@@ -60,7 +60,7 @@ def screen(fits: RelationFits, without: RelationFit, vehicle: VehicleParameters,
     for candidate in candidates(fits.windows, vehicle):
         tick()
         found.append(_screen(fits, without, base, car, candidate, signs))
-    return [one for one in found if one is not None]
+    return [trial for trial in found if trial is not None]
 
 
 def p_values(screened: Sequence[Screened], blocks: int) -> dict[str, float]:
@@ -94,7 +94,7 @@ def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.
     distance = np.concatenate([((without.vector - fits.start) / fits.space.scale)[without.indices], np.zeros(COUNT)])
     penalties = {smooth: fits.penalty(candidate, h, smooth) for smooth in SMOOTHING}
     losses = {smooth: fits.predicted_held_out(q, penalty, distance) for smooth, penalty in penalties.items()}
-    smooth = min(losses, key=lambda one: float(losses[one].sum()))
+    smooth = min(losses, key=lambda share: float(losses[share].sum()))
     h = q_all.hessian.sum(axis=0)
     cross = np.linalg.solve(ridge(h[:-COUNT, :-COUNT]), h[:-COUNT, -COUNT:])
     own = q_all.gradient[:, -COUNT:] - q_all.gradient[:, :-COUNT] @ cross
@@ -133,7 +133,7 @@ class RunShares:
 
 def shortlist(significant: Sequence[Screened]) -> list[Screened]:
     """The best candidate of every term, then the best of all; `significant`: best first."""
-    first = {one.candidate.term: one for one in reversed(significant)}
+    first = {trial.candidate.term: trial for trial in reversed(significant)}
     return list(dict.fromkeys([*sorted(first.values(), key=lambda s: -s.gain), *significant]))[:REFITTED]
 
 
@@ -266,10 +266,10 @@ def held_out_positions(fits: RelationFits, fit: RelationFit) -> np.ndarray:
     return fits.problem.position_error(rows)
 
 
-def cosine(fits: RelationFits, one: RelationFit, other: RelationFit) -> float:
+def cosine(fits: RelationFits, first: RelationFit, other: RelationFit) -> float:
     """Cosine similarity of two relations' effects on the predictions, all other parameters projected out."""
     effects = []
-    for fit in (one, other):
+    for fit in (first, other):
         change = np.einsum("p,pnm->nm", fit.coefficients, fit.slopes[-COUNT:]) / fits.loss.scale
         # Without a named effect and an accelerometer there are no other parameters.
         others = (fit.slopes[:-COUNT] / fits.loss.scale).reshape(len(fit.slopes) - COUNT, change.size)
