@@ -4,7 +4,7 @@ The functions are created once per base and set of effects. Values are only in t
 traces or compiles them again. Layout of a composed model:
 
     p     = AugmentedParameters(base, effects): of the base model, and theta of each effect that acts in the equations
-    w     = (road_wheel_angle, velocity_x_dot, what each effect prepared ..., w of the base model)
+    w     = (road_wheel_angle, velocity_x_dot, prepared quantities of each effect ..., w of the base model)
     state = the six of the base model, then the extra states of each effect
 
 Effects at null change nothing, to the last bit: they add 0, multiply by 1, or blend with weight 0.

@@ -33,7 +33,7 @@ from .vehicle import VehicleParameters
 class ModelView:
     """A MeasurementHistory, shared between models, as one model uses it.
 
-    A model that corrects the samples has a history of its own, filled by `add_ins` and `add_steering` in parallel with
+    A model that corrects the samples has a separate history, filled by `add_ins` and `add_steering` in parallel with
     the shared one; other views need no samples. vehicle: as in its file. Raises ConfigurationError if the model needs a
     quantity not measured live.
     """

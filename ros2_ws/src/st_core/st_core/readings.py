@@ -56,7 +56,7 @@ def correct_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray,
     begins = np.diff(time_ns, prepend=time_ns[0]) > round(maximum_gap / NANOSECOND)
     begins[0] = True
     later, angle = model.steering(seconds, angle, begins)
-    # Only what the effects shift is rounded: without a shift the times stay the integers they were.
+    # Only the shift is rounded, so that times without one do not change.
     return time_ns + np.round((later - seconds) / NANOSECOND).astype(np.int64), angle
 
 
@@ -70,7 +70,7 @@ def wheel_angles_ahead(model: Model, time_ns: np.ndarray, angle: np.ndarray, gri
     """Angle of the wheels [rad] at rising instants (m,) [ns] when the steering is `ahead` (m,) [rad] from the first on.
 
     time_ns [ns], angle [rad]: as recorded; later samples are not used. With delay, play or lag the wheels follow the
-    steering before, too, MEMORY seconds back. Beyond the end the last angle holds. maximum_gap [s].
+    steering of the previous MEMORY seconds, too. After the end the last angle is kept. maximum_gap [s].
     """
     if not has_memory(model):
         return ahead
@@ -95,7 +95,7 @@ def required_lookahead_ns(model: Model) -> int:
 
 
 def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveLog:
-    """The drive as faultless sensors would have recorded it, with the angle the wheels had: what a model starts from.
+    """The drive as recorded by faultless sensors, with the road wheel angle at the wheels: the input of a prediction.
 
     Input effects without memory (ratio, offset) are not applied: they are in the model's `inputs`. maximum_gap: [s].
     Raises StCoreError where a sensor effect needs an acceleration that the drive does not contain.
@@ -120,18 +120,18 @@ def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveL
 
 def readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple | None = None,
              p: Any = None) -> Measured:
-    """What the INS shows while the car is in `states`: `faultless_readings` with the sensor effects."""
+    """Readings of the INS in the given states: `faultless_readings` with the sensor effects."""
     true = faultless_readings(model, vehicle, states, w, p)
     return model.observe(true) if isinstance(model, AugmentedModel) else true
 
 
 def faultless_readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple | None = None,
                        p: Any = None) -> Measured:
-    """What a faultless INS would show while the car is in `states`, at the INS point.
+    """Readings of a faultless INS in the given states, at the INS point.
 
     states: (x, y, velocity_x, velocity_y, yaw, yaw_rate, extra states ...) at the CG, floats or arrays of equal shape.
-    w, p: the model's inputs there and its parameters, for the accelerations; without them those are NaN, and that in
-    yaw is 0: the delay of the yaw rate is then visible.
+    w, p: the model's inputs there and its parameters, for the accelerations; without them these are NaN, and the yaw
+    acceleration is 0, so that a delay of the yaw rate is not corrected.
 
         a_ins = a_cg + r_dot x d - r^2 d,   d: the INS seen from the CG,   a_cg = `Model.specific_force`
 

@@ -1,4 +1,4 @@
-"""Signals in time: samples in order of their own time, interpolation that never crosses a gap, and forward acceleration
+"""Signals in time: samples in order of their stamps, interpolation that never crosses a gap, and forward acceleration
 from forward speed.
 
 The acceleration is the derivative of the speed after a first-order Butterworth low-pass. The filter is the continuous

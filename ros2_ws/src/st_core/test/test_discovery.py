@@ -388,7 +388,7 @@ def test_runs_too_short_are_refused_in_words(leaf):
 def test_two_drives_of_one_name_are_refused_in_words(leaf):
     (run,) = recorded(leaf, {}, 9, ("step",))
     for call in (lambda runs: discover(runs, leaf, "linear"), lambda runs: fit_effects(runs, leaf, "linear", ())):
-        with pytest.raises(StCoreError, match="duplicate name; give each drive once, under its own name"):
+        with pytest.raises(StCoreError, match="duplicate name; give each drive once"):
             call([run, run])
 
 

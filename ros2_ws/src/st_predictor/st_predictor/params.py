@@ -68,7 +68,7 @@ EVALUATOR = (
     _NUMBER,
 )
 
-# What cannot be reconstructed from raw packets and frames, and what external viewers and tools expect.
+# Topics that cannot be reconstructed from raw packets and frames, and those that external viewers and tools expect.
 TOPICS = [
     "ins/ncom", "ins/odometry", "ins/status", "ins/trigger", "ins/origin", "vehicle/steering", "can/frames",
     "plan/inputs", "predictor/*", "evaluator/*", "identifier/*", "/tf", "/tf_static", "/diagnostics", "/rosout",

@@ -43,7 +43,7 @@ def runs_needed(level: float) -> int:
 
 
 def check_levels(levels: Sequence[float], runs: int) -> None:
-    """Raises StCoreError, one line, for a level outside (0, 1) or above what `runs` runs support."""
+    """Raises StCoreError, one line, for a level outside (0, 1) or above the highest that `runs` runs support."""
     if not runs:
         raise StCoreError("no usable run to calibrate bands with")
     for level in levels:

@@ -26,7 +26,7 @@ SensorResult = tuple[Motion, list[Finding], dict[str, Estimate], list[Identity]]
 """(corrected motion, findings, estimates by name of the finding, panels of the figure)."""
 
 
-# long: one sequence, each step judges what the steps before have corrected
+# long: one sequence, each step checks the result of the previous corrections
 def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: AuxiliaryData | None = None) -> Checked:
     """Findings of one recording.
 

@@ -1,4 +1,4 @@
-"""From drives to the name of what a model lacks: `discover`."""
+"""Discovery of effects that a model lacks, from recorded drives: `discover`."""
 
 from ..channels import CHANNELS
 from .discover import Progress, discover, fit_effects

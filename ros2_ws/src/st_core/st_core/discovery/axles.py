@@ -28,8 +28,8 @@ GAIN_SPEED = 20.0  # m/s, of the steady-state yaw gain
 
 class Axles:
     """Both axles under an answer. unexplained: residual over the noise, which widens bands and intervals. near: vectors
-    of sets that are hardly worse; the band extends to their curves. Raises StCoreError for a base model without tyres,
-    or drives without slip."""
+    of sets that fit nearly as well; the band extends to their curves. Raises StCoreError for a base model without
+    tyres, or drives without slip."""
 
     def __init__(self, problem: Problem, fit: Fit, joint: Joint | None, runs: Sequence[DriveLog],
                  vehicle: VehicleParameters, unexplained: float, near: Sequence[np.ndarray] = ()):

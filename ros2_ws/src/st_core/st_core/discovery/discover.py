@@ -251,7 +251,7 @@ class _Analysis:
         return [run for run in runs if run.overlap >= needed]
 
     def _on_one_clock(self, runs: list[DriveLog], deviations: Mapping[str, float]) -> list[DriveLog]:
-        """The runs with corrected steering stamps, with a warning of runs on clocks of their own."""
+        """The runs with corrected steering stamps, with a warning of runs with separate clocks."""
         uncertain = [s for run in runs if (s := deviations.get(run.name, 0.0)) > MAX_CLOCK_DEVIATION]
         if not uncertain:
             return runs

@@ -304,7 +304,7 @@ def inverse(h: np.ndarray) -> np.ndarray:
 
 
 def _regular(h: np.ndarray) -> np.ndarray:
-    """With a ridge of 1e-9 of the mean diagonal."""
+    """The matrix with 1e-9 of its mean diagonal added to the diagonal."""
     return h + 1e-9 * (np.trace(h) / max(len(h), 1) + 1e-12) * np.eye(len(h))
 
 
@@ -323,7 +323,7 @@ def covariance(problem: Problem, fit: Fit) -> np.ndarray:
     h = inverse(_raised(curvature, q.hessian.sum(axis=0)) + problem.prior_curvature(fit.names, fit.indices))
     centred = q.gradient - q.gradient.mean(axis=0)  # at the optimum the sum equals the gradient of the prior
     scatter = centred.T @ centred * problem.blocks / max(problem.blocks - 1, 1)
-    if problem.prior is None:  # the prior's gradient scatters as the vehicle file's values do
+    if problem.prior is None:  # the values of the vehicle file vary, and with them the gradient of the prior
         scatter = scatter + np.diag(0.5 * problem.design_effect * problem.file_curvature[fit.indices])
     return h @ scatter @ h
 

@@ -29,8 +29,8 @@ Near = tuple[tuple[str, ...], np.ndarray]  # names of a set, vector of its fit
 class Found:
     """State of the search. fit: of the current set. order: its names in order of selection. evidence, without: by name,
     the latter the fit without it. refused: by name, effects tried in addition, (evidence, verdict, fit). rivals: by
-    name, effects tried in its place. cached_scores: of the other effects of the library. near: sets that are hardly
-    worse (`_near_sets`).
+    name, effects tried in its place. cached_scores: of the other effects of the library. near: sets that fit nearly as
+    well (`_near_sets`).
     """
 
     fit: Fit
@@ -85,7 +85,7 @@ class Search:
         """Add a load as a rival that explains a part of softer tyres: drives show only the ratio of stiffness to mass.
 
         The load is set to the upper end of its 95 % interval, if that is a relevant size. Effects whose values are then
-        nearer to the vehicle file get it as an alternative, and the set with it counts as hardly worse.
+        nearer to the vehicle file get it as an alternative, and the set with it counts as nearly as good.
         """
         p, names = self.problem, found.fit.names
         for other in (n for n in p.space.additions if n not in names):

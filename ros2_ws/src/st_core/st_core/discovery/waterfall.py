@@ -75,8 +75,8 @@ def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Lev
 
     Half width: the largest of that from independent blocks, that of the differences between parts of any level, and
     that of the `joint` fit with all else free, there with the model error and widened by `unexplained`, the residual
-    over the noise (Birge, Phys. Rev. 40, 1932). The interval extends to the values in `near`, sets of effects that are
-    hardly worse. It thus allows for differences between the equations of the model and the car.
+    over the noise (Birge, Phys. Rev. 40, 1932). The interval extends to the values in `near`, sets of effects that fit
+    nearly as well. It thus allows for differences between the equations of the model and the car.
     """
     space, result = problem.space, {}
     own = space.indices(effect)

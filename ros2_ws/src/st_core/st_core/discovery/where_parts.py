@@ -4,8 +4,8 @@ Ranges of a condition:
 
     excess = sqrt(mean square error in the bin / expected mean square error)
 
-Expected is that of reference drives in the same bin, the largest of their bins where they hardly visit it, or the
-sensor noise without reference. Interval and p-value are from resampling whole blocks of time, since errors of
+Expected is the error of reference drives in the same bin, their largest one where they have too few blocks there, or
+the sensor noise without reference. Interval and p-value are from resampling whole blocks of time, since errors of
 neighbouring predictions are correlated. Significance is decided over all bins (Benjamini and Hochberg, 1995).
 
 Errors are larger in corners than on straights, so times and places are compared by the residuals of a regression on the
@@ -13,7 +13,7 @@ conditions, over all predictions:
 
     log(mean square + noise) = a + b . (log speed, log lateral acceleration, log steering rate, |forward acceleration|)
 
-They change at a patch of ice, in a gust, or with a defect.
+They change on ice, in a gust, or with a defect.
 """
 
 import itertools
@@ -163,7 +163,7 @@ def excesses(samples: Samples, members: np.ndarray, ranges: tuple[Range, ...], r
             floor = _means(reference.squares[channel], reference.block, expected_members,
                            np.random.default_rng((seed, number, 1)), resamples)
             covered = floor.blocks >= MIN_BLOCKS
-            # Where the reference hardly drove: its largest error anywhere, to avoid false alarms.
+            # With too little reference driving: its largest error anywhere, to avoid false alarms.
             worst = int(np.nanargmax(np.where(covered, floor.mean, -1.0)))
             expected = np.where(covered, floor.mean, floor.mean[worst])
             spread = np.where(covered, floor.deviation, floor.deviation[worst])
@@ -175,7 +175,7 @@ def excesses(samples: Samples, members: np.ndarray, ranges: tuple[Range, ...], r
 
 def _means(squares: np.ndarray, block: np.ndarray, members: np.ndarray, rng: np.random.Generator,
            resamples: int) -> _Means:
-    """Of each column of `members`, by resampling whole blocks."""
+    """Means of the squares in each column of `members`, by resampling whole blocks."""
     known = np.isfinite(squares)
     _, index = np.unique(block[known], return_inverse=True)
     weights = members[known].astype(float)

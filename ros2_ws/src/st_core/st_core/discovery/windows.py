@@ -66,7 +66,7 @@ class Signals(LogSignals):
         return other
 
     def _find_neighbours(self, times: np.ndarray, requested: np.ndarray) -> Neighbours:
-        key = _memory(times), _memory(requested)
+        key = _memory_key(times), _memory_key(requested)
         known = self._lookups.pop(key, None)
         # The memory may have been reused for other values; comparing takes a hundredth of a search.
         if known is None or not (np.array_equal(known[0], times) and np.array_equal(known[1], requested)):
@@ -97,7 +97,7 @@ class Batch(LogBatch):
         return self._substeps
 
 
-def _memory(array: np.ndarray) -> tuple:
+def _memory_key(array: np.ndarray) -> tuple:
     """Key that is equal for two views of the same memory."""
     return array.ctypes.data, array.shape, array.strides
 
@@ -131,8 +131,7 @@ class Windows:
         self.vehicle, self.settings = vehicle, settings
         self.names = tuple(run.name for run in runs)
         if len(set(self.names)) < len(runs):
-            raise StCoreError(f"drives {', '.join(self.names)}: duplicate name; give each drive once, under its own "
-                              "name")
+            raise StCoreError(f"drives {', '.join(self.names)}: duplicate name; give each drive once")
         self.channels = tuple(c for name, c in CHANNELS.items() if name in settings.channels)
         self.columns = tuple(column for channel in self.channels for column in channel.columns)
         self._points = score_points(settings)

@@ -125,8 +125,8 @@ def draw_models(model: AugmentedModel, covariance: np.ndarray, vehicle: VehicleP
                 count: int) -> list[AugmentedModel]:
     """Models with values drawn from a normal distribution about those of `model`, within the bounds of each parameter.
 
-    covariance: (p, p) of `model.vector` [SI]; rows of zeros for what is constant. vehicle: draws outside the limits of
-    a vehicle file are dropped. Raises StCoreError for fewer than MIN_DRAWS: the uncertainty is as wide as the bounds.
+    covariance: (p, p) of `model.vector` [SI]; rows of zeros for constants. vehicle: draws outside the limits of a
+    vehicle file are dropped. Raises StCoreError for fewer than MIN_DRAWS: the uncertainty is as wide as the bounds.
     """
     low, high = np.array([p.bounds for _, p in model.free]).T.reshape(2, -1)
     values = np.random.default_rng(0).multivariate_normal(model.vector, covariance, count, method="eigh")

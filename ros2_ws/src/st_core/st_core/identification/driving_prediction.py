@@ -185,8 +185,9 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                    warnings=(*warnings, conflict) if conflict else tuple(warnings))
 
 
-def make_identification(what: str, vehicle: VehicleParameters, fit: DrivingFit, method: str, reported: Sequence[str],
-                        covered: Sequence[Coverage], systematic: Mapping[str, float] | None = None) -> Identification:
+def make_identification(experiment: str, vehicle: VehicleParameters, fit: DrivingFit, method: str,
+                        reported: Sequence[str], covered: Sequence[Coverage],
+                        systematic: Mapping[str, float] | None = None) -> Identification:
     """Result of a fit. reported: parameters to give as estimates; correlation over them. systematic: standard
     uncertainties that the scatter of the drives does not contain, added to theirs."""
     spread = fit.spread
@@ -213,8 +214,8 @@ def make_identification(what: str, vehicle: VehicleParameters, fit: DrivingFit, 
     warnings = (*describe_correlations(fit.names, correlation_of(covariance)), *others)
     figure = {"residuals": fit.residuals, "residual_run": fit.run_of, "residual_time": fit.time, "names": fit.names,
               "covariance": covariance}
-    return Identification(what, estimates, runs, tuple(rejected), correlation_of(covariance[np.ix_(chosen, chosen)]),
-                          tuple(covered), warnings, figure)
+    return Identification(experiment, estimates, runs, tuple(rejected),
+                          correlation_of(covariance[np.ix_(chosen, chosen)]), tuple(covered), warnings, figure)
 
 
 def _judge_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[str, Status]:

@@ -29,7 +29,7 @@ MAX_SCATTER = 0.02  # of the mass, between weighings of one car
 
 @dataclass(frozen=True)
 class Weighings:
-    """readings: (n, 4) [kg], columns as WHEELS. names: of the n weighings. loads: (n,) what was in the car, as text.
+    """readings: (n, 4) [kg], columns as WHEELS. names: of the n weighings. loads: (n,) loading of the car, as text.
 
     scale_uncertainty: standard uncertainty of one scale [kg].
     """
