@@ -73,6 +73,11 @@ def stamped(log, form: Callable[[float], str]) -> str:
     return csv([[form(float(row[0]) - log.ins_time_ns[0] * 1e-9), *row[1:]] for row in rows(log)])
 
 
+def divided(time: str) -> tuple[str, str]:
+    """Seconds and nanoseconds, as in a ROS message."""
+    return str(int(float(time))), str(round(float(time) % 1 * 1e9))
+
+
 def clock(seconds: float) -> str:
     return f"{int(seconds // 3600):02d}:{int(seconds // 60 % 60):02d}:{seconds % 60:09.6f}"
 
@@ -178,6 +183,25 @@ TABLES: list[tuple[str, Callable[[DriveLog], str], str, str]] = [
     ("twice.csv", lambda log: csv([[*row, "9"] for row in rows(log)], ",".join((*NAMES, "vx"))), "utf-8",
      "column vx occurs 2 times; the first is used"),
     ("units.csv", lambda log: degrees(log, ",".join(NAMES) + "\ns,m,m,deg,m/s,m/s,deg/s,deg"), "utf-8", ""),
+    ("big_endian.csv", lambda log: csv(rows(log)), "utf-16-be", ""),
+    ("tabs.txt", lambda log: csv(rows(log), "\t".join(NAMES), "\t"), "utf-8", ""),
+    ("savetxt.dat", lambda log: csv(rows(log), "# " + " ".join(NAMES), " "), "utf-8", ""),
+    ("index.csv", lambda log: csv([[f"2026-05-04 {clock(43200 + k * 0.01)}", *row[1:]] for k, row in
+                                   enumerate(rows(log))], "," + ",".join(NAMES[1:])), "utf-8", ""),
+    ("timedelta.csv", lambda log: stamped(log, lambda s: f"0 days {clock(s)}"), "utf-8", ""),
+    ("stamp.csv", lambda log: csv([[*divided(row[0]), *row[1:]] for row in rows(log)],
+                                  ",".join(("header.stamp.sec", "header.stamp.nanosec", *NAMES[1:]))), "utf-8", ""),
+    ("paths.csv", lambda log: csv(rows(log), ",".join((
+        "__time", "/odom/pose/pose/position/x", "/odom/pose/pose/position/y", "/odom/yaw", "/odom/twist/twist/linear/x",
+        "/odom/twist/twist/linear/y", "INS.yaw_rate", "Car/steering_wheel_angle"))), "utf-8", ""),
+    ("week.csv", lambda log: stamped(log, lambda s: f"{(604790 + s) % 604800:.6f}"), "utf-8", ""),
+    ("gon.csv", lambda log: csv([[*row[:3], f"{float(row[3]) * 200 / np.pi:.6f}", *row[4:]] for row in rows(log)],
+                                ",".join(NAMES).replace("yaw,", "yaw [gon],")), "utf-8", ""),
+    ("compass.csv", lambda log: csv([[*row[:3], f"{(90 - np.degrees(float(row[3]))) % 360:.6f}", *row[4:]]
+                                     for row in rows(log)], ",".join(NAMES).replace("yaw,", "heading,")), "utf-8",
+     "column heading has values from .* to .*: it was read as degrees"),
+    ("unit.csv", lambda log: csv([[*row, "9"] for row in rows(log)], ",".join((*NAMES, "ax [mg]"))), "utf-8",
+     "column ax .* is not used: 'mg' is not a unit of acceleration"),
 ]
 
 
@@ -213,12 +237,16 @@ def test_a_table_in_parts_is_one_run(tmp_path: Path, drive, kind: str) -> None:
 @pytest.mark.parametrize(("text", "error"), [
     (lambda log: "PK\x03\x04" + csv(rows(log)), r"this is a compressed file \(zip, or a spreadsheet\); unpack it"),
     (lambda log: stamped(log, lambda s: "5.0"), r"1 of \d+ rows .* have a time later than all before"),
-    (lambda log: csv(rows(log)[::-1]), r"1 of \d+ rows .* have a time later than all before"),
+    (lambda log: csv(rows(log)[::-1]), r"1 of \d+ rows .* have a time later than all before; sort its rows"),
     (lambda log: stamped(log, lambda s: "04 Mxy 2026 " + clock(s)), r"the first is '04 Mxy 2026 .*export seconds"),
     (lambda log: geographic(log).replace(",5", ",520"),
      r"latitude \(column latitude\) is about 520\d[.\d]* deg; export"),
     (lambda log: re.sub(r"(,-\d\.\d*)", r"\1W", geographic(log)),
      r"column longitude has no number, but '-1\.5\d*W'; export"),
+    (lambda log: csv(rows(log), csv(rows(log)[:1]).splitlines()[1]), "its first line has numbers instead of the names"),
+    (lambda log: csv(rows(log), ",".join(NAMES).replace("yaw,", "yaw [?],")), r"column yaw \[\?\] is not used: '\?' is"),
+    (lambda log: stamped(log, lambda s: f"{s * 1e9:.0f}"), r"are not in s; .*units: \{t: ns\}"),
+    (lambda log: csv(rows(log), ",".join(NAMES).replace(",x,", ",a/pos_x,b/pos_x,")[:-21]), "is known as x"),
     (doubtful_thousands, r"1,234 may be a number with a decimal mark or with a thousands separator"),
     (lambda log: csv(rows(log), ",".join(NAMES) + "\ns,m,m,Grad,m/s,m/s,deg/s,deg"), "unit row: 'Grad' of column yaw"),
 ])

@@ -102,7 +102,7 @@ def test_a_folder_of_everything(tmp_path: Path) -> None:
         ("nowhere.ncom", "the file or folder does not exist; looked for in /"),
         ("note.txt", r"the file or folder does not exist; looked for in .*, did you mean notes\.txt\?"),
         ("notes.doc", r"the extension \.doc is not that of a recording; known are .*\.ncom"),
-        ("table.txt", r"the extension \.txt is not that of a recording; rename it to \.csv if it is a text table"),
+        ("table.lvm", r"the extension \.lvm is not that of a recording; rename it to \.csv if it is a text table"),
         ("capture.pcap", "no CAN log has the same stem"),
         ("unit.bin", r"the extension \.bin is not that of a recording; rename it to \.ncom if"),
         ("unit.rd", r"the extension \.rd is not that of a recording; .* convert it to NCOM"),
@@ -112,7 +112,7 @@ def test_a_folder_of_everything(tmp_path: Path) -> None:
     ],
 )
 def test_paths_that_are_no_run(tmp_path: Path, path: str, message: str) -> None:
-    touch(tmp_path, "notes.txt", "folder/notes.txt", "notes.doc", "table.txt", "capture.pcap", "unit.rd", "unit.bin",
+    touch(tmp_path, "notes.txt", "folder/notes.txt", "notes.doc", "table.lvm", "capture.pcap", "unit.rd", "unit.bin",
           "logger.vbb", "car.dbc")
     (run,) = find_runs([tmp_path / path])
     with pytest.raises(RunError, match=message):
@@ -201,11 +201,11 @@ def test_a_folder_without_a_run_names_its_recordings(tmp_path: Path, name: str, 
     ("each: '*.csv'\nname: x\n", "name belongs to one run, and `each` describes several"),
     ("each: '*.csv'\nleave_out: [[1, 2]]\n", "leave_out belongs to one run"),
     ("each: '*.tdms'\n", r"no file in its folder matches '\*.tdms'"),
-    ("each: '*.txt'\n", "a.txt is not a recording"),
+    ("each: '*.doc'\n", "a.doc is not a recording"),
     ("each: '*.ncom'\ncolumns: {x: East}\n", "no CAN log has the stem of a.ncom"),
 ])
 def test_each_is_of_recordings_that_are_read_alike(tmp_path: Path, text: str, error: str) -> None:
-    touch(tmp_path, "a.csv", "a.ncom", "a.txt")
+    touch(tmp_path, "a.csv", "a.ncom", "a.doc")
     (run,) = find_runs(touch(tmp_path, "all.run.yaml", content=text))
     with pytest.raises(RunError, match=error):
         read(run, None)

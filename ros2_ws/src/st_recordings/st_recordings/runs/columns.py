@@ -16,9 +16,9 @@ UNITS: Mapping[str, Mapping[str, tuple[float, tuple[str, ...]]]] = {
              "ns": (1e-9, ("nsec", "nanos", "nanoseconds")), "min": (60.0, ("minute", "minutes")),
              "h": (3600.0, ("hr", "hour", "hours"))},
     "length": {"m": (1.0, ("meter", "meters", "metre", "metres")), "cm": (1e-2, ()), "mm": (1e-3, ()),
-               "km": (1e3, ()), "ft": (0.3048, ("feet", "foot"))},
+               "km": (1e3, ()), "ft": (0.3048, ("feet", "foot")), "in": (0.0254, ("inch", "inches"))},
     "angle": {"rad": (1.0, ("rads", "radian", "radians")), "deg": (math.pi / 180, ("°", "degs", "degree", "degrees")),
-              "mrad": (1e-3, ())},
+              "mrad": (1e-3, ()), "gon": (math.pi / 200, ("gradian", "gradians"))},
     "latitude or longitude": {"deg": (math.pi / 180, ("°", "degs", "degree", "degrees")),
                               "min": (math.pi / 10800, ("arcmin", "minute", "minutes")), "rad": (1.0, ("radian",)),
                               "1e-7 deg": (math.pi / 180e7, ())},
@@ -37,7 +37,8 @@ UNITS: Mapping[str, Mapping[str, tuple[float, tuple[str, ...]]]] = {
 
 def normalised(text: str) -> str:
     """Normal form of a name or unit for comparison: lower case, letters, digits and ° only."""
-    return re.sub(r"[^a-z0-9°]", "", text.lower().replace("µ", "u").replace("μ", "u").replace("²", "2"))
+    return re.sub(r"[^a-z0-9°]", "", text.lower().replace("µ", "u").replace("μ", "u").replace("²", "2")
+                  .replace("º", "°").replace("˚", "°"))
 
 
 _UNIT_OF = {kind: {normalised(text): unit for unit, (_, others) in units.items() for text in (unit, *others)}
@@ -71,23 +72,23 @@ COLUMNS: Mapping[str, Channel] = {
         "time_of_week itow datetime epoch epoch_time zeit zeitstempel datum_zeit x_value")),
     "x": Channel("length", "position of the INS point, east or along the map's x", _words(
         "x pos_x position_x x_pos x_position px east easting e_pos x_east x_enu x_map local_x utm_x utm_e utm_easting "
-        "pose_x pose_position_x pose_pose_position_x")),
+        "pos_local_x car_tx pose_x pose_position_x pose_pose_position_x")),
     "y": Channel("length", "position of the INS point, north or along the map's y", _words(
         "y pos_y position_y y_pos y_position py north northing n_pos y_north y_enu y_map local_y utm_y utm_n "
-        "utm_northing pose_y pose_position_y pose_pose_position_y")),
+        "utm_northing pos_local_y car_ty pose_y pose_position_y pose_pose_position_y")),
     "latitude": Channel("latitude or longitude", "north +; with the longitude, read if x and y are missing", _words(
         "latitude lat gps_latitude gps_lat latitude_deg pos_lat")),
     "longitude": Channel("latitude or longitude", "east +; origin of the map is the first row", _words(
         "longitude long lon lng gps_longitude gps_long gps_lon pos_lon")),
     "yaw": Channel("angle", "from east (the map's x), counter-clockwise", _words(
-        "yaw yaw_angle yaw_iso yaw_enu heading_enu psi psi_iso theta phi")),
+        "yaw yaw_angle yaw_iso yaw_enu heading_enu psi psi_iso theta phi gierwinkel")),
     "compass_heading": Channel("angle", "clockwise from north; read if yaw is missing: yaw = 90° - heading", _words(
         "compass_heading heading heading_angle angle_heading heading_ned heading_north heading_true true_heading "
         "compass azimuth yaw_ned")),
     "course": Channel("angle", "direction of motion over ground, clockwise from north; gives yaw or velocity_y where "
                       "that is missing", _words(
         "course course_over_ground course_angle gps_course course_gps gps_heading cog track track_angle "
-        "heading_of_motion bearing")),
+        "heading_of_motion bearing angle_track kurs_ueber_grund")),
     **{f"orientation_{axis}": Channel("ratio", "quaternion of body in map axes, read if yaw is missing", _words(
         f"orientation_{axis} q{axis} quat_{axis} pose_orientation_{axis} pose_pose_orientation_{axis}"))
        for axis in "xyzw"},
@@ -95,33 +96,36 @@ COLUMNS: Mapping[str, Channel] = {
         "velocity_x vx vel_x velocity_forward vel_forward v_forward forward_velocity forward_vel vel_fwd v_fwd "
         "velocity_longitudinal longitudinal_velocity v_longitudinal v_long vel_long v_lon vel_lon long_vel "
         "long_velocity speed_forward forward_speed longitudinal_speed twist_linear_x twist_twist_linear_x "
-        "linear_velocity_x speed velocity vel v ground_speed speed_over_ground gps_speed speed_gps")),
+        "linear_velocity_x laengsgeschwindigkeit längsgeschwindigkeit speed velocity vel v ground_speed "
+        "speed_over_ground gps_speed speed_gps geschwindigkeit")),
     "velocity_y": Channel("speed", "to the left, body axes, at the INS point; 0 if it is missing", _words(
         "velocity_y vy vel_y velocity_lateral vel_lateral v_lateral lateral_velocity lateral_vel v_lat vel_lat "
         "lat_vel lat_velocity velocity_left vel_left lateral_speed twist_linear_y twist_twist_linear_y "
-        "linear_velocity_y")),
+        "linear_velocity_y quergeschwindigkeit")),
     "velocity_east": Channel("speed", "with the velocity to the north and yaw, read if velocity_y is missing", _words(
-        "velocity_east vel_east v_east east_velocity velocity_e ve")),
+        "velocity_east vel_east v_east east_velocity velocity_e vel_e ve")),
     "velocity_north": Channel("speed", "as before", _words(
-        "velocity_north vel_north v_north north_velocity velocity_n vn")),
+        "velocity_north vel_north v_north north_velocity velocity_n vel_n vn")),
     "yaw_rate": Channel("angular rate", "left turn +; if missing, the derivative of yaw", _words(
         "yaw_rate yaw_rate_iso yaw_velocity yaw_vel yaw_speed yaw_dot psi_dot psi_p d_psi r wz omega_z omega "
-        "angular_velocity_z angular_rate_z angular_z rate_z gyro_z gyr_z twist_angular_z twist_twist_angular_z")),
+        "angular_velocity_z angular_rate_z angular_z rate_z gyro_z gyr_z twist_angular_z twist_twist_angular_z "
+        "gierrate giergeschwindigkeit")),
     "acceleration_x": Channel("acceleration", "forward, body axes", _words(
         "acceleration_x ax acc_x accel_x x_acc x_accel acceleration_forward acc_forward accel_forward "
         "acceleration_longitudinal longitudinal_acceleration longitudinal_accel acc_longitudinal a_longitudinal "
-        "a_long acc_long accel_long long_acc long_accel linear_acceleration_x")),
+        "a_long acc_long accel_long long_acc long_accel linear_acceleration_x laengsbeschleunigung längsbeschleunigung")),
     "acceleration_y": Channel("acceleration", "to the left, body axes", _words(
         "acceleration_y ay acc_y accel_y y_acc y_accel acceleration_left "
         "acceleration_lateral lateral_acceleration lateral_accel acc_lateral accel_lateral a_lateral "
-        "a_lat acc_lat accel_lat lat_acc lat_accel linear_acceleration_y")),
+        "a_lat acc_lat accel_lat lat_acc lat_accel linear_acceleration_y querbeschleunigung")),
     "road_wheel_angle": Channel("angle", "mean of the front wheels, left +", _words(
         "road_wheel_angle delta delta_f delta_front df rwa front_wheel_angle front_steering_angle front_steer_angle "
         "steering_angle_front steer_angle_front road_steering_angle steering_angle_road wheel_angle tire_angle "
-        "tyre_angle ackermann_angle")),
+        "tyre_angle ackermann_angle radlenkwinkel")),
     "steering_wheel_angle": Channel("angle", "of the hand wheel, left +, offset not removed", _words(
         "steering_wheel_angle steering_wheel steering_wheel_position steering_wheel_pos steer_wheel_angle "
-        "steering_wheel_angle_iso hand_wheel_angle hand_wheel handwheel_position swa delta_h delta_hand delta_sw")),
+        "steering_wheel_angle_iso hand_wheel_angle hand_wheel handwheel_position swa delta_h delta_hand delta_sw "
+        "dm_steer_ang steer_whl_ang lenkradwinkel")),
     "wheel_speed_front_left": Channel("speed", "rolling speed of a wheel; for checks", _words(
         "wheel_speed_front_left wheel_speed_fl ws_fl v_fl front_left_wheel_speed")),
     "wheel_speed_front_right": Channel("speed", "as before", _words(
@@ -141,6 +145,10 @@ AMBIGUOUS = {normalised(name) for name in
 
 MAX_NAME_LENGTH = 200
 """Characters of the name of a column; a longer one means no channel."""
+PATH_RANK = 1000
+"""Added to the rank of a name that is the end of a path, as /ins/odometry/twist/twist/linear/x of PlotJuggler."""
+_OTHER_QUANTITY = re.compile(r"(?i)(^|[^a-z])(ref|target|desired|set|cmd|command|plan|pred|std|cov|var|err|max|min)")
+"""In a path: its end is not the measured quantity of this car."""
 
 _CHANNEL_OF = {normalised(name): (channel, rank) for channel, about in COLUMNS.items()
                for rank, name in enumerate(about.names)}
@@ -181,6 +189,9 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
             channel, rank, unit = meaning
             if channel not in found or rank < found[channel][0]:
                 found[channel] = rank, _source(number, name, channel, unit)
+            elif rank == found[channel][0] >= PATH_RANK:  # of two topics: which one is meant is unknown
+                found[channel] = PATH_RANK - 1, found[channel][1]
+    found = {channel: (rank, source) for channel, (rank, source) in found.items() if rank != PATH_RANK - 1}
     sources = {channel: source for channel, (_, source) in found.items()}
     for channel, named in layout.columns.items():
         if named not in names and named in found:  # a channel, not a column: {x: y, y: x} exchanges the axes
@@ -193,9 +204,22 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
         stated = (unit_named(COLUMNS[channel].kind, unit) for text in (names[column], named)
                   for base, unit in _splits(text) if unit and base)
         sources[channel] = _source(column, names[column], channel, next(filter(None, stated), None))
+    if "t" not in sources and (pair := stamp_columns(names)):
+        sources["t"] = _source(pair[0], names[pair[0]], "t", "s")
     if "compass_heading" in layout.columns and "yaw" not in layout.columns:
         sources.pop("yaw", None)
     return with_units(file, sources, layout)
+
+
+def stamp_columns(names: Sequence[str]) -> tuple[int, int] | None:
+    """Numbers of the columns of a ROS stamp, header.stamp.sec and header.stamp.nanosec, or secs and nsecs."""
+    plain = [normalised(name) for name in names]
+    for number, name in enumerate(plain):
+        stem = re.fullmatch(r"(.*?)n(?:ano)?secs?", name)
+        for seconds in (f"{stem[1]}sec", f"{stem[1]}secs") if stem else ():
+            if seconds in plain:
+                return plain.index(seconds), number
+    return None
 
 
 def _column_number(names: Sequence[str], named: str) -> int | None:
@@ -237,7 +261,25 @@ def _meaning(name: str) -> tuple[str, int, str | None] | None:
             known = unit_named(COLUMNS[channel].kind, unit)
             if known or not unit:
                 return channel, rank, known
+    end = re.match(r"[^\W\d][^/.(\[]*[/.](..+)|/(..+)", name[:MAX_NAME_LENGTH])  # no number: 0.123
+    rest = end[1] or end[2] if end else ""
+    if len(normalised(re.split(r"[(\[]", rest)[0])) > 1 and not _OTHER_QUANTITY.search(name) and (
+            meaning := _meaning(rest)) and meaning[0] != "t":
+        return meaning[0], meaning[1] % PATH_RANK + PATH_RANK, meaning[2]
     return None
+
+
+def unknown_units(names: Sequence[str], sources: Mapping[str, ColumnSource]) -> dict[str, str]:
+    """Channel -> sentence on its column, of the channels whose column is not used because its unit is not known."""
+    sentences = {}
+    for name in names:
+        base, unit = _splits(name)[0]
+        channel, _ = _CHANNEL_OF.get(normalised(base), ("", 0))
+        if unit and channel and channel not in sources and not _meaning(name):
+            kind = COLUMNS[channel].kind
+            sentences[channel] = (f"column {name} is not used: {unit!r} is not a unit of {kind} (known are "
+                                  f"{', '.join(UNITS[kind])})")
+    return sentences
 
 
 def _splits(name: str) -> list[tuple[str, str]]:

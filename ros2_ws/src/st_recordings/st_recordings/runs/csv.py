@@ -1,5 +1,6 @@
 """Reads drives from tables with the columns of columns.py, and INS logs of speed and yaw rate for clock alignment."""
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,7 @@ from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 from st_core.types import wrap_angle
 from st_core.vehicle import VehicleParameters
 
-from .columns import Layout, doubtful_steering, find_columns
+from .columns import Layout, doubtful_steering, find_columns, unknown_units
 from .csv_table import Table, all_known, header_of, join_tables, rate_of, read_table
 from .errors import RunError, share
 from .ins_log import SPEEDS, InsLog, car_speed, is_mostly_known, planar, yaw_of
@@ -85,6 +86,7 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
                                f"no number, but {table.words[column]!r}", "export it as plain numbers")
         elif len(table.used) > 1:
             reason = f": {share(int(table.used.sum()), len(table.used), 'rows')} have a time later than all before"
+            raise RunError(file, f"it contains fewer than two usable rows{reason}", "sort its rows by time")
         raise RunError(file, f"it contains fewer than two usable rows{reason}", "remove it from the command")
     values = {name: columns[name][ins] for name in INS_SIGNALS}
     values["yaw"] = np.unwrap(yaw_scale * values["yaw"])
@@ -167,11 +169,17 @@ def _missing_channels(sources: Iterable[str], names: Iterable[str], needed: Iter
 def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None:
     """Raises RunError for missing columns. can: line of a run.yaml with the CAN logs that belong to the table."""
     missing = _missing_channels(table.sources, table.names, ("t", *needed))
+    if missing and 2 * sum(bool(re.fullmatch(r"[\d.eE+-]+", name)) for name in table.names) > len(table.names):
+        raise RunError(table.file, "its first line has numbers instead of the names of columns",
+                       "add a header line with the names of docs/csv_columns.md")
+    if unclear := [text for channel, text in unknown_units(table.names, table.sources).items() if (ROAD if channel == WHEEL else channel) in missing]:
+        raise RunError(table.file, unclear[0], "export another unit; or name the column in a run.yaml under `columns:`, "
+                       "and convert it with `correct:`")
     if missing:
         texts = [f"{name} (or {WHEEL})" if name == ROAD else name for name in missing]
         raise RunError(table.file, f"no column of the header is known as {', '.join(texts)}; it has "
                        f"{', '.join(table.names)[:200]}", STEERING_ADVICE if missing == [ROAD] else
-                       COLUMN_ADVICE.format(stem=table.file.stem, kind=table.file.suffix[1:].lower(),
+                       COLUMN_ADVICE.format(stem=table.file.stem, kind="vbo" if table.file.suffix.lower() == ".vbo" else "csv",
                                             name=table.file.name, can=can, channel=missing[0]))
     doubtful = (doubtful_steering(table.names) or "")[:60]
     if ROAD in needed and ROAD not in table.sources and WHEEL not in table.sources:

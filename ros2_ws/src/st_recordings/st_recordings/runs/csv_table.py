@@ -13,7 +13,7 @@ import numpy as np
 from st_core.sideslip import derived_yaw_rate
 
 from .can_formats import month_number
-from .columns import COLUMNS, UNITS, ColumnSource, Layout, find_columns, unit_named
+from .columns import COLUMNS, UNITS, ColumnSource, Layout, find_columns, stamp_columns, unit_named, unknown_units
 from .errors import RunError, check_readable, share, short
 from .ins_log import LATEST_TIME, usable_rows
 
@@ -27,13 +27,14 @@ _NUMERIC = re.compile(r'[\s"]*[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?[\s"]*')
 # 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.2026 10:11:12,5, 10:11:12.5, 10:11:12:500, 11:12.5 PM; 11:12.5 of
 # a spreadsheet is minutes and seconds, 05/04/2026 may be in April or May.
 _STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4})|\d\d?/\d\d?/\d{4})[T ] *)?"
-                    r"(?:(\d{1,2}):)?(\d\d?):(\d\d(?:[.,:]\d+)?) *(?:([AaPp])\.?[Mm]\.?)? *"
+                    r"(?:0 days )?(?:(\d{1,2}):)?(\d\d?):(\d\d(?:[.,:]\d+)?) *(?:([AaPp])\.?[Mm]\.?)? *"
                     r"(?:Z|UTC|([+-])(\d\d):?(\d\d))?")
 _SLASHED = re.compile(r"(?<!\d)(\d\d?)/(\d\d?)/(\d{4})(?!\d)")
 _NAMED_MONTH = re.compile(r"(?<!\d)(\d\d?)[- ]([^\W\d]{3,})\.?[- ](\d{4})(?!\d)")  # 04-May-2026 of MATLAB
 _WITH_UNIT = re.compile(r"([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*([^\d\s.,+-].*)")  # 0.02 sec, 12 km/h
 _FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]\d\d)")  # 1.5D-03
 DAY, HOUR = 86400.0, 3600.0  # s
+ROLLOVER_STEP = 60.0  # s, between the last time before midnight, or before the end of a GPS week, and the next one
 _DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # day number of 1970-01-01, and the program
 _EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
 _SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # how a spreadsheet marks its delimiter
@@ -80,6 +81,8 @@ def _decoded(file: Path, size: int) -> str:
         return raw.decode("utf-16", "replace")
     if len(raw) > 1 and not any(raw[1:200:2]) and all(raw[:200:2]):  # UTF-16 without byte order mark
         return raw.decode("utf-16-le", "replace")
+    if len(raw) > 1 and not any(raw[:200:2]) and all(raw[1:200:2]):
+        return raw.decode("utf-16-be", "replace")
     try:
         return raw.decode("utf-8-sig", "strict" if size < 0 else "ignore")
     except UnicodeDecodeError:
@@ -144,6 +147,10 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
         body = _FORTRAN.sub("E", body)
     if sources is None:
         sources = find_columns(file, names, layout)
+        warnings += [f"{file}: {sentence}" for sentence in unknown_units(names, sources).values()]
+        first = _first_row(body, delimiter)[:1]
+        if "t" not in sources and names[:1] == [""] and first and _parse_stamp(first[0]):  # the index of a data frame
+            sources["t"] = ColumnSource(0, "(without a name)", "time", "s", stated=True)
         sources, body = _read_unit_rows(file, sources, above, body, delimiter, layout)
         sources, body = _read_units_of_cells(sources, body, delimiter, layout)
     body = _with_decimal_points(file, body, delimiter)
@@ -165,15 +172,39 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
         columns = {channel: rows[:, source.column] * source.factor
                    for channel, source in sources.items() if channel != "t"}
     columns = {channel: np.where(np.isfinite(values), values, np.nan) for channel, values in columns.items()}
+    sources = _read_degrees(file, sources, columns, warnings)
     first = _first_row(body, delimiter)
     words = {channel: first[source.column][:40] for channel, source in sources.items() if channel in columns
              and source.column < len(first) and not np.isfinite(columns[channel]).any()}
     if time is None:
         return Table(file, tuple(names), sources, columns, np.empty(0, np.int64), 0, np.empty(0, bool), tuple(warnings))
-    seconds = _seconds(file, rows[:, time.column], time, warnings)
+    times = rows[:, time.column]
+    if (pair := stamp_columns(names)) and pair[0] == time.column:
+        times = times + 1e-9 * rows[:, pair[1]]
+    seconds = _seconds(file, times, time, warnings)
     has_time, time_ns, used = _usable_times(file, seconds, time, first_time, warnings)
     columns = {channel: values[has_time] for channel, values in columns.items()}
     return Table(file, tuple(names), sources, columns, time_ns, int((~has_time).sum()), used, tuple(warnings), words)
+
+
+def _read_degrees(file: Path, sources: dict[str, ColumnSource], columns: dict[str, np.ndarray],
+                  warnings: list[str]) -> dict[str, ColumnSource]:
+    """The sources, with degrees for a compass heading or course whose unit is not stated and whose values are no
+    radians: from -180 to 360, and beyond 2 pi at the first row or next to a wrap. Its column is converted."""
+    degree = UNITS["angle"]["deg"][0]
+    # A derived yaw rate would hide that yaw is in degrees.
+    for channel in ("compass_heading", "course", *(() if "yaw_rate" in sources else ("yaw",))):
+        source = sources.get(channel)
+        values = columns[channel][np.isfinite(columns[channel])] if source else np.empty(0)
+        if source is None or source.stated or source.unit != "rad" or not len(values) or not (
+                -180.5 < values.min() and values.max() < 360.5
+                and (abs(values[0]) > 2 * np.pi + 0.1 or np.abs(np.diff(values)).max(initial=0.0) > 180.0)):
+            continue
+        columns[channel] = columns[channel] * degree
+        sources = {**sources, channel: replace(source, unit="deg")}
+        warnings.append(f"{file}: column {source.name} has values from {values.min():.4g} to {values.max():.4g}: it was "
+                        "read as degrees")
+    return sources
 
 
 def _usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_time: str | None,
@@ -183,10 +214,11 @@ def _usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_t
     if first_time is not None and len(seconds) and not np.isfinite(seconds).any():
         raise RunError(file, f"no time in column {source.name} can be read, the first is {first_time!r}",
                        "export seconds, or date and time with seconds, as 2026-05-04 10:11:12.3")
-    if not has_time.any() and np.isfinite(seconds).any():
-        largest = np.abs(seconds[np.isfinite(seconds)]).max()
-        raise RunError(file, f"times like {largest:.3g} in column {source.name} are not in {source.unit}",
-                       "declare their unit in a run.yaml, as units: {t: us}")
+    known = np.abs(seconds[np.isfinite(seconds)])
+    if len(known) and has_time.sum() < 0.5 * len(known):
+        unit = _unit_of_step(seconds)
+        raise RunError(file, f"times like {known.max():.3g} in column {source.name} are not in {source.unit}",
+                       f"declare their unit in a run.yaml, as units: {{t: {unit}}}" if unit else "export seconds")
     # A float of seconds since 1970 resolves microseconds.
     time_ns = np.round(seconds[has_time] * 1e6).astype(np.int64) * 1000
     usable, notes = usable_rows(time_ns, "rows") if len(time_ns) else (np.empty(0, np.int64), [])
@@ -198,8 +230,18 @@ def _usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_t
                         "a second")
     if not source.stated and used.sum() > 2 and (step := float(np.median(np.diff(time_ns[used])) * 1e-9)) > 1.0:
         warnings.append(f"{file}: its times are {step:g} s apart; if they are not seconds, declare their unit in a "
-                        "run.yaml, as units: {t: ms}")
+                        f"run.yaml, as units: {{t: {_unit_of_step(seconds) or 'ms'}}}")
     return has_time, time_ns, used
+
+
+def _unit_of_step(times: np.ndarray) -> str:
+    """The unit of time in which times are possible and their usual step is between 0.5 ms and 0.5 s; empty if none."""
+    times = times[np.isfinite(times)]
+    step = np.abs(np.diff(times))
+    usual, largest = float(np.median(step[step > 0.0])) if step.any() else 0.0, float(np.abs(times).max())
+    factors = {unit: UNITS["time"][unit][0] for unit in ("ms", "us", "ns")}
+    return next((unit for unit, factor in factors.items()
+                 if 5e-4 <= usual * factor < 0.5 and largest * factor <= LATEST_TIME), "")
 
 
 def _header_line(lines: list[str], layout: Layout | None = None) -> int:
@@ -219,7 +261,8 @@ def _split_header(header: str) -> tuple[list[str], str]:
     """(names, delimiter)."""
     delimiter = max(";\t|,", key=re.sub('"[^"]*"', "", header).count)  # of equally frequent ones the first
     if delimiter not in header and len(header.split()) > 2:
-        return header.split(), " "
+        names = header.split()
+        return names[names[0] in ("#", "%", "//"):], " "  # "# t x y" of numpy.savetxt
     try:
         names = next(csv.reader([header.strip("\r\n")], delimiter=delimiter, skipinitialspace=True), [])
     except csv.Error:
@@ -377,7 +420,13 @@ def _seconds(file: Path, times: np.ndarray, source: ColumnSource, warnings: list
         if _EPOCH[0] <= (median - origin) * factor <= _EPOCH[1]:
             warnings.append(f"{file}: times of column {source.name} were read as {meaning}")
             return (times - origin) * factor
-    return times * source.factor
+    seconds = times * source.factor
+    known = np.flatnonzero(np.isfinite(seconds))
+    for period in (DAY, 7 * DAY):  # seconds of a day or of a GPS week
+        back = np.diff(seconds[known]) < -period + ROLLOVER_STEP
+        if back.any() and seconds[known].min() >= 0.0 and seconds[known].max() <= period + 1.0:
+            seconds[known[1:]] += period * np.cumsum(back)
+    return seconds
 
 
 def _is_hhmmss(times: np.ndarray) -> bool:

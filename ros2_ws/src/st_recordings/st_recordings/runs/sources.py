@@ -26,7 +26,7 @@ DOCUMENT_EXTENSIONS = (".md", ".txt", ".rst", ".pdf", ".html", ".png", ".jpg", "
 """Extensions that no recording has: README, LICENSE and the like, ignored among recordings."""
 MAX_SPLIT_GAP = 5.0
 """s, between the end of one file of a bag and the start of the next."""
-TABLE_EXTENSIONS = (".txt", ".tsv", ".dat", ".lvm", ".xls", ".xlsx", ".ods", ".mat", ".parquet", ".feather", ".h5",
+TABLE_EXTENSIONS = (".lvm", ".xls", ".xlsx", ".ods", ".mat", ".parquet", ".feather", ".h5",
                     ".hdf5", ".tdms", ".json", ".erg", ".ld")
 """Tables of other programs; a text table is read if it is renamed to .csv."""
 UNKNOWN_ADVICE = {
@@ -63,7 +63,7 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
         else:
             loose.append(path)
     if len(loose) > 1 or runs:
-        loose = [f for f in loose if reader_of(f) or f.suffix.lower() not in DOCUMENT_EXTENSIONS] or loose
+        loose = [f for f in loose if not _is_document(f)] or loose
     described = [run for path in loose if (run := _described_by_each(path)) is not None]
     rest = [f for f in loose if not any(f in (*run.files, *run.can) for run in described)]
     if any(f.suffix.lower() in CAN_EXTENSIONS for f in rest):  # other CAN logs than their own are named with them
@@ -123,7 +123,14 @@ def _may_be_in_a_run(path: Path, files: Sequence[Path]) -> bool:
     if reader is None or reader.needs_can:
         return True
     return (reader.has_drive(path) or reader.is_ins_only(path) or reader.is_incomplete(path)
-            or (reader.kind == "csv" and any(map(is_can_log, logs_of(path, files)))))
+            or (path.suffix.lower() == ".csv" and any(map(is_can_log, logs_of(path, files)))))
+
+
+def _is_document(file: Path) -> bool:
+    """Whether a file is no recording by its extension; a text file may be a table."""
+    reader = reader_of(file)
+    return file.suffix.lower() in DOCUMENT_EXTENSIONS and not (
+        reader and (reader.has_drive(file) or reader.is_ins_only(file) or reader.is_incomplete(file)))
 
 
 def _from_files(files: Sequence[Path], given: bool) -> list[RunSource]:
@@ -177,7 +184,7 @@ def _unmatched(recordings: Sequence[Path], readers: dict[Path, Reader], logs: Se
         file = next(f for f in logs if session_of(f)[0] == session)
         csv = READERS["csv"]
         tables = [f.name for f in sorted(file.parent.iterdir())
-                  if csv.accepts(f) and not (csv.has_drive(f) or csv.is_ins_only(f))]
+                  if csv.accepts(f) and not _is_document(f) and not (csv.has_drive(f) or csv.is_ins_only(f))]
         advice = "give both, or list the files of the run in a run.yaml"
         if tables:
             advice += f"; it can also name unrecognised columns of {tables[0]}, as columns: {{x: NAME, ...}}"

@@ -16,7 +16,8 @@ from ..vbo import lacks_steering, read_vbo
 from . import Reader, register
 
 
-def _register(kind: str, table_of: Callable[[Path, Layout], Table], **more: Callable[[Path], bool]) -> None:
+def _register(kind: str, extensions: tuple[str, ...], table_of: Callable[[Path, Layout], Table],
+              **more: Callable[[Path], bool]) -> None:
     def _joined(source: RunSource, layout: Layout) -> Table:
         return join_tables([table_of(file, layout) for file in source.files])
 
@@ -30,9 +31,9 @@ def _register(kind: str, table_of: Callable[[Path, Layout], Table], **more: Call
     def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
         return csv.ins_of(_joined(source, source.settings.get("layout") or Layout()))
 
-    register(Reader(kind, kind, (f".{kind}",), read, read_ins, scales_yaw=True, **more))
+    register(Reader(kind, kind, extensions, read, read_ins, scales_yaw=True, **more))
 
 
-_register("csv", read_table, has_drive=csv.has_drive_columns, is_incomplete=csv.looks_like_a_drive,
-          lacks_steering=csv.lacks_steering)
-_register("vbo", read_vbo, lacks_steering=lacks_steering)
+_register("csv", (".csv", ".tsv", ".txt", ".dat"), read_table, has_drive=csv.has_drive_columns,
+          is_incomplete=csv.looks_like_a_drive, lacks_steering=csv.lacks_steering)
+_register("vbo", (".vbo",), read_vbo, lacks_steering=lacks_steering)
