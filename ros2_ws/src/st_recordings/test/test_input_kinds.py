@@ -199,7 +199,7 @@ TABLES: list[tuple[str, Callable[[DriveLog], str], str, str]] = [
                                 ",".join(NAMES).replace("yaw,", "yaw [gon],")), "utf-8", ""),
     ("compass.csv", lambda log: csv([[*row[:3], f"{(90 - np.degrees(float(row[3]))) % 360:.6f}", *row[4:]]
                                      for row in rows(log)], ",".join(NAMES).replace("yaw,", "heading,")), "utf-8",
-     "column heading has values from .* to .*: it was read as degrees"),
+     "column heading has values from .* to .*: they were read as degrees"),
     ("unit.csv", lambda log: csv([[*row, "9"] for row in rows(log)], ",".join((*NAMES, "ax [mg]"))), "utf-8",
      "column ax .* is not used: 'mg' is not a unit of acceleration"),
 ]
@@ -244,7 +244,7 @@ def test_a_table_in_parts_is_one_run(tmp_path: Path, drive, kind: str) -> None:
     (lambda log: re.sub(r"(,-\d\.\d*)", r"\1W", geographic(log)),
      r"column longitude has no number, but '-1\.5\d*W'; export"),
     (lambda log: csv(rows(log), csv(rows(log)[:1]).splitlines()[1]), "its first line has numbers instead of the names"),
-    (lambda log: csv(rows(log), ",".join(NAMES).replace("yaw,", "yaw [?],")), r"column yaw \[\?\] is not used: '\?' is"),
+    (lambda log: csv(rows(log), ",".join(NAMES).replace("yaw,", "yaw [?],")), r"column yaw \[\?\] is not used: '\?'"),
     (lambda log: stamped(log, lambda s: f"{s * 1e9:.0f}"), r"are not in s; .*units: \{t: ns\}"),
     (lambda log: csv(rows(log), ",".join(NAMES).replace(",x,", ",a/pos_x,b/pos_x,")[:-21]), "is known as x"),
     (doubtful_thousands, r"1,234 may be a number with a decimal mark or with a thousands separator"),

@@ -113,7 +113,8 @@ COLUMNS: Mapping[str, Channel] = {
     "acceleration_x": Channel("acceleration", "forward, body axes", _words(
         "acceleration_x ax acc_x accel_x x_acc x_accel acceleration_forward acc_forward accel_forward "
         "acceleration_longitudinal longitudinal_acceleration longitudinal_accel acc_longitudinal a_longitudinal "
-        "a_long acc_long accel_long long_acc long_accel linear_acceleration_x laengsbeschleunigung längsbeschleunigung")),
+        "a_long acc_long accel_long long_acc long_accel linear_acceleration_x "
+        "laengsbeschleunigung längsbeschleunigung")),
     "acceleration_y": Channel("acceleration", "to the left, body axes", _words(
         "acceleration_y ay acc_y accel_y y_acc y_accel acceleration_left "
         "acceleration_lateral lateral_acceleration lateral_accel acc_lateral accel_lateral a_lateral "

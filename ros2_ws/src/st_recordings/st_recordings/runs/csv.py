@@ -169,23 +169,28 @@ def _missing_channels(sources: Iterable[str], names: Iterable[str], needed: Iter
 def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None:
     """Raises RunError for missing columns. can: line of a run.yaml with the CAN logs that belong to the table."""
     missing = _missing_channels(table.sources, table.names, ("t", *needed))
-    if missing and 2 * sum(bool(re.fullmatch(r"[\d.eE+-]+", name)) for name in table.names) > len(table.names):
+    if missing and _is_mostly_numbers(table.names):
         raise RunError(table.file, "its first line has numbers instead of the names of columns",
                        "add a header line with the names of docs/csv_columns.md")
-    if unclear := [text for channel, text in unknown_units(table.names, table.sources).items() if (ROAD if channel == WHEEL else channel) in missing]:
-        raise RunError(table.file, unclear[0], "export another unit; or name the column in a run.yaml under `columns:`, "
-                       "and convert it with `correct:`")
+    unclear = unknown_units(table.names, table.sources)
+    if text := next((unclear[name] for name in (*missing, *([WHEEL] if ROAD in missing else ())) if name in unclear), ""):
+        raise RunError(table.file, text, "export another unit; or name the column in a run.yaml under `columns:`, and "
+                       "convert it with `correct:`")
     if missing:
         texts = [f"{name} (or {WHEEL})" if name == ROAD else name for name in missing]
         raise RunError(table.file, f"no column of the header is known as {', '.join(texts)}; it has "
                        f"{', '.join(table.names)[:200]}", STEERING_ADVICE if missing == [ROAD] else
-                       COLUMN_ADVICE.format(stem=table.file.stem, kind="vbo" if table.file.suffix.lower() == ".vbo" else "csv",
-                                            name=table.file.name, can=can, channel=missing[0]))
+                       COLUMN_ADVICE.format(stem=table.file.stem, name=table.file.name, can=can, channel=missing[0],
+                                            kind="vbo" if table.file.suffix.lower() == ".vbo" else "csv"))
     doubtful = (doubtful_steering(table.names) or "")[:60]
     if ROAD in needed and ROAD not in table.sources and WHEEL not in table.sources:
         raise RunError(table.file, f"column {doubtful} may be of the steering wheel or of the road wheels",
                        f"declare it: --steering-field '{doubtful}' --steering-is wheel (or road); or in a run.yaml, as "
                        f"columns: {{{WHEEL}: {doubtful}}} or {{{ROAD}: {doubtful}}}")
+
+
+def _is_mostly_numbers(names: Sequence[str]) -> bool:
+    return 2 * sum(bool(re.fullmatch(r"[\d.eE+-]+", name)) for name in names) > len(names)
 
 
 def _with_derived(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray], tuple[float, float, float] | None]:

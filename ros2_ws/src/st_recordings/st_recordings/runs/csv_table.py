@@ -34,6 +34,7 @@ _NAMED_MONTH = re.compile(r"(?<!\d)(\d\d?)[- ]([^\W\d]{3,})\.?[- ](\d{4})(?!\d)"
 _WITH_UNIT = re.compile(r"([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*([^\d\s.,+-].*)")  # 0.02 sec, 12 km/h
 _FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]\d\d)")  # 1.5D-03
 DAY, HOUR = 86400.0, 3600.0  # s
+MAX_RADIANS = 6.4  # magnitude of a first heading, beyond which it is in degrees
 ROLLOVER_STEP = 60.0  # s, between the last time before midnight, or before the end of a GPS week, and the next one
 _DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # day number of 1970-01-01, and the program
 _EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
@@ -195,15 +196,15 @@ def _read_degrees(file: Path, sources: dict[str, ColumnSource], columns: dict[st
     # A derived yaw rate would hide that yaw is in degrees.
     for channel in ("compass_heading", "course", *(() if "yaw_rate" in sources else ("yaw",))):
         source = sources.get(channel)
-        values = columns[channel][np.isfinite(columns[channel])] if source else np.empty(0)
-        if source is None or source.stated or source.unit != "rad" or not len(values) or not (
-                -180.5 < values.min() and values.max() < 360.5
-                and (abs(values[0]) > 2 * np.pi + 0.1 or np.abs(np.diff(values)).max(initial=0.0) > 180.0)):
+        if source is None or source.stated or source.unit != "rad":
             continue
-        columns[channel] = columns[channel] * degree
-        sources = {**sources, channel: replace(source, unit="deg")}
-        warnings.append(f"{file}: column {source.name} has values from {values.min():.4g} to {values.max():.4g}: it was "
-                        "read as degrees")
+        values = columns[channel][np.isfinite(columns[channel])]
+        wraps = np.abs(np.diff(values)).max(initial=0.0) > 180.0
+        if len(values) and values.min() > -180.5 and values.max() < 360.5 and (wraps or abs(values[0]) > MAX_RADIANS):
+            columns[channel] = columns[channel] * degree
+            sources = {**sources, channel: replace(source, unit="deg")}
+            warnings.append(f"{file}: column {source.name} has values from {values.min():.4g} to {values.max():.4g}: "
+                            "they were read as degrees")
     return sources
 
 
