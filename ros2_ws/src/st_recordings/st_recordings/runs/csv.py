@@ -173,7 +173,8 @@ def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None
         raise RunError(table.file, "its first line has numbers instead of the names of columns",
                        "add a header line with the names of docs/csv_columns.md")
     unclear = unknown_units(table.names, table.sources)
-    if text := next((unclear[name] for name in (*missing, *([WHEEL] if ROAD in missing else ())) if name in unclear), ""):
+    candidates = [*missing, *([WHEEL] if ROAD in missing else [])]
+    if text := next((unclear[name] for name in candidates if name in unclear), ""):
         raise RunError(table.file, text, "export another unit; or name the column in a run.yaml under `columns:`, and "
                        "convert it with `correct:`")
     if missing:
