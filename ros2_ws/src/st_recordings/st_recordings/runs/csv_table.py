@@ -147,11 +147,7 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
     if "D+" in body or "D-" in body or "d+" in body or "d-" in body:  # the search takes a third of the reading
         body = _FORTRAN.sub("E", body)
     if sources is None:
-        sources = find_columns(file, names, layout)
-        warnings += [f"{file}: {sentence}" for sentence in unknown_units(names, sources).values()]
-        first = _first_row(body, delimiter)[:1]
-        if "t" not in sources and names[:1] == [""] and first and _parse_stamp(first[0]):  # the index of a data frame
-            sources["t"] = ColumnSource(0, "(without a name)", "time", "s", stated=True)
+        sources = _find_sources(file, names, body, delimiter, layout, warnings)
         sources, body = _read_unit_rows(file, sources, above, body, delimiter, layout)
         sources, body = _read_units_of_cells(sources, body, delimiter, layout)
     body = _with_decimal_points(file, body, delimiter)
@@ -179,13 +175,23 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
              and source.column < len(first) and not np.isfinite(columns[channel]).any()}
     if time is None:
         return Table(file, tuple(names), sources, columns, np.empty(0, np.int64), 0, np.empty(0, bool), tuple(warnings))
-    times = rows[:, time.column]
-    if (pair := stamp_columns(names)) and pair[0] == time.column:
-        times = times + 1e-9 * rows[:, pair[1]]
-    seconds = _seconds(file, times, time, warnings)
+    pair = stamp_columns(names)
+    nanoseconds = rows[:, pair[1]] if pair and pair[0] == time.column else 0.0
+    seconds = _seconds(file, rows[:, time.column] + 1e-9 * nanoseconds, time, warnings)
     has_time, time_ns, used = _usable_times(file, seconds, time, first_time, warnings)
     columns = {channel: values[has_time] for channel, values in columns.items()}
     return Table(file, tuple(names), sources, columns, time_ns, int((~has_time).sum()), used, tuple(warnings), words)
+
+
+def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layout: Layout,
+                  warnings: list[str]) -> dict[str, ColumnSource]:
+    """The channels that a header names; a first column of times without a name, the index of a data frame, is time."""
+    sources = find_columns(file, names, layout)
+    warnings += [f"{file}: {sentence}" for sentence in unknown_units(names, sources).values()]
+    first = _first_row(body, delimiter)[:1]
+    if "t" not in sources and names[:1] == [""] and first and _parse_stamp(first[0]):
+        sources["t"] = ColumnSource(0, "(without a name)", "time", "s", stated=True)
+    return sources
 
 
 def _read_degrees(file: Path, sources: dict[str, ColumnSource], columns: dict[str, np.ndarray],
