@@ -11,21 +11,9 @@ from pathlib import Path
 import numpy as np
 from st_core.leap_seconds import GPS_EPOCH_UNIX, at_all_gps
 
-from . import ncom
+from . import ncom, packet_time
 from .channels import FIELDS, TRIGGER_CHANNELS, UTC_CHANNEL, trigger_nanoseconds, utc_offset
 from .ncom import BATCH_S, BY_STATUS, PACKET_SIZE, Counters, NcomError, is_valid_position, next_packet
-from .packet_time import (
-    DUPLICATE,
-    FIRST_MINUTE,
-    HALF_MINUTE_MS,
-    LARGEST_STEP_NS,
-    LAST_MINUTE,
-    LATE,
-    MINUTE_MS,
-    NEW,
-    SAME,
-    GpsClock,
-)
 
 CAPTURE_MARKS = (b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x4d\x3c\xb2\xa1", b"\xa1\xb2\x3c\x4d", b"\n\r\r\n")
 """First bytes of a network capture: pcap in either byte order, with us or ns, and pcapng."""
@@ -197,15 +185,16 @@ def _times(raw: np.ndarray, packets: np.ndarray) -> tuple[np.ndarray, np.ndarray
     """Kind, GPS time [ns] and order of every packet, and the number of time jumps."""
     status, ms, minutes = packets["status"], packets["milliseconds"], packets["minute"]
     kind, gps_ns, order = _KIND[status], np.full(len(raw), UNKNOWN_TIME), np.zeros(len(raw), np.int8)
-    timed = np.flatnonzero(_HAS_TIME[status] & (ms < MINUTE_MS))
-    sets_minute = _SETS_CLOCK[status] & (packets["channel"] == 0) & (minutes >= FIRST_MINUTE) & (minutes <= LAST_MINUTE)
+    timed = np.flatnonzero(_HAS_TIME[status] & (ms < packet_time.MINUTE_MS))
+    is_minute = (minutes >= packet_time.FIRST_MINUTE) & (minutes <= packet_time.LAST_MINUTE)
+    sets_minute = _SETS_CLOCK[status] & (packets["channel"] == 0) & is_minute
     hints = np.flatnonzero(sets_minute & (status == ncom.STATUS_ONLY))
     gps_ms, timed_order, jumps = packet_times(
         ms[timed].astype(np.int64), np.where(sets_minute[timed], minutes[timed], -1),
         list(zip(np.searchsorted(timed, hints).tolist(), minutes[hints].tolist(), strict=True)))
-    same = np.flatnonzero(timed_order == SAME)
+    same = np.flatnonzero(timed_order == packet_time.SAME)
     repeats = (raw[timed[same]] == raw[timed[same - 1]]).all(axis=1)
-    timed_order[same[repeats]] = DUPLICATE
+    timed_order[same[repeats]] = packet_time.DUPLICATE
     gps_ns[timed] = np.where(gps_ms >= 0, gps_ms * 1_000_000, UNKNOWN_TIME)
     order[timed] = timed_order
     previous = b""
@@ -215,7 +204,7 @@ def _times(raw: np.ndarray, packets: np.ndarray) -> tuple[np.ndarray, np.ndarray
         if event_ns is None:
             kind[i] = EMPTY
         else:
-            gps_ns[i], order[i] = event_ns, DUPLICATE if packet == previous else NEW
+            gps_ns[i], order[i] = event_ns, packet_time.DUPLICATE if packet == previous else packet_time.NEW
         previous = packet
     return kind, gps_ns, order, jumps
 
@@ -232,11 +221,12 @@ def packet_times(ms: np.ndarray, minutes: np.ndarray,
     was sent, minute) of status-only packets.
     """
     step = np.diff(ms, prepend=ms[:1])
-    ahead = step % MINUTE_MS
-    is_late, is_jump = ahead >= HALF_MINUTE_MS, ahead * 1_000_000 > LARGEST_STEP_NS
+    ahead = step % packet_time.MINUTE_MS
+    is_late, is_jump = ahead >= packet_time.HALF_MINUTE_MS, ahead * 1_000_000 > packet_time.LARGEST_STEP_NS
     wraps = np.cumsum((step < 0) & ~is_late)
-    times, order = np.full(len(ms), -1, np.int64), np.where(ahead > 0, NEW, SAME).astype(np.int8)
-    waiting, clock, at, rows = deque(hints), GpsClock(), 0, _FIRST_ROWS
+    times = np.full(len(ms), -1, np.int64)
+    order = np.where(ahead > 0, packet_time.NEW, packet_time.SAME).astype(np.int8)
+    waiting, clock, at, rows = deque(hints), packet_time.GpsClock(), 0, _FIRST_ROWS
     while at < len(ms):
         if clock.is_settled:
             block = slice(at, min(at + rows, len(ms)))
@@ -244,8 +234,8 @@ def packet_times(ms: np.ndarray, minutes: np.ndarray,
             differs = is_late[block] | ((minutes[block] >= 0) & (minutes[block] != counted))
             run = slice(at, at + int(differs.argmax()) if differs.any() else block.stop)
             if run.stop > at:
-                times[run] = counted[:run.stop - at] * MINUTE_MS + ms[run]
-                clock.minute, clock.milliseconds = divmod(int(times[run.stop - 1]), MINUTE_MS)
+                times[run] = counted[:run.stop - at] * packet_time.MINUTE_MS + ms[run]
+                clock.minute, clock.milliseconds = divmod(int(times[run.stop - 1]), packet_time.MINUTE_MS)
                 clock.jumps += int(np.count_nonzero(is_jump[run]))
             at, rows = run.stop, min(_MAX_ROWS, 4 * rows)
             if at == block.stop:
@@ -283,12 +273,12 @@ def _fill_counters(columns: Columns) -> None:
     structure_b = status == ncom.STRUCTURE_B
     counters.structure_b = int(structure_b.sum())
     counters.inner_checksum_warnings = int((wrong & ~structure_b).sum())
-    counters.impossible_times = int((_HAS_TIME[status] & (columns.milliseconds >= MINUTE_MS)).sum())
+    counters.impossible_times = int((_HAS_TIME[status] & (columns.milliseconds >= packet_time.MINUTE_MS)).sum())
     counters.unknown_statuses = int((~_IS_KNOWN[status]).sum())
     counters.unknown_channels = int((columns.has_status & ~_IS_KNOWN_CHANNEL[columns.channel]).sum())
     counters.triggers = int((_KIND[status] == TRIGGER).sum())
-    counters.duplicates = int((order == DUPLICATE).sum())
-    counters.late = int((order == LATE).sum())
+    counters.duplicates = int((order == packet_time.DUPLICATE).sum())
+    counters.late = int((order == packet_time.LATE).sum())
 
 
 def _mask_invalid(columns: Columns) -> None:

@@ -5,27 +5,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from statistics import median
 
-from . import channels
+from . import channels, ncom
 from .channels import TRIGGER_CHANNELS, Value
-from .ncom import (
-    BY_STATUS,
-    MINUTE_STATUSES,
-    NAN,
-    PACKET_SIZE,
-    STATUS_AT,
-    STATUS_ONLY,
-    STRUCTURE_B,
-    Counters,
-    Packet,
-    Rule,
-    decode_unchecked,
-    inner_checksums_match,
-    is_valid_position,
-    next_packet,
-)
 from .packet_time import DUPLICATE, LAST_MINUTE, LATE, MINUTE_MS, NEW, SAME, GpsClock, host_minute, unix_nanoseconds
 
-_NO_VECTOR = (NAN, NAN, NAN)
+_NO_VECTOR = (ncom.NAN, ncom.NAN, ncom.NAN)
 _NO_FIELDS: Mapping[str, Value] = {}
 # A stream without channel 0 for this long gets its minute from the host's clock [ns].
 HOST_MINUTE_DELAY_NS = 2_000_000_000
@@ -46,12 +30,12 @@ class Received:
     received_ns: host time of receipt [ns since 1970], as given to feed().
     """
 
-    packet: Packet
+    packet: ncom.Packet
     raw: bytes
     fields: Mapping[str, Value]
     offset: int
     kind: str
-    rule: Rule
+    rule: ncom.Rule
     gps_ns: int | None
     utc_ns: int | None
     order: int
@@ -63,7 +47,7 @@ class NcomParser:
 
     def __init__(self) -> None:
         self.clock = GpsClock()
-        self.counters = Counters()
+        self.counters = ncom.Counters()
         self.utc_offset: int | None = None
         self._tail = b""
         self._consumed = 0  # bytes of the stream before the tail
@@ -89,13 +73,13 @@ class NcomParser:
         packets: list[Received] = []
         at = 0
         while True:
-            at, self._in_sync = next_packet(buffer, at, self._in_sync, self.counters)
-            if size - at < PACKET_SIZE:
+            at, self._in_sync = ncom.next_packet(buffer, at, self._in_sync, self.counters)
+            if size - at < ncom.PACKET_SIZE:
                 break
-            received = self._accept(buffer[at : at + PACKET_SIZE], self._consumed + at, received_ns)
+            received = self._accept(buffer[at : at + ncom.PACKET_SIZE], self._consumed + at, received_ns)
             if received is not None:
                 packets.append(received)
-            at += PACKET_SIZE
+            at += ncom.PACKET_SIZE
         self._tail = buffer[at:]
         self._consumed += at
         return packets
@@ -103,14 +87,14 @@ class NcomParser:
     def _accept(self, raw: bytes, offset: int, received_ns: int | None) -> Received | None:
         counters = self.counters
         counters.packets += 1
-        status = raw[STATUS_AT]
-        if status == STRUCTURE_B:
+        status = raw[ncom.STATUS_AT]
+        if status == ncom.STRUCTURE_B:
             counters.structure_b += 1
             return None
-        if not inner_checksums_match(raw):
+        if not ncom.inner_checksums_match(raw):
             counters.inner_checksum_warnings += 1
-        rule = BY_STATUS[status]
-        packet = decode_unchecked(raw)
+        rule = ncom.BY_STATUS[status]
+        packet = ncom.decode_unchecked(raw)
         kind, order = rule.kind, NEW
         gps_ns: int | None = None
         fields, minute = self._decode_status(packet, status) if rule.status else (_NO_FIELDS, None)
@@ -128,7 +112,8 @@ class NcomParser:
         utc_ns = None if gps_ns is None else unix_nanoseconds(gps_ns, self.utc_offset)
         return Received(packet, raw, fields, offset, kind, rule, gps_ns, utc_ns, order, received_ns)
 
-    def _time(self, packet: Packet, raw: bytes, minute: int | None, received_ns: int | None) -> tuple[int | None, int]:
+    def _time(self, packet: ncom.Packet, raw: bytes, minute: int | None,
+              received_ns: int | None) -> tuple[int | None, int]:
         """GPS time [ns] and order of a measurement."""
         gps_ms, order = self.clock.step(packet.milliseconds, minute, received_ns)
         if order == SAME and raw == self._last_raw:
@@ -139,7 +124,7 @@ class NcomParser:
         self._last_raw = raw
         return None if gps_ms is None else gps_ms * 1_000_000, order
 
-    def _event_time(self, packet: Packet, raw: bytes) -> tuple[int | None, int]:
+    def _event_time(self, packet: ncom.Packet, raw: bytes) -> tuple[int | None, int]:
         """GPS time [ns] and order of an event; None without a time in the packet."""
         self.counters.triggers += 1
         before, self._last_trigger = self._last_trigger, raw
@@ -149,7 +134,7 @@ class NcomParser:
         self.counters.duplicates += 1
         return gps_ns, DUPLICATE
 
-    def _decode_status(self, packet: Packet, status: int) -> tuple[Mapping[str, Value], int | None]:
+    def _decode_status(self, packet: ncom.Packet, status: int) -> tuple[Mapping[str, Value], int | None]:
         """Decoded batch S, and the minute of channel 0 if this packet sets the clock."""
         channel = packet.channel
         if channel not in channels.FIELDS:
@@ -159,14 +144,14 @@ class NcomParser:
         if batch_s != packet.batch_s:  # most channels repeat their bytes
             fields = channels.decode_channel(channel, packet.batch_s)
             self._decoded[channel] = packet.batch_s, fields
-        if status not in MINUTE_STATUSES:
+        if status not in ncom.MINUTE_STATUSES:
             return fields, None
         if channel == channels.UTC_CHANNEL and (offset := channels.utc_offset(packet.batch_s)) is not None:
             self.utc_offset = offset
         minute = fields["GpsMinutes"] if channel == 0 else None
         if minute is None or minute > LAST_MINUTE:
             return fields, None
-        if status == STATUS_ONLY:
+        if status == ncom.STATUS_ONLY:
             self.clock.hint(minute)
         return fields, minute
 
@@ -239,15 +224,15 @@ class StreamStatistics:
         return median(ordered) * 1e-9, ordered[len(ordered) // 100] * 1e-9, newest * 1e-9
 
 
-def _mask_invalid(packet: Packet, rule: Rule, kind: str) -> bool:
+def _mask_invalid(packet: ncom.Packet, rule: ncom.Rule, kind: str) -> bool:
     """Set NaN where the navigation status declares values invalid; whether the position was masked as impossible."""
     if kind == "empty" or not rule.imu:
         packet.acceleration = packet.angular_rate = _NO_VECTOR
     if kind == "empty" or rule.navigation == "none":
-        packet.latitude = packet.longitude = packet.altitude = NAN
+        packet.latitude = packet.longitude = packet.altitude = ncom.NAN
         packet.velocity_ned = _NO_VECTOR
-        packet.heading = packet.pitch = packet.roll = NAN
-    elif not is_valid_position(packet.latitude, packet.longitude, packet.altitude):
-        packet.latitude = packet.longitude = packet.altitude = NAN
+        packet.heading = packet.pitch = packet.roll = ncom.NAN
+    elif not ncom.is_valid_position(packet.latitude, packet.longitude, packet.altitude):
+        packet.latitude = packet.longitude = packet.altitude = ncom.NAN
         return True
     return False

@@ -18,7 +18,7 @@ MAX_UNWRAPPED = 30  # letters; a column with a longer text wraps
 
 @dataclass(frozen=True)
 class Table:
-    """A folded table of a page. rows: a text for each column. about: text beside the title."""
+    """A folded table of a page. rows: a text for each column. about: text next to the title."""
 
     title: str
     note: str

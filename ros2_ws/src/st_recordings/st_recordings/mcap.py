@@ -201,7 +201,6 @@ class BagWriter:
         os.close(self._file.descriptor)
 
     def _close_moved_file(self) -> None:
-        """Closes a file that was renamed or deleted."""
         self.moved = True
         folder = self._file.current_folder()
         state = "deleted" if folder is None else f"renamed to {folder}"

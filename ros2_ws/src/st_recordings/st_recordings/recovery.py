@@ -36,7 +36,7 @@ class RecoveryError(ValueError):
 
 @dataclass
 class FileReport:
-    """What was found in one file. messages, kept_bytes: what was kept; lost_bytes: cut or damaged, not kept."""
+    """Result for one file. messages, kept_bytes: kept; lost_bytes: truncated or damaged, not kept."""
 
     path: Path
     intact: bool = False  # closed and without damage, therefore left unchanged
@@ -121,7 +121,7 @@ def _recover_directory(source: Path, target: Path) -> RecoveryReport:
     contents = [_recover_file(file, target / file.name, report) for file in files]
     information = _information(report.files, contents, source)
     report.topics = _message_counts(information)
-    if not _is_described(target, information):
+    if not _metadata_matches(target, information):
         information.save(target)
         report.metadata_rebuilt = True
     return report
@@ -237,8 +237,8 @@ def _message_counts(information: BagInformation) -> dict[str, int]:
 
 def _information(files: list[FileReport], contents: list[Contents], source: Path) -> BagInformation:
     topics: dict[tuple[str, str], Topic] = {}
-    earlier = read_information(source).get("custom_data")
-    custom = {str(key): str(text) for key, text in earlier.items()} if isinstance(earlier, dict) else {}
+    previous = read_information(source).get("custom_data")
+    custom = {str(key): str(text) for key, text in previous.items()} if isinstance(previous, dict) else {}
     for of_file in contents:
         counts = of_file.counts()
         custom.update(custom_data(of_file.metadata))
@@ -261,7 +261,7 @@ def _qos_entries(text: str) -> list[Any]:
     return entries if isinstance(entries, list) else []
 
 
-def _is_described(folder: Path, information: BagInformation) -> bool:
+def _metadata_matches(folder: Path, information: BagInformation) -> bool:
     """Whether the metadata.yaml names the same files, topics and counts; the rest may differ by recorder."""
     expected, found = information.document()["rosbag2_bagfile_information"], read_information(folder)
     try:

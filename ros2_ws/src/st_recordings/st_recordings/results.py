@@ -61,7 +61,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class Results:
-    """What a run folder holds.
+    """Content of a run folder.
 
     scores: by model and mode. segments: by model and start [ns UTC], of DRAWN_STARTS starts spread over the run.
     bands: statistics of st_msgs/ErrorSummary in which predictions with bands were counted.

@@ -20,17 +20,18 @@ from ..terminal import line, rows_table
 from .scoring import Sums, pooled_sums, summarise_adaptive, summarise_bands, top_level
 
 MODE_TITLES = {"hindsight": "model (measured inputs)", "forecast": "forecast (inputs held)"}
+NO_CONTENT: dict[str, Any] = {"models": {}}  # of `summarise_bands` without scored runs
 
 
 def band_figures(content: dict[str, Any] | None, output: FigureOutput) -> list[PageFigure]:
     """Reliability diagram from the content of `summarise_bands`; none if no start had a band."""
-    models = {} if content is None else {
-        model: modes for model, modes in content["models"].items() if any(one["starts"] for one in modes.values())}
+    models = {model: modes for model, modes in (content or NO_CONTENT)["models"].items()
+              if any(scores["starts"] for scores in modes.values())}
     if not models:
         return []
     top = _top_level(content)
-    deviations = [(abs(one["coverage"][top] - float(top)), f"{100 * one['coverage'][top]:.0f} %, {model}, {mode}")
-                  for model, modes in models.items() for mode, one in modes.items() if one["coverage"].get(top)]
+    deviations = [(abs(scores["coverage"][top] - float(top)), f"{100 * scores['coverage'][top]:.0f} %, {model}, {mode}")
+                  for model, modes in models.items() for mode, scores in modes.items() if scores["coverage"].get(top)]
     worst = max(deviations)[1] if deviations else "not known"
     with style():
         figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 4.2), sharey=True)
@@ -57,17 +58,17 @@ NO_BANDS = ("[dim]bands: none given; `st calibrate RUN… --vehicle FILE --outpu
 def band_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
     """One row for each model and mode from the content of `summarise_bands`; columns by their titles."""
     rows, top = [], _top_level(content)
-    for model, modes in (content or {"models": {}})["models"].items():
-        for mode, one in modes.items():
-            worst, widths = one["worst_cell"], list((one["half_width"].get(top) or {}).values())
-            scores, crps = one["interval_score"].get(top), one["crps"]
+    for model, modes in (content or NO_CONTENT)["models"].items():
+        for mode, scores in modes.items():
+            worst, widths = scores["worst_cell"], list((scores["half_width"].get(top) or {}).values())
+            interval_score, crps = scores["interval_score"].get(top), scores["crps"]
             rows.append({
                 "model": model, "inputs": mode,
-                "starts": str(one["starts"]), "no band": str(one["without_band"]),
-                "50 % covers": _share(one["coverage"].get("0.5")),
-                f"{_percent(top)} covers": _share(one["coverage"].get(top)),
+                "starts": str(scores["starts"]), "no band": str(scores["without_band"]),
+                "50 % covers": _share(scores["coverage"].get("0.5")),
+                f"{_percent(top)} covers": _share(scores["coverage"].get(top)),
                 "worst cell": f"{worst['coverage']:.0%} ({worst['cell']}, {worst['starts']} starts)" if worst else "-",
-                f"interval score {_percent(top)}, along | across, m": _pair(scores),
+                f"interval score {_percent(top)}, along | across, m": _pair(interval_score),
                 "CRPS, along | across, m": _pair(crps),
                 f"half-width {_percent(top)}, along | across, m": _pair(widths[-1] if widths else None)})
     return rows
@@ -75,8 +76,8 @@ def band_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
 
 def _top_level(content: dict[str, Any] | None) -> str:
     """The highest level that was scored: "0.9", or less for bands from too few runs."""
-    scored = [one["coverage"] for modes in (content or {"models": {}})["models"].values() for one in modes.values()]
-    return top_level(scored[0] if scored else {})
+    models = (content or NO_CONTENT)["models"]
+    return top_level(next((scores["coverage"] for modes in models.values() for scores in modes.values()), {}))
 
 
 def _percent(level: str) -> str:
@@ -85,10 +86,10 @@ def _percent(level: str) -> str:
 
 def adaptive_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
     """One row for each model and mode of `summarise_adaptive`; columns by their titles."""
-    return [{"model": model, "inputs": mode, "starts": str(one["starts"]),
-             **{f"{_percent(level)} covers": _share(share) for level, share in one["coverage"].items()},
-             **{f"{_percent(level)} after 2 min": _share(share) for level, share in one["late_coverage"].items()}}
-            for model, modes in (content or {}).items() for mode, one in modes.items()]
+    return [{"model": model, "inputs": mode, "starts": str(scores["starts"]),
+             **{f"{_percent(level)} covers": _share(share) for level, share in scores["coverage"].items()},
+             **{f"{_percent(level)} after 2 min": _share(share) for level, share in scores["late_coverage"].items()}}
+            for model, modes in (content or {}).items() for mode, scores in modes.items()]
 
 
 def _terminal_tables(top: str) -> dict[str, tuple[str, ...]]:
@@ -144,8 +145,8 @@ SHOWN_SECONDS = ("1", "3", "5")  # ahead, in the table
 
 def intervals_of(files: Sequence[ModelFile]) -> dict[str, Intervals]:
     """95 % intervals in model files, by the name of their model."""
-    return {file.model().name: {(effect, name): one.interval for effect, parts in file.effects.items()
-                                for name, one in parts.items() if one.interval is not None} for file in files}
+    return {file.model().name: {(effect, name): estimate.interval for effect, parts in file.effects.items()
+                                for name, estimate in parts.items() if estimate.interval is not None} for file in files}
 
 
 def share_sums(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, settings: EvaluationSettings,
@@ -168,11 +169,11 @@ def summarise_shares(sums: Sums) -> dict[str, Any]:
     """By model: starts, rms of the error [m, m, rad] and of each cause by second and axis, and shares of the mean
     square error; those of all causes and the residual add up to 1."""
     found = {}
-    for model, one in sums.get("shares", {}).items():
-        if not one["starts"]:
+    for model, squares_of_model in sums.get("shares", {}).items():
+        if not squares_of_model["starts"]:
             continue
-        total, count = _as_array(one["total"]), one["starts"]
-        causes = {f"{kind}: {name}": _as_array(squares) for kind, parts in one["parts"].items()
+        total, count = _as_array(squares_of_model["total"]), squares_of_model["starts"]
+        causes = {f"{kind}: {name}": _as_array(squares) for kind, parts in squares_of_model["parts"].items()
                   for name, squares in parts.items()}
         kinds = {kind: sum((v for k, v in causes.items() if k.startswith(f"{kind}: ")), np.zeros_like(total))
                  for kind in (PARAMETERS, SENSORS)}
@@ -181,7 +182,7 @@ def summarise_shares(sums: Sums) -> dict[str, Any]:
         found[model] = {
             "starts": count, "rms": _by_second(np.sqrt(total / count)),
             "rms_of_cause": {name: _by_second(np.sqrt(squares / count)) for name, squares in causes.items()},
-            "stated": list(one["parts"][PARAMETERS]),
+            "stated": list(squares_of_model["parts"][PARAMETERS]),
             "share": {kind: _by_second(values) for kind, values in shares.items()}}
     return found
 
@@ -189,13 +190,13 @@ def summarise_shares(sums: Sums) -> dict[str, Any]:
 def share_rows(shares: Mapping[str, Any]) -> list[dict[str, str]]:
     """One row for each model and second shown; columns by their titles."""
     rows = []
-    for model, one in shares.items():
-        for second in (s for s in SHOWN_SECONDS if s in one["rms"]):
-            rms = one["rms"][second]
+    for model, summary in shares.items():
+        for second in (s for s in SHOWN_SECONDS if s in summary["rms"]):
+            rms = summary["rms"][second]
             row = {"model": model, "second": second,
                    "rms along | across, m": f"{rms['longitudinal']:.2f} | {rms['lateral']:.2f}"}
-            for kind, values in one["share"].items():
-                known = kind != PARAMETERS or one["stated"]
+            for kind, values in summary["share"].items():
+                known = kind != PARAMETERS or summary["stated"]
                 row[kind] = (f"{values[second]['longitudinal']:.0%} | {values[second]['lateral']:.0%}" if known
                              else "not stated")
             rows.append(row)

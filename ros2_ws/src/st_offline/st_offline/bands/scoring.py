@@ -85,9 +85,9 @@ class AdaptiveScorer:
 
 def summarise_adaptive(sums: Sums) -> dict[str, Any]:
     """{model: {mode: starts, coverage, late_starts, late_coverage}}, shares by level; None where nothing was scored."""
-    return {model: {mode: {**one, "coverage": _divided(one["coverage"], one["starts"]),
-                           "late_coverage": _divided(one["late_coverage"], one["late_starts"])}
-                    for mode, one in modes.items()} for model, modes in sums.get("adaptive", {}).items()}
+    return {model: {mode: {**counts, "coverage": _divided(counts["coverage"], counts["starts"]),
+                           "late_coverage": _divided(counts["late_coverage"], counts["late_starts"])}
+                    for mode, counts in modes.items()} for model, modes in sums.get("adaptive", {}).items()}
 
 
 def scored_levels(band: Band) -> list[float]:
@@ -157,7 +157,7 @@ def _crps(band: Band, scale: np.ndarray, errors: np.ndarray) -> np.ndarray:
 
 
 def _count(rows: np.ndarray, within: Mapping[str, np.ndarray]) -> Sums:
-    return {"starts": int(rows.sum()), "coverage": {key: int(one[rows].sum()) for key, one in within.items()}}
+    return {"starts": int(rows.sum()), "coverage": {key: int(inside[rows].sum()) for key, inside in within.items()}}
 
 
 def _by_axis(values: np.ndarray) -> dict[str, float]:
@@ -221,8 +221,8 @@ def top_level(by_level: Mapping[str, Any]) -> str:
 
 def worst_cell(cells: Mapping[str, Mapping[str, Any]], level: str) -> dict[str, Any] | None:
     """The cell with the lowest coverage at a level, of those with MIN_STARTS; None without one."""
-    known = [(one["coverage"][level] / one["starts"], name, one["starts"]) for name, one in cells.items()
-             if one["starts"] >= MIN_STARTS and level in one["coverage"]]
+    known = [(counts["coverage"][level] / counts["starts"], name, counts["starts"]) for name, counts in cells.items()
+             if counts["starts"] >= MIN_STARTS and level in counts["coverage"]]
     if not known:
         return None
     share, name, starts = min(known)

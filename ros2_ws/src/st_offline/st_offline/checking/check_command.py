@@ -91,7 +91,7 @@ def check_run(source: RunSource, job: Job) -> CheckedRun:
 
 def write(good: Sequence[CheckedRun], failed: Mapping[str, str], folder: Path, json: Path | None,
           texts: Mapping[Path, str], console: Console) -> dict[Path, str]:
-    """Write all files; what they contain, by file. texts: text of a run.yaml by its file."""
+    """Write all files; returns their descriptions by file. texts: text of a run.yaml by its file."""
     content = document(good, failed)
     page, numbers = folder / "report.html", json or folder / "check.json"
     with console.status("drawing, writing the page"):

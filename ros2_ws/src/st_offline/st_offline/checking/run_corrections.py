@@ -13,8 +13,7 @@ from st_recordings.paths import OutputError
 from st_recordings.runs import ReadSettings, RunSource
 from st_recordings.runs.errors import printable
 from st_recordings.runs.readers import READERS
-from st_recordings.runs.run_file import TABLE_KEYS
-from st_recordings.runs.sources import RUN_FILE, RUN_SUFFIX
+from st_recordings.runs.run_file import RUN_FILE, RUN_SUFFIX, TABLE_KEYS
 
 from . import check_report
 

@@ -1,1 +1,1 @@
-"""`st discover`: from recordings to the name of what the model lacks, a model file and a page."""
+"""`st discover`: the physical effects that the model lacks, found in recordings; a model file and a page."""

@@ -174,7 +174,7 @@ def _wide_tables(found: Discovery) -> list[Table]:
     driven = ", ".join(f"{name} {report_text.separation(strength)}"
                        for name, strength in sorted(options.items(), key=lambda o: -o[1]))
     return [
-        Table("Names that are not separable", "Apart: what the first leaves unexplained of the second."
+        Table("Names that are not separable", "Separation: effect of the second that the first cannot reproduce."
               + (f" After the next drive, of the pair it separates least: {driven}." if driven else ""),
               report_text.PAIR_HEAD, report_text.pair_rows(found)),
         Table("Other effects that were tried", "Improvement: share of the errors over all channels that the effect "

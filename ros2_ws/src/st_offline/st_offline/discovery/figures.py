@@ -102,13 +102,14 @@ def axle_curves(scene: Scene) -> PageFigure | None:
     with style():
         figure, panels = plt.subplots(2, len(curves), figsize=(HALF_WIDTH, 3.0), sharex="col", squeeze=False,
                                       height_ratios=(4.0, 1.0))
-        for (axes, below), one in zip(panels.T, curves, strict=True):
-            slip = np.rad2deg(one.slip)
-            axes.fill_between(slip, 1e-3 * np.array(one.low), 1e-3 * np.array(one.high), color=AFTER, alpha=0.25, lw=0)
-            axes.plot(slip, 1e-3 * np.array(one.force), color=AFTER)
-            axes.plot(slip, 1e-3 * np.array(one.file), color=scene.colour, ls="--")
-            axes.set_title(f"{one.axle} axle: {report_text.force_ratio(one)}", fontsize=7)
-            below.stairs(100.0 * np.array(one.density), slip, color=MEASURED_COLOUR, fill=True)
+        for (axes, below), curve in zip(panels.T, curves, strict=True):
+            slip = np.rad2deg(curve.slip)
+            force, low, high, of_file = (1e-3 * np.array(v) for v in (curve.force, curve.low, curve.high, curve.file))
+            axes.fill_between(slip, low, high, color=AFTER, alpha=0.25, lw=0)
+            axes.plot(slip, force, color=AFTER)
+            axes.plot(slip, of_file, color=scene.colour, ls="--")
+            axes.set_title(f"{curve.axle} axle: {report_text.force_ratio(curve)}", fontsize=7)
+            below.stairs(100.0 * np.array(curve.density), slip, color=MEASURED_COLOUR, fill=True)
             below.set_xlabel("slip angle, °")
         panels[0][0].set_ylabel("lateral force, kN")
         panels[1][0].set_ylabel("samples, %")
@@ -219,43 +220,44 @@ def _draw_ratios(axes: plt.Axes, ratios: Sequence[tuple[int, LocalEstimate]]) ->
     """Points and intervals of (row, value)."""
     axes.axvline(0.0, color=TEXT, lw=0.8, ls=":")
     axes.axvline(1.0, color=TEXT, lw=0.8)
-    for row, one in ratios:
-        low, high = one.ratio - report_text.Z95 * one.deviation, one.ratio + report_text.Z95 * one.deviation
+    for row, estimate in ratios:
+        reach = report_text.Z95 * estimate.deviation
+        low, high = estimate.ratio - reach, estimate.ratio + reach
         clear = low > 0.0 or high < 0.0
         axes.plot(np.clip([low, high], -MAX_RATIO, MAX_RATIO), [row, row], color=AFTER, lw=1.2)
-        axes.plot(np.clip(one.ratio, -MAX_RATIO, MAX_RATIO), row, "o", ms=4.5, color=AFTER,
+        axes.plot(np.clip(estimate.ratio, -MAX_RATIO, MAX_RATIO), row, "o", ms=4.5, color=AFTER,
                   mfc=AFTER if clear else "none")
     ends = [v.ratio + side * report_text.Z95 * v.deviation for _, v in ratios for side in (-1.0, 1.0)]
     axes.set_xlim(max(min([-0.2, *ends]), -MAX_RATIO) - 0.05, min(max([1.2, *ends]), MAX_RATIO) + 0.05)
 
 
-def relation_figure(one: Relation, output: FigureOutput) -> PageFigure:
+def relation_figure(relation: Relation, output: FigureOutput) -> PageFigure:
     """Curve and 95 % band above, share of the driving below; angles in degrees, shares in per cent."""
-    c = one.candidate
+    c = relation.candidate
     (up, unit), (across, across_unit) = display_unit(c.unit), display_unit(QUANTITIES[c.quantity])
-    at, value, band = across * one.at, up * one.value, up * report_text.Z95 * one.deviation
+    at, value, band = across * relation.at, up * relation.value, up * report_text.Z95 * relation.deviation
     with style():
         figure, (curve, driven) = plt.subplots(2, 1, figsize=(WIDTH, 3.6), sharex=True, height_ratios=(3.0, 1.0))
         curve.axhline(0.0, color=TEXT, lw=0.8, ls=":")
         curve.fill_between(at, value - band, value + band, color=AFTER, alpha=0.25, lw=0, label="95 % interval")
         curve.plot(at, value, color=AFTER, label="proposed relation")
-        for k, (low, high) in enumerate(one.drives.sparse):
+        for k, (low, high) in enumerate(relation.drives.sparse):
             for axes in (curve, driven):
                 axes.axvspan(across * low, across * high, color=MEASURED_COLOUR, alpha=0.12, lw=0,
                              label="sparsely driven" if axes is curve and not k else None)
         curve.set_ylabel(f"{textwrap.fill(quantities.axis(c), 28)}, {unit}")
         curve.legend(loc="best")
         driven.set_axisbelow(True)
-        driven.bar(at, 100.0 * one.density, width=at[1] - at[0], color=MEASURED_COLOUR)
+        driven.bar(at, 100.0 * relation.density, width=at[1] - at[0], color=MEASURED_COLOUR)
         # Most driving is straight at constant speed; a linear scale would hide the other bins.
         driven.set(yscale="log", ylim=(0.02, 100.0), yticks=(0.1, 1.0, 10.0, 100.0))
         driven.yaxis.set_major_formatter("{x:g}")
         driven.set(ylabel="share of the\ndriving, %", xlabel=f"{quantities.QUANTITIES[c.quantity]}, {across_unit}")
-        before, after = one.position_5s
-        title = (f"PROPOSAL: {title_of(one)}; held-out position error after 5 s: "
+        before, after = relation.position_5s
+        title = (f"PROPOSAL: {title_of(relation)}; held-out position error after 5 s: "
                  f"{before:.3f} m without it, {after:.3f} m with it")
         units = f"y in {c.unit}, u in {QUANTITIES[c.quantity]}".replace("^2", "²")
-        first = f"As a formula: {one.formulas[0].text}, {units}. " if one.formulas else ""
+        first = f"As a formula: {relation.formulas[0].text}, {units}. " if relation.formulas else ""
         caption = (f"{first}Dotted, zero: the model without the relation. Fitted by simulation together with all "
                    "identified effects; constant beyond the driven range. Grey: sparsely driven; there the curve is "
                    "interpolated, and the interval assumes the same smoothness. The other figures do not contain the "

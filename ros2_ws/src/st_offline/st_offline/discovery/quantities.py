@@ -53,18 +53,18 @@ def metres(value: float) -> str:
     return f"{value:.2f} m" if abs(value) >= 0.095 else f"{value:.3f} m"
 
 
-def digits(p: FittedParameter) -> int:
-    """Decimals to print, by the width of the interval."""
-    half = 0.5 * (p.interval[1] - p.interval[0]) * factor(p.unit)
-    return max(1 - math.floor(math.log10(half) + 1e-6), 0) if math.isfinite(half) and half > 0.0 else 3
+def decimals(uncertainty: float) -> int:
+    """Decimals up to the second significant digit of an uncertainty; 3 if that is not known."""
+    is_known = math.isfinite(uncertainty) and uncertainty > 0.0
+    return max(1 - math.floor(math.log10(uncertainty) + 1e-6), 0) if is_known else 3
 
 
-def decimal(number: float, decimals: int) -> str:
-    """A number with these decimals; with an exponent beyond MAX_DECIMALS."""
-    if decimals <= MAX_DECIMALS:
-        text = f"{number:.{decimals}f}"
+def decimal(number: float, count: int) -> str:
+    """A number with `count` decimals; with an exponent beyond MAX_DECIMALS."""
+    if count <= MAX_DECIMALS:
+        text = f"{number:.{count}f}"
         return text if float(text) else f"{number + 0.0:.1g}"  # neither "-0.0" nor "x 0" for a small number
-    significant = decimals + math.floor(math.log10(abs(number) or 10.0**-decimals)) + 1
+    significant = count + math.floor(math.log10(abs(number) or 10.0**-count)) + 1
     return f"{number:.{max(significant, 1)}g}"
 
 
@@ -76,7 +76,8 @@ def value(p: FittedParameter, parameter: Parameter | None = None, interval: bool
     usual_size = abs(parameter.initial - parameter.null) if parameter else 0.0
     bounds = [] if parameter is None or parameter.shape else [
         bound for bound in parameter.bounds if bound not in (parameter.null, parameter.theory)]
-    number, *ends = (decimal(x * factor(p.unit), digits(p)) for x in (p.value, *p.interval))
+    half_width = 0.5 * (p.interval[1] - p.interval[0]) * factor(p.unit)
+    number, *ends = (decimal(x * factor(p.unit), decimals(half_width)) for x in (p.value, *p.interval))
     text = f"× {number}" if p.unit == "1" and p.null == 1.0 else with_unit(number, p.unit)
     on_bound = " on its bound" if any(abs(p.value - bound) < ON_BOUND * usual_size for bound in bounds) else ""
     return f"{text}{on_bound}{f' ({ends[0]} to {ends[1]})' if interval else ''}"
@@ -100,8 +101,8 @@ def fitted(name: str, numbers: Mapping[str, float]) -> str:
     texts = []
     for key, number in numbers.items():
         unit, null = (known[key].unit, known[key].null) if key in known else ("1", 0.0)
-        decimals = max(2, 1 - math.floor(math.log10(abs(number - null)))) if number != null else 2
-        text = (f"× {number:.{decimals}f}" if (unit, null) == ("1", 1.0) else
+        count = max(2, 1 - math.floor(math.log10(abs(number - null)))) if number != null else 2
+        text = (f"× {number:.{count}f}" if (unit, null) == ("1", 1.0) else
                 with_unit(f"{float(f'{number * factor(unit):.2g}'):g}", unit))
         texts.append(f"{plain(key) + ' ' if len(numbers) > 1 else ''}{text}")
     return ", ".join(texts)

@@ -90,47 +90,48 @@ class {cls}(Effect):
 '''
 
 
-def name_of(one: Relation) -> str:
+def name_of(relation: Relation) -> str:
     """Name of the effect; numbered if the model already has a relation of that term."""
-    name = f"proposed_{one.candidate.term}"
-    before = sum(e.name == name or e.name.startswith(f"{name}_") for e in one.model.effects)
+    name = f"proposed_{relation.candidate.term}"
+    before = sum(e.name == name or e.name.startswith(f"{name}_") for e in relation.model.effects)
     return f"{name}_{before + 1}" if before else name
 
 
-def title_of(one: Relation) -> str:
+def title_of(relation: Relation) -> str:
     """Term and quantity, written out."""
-    return quantities.title(one.candidate, bool(one.formulas) and one.formulas[0].shape == "constant")
+    return quantities.title(relation.candidate, bool(relation.formulas) and relation.formulas[0].shape == "constant")
 
 
-def _title_with_causes(one: Relation) -> str:
-    causes = f" (in textbooks: {one.formulas[0].causes})" if one.formulas and one.formulas[0].causes else ""
-    return f"{title_of(one)}{causes}"
+def _title_with_causes(relation: Relation) -> str:
+    causes = relation.formulas[0].causes if relation.formulas else ""
+    return title_of(relation) + (f" (in textbooks: {causes})" if causes else "")
 
 
-def effect_file(one: Relation, runs: Sequence[str], created: str) -> str:
+def effect_file(relation: Relation, runs: Sequence[str], created: str) -> str:
     """Text of an effect file with the fitted curve, interpolated linearly between KNOTS points."""
-    c = one.candidate
+    c = relation.candidate
     meaning = ALL_TERMS[c.term][1] + (f", for each {QUANTITIES[c.factor]} of {c.factor.replace('_', ' ')}"
                                       if c.factor else "")
     knots = np.linspace(c.low, c.high, KNOTS)
-    heights = one.coefficients @ c.splines(knots)
+    heights = relation.coefficients @ c.splines(knots)
     terms = "\n            + ".join(f"{h:.6g} * hat(t - {k}.0)" for k, h in enumerate(heights))
     formulas = "\n".join(f"Formula {k}: {r.text} ({r.shape}, keeps {r.kept:.0%} of the curve's held-out gain)"
-                         for k, r in enumerate(one.formulas, 1)) or "No simple formula can replace the curve."
+                         for k, r in enumerate(relation.formulas, 1)) or "No simple formula can replace the curve."
     return EFFECT_FILE.format(
-        title=_title_with_causes(one), count=len(runs), runs=", ".join(runs), created=created, low=c.low, high=c.high,
-        step=(c.high - c.low) / (KNOTS - 1), quantity=c.quantity.replace("_", " "),
+        title=_title_with_causes(relation), count=len(runs), runs=", ".join(runs), created=created, low=c.low,
+        high=c.high, step=(c.high - c.low) / (KNOTS - 1), quantity=c.quantity.replace("_", " "),
         quantity_unit=QUANTITIES[c.quantity],
-        unit=c.unit, meaning=f"y [{c.unit}]: {meaning}.", before=one.position_5s[0], after=one.position_5s[1],
-        p_value=one.p_value, formulas=formulas, heights=terms, cls="".join(w.title() for w in name_of(one).split("_")),
-        odd=", odd=True" if c.changes_sides else "", name=name_of(one),
+        unit=c.unit, meaning=f"y [{c.unit}]: {meaning}.", before=relation.position_5s[0], after=relation.position_5s[1],
+        p_value=relation.p_value, formulas=formulas, heights=terms,
+        cls="".join(word.title() for word in name_of(relation).split("_")),
+        odd=", odd=True" if c.changes_sides else "", name=name_of(relation),
         ops=OPS.get(c.quantity, "absolute, maximum, minimum"), memory=_memory_declaration(c),
-        physics=f"y = curve of {c.quantity}: {meaning}", body=_body(one),
+        physics=f"y = curve of {c.quantity}: {meaning}", body=_body(relation),
         kind=_kind(c), slot=SLOT[c.term])
 
 
-def _body(one: Relation) -> str:
-    c = one.candidate
+def _body(relation: Relation) -> str:
+    c = relation.candidate
     if c.term in READING_FIELD:
         field, u = READING_FIELD[c.term], READING_EXPRESSIONS[c.quantity]
         return "".join(f"\n    @staticmethod\n    def {hook}(measured, theta):\n"
@@ -190,25 +191,25 @@ def write_files(found: RelationSearch, vehicle: VehicleParameters, runs: Sequenc
     A relation of the time in the run is not written, as it is not valid in other drives. The user's effects in the
     model are copied, so that one folder of effects is enough for every command.
     """
-    one = found.relation
-    if one is None or one.candidate.quantity == "run_time":
+    relation = found.relation
+    if relation is None or relation.candidate.quantity == "run_time":
         return {}
     effects = folder / "effects"
     effects.mkdir()
-    file = effects / f"{name_of(one)}.py"
-    file.write_text(effect_file(one, runs, created), encoding="utf-8")
-    load_file(str(effects.absolute()), name_of(one))
-    for user_folder in {Path(source_file(e)).parent for e in one.model.effects} - {LIBRARY}:
+    file = effects / f"{name_of(relation)}.py"
+    file.write_text(effect_file(relation, runs, created), encoding="utf-8")
+    load_file(str(effects.absolute()), name_of(relation))
+    for user_folder in {Path(source_file(e)).parent for e in relation.model.effects} - {LIBRARY}:
         for module in user_folder.glob("*.py"):
             if not (effects / module.name).exists():
                 shutil.copyfile(module, effects / module.name)
-    about = ModelProvenance(created[:10], data=digests, note=f"PROPOSAL of st discover: {_title_with_causes(one)}")
-    plain = ModelFile.of(one.model, vehicle, about, source="fitted together with the relation")
+    about = ModelProvenance(created[:10], data=digests, note=f"PROPOSAL of st discover: {_title_with_causes(relation)}")
+    plain = ModelFile.of(relation.model, vehicle, about, source="fitted together with the relation")
     active = {name: parts for name, parts in plain.effects.items()
-              if any(parts[p.name].value != p.null for e in one.model.effects if e.name == name
+              if any(parts[p.name].value != p.null for e in relation.model.effects if e.name == name
                      for p in e.parameters if p.fit)}
     share = {"share": Estimate(1.0, None, "st discover --propose")}
-    model = ModelFile(plain.base, {**active, name_of(one): share}, plain.vehicle, plain.vehicle_name,
+    model = ModelFile(plain.base, {**active, name_of(relation): share}, plain.vehicle, plain.vehicle_name,
                       plain.vehicle_hash, about)
     (folder / "proposed.yaml").write_text(model.to_yaml(), encoding="utf-8")
     return {"effects": file, "proposed.yaml": folder / "proposed.yaml"}
@@ -218,28 +219,28 @@ def relation_document(found: RelationSearch | None) -> dict:
     """The part `law` of discovery.json (schema in docs/manual/discovery.md)."""
     if found is None:
         return {}
-    one = found.relation
+    relation = found.relation
     tried = [{"law": name, "gain": gain, "chance": p_value, "visible": found.detection_limits.get(name)}
              for name, (gain, p_value) in found.tried.items()]
-    if one is None:
+    if relation is None:
         return {"proposal": None, "why": found.why, "tried": tried}
-    c = one.candidate
+    c = relation.candidate
     return {"why": found.why, "tried": tried, "proposal": {
         "place": c.term, "quantity": c.quantity, "by": c.factor, "unit": c.unit,
         "quantity_unit": QUANTITIES[c.quantity], "range": [c.low, c.high],
-        "curve": {"at": one.at.tolist(), "value": one.value.tolist(), "deviation": one.deviation.tolist(),
-                  "density": one.density.tolist()},
-        "gain": one.gain, "chance": one.p_value, "position_5s": list(one.position_5s),
-        "runs": {name: list(pair) for name, pair in one.runs.items()}, "others": dict(one.others),
-        "needless": dict(one.redundant), "next_drives": _drives(one),
-        "shares": {name: list(pair) for name, pair in one.shares.by_run.items()}, "differ": one.shares.p_equal,
+        "curve": {key: getattr(relation, key).tolist() for key in ("at", "value", "deviation", "density")},
+        "gain": relation.gain, "chance": relation.p_value, "position_5s": list(relation.position_5s),
+        "runs": {name: list(pair) for name, pair in relation.runs.items()}, "others": dict(relation.others),
+        "needless": dict(relation.redundant), "next_drives": _drives(relation),
+        "shares": {name: list(pair) for name, pair in relation.shares.by_run.items()},
+        "differ": relation.shares.p_equal,
         "readings": [{"shape": r.shape, "text": r.text, "explained": r.kept, "causes": r.causes}
-                     for r in one.formulas]}}
+                     for r in relation.formulas]}}
 
 
-def _drives(one: Relation) -> dict:
-    drives, separating = one.drives, one.drives.most_separating()
-    precise = drives.most_precise(one.deviation)
+def _drives(relation: Relation) -> dict:
+    drives, separating = relation.drives, relation.drives.most_separating()
+    precise = drives.most_precise(relation.deviation)
     return {"thin": [list(between) for between in drives.sparse],
             "tells_apart": {"manoeuvre": separating[0].manoeuvre.name, "from": separating[1]} if separating else None,
             "pins_down": precise.manoeuvre.name if precise else None,

@@ -23,7 +23,7 @@ from st_core.effects import EFFECTS, get_effect
 from st_core.vehicle import VEHICLE_QUANTITIES
 
 from ..checking.check_report import describe_effect, group_by_name
-from .quantities import change, channel, decimal, fitted, metres, plain, short_values, size, values
+from .quantities import change, channel, decimal, decimals, fitted, metres, plain, short_values, size, values
 from .vehicle_update import SLIP_SPEED, VehicleUpdate
 
 MAX_PARTS = 6
@@ -167,14 +167,15 @@ def meaning(found: Discovery) -> list[str]:
     return lines
 
 
-def describe_varying(one: VaryingEffect) -> str:
+def describe_varying(effect: VaryingEffect) -> str:
     """An effect that varies over the driving, with its most significant local values relative to the largest."""
-    ranked = sorted(one.values, key=lambda v: -abs(v.ratio) / max(v.deviation, 1e-9))[:MAX_PARTS]
-    ratios = "; ".join(f"{v.where}: {v.ratio:.2f} ± {Z95 * v.deviation:.2f}" for v in one.values if v in ranked)
-    more = f" and {len(one.values) - len(ranked)} more" if len(one.values) > len(ranked) else ""
-    return (f"an effect that resembles {plain(one.resembles)} {short_values(one.resembles, one.parameters)} reduces "
-            f"the error by {metres(one.position_5s_reduction)}, but varies with {one.level}, so it is not a property "
-            f"of the car; ratio to the largest local value: {ratios}{more}")
+    ranked = sorted(effect.values, key=lambda v: -abs(v.ratio) / max(v.deviation, 1e-9))[:MAX_PARTS]
+    ratios = "; ".join(f"{v.where}: {v.ratio:.2f} ± {Z95 * v.deviation:.2f}" for v in effect.values if v in ranked)
+    more = f" and {len(effect.values) - len(ranked)} more" if len(effect.values) > len(ranked) else ""
+    name = f"{plain(effect.resembles)} {short_values(effect.resembles, effect.parameters)}"
+    reduction = metres(effect.position_5s_reduction)
+    return (f"an effect that resembles {name} reduces the error by {reduction}, but varies with {effect.level}, so it "
+            f"is not a property of the car; ratio to the largest local value: {ratios}{more}")
 
 
 def agreement(effect: FoundEffect) -> str:
@@ -209,12 +210,13 @@ def residual(found: Discovery) -> str:
     return f"{text}{worst}{worse}"
 
 
-def ratio_to_file(one: Combination) -> str:
+def ratio_to_file(combination: Combination) -> str:
     """Ratio of a combination to that of the vehicle file, or a delay, with its 95 % interval."""
-    if one.is_time:
-        return f"{one.name} {one.value:.3f} s ({one.interval[0]:.3f} to {one.interval[1]:.3f})"
-    low, high = (edge / one.file for edge in one.interval)
-    return f"{one.name} {one.value / one.file:.2f} ({low:.2f} to {high:.2f}) times the vehicle file value"
+    low, high = combination.interval
+    if combination.is_time:
+        return f"{combination.name} {combination.value:.3f} s ({low:.3f} to {high:.3f})"
+    ratio, low, high = (value / combination.file for value in (combination.value, low, high))
+    return f"{combination.name} {ratio:.2f} ({low:.2f} to {high:.2f}) times the vehicle file value"
 
 
 def not_separable(found: Discovery) -> str:
@@ -299,19 +301,17 @@ def next_drive(found: Discovery) -> str:
 
 def prior_quantities(found: Discovery) -> list[str]:
     """Quantities of the vehicle file used as priors with their deviations."""
-    known = [f"{a.key} {decimal(a.value, _digits(a.deviation))} ± {decimal(a.deviation, _digits(a.deviation))} "
-             f"{a.unit.removesuffix('1')}".rstrip() + ("" if a.stated else " (default)")
-             for a in found.assumed if not a.key.startswith("tyre_")]
+    known = []
+    for a in (a for a in found.assumed if not a.key.startswith("tyre_")):
+        value, deviation = (decimal(number, decimals(a.deviation)) for number in (a.value, a.deviation))
+        known.append(f"{a.key} {value} ± {deviation} {a.unit.removesuffix('1')}".rstrip()
+                     + ("" if a.stated else " (default)"))
     return [f"{', '.join(known)}; to override, set `uncertainty` in the entry of the vehicle file"] if known else []
-
-
-def _digits(deviation: float) -> int:
-    return max(1 - math.floor(math.log10(deviation)), 0) if deviation > 0.0 else 3
 
 
 def force_ratio(curve: ForceCurve) -> str:
     """Ratio of the force at the largest driven slip to that of the vehicle file, with its 90 % band."""
-    force, low, high = (newton[-1] / curve.file[-1] for newton in (curve.force, curve.low, curve.high))
+    force, low, high = (force_curve[-1] / curve.file[-1] for force_curve in (curve.force, curve.low, curve.high))
     return f"{force:.2f} (90 %: {low:.2f} to {high:.2f}) times the file's at {math.degrees(curve.slip[-1]):.1f}°"
 
 

@@ -1,6 +1,5 @@
 """Evaluation of one run, from its files to its part of the report, in this process or in a worker."""
 
-import csv
 import math
 import re
 import time
@@ -231,10 +230,7 @@ def write_starts(file: Path, evaluation: LogEvaluation) -> None:
                **{name: text(values, 5) for name, values in evaluation.conditions.items()},
                **{f"{model}_{mode}_{axis}_mean": text(errors.mean[:, k], 5)
                   for (model, mode), errors in evaluation.errors.items() for k, axis in enumerate(AXES)}}
-    with file.open("w", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(columns)
-        writer.writerows(zip(*columns.values(), strict=True))
+    tables.write_csv(file, (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)))
 
 
 INPUTS = ("planned_road_wheel_angle", "planned_velocity_x_dot")

@@ -45,7 +45,7 @@ STATUS_STYLE = {"identified": "green", "doubtful": "yellow", "unidentifiable": "
 
 @dataclass(frozen=True)
 class Job:
-    """Request of the command line. vehicle_file: where the setup's vehicle comes from. folder: of the results."""
+    """Request of the command line. vehicle_file: file of the setup's vehicle. folder: of the results."""
 
     experiment: Experiment
     files: tuple[Path, ...]

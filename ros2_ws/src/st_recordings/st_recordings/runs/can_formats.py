@@ -71,12 +71,12 @@ class Lines:
 
 @dataclass(frozen=True)
 class Format:
-    """A text or binary log. extensions: lower case. mark: whether the first bytes of a file are of this format.
+    """A text or binary log. extensions: lower case. matches: whether the first bytes of a file are of this format.
     messages: yields python-can messages in the order of the file and appends notes, without the file's name."""
 
     name: str
     extensions: tuple[str, ...]
-    mark: Callable[[bytes], bool]
+    matches: Callable[[bytes], bool]
     messages: Callable[[Path, list[str]], Iterator[Any]]
 
 
@@ -261,4 +261,4 @@ def is_can_log(file: Path) -> bool:
     except OSError:
         return True
     return (not head or head[:4] in (b"MDF ", b"UnFi") or head.startswith(tuple(COMPRESSED_MARKS))
-            or any(kind.mark(head) for kind in FORMATS))
+            or any(kind.matches(head) for kind in FORMATS))

@@ -73,7 +73,7 @@ def _read_log(file: Path) -> CanLog:
         head = stream.read(4096)
     if head[:4] in (b"MDF ", b"UnFi"):
         return read_mf4(file)
-    kind = next((f for f in FORMATS if f.mark(head)), None)
+    kind = next((f for f in FORMATS if f.matches(head)), None)
     if kind is None:
         if file.suffix.lower() in MF4_EXTENSIONS:
             read_mf4(file)  # raises the reason why it is not a valid MF4

@@ -81,9 +81,9 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
         if missing:
             worst = max(missing, key=lambda name: missing[name])
             reason = f": {worst} has no number in {missing[worst]} of {len(table.time_ns) + table.rows_without_time}"
-            if column := next((one for one in (worst, RELATED.get(worst, "")) if one in table.words), ""):
+            if column := next((name for name in (worst, RELATED.get(worst, "")) if name in table.texts), ""):
                 raise RunError(file, f"it contains fewer than two usable rows: column {table.sources[column].name} has "
-                               f"no number, but {table.words[column]!r}", "export it as plain numbers")
+                               f"no number, but {table.texts[column]!r}", "export it as plain numbers")
         elif len(table.used) > 1:
             reason = f": {share(int(table.used.sum()), len(table.used), 'rows')} have a time later than all before"
             raise RunError(file, f"it contains fewer than two usable rows{reason}", "sort its rows by time")

@@ -48,7 +48,7 @@ class Table:
 
     columns: values in SI by channel, NaN for a missing number. time_ns: of all rows that have a time, in the order of
     the file; rows_without_time: number of the others, which are left out. used: (n,) whether a row has a time later
-    than all before (ins_log.usable_rows). warnings name the file. words: first cell of the channels without a number.
+    than all before (ins_log.usable_rows). warnings name the file. texts: first cell of each channel without a number.
     """
 
     file: Path
@@ -59,7 +59,7 @@ class Table:
     rows_without_time: int
     used: np.ndarray
     warnings: tuple[str, ...]
-    words: Mapping[str, str] = field(default_factory=dict)
+    texts: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def absolute(self) -> bool:
@@ -171,7 +171,7 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
     columns = {channel: np.where(np.isfinite(values), values, np.nan) for channel, values in columns.items()}
     sources = _read_degrees(file, sources, columns, warnings)
     first = _first_row(body, delimiter)
-    words = {channel: first[source.column][:40] for channel, source in sources.items() if channel in columns
+    texts = {channel: first[source.column][:40] for channel, source in sources.items() if channel in columns
              and source.column < len(first) and not np.isfinite(columns[channel]).any()}
     if time is None:
         return Table(file, tuple(names), sources, columns, np.empty(0, np.int64), 0, np.empty(0, bool), tuple(warnings))
@@ -180,7 +180,7 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
     seconds = _seconds(file, rows[:, time.column] + 1e-9 * nanoseconds, time, warnings)
     has_time, time_ns, used = _usable_times(file, seconds, time, first_time, warnings)
     columns = {channel: values[has_time] for channel, values in columns.items()}
-    return Table(file, tuple(names), sources, columns, time_ns, int((~has_time).sum()), used, tuple(warnings), words)
+    return Table(file, tuple(names), sources, columns, time_ns, int((~has_time).sum()), used, tuple(warnings), texts)
 
 
 def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layout: Layout,

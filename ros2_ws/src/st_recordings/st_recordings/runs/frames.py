@@ -138,19 +138,19 @@ def read_frames(messages: Iterable[bytes]) -> Frames:
     sizes = np.array([len(part) for part in parts], np.int64)
     ends = np.cumsum(sizes)
     buffer = np.frombuffer(b"".join(parts) + bytes(FRAME_HEAD_LENGTH + MAX_DATA_LENGTH), np.uint8)
-    at, left = np.array(firsts, np.int64) + ends - sizes, np.array(counts, np.int64)
+    at, remaining = np.array(firsts, np.int64) + ends - sizes, np.array(counts, np.int64)
     heads = _windows(buffer, FRAME_HEAD_LENGTH)
     offsets: list[np.ndarray] = []
     message_numbers: list[np.ndarray] = []
     message = np.arange(len(parts))
-    while (unread := left > 0).any():
-        at, left, message = at[unread], left[unread], message[unread]
+    while (unread := remaining > 0).any():
+        at, remaining, message = at[unread], remaining[unread], message[unread]
         length = heads[at, 16:20].copy().view("<u4")[:, 0].astype(np.int64)
         if (length > MAX_DATA_LENGTH).any() or (at + FRAME_HEAD_LENGTH + length > ends[message]).any():
             raise ValueError("a frame reaches beyond its message")
         offsets.append(at)
         message_numbers.append(message)
-        at, left = at + FRAME_HEAD_LENGTH + (length + 3) // 4 * 4, left - 1
+        at, remaining = at + FRAME_HEAD_LENGTH + (length + 3) // 4 * 4, remaining - 1
     if not offsets:
         return no_frames()
     # From order by k to order by message; the stable sort keeps the frames of a message in order.

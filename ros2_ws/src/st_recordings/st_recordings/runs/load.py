@@ -96,10 +96,10 @@ def uncovered(source: RunSource, log: DriveLog) -> list[str]:
         raise RunError(source.where, "INS and steering were not recorded at the same time",
                        "check that the files belong to one drive (and the offset, if it was given by hand)")
     seconds = {name: float(time[-1] - time[0]) * 1e-9 for name, time in spans.items()}
-    return [f"{source.where}: {alone:.1f} of {seconds[name]:.1f} s of the {name} ({100.0 * alone / seconds[name]:.0f} "
-            f"%) are not used: the {other} was not recorded then"
+    return [f"{source.where}: {unused:.1f} of {seconds[name]:.1f} s of the {name} "
+            f"({100.0 * unused / seconds[name]:.0f} %) are not used: the {other} was not recorded then"
             for name, other in (("INS", "steering"), ("steering", "INS"))
-            if (alone := seconds[name] - log.overlap) > max(MIN_UNCOVERED_TIME, MIN_UNCOVERED_SHARE * seconds[name])]
+            if (unused := seconds[name] - log.overlap) > max(MIN_UNCOVERED_TIME, MIN_UNCOVERED_SHARE * seconds[name])]
 
 
 def file_hashes(paths: Iterable[Path]) -> dict[str, str]:

@@ -29,6 +29,8 @@ class DamageError(ValueError):
 
 
 class _Block(NamedTuple):
+    """at, content, end: bytes in the file. links: bytes at which other blocks are, 0 for none."""
+
     at: int
     name: bytes
     links: tuple[int, ...]
@@ -64,7 +66,7 @@ def check_blocks(data: Buffer) -> Layout | None:
 
 
 class _BlockWalk:
-    """Visits every block once, from the header to the records."""
+    """Checks every block once, from the header to the records."""
 
     def __init__(self, data: Buffer):
         self._data, self._size = data, len(data)

@@ -15,29 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from . import mdf_blocks
+from . import frames, mdf_blocks
 from .errors import RunError, check_readable, share, short
-from .frames import (
-    ERROR,
-    EXTENDED,
-    FD,
-    MAX_DATA_LENGTH,
-    REMOTE,
-    SENT,
-    CanLog,
-    Frames,
-    clock_step_notes,
-    concatenated,
-    merged,
-    without_clock_steps,
-)
 from .mdf_blocks import VARIABLE_LENGTH, VIRTUAL, DamageError
 
 RECORDS_AT_ONCE = 1 << 20
 LATEST_START, LONGEST_SESSION = 4 * 10**9, 1e9  # s; their sum fits into 64 bits as ns
 MDF_OPTIONS: dict[str, Any] = {"process_bus_logging": False}  # frames as they are, not decoded
 VENDOR_SUFFIXES = (".mfc", ".mfe", ".mfm")
-_FLAGS_OF_KIND = {"CAN_DataFrame": 0, "CAN_RemoteFrame": REMOTE, "CAN_ErrorFrame": ERROR}
+_FLAGS_OF_KIND = {"CAN_DataFrame": 0, "CAN_RemoteFrame": frames.REMOTE, "CAN_ErrorFrame": frames.ERROR}
 _TIME_CHANNELS = (2, 3)  # types of a channel: master, virtual master
 FD_LENGTHS = np.array([*range(9), 12, 16, 20, 24, 32, 48, 64], np.uint8)  # by data length code, ISO 11898-1
 _BUS = re.compile(r"CAN[ _]?(\d+)")
@@ -68,7 +54,7 @@ def reject_vendor_container(path: Path) -> None:
                        "convert it with their mdf2finalized / CANedge MF4 converter first, then give the .MF4")
 
 
-def read_mf4(path: Path) -> CanLog:
+def read_mf4(path: Path) -> frames.CanLog:
     """All CAN frames of one file, in order of time; the warnings do not name the file.
 
     A file that ends in the middle of a record (usual when the ignition is switched off) is read up to there, with a
@@ -99,7 +85,7 @@ def read_mf4(path: Path) -> CanLog:
                 if valid < recorded:
                     warnings.append(f"{share(recorded - valid, recorded, 'frames')} are marked as invalid by the "
                                     "logger; they were left out")
-                part, steps = without_clock_steps(concatenated(pieces))
+                part, steps = frames.without_clock_steps(frames.concatenated(pieces))
                 clock_steps += steps
                 parts.append(part)
     if not parts and decoded_signals:
@@ -108,8 +94,8 @@ def read_mf4(path: Path) -> CanLog:
                        "give the log with the raw frames, or export the signals as CSV (asammdf) and give that")
     if not parts:
         raise RunError(path, "the log contains no CAN frames", "check that the logger was on the right bus")
-    return CanLog(merged(parts), (path,), start_ns, warnings=(*warnings, *clock_step_notes(clock_steps)),
-                  steps=tuple(clock_steps))
+    warnings += frames.clock_step_notes(clock_steps)
+    return frames.CanLog(frames.merged(parts), (path,), start_ns, warnings=tuple(warnings), steps=tuple(clock_steps))
 
 
 def _head(path: Path) -> bytes:
@@ -197,13 +183,13 @@ def _has_payloads(log: Any, group: int) -> bool:
             return False
         at = at.astype(np.int64)
         length = stored[at].astype(np.int64)
-        if ((length > MAX_DATA_LENGTH) | (stored[at + 1] | stored[at + 2] | stored[at + 3] != 0)
+        if ((length > frames.MAX_DATA_LENGTH) | (stored[at + 1] | stored[at + 2] | stored[at + 3] != 0)
                 | (at + 4 + length > len(stored))).any():
             return False
     return True
 
 
-def _group_frames(log: Any, group: int, start_ns: int) -> Iterator[Frames]:
+def _group_frames(log: Any, group: int, start_ns: int) -> Iterator[frames.Frames]:
     """Yields the frames of a group, RECORDS_AT_ONCE at a time."""
     name = _frame_channel(log, group)
     if name is None:
@@ -222,7 +208,7 @@ def _group_frames(log: Any, group: int, start_ns: int) -> Iterator[Frames]:
         yield _frames(name, signal, bus, start_ns, {c.name.rsplit(".", 1)[-1]: c for c in content.channels})
 
 
-def _frames(name: str, signal: Any, bus: int, start_ns: int, channels: Mapping[str, Any]) -> Frames:
+def _frames(name: str, signal: Any, bus: int, start_ns: int, channels: Mapping[str, Any]) -> frames.Frames:
     """Columns of some frames of a group; every column is checked, because a file can describe any layout.
 
     channels: by short name. A virtual channel takes no bytes of the record, its value is its conversion; firmware 01.07
@@ -262,11 +248,11 @@ def _frames(name: str, signal: Any, bus: int, start_ns: int, channels: Mapping[s
     length = _lengths(member("DataLength"), channels["DataLength"]) if "DataLength" in members else \
         FD_LENGTHS[member("DLC", 8) & 15]
     flags = np.full(n, _FLAGS_OF_KIND[name], np.uint8)
-    flags[member("Dir").astype(bool)] |= SENT
-    flags[member("EDL").astype(bool)] |= FD
-    return Frames(
+    flags[member("Dir").astype(bool)] |= frames.SENT
+    flags[member("EDL").astype(bool)] |= frames.FD
+    return frames.Frames(
         time_ns=start_ns + np.round(seconds * 1e9).astype(np.int64),
-        id=identifier & 0x1FFF_FFFF | np.where(extended, np.uint32(EXTENDED), np.uint32(0)),
+        id=identifier & 0x1FFF_FFFF | np.where(extended, np.uint32(frames.EXTENDED), np.uint32(0)),
         payload=np.ascontiguousarray(payload), bus=member("BusChannel", bus).astype(np.uint8), flags=flags,
         length=np.minimum(length, payload.shape[1]).astype(np.uint8),  # codes 9 to 15 of a classic frame also mean 8
     )
@@ -277,7 +263,7 @@ def _lengths(stored: np.ndarray, channel: Any) -> np.ndarray:
     if channel.conversion is None or not len(stored):
         return FD_LENGTHS[stored & 15] if channel.bit_count <= 4 else stored
     length = np.asarray(channel.conversion.convert(stored.astype(np.int64)))
-    if length.dtype.kind not in "biuf" or not ((length >= 0) & (length <= MAX_DATA_LENGTH)).all():
+    if length.dtype.kind not in "biuf" or not ((length >= 0) & (length <= frames.MAX_DATA_LENGTH)).all():
         raise DamageError("the lengths of its frames are invalid")
     return length
 

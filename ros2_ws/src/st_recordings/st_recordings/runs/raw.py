@@ -78,13 +78,13 @@ def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns, keep_
     ins, options = read_ins(source, settings), clock_settings(source, settings)
     alignment, shared = align_clocks(ins, signals, **options)
     notes = []
-    if alignment.verdict is Verdict.REFUSED and (part := _part_that_aligns(ins, signals, parts, options)):
+    if alignment.verdict is Verdict.REFUSED and (part := _alignable_part(ins, signals, parts, options)):
         span, alignment, shared = part
         signals = signals.between(*span)
         can = replace(can, frames=can.frames.select(slice(*np.searchsorted(can.frames.time_ns, span).tolist())))
         steering = steering_of(signals, can.files[0], table) if needs_steering else None
         used, total = (1e-9 * sum(end - start for start, end in spans) for spans in ([span], parts))
-        notes.append(f"{can.files[0]}: its clock was set, or it is of several drives: {used:.1f} of {total:.1f} s "
+        notes.append(f"{can.files[0]}: its clock was set, or it contains several drives: {used:.1f} of {total:.1f} s "
                      f"({100.0 * used / total:.0f} %) fit the INS recording and are used")
     origin = "given" if settings.ins_can_latency or source.settings.get("ins_can_latency") else "assumed"
     latency = "{:g} ± {:g} ms, ".format(*(1e3 * value for value in options["latency"])) + origin
@@ -104,8 +104,8 @@ def _parts_of(can: CanLog) -> list[tuple[int, int]]:
     return sorted(parts, key=lambda part: part[0] - part[1])
 
 
-def _part_that_aligns(ins: InsLog, signals: CanSignals, parts: Sequence[tuple[int, int]], options: Mapping[str, Any]
-                      ) -> tuple[tuple[int, int], Alignment, list[SharedSignal]] | None:
+def _alignable_part(ins: InsLog, signals: CanSignals, parts: Sequence[tuple[int, int]], options: Mapping[str, Any]
+                    ) -> tuple[tuple[int, int], Alignment, list[SharedSignal]] | None:
     """(start and end, alignment and shared signals) of the longest part of a log that can be aligned: a logger's clock
     was set, or logs of several drives were joined."""
     for part in parts[:MAX_PARTS] if len(parts) > 1 else ():

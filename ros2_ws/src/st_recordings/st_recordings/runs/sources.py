@@ -18,8 +18,6 @@ from .readers import READERS, Reader, reader_of
 from .run_file import RUN_FILE, RUN_SUFFIX, described_by_each, is_run_file, logs_of, read_run_file
 from .run_types import RunSource
 
-__all__ = ["RUN_FILE", "RUN_SUFFIX", "find_runs"]
-
 GENERIC_NAMES = ("run", "bag")
 """File names without meaning (run.ncom with run.mf4, bag/ of st live): the run is named after the folder."""
 DOCUMENT_EXTENSIONS = (".md", ".txt", ".rst", ".pdf", ".html", ".png", ".jpg", ".json", ".yaml", ".yml", "")
@@ -51,9 +49,9 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
     loose: list[Path] = []
     for path in map(Path, paths):
         if not path.exists():
-            around = path.absolute().parent
-            others = [other.name for other in around.iterdir()] if around.is_dir() else []
-            runs.append(_failed(path, RunError(path, "the file or folder does not exist", f"looked for in {around}"
+            folder = path.absolute().parent
+            others = [other.name for other in folder.iterdir()] if folder.is_dir() else []
+            runs.append(_failed(path, RunError(path, "the file or folder does not exist", f"looked for in {folder}"
                                                f"{yaml_text.nearest(path.name, others)}")))
         elif path.is_dir() and reader_of(path) is None:
             found = _in_folder(path)

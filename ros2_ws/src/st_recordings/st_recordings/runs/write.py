@@ -61,7 +61,7 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
     uncovered_time = uncovered(source, drive.log)
     findings = tuple(check(drive))
     try:
-        writer = BagWriter(directory, _records(source, vehicle, settings, run))
+        writer = BagWriter(directory, _metadata_records(source, vehicle, settings, run))
     except OSError as error:
         raise RunError(directory, str(error.strerror or error)) from None
     store = typestore(definitions_folder())
@@ -141,8 +141,8 @@ def _monotonic_times(utc_ns: np.ndarray, fix_ns: np.ndarray) -> np.ndarray:
     return np.maximum.accumulate(np.where(near, utc_ns, first))
 
 
-def _records(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, run: RawRun) -> dict[str, Any]:
-    """Metadata records of the bag."""
+def _metadata_records(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings,
+                      run: RawRun) -> dict[str, Any]:
     alignment = {k: v if isinstance(v, str) else json.dumps(v) for k, v in alignment_summary(run.alignment).items()}
     latitude, longitude, altitude = run.ins.origin or (0.0, 0.0, 0.0)
     return {

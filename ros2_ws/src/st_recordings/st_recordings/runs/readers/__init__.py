@@ -73,5 +73,3 @@ def reader_of(path: Path, key: str | None = None) -> Reader | None:
 for _module in sorted(info.name for info in pkgutil.iter_modules(__path__)):
     if not _module.startswith("_"):
         importlib.import_module(f"{__name__}.{_module}")
-
-__all__ = ["READERS", "Reader", "reader_of", "register"]
