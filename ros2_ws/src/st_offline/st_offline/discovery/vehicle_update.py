@@ -258,7 +258,7 @@ def updated_vehicle_text(request: Request, car: VehicleParameters, changes: Mapp
     entries = {key: _entry(change[:2], stable, about) if key == SLIP_SPEED else _entry(change, source, about)
                for key, change in changes.items() if key not in derived}
     try:
-        first = VehicleParameters.from_yaml(edited(request.vehicle_text, entries))
+        first = VehicleParameters.from_yaml(edit_entries(request.vehicle_text, entries))
     except (ConfigurationError, yaml.YAMLError):
         first = car
     entries |= {key: _entry((value_of(request.vehicle, key), value_of(car, key)), source, about)
@@ -276,7 +276,7 @@ def edit_or_rewrite(text: str, entries: Mapping[str, Callable[[str, float], str]
     tolerance: relative, of every value.
     """
     try:
-        new = edited(text, entries)
+        new = edit_entries(text, entries)
         read = VehicleParameters.from_yaml(new)
     except (ConfigurationError, yaml.YAMLError):
         return car.to_yaml()
@@ -299,7 +299,7 @@ def _entry(change: Sequence[float], source: str, about: Provenance) -> Callable[
     return entry
 
 
-def edited(text: str, entries: Mapping[str, Callable[[str, float], str]]) -> str:
+def edit_entries(text: str, entries: Mapping[str, Callable[[str, float], str]]) -> str:
     """A vehicle file with these entries, "mass" or "tyre_front.p_dy1", replaced or inserted."""
     root = yaml.compose(text, Loader=yaml.SafeLoader)
     changes = [_change(root, key, entry) for key, entry in entries.items()]
