@@ -356,7 +356,7 @@ def test_a_formula_is_reported_only_if_it_keeps_the_gain_when_simulated(leaf):
     fits = RelationFits(windows, augment("nonlinear", {}), 0.0, (), settings)
     without = fits.answer_alone()
     low, high = np.quantile(windows.joined.velocity_x, [0.01, 0.99])
-    fit = fits.fit(Candidate("yaw_moment", "speed", 0.0, float(low), float(high)), without, 0.03)
+    fit = fits.fit(Candidate("yaw_moment", "speed", 0.0, float(low), float(high)), without)
     formulas = simulated_formulas(fits, fit, without)
     assert formulas and all(0.9 <= one.kept < 1.2 for one in formulas)
     assert not any(re.fullmatch(r"y = \S+ u( \|u\|)?", one.text) for one in formulas)

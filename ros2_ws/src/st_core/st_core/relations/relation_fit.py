@@ -154,12 +154,20 @@ class RelationFits:
         optimum = Quadratic(cost, q.gradient - q.hessian @ step, q.hessian)
         return self.left_out_steps(optimum, penalty, distance + step)[1]
 
-    def fit(self, candidate: Candidate, without: RelationFit, smooth: float) -> RelationFit:
-        """Gauss-Newton fit by simulation, from zero coefficients. smooth: of SMOOTHING."""
+    def fit(self, candidate: Candidate, without: RelationFit) -> RelationFit:
+        """Gauss-Newton fits by simulation with less and less smoothing, each from the one before, the first from zero
+        coefficients; the last that lowers the held-out loss."""
         indices = np.concatenate([self.refitted, self.relation])
         loss = self.loss_of(candidate)
         slopes = np.concatenate([without.slopes, np.zeros((COUNT, *without.slopes.shape[1:]))])
-        return self._fit(candidate, loss, indices, smooth, slopes, without.vector)
+        strong, *weaker = sorted(SMOOTHING, reverse=True)
+        best = self._fit(candidate, loss, indices, strong, slopes, without.vector)
+        for smooth in weaker:
+            fit = self._fit(candidate, loss, indices, smooth, best.slopes, best.vector)
+            if fit.held_out.sum() >= best.held_out.sum():
+                break
+            best = fit
+        return best
 
     def profile(self, fit: RelationFit) -> Quadratic:
         """Quadratic by block about the fit in the coefficients alone: all other parameters, those of the vehicle file

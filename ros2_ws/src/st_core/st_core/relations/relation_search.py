@@ -172,17 +172,18 @@ def _fit_candidates(significant: Sequence[Screened], fits: RelationFits, without
     before = selection.held_out_positions(fits, without)
     for trial in selection.shortlist(significant):
         tick()
-        fit = fits.fit(trial.candidate, without, trial.smooth)
+        fit = fits.fit(trial.candidate, without)
         name, after = trial.candidate.name, selection.held_out_positions(fits, fit)
-        wrong = (selection.rejected_curve(fits, fit, vehicle)
-                 or selection.deterioration(fits, name, before, after, limits))
-        small = selection.small_gain(fits, trial.candidate, without.held_out - fit.held_out, before - after, limits)
-        if wrong or small:
-            against[trial] = wrong or small
+        if rejected := selection.rejected_curve(fits, fit, vehicle):
+            against[trial] = rejected
+            continue
+        fitted[trial] = fit  # a possible rival, also if not accepted
+        reason = selection.deterioration(fits, name, before, after, limits) or selection.small_gain(
+            fits, trial.candidate, without.held_out - fit.held_out, before - after, limits)
+        if reason:
+            against[trial] = reason
         else:
             accepted[trial] = fit
-        if not wrong:
-            fitted[trial] = fit  # a possible rival, also if too small to be proposed
     return fitted, accepted, against
 
 

@@ -25,14 +25,13 @@ POINTS = 41  # of a curve
 class Screened:
     """A candidate by the slopes about the answer.
 
-    smooth: the penalty with the lowest held-out loss. observed, drawn: score statistic, and with random signs of the
-    blocks (DRAWS,), both over the mean of the draws. freedom: effective degrees of freedom of the curve.
-    design_effect: of dependent windows on the variance of the scores, >= 1, from the residual scores. gain: reduction
-    of the held-out loss. information: (COUNT, COUNT) on the coefficients, other parameters projected out.
+    observed, drawn: score statistic, and with random signs of the blocks (DRAWS,), both over the mean of the draws.
+    freedom: effective degrees of freedom of the curve. design_effect: of dependent windows on the variance of the
+    scores, >= 1, from the residual scores. gain: reduction of the held-out loss. information: (COUNT, COUNT) on the
+    coefficients, other parameters projected out.
     """
 
     candidate: Candidate
-    smooth: float
     observed: float
     drawn: np.ndarray
     freedom: float
@@ -108,7 +107,7 @@ def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.
     residual_gradient = q_all.gradient - q_all.hessian @ np.concatenate([-cross @ step, step])
     after = residual_gradient[:, -COUNT:] - residual_gradient[:, :-COUNT] @ cross
     design_effect = max(2.0 * float(np.einsum("bi,ij,bj->", after, inverse, after)) / freedom, 1.0)
-    return Screened(candidate, smooth, float(total @ inverse @ total) / mean, drawn / mean, freedom, design_effect,
+    return Screened(candidate, float(total @ inverse @ total) / mean, drawn / mean, freedom, design_effect,
                     float((base - losses[smooth]).sum()), information)
 
 
