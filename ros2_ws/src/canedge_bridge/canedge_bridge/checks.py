@@ -68,7 +68,7 @@ class Field:
 
 
 def checksum_of(rule: Rule, field: Field, data: bytes, arbitration_id: int) -> int:
-    """The checksum that a frame with this payload must have in `field`, whatever it has there."""
+    """The correct checksum of a frame; the bits of `field` in the payload do not matter."""
     return rule.value(field.with_value(data, 0), arbitration_id)
 
 

@@ -145,7 +145,7 @@ class LoopbackMulticastBus(can.BusABC):
         try:
             fields = msgpack.unpackb(data, raw=False)
             if any(type(fields.get(name, kind())) is not kind for name, kind in _KINDS.items()):
-                raise TypeError("not what python-can sends")
+                raise TypeError("a field of another type than python-can sends")
             if (self._accepted is not None and not fields["is_error_frame"]
                     and (fields["arbitration_id"], fields["is_extended_id"]) not in self._accepted):
                 self.filtered += 1

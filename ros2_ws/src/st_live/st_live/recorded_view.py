@@ -138,7 +138,7 @@ class Scene:
     def _series(self, entity: str, name: str, colour: str) -> None:
         self._stream.log(entity, rr.SeriesLines(colors=[rgb(colour)], names=[name], widths=[2.0]), static=True)
 
-    def motion(self, time_ns: int, velocity_x: float, yaw_rate: float, road_wheel_angle: float | None) -> None:
+    def draw_motion(self, time_ns: int, velocity_x: float, yaw_rate: float, road_wheel_angle: float | None) -> None:
         """Points of the plots; road_wheel_angle in rad, None while unknown."""
         self._set_time(time_ns)
         self._stream.log("plots/speed/measured", rr.Scalars([velocity_x]))
@@ -146,7 +146,7 @@ class Scene:
         if road_wheel_angle is not None:
             self._stream.log("plots/steering/measured", rr.Scalars([math.degrees(road_wheel_angle)]))
 
-    def error(self, end_ns: int, model: str, longitudinal: float, lateral: float) -> None:
+    def draw_error(self, end_ns: int, model: str, longitudinal: float, lateral: float) -> None:
         """Horizon means [m] of one forecast, drawn at the end of its horizon."""
         if model not in self._scored:
             self._scored.add(model)
@@ -156,11 +156,11 @@ class Scene:
         self._stream.log(f"plots/lateral/{model}", rr.Scalars([lateral]))
         self._stream.log(f"plots/longitudinal/{model}", rr.Scalars([longitudinal]))
 
-    def text(self, time_ns: int, markdown: str) -> None:
+    def draw_text(self, time_ns: int, markdown: str) -> None:
         self._set_time(time_ns)
         self._stream.log("text", rr.TextDocument(markdown, media_type="text/markdown"))
 
-    def paths(self, time_ns: int, pose: Pose, history: History) -> None:
+    def draw_paths(self, time_ns: int, pose: Pose, history: History) -> None:
         """Car, track, predictions with bands, and ghosts, in both pictures. pose: x, y [m], yaw [rad]."""
         self._set_time(time_ns)
         lines = [north_up(x, y, pose) for x, y in grid(pose, GRID, 2.0 * AROUND)]
@@ -280,7 +280,7 @@ class Feed:
             self._history.add_path(message.model, convert.ins_path(message))
         elif kind == "error" and message.complete and message.mode == "forecast":
             end_ns = to_nanoseconds(message.header.stamp) + round(message.horizon[-1] * 1e9)
-            self._scene.error(end_ns, message.model, message.longitudinal_mean, message.lateral_mean)
+            self._scene.draw_error(end_ns, message.model, message.longitudinal_mean, message.lateral_mean)
         elif kind == "summary":
             self._rows = message.statistics
         elif kind == "status":
@@ -298,11 +298,11 @@ class Feed:
         if sample is None:
             return
         self._history.add_pose(sample.time_ns, sample.x, sample.y)
-        self._scene.motion(sample.time_ns, sample.velocity_x, sample.yaw_rate, self._angle)
-        self._scene.paths(sample.time_ns, (sample.x, sample.y, sample.yaw), self._history)
+        self._scene.draw_motion(sample.time_ns, sample.velocity_x, sample.yaw_rate, self._angle)
+        self._scene.draw_paths(sample.time_ns, (sample.x, sample.y, sample.yaw), self._history)
         if not 0 <= self._text_due_ns - sample.time_ns <= TEXT_PERIOD_NS:
             self._text_due_ns = sample.time_ns + TEXT_PERIOD_NS
-            self._scene.text(sample.time_ns, error_text(self._rows, self._ticks, list(self._health.values())))
+            self._scene.draw_text(sample.time_ns, error_text(self._rows, self._ticks, list(self._health.values())))
 
 
 def error_text(rows: Sequence[Any], ticks: str, health: Sequence[tuple[int, str, str]]) -> str:

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 from st_core.log import DriveLog
-from st_offline.evaluation.drive_parts import assign, drive_parts
+from st_offline.evaluation.drive_parts import assign_horizons, drive_parts
 from st_recordings.runs import Label
 
 
@@ -70,7 +70,7 @@ def test_labels_win():
 
 def test_each_horizon_belongs_to_at_most_one_part():
     parts = drive_parts(drive((5, 6, 0), (6, 6, 90), (5, 6, 0)))
-    rows = [np.arange(300)[row] for row in assign(parts, np.linspace(0.0, 15.9, 300))]
+    rows = [np.arange(300)[row] for row in assign_horizons(parts, np.linspace(0.0, 15.9, 300))]
     assert len(set(np.concatenate(rows))) == sum(map(len, rows)) and [len(r) > 50 for r in rows] == [True, True, True]
 
 

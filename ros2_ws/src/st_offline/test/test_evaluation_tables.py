@@ -58,11 +58,11 @@ def test_latex_is_the_papers_row():
 
 def test_bold_goes_by_printed_magnitude_and_may_be_shared():
     models = {"a": entry((0.004, 1.0, 1.0), (0.0, 1.0, 1.0)), "b": entry((-0.0049, 1.0, 2.0), (0.006, 1.0, 1.0))}
-    assert tables.best(models, "a", "hindsight", "longitudinal", "mean", "means")
-    assert tables.best(models, "b", "hindsight", "longitudinal", "mean", "means")
-    assert tables.best(models, "a", "hindsight", "lateral", "mean", "means")
-    assert not tables.best(models, "b", "hindsight", "lateral", "mean", "means")
-    assert not tables.best(models, "b", "hindsight", "longitudinal", "rmse", "means")
+    assert tables.is_best(models, "a", "hindsight", "longitudinal", "mean", "means")
+    assert tables.is_best(models, "b", "hindsight", "longitudinal", "mean", "means")
+    assert tables.is_best(models, "a", "hindsight", "lateral", "mean", "means")
+    assert not tables.is_best(models, "b", "hindsight", "lateral", "mean", "means")
+    assert not tables.is_best(models, "b", "hindsight", "longitudinal", "rmse", "means")
 
 
 @pytest.mark.parametrize(("value", "text"), [(-0.004, "0.00"), (-0.006, "-0.01"), (None, "-"), (12.346, "12.35")])

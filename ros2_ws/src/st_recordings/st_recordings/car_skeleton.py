@@ -123,7 +123,7 @@ def write_skeleton(folder: Path) -> list[Path]:
 
 
 def problems(folder: str) -> list[str]:
-    """What prevents using a car, one line each with file and key; empty for a valid car.
+    """Faults in the folder of a car, one line each with file and key; empty for a valid car.
 
     Raises RunError for a folder without a car.
     """

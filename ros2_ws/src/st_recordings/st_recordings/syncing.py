@@ -82,7 +82,7 @@ def _sync_folder(folder: Path) -> None:
     try:
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     except FileNotFoundError:
-        return  # renamed or deleted meanwhile: the writer notices and reports
+        return  # renamed or deleted: the writer detects and reports that
     try:
         os.fsync(descriptor)
     finally:

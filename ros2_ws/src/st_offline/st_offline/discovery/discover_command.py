@@ -37,15 +37,15 @@ from .vehicle_update import VehicleUpdate, update_vehicle
 def run_command(request: Request, console: Console) -> int:
     """Exit status: 1 if some runs could not be used, else 0. Raises ConfigurationError, StCoreError."""
     check_formats(request.formats)
-    own = own_effects(request.effects)
-    base = base_model(request.base, request.vehicle, request.vehicle_file)
+    own = load_own_effects(request.effects)
+    base = load_base_model(request.base, request.vehicle, request.vehicle_file)
     folder = new_folder(request.output, "discover")
     marks = [time.perf_counter()]
     with progress_bars(console) as progress:
         drives, healthy = _read(request, progress)
         request = replace(request, drives=drives, healthy=healthy, own_effects=own)
         marks.append(time.perf_counter())
-        found, from_cache = _answer(request, base, progress)
+        found, from_cache = _find_answer(request, base, progress)
         request = replace(request, drives=[
             replace(d, log=apply_clock_corrections([d.log], found.clock_errors)[0]) if d.log else d for d in drives])
         marks.append(time.perf_counter())
@@ -74,7 +74,7 @@ def run_command(request: Request, console: Console) -> int:
     return 1 if any(d.problem for d in recordings) else 0
 
 
-def own_effects(folder: Path | None) -> dict[str, str]:
+def load_own_effects(folder: Path | None) -> dict[str, str]:
     """Load a folder of effects; sha256 of its files by name. Raises ConfigurationError."""
     if folder is None:
         return {}
@@ -82,7 +82,7 @@ def own_effects(folder: Path | None) -> dict[str, str]:
     return {f.name: hashlib.sha256(f.read_bytes()).hexdigest() for f in sorted(folder.glob("*.py"))}
 
 
-def base_model(name: str, vehicle: VehicleParameters, vehicle_file: str) -> Model:
+def load_base_model(name: str, vehicle: VehicleParameters, vehicle_file: str) -> Model:
     """The base model of a name or a model file. Raises ConfigurationError."""
     if not name.endswith((".yaml", ".yml")):
         if name not in MODELS:
@@ -147,7 +147,7 @@ def _logs(drives: Sequence[Drive]) -> list[DriveLog]:
     return [d.log for d in drives if d.log is not None]
 
 
-def _answer(request: Request, base: Model, progress: Progress) -> tuple[Discovery, bool]:
+def _find_answer(request: Request, base: Model, progress: Progress) -> tuple[Discovery, bool]:
     """The answer, and whether it is a cached one for the same inputs."""
     bar = progress.add_task("", total=None)
 

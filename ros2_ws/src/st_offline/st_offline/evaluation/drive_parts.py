@@ -51,7 +51,7 @@ def drive_parts(log: DriveLog, labels: Sequence[Label] = ()) -> list[DrivePart]:
     return parts
 
 
-def assign(parts: Sequence[DrivePart], middles: np.ndarray) -> list[slice]:
+def assign_horizons(parts: Sequence[DrivePart], middles: np.ndarray) -> list[slice]:
     """Rows of the horizons whose middles [s, rising] lie in each part."""
     return [slice(*np.searchsorted(middles, (part.start, part.end)).tolist()) for part in parts]
 

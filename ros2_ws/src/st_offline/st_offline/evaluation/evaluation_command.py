@@ -17,7 +17,7 @@ from ..bands.bands_report import print_tables
 from ..checking.check_report import describe_clock, findings_from_json, print_findings
 from ..terminal import line, list_files, progress_bars, report_problem
 from .drawing import check_formats
-from .evaluation_report import Choices, finding, settings_in_words, summary, write_results
+from .evaluation_report import Choices, headline, settings_in_words, summary, write_results
 from .tables import terminal_table
 from .work import Progress, RunReport, Task, evaluate_run
 
@@ -41,7 +41,7 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
     found = evaluate_all(sources, task, workers, scheduler, console)
     _refuse_if_all([report.problem for report in found])
     good = [report for report in found if not report.problem]
-    title = finding(good, over)
+    title = headline(good, over)
     with console.status("writing the report"):
         files = write_results(found, choices, title)
     console.print(terminal_table(good, over, title, console.width))

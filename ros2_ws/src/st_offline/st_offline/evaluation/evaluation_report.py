@@ -155,7 +155,7 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
         adaptive_rows=adaptive_rows(content.get("adaptive_bands_all_runs")),
         share_rows=share_rows(pooled_bands.get("shares", {})),
         over=over, what=tables.OVER_LABELS[over], axes=tables.SHOWN_AXES, kinds=tables.STATISTICS, modes=modes,
-        figures={good[0].name: of_run} if of_run else {}, in_metres=tables.in_metres, best=tables.best,
+        figures={good[0].name: of_run} if of_run else {}, in_metres=tables.in_metres, best=tables.is_best,
         values=tables.values, slug=slug)
     file.write_text(text, encoding="utf-8")
 
@@ -197,7 +197,7 @@ def overview(reports: Sequence[RunReport], over: str, output: FigureOutput) -> P
         return save_figure(figure, output, "overview", "RMSE of each run and model", caption)
 
 
-def finding(reports: Sequence[RunReport], over: str) -> str:
+def headline(reports: Sequence[RunReport], over: str) -> str:
     """Lateral RMSE in hindsight of each model over all runs, the smallest first."""
     models = pooled([r.models for r in reports])
     sizes = [(values(models, m, "hindsight", "lateral", over)["rmse"], m) for m in models]

@@ -16,7 +16,7 @@ from st_core.binning import bins
 from st_core.log_evaluation import ALL, AXES, LogEvaluation, ModelErrors
 from st_core.palette import MODEL_COLOUR
 
-from .drive_parts import DrivePart, assign
+from .drive_parts import DrivePart, assign_horizons
 
 STATISTICS = ("mean", "max", "rmse")
 
@@ -62,7 +62,7 @@ def by_manoeuvre(evaluation: LogEvaluation, parts: Sequence[DrivePart]) -> list[
     middles = evaluation.time + 0.5 * float(evaluation.horizon[-1])
     return [{"name": part.name, "start": part.start, "end": part.end,
              "heading_change_deg": math.degrees(part.heading_change), "models": by_model(evaluation, rows)}
-            for part, rows in zip(parts, assign(parts, middles), strict=True)]
+            for part, rows in zip(parts, assign_horizons(parts, middles), strict=True)]
 
 
 def pooled(entries: Sequence[Mapping[str, Mapping[str, Entry]]]) -> dict[str, dict[str, Entry]]:
@@ -117,7 +117,7 @@ def values(models: Models, model: str, mode: str, axis: str, over: str) -> Mappi
     return entry[axis] if over == "means" else entry["samples"][axis]
 
 
-def best(models: Models, model: str, mode: str, axis: str, kind: str, over: str) -> bool:
+def is_best(models: Models, model: str, mode: str, axis: str, kind: str, over: str) -> bool:
     """Whether no model has a smaller magnitude, to the printed digits; several may be best, as in the paper."""
     sizes = {m: round(abs(size), DIGITS) for m in models
              if (size := values(models, m, mode, axis, over)[kind]) is not None}
@@ -146,7 +146,7 @@ def terminal_table(reports: Sequence[Any], over: str, title: str, width: int) ->
         for number, model in enumerate(report.models):
             cells = [Text(" | ").join(
                 Text(f"{in_metres(values(report.models, model, 'hindsight', axis, over)[kind]):>5}",
-                     style="bold" if best(report.models, model, "hindsight", axis, kind, over) else "")
+                     style="bold" if is_best(report.models, model, "hindsight", axis, kind, over) else "")
                 for kind in STATISTICS) for axis in SHOWN_AXES]
             forecasts = [" | ".join(f"{in_metres(values(report.models, model, mode, axis, over)['rmse']):>5}"
                                     for axis in SHOWN_AXES) if mode in report.models[model] else "" for mode in ahead]
@@ -175,7 +175,7 @@ def latex_table(reports: Sequence[Any], over: str, what: str) -> str:
         parts = []
         for kind in STATISTICS:
             text = in_metres(values(report.models, model, "hindsight", axis, over)[kind])
-            bold = rf"\mathbf{{{text}}}" if best(report.models, model, "hindsight", axis, kind, over) else text
+            bold = rf"\mathbf{{{text}}}" if is_best(report.models, model, "hindsight", axis, kind, over) else text
             parts.append(rf"\phantom{{-}}{bold}" if kind == "mean" and not text.startswith("-") else bold)
         return "$" + r" \mid ".join(parts) + "$"
 

@@ -17,7 +17,7 @@ from ..paths import project_root
 from .bag_storage import EXTENSIONS, Storage, Topic, missing_files, open_storage, storage_files
 from .cdr import CAN_FRAMES, DAMAGE, NCOM, ODOMETRY, STEERING, field_of, summary_of, typestore, with_definitions
 from .errors import RunError, check_readable, share, short
-from .ins_log import InsLog, planar, usable_rows, yaw_of
+from .ins_log import InsLog, planar_ins_log, usable_rows, yaw_of
 from .reconstruct import (
     RECONSTRUCTED,
     Reconstruction,
@@ -153,7 +153,7 @@ def read_odometry(path: Path, odometry: str | None = None) -> InsLog:
     columns = read_fields(path, storage, topic, _ODOMETRY_FIELDS, store)
     notes = _replace_meaningless_stamps(storage, {ODOMETRY: topic.name}, {ODOMETRY: columns})
     ins_ns, values, _, row_notes = _odometry_rows(columns)
-    return planar(path, ins_ns, values, tuple(f"{path}: {note}" for note in (*notes, *row_notes)))
+    return planar_ins_log(path, ins_ns, values, tuple(f"{path}: {note}" for note in (*notes, *row_notes)))
 
 
 def _store_of(storage: Storage, topics: Sequence[Topic], steering: SteeringField | None) -> Typestore:

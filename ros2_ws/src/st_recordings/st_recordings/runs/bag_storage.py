@@ -283,7 +283,7 @@ class _GatheredFields:
             try:
                 example = self._store.deserialize_cdr(first, self._type_name)
                 self._layout = Layout(self._store, self._type_name, example)
-            except Exception:  # rosbags raises whatever struct and numpy raise; reading one by one reports it
+            except Exception:  # rosbags passes on those of struct and numpy; reading one by one reports it
                 self.is_uniform = False
                 return
         layout = self._layout

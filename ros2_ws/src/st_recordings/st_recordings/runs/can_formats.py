@@ -96,7 +96,7 @@ def _text_reader(make: Callable[[Lines, list[str]], Any], converter: Callable[[]
                     yield next(remaining)
                 except StopIteration:
                     break
-                except Exception:  # readers of python-can raise whatever int() and indexing raise
+                except Exception:  # readers of python-can pass on those of int() and indexing
                     if bad and bad[-1] == lines.position:
                         break  # no progress: the end of a file with an incomplete header
                     bad.append(lines.position)

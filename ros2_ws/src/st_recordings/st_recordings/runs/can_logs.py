@@ -23,8 +23,8 @@ from .frames import (
     Frames,
     clock_step_notes,
     concatenated,
+    empty_frames,
     merged,
-    no_frames,
     without_clock_steps,
     without_duplicates,
 )
@@ -104,7 +104,7 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> tuple[F
     except Exception as error:  # the readers pass on any exception of their parsing, and a missing file
         what = f"cannot be read as a {kind.name} log ({short(error)})"
         raise RunError(file, what, "copy or export it again") from None
-    frames = concatenated(parts) if parts else no_frames()
+    frames = concatenated(parts) if parts else empty_frames()
     if len(frames) > 1:
         is_outlier = np.abs(frames.time_ns - median_filter(frames.time_ns, 3, mode="mirror")) > MAX_TIME_JUMP_NS
         frames, impossible = frames.select(~is_outlier), impossible + int(is_outlier.sum())

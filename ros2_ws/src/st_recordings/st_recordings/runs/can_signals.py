@@ -1,4 +1,5 @@
-"""Signals of the suite decoded from the frames of a log, as columns: what the live CAN bridge would have published."""
+"""Signals of the suite decoded from the frames of a log, as columns, as the live CAN bridge would have published them.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace

@@ -70,7 +70,7 @@ def with_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]
         try:
             if text:
                 recorded |= get_types_from_idl(text) if encoding == "ros2idl" else get_types_from_msg(text, name)
-        except Exception:  # rosbags raises whatever its parser raises
+        except Exception:  # rosbags passes on every exception of its parser
             continue
     if all(name in store.fielddefs and _normalised(store.fielddefs[name][1]) == _normalised(fields)
            for name, (_, fields) in recorded.items()):

@@ -14,7 +14,7 @@ from st_core.vehicle import VehicleParameters
 from .columns import Layout, doubtful_steering, find_columns, unknown_units
 from .csv_table import Table, all_known, header_of, join_tables, rate_of, read_table
 from .errors import RunError, share
-from .ins_log import SPEEDS, InsLog, car_speed, is_mostly_known, planar, yaw_of
+from .ins_log import SPEEDS, InsLog, car_speed, is_mostly_known, planar_ins_log, yaw_of
 from .ncom import enu
 from .run_types import LoadedRun, ReadSettings, RunSource, SteeringField, drive_log
 
@@ -118,7 +118,7 @@ def ins_of(table: Table, needed: Sequence[str] = INS_SIGNALS) -> InsLog:
     values = {name: columns[name][rows] for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS) if name in columns}
     if "yaw" in values:
         values["yaw"] = np.unwrap(values["yaw"])
-    return planar(table.file, table.time_ns[rows], values, tuple(notes), table.absolute, origin)
+    return planar_ins_log(table.file, table.time_ns[rows], values, tuple(notes), table.absolute, origin)
 
 
 def read_motion(source: RunSource, settings: ReadSettings) -> InsLog:

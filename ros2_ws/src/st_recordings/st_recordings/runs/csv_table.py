@@ -72,10 +72,10 @@ def read_text(file: Path, size: int = -1) -> str:
 
     size: bytes to read, -1 for all. Raises RunError for a binary file.
     """
-    return _decoded(file, size).replace("\r\n", "\n").replace("\r", "\n")
+    return _decode(file, size).replace("\r\n", "\n").replace("\r", "\n")
 
 
-def _decoded(file: Path, size: int) -> str:
+def _decode(file: Path, size: int) -> str:
     with file.open("rb") as stream:
         raw = stream.read(size)
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -496,7 +496,7 @@ def _numbers(file: Path, body: str, delimiter: str, width: int, warnings: list[s
     """The numbers in the rows, (n, width), NaN where there is none. Rows of another width are left out."""
     lines = [line for line in body.splitlines() if line.strip(f' \t"{delimiter}') and not _is_comment(line, delimiter)]
     try:
-        return _parsed(lines, delimiter, width)
+        return _parse_rows(lines, delimiter, width)
     except ValueError as first:
         error = first
     widths = [len(row) for row in _cells(file, lines, delimiter)]
@@ -504,7 +504,7 @@ def _numbers(file: Path, body: str, delimiter: str, width: int, warnings: list[s
     lost = len(lines) - len(complete)
     if complete and 2 * lost < len(lines):
         try:
-            rows = _parsed(complete, delimiter, width)
+            rows = _parse_rows(complete, delimiter, width)
             what = "the last row is truncated; it was left out" if lost == 1 and widths[-1] != width else (
                 f"{share(lost, len(lines), 'rows')} do not have as many cells as the header; they were left out")
             warnings.append(f"{file}: {what}")
@@ -515,7 +515,7 @@ def _numbers(file: Path, body: str, delimiter: str, width: int, warnings: list[s
                    "(rows count from 0 after the header)") from None
 
 
-def _parsed(lines: list[str], delimiter: str, width: int) -> np.ndarray:
+def _parse_rows(lines: list[str], delimiter: str, width: int) -> np.ndarray:
     if not lines:
         return np.zeros((0, width))
     try:

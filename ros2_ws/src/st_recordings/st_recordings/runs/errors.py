@@ -44,7 +44,7 @@ def short(error: Exception) -> str:
 
 
 def log_warnings(warnings: Iterable[str]) -> None:
-    """Logs each warning once per process: on the terminal of every command, whatever else it prints."""
+    """Logs each warning once per process, so that it is on the terminal of every command."""
     for warning in warnings:
         if warning in _logged:
             continue

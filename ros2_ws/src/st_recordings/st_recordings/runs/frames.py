@@ -59,13 +59,13 @@ class CanLog:
     steps: tuple[tuple[int, float], ...] = ()
 
 
-def no_frames() -> Frames:
+def empty_frames() -> Frames:
     return Frames(np.zeros(0, np.int64), np.zeros(0, np.uint32), np.zeros((0, 8), np.uint8),
                   *(np.zeros(0, np.uint8) for _ in range(3)))
 
 
 def concatenated(parts: Sequence[Frames], order: np.ndarray | slice = slice(None)) -> Frames:
-    """The frames of all parts one after the other, whatever their times; then in the given order."""
+    """The frames of all parts one after the other, then in the given order; their times are not compared."""
     if len(parts) == 1 and isinstance(order, slice):
         return parts[0]
     width = max(p.payload.shape[1] for p in parts)
@@ -78,7 +78,7 @@ def merged(parts: Sequence[Frames]) -> Frames:
     """The frames of all parts in order of time; frames of equal time stay in the order of the parts."""
     parts = [p for p in parts if len(p)]
     if not parts:
-        return no_frames()
+        return empty_frames()
     time_ns = np.concatenate([p.time_ns for p in parts])
     is_ordered = not (time_ns[1:] < time_ns[:-1]).any()
     return concatenated(parts, slice(None) if is_ordered else np.argsort(time_ns, kind="stable"))
@@ -152,7 +152,7 @@ def read_frames(messages: Iterable[bytes]) -> Frames:
         message_numbers.append(message)
         at, remaining = at + FRAME_HEAD_LENGTH + (length + 3) // 4 * 4, remaining - 1
     if not offsets:
-        return no_frames()
+        return empty_frames()
     # From order by k to order by message; the stable sort keeps the frames of a message in order.
     sequence = np.argsort(np.concatenate(message_numbers), kind="stable")
     return _columns(buffer, np.concatenate(offsets)[sequence])

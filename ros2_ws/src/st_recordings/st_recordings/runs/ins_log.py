@@ -50,8 +50,8 @@ class InsLog:
     absolute: bool = True
 
 
-def planar(file: Path, time_ns: np.ndarray, values: Mapping[str, np.ndarray], warnings: tuple[str, ...] = (),
-           absolute: bool = True, origin: tuple[float, float, float] | None = None) -> InsLog:
+def planar_ins_log(file: Path, time_ns: np.ndarray, values: Mapping[str, np.ndarray], warnings: tuple[str, ...] = (),
+                   absolute: bool = True, origin: tuple[float, float, float] | None = None) -> InsLog:
     """An INS log of motion in the plane: pitch, roll and vertical motion are zero.
 
     values: any of x, y, yaw, velocity_x, velocity_y, yaw_rate, acceleration_x, acceleration_y.

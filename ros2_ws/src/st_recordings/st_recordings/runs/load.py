@@ -46,7 +46,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
         text = (f"{source.where}: yaw is the course over ground; heading and sideslip are computed from it for steady "
                 "cornering with the vehicle file")
         loaded = replace(loaded, log=log, warnings=(*loaded.warnings, text))
-    loaded = replace(loaded, warnings=(*loaded.warnings, *uncovered(source, loaded.log)))
+    loaded = replace(loaded, warnings=(*loaded.warnings, *coverage_warnings(source, loaded.log)))
     log_warnings(loaded.warnings)
     return replace(loaded, provenance={**loaded.provenance, "files": digests.result()})
 
@@ -85,7 +85,7 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
         auxiliary=replace(run.auxiliary, corrected=phrases))
 
 
-def uncovered(source: RunSource, log: DriveLog) -> list[str]:
+def coverage_warnings(source: RunSource, log: DriveLog) -> list[str]:
     """Warnings of time that only INS or only steering covers, with its share. Raises RunError where they do not overlap
     in time."""
     spans = {"INS": log.ins_time_ns, "steering": log.steering_time_ns}

@@ -70,7 +70,7 @@ def read_mf4(path: Path) -> frames.CanLog:
                        "convert it with asammdf")
     warnings: list[str] = []
     decoded_signals: list[str] = []
-    with _opened(path, warnings) as log:
+    with _open_quietly(path, warnings) as log:
         start_ns = int(log.header.start_time.timestamp()) * 10**9 + int(log.header.abs_time) % 10**9
         if not 0 <= start_ns < LATEST_START * 10**9:
             raise DamageError("the session start time is invalid")
@@ -104,15 +104,15 @@ def _head(path: Path) -> bytes:
 
 
 @contextmanager
-def _opened(path: Path, warnings: list[str]) -> Iterator[Any]:
-    """The file as an asammdf MDF. asammdf also prints what it raises, so its output is suppressed meanwhile."""
+def _open_quietly(path: Path, warnings: list[str]) -> Iterator[Any]:
+    """The file as an asammdf MDF. asammdf also prints the errors it raises, so its output is suppressed."""
     logger = logging.getLogger("asammdf")
     level = logger.level
     logger.setLevel(logging.CRITICAL + 1)
     log = None
     try:
         with redirect_stdout(io.StringIO()):
-            log = _open_whole(path, warnings)
+            log = _open_readable_part(path, warnings)
             yield log
     except RunError:
         raise
@@ -128,7 +128,7 @@ def _opened(path: Path, warnings: list[str]) -> Iterator[Any]:
         logger.setLevel(level)
 
 
-def _open_whole(path: Path, warnings: list[str]) -> Any:
+def _open_readable_part(path: Path, warnings: list[str]) -> Any:
     from asammdf import MDF
     from asammdf.blocks.mdf_v4 import MDF4
 
@@ -140,7 +140,7 @@ def _open_whole(path: Path, warnings: list[str]) -> Any:
         log = MDF(path, **MDF_OPTIONS)
         if all(_has_payloads(log, group) for group in range(len(log.groups))):
             return log
-    except Exception:  # asammdf raises whatever its parsing raises; all of it means "truncated or damaged"
+    except Exception:  # asammdf passes on every exception of its parsing; all mean "truncated or damaged"
         pass
     if log is not None:
         log.close()
@@ -269,7 +269,7 @@ def _lengths(stored: np.ndarray, channel: Any) -> np.ndarray:
 
 
 def _bus_of(log: Any, group: int) -> int:
-    """Bus of a group whose records do not hold it (layout 2): from the group's name, CAN1_Rx."""
+    """Bus of a group without it in its records (layout 2): from the name of the group, as CAN1_Rx."""
     channel_group = log.groups[group].channel_group
     source = channel_group.acq_source
     for text in (channel_group.acq_name, getattr(source, "name", None), getattr(source, "path", None)):

@@ -20,7 +20,7 @@ from .can_logs import read_can_logs
 from .can_signals import CanSignals, Signal, decode_signals, load_signal_table, speeds_of, steering_of
 from .clocks import INS_ON_CAN, align_clocks
 from .errors import RunError, check_readable, share
-from .frames import CanLog, no_frames
+from .frames import CanLog, empty_frames
 from .ins_log import InsLog, is_mostly_known
 from .readers import READERS
 from .run_file import TABLE_KEYS
@@ -74,7 +74,7 @@ def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns, keep_
     steering = steering_of(signals, can.files[0], table) if needs_steering else None
     parts = _parts_of(can)
     if not keep_frames:
-        can = replace(can, frames=no_frames())
+        can = replace(can, frames=empty_frames())
     ins, options = read_ins(source, settings), clock_settings(source, settings)
     alignment, shared = align_clocks(ins, signals, **options)
     notes = []

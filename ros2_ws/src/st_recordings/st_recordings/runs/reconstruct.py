@@ -283,7 +283,7 @@ def deserialise(where: Any, storage: Storage, topic: Topic, store: Typestore) ->
     for log_ns, data in storage.timed_messages(topic.name):
         try:
             message = store.deserialize_cdr(data, topic.type_name)
-        except Exception as error:  # rosbags raises whatever struct and numpy raise
+        except Exception as error:  # rosbags passes on those of struct and numpy
             raise RunError(where, f"a message of {topic.name} is damaged ({type(error).__name__})",
                            "record it again, or repair the bag with `st recover`") from None
         yield log_ns, message

@@ -130,7 +130,7 @@ class Serialiser:
             "valid": valid})
 
     def wheel_speeds(self, message: str, signals: CanSignals, to_reference: Any) -> Messages:
-        """Wheel speeds, one message per frame of a CAN message; NaN for what the frame does not hold."""
+        """Wheel speeds, one message per frame of a CAN message; NaN for speeds that are not in the frame."""
         wheels = {field: signals.signals[name, message] for name, field in WHEEL_FIELDS.items()
                   if (name, message) in signals.signals}
         first = next(iter(wheels.values()))

@@ -75,7 +75,7 @@ def _runs_of_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
     if keys := [key for key in content if key in _KEYS_OF_ONE_RUN]:
         raise RunError(path, f"{keys[0]} belongs to one run, and `each` describes several",
                        "write a NAME.run.yaml for that run")
-    files = dict.fromkeys(_matching(path, "each", content["each"]))
+    files = dict.fromkeys(_matching_files(path, "each", content["each"]))
     if not files:
         raise RunError(path, f"each: no file in its folder matches {content['each']!r}")
     return [_run_of_own_file(path, file) or _run_of_each(path, content, file) for file in files]
@@ -133,20 +133,20 @@ def logs_of(file: Path, files: Sequence[Path]) -> list[Path]:
 def _parts(path: Path, key: str, value: Any) -> tuple[Path, ...]:
     """The file of the INS measurements; of a csv or vbo also a list or a pattern, the parts of one recording."""
     if key not in TABLE_KEYS:
-        return (_existing(path, key, value),)
-    found = tuple(dict.fromkeys(_matching(path, key, value)))
+        return (_existing_file(path, key, value),)
+    found = tuple(dict.fromkeys(_matching_files(path, key, value)))
     if not found:
         raise RunError(path, f"{key}: no file in its folder matches {value!r}")
     return found
 
 
 def _can_logs(path: Path, value: Any) -> list[Path]:
-    return [f for entry in _matching(path, "can", value)
+    return [f for entry in _matching_files(path, "can", value)
             for f in (sorted(entry.rglob("*")) if entry.is_dir() else [entry])
             if f.is_file() and f.suffix.lower() in CAN_EXTENSIONS and (f == entry or is_can_log(f))]
 
 
-def _matching(path: Path, key: str, value: Any) -> list[Path]:
+def _matching_files(path: Path, key: str, value: Any) -> list[Path]:
     """Files and folders that a name or pattern, or a list of such, gives."""
     entries = [value] if isinstance(value, str) else value
     if not isinstance(entries, list) or not all(isinstance(e, str) for e in entries):
@@ -155,7 +155,7 @@ def _matching(path: Path, key: str, value: Any) -> list[Path]:
     for text in entries:
         try:
             is_pattern = any(c in text for c in "*?[") and not _exists(path, text)
-            found += sorted(path.parent.glob(text)) if is_pattern else [_existing(path, key, text)]
+            found += sorted(path.parent.glob(text)) if is_pattern else [_existing_file(path, key, text)]
         except RunError:
             raise
         except (ValueError, NotImplementedError, OSError) as error:
@@ -180,7 +180,7 @@ def _number(path: Path, key: str, value: Any) -> float:
     return float(value)
 
 
-def _existing(path: Path, key: str, text: Any) -> Path:
+def _existing_file(path: Path, key: str, text: Any) -> Path:
     if isinstance(text, str) and _exists(path, text):
         return path.parent / text
     raise RunError(path, f"{key}: there is no {str(text)[:200]!r} in its folder")
@@ -258,7 +258,7 @@ def _mapping(path: Path, key: str, value: Any, known: Any) -> dict[str, Any]:
 
 
 _SETTINGS: Mapping[str, Callable[[Path, Any], Any]] = {
-    "dbc": lambda path, value: _existing(path, "dbc", value),
-    "signals": lambda path, value: _existing(path, "signals", value),
+    "dbc": lambda path, value: _existing_file(path, "dbc", value),
+    "signals": lambda path, value: _existing_file(path, "signals", value),
     "offset": lambda path, value: _number(path, "offset", value),
     "ins_can_latency": _latency, "correct": _corrections, "leave_out": _stretches}

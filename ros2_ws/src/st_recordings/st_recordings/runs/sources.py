@@ -51,8 +51,8 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
         if not path.exists():
             folder = path.absolute().parent
             others = [other.name for other in folder.iterdir()] if folder.is_dir() else []
-            runs.append(_failed(path, RunError(path, "the file or folder does not exist", f"looked for in {folder}"
-                                               f"{yaml_text.nearest(path.name, others)}")))
+            advice = f"looked for in {folder}{yaml_text.nearest(path.name, others)}"
+            runs.append(_unusable(path, "the file or folder does not exist", advice))
         elif path.is_dir() and reader_of(path) is None:
             found = _in_folder(path)
             runs += found or _without_run(path)
@@ -73,7 +73,7 @@ def _described_by_each(path: Path) -> RunSource | None:
     try:
         return described_by_each(path) if reader_of(path) is not None else None
     except RunError as error:
-        return _failed(path, error)
+        return RunSource(path.name, "", (path,), problem=error)
 
 
 def _without_run(folder: Path) -> list[RunSource]:
@@ -82,8 +82,8 @@ def _without_run(folder: Path) -> list[RunSource]:
     files = sorted(folder.rglob("*"))
     bags = [f for f in files if bag.accepts(f) and not any(bag.accepts(parent) for parent in f.parents)]
     others = [f for f in files if f.suffix.lower() in UNKNOWN_ADVICE.keys() - {*DOCUMENT_EXTENSIONS}]
-    return [*(_single_run(f, bag) for f in bags), *map(_unknown_file, others)] or [_failed(folder, RunError(
-        folder, "no recording is in this folder", "give a folder with .ncom and CAN logs, bags, CSV or VBO files"))]
+    return [*(_single_run(f, bag) for f in bags), *map(_unknown_file, others)] or [_unusable(
+        folder, "no recording is in this folder", "give a folder with .ncom and CAN logs, bags, CSV or VBO files")]
 
 
 def _in_folder(folder: Path) -> list[RunSource]:
@@ -163,7 +163,7 @@ def _from_files(files: Sequence[Path], given: bool) -> list[RunSource]:
 def _unknown_file(file: Path) -> RunSource:
     known = sorted({*CAN_EXTENSIONS, *(e for reader in READERS.values() for e in reader.extensions)})
     advice = UNKNOWN_ADVICE.get(file.suffix.lower(), f"known are {', '.join(known)}, folders of bags, and run.yaml")
-    return _failed(file, RunError(file, f"the extension {file.suffix or '(none)'} is not that of a recording", advice))
+    return _unusable(file, f"the extension {file.suffix or '(none)'} is not that of a recording", advice)
 
 
 def _unmatched(recordings: Sequence[Path], readers: dict[Path, Reader], logs: Sequence[Path]) -> Iterator[RunSource]:
@@ -177,7 +177,7 @@ def _unmatched(recordings: Sequence[Path], readers: dict[Path, Reader], logs: Se
         others = [f.name for f in sorted(file.parent.glob(f"{glob.escape(file.stem)}.*")) if f not in recordings]
         if others and not logs:
             advice += f"; if {others[0]} is one, convert it to .asc, .blf, .log (candump), .trc or .mf4"
-        yield _failed(file, RunError(file, f"no CAN log belongs to it: {why}", advice))
+        yield _unusable(file, f"no CAN log belongs to it: {why}", advice)
     for session in dict.fromkeys(session_of(f)[0] for f in logs) if not recordings else ():
         file = next(f for f in logs if session_of(f)[0] == session)
         csv = READERS["csv"]
@@ -186,7 +186,7 @@ def _unmatched(recordings: Sequence[Path], readers: dict[Path, Reader], logs: Se
         advice = "give both, or list the files of the run in a run.yaml"
         if tables:
             advice += f"; it can also name unrecognised columns of {tables[0]}, as columns: {{x: NAME, ...}}"
-        yield _failed(file, RunError(file, "no INS recording (.ncom, CSV, VBO, bag) belongs to this CAN log", advice))
+        yield _unusable(file, "no INS recording (.ncom, CSV, VBO, bag) belongs to this CAN log", advice)
 
 
 def _split_bags(files: Sequence[Path]) -> list[list[Path]]:
@@ -217,11 +217,11 @@ def _from_run_file(path: Path) -> list[RunSource]:
     try:
         return read_run_file(path)
     except RunError as error:
-        return [replace(_failed(path, error), run_file=path)]
+        return [RunSource(path.name, "", (path,), problem=error, run_file=path)]
 
 
-def _failed(path: Path, problem: RunError) -> RunSource:
-    return RunSource(path.name, "", (path,), problem=problem)
+def _unusable(path: Path, what: str, advice: str) -> RunSource:
+    return RunSource(path.name, "", (path,), problem=RunError(path, what, advice))
 
 
 def _with_distinct_names(runs: Sequence[RunSource]) -> list[RunSource]:

@@ -16,7 +16,7 @@ from ..results import versions
 from .bag import definitions_folder
 from .cdr import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS, typestore
 from .errors import RunError
-from .load import apply_run_file, file_hashes, uncovered
+from .load import apply_run_file, coverage_warnings, file_hashes
 from .ncom import NcomLog
 from .raw import RawRun, alignment_summary, as_drive, read_raw, steering_times
 from .readers.ncom import read_ins
@@ -58,7 +58,7 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
                        "evaluate, check, identify and discover read it directly")
     run = read_raw(source, settings, read_ins)
     drive = apply_run_file(source, as_drive(source, vehicle, settings, run), vehicle)
-    uncovered_time = uncovered(source, drive.log)
+    uncovered_time = coverage_warnings(source, drive.log)
     findings = tuple(check(drive))
     try:
         writer = BagWriter(directory, _metadata_records(source, vehicle, settings, run))

@@ -18,18 +18,18 @@ from . import Reader, register
 
 def _register(kind: str, extensions: tuple[str, ...], table_of: Callable[[Path, Layout], Table],
               **more: Callable[[Path], bool]) -> None:
-    def _joined(source: RunSource, layout: Layout) -> Table:
+    def _read_joined(source: RunSource, layout: Layout) -> Table:
         return join_tables([table_of(file, layout) for file in source.files])
 
     def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
         yaw = source.settings.get("correct", {}).get("yaw", Correction())
         layout = csv.with_steering(source.settings.get("layout") or Layout(), settings.steering)
-        run = csv.drive_of(_joined(source, layout), vehicle, yaw.scale, settings.steering)
+        run = csv.drive_of(_read_joined(source, layout), vehicle, yaw.scale, settings.steering)
         return replace(run, log=replace(run.log, name=source.name), labels=source.labels,
                        provenance={"reader": kind, **run.provenance})
 
     def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
-        return csv.ins_of(_joined(source, source.settings.get("layout") or Layout()))
+        return csv.ins_of(_read_joined(source, source.settings.get("layout") or Layout()))
 
     register(Reader(kind, kind, extensions, read, read_ins, scales_yaw=True, **more))
 
