@@ -240,8 +240,8 @@ def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals
     inputs = {mode: of_mode(starts_ns) for mode, of_mode in (future_inputs or {}).items()} if len(starts_ns) else {}
 
     def make(starts_ns: np.ndarray, rows: slice) -> Block:
-        own: dict[Mode, Planned] = {mode: tuple(v[rows] for v in values) for mode, values in inputs.items()}
-        return _evaluate_block(models, vehicle, signals, starts_ns, settings, own)
+        planned: dict[Mode, Planned] = {mode: tuple(v[rows] for v in values) for mode, values in inputs.items()}
+        return _evaluate_block(models, vehicle, signals, starts_ns, settings, planned)
 
     if len(blocks) == 1:
         yield blocks[0], make(starts_ns, blocks[0])

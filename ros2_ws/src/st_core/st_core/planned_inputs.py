@@ -41,9 +41,9 @@ SPEED_TOLERANCE = 2.0
 
 @dataclass(frozen=True, eq=False)
 class PlannedInputs:
-    """One plan. issued_ns, time_ns (n,): instants on the measurement clock [ns]. road_wheel_angle (n,): left + [rad],
-    as the steering sensor will measure it. velocity_x_dot (n,) [m/s^2]. speed [m/s] and slip_free_angle [rad], (n,): of
-    a plan `from_path`.
+    """Inputs of one plan. issued_ns, time_ns (n,): instants on the measurement clock [ns]. road_wheel_angle (n,):
+    left + [rad], as the steering sensor will measure it. velocity_x_dot (n,) [m/s^2]. speed [m/s] and slip_free_angle
+    [rad], (n,): of a plan `from_path`.
 
     Between its points a plan is linear. Raises StCoreError, one line, for arrays of unequal length.
     """

@@ -67,7 +67,7 @@ class AdaptiveBand:
 
     @property
     def factors(self) -> dict[float, float]:
-        """By level; a higher level is never narrower."""
+        """Factor on the band width by level; a higher level is never narrower."""
         values = np.maximum.accumulate([math.exp(log) for log in self._logs.values()])
         return dict(zip(self._logs, values.tolist(), strict=True))
 

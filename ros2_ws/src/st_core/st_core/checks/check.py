@@ -199,8 +199,8 @@ def _compare_with_vehicle(motion: Motion, vehicle: VehicleParameters, wheel_meas
 
 
 def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """As `correct_units`, with a lag between yaw and yaw rate removed meanwhile, since it changes size and sign of
-    their ratio over windows of a second. The result contains the lag, which is checked later."""
+    """`correct_units` with a lag between yaw and yaw rate removed temporarily, since it changes size and sign of their
+    ratio over windows of a second. The result contains the lag, which is checked later."""
     lag = inertial.yaw_rate_lag(motion)
     if not lag:
         return correct_units(motion)

@@ -100,7 +100,7 @@ def format_estimate(estimate: Estimate) -> str:
 
 
 def format_magnitude(estimate: Estimate) -> str:
-    """As `format_estimate`, without the sign."""
+    """`format_estimate` without the sign."""
     return format_estimate(estimate).removeprefix("-")
 
 

@@ -53,7 +53,7 @@ class Estimate:
         return Estimate(value, self.deviation * value**2, (low, high))
 
     def widened(self, half: float) -> "Estimate":
-        """With another uncertainty, half of a 95 % interval, added in quadrature."""
+        """The estimate with a further uncertainty, half of a 95 % interval, added in quadrature."""
         low, high = (self.value + sign * float(np.hypot(end - self.value, half))
                      for sign, end in zip((-1.0, 1.0), self.interval, strict=True))
         return Estimate(self.value, float(np.hypot(self.deviation, 0.5 * half)), (low, high))

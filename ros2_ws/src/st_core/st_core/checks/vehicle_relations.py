@@ -175,7 +175,7 @@ def _left_or_right(estimate: Estimate) -> str:
 
 
 def _at_most_warning(effect: float) -> Severity:
-    """At most a warning, since the cause may be the car rather than the recording."""
+    """Severity of an effect, at most a warning, since the cause may be the car rather than the recording."""
     severity = LIMITS.severity(effect)
     return Severity.WARNING if severity is Severity.ERROR else severity
 

@@ -28,12 +28,12 @@ def predicted(problem: Problem, fit: Fit, scores: Scores, limits: Limits) -> Cer
     for effect in problem.space.hypotheses:
         names = tuple(n for n in fit.names if not problem.space.overlaps(effect, (n,)))
         information = score(q, problem, names, effect)[1]
-        own = problem.space.indices(effect)
+        indices = problem.space.indices(effect)
         best = int(np.argmax(information))
-        free = problem.space.free[own[best]]
+        free = problem.space.free[indices[best]]
         for share in SIZES:
             powers.append(Power(effect, free.parameter, free.unit, share * free.usual,
-                                _power(problem, fit, own[best], share, information[best], scores, limits), 0))
+                                _power(problem, fit, indices[best], share, information[best], scores, limits), 0))
     return Certificate(tuple(powers), 0, 0, False)
 
 
@@ -42,11 +42,11 @@ def confounded_with(problem: Problem, fit: Fit, effect: str, scores: Scores, lim
     usual size; "" for none."""
     q = problem.quadratic_of_all(fit.vector).summed(problem.block, problem.blocks)
     names = [n for n in fit.names if not problem.space.overlaps(effect, (n,))]
-    own, best, found = problem.space.indices(effect), "", limits.detection_power
+    indices, best, found = problem.space.indices(effect), "", limits.detection_power
     for other in names:
         information = score(q, problem, tuple(n for n in names if n != other), effect)[1]
         index = int(np.argmax(information))
-        power = _power(problem, fit, own[index], SIZES[-1], information[index], scores, limits)
+        power = _power(problem, fit, indices[index], SIZES[-1], information[index], scores, limits)
         if power >= found:
             best, found = other, power
     return best
@@ -82,8 +82,8 @@ def measured(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callab
     slopes = problem.slopes_of_all(fit.vector).values
     powers = []
     for effect in problem.space.hypotheses:
-        own = problem.space.indices(effect)
-        index = own[int(np.argmax(np.square(slopes[own] / problem.loss.scale).sum(axis=(1, 2))))]
+        indices = problem.space.indices(effect)
+        index = indices[int(np.argmax(np.square(slopes[indices] / problem.loss.scale).sum(axis=(1, 2))))]
         free = problem.space.free[index]
         for share in SIZES:
             moved = fit.vector.copy()

@@ -51,10 +51,10 @@ def clock_corrections(runs: Sequence[DriveLog], vehicle: VehicleParameters, spac
         problem.update_design_effect(vector)
         q, member = problem.quadratic_of_all(vector), (windows.run == np.array(free)[:, None]).astype(float)
         cross = member @ q.hessian[:, :, k]
-        own = 0.5 * problem.design_effect * np.square(scale / prior_deviation[free])
-        h = np.block([[q.hessian.sum(axis=0) + prior, cross.T], [cross, np.diag(cross[:, k] + own)]])
+        clock_prior = 0.5 * problem.design_effect * np.square(scale / prior_deviation[free])
+        h = np.block([[q.hessian.sum(axis=0) + prior, cross.T], [cross, np.diag(cross[:, k] + clock_prior)]])
         g = np.concatenate([q.gradient.sum(axis=0) - prior @ problem.distance(vector),
-                            member @ q.gradient[:, k] - own * correction / scale])
+                            member @ q.gradient[:, k] - clock_prior * correction / scale])
         correction = correction + (inverse(h) @ g)[len(space):] * scale
     return {runs[i].name: float(c) for i, c in zip(free, correction, strict=True)}
 

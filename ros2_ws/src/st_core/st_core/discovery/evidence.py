@@ -179,16 +179,16 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
     """Evidence for an effect of `fit`, compared with the fit `without` it. scores: of the library, about `without`.
     sensors: (value, low, high) of parameters from redundant sensors."""
     gain = without.held_out - fit.held_out
-    own = scores.by_effect.get(effect)
-    if own is None:
-        own = score_of(problem, without, effect, fit.slopes)
+    block_scores = scores.by_effect.get(effect)
+    if block_scores is None:
+        block_scores = score_of(problem, without, effect, fit.slopes)
     rows, after = problem.held_out_rows(without), problem.held_out_rows(fit)
     reduction = problem.position_error(rows) - problem.position_error(after)
     if problem.prior is not None:  # the healthy car is known: no other parameter compensates for the effect
         rows = problem.errors.at(problem.vector_without(fit, effect))
     overall, somewhere = error_reductions(reduction, levels.get("condition"))
     return Evidence(effect, min(float(gain.sum()) / problem.scored_count, problem.held_out_gain(without, fit)),
-                    library_p_value(own, gain, scores, len(problem.space.hypotheses)),
+                    library_p_value(block_scores, gain, scores, len(problem.space.hypotheses)),
                     null_p_value(problem, fit, effect),
                     shares(problem, rows, after), overall, somewhere, residual_over_noise(problem, after),
                     distance_to_bound(problem, fit, effect), problem.healthy_gain, effect_size(problem, fit, effect),
@@ -255,8 +255,8 @@ def distance_to_bound(problem: Problem, fit: Fit, effect: str) -> float:
 
 def effect_size(problem: Problem, fit: Fit, effect: str) -> float:
     """Largest distance of the effect's values from their null, in usual sizes."""
-    own = problem.space.indices(effect)
-    return float(np.abs((fit.vector - problem.space.null) / problem.space.scale)[own].max())
+    indices = problem.space.indices(effect)
+    return float(np.abs((fit.vector - problem.space.null) / problem.space.scale)[indices].max())
 
 
 def against_file(problem: Problem, fit: Fit, effect: str) -> AgainstFile | None:
@@ -273,8 +273,8 @@ def against_file(problem: Problem, fit: Fit, effect: str) -> AgainstFile | None:
 def sensor_p_values(problem: Problem, fit: Fit, effect: str, sensors: Mapping) -> tuple[float | None, float | None]:
     """p-values of the fitted value and of the null under the redundant measurements of the sensors; None without
     any."""
-    own = dict(zip(problem.space.indices(effect), deviation(problem, fit, effect), strict=True))
-    values = [_two_sided(fit.vector[i] - value, np.hypot(spread, own[i]))
+    deviations = dict(zip(problem.space.indices(effect), deviation(problem, fit, effect), strict=True))
+    values = [_two_sided(fit.vector[i] - value, np.hypot(spread, deviations[i]))
               for i, value, spread in _sensor_estimates(problem.space, effect, sensors)]
     # With a reference the null is the value of the healthy car, which the sensors do not measure.
     null = null_by_sensors(problem.space, effect, sensors) if problem.prior is None else None
@@ -311,8 +311,8 @@ def _regular(h: np.ndarray) -> np.ndarray:
 def deviation(problem: Problem, fit: Fit, effect: str) -> np.ndarray:
     """(k,) standard deviations of the values of an effect [unit], from `covariance`."""
     variance = covariance(problem, fit)
-    own = np.searchsorted(fit.indices, problem.space.indices(effect))
-    return np.sqrt(np.maximum(np.diag(variance)[own], 0.0)) * problem.space.scale[fit.indices[own]]
+    columns = np.searchsorted(fit.indices, problem.space.indices(effect))
+    return np.sqrt(np.maximum(np.diag(variance)[columns], 0.0)) * problem.space.scale[fit.indices[columns]]
 
 
 def covariance(problem: Problem, fit: Fit) -> np.ndarray:
@@ -379,15 +379,15 @@ def _raised(curvature: np.ndarray, reweighted: np.ndarray) -> np.ndarray:
 
 def null_p_value(problem: Problem, fit: Fit, effect: str) -> float:
     """p-value of the start for the values of an effect, by their sandwich covariance (Hotelling's T^2 test)."""
-    own = problem.space.indices(effect)
-    place = np.searchsorted(fit.indices, own)
-    variance = covariance(problem, fit)[np.ix_(place, place)]
-    d = problem.distance(fit.vector)[own]
-    freedom = problem.blocks - len(own)
+    indices = problem.space.indices(effect)
+    columns = np.searchsorted(fit.indices, indices)
+    variance = covariance(problem, fit)[np.ix_(columns, columns)]
+    d = problem.distance(fit.vector)[indices]
+    freedom = problem.blocks - len(indices)
     if freedom < 1:
         return 1.0
     square = float(d @ np.linalg.pinv(variance) @ d)
-    return float(stats.f.sf(square * freedom / (len(own) * max(problem.blocks - 1, 1)), len(own), freedom))
+    return float(stats.f.sf(square * freedom / (len(indices) * max(problem.blocks - 1, 1)), len(indices), freedom))
 
 
 def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, names: list[str]) -> Agreement:
@@ -396,11 +396,11 @@ def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, names: 
     Along the fitted values d, the share of a part is a = 1 + the step of its own gradient; the other fitted
     parameters are free, with a weak prior (PART_PRIOR). Variances contain the design effect of dependent windows.
     """
-    own = np.searchsorted(fit.indices, problem.space.indices(effect))
-    others = np.setdiff1d(np.arange(len(fit.indices)), own)
-    d = ((fit.vector - problem.space.null) / problem.space.scale)[fit.indices[own]]
+    columns = np.searchsorted(fit.indices, problem.space.indices(effect))
+    others = np.setdiff1d(np.arange(len(fit.indices)), columns)
+    d = ((fit.vector - problem.space.null) / problem.space.scale)[fit.indices[columns]]
     basis = np.zeros((len(fit.indices), 1 + len(others)))
-    basis[own, 0] = d
+    basis[columns, 0] = d
     basis[others, 1 + np.arange(len(others))] = 1.0
     q = fit.quadratic.summed(part)
     g, h = q.gradient @ basis, basis.T @ q.hessian @ basis

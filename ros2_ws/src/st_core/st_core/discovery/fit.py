@@ -336,7 +336,7 @@ class Problem:
         optimum = best_step(h, g)
         prior, distance = self.prior_curvature(names, indices), self.distance(vector)[indices]
         low, high = (edge - optimum for edge in self.distance_to_bounds(vector, indices))
-        own = np.flatnonzero(np.isin(indices, self.space.indices(*names)))
+        columns = np.flatnonzero(np.isin(indices, self.space.indices(*names)))
         gradient = q.gradient - q.hessian @ optimum
         base = optimum
         if settled:
@@ -349,9 +349,9 @@ class Problem:
                 d = best_step(fitted, g - (gradient + q.hessian @ optimum)[out].sum(axis=0)) - optimum
             else:
                 d = np.zeros(len(indices))
-                flat = RIDGE * np.trace(h) / len(h) * np.eye(len(own))
-                d[own] = bounded(fitted[np.ix_(own, own)] + flat, gradient[~out].sum(axis=0)[own],
-                                 np.minimum(low, 0.0)[own], np.maximum(high, 0.0)[own])
+                flat = RIDGE * np.trace(h) / len(h) * np.eye(len(columns))
+                d[columns] = bounded(fitted[np.ix_(columns, columns)] + flat, gradient[~out].sum(axis=0)[columns],
+                                 np.minimum(low, 0.0)[columns], np.maximum(high, 0.0)[columns])
             steps[int(k)] = d = base + d
             rise = np.einsum("i,bij,j->b", d, q.hessian[out], d) - 2.0 * q.gradient[out] @ d
             prior_cost = (distance + d) @ prior @ (distance + d) / len(q.cost)

@@ -15,7 +15,7 @@ Level = tuple[np.ndarray, list[str]]  # (n,) part of each window, names of the p
 
 
 def levels(windows: Windows) -> dict[str, Level]:
-    """By level, (n,) part of each window and names of the parts; only levels with at least two parts."""
+    """(part of each window (n,), names of the parts) by level; only levels with at least two parts."""
     site, driven = sites(windows), windows.driven
     parts = {"run": runs(windows), "site": (site, [f"site {k + 1}" for k in range(int(site.max()) + 1)]),
              "time": (_thirds(windows), list(TIMES)), "place": places(driven["x"], driven["y"]),

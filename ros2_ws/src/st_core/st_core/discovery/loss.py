@@ -38,20 +38,20 @@ def weight(z: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Quadratic:
-    """By window: cost (n,), gradient (n, p), hessian (n, p, p)."""
+    """The quadratic approximation of each window: cost (n,), gradient (n, p), hessian (n, p, p)."""
 
     cost: np.ndarray
     gradient: np.ndarray
     hessian: np.ndarray
 
     def summed(self, group: np.ndarray, count: int | None = None) -> "Quadratic":
-        """The same by group. group: (n,) number of the group of each window."""
+        """Sums over groups of windows. group: (n,) number of the group of each window."""
         count = int(group.max()) + 1 if count is None else count
         member = (group == np.arange(count)[:, None]).astype(float)
         return Quadratic(*(np.tensordot(member, values, 1) for values in (self.cost, self.gradient, self.hessian)))
 
     def only(self, indices: np.ndarray) -> "Quadratic":
-        """Of some of the parameters."""
+        """The approximation in some of the parameters, the others fixed."""
         return Quadratic(self.cost, self.gradient[:, indices], self.hessian[:, indices][:, :, indices])
 
 
@@ -125,7 +125,7 @@ class Loss:
         return np.nan_to_num(np.reshape(slopes, (len(indices), *before.shape)), posinf=0.0, neginf=0.0)
 
     def quadratic(self, rows: np.ndarray, slopes: np.ndarray) -> Quadratic:
-        """About the vector with these errors (n, m) and slopes (p, n, m)."""
+        """The approximation about the vector with these errors (n, m) and slopes (p, n, m)."""
         z = self.scaled(rows)
         j = self._scaled_slopes(slopes, z)
         w = weight(z)

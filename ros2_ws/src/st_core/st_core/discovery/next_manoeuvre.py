@@ -102,15 +102,16 @@ def separation(h: np.ndarray, problem: Problem, others: Sequence[str], first: st
                design_effect: float) -> tuple[float, float]:
     """(cosine of the effects on the errors, part of `first` that `second` does not explain [standard deviations]) under
     a curvature. others: effects in the fit besides `first`. values: (p,) distance from null [usual sizes]."""
-    own, other = problem.space.indices(first), problem.space.indices(second)
-    free = np.setdiff1d(problem.free_indices((*others, second)), own)
-    d = values[own]
-    inside = h[np.ix_(own, own)]
-    cross = h[np.ix_(own, free)] @ inverse(h[np.ix_(free, free)])
-    unexplained = float(d @ (inside - cross @ h[np.ix_(free, own)]) @ d)
-    e = inverse(h[np.ix_(other, other)]) @ h[np.ix_(other, own)] @ d
-    sizes = np.sqrt(max(float(d @ inside @ d), 1e-12) * max(float(e @ h[np.ix_(other, other)] @ e), 1e-12))
-    cosine = float(d @ h[np.ix_(own, other)] @ e) / sizes
+    indices, other_indices = problem.space.indices(first), problem.space.indices(second)
+    free = np.setdiff1d(problem.free_indices((*others, second)), indices)
+    d = values[indices]
+    inside = h[np.ix_(indices, indices)]
+    cross = h[np.ix_(indices, free)] @ inverse(h[np.ix_(free, free)])
+    unexplained = float(d @ (inside - cross @ h[np.ix_(free, indices)]) @ d)
+    other_inside = h[np.ix_(other_indices, other_indices)]
+    e = inverse(other_inside) @ h[np.ix_(other_indices, indices)] @ d
+    sizes = np.sqrt(max(float(d @ inside @ d), 1e-12) * max(float(e @ other_inside @ e), 1e-12))
+    cosine = float(d @ h[np.ix_(indices, other_indices)] @ e) / sizes
     return float(np.clip(cosine, -1.0, 1.0)), float(np.sqrt(max(2.0 * unexplained / design_effect, 0.0)))
 
 
@@ -159,13 +160,13 @@ def next_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], d
 
 def most_informative(problem: Problem, effect: str, driven: Catalogue) -> str:
     """The manoeuvre with the most information on an effect; "" without any."""
-    own = problem.space.indices(effect)
+    indices = problem.space.indices(effect)
     strength = {}
     for name, h in driven.items():
-        others = np.setdiff1d(problem.free_indices(()), own)
-        information = h[np.ix_(own, own)]
+        others = np.setdiff1d(problem.free_indices(()), indices)
+        information = h[np.ix_(indices, indices)]
         if len(others):
-            cross = h[np.ix_(own, others)] @ inverse(h[np.ix_(others, others)])
-            information = information - cross @ h[np.ix_(others, own)]
+            cross = h[np.ix_(indices, others)] @ inverse(h[np.ix_(others, others)])
+            information = information - cross @ h[np.ix_(others, indices)]
         strength[name] = float(np.diag(information).max())
     return max(strength, key=strength.__getitem__, default="")

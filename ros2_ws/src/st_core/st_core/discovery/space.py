@@ -93,8 +93,8 @@ class Space:
 
     def overlaps(self, name: str, names: Sequence[str]) -> bool:
         """Whether an effect is one of `names`, a member of one, or has one as a member."""
-        own = {name, *get_effect(name).members}
-        return any(own & {other, *get_effect(other).members} for other in names)
+        parts = {name, *get_effect(name).members}
+        return any(parts & {other, *get_effect(other).members} for other in names)
 
 
 def usual_size(effect: str, unit: str) -> float:

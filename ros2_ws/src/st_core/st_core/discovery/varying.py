@@ -51,20 +51,21 @@ def _by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, l
              tests: int) -> Varying | None:
     """One effect on one level; None without two parts that have information. tests: number of them (Bonferroni)."""
     space, (number, names) = problem.space, level
-    own = space.indices(effect)
-    others = np.setdiff1d(problem.free_indices(fit.names) if problem.prior is None else space.indices(*fit.names), own)
+    indices = space.indices(effect)
+    fitted = problem.free_indices(fit.names) if problem.prior is None else space.indices(*fit.names)
+    others = np.setdiff1d(fitted, indices)
     h = q.hessian.sum(axis=0)
-    projection = np.zeros((len(space), len(own)))  # the other parameters follow the effect
-    projection[own, np.arange(len(own))] = 1.0
+    projection = np.zeros((len(space), len(indices)))  # the other parameters follow the effect
+    projection[indices, np.arange(len(indices))] = 1.0
     if len(others):
-        projection[others] = -inverse(h[np.ix_(others, others)]) @ h[np.ix_(others, own)]
+        projection[others] = -inverse(h[np.ix_(others, others)]) @ h[np.ix_(others, indices)]
     gradient, curvature = q.gradient @ projection, projection.T @ q.hessian @ projection
     every = [(k, gradient[number == k].sum(axis=0), curvature[number == k].sum(axis=0)) for k in np.unique(number)]
     information = np.diag(sum(hk for *_, hk in every))
     if information.min() <= 1e-9 * float(np.trace(h)) / len(h):
         return None
     parts = [part for part in every if np.diag(part[2]).min() > MIN_INFORMATION_SHARE * information.min()]
-    freedom, blocks = (len(parts) - 1) * len(own), problem.blocks - len(parts)
+    freedom, blocks = (len(parts) - 1) * len(indices), problem.blocks - len(parts)
     if len(parts) < 2 or blocks < 1:
         return None
     separate = sum(float(gk @ inverse(hk) @ gk) for _, gk, hk in parts)
@@ -73,11 +74,12 @@ def _by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, l
     design = _design_effect(problem, number, parts, gradient, curvature) * problem.blocks / blocks
     p_value = min(tests * float(stats.f.sf(2.0 * gain / design / freedom, freedom, blocks)), 1.0)
     best = int(np.argmax(information))
-    value, scale = float(fit.vector[own[best]]), space.scale[own[best]]
+    index = indices[best]
+    value, scale = float(fit.vector[index]), space.scale[index]
     values = {names[k]: (value + scale * float((inverse(hk) @ gk)[best]),
                          scale * float(np.sqrt(0.5 * design * inverse(hk)[best, best]))) for k, gk, hk in parts}
     steps = {int(k): projection @ (inverse(hk) @ gk) for k, gk, hk in parts}
-    return Varying(effect, name, gain / problem.scored_count, p_value, space.free[own[best]].parameter, values, steps)
+    return Varying(effect, name, gain / problem.scored_count, p_value, space.free[index].parameter, values, steps)
 
 
 def _design_effect(problem: Problem, number: np.ndarray, parts: Sequence[Part], gradient: np.ndarray,
@@ -97,11 +99,11 @@ def _design_effect(problem: Problem, number: np.ndarray, parts: Sequence[Part], 
 def evidence_of(problem: Problem, fit: Fit, v: Varying, levels: Mapping[str, Level]) -> Evidence:
     """Reduction of the errors by a value for each part, to first order, on the driving the values were fitted to."""
     rows = problem.errors.at(fit.vector)
-    own, slopes = rows.copy(), problem.slopes_of_all(fit.vector).values
+    corrected, slopes = rows.copy(), problem.slopes_of_all(fit.vector).values
     for k, step in v.steps.items():
         inside = levels[v.level][0] == k
-        own[inside] -= np.tensordot(step, slopes[:, inside], 1)
-    reduction = problem.position_error(rows) - problem.position_error(own)
+        corrected[inside] -= np.tensordot(step, slopes[:, inside], 1)
+    reduction = problem.position_error(rows) - problem.position_error(corrected)
     overall, somewhere = error_reductions(reduction, levels.get("condition"))
-    return Evidence(v.name, v.gain, v.p_value, shares=shares(problem, rows, own), position=overall,
+    return Evidence(v.name, v.gain, v.p_value, shares=shares(problem, rows, corrected), position=overall,
                     position_somewhere=somewhere, healthy_gain=problem.healthy_gain)

@@ -79,25 +79,25 @@ def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Lev
     nearly as well. It thus allows for differences between the equations of the model and the car.
     """
     space, result = problem.space, {}
-    own = space.indices(effect)
+    indices = space.indices(effect)
     model_error = np.array([p.model_error for p in get_effect(effect).parameters if p.fit])
-    place = np.searchsorted(fit.indices, own)
-    spread = np.sqrt(np.maximum(np.diag(covariance(problem, fit))[place], 0.0)) * space.scale[own]
+    columns = np.searchsorted(fit.indices, indices)
+    spread = np.sqrt(np.maximum(np.diag(covariance(problem, fit))[columns], 0.0)) * space.scale[indices]
     if problem.prior is not None:  # the values of the healthy car are uncertain as well
-        spread = np.hypot(spread, np.sqrt(0.5 * np.diag(inverse(problem.prior))[own]) * space.scale[own])
+        spread = np.hypot(spread, np.sqrt(0.5 * np.diag(inverse(problem.prior))[indices]) * space.scale[indices])
     quantile = float(stats.t.ppf(0.975, max(problem.blocks - len(fit.indices), 2)))
     half = quantile * spread
     if joint is not None:
-        deviation, shift = joint.of(own)
-        joint_half = np.hypot(quantile * deviation, shift) * space.scale[own] * max(unexplained, 1.0)
+        deviation, shift = joint.of(indices)
+        joint_half = np.hypot(quantile * deviation, shift) * space.scale[indices] * max(unexplained, 1.0)
         half = np.maximum(half, np.hypot(joint_half, TWO_SIDED * model_error))
-    change = np.abs(fit.vector - space.null)[own]
+    change = np.abs(fit.vector - space.null)[indices]
     for name, level in levels.items():
         if name != "place":
             half = np.maximum(half, change * _prediction_interval(agreement(problem, fit, effect, *level).ratios))
-    others = np.array([v[own] for v in (fit.vector, *(vector for names, vector in near if effect in names))])
-    others -= fit.vector[own]
-    for i, r, below, above in zip(own, half, others.min(axis=0), others.max(axis=0), strict=True):
+    others = np.array([v[indices] for v in (fit.vector, *(vector for names, vector in near if effect in names))])
+    others -= fit.vector[indices]
+    for i, r, below, above in zip(indices, half, others.min(axis=0), others.max(axis=0), strict=True):
         f, value = space.free[i], float(fit.vector[i])
         # With a reference the value is the change since then.
         value = f.null + value - float(problem.start[i]) if problem.prior is not None else value
@@ -196,12 +196,12 @@ def budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varying: Fit
     start, end = size(base), size(final)
     lines = []
     for part in EFFECT_KINDS:
-        own = tuple(n for n in final.names if get_effect(n).kind == part)
-        if not own:
+        effects = tuple(n for n in final.names if get_effect(n).kind == part)
+        if not effects:
             continue
-        others = tuple(n for n in final.names if n not in own)
+        others = tuple(n for n in final.names if n not in effects)
         without = size(fitted(others)) if others else start
-        alone = size(fitted(own)) if others else end
+        alone = size(fitted(effects)) if others else end
         lines.append(line(part, tuple(np.subtract(without, end)), tuple(np.subtract(start, alone))))
     extended = (corrected if corrected is not final else None, varying)
     for part, fit in zip(PARTS[len(EFFECT_KINDS):], extended, strict=False):

@@ -24,12 +24,12 @@ def scan(maps: Maps, compose: Callable[[Maps, Maps], Maps]) -> Maps:
 
 
 def affine(earlier: Maps, later: Maps) -> Maps:
-    """Of maps y -> a y + b, given as (a, b)."""
+    """`compose` of `scan` for maps y -> a y + b, given as (a, b)."""
     return earlier[0] * later[0], later[0] * earlier[1] + later[1]
 
 
 def clamp(earlier: Maps, later: Maps) -> Maps:
-    """Of maps y -> min(max(y, low), high), given as (low, high) with low <= high."""
+    """`compose` of `scan` for maps y -> min(max(y, low), high), given as (low, high) with low <= high."""
     low, high = (np.minimum(np.maximum(limit, later[0]), later[1]) for limit in earlier)
     return low, high
 

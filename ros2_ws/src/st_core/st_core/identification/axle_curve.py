@@ -58,7 +58,7 @@ def axle_forces(model: str | Model, vehicle: VehicleParameters, slip: np.ndarray
 
 
 def axle_force(model: str | Model, vehicle: VehicleParameters, axle: str, slip: np.ndarray) -> np.ndarray:
-    """As `axle_forces`, of one axle ("front" or "rear")."""
+    """`axle_forces` of one axle ("front" or "rear")."""
     return axle_forces(model, vehicle, slip)[axle == "rear"]
 
 

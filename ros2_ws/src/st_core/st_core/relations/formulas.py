@@ -260,7 +260,7 @@ def _simulated(fits: RelationFits, fit: RelationFit, without: RelationFit, shape
 
 
 def _nonzero(number: float) -> float:
-    """At least 1e-9, as a divisor."""
+    """The number, or 1e-9 if its magnitude is smaller: a divisor."""
     return number if abs(number) > 1e-9 else 1e-9
 
 

@@ -90,11 +90,11 @@ class RelationFits:
         self.loss = Loss(Errors(windows, self.space, threads), self.start)
         self.problem = Problem(self.loss, self.start, windows.block)
         self.block, self.blocks, self.fold = windows.block, self.problem.blocks, self.problem.held_out_groups
-        own = [n for n in self.space.hypotheses
+        car_effects = [n for n in self.space.hypotheses
                if get_effect(n).kind == "vehicle parameters" and not get_effect(n).members]
         always = (GAIN,) if "acceleration_y" in windows.columns else ()
         self.refitted = self.space.indices(*names, *always)
-        self.car = np.setdiff1d(self.space.indices(*own), self.refitted)
+        self.car = np.setdiff1d(self.space.indices(*car_effects), self.refitted)
 
     def space_of(self, candidate: Candidate) -> Space:
         """The space with the term, quantity and range of a candidate."""
@@ -121,7 +121,7 @@ class RelationFits:
         return fit
 
     def quadratic(self, loss: Loss, rows: np.ndarray, slopes: np.ndarray) -> Quadratic:
-        """By block."""
+        """Quadratic approximation of the loss, by block."""
         return loss.quadratic(rows, slopes).summed(self.block, self.blocks)
 
     def penalty(self, candidate: Candidate | None, hessian: np.ndarray, smooth: float) -> np.ndarray:

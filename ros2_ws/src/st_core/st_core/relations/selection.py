@@ -96,12 +96,12 @@ def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.
     smooth = min(losses, key=lambda share: float(losses[share].sum()))
     h = q_all.hessian.sum(axis=0)
     cross = np.linalg.solve(ridge(h[:-COUNT, :-COUNT]), h[:-COUNT, -COUNT:])
-    own = q_all.gradient[:, -COUNT:] - q_all.gradient[:, :-COUNT] @ cross
+    gradient = q_all.gradient[:, -COUNT:] - q_all.gradient[:, :-COUNT] @ cross
     information = h[-COUNT:, -COUNT:] - h[-COUNT:, :-COUNT] @ cross
     inverse = np.linalg.pinv(information + penalties[smooth][-COUNT:, -COUNT:])
-    drawn = np.einsum("di,ij,dj->d", signs @ own, inverse, signs @ own)
+    drawn = np.einsum("di,ij,dj->d", signs @ gradient, inverse, signs @ gradient)
     mean = max(float(drawn.mean()), 1e-30)
-    total = own.sum(axis=0)
+    total = gradient.sum(axis=0)
     freedom = max(float(np.trace(inverse @ information)), 1.0)
     step = inverse @ total
     residual_gradient = q_all.gradient - q_all.hessian @ np.concatenate([-cross @ step, step])
@@ -238,8 +238,8 @@ def equally_good(worse: np.ndarray, p: float, seed: int) -> np.ndarray:
 def run_shares(fits: RelationFits, fit: RelationFit) -> RunShares:
     """Size of the relation in each run, everything else refitted, by the quadratic."""
     h = fit.q.hessian.sum(axis=0)
-    others, own = h[:-COUNT, :-COUNT], fit.coefficients
-    direction = np.concatenate([-np.linalg.solve(ridge(others), h[:-COUNT, -COUNT:] @ own), own])
+    others, coefficients = h[:-COUNT, :-COUNT], fit.coefficients
+    direction = np.concatenate([-np.linalg.solve(ridge(others), h[:-COUNT, -COUNT:] @ coefficients), coefficients])
     g, hh = fit.q.gradient @ direction, np.einsum("i,bij,j->b", direction, fit.q.hessian, direction)
     run = fits.problem.run_of_block
     informative = [k for k in np.unique(run) if hh[run == k].sum() > MIN_INFORMATION * hh.sum()]
