@@ -58,7 +58,8 @@ MIN_SPEED = 0.5
 
 
 class EgoMotion(NamedTuple):
-    """Motion of the car at a start, INS point; [ns], map frame [m, rad], body axes [m/s, rad/s, m/s^2], [rad]."""
+    """Measured motion of the INS point at a start: time [ns]; x, y [m], yaw [rad] in the map frame; velocities [m/s]
+    and velocity_x_dot [m/s^2] in body axes; yaw_rate [rad/s]; road_wheel_angle [rad]."""
 
     time_ns: int
     x: float
@@ -96,7 +97,7 @@ class CourseForecast:
 
 class _PendingForecast(NamedTuple):
     """A forecast that has not ended. end_ns: its end. distance [m], ego: at its start. distances: predicted for each
-    of the mixed speeds [m]. path: of the course, (points, 2), every SPACING m [m]."""
+    of the mixed speeds [m]. path: of the course, (points, 2) [m], SPACING apart."""
 
     end_ns: int
     distance: float

@@ -11,7 +11,7 @@ from scipy.stats import binom, chi2
 from ..regression import random_effects, symmetric_interval
 from .finding import Checked
 
-MIN_RUNS = 3  # runs
+MIN_RUNS = 3
 CONFIDENCE = 0.95
 MAX_RELATIVE_SPREAD = 0.25  # standard deviation between consistent runs over their mean
 
@@ -21,8 +21,8 @@ class AcrossRuns:
     """One quantity over several runs, in `unit`.
 
     mean, interval: random effects, between-run variance included (DerSimonian and Laird 1986). between: standard
-    deviation between runs beyond their own intervals. reported: runs in which it is a finding. consistent: whether the
-    runs are consistent.
+    deviation between runs beyond their own intervals. reported: number of runs in which it is a finding. consistent:
+    whether the differences between the runs are explained by their intervals, or small (MAX_RELATIVE_SPREAD).
     """
 
     name: str

@@ -60,7 +60,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
     broken = broken_channels(implausible)
     if broken & {*INS_SIGNALS}:  # every comparison with a broken channel would fail as well
         return Checked(_ordered([*findings, *sampling.find_stuck_channels(motion, channels)]), channels, ())
-    motion = motion.with_(**dict.fromkeys(broken & {"acceleration_x", "acceleration_y"}, None))
+    motion = replace(motion, **dict.fromkeys(broken & {"acceleration_x", "acceleration_y"}, None))
     stuck = sampling.find_stuck_channels(motion, channels)
     recorded = motion
     motion, gross = _correct_units_without_lag(sampling.without_frozen_samples(motion, stuck))
@@ -70,9 +70,9 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
     coarse = {channel for finding in rounded for channel in finding.channels}
     # The derivative of a coarse channel is mostly rounding.
     if coarse & {"velocity_x"}:
-        motion = motion.with_(acceleration_x=None)
+        motion = replace(motion, acceleration_x=None)
     if coarse & {"velocity_y", "yaw_rate"}:
-        motion = motion.with_(acceleration_y=None)
+        motion = replace(motion, acceleration_y=None)
     if not any(finding.name == "samples_repeated" and {"x", "y"} & {*finding.channels} for finding in stuck):
         motion, steps = check_position_steps(motion)  # held positions always step
         findings += steps
@@ -87,7 +87,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
             findings += more
             estimates |= values
             panels += [panel] if panel else []
-    findings += vehicle_relations.check_standstill(motion.with_(velocity_x=speed))
+    findings += vehicle_relations.check_standstill(replace(motion, velocity_x=speed))
     findings = _limit_to_measured_channels(findings, log, motion)
     if not sideslip_measured:
         estimates = {name: value for name, value in estimates.items() if name not in CHANGED_BY_SIDESLIP}
@@ -205,12 +205,12 @@ def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
     if not lag:
         return correct_units(motion)
     time = motion.time
-    earlier_yaw = motion.with_(yaw=np.interp(time - lag, time, motion.yaw))
+    earlier_yaw = replace(motion, yaw=np.interp(time - lag, time, motion.yaw))
     if yaw_is_late(motion, earlier_yaw):
         aligned, findings = correct_units(earlier_yaw)
-        return aligned.with_(yaw=np.interp(time + lag, time, aligned.yaw)), findings
-    aligned, findings = correct_units(motion.with_(yaw_rate=np.interp(time + lag, time, motion.yaw_rate)))
-    return aligned.with_(yaw_rate=np.interp(time - lag, time, aligned.yaw_rate)), findings
+        return replace(aligned, yaw=np.interp(time + lag, time, aligned.yaw)), findings
+    aligned, findings = correct_units(replace(motion, yaw_rate=np.interp(time + lag, time, motion.yaw_rate)))
+    return replace(aligned, yaw_rate=np.interp(time - lag, time, aligned.yaw_rate)), findings
 
 
 def _check_yaw_lag(motion: Motion, found: Agreement | None) -> tuple[Motion, list[Finding]]:
@@ -219,7 +219,7 @@ def _check_yaw_lag(motion: Motion, found: Agreement | None) -> tuple[Motion, lis
             abs(found.correlation) < LIMITS.correlation):
         return motion, []
     late = with_systematic("yaw_lag", found.lag.scaled(-1.0))
-    corrected = motion.with_(yaw=np.interp(motion.time + late.value, motion.time, motion.yaw))
+    corrected = replace(motion, yaw=np.interp(motion.time + late.value, motion.time, motion.yaw))
     if not position.positions_confirm_yaw_lag(motion, corrected, late.value):
         return motion, []
     effect = abs(late.value) * float(np.std(motion.yaw_rate)) * float(np.median(motion.speed)) * HORIZON

@@ -8,7 +8,7 @@ distance d behind the point of the velocities it measures an a_y that lags by d 
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -198,7 +198,7 @@ def correct_yaw_rate(motion: Motion, found: Agreement) -> Motion:
     late = found.lag.value if found.lag.significant and found.is_late else 0.0
     known = found.correlation >= GYRO_CORRELATION
     rate = (motion.yaw_rate - found.bias.value) / found.scale.value if known else motion.yaw_rate
-    return motion.with_(yaw_rate=np.interp(motion.time + late, motion.time, rate))
+    return replace(motion, yaw_rate=np.interp(motion.time + late, motion.time, rate))
 
 
 def check_accelerations(motion: Motion) -> list[Comparison]:

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -50,9 +49,6 @@ class Motion:
         return cls((log.ins_time_ns - start) * NANOSECOND, log.x - log.x[:1], log.y - log.y[:1], log.yaw,
                    log.velocity_x, log.velocity_y, log.yaw_rate, (log.steering_time_ns - start) * NANOSECOND,
                    log.road_wheel_angle, log.acceleration_x, log.acceleration_y, speeds)
-
-    def with_(self, **changes: Any) -> "Motion":
-        return replace(self, **changes)
 
     def with_time_divided(self, factor: float) -> "Motion":
         """The motion with all times divided by a factor."""

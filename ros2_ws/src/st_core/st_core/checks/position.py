@@ -118,7 +118,7 @@ def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estima
     found = replace(wrong, name="position_scale", channels=("x", "y"), text=text, value=scale.value,
                     interval=scale.interval, advice=advice)
     moved = {name: factor * getattr(motion, name) for name in ("x", "y", "velocity_x", "velocity_y")}
-    return motion.with_(**moved), [found if finding is wrong else finding for finding in findings]
+    return replace(motion, **moved), [found if finding is wrong else finding for finding in findings]
 
 
 def scaled_misfit(motion: Motion) -> float:
@@ -146,7 +146,7 @@ def check_lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
     """(motion, findings) with the sign of velocity_y reversed where that explains positions better than any cause."""
     if float(np.sqrt(np.mean(motion.velocity_y**2))) < MIN_LATERAL_VELOCITY:
         return motion, []
-    mirrored = motion.with_(velocity_y=-motion.velocity_y)
+    mirrored = replace(motion, velocity_y=-motion.velocity_y)
     problem = residual_regression(motion)
     if len(problem.time) < MIN_WINDOWS:
         return motion, []
@@ -173,7 +173,7 @@ def with_sign_alternative(findings: list[Finding], recorded: Motion, corrected: 
     names = {"yaw_offset", "position_reference", "velocity_y_bias"}
     if not any(finding.name in names for finding in findings):
         return findings
-    mirrored = scaled_misfit(recorded.with_(velocity_y=-recorded.velocity_y))
+    mirrored = scaled_misfit(replace(recorded, velocity_y=-recorded.velocity_y))
     if not mirrored < min(MAX_SIGN_MISFIT_RATIO * scaled_misfit(corrected), 0.5 * scaled_misfit(recorded)):
         return findings
     look = Advice("look", "drive bends of different speed and radius, which separate the two")
@@ -286,7 +286,7 @@ def _without_causes(motion: Motion, found: dict[str, Estimate]) -> Motion:
               "velocity_y": motion.velocity_y * scale - value["velocity_y_bias"]}
     for cause in {"position_lag", "velocity_lag"} & found.keys():
         fields |= {name: np.interp(time + value[cause], time, fields[name]) for name in CHANNELS[cause]}
-    return motion.with_(**fields)
+    return replace(motion, **fields)
 
 
 def distance_panel(motion: Motion, removed: Mapping[str, float]) -> Identity:

@@ -1,6 +1,7 @@
 """Sampling of a recording: stamps, gaps, repeated, frozen and rounded values; the noise of each channel."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -313,8 +314,8 @@ def without_frozen_samples(motion: Motion, findings: Sequence[Finding]) -> Motio
             time = motion.steering_time if steering else motion.time
             keep = ~np.any([(time >= begin) & (time <= end) for begin, end in finding.where], axis=0)
             if keep.sum() > 0.5 * len(keep):
-                motion = motion.where(keep) if not steering else motion.with_(
-                    steering_time=time[keep], steering=motion.steering[keep])
+                motion = motion.where(keep) if not steering else replace(
+                    motion, steering_time=time[keep], steering=motion.steering[keep])
     return motion
 
 

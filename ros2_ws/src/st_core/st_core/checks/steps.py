@@ -7,6 +7,7 @@ fresh one is a step forward by as much.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -37,7 +38,7 @@ def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
     if jitter:
         edges = np.concatenate(([0], np.flatnonzero(np.diff(motion.time) > MAX_GAP) + 1, [len(motion.time)]))
         even = [np.linspace(motion.time[a], motion.time[b - 1], b - a) for a, b in pairwise(edges)]
-        return motion.with_(time=np.concatenate(even)), jitter
+        return replace(motion, time=np.concatenate(even)), jitter
     rounding = max(resolution(motion.time, motion.x), resolution(motion.time, motion.y))
     stale, findings = _check_stale(motion, errors, along, rounding)
     findings += _check_jumps(motion, errors, stale, rounding)

@@ -162,7 +162,7 @@ def _correct_north_east(motion: Motion) -> Corrected:
     votes = [_common_sign(motion.steering_at_ins() * motion.velocity_x, turn)]
     if motion.acceleration_y is not None:
         votes.append(_common_sign(motion.acceleration_y, turn))
-    original, mirrored = _misfit(motion), _misfit(motion.with_(velocity_y=-motion.velocity_y))
+    original, mirrored = _misfit(motion), _misfit(replace(motion, velocity_y=-motion.velocity_y))
     votes.append(int(mirrored < CLEAR_MISFIT_RATIO * original) - int(original < CLEAR_MISFIT_RATIO * mirrored))
     if sum(votes) <= 0:
         return motion, None
@@ -170,7 +170,7 @@ def _correct_north_east(motion: Motion) -> Corrected:
             "x is east, y north, and yaw from east, counter-clockwise")
     entry = {"columns": {"x": "y", "y": "x"}, "correct": {"yaw": {"scale": -1.0, "add": np.pi / 2}}}
     line = f"columns: {{x: y, y: x}}  # and correct: {{yaw: {{scale: -1, add: {np.pi / 2:g}}}}}"
-    return motion.with_(x=motion.y, y=motion.x, yaw=np.pi / 2 - motion.yaw), _error(
+    return replace(motion, x=motion.y, y=motion.x, yaw=np.pi / 2 - motion.yaw), _error(
         "position_axes", ("x", "y", "yaw"), text, None, Advice("run.yaml", line, entry))
 
 
@@ -191,7 +191,7 @@ def _positions_follow_yaw(motion: Motion) -> bool:
     if len(over) < MIN_WINDOWS or not np.ptp(motion.yaw) > MIN_YAW_RANGE:
         return False
     factor = float(np.sum(distance) / max(np.sum(integrated), 1e-12))
-    scaled = motion.with_(velocity_x=factor * motion.velocity_x, velocity_y=factor * motion.velocity_y)
+    scaled = replace(motion, velocity_x=factor * motion.velocity_x, velocity_y=factor * motion.velocity_y)
     return _misfit(scaled) < MAX_FOLLOW_MISFIT * float(np.median(distance))
 
 
@@ -201,7 +201,7 @@ def _scale_yaw_rate(motion: Motion, factor: float, against: str = "yaw", size: f
     reason = (f": {ANGLES[size].replace('degrees', 'deg')}/s?" if size in ANGLES else
               ": it has the opposite sign (left is positive)" if exact == -1.0 else "")
     text = f"yaw_rate is {factor:.3g} times the rate of change of {against}{reason}"
-    return (motion.with_(yaw_rate=motion.yaw_rate / exact),
+    return (replace(motion, yaw_rate=motion.yaw_rate / exact),
             _error("yaw_rate_scale", ("yaw_rate",), text, factor, Advice.correct("yaw_rate", scale=1.0 / exact)))
 
 
@@ -210,12 +210,12 @@ def _scale_yaw(motion: Motion, factor: float) -> tuple[Motion, Finding]:
     if factor > 0.0:
         text = (f"yaw is {factor:.3g} times the angle from yaw rate and course"
                 + (f": {ANGLES[size]}?" if size in ANGLES else ""))
-        corrected = motion.with_(yaw=_without_wraps(motion, motion.yaw / size))
+        corrected = replace(motion, yaw=_without_wraps(motion, motion.yaw / size))
         return corrected, _error("yaw_scale", ("yaw",), text, factor, Advice.correct("yaw", scale=1.0 / size))
     unit = f" in {ANGLES[size]}" if size in ANGLES else ""
     text = f"yaw counts clockwise{unit}: a compass heading from north? Yaw is from east, counter-clockwise"
     scale = -1.0 / size
-    corrected = motion.with_(yaw=_without_wraps(motion, scale * motion.yaw + np.pi / 2))
+    corrected = replace(motion, yaw=_without_wraps(motion, scale * motion.yaw + np.pi / 2))
     advice = Advice.correct("yaw", scale=scale, add=np.pi / 2)
     return corrected, _error("yaw_convention", ("yaw",), text, factor, advice)
 
@@ -254,9 +254,9 @@ def _correct_position_axes(motion: Motion) -> Corrected:
     }
     text, x, y, entry = axes[quarter]
     line = "  # and ".join(f"{name}: {value}" for name, value in entry.items()).replace("'", "")
-    return motion.with_(x=x, y=y), _error("position_axes", ("x", "y"),
-                                          f"positions turn the other way than the car: {text}", None,
-                                          Advice("run.yaml", line, entry))
+    return replace(motion, x=x, y=y), _error(
+        "position_axes", ("x", "y"), f"positions turn the other way than the car: {text}", None,
+        Advice("run.yaml", line, entry))
 
 
 def _correct_distance(motion: Motion) -> Corrected:
@@ -267,18 +267,18 @@ def _correct_distance(motion: Motion) -> Corrected:
     speed, length = match_unit(1.0 / r.distance, SPEEDS), match_unit(r.distance, LENGTHS)
     if length and not speed:
         text = f"x and y are {r.distance:.4g} times the integrated velocity: {LENGTHS[length]}?"
-        return motion.with_(x=motion.x / length, y=motion.y / length), _error(
+        return replace(motion, x=motion.x / length, y=motion.y / length), _error(
             "position_scale", ("x", "y"), text, r.distance, Advice.correct("position", scale=1.0 / length))
     if not speed and r.distance < MAX_DEGREE_RATIO:
         text = (f"x and y are {r.distance:.3g} times the integrated velocity: latitude and longitude? Metres are "
                 "expected")
         advice = Advice("look", "project latitude and longitude to east and north")
-        return motion.with_(x=motion.x / r.distance, y=motion.y / r.distance), _error(
+        return replace(motion, x=motion.x / r.distance, y=motion.y / r.distance), _error(
             "position_scale", ("x", "y"), text, r.distance, advice)
     factor = speed or 1.0 / r.distance
     unit = f": {SPEEDS[speed]}?" if speed else ""
-    both = motion.with_(velocity_x=motion.velocity_x / factor, velocity_y=motion.velocity_y / factor)
-    forward = motion.with_(velocity_x=motion.velocity_x / factor)
+    both = replace(motion, velocity_x=motion.velocity_x / factor, velocity_y=motion.velocity_y / factor)
+    forward = replace(motion, velocity_x=motion.velocity_x / factor)
     forward_only = _misfit(forward) < TIE_MISFIT_RATIO * _misfit(both)
     name, channel = ("velocity_x_scale", "velocity_x") if forward_only else ("velocity_scale", "velocity")
     channels = ("velocity_x",) if forward_only else ("velocity_x", "velocity_y")
@@ -309,7 +309,7 @@ def _correct_velocity_axes(motion: Motion) -> Corrected:
     if len(over) < MIN_WINDOWS:
         return motion, None
     distance, unchanged = float(np.median(np.abs(measured))), _misfit(motion)
-    swapped = motion.with_(velocity_x=motion.velocity_y, velocity_y=motion.velocity_x)
+    swapped = replace(motion, velocity_x=motion.velocity_y, velocity_y=motion.velocity_x)
     max_misfit = MAX_MAP_MISFIT * distance  # of velocities in the right frame
     misfit = float(np.median(np.abs(measured - of_map)))
     if np.ptp(motion.yaw) > MIN_YAW_RANGE and misfit <= max_misfit and misfit < MAX_MAP_MISFIT * unchanged:
@@ -317,7 +317,7 @@ def _correct_velocity_axes(motion: Motion) -> Corrected:
         text = "velocity_x and velocity_y are in the map frame, east and north: the body frame is expected"
         advice = Advice("look", "rotate them by yaw: velocity_x = cos(yaw) east + sin(yaw) north, "
                         "velocity_y = cos(yaw) north - sin(yaw) east")
-        motion = motion.with_(velocity_x=body.real, velocity_y=body.imag)
+        motion = replace(motion, velocity_x=body.real, velocity_y=body.imag)
     elif distance > 0.0 and moves_sideways(motion) and float(
             np.median(np.abs(measured - _displacements(swapped, *swapped.velocity_map)[2]))) <= max_misfit:
         text = "velocity_x and velocity_y are exchanged (x is forward, y left)"
@@ -338,7 +338,7 @@ def _correct_yaw_offset(motion: Motion) -> Corrected:
     angle = float(np.angle(total))
     quarter = np.round(angle / (np.pi / 2)) * np.pi / 2
     if abs(quarter) == np.pi and np.median(motion.velocity_x) < 0.0:  # a whole drive in reverse is rarer than a sign
-        return motion.with_(velocity_x=-motion.velocity_x), _error(
+        return replace(motion, velocity_x=-motion.velocity_x), _error(
             "velocity_x_scale", ("velocity_x",), "velocity_x has the opposite sign (forward is positive)", -1.0,
             Advice.correct("velocity_x", scale=-1.0))
     exact = quarter if abs(angle - quarter) < 0.1 else angle
@@ -348,4 +348,4 @@ def _correct_yaw_offset(motion: Motion) -> Corrected:
     reason = turns.get(round(exact / (np.pi / 2), 3), "")
     text = f"yaw is {angle:+.2f} rad ({angle * DEGREE:+.0f} deg) off the direction in which positions move{reason}"
     finding = replace(_error("yaw_offset", ("yaw",), text, angle, Advice.correct("yaw", add=-float(exact))), unit="rad")
-    return motion.with_(yaw=motion.yaw - exact), finding
+    return replace(motion, yaw=motion.yaw - exact), finding

@@ -1,4 +1,4 @@
-"""Axle forces under an answer: force curves over the driven slip, combinations of parameters, measured forces."""
+"""Axle forces in the model of an answer: force curves over the driven slip, measured forces, parameter combinations."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -27,9 +27,9 @@ GAIN_SPEED = 20.0  # m/s, of the steady-state yaw gain
 
 
 class Axles:
-    """Both axles under an answer. unexplained: residual over the noise, which widens bands and intervals. near: vectors
-    of sets that fit nearly as well; the band extends to their curves. Raises StCoreError for a base model without
-    tyres, or drives without slip."""
+    """Forces of both axles in the model of an answer. unexplained: residual over the noise, which widens bands and
+    intervals. near: vectors of sets that fit nearly as well; the band extends to their curves. Raises StCoreError for a
+    base model without tyres, or drives without slip."""
 
     def __init__(self, problem: Problem, fit: Fit, joint: Joint | None, runs: Sequence[DriveLog],
                  vehicle: VehicleParameters, unexplained: float, near: Sequence[np.ndarray] = ()):

@@ -323,7 +323,7 @@ class _Analysis:
 
     def _axles(self, found: Found, all_free: Joint | None,
                unexplained: float) -> tuple[Axles | None, tuple[ForceCurve, ...], tuple[Combination, ...]]:
-        """(axle forces under the answer, force curves, combinations); empty for a base without tyres, driving without
+        """(axle forces of the answer, force curves, combinations); empty for a base without tyres, driving without
         slip, or values so uncertain that they exceed the limits of a vehicle file."""
         base = self.space.at(self.problem.start)
         try:

@@ -84,7 +84,7 @@ class Evidence:
 
 
 def share_of(gain: float) -> float:
-    """1 - exp(-gain); negative where errors grow."""
+    """Relative reduction of the size of the errors [1], 1 - exp(-gain); negative where errors grow."""
     return -float(np.expm1(-gain))
 
 

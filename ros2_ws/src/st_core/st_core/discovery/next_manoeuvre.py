@@ -30,7 +30,7 @@ PERIOD = STEP / 2  # s, of the simulated log
 LEAD_TIME = 4.0  # s before a manoeuvre, in which the steering reaches its first angle
 
 Catalogue = Mapping[str, np.ndarray]
-"""By manoeuvre, (p, p) curvature that it adds to the loss."""
+"""Curvature (p, p) that a manoeuvre adds to the loss, by its name."""
 
 
 def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameters) -> DriveLog:
@@ -87,7 +87,7 @@ def simulated(windows: Windows, base: Model) -> Iterator[tuple[Manoeuvre, Window
 
 
 def catalogue(problem: Problem, fit: Fit) -> Catalogue:
-    """Every manoeuvre at the values of a fit, driven REPETITIONS times."""
+    """Curvatures at the values of a fit, each manoeuvre driven REPETITIONS times."""
     space, result = problem.space, {}
     for manoeuvre, driven in simulated(problem.errors.windows, space.model.base):
         loss = Loss(Errors(driven, space, problem.errors.threads), fit.vector)
@@ -100,8 +100,8 @@ def catalogue(problem: Problem, fit: Fit) -> Catalogue:
 
 def separation(h: np.ndarray, problem: Problem, others: Sequence[str], first: str, second: str, values: np.ndarray,
                design_effect: float) -> tuple[float, float]:
-    """(cosine of the effects on the errors, part of `first` that `second` does not explain [standard deviations]) under
-    a curvature. others: effects in the fit besides `first`. values: (p,) distance from null [usual sizes]."""
+    """(cosine of the effects on the errors, part of `first` that `second` does not explain [standard deviations]) for
+    a curvature h (p, p). others: effects in the fit besides `first`. values: (p,) distance from null [usual sizes]."""
     indices, other_indices = problem.space.indices(first), problem.space.indices(second)
     free = np.setdiff1d(problem.free_indices((*others, second)), indices)
     d = values[indices]

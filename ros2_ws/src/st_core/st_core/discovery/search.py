@@ -96,8 +96,8 @@ class Search:
             vector = self._upper_end(fit, other)
             if np.abs(p.distance(vector))[p.space.indices(other)].max() < self.limits.min_relative_size:
                 continue
-            own = p.space.indices(*(n for n in names if n in twins_of(other)))
-            nearer = own[np.abs(vector - p.start)[own] < np.abs(found.fit.vector - p.start)[own]]
+            twins = p.space.indices(*(n for n in names if n in twins_of(other)))
+            nearer = twins[np.abs(vector - p.start)[twins] < np.abs(found.fit.vector - p.start)[twins]]
             for name in {p.space.free[i].effect for i in nearer}:
                 e = self._evidence(found.without.get(name, found.fit), fit, other, found.scores)
                 rival = Rival(other, name, 1.0, no_worse(fit.held_out - found.fit.held_out), 0.0, e,

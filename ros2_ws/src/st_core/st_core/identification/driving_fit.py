@@ -137,8 +137,8 @@ class _LimitedWindows(Windows):
 
 @dataclass(frozen=True, eq=False)
 class DrivingFit:
-    """names and their values (p,) [SI]; spread: their covariance over blocks of driving. at_bound: names that stopped
-    there. slopes: (p, q) change of each value [SI] with each parameter of the fit; hessian: (q, q) half the second
+    """names and their values (p,) [SI]; spread: their covariance over blocks of driving. at_bound: names of values
+    at a bound. slopes: (p, q) change of each value [SI] with each parameter of the fit; hessian: (q, q) half the second
     derivative of the loss in these parameters.
 
     residuals: (n, c) predicted minus measured, columns as `columns` [SI], with run_of (n,) and time (n,) [s].

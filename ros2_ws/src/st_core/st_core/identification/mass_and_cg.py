@@ -41,7 +41,7 @@ class Weighings:
 
 
 def mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncertainty: float = 0.0) -> Identification:
-    """Estimates of mass [kg] and cg_to_front_axle [m], of the loading most weighings have (the first of equals).
+    """Estimates of mass [kg] and cg_to_front_axle [m], of the most frequent loading (the first one in a tie).
 
     wheelbase [m] with its standard uncertainty [m]. Weighings with another loading are rejected.
     Raises IdentificationError, with the numbers, for readings impossible for a car: missing, negative, swapped.
