@@ -1,6 +1,7 @@
 """All checks of one recording, ordered so that one fault gives one finding."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -60,7 +61,8 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
     broken = broken_channels(implausible)
     if broken & {*INS_SIGNALS}:  # every comparison with a broken channel would fail as well
         return Checked(_ordered([*findings, *sampling.find_stuck_channels(motion, channels)]), channels, ())
-    motion = replace(motion, **dict.fromkeys(broken & {"acceleration_x", "acceleration_y"}, None))
+    unusable: dict[str, Any] = dict.fromkeys(broken & {"acceleration_x", "acceleration_y"})
+    motion = replace(motion, **unusable)
     stuck = sampling.find_stuck_channels(motion, channels)
     recorded = motion
     motion, gross = _correct_units_without_lag(sampling.without_frozen_samples(motion, stuck))
