@@ -1,7 +1,6 @@
 """All checks of one recording, ordered so that one fault gives one finding."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -61,8 +60,8 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
     broken = broken_channels(implausible)
     if broken & {*INS_SIGNALS}:  # every comparison with a broken channel would fail as well
         return Checked(_ordered([*findings, *sampling.find_stuck_channels(motion, channels)]), channels, ())
-    unusable: dict[str, Any] = dict.fromkeys(broken & {"acceleration_x", "acceleration_y"})
-    motion = replace(motion, **unusable)
+    motion = replace(motion, acceleration_x=None if "acceleration_x" in broken else motion.acceleration_x,
+                     acceleration_y=None if "acceleration_y" in broken else motion.acceleration_y)
     stuck = sampling.find_stuck_channels(motion, channels)
     recorded = motion
     motion, gross = _correct_units_without_lag(sampling.without_frozen_samples(motion, stuck))
@@ -71,10 +70,8 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
     findings += stuck + rounded
     coarse = {channel for finding in rounded for channel in finding.channels}
     # The derivative of a coarse channel is mostly rounding.
-    if coarse & {"velocity_x"}:
-        motion = replace(motion, acceleration_x=None)
-    if coarse & {"velocity_y", "yaw_rate"}:
-        motion = replace(motion, acceleration_y=None)
+    motion = replace(motion, acceleration_x=None if "velocity_x" in coarse else motion.acceleration_x,
+                     acceleration_y=None if coarse & {"velocity_y", "yaw_rate"} else motion.acceleration_y)
     if not any(finding.name == "samples_repeated" and {"x", "y"} & {*finding.channels} for finding in stuck):
         motion, steps = check_position_steps(motion)  # held positions always step
         findings += steps
