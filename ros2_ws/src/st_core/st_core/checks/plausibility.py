@@ -298,7 +298,7 @@ def _finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
             + ", which its neighbours exclude",
         "sentinel_values": f"{channel.name} is {shown} {when} ({count}): "
                            + ("0 while the car moves" if value == 0.0 else "a code for a missing measurement"),
-        "out_of_range": f"{channel.name} reaches {shown} {when} ({count}), beyond any road car",
+        "out_of_range": f"{channel.name} reaches {shown} {when} ({count}), beyond the range of road cars",
         "channel_wraps": f"{channel.name} wraps around at ±{np.abs(channel.values).max():.4g} {unit} "
                          f"{when} ({count}): its signal is too short for the values of this drive",
         "channel_jumps": f"{channel.name} jumps {len(samples)} time{'s' if len(samples) > 1 else ''} by up to "

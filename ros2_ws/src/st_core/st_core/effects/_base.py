@@ -270,7 +270,7 @@ def _wrong_names(effect: type[Effect]) -> Iterator[str]:
         yield "members must name two other effects or more"
     names = [p.name for p in effect.parameters]
     if len(set(names)) != len(names) or "car" in names:
-        yield f"parameters {', '.join(names)}: a name is taken twice, or is car"
+        yield f"parameters {', '.join(names)}: a name is used twice, or is car"
 
 
 def _wrong_pairs(effect: type[Effect]) -> Iterator[str]:
@@ -279,7 +279,7 @@ def _wrong_pairs(effect: type[Effect]) -> Iterator[str]:
     if effect.extra_units and len(effect.extra_units) != len(effect.extra_states):
         yield "extra_units and extra_states differ in number"
     if bool(effect.prepared) != (effect.prepare is not None):
-        yield "prepare and prepared, the names of what it returns, go together"
+        yield "prepare and prepared (the names of its results) go together"
     if (effect.observe is None) != (effect.correct is None):
         yield "observe and correct go together"
 

@@ -23,7 +23,7 @@ def displaced(m, shift, speed):
 class SensorRoll(Effect):
     name = "sensor_roll"
     physics = "INS point moves shift a_y to the outside of the bend as the body rolls; v_y there - shift v_x r_dot"
-    excited_by = "sweeps and bends taken briskly: v_y of the INS jumps as a bend begins"
+    excited_by = "sweeps and quickly entered bends: v_y of the INS has a step at their beginning"
     kind, slot = "sensors", "position"
     twins = ("yaw_inertia", "tyre_relaxation")
     needs = ("velocity_y",)

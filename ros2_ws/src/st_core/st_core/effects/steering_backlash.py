@@ -37,8 +37,8 @@ def clamp(earlier: Maps, later: Maps) -> Maps:
 @register
 class SteeringBacklash(Effect):
     name = "steering_backlash"
-    physics = "delta stays until delta_measured leaves delta +- play / 2, then is dragged along"
-    excited_by = "small steering reversals around straight ahead; large amplitudes hide it"
+    physics = "delta stays until delta_measured leaves delta +- play / 2, then follows it at that distance"
+    excited_by = "small steering reversals around straight ahead; not observable at large amplitudes"
     kind, slot = "physics", "steering"
     twins = ("steering_delay", "steering_lag", "steering_ratio")
     applies_to = ANY

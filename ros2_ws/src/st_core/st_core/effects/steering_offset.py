@@ -9,7 +9,7 @@ from ._base import ANY, Effect, Parameter, register
 class SteeringOffset(Effect):
     name = "steering_offset"
     physics = "delta = delta_measured + angle, of the sensor or of the linkage"
-    excited_by = "any driving, straight too; two speeds separate it from wind, as its yaw rate grows with speed"
+    excited_by = "any driving, also straight; two speeds separate it from wind, as its yaw rate grows with speed"
     kind, slot = "vehicle parameters", "steering"
     twins = ("crosswind", "road_bank", "heading_misalignment")
     applies_to = ANY

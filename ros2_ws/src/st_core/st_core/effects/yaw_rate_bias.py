@@ -7,7 +7,7 @@ from ._base import Effect, Parameter, register
 class YawRateBias(Effect):
     name = "yaw_rate_bias"
     physics = "measured r = r + bias; the heading of the INS is unchanged"
-    excited_by = "any driving, straight too, with the heading measured"
+    excited_by = "any driving, also straight, with measured heading"
     kind, slot = "sensors", "yaw rate"
     needs = ("yaw_rate",)
     twins = ("steering_offset", "crosswind")

@@ -59,7 +59,7 @@ def mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncertainty: f
     n, mass, front = len(chosen), float(masses.mean()), float(distances.mean())
     if np.ptp(masses) > MAX_SCATTER * mass:
         raise IdentificationError(f"the weighings of one loading differ by {np.ptp(masses):.1f} kg of {mass:.1f} kg: "
-                                  "not the same car; weigh again, or note what was in it")
+                                  "not the same car; weigh again, or note its loading")
     scatter = np.cov(masses, distances) / n if n > 1 else np.zeros((2, 2))
     covariance = scatter + _scale_covariance(weighings.scale_uncertainty, mass, front, wheelbase, wheelbase_uncertainty)
     spreads = np.sqrt(np.diag(covariance)).tolist()

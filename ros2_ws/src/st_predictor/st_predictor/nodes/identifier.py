@@ -46,7 +46,7 @@ class IdentifierNode(Node):
         steady_timer(self, DRAIN_PERIOD, self._drain)
         steady_timer(self, PUBLISH_PERIOD, self._publish)
         self._diagnostics = Diagnostics(self, vehicle.name, self._checks)
-        self.get_logger().info(f"tracks {', '.join(NAMES)} of {vehicle.name}; nothing is applied")
+        self.get_logger().info(f"estimates {', '.join(NAMES)} of {vehicle.name}; values are not applied")
 
     def _drain(self) -> None:
         for message, _, _ in self._odometry.take(QUEUE_DEPTH):
