@@ -78,7 +78,7 @@ def test_a_complete_effect_is_taken():
     ({"members": ("trial", "friction")}, "effect trial: members must name two other effects or more"),
     ({"inputs": None, "fold": staticmethod(lambda vehicle, theta: vehicle)}, "it has no hook"),
     ({"parameters": ()}, "effect trial: no parameter that can be fitted"),
-    ({"parameters": (GAIN, GAIN)}, "a name is taken twice"),
+    ({"parameters": (GAIN, GAIN)}, "a name is used twice"),
     ({"applies_to": frozenset(("bicycle",))}, "applies_to must name some of kinematic, linear, nonlinear"),
     ({"extra_states": ("z",)}, "extra_states and rates go together"),
     ({"prepared": ("z",)}, "go together"),
