@@ -7,6 +7,7 @@ from statistics import median
 
 from . import channels, ncom
 from .channels import TRIGGER_CHANNELS, Value
+from .ncom import Counters, Packet, Rule, decode_unchecked, inner_checksums_match, is_valid_position, next_packet
 from .packet_time import DUPLICATE, LAST_MINUTE, LATE, MINUTE_MS, NEW, SAME, GpsClock, host_minute, unix_nanoseconds
 
 _NO_VECTOR = (ncom.NAN, ncom.NAN, ncom.NAN)
@@ -30,12 +31,12 @@ class Received:
     received_ns: host time of receipt [ns since 1970], as given to feed().
     """
 
-    packet: ncom.Packet
+    packet: Packet
     raw: bytes
     fields: Mapping[str, Value]
     offset: int
     kind: str
-    rule: ncom.Rule
+    rule: Rule
     gps_ns: int | None
     utc_ns: int | None
     order: int
@@ -47,7 +48,7 @@ class NcomParser:
 
     def __init__(self) -> None:
         self.clock = GpsClock()
-        self.counters = ncom.Counters()
+        self.counters = Counters()
         self.utc_offset: int | None = None
         self._tail = b""
         self._consumed = 0  # bytes of the stream before the tail
@@ -69,17 +70,17 @@ class NcomParser:
     def feed(self, data: bytes, received_ns: int | None = None) -> list[Received]:
         """All packets completed by these bytes, in order; received_ns: host time of their receipt [ns since 1970]."""
         buffer = self._tail + data if self._tail else bytes(data)
-        size = len(buffer)
+        size, packet_size = len(buffer), ncom.PACKET_SIZE
         packets: list[Received] = []
         at = 0
         while True:
-            at, self._in_sync = ncom.next_packet(buffer, at, self._in_sync, self.counters)
-            if size - at < ncom.PACKET_SIZE:
+            at, self._in_sync = next_packet(buffer, at, self._in_sync, self.counters)
+            if size - at < packet_size:
                 break
-            received = self._accept(buffer[at : at + ncom.PACKET_SIZE], self._consumed + at, received_ns)
+            received = self._accept(buffer[at : at + packet_size], self._consumed + at, received_ns)
             if received is not None:
                 packets.append(received)
-            at += ncom.PACKET_SIZE
+            at += packet_size
         self._tail = buffer[at:]
         self._consumed += at
         return packets
@@ -91,10 +92,10 @@ class NcomParser:
         if status == ncom.STRUCTURE_B:
             counters.structure_b += 1
             return None
-        if not ncom.inner_checksums_match(raw):
+        if not inner_checksums_match(raw):
             counters.inner_checksum_warnings += 1
         rule = ncom.BY_STATUS[status]
-        packet = ncom.decode_unchecked(raw)
+        packet = decode_unchecked(raw)
         kind, order = rule.kind, NEW
         gps_ns: int | None = None
         fields, minute = self._decode_status(packet, status) if rule.status else (_NO_FIELDS, None)
@@ -112,8 +113,7 @@ class NcomParser:
         utc_ns = None if gps_ns is None else unix_nanoseconds(gps_ns, self.utc_offset)
         return Received(packet, raw, fields, offset, kind, rule, gps_ns, utc_ns, order, received_ns)
 
-    def _time(self, packet: ncom.Packet, raw: bytes, minute: int | None,
-              received_ns: int | None) -> tuple[int | None, int]:
+    def _time(self, packet: Packet, raw: bytes, minute: int | None, received_ns: int | None) -> tuple[int | None, int]:
         """GPS time [ns] and order of a measurement."""
         gps_ms, order = self.clock.step(packet.milliseconds, minute, received_ns)
         if order == SAME and raw == self._last_raw:
@@ -124,7 +124,7 @@ class NcomParser:
         self._last_raw = raw
         return None if gps_ms is None else gps_ms * 1_000_000, order
 
-    def _event_time(self, packet: ncom.Packet, raw: bytes) -> tuple[int | None, int]:
+    def _event_time(self, packet: Packet, raw: bytes) -> tuple[int | None, int]:
         """GPS time [ns] and order of an event; None without a time in the packet."""
         self.counters.triggers += 1
         before, self._last_trigger = self._last_trigger, raw
@@ -134,7 +134,7 @@ class NcomParser:
         self.counters.duplicates += 1
         return gps_ns, DUPLICATE
 
-    def _decode_status(self, packet: ncom.Packet, status: int) -> tuple[Mapping[str, Value], int | None]:
+    def _decode_status(self, packet: Packet, status: int) -> tuple[Mapping[str, Value], int | None]:
         """Decoded batch S, and the minute of channel 0 if this packet sets the clock."""
         channel = packet.channel
         if channel not in channels.FIELDS:
@@ -224,7 +224,7 @@ class StreamStatistics:
         return median(ordered) * 1e-9, ordered[len(ordered) // 100] * 1e-9, newest * 1e-9
 
 
-def _mask_invalid(packet: ncom.Packet, rule: ncom.Rule, kind: str) -> bool:
+def _mask_invalid(packet: Packet, rule: Rule, kind: str) -> bool:
     """Set NaN where the navigation status declares values invalid; whether the position was masked as impossible."""
     if kind == "empty" or not rule.imu:
         packet.acceleration = packet.angular_rate = _NO_VECTOR
@@ -232,7 +232,7 @@ def _mask_invalid(packet: ncom.Packet, rule: ncom.Rule, kind: str) -> bool:
         packet.latitude = packet.longitude = packet.altitude = ncom.NAN
         packet.velocity_ned = _NO_VECTOR
         packet.heading = packet.pitch = packet.roll = ncom.NAN
-    elif not ncom.is_valid_position(packet.latitude, packet.longitude, packet.altitude):
+    elif not is_valid_position(packet.latitude, packet.longitude, packet.altitude):
         packet.latitude = packet.longitude = packet.altitude = ncom.NAN
         return True
     return False

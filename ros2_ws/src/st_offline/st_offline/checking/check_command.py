@@ -79,7 +79,7 @@ def run_command(job: Job, console: Console, report_vehicle: Callable[[str], None
 
 
 def check_run(source: RunSource, job: Job) -> CheckedRun:
-    """Read and check one run. Raises one of PROBLEMS for files that cannot be read."""
+    """Read and check one run. Raises one of gate.RUN_ERRORS for files that cannot be read."""
     car, car_from = job.vehicle, job.vehicle_file
     if source.kind == "bag" and not job.given:
         car, _, car_from = configuration_of(records_of(source.where), None)

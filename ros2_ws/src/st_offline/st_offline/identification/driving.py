@@ -42,7 +42,7 @@ def draw_offset(found: Identification, output: FigureOutput) -> PageFigure:
                                         (found.estimates[1], FIT_COLOUR, "mean of windows")):
             left.axhspan(*(np.array(estimate.interval95) * DEG), color=colour, alpha=0.25, lw=0)
             left.axhline(estimate.value * DEG, color=colour, label=label)
-        left.set(xlabel="driving, s (runs one after the other, straights only)", ylabel="hand wheel when straight, deg")
+        left.set(xlabel="driving, s (runs one after the other, straights only)", ylabel="reading when straight, deg")
         left.legend(loc="best")
         right.hist(data["residual_yaw_rate"] * DEG, 40, color=MEASURED_COLOUR)
         right.set(xlabel="yaw rate simulated - measured, deg/s", ylabel="predictions")

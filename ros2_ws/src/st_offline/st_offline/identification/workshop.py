@@ -89,7 +89,7 @@ def identify_ratio(files: Sequence[Path], setup: Setup) -> tuple[Identification,
 
 
 def draw_ratio(found: Identification, output: FigureOutput) -> PageFigure:
-    """Wheel angles over the hand-wheel angle with the fitted line, and its residuals."""
+    """Wheel angles over the steering wheel angle with the fitted line, and its residuals."""
     data, estimate = found.figure, found.estimates[0]
     hand, sweeps = np.degrees(data["hand"]), np.asarray(data["sweeps"])
     with style():
@@ -100,8 +100,8 @@ def draw_ratio(found: Identification, output: FigureOutput) -> PageFigure:
         ends = np.array([hand.min(), hand.max()])
         level = float(np.degrees(np.mean(list(data["levels"].values()))))
         left.plot(ends, level + data["slope"] * ends, color=MODEL_COLOUR["augmented"],
-                  label=f"hand wheel / {estimate.value:.2f}")
-        left.set(xlabel="hand-wheel angle, deg (left +)", ylabel="wheel angle, deg (left +)")
+                  label=f"steering wheel / {estimate.value:.2f}")
+        left.set(xlabel="steering wheel angle, deg (left +)", ylabel="wheel angle, deg (left +)")
         for k, name in enumerate(dict.fromkeys(data["sweeps"])):
             row = sweeps == name
             right.plot(hand[row], np.degrees(data["residuals"][row]), "os^Dv<>P"[k % 8], color=TEXT, ms=4.5, mfc="none",
@@ -112,7 +112,7 @@ def draw_ratio(found: Identification, output: FigureOutput) -> PageFigure:
             curve = data["cubic"][0] * grid + data["cubic"][1] * grid**3
             right.plot(np.degrees(grid), np.degrees(curve), color=MODEL_COLOUR["nonlinear"], label="cubic")
         right.axhline(0.0, color=MODEL_COLOUR["augmented"])
-        right.set(xlabel="hand-wheel angle, deg (left +)", ylabel="mean wheel angle minus line, deg")
+        right.set(xlabel="steering wheel angle, deg (left +)", ylabel="mean wheel angle minus line, deg")
         handles = [pair for axes in (left, right) for pair in zip(*axes.get_legend_handles_labels(), strict=True)]
         figure.legend(*zip(*handles, strict=True), loc="outside lower left", ncols=4, fontsize=8)
         low, high = estimate.interval95

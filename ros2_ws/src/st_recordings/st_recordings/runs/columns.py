@@ -123,7 +123,7 @@ COLUMNS: Mapping[str, Channel] = {
         "road_wheel_angle delta delta_f delta_front df rwa front_wheel_angle front_steering_angle front_steer_angle "
         "steering_angle_front steer_angle_front road_steering_angle steering_angle_road wheel_angle tire_angle "
         "tyre_angle ackermann_angle radlenkwinkel")),
-    "steering_wheel_angle": Channel("angle", "of the hand wheel, left +, offset not removed", _words(
+    "steering_wheel_angle": Channel("angle", "of the steering wheel, left +, offset not removed", _words(
         "steering_wheel_angle steering_wheel steering_wheel_position steering_wheel_pos steer_wheel_angle "
         "steering_wheel_angle_iso hand_wheel_angle hand_wheel handwheel_position swa delta_h delta_hand delta_sw "
         "dm_steer_ang steer_whl_ang lenkradwinkel")),
@@ -142,7 +142,7 @@ COLUMNS: Mapping[str, Channel] = {
 
 AMBIGUOUS = {normalised(name) for name in
              _words("steering_angle steering steer steer_angle steered_angle steering_position steering_pos")}
-"""Names that some files use for the hand wheel and others for the road wheels."""
+"""Names that some files use for the steering wheel and others for the road wheels."""
 
 MAX_NAME_LENGTH = 200
 """Characters of the name of a column; a longer one means no channel."""

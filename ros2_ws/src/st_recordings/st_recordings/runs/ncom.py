@@ -120,8 +120,8 @@ def _damage_warnings(columns: file_decoder.Columns, file: Path) -> list[str]:
     other = regular & np.isin(columns.order, (packet_time.SAME, packet_time.LATE))
     if other.sum() > MAX_LOST_SHARE * regular.sum():
         count = share(int(other.sum()), int(regular.sum()), "packets")
-        notes.append(f"{file}: {count} are not later than those before, and differ from them; they were left out; of "
-                     "two units, export one (tshark -Y 'ip.src == ADDRESS')")
+        notes.append(f"{file}: {count} are not later than those before, and differ from them; they were left out; if "
+                     "two units were recorded, export one of them (tshark -Y 'ip.src == ADDRESS')")
     return notes
 
 

@@ -297,6 +297,6 @@ def steering_columns(where: Any, storage: Storage, topic: Topic, steering: Steer
         stamps.append(stamp_of(message, log_ns))
         angles.append(steering_value(where, message, steering))
     values, missing = np.array(angles), np.full(len(angles), math.nan)
-    # DriveLog.with_steering computes the angle of the road wheels from that of a hand wheel.
+    # DriveLog.with_steering computes the road wheel angle from a steering wheel angle.
     return {"header.stamp": np.array(stamps, np.int64), "road_wheel_angle": values,
             "steering_wheel_angle": values if steering.quantity == "wheel" else missing, "valid": np.isfinite(values)}
