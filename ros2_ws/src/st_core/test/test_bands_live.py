@@ -19,7 +19,7 @@ from st_core.bands import (
     steering_activity,
 )
 from st_core.bands.file import configuration_of
-from st_core.bands.live import ALTERNATIVE, HORIZONS, Coverage
+from st_core.bands.live import ALTERNATIVE_RATIO, HORIZONS, Coverage
 from st_core.evaluation import make_score
 from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings
@@ -160,7 +160,7 @@ def test_a_band_that_holds_is_not_warned_of_and_one_that_does_not_is_within_a_mi
 
 
 def test_the_evidence_is_a_likelihood_ratio_that_is_one_on_average():
-    p, q = 0.9, 0.9 * ALTERNATIVE
+    p, q = 0.9, 0.9 * ALTERNATIVE_RATIO
     assert p * (q / p) + (1 - p) * ((1 - q) / (1 - p)) == pytest.approx(1.0)
     one = Coverage()
     one.add(0, 5.0, {0.9: False})

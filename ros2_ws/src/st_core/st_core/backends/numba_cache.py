@@ -20,7 +20,7 @@ from numba.core.errors import NumbaError
 from numba.core.registry import cpu_target
 
 # Kernels not used for this time are deleted [s]; each edit of an equation creates a new one.
-KEEP = 30 * 86400.0
+KERNEL_LIFETIME = 30 * 86400.0
 
 
 def enable(kernel, fingerprint: str) -> Path | None:
@@ -83,7 +83,7 @@ def _attach(kernel, folder: Path, key: str) -> None:
 
 
 def _delete_old(base: Path) -> None:
-    limit = time.time() - KEEP
+    limit = time.time() - KERNEL_LIFETIME
     with contextlib.suppress(OSError):
         for folder in base.iterdir():
             if folder.stat().st_mtime < limit:

@@ -4,7 +4,7 @@
 operations then determines its duration, so all models are computed together.
 
 Coverage while driving is tested sequentially for being significantly below the nominal level p, against the alternative
-q = ALTERNATIVE p. Each scored window contributes its log likelihood ratio:
+q = ALTERNATIVE_RATIO p. Each scored window contributes its log likelihood ratio:
 
     l = log((1 - q) / (1 - p))  if the path left the band,   log(q / p)  if it stayed inside
     S <- max(0, S + w l),     warning from S >= log(HORIZONS)
@@ -156,7 +156,7 @@ class AdaptiveBands:
             self.counts[pair] = n + 1, {level: counts.get(level, 0) + is_inside for level, is_inside in inside.items()}
 
 
-ALTERNATIVE = 5.0 / 9.0
+ALTERNATIVE_RATIO = 5.0 / 9.0
 """Of the level: 50 % coverage of a 90 % band. Coverage above 73 %, within the variation between runs, reduces S."""
 HORIZONS = 7200.0  # ten hours at 5 s each
 END_SHARE = 0.5  # a warning ends when S has fallen to this share of its limit
@@ -188,7 +188,7 @@ class Coverage:
         before, self._last_ns = self._last_ns, start_ns
         interval = 0.0 if before is None else (start_ns - before) * NANOSECOND / horizon
         weight = min(max(interval, 0.0), 1.0)  # 0 after a jump back in time, in a replay
-        limit, q = math.log(HORIZONS), ALTERNATIVE * level
+        limit, q = math.log(HORIZONS), ALTERNATIVE_RATIO * level
         ratio = math.log(q / level) if inside[level] else math.log((1.0 - q) / (1.0 - level))
         self.evidence = min(max(self.evidence + weight * ratio, 0.0), limit)
         self.warns = self.evidence >= (END_SHARE * limit if self.warns else limit)

@@ -155,18 +155,18 @@ def agreement_panel(found: Agreement | None, tolerances: Tolerances, title: str,
         tuple(f"{tolerances.channel}_{kind}" for kind in ("scale", "bias", "lag")))
 
 
-G = 9.80665
+GRAVITY = 9.80665
 GYRO_CUTOFF, ACCELERATION_CUTOFF, SPEED_CUTOFF = 4.0, 1.5, 1.5  # Hz
 GYRO_CORRELATION = 0.9  # of two outputs of one unit; less where yaw is too coarse to be differentiated
 GYRO_SCALE = 0.02  # 1; a gyroscope's scale is known to 1 %
 GYRO_BIAS = 0.001  # rad/s; a faultless INS has half of it
 ACCELERATION_SCALE = 0.35  # 1; roll and pitch of the body change it by up to a third
 ACCELERATION_LAG = 0.12  # s; filters of accelerometers take up to 0.1 s
-LEVER = 1.5  # m between accelerometer and INS point
+ACCELEROMETER_ARM = 1.5  # m between accelerometer and INS point
 SEVERE_ACCELERATION = 0.3  # m/s^2; a road's crossfall of 2.5 % is 0.25
 SPEED_SPREAD = 0.5  # m/s; at one speed only slip and noise would be compared
 WHEEL_LAG = 0.15  # s; wheel speeds are averaged over some revolutions
-FACTORS = {1.0 / G: "g"}
+FACTORS = {1.0 / GRAVITY: "g"}
 SPEED_FACTORS = {3.6: "km/h", 2.23694: "mph", 1.0 / 3.6: "divided by 3.6 twice"}
 
 Comparison = tuple[list[Finding], dict[str, Estimate], Identity | None]
@@ -208,7 +208,8 @@ def check_accelerations(motion: Motion) -> list[Comparison]:
     time, speed = motion.time, float(np.median(np.abs(motion.velocity_x)))
     derived = {"acceleration_x": np.gradient(motion.velocity_x, time) - motion.velocity_y * motion.yaw_rate,
                "acceleration_y": np.gradient(motion.velocity_y, time) + motion.velocity_x * motion.yaw_rate}
-    lags = {"acceleration_x": ACCELERATION_LAG, "acceleration_y": max(ACCELERATION_LAG, LEVER / max(speed, MOVING))}
+    lags = {"acceleration_x": ACCELERATION_LAG,
+            "acceleration_y": max(ACCELERATION_LAG, ACCELEROMETER_ARM / max(speed, MOVING))}
     measured = {name: values for name in derived if (values := getattr(motion, name)) is not None}
 
     def compare(name: str, values: np.ndarray) -> Agreement | None:

@@ -196,7 +196,7 @@ class Effect:
 
 
 HOOKS = tuple(name for name, value in vars(Effect).items() if value is None and name != "lifts")
-PASSIVE = ("constants", "fold")
+AUXILIARY_HOOKS = ("constants", "fold")
 EQUATION_HOOKS = ("slip_angles", "axle_forces", "acceleration", "rates", "specific_force")
 EFFECTS: dict[str, type[Effect]] = {}
 UNLISTED: dict[str, type[Effect]] = {}
@@ -253,7 +253,7 @@ def _missing(effect: type[Effect]) -> Iterator[str]:
             yield f"{key} {getattr(effect, key)!r} is not one of {', '.join(known)}"
     if not any(p.fit for p in getattr(effect, "parameters", ())):
         yield "no parameter that can be fitted"
-    if effect.lifts is None and all(getattr(effect, hook) is None for hook in HOOKS if hook not in PASSIVE):
+    if effect.lifts is None and all(getattr(effect, hook) is None for hook in HOOKS if hook not in AUXILIARY_HOOKS):
         yield "it has no hook, so it changes nothing"
 
 

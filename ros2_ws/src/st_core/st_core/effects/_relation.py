@@ -23,7 +23,7 @@ INTERVALS = 5.0  # between the knots of u
 MOTION = ("steering", "acceleration_y", "acceleration_x", "speed", "yaw_rate", "north", "east", "position_x",
           "position_y")
 INPUTS = ("slip_front", "slip_rear", *MOTION)
-BY = ("steering", "acceleration_y")
+FACTOR_INPUTS = ("steering", "acceleration_y")
 TERMS = {
     "front_steer": ("rad", "of the front wheels, added to the road wheel angle"),
     "rear_steer": ("rad", "of the rear wheels, to the left +"),
@@ -102,7 +102,7 @@ def _parameters(*more: Parameter) -> tuple[Parameter, ...]:
         _constant("parity", "-1 odd, +1 even, 0 neither"),
         *(_constant(f"in_{name}", "weight in u") for name in INPUTS),
         _constant("by_one", "1: the curve itself", 1.0),
-        *(_constant(f"by_{name}", "weight in its factor") for name in BY),
+        *(_constant(f"by_{name}", "weight in its factor") for name in FACTOR_INPUTS),
         *(_constant(f"to_{name}", f"{unit} {meaning}") for name, (unit, meaning) in TERMS.items()), *more)
 
 
@@ -154,7 +154,7 @@ class LaggedRelationEffect(Effect):
     order = 90
     extra_states = ("lagging",)
     parameters = _parameters(
-        *(_constant(f"of_{name}", "weight in q") for name in BY), _constant("tau", "s, of the lag", 0.1),
+        *(_constant(f"of_{name}", "weight in q") for name in FACTOR_INPUTS), _constant("tau", "s, of the lag", 0.1),
         _constant("in_lagging", "weight of s in u"), _constant("in_rate", "weight of the rate in u"),
         _constant("by_rate", "weight of the rate in the factor"))
 

@@ -34,8 +34,8 @@ class PredictionBands:
 
     def __init__(self, values: SimpleNamespace, vehicle: VehicleParameters, file_hashes: Mapping[str, str],
                  settings: PredictionSettings, models: Sequence[Model], runners: Mapping[str, Runner]):
-        self._missing, self._text = "", ""
-        self._fixed: LiveBands | None = None
+        self._reason, self._text = "", ""
+        self._calibrated: LiveBands | None = None
         self._adaptive: AdaptiveBands | None = None
         file = params.load_bands(values)
         if file is not None:
@@ -49,8 +49,8 @@ class PredictionBands:
             self._messages = BandMessages(self._adaptive.half_widths)
             self._scorer = Evaluator(vehicle, settings, 0.0, models, runners)
         elif file is not None:
-            self._fixed = LiveBands(file, file_hashes)
-            self._messages = BandMessages(self._fixed.half_widths)
+            self._calibrated = LiveBands(file, file_hashes)
+            self._messages = BandMessages(self._calibrated.half_widths)
 
     def add_ins(self, sample: InsSample) -> None:
         """Add a measurement, by which earlier predictions are scored."""
@@ -68,14 +68,14 @@ class PredictionBands:
         """
         if self._adaptive:
             condition = conditions_now(history, time_ns) if self._text else ()  # needed by bands of a file only
-            found, self._missing = self._adaptive.issue(time_ns, condition, modes)
+            found, self._reason = self._adaptive.issue(time_ns, condition, modes)
             return {model: [band for band in bands if (model, band.mode) in found]
                     for model, bands in (self._messages.fill() if found else {}).items()}
-        if self._fixed is None:
+        if self._calibrated is None:
             return {}
         condition = conditions_now(history, time_ns)
-        self._missing = "" if self._fixed(condition) else self._fixed.describe_outside(condition)
-        return {} if self._missing else self._messages.fill()
+        self._reason = "" if self._calibrated(condition) else self._calibrated.describe_outside(condition)
+        return {} if self._reason else self._messages.fill()
 
     def observe_scores(self) -> None:
         """Adapt to the predictions whose horizon has passed; call it at every tick, also at standstill."""
@@ -93,10 +93,10 @@ class PredictionBands:
 
     def check(self) -> Check:
         """Diagnostic check of the bands."""
-        if self._missing:
-            return Check("bands", diagnostics.WARN, f"no band: {self._missing}")
-        if self._fixed:
-            levels = " and ".join(f"{100 * level:g} %" for level in self._fixed.levels)
+        if self._reason:
+            return Check("bands", diagnostics.WARN, f"no band: {self._reason}")
+        if self._calibrated:
+            levels = " and ".join(f"{100 * level:g} %" for level in self._calibrated.levels)
             return Check("bands", diagnostics.OK, f"{levels}, {self._text}")
         if self._adaptive is None:
             return Check("bands", diagnostics.OK, "off (bands_file is empty, adaptive_bands is false)")

@@ -34,7 +34,7 @@ class PublisherLock:
     def __init__(self) -> None:
         self.names: tuple[str, ...] = ()
         self.rejected = 0
-        self._several = self._mixed = False
+        self._competing = self._indistinguishable = False
         self._number: int | None = None  # of the newest message accepted
         self._accepted_at: float | None = None  # [s]
         self._others: dict[int, float] = {}  # newest number of each rejected chain -> its time [s]
@@ -42,12 +42,12 @@ class PublisherLock:
 
     def update(self, names: Sequence[str]) -> None:
         """Set the publishers. names: node name of each publisher in the graph."""
-        self.names, self._several = tuple(sorted(names)), len(names) > 1
-        self._mixed = self._mixed and self._several
+        self.names, self._competing = tuple(sorted(names)), len(names) > 1
+        self._indistinguishable = self._indistinguishable and self._competing
 
     def accept(self, number: int | None, now: float) -> bool:
         """Whether to use a message. number: assigned by its publisher, None if unknown. now: time of arrival [s]."""
-        if not self._several or self._continues_chain(number, now):
+        if not self._competing or self._continues_chain(number, now):
             self._number, self._accepted_at = number, now
             return True
         self.rejected += 1
@@ -58,12 +58,12 @@ class PublisherLock:
         return False
 
     def _continues_chain(self, number: int | None, now: float) -> bool:
-        if self._mixed or number is None or self._number is None or self._accepted_at is None:
+        if self._indistinguishable or number is None or self._number is None or self._accepted_at is None:
             return False
         self._others = {newest: at for newest, at in self._others.items() if now - at < SILENCE_TIMEOUT}
         if number == self._number + 1:
-            self._mixed = self._number in self._others
-            return not self._mixed
+            self._indistinguishable = self._number in self._others
+            return not self._indistinguishable
         if now - self._accepted_at <= SILENCE_TIMEOUT:
             return False
         # Messages were lost, or the node was restarted while the killed one is still in the graph.
@@ -78,10 +78,10 @@ class PublisherLock:
         others = len(set(self.names)) > 1
         # A killed publisher stays in the graph for a while under the same name, but sends nothing.
         recent = self._rejected_at is not None and now - self._rejected_at < 10.0 * SILENCE_TIMEOUT
-        if not self._several or not (others or recent):
+        if not self._competing or not (others or recent):
             return ""
         names = ", ".join(self.names)
-        if self._mixed or self._number is None:
+        if self._indistinguishable or self._number is None:
             return f"published by {len(self.names)} nodes that cannot be distinguished, none is used: {names}"
         return f"published by {len(self.names)} nodes: {names}; only the first one is used"
 

@@ -20,8 +20,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from .. import convert, params
 from ..map_drawing import History, Path, car_outline
 
-NEWEST = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
-SCORES = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)  # those of one instant arrive together
+NEWEST_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+SCORE_QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)  # those of one instant arrive together
 LIFETIME = Duration(sec=1)  # markers of a suite that has ended disappear
 TEXT_HEIGHT, CAR_WIDTH, ERROR_WIDTH, GHOST_WIDTH, TRACK_WIDTH = 1.2, 0.15, 0.25, 0.1, 0.6  # m
 GHOST_ALPHA = 0.4
@@ -35,11 +35,11 @@ class MarkersNode(Node):
         values = parameters.declare(self, params.MARKERS)
         self._car, self._map_frame = params.load_vehicle(values), values.map_frame
         self._history = History()
-        self._odometry = PolledSubscription(self, Odometry, "ins/odometry", NEWEST)
+        self._odometry = PolledSubscription(self, Odometry, "ins/odometry", NEWEST_QOS)
         self._predictions = {
-            model: PolledSubscription(self, Prediction, f"predictor/{model}/prediction", NEWEST)
+            model: PolledSubscription(self, Prediction, f"predictor/{model}/prediction", NEWEST_QOS)
             for model in values.models}
-        self._errors = PolledSubscription(self, PredictionError, "evaluator/errors", SCORES)
+        self._errors = PolledSubscription(self, PredictionError, "evaluator/errors", SCORE_QOS)
         self._markers = self.create_publisher(MarkerArray, "view/markers", 10)
         self._bands = self.create_publisher(MarkerArray, "view/bands", 10)
         self._plots = {model: self.create_publisher(Vector3Stamped, f"view/{model}/error", 10)
