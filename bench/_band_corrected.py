@@ -21,7 +21,7 @@ def corrected(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[Veh
     sensors = pool_estimates([{name: value for name, value in check(log, vehicle).estimates.items()
                                if np.isfinite(value).all()} for log in logs])
     settings = DiscoverySettings()
-    found = discover(logs, vehicle, "nonlinear", (), settings, identities=sensors)
+    found = discover(logs, vehicle, "nonlinear", (), settings, sensor_estimates=sensors)
     request = Request("nonlinear", vehicle, "the file", vehicle.to_yaml(), settings,
                       drives=[Drive(log.name, log, {"files": {}}) for log in logs])
     files = update_vehicle(found, request)

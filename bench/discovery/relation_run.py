@@ -33,7 +33,7 @@ def run_case(case: LawCase, whole: bool = True) -> Record:
     begin = time.process_time()
     sensors = pool_estimates([{n: v for n, v in check(log, vehicle).estimates.items() if np.isfinite(v).all()}
                       for log in drives.suspect])
-    found = discover(drives.suspect, vehicle, "nonlinear", (), settings, identities=sensors)
+    found = discover(drives.suspect, vehicle, "nonlinear", (), settings, sensor_estimates=sensors)
     middle = time.process_time()
     search = find_relation(found, drives.suspect, vehicle, settings) if needs_search(found) else RelationSearch(
         None, "not searched: the residual is near the noise", {})

@@ -67,7 +67,7 @@ def answer(folder: Path, effects: Mapping[str, float], seed: int, reference: Seq
     """discovery.json of drives with these settings of the plant."""
     read = drives(write_drives(folder / "raw", effects, seed, SHORT))
     settings = DiscoverySettings(where=False)
-    found = discover(logs(read), CAR, "nonlinear", logs(reference), settings, identities=sensor_estimates(read))
+    found = discover(logs(read), CAR, "nonlinear", logs(reference), settings, sensor_estimates=sensor_estimates(read))
     out = folder / "out"
     out.mkdir()
     question = Request("nonlinear", CAR, str(LEAF), LEAF.read_text(), settings, drives=read, healthy=reference)

@@ -30,7 +30,7 @@ def answered(tmp_path_factory):
     vehicle = read_vehicle(file)
     read = read_drives(find_runs([folder / "drives"]), vehicle, ReadSettings(), 1, lambda: None)
     request = Request("nonlinear", vehicle, str(file), file.read_text(), DiscoverySettings(), drives=read)
-    found = discover([d.log for d in read], vehicle, settings=request.settings, identities=sensor_estimates(read))
+    found = discover([d.log for d in read], vehicle, settings=request.settings, sensor_estimates=sensor_estimates(read))
     return truth, found, update_vehicle(found, request)
 
 

@@ -163,7 +163,7 @@ def test_no_more_effects_than_the_limit_says(leaf):
 @pytest.mark.parametrize(("said", "outcome"), [((0.0, -3e-4, 3e-4), "unknown"), ((0.01, 0.0097, 0.0103), "named")])
 def test_sensors_have_a_say_in_what_is_a_sensor_error(leaf, said, outcome):
     found = discover(recorded(leaf, {"yaw_rate_bias": {"bias": 0.01}}, 5), leaf, settings=SETTINGS,
-                     identities={"yaw_rate_bias": said})
+                     sensor_estimates={"yaw_rate_bias": said})
     verdict = {c.name: c.verdict for c in found.candidates}["yaw_rate_bias"]
     assert found.outcome == outcome
     assert names(found) == (["yaw_rate_bias"] if outcome == "named" else [])

@@ -78,7 +78,7 @@ NOTHING = Answer([], {}, [], noise_ratio=1.0, detectable_share=0.9)
     (DENIED, SENSORS, {"chance": 0.01, "doubt": 0.05}),
     (replace(GOOD, sensors_p_value=0.3), STATED, {}),
     (HEAVY, FILE, {"deviations": 8.9, "limit": 3.0}),
-    (replace(GOOD, against_file=replace(HEAVY.against_file, deviations=2.9)), STATED, {}),
+    (replace(GOOD, against_file=replace(HEAVY.against_file, z_score=2.9)), STATED, {}),
     (EDGE, BOUND, {"distance": 0.0, "bound": LIMITS.at_bound}),
     (LOCAL, VARIES, {"differ": 1e-4, "absent": 0.2}),
     (replace(GOOD, agreement={"run": Agreement({}, 1e-4, 0.01)}), STATED, {}),  # differs, yet is everywhere
@@ -220,21 +220,21 @@ def test_another_name(rival, rule):
 
 
 def test_another_name_is_told_with_the_one_whose_place_it_takes():
-    for rival in (replace(EQUAL, instead="tyre_stiffness"), replace(WORSE, instead="tyre_stiffness")):
-        assert "instead of tyre stiffness it has 90% of that gain" in alternative(rival, LIMITS).text
+    for rival in (replace(EQUAL, replaces="tyre_stiffness"), replace(WORSE, replaces="tyre_stiffness")):
+        assert "in place of tyre stiffness it achieves 90% of its error reduction" in alternative(rival, LIMITS).text
 
 
 @pytest.mark.parametrize(("answer", "outcome", "figures"), [
-    (replace(NOTHING, stated=[GOOD, replace(GOOD, name="friction")], rivals={"mass": [EQUAL]}), "several",
+    (replace(NOTHING, named=[GOOD, replace(GOOD, name="friction")], rivals={"mass": [EQUAL]}), "several",
      {"effects": 2}),
-    (replace(NOTHING, stated=[GOOD]), "named", {}),
-    (replace(NOTHING, stated=[GOOD], rivals={"mass": [replace(EQUAL, share=0.1)]}), "named", {}),
-    (replace(NOTHING, stated=[GOOD], rivals={"friction": [EQUAL]}), "named", {}),  # of something else
-    (replace(NOTHING, stated=[GOOD], rivals={"mass": [EQUAL]}), "ambiguous", {"names": 2}),
-    (replace(NOTHING, stated=[GOOD], refused=[LOCAL], noise_ratio=9.0, detectable_share=0.1), "named", {}),
+    (replace(NOTHING, named=[GOOD]), "named", {}),
+    (replace(NOTHING, named=[GOOD], rivals={"mass": [replace(EQUAL, share=0.1)]}), "named", {}),
+    (replace(NOTHING, named=[GOOD], rivals={"friction": [EQUAL]}), "named", {}),  # of something else
+    (replace(NOTHING, named=[GOOD], rivals={"mass": [EQUAL]}), "ambiguous", {"names": 2}),
+    (replace(NOTHING, named=[GOOD], refused=[LOCAL], noise_ratio=9.0, detectable_share=0.1), "named", {}),
     (replace(NOTHING, refused=[EDGE, LOCAL], noise_ratio=9.0, detectable_share=0.1), "bound", {}),
     (replace(NOTHING, refused=[EDGE], varying_effects=1, noise_ratio=9.0, detectable_share=0.1), "bound", {}),
-    (replace(NOTHING, stated=[GOOD], varying_effects=1), "named", {}),
+    (replace(NOTHING, named=[GOOD], varying_effects=1), "named", {}),
     (replace(NOTHING, refused=[EDGE], detectable_share=0.1), "unknown", {}),
     (replace(NOTHING, refused=[DENIED], detectable_share=0.1), "unknown", {}),
     (replace(NOTHING, refused=[SMALL, LUCKY, CHEAP]), "none", {"left": 1.0}),

@@ -35,7 +35,7 @@ def test_quantity_an_effect_changes(leaf, base, effect, key, slope):
     known = known_quantities(space, leaf)[space.indices(effect)[0]]
     scale = leaf.mass if key == "mass" else 1.0
     assert known.key == key and known.slope == pytest.approx(slope * scale)
-    assert known.deviations(3.0 * known.deviation / known.slope) == pytest.approx(3.0)
+    assert known.z_score(3.0 * known.deviation / known.slope) == pytest.approx(3.0)
 
 
 def test_a_load_is_on_top_of_what_was_weighed(leaf):
@@ -49,7 +49,7 @@ def test_linear_base_lacks_all_of_the_height_and_is_not_held_to_none(leaf):
     space = Space("linear", DiscoverySettings())
     known = known_quantities(space, leaf)
     i = space.indices("longitudinal_load_transfer")[0]
-    assert known[i].deviations(leaf.cg_height) == 0.0 and known[i].deviations(-0.2) > 3.0
+    assert known[i].z_score(leaf.cg_height) == 0.0 and known[i].z_score(-0.2) > 3.0
     assert prior_deviations(known, space.scale)[i] == np.inf
 
 
@@ -72,7 +72,7 @@ def test_known_value_moves_as_far_as_its_deviation_allows():
         problem = _held(free, deviation)
         fit = problem.fit(("mass",), problem.slopes_of_all(problem.start))
         moved.append((fit.vector[i] - problem.start[i]) / problem.space.scale[i])
-        assert against_file(problem, fit, "mass").deviations == pytest.approx(moved[-1] / deviation, rel=1e-6)
+        assert against_file(problem, fit, "mass").z_score == pytest.approx(moved[-1] / deviation, rel=1e-6)
     assert moved[0] == pytest.approx(1.0, abs=0.1) and 0.0 < moved[2] < 0.1 < moved[1] < moved[0]
 
 

@@ -81,8 +81,8 @@ class Axles:
         return tuple(Combination(name, unit, float(value[i]), (low[i], high[i]), float(file[i]), changing[name])
                      for i, (name, unit) in enumerate(COMBINATIONS.items()))
 
-    def driven_shares(self) -> dict[str, float]:
-        """Force at the largest driven slip over the peak force, by axle [1]."""
+    def reached_force_ratios(self) -> dict[str, float]:
+        """Force at the largest slip in the drives over the peak force, by axle [1]."""
         found = {}
         for regression in self.regressions:
             slip = np.linspace(0.0, MAX_SLIP, 61)

@@ -18,8 +18,9 @@ class Checks:
     """Checks of an effect that need intervals and axle curves. null_outside: whether an interval excludes the null.
     crossing: parameter whose interval crosses a bound, "" for none. peak_force_share [1]: largest axle force in the
     drives over the peak force, for an effect on the peak. worse_axle: axle that the effect acts on, whose measured
-    forces fit worse with the answer than with the vehicle file; "" for none. summed: effects of the answer that add up
-    with it to one combination. objection: to the car with it, see `handling.objections`; "" for none."""
+    forces fit worse with the answer than with the vehicle file; "" for none. summed: effects of the answer whose
+    sum with it is the only identifiable quantity. objection: why the car with it would be implausible,
+    see `handling.objections`; "" for none."""
 
     null_outside: bool = True
     crossing: str = ""
@@ -31,13 +32,13 @@ class Checks:
 
 @dataclass(frozen=True)
 class Rival:
-    """An effect that could replace the effect `instead` of the answer. share [1]: ratio of its gain to that of
-    `instead`. p_no_worse [1]: p-value of the hypothesis that it is no worse. deficit [1]: difference of the gains per
-    scored error. evidence, values: of the rival in the set without `instead`. shared: it explains a part of `instead`,
-    and both are in the model."""
+    """An effect that could replace the effect `replaces` in the answer. share [1]: ratio of its gain to that of the
+    replaced effect. p_no_worse [1]: p-value of the hypothesis that it is no worse. deficit [1]: difference of the gains
+    per scored error. evidence, values: of the rival in the set without the replaced effect. shared: it explains a part
+    of the replaced effect, and both are in the model."""
 
     name: str
-    instead: str
+    replaces: str
     share: float
     p_no_worse: float
     deficit: float
@@ -49,10 +50,11 @@ class Rival:
 @dataclass(frozen=True)
 class Answer:
     """Input of `decide`. noise_ratio [1]: residual over noise. detectable_share [1]: share of the library's effects
-    that are detectable in these drives at their usual size. varying_effects: number of effects that vary over the
-    drives. combinations: names of parameter combinations that differ from the vehicle file without a named effect."""
+    that are detectable in these drives at their usual size. varying_effects: number of effects that vary between
+    parts of the drives. combinations: names of parameter combinations that differ from the vehicle file without a named
+    effect."""
 
-    stated: Sequence[Evidence]
+    named: Sequence[Evidence]
     rivals: Mapping[str, Sequence[Rival]]
     refused: Sequence[Evidence]
     noise_ratio: float
@@ -75,11 +77,11 @@ def judge(e: Evidence, limits: Limits) -> Reason:
         return Reason(SENSORS, e.name, {"chance": e.sensors_p_value, "doubt": limits.undecided_p},
                       f"its value contradicts the redundant sensors (p = {e.sensors_p_value:.2g})")
     known = e.against_file
-    if known is not None and known.deviations > limits.max_file_deviation:
-        return Reason(FILE, e.name, {"value": known.value, "file": known.file, "deviation": known.deviation,
-                                     "deviations": known.deviations, "limit": limits.max_file_deviation},
+    if known is not None and known.z_score > limits.max_file_deviation:
+        return Reason(FILE, e.name, {"value": known.value, "file": known.file, "deviation": known.standard_deviation,
+                                     "deviations": known.z_score, "limit": limits.max_file_deviation},
                       f"the best fit has {known.key} {_with_unit(known, known.value)}, the vehicle file "
-                      f"{_digits(known.file)} ± {_with_unit(known, known.deviation)}: check it; if it is "
+                      f"{_digits(known.file)} ± {_with_unit(known, known.standard_deviation)}: check it; if it is "
                       "correct, another cause has the same effect")
     if e.bound_distance < limits.at_bound:
         return Reason(BOUND, e.name, {"distance": e.bound_distance, "bound": limits.at_bound},
@@ -87,7 +89,7 @@ def judge(e: Evidence, limits: Limits) -> Reason:
     return _varying(e, limits) or Reason(
         STATED, e.name, {"gain": e.gain, "chance": e.p_value, "position": e.position},
         f"it reduces the errors by {e.share:.1%} and the position error after 5 s by {100 * e.position:.1f} cm (p = "
-        f"{e.p_value:.2g}), and does not vary significantly over the driving")
+        f"{e.p_value:.2g}), and does not vary significantly between parts of the drives")
 
 
 def correction_verdict(e: Evidence, limits: Limits) -> Reason:
@@ -97,7 +99,7 @@ def correction_verdict(e: Evidence, limits: Limits) -> Reason:
 
 
 def _varying(e: Evidence, limits: Limits) -> Reason | None:
-    """The reason to reject an effect that varies over the driving; None if it may be the same everywhere."""
+    """The reason to reject an effect that varies between parts of the drives; None if it may be the same everywhere."""
     level = varies_over(e, limits)
     if not level:
         return None
@@ -105,7 +107,7 @@ def _varying(e: Evidence, limits: Limits) -> Reason | None:
     return Reason(VARIES, e.name, {"differ": a.p_equal, "absent": a.p_absent, "doubt": limits.undecided_p,
                                    "false_alarm": limits.false_alarm},
                   f"it varies over {LEVEL_NAMES[level]} (p = {a.p_equal:.1g} for a constant value); with probability "
-                  f"{a.p_absent:.2g} it is absent or of opposite sign in a further one")
+                  f"{a.p_absent:.2g} it is absent or of opposite sign in a new part")
 
 
 def _with_unit(known: AgainstFile, number: float) -> str:
@@ -126,7 +128,7 @@ def _by_chance(e: Evidence, limits: Limits) -> Reason | None:
                       f"{limits.negligible:.1%}")
     if e.p_value > limits.false_alarm:
         return Reason(CHANCE, e.name, {"chance": e.p_value, "false_alarm": limits.false_alarm},
-                      f"it is not significant: p = {e.p_value:.2g} over the whole library")
+                      f"it is not significant: p = {e.p_value:.2g}, corrected for the number of effects tested")
     if e.gain < e.healthy_gain:
         return Reason(CHANCE, e.name, {"gain": e.gain, "healthy": e.healthy_gain},
                       f"it reduces the errors by {e.share:.1%}; differences between drives of the healthy "
@@ -185,30 +187,32 @@ def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) ->
                       "it improves predictions, but is not named")
     if checks.summed:
         others = " and ".join(checks.summed).replace("_", " ")
-        return Reason(MINOR, e.name, {"gain": e.gain}, f"the drives show only the sum of it and {others}: kept, not "
-                      "named")
+        return Reason(MINOR, e.name, {"gain": e.gain}, f"the drives show only the sum of it and {others}: kept in "
+                      "the model, not named")
     if checks.crossing:
         return Reason(MINOR, e.name, {"gain": e.gain}, f"the interval of its {checks.crossing.replace('_', ' ')} "
-                      "extends beyond the physical range: kept, not named")
+                      "extends beyond the physical range: kept in the model, not named")
     if checks.peak_force_share < limits.min_peak_force:
         return Reason(MINOR, e.name, {"driven": checks.peak_force_share, "peak": limits.min_peak_force},
                       f"the drives reach {checks.peak_force_share:.1%} of the peak force: the curve is reported up to "
                       "there, without a peak")
     if e.position < -limits.relevant_position and not by_sensors:
         return Reason(MINOR, e.name, {"position": e.position, "relevant_position": limits.relevant_position},
-                      f"without it the held-out position error is {-100 * e.position:.1f} cm smaller: kept, not named")
+                      f"without it the held-out position error is {-100 * e.position:.1f} cm smaller: kept in "
+                      "the model, not named")
     if e.noise_ratio > limits.max_noise_ratio and e.gain < limits.unexplained_share and not by_sensors:
         return Reason(MINOR, e.name, {"gain": e.gain, "left": e.noise_ratio, "limit": limits.max_noise_ratio,
                                       "unexplained_share": limits.unexplained_share},
                       f"it is significant, but reduces the errors by {e.share:.1%} only, to {e.noise_ratio:.1f} times "
-                      "the noise: it may imitate an unmodelled effect; kept, not named")
+                      "the noise: it may imitate an unmodelled effect; kept in the model, not named")
     if not checks.null_outside and not by_sensors:
         return Reason(MINOR, e.name, {"gain": e.gain}, "it reduces the errors, but other sets of effects that fit "
-                      "nearly as well do not need it: kept, not named")
+                      "nearly as well do not need it: kept in the model, not named")
     if is_relevant(e, limits):
         return Reason(STATED, e.name, _relevance(e, limits), _effect_size(e, limits))
     return Reason(MINOR, e.name, _relevance(e, limits), f"significant, but {_effect_size(e, limits)}; "
-                  f"{limits.relevant:.1%} or {100 * limits.relevant_position:.0f} cm are required: kept, not named")
+                  f"{limits.relevant:.1%} or {100 * limits.relevant_position:.0f} cm are required: kept in the "
+                  "model, not named")
 
 
 def _effect_size(e: Evidence, limits: Limits) -> str:
@@ -236,18 +240,18 @@ def varies_relevantly(e: Evidence, limits: Limits) -> bool:
 
 
 def alternative(rival: Rival, limits: Limits) -> Reason:
-    """Whether another effect is an alternative to a stated one."""
+    """Whether another effect is an alternative to an effect of the answer."""
     verdict = judge(rival.evidence, limits)
     figures = {"share": rival.share, "no_worse": rival.p_no_worse, "less": rival.deficit,
                "rival": limits.min_rival_gain, "doubt": limits.undecided_p,
                "unexplained_share": limits.unexplained_share}
     unexplained = rival.evidence.noise_ratio > limits.max_noise_ratio and rival.deficit < limits.unexplained_share
-    gain = f"instead of {rival.instead.replace('_', ' ')} it has {rival.share:.0%} of that gain"
+    gain = f"in place of {rival.replaces.replace('_', ' ')} it achieves {rival.share:.0%} of its error reduction"
     no_worse = f"p = {rival.p_no_worse:.2g} for the hypothesis that it is as good"
     if rival.share < limits.min_rival_gain or (rival.p_no_worse < limits.undecided_p and not unexplained):
         return Reason("explains less", rival.name, figures, f"{gain}; {no_worse}")
     if rival.shared:
-        gain = f"together with {rival.instead.replace('_', ' ')} it gains no more than that alone"
+        gain = f"together with {rival.replaces.replace('_', ' ')} it gains no more than that alone"
     elif verdict.rule not in (STATED, IRRELEVANT):
         return verdict
     return Reason("alternative", rival.name, figures, f"{gain}; {no_worse}")
@@ -260,11 +264,11 @@ def decide(a: Answer, limits: Limits) -> tuple[Outcome, Reason]:
 
     equal = {name: [r for r in others if alternative(r, limits).rule == "alternative"]
             for name, others in a.rivals.items()}
-    if len(a.stated) > 1:
-        return because("several", f"{len(a.stated)} effects are significant, relevant and do not vary significantly",
-                       effects=len(a.stated))
-    if a.stated:
-        name = a.stated[0].name
+    if len(a.named) > 1:
+        return because("several", f"{len(a.named)} effects are significant, relevant and do not vary significantly",
+                       effects=len(a.named))
+    if a.named:
+        name = a.named[0].name
         others = equal.get(name, [])
         if others:
             return because("ambiguous", f"{1 + len(others)} effects explain the errors equally well",
@@ -275,7 +279,8 @@ def decide(a: Answer, limits: Limits) -> tuple[Outcome, Reason]:
                        "effects that change it cannot be separated", combinations=len(a.combinations))
     verdicts = [judge(e, limits) for e in a.refused if is_relevant(e, limits)]
     if a.varying_effects or any(v.rule == VARIES for v in verdicts):
-        return because("bound", "a significant effect varies over the driving")
+        # "bound" as in bound to a run, place, time or condition; not a bound of a parameter.
+        return because("bound", "a significant effect varies between parts of the drives")
     if any(v.rule in (BOUND, SENSORS, FILE) for v in verdicts):
         return because("unknown", "errors are significant, but no effect of the library explains them within its "
                        "bounds")

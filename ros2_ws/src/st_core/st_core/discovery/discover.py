@@ -60,20 +60,20 @@ ALREADY_GIVEN = {
 
 def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
              reference: Sequence[DriveLog] = (), settings: DiscoverySettings | None = None,
-             progress: Progress | None = None, identities: Sensors | None = None, parallel: int = 1,
+             progress: Progress | None = None, sensor_estimates: Sensors | None = None, parallel: int = 1,
              clocks: Mapping[str, float] | None = None) -> Discovery:
     """Find the effects that the base model lacks to explain the runs.
 
     runs: suspect drives. vehicle: of the vehicle file, where the search starts. reference: drives of the healthy car;
-    the search then starts from the fit to them, and finds changes since then. identities: (value, low, high) by the
-    name of an estimate of `st_core.checks`, from redundant sensors. parallel: threads. clocks: standard deviation of
-    the steering clock [s] by run; without one, stamps are exact.
+    the search then starts from the fit to them, and finds changes since then. sensor_estimates: (value, low, high)
+    from redundant sensors, by the name of an estimate of `st_core.checks`. parallel: threads. clocks: standard
+    deviation of the steering clock [s] by run; without one, stamps are exact.
     progress(stage, done, total): called during the work.
 
     Raises StCoreError for runs in which nothing can be predicted, ConfigurationError for settings that do not fit the
     base. Checked by: test_discovery*.py, bench/discovery.
     """
-    return _Analysis(runs, vehicle, base, reference, settings or DiscoverySettings(), progress, identities or {},
+    return _Analysis(runs, vehicle, base, reference, settings or DiscoverySettings(), progress, sensor_estimates or {},
                      parallel, clocks or {}).result()
 
 
@@ -94,11 +94,11 @@ def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str 
     return space.at(problem.refit(fit).vector)
 
 
-class _Names(NamedTuple):
-    """The effects of an answer by verdict: stated, minor, or contradicted by the axle forces or by plausibility.
+class _JudgedEffects(NamedTuple):
+    """The effects of an answer by verdict: named, minor, or contradicted by the axle forces or by plausibility.
     leave_one_out: see `Discovery`."""
 
-    stated: tuple[FoundEffect, ...]
+    named: tuple[FoundEffect, ...]
     minor: tuple[FoundEffect, ...]
     contradicted: tuple[FoundEffect, ...]
     verdicts: dict[str, Reason]
@@ -112,7 +112,7 @@ class _Analysis:
 
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model,
                  reference: Sequence[DriveLog], settings: DiscoverySettings, progress: Progress | None,
-                 identities: Sensors, parallel: int, clocks: Mapping[str, float]):
+                 sensor_estimates: Sensors, parallel: int, clocks: Mapping[str, float]):
         self.vehicle, self.settings, self.limits = vehicle, settings, settings.limits
         self._progress, self._count = progress, 0
         self.warnings: list[str] = []
@@ -129,7 +129,7 @@ class _Analysis:
         if len(self.windows) < 3:
             raise StCoreError(f"only {len(self.windows)} predictions of {settings.horizon:g} s fit into the runs: "
                               "drive longer, above walking speed, without gaps")
-        self.sensors = self._known_by_sensors(identities)
+        self.sensors = self._known_by_sensors(sensor_estimates)
 
     def result(self) -> Discovery:
         settings, space = self.settings, self.space
@@ -141,75 +141,82 @@ class _Analysis:
         found = search.run()
         without_priors, fit = self._corrected(found, parts)
         self._tick("explaining")()
-        ends = waterfall.HorizonErrors(without_priors, settings.seed)
+        horizon_errors = waterfall.HorizonErrors(without_priors, settings.seed)
         varied = self._varying_effects(found, parts)
         floor = self._floor(by_column)
-        names = self._names(search, found, parts, floor)
-        effects = names.stated
-        steps, base = waterfall.steps(problem, found.fit, found.order, ends, parts)
-        gap, gap_named = (waterfall.gaps(ends, base, each, floor) for each in (fit, found.fit))
-        lines = waterfall.budget(problem, base, found.fit, fit, next((fit for _, fit in varied), None), ends)
+        judged = self._judged(search, found, parts, floor)
+        effects = judged.named
+        steps, base = waterfall.steps(problem, found.fit, found.order, horizon_errors, parts)
+        best_errors, named_errors = (waterfall.gaps(horizon_errors, base, each, floor) for each in (fit, found.fit))
+        lines = waterfall.budget(problem, base, found.fit, fit, next((fit for _, fit in varied), None),
+                                 horizon_errors)
         power = (certificate.measured(problem, found.fit, self.limits, settings.seed, self._tick("certifying"))
                  if settings.certify else certificate.predicted(problem, found.fit, found.scores, self.limits))
         drives, design_effect = self._catalogue(found, effects), found.scores.design_effect
-        untestable = self._untestable(found, power, names, drives)
-        residual = (gap_named["position_5s"].augmented / max(floor.get("position_5s", 0.0), 1e-9)
-                    if "position_5s" in gap_named else 1.0)
-        together = known_together(names.combinations, effects)
-        outcome, why = self._outcome(found, effects, untestable, residual, len(varied), together)
+        untestable = self._untestable(found, power, judged, drives)
+        residual = (named_errors["position_5s"].augmented / max(floor.get("position_5s", 0.0), 1e-9)
+                    if "position_5s" in named_errors else 1.0)
+        unattributed = known_together(judged.combinations, effects)
+        outcome, why = self._outcome(found, effects, untestable, residual, len(varied), unattributed)
         statements = self._where(base, floor) if settings.where else ()
         return Discovery(
-            outcome=outcome, effects=effects, minor=names.minor,
-            effective=(*names.contradicted, *self._effective(without_priors, fit, found)),
-            varying=tuple(v for v, _ in varied), steps=tuple(steps), gap=gap, gap_named=gap_named, budget=tuple(lines),
-            reasons=(why, *self._reasons(found, names.verdicts)), candidates=self._candidates(found, names.verdicts),
+            outcome=outcome, effects=effects, minor=judged.minor,
+            effective=(*judged.contradicted, *self._effective_corrections(without_priors, fit, found)),
+            varying=tuple(v for v, _ in varied), steps=tuple(steps), gap=best_errors, gap_named=named_errors,
+            budget=tuple(lines),
+            reasons=(why, *self._reasons(found, judged.verdicts)), candidates=self._candidates(found, judged.verdicts),
             where=statements, not_testable=untestable,
             next_manoeuvre=next_manoeuvre(problem, found.fit, effects, drives, design_effect) if drives else None,
             separability=separability(problem, found.fit, effects, design_effect), certificate=power,
             signature=self._residual_signature(residual, statements), runs=self._run_table(),
             start="reference" if self.reference else "vehicle file", base=space.at(base.vector),
-            model=space.at(fit.vector) if fit.names else None, named=self._named_model(found, names),
-            warnings=tuple(self.warnings), leave_one_out=names.leave_one_out, axle_curves=names.curves,
-            assumed=self._assumed(), combinations=names.combinations, clock_errors=self.clock_errors,
-            acceleration_gain=float(fit.vector[-1]), noise={c: g.augmented for c, g in gap.items()})
+            model=space.at(fit.vector) if fit.names else None, named=self._named_model(found, judged),
+            warnings=tuple(self.warnings), leave_one_out=judged.leave_one_out, axle_curves=judged.curves,
+            assumed=self._assumed(), combinations=judged.combinations, clock_errors=self.clock_errors,
+            acceleration_gain=float(fit.vector[-1]),
+            # What the best model does not explain is noise for every later comparison, whatever its cause.
+            noise={channel: error.augmented for channel, error in best_errors.items()})
 
-    def _names(self, search: Search, found: Found, parts: Mapping[str, Level], floor: Mapping[str, float]) -> _Names:
+    def _judged(self, search: Search, found: Found, parts: Mapping[str, Level],
+                floor: Mapping[str, float]) -> _JudgedEffects:
         """The effects of the search by verdict, with force curves and combinations of the axles."""
         problem = self.problem
-        all_free = joint(problem, found.fit) if problem.prior is None else None
+        # The effects of the answer fitted together with all other parameters of the library, for intervals.
+        joint_fit = joint(problem, found.fit) if problem.prior is None else None
         position = problem.position_error(problem.held_out_rows(found.fit))
         unexplained = (float(np.nanmean(position)) / max(floor["position_5s"], 1e-9)
                        if np.isfinite(position).any() else 1.0)
-        effects = [replace(self._effect(name, found, parts, all_free, unexplained),
+        effects = [replace(self._effect(name, found, parts, joint_fit, unexplained),
                            joint=search.cancelling(found.fit, name)) for name in found.order]
         leave_one_out = waterfall.leave_one_out(problem, found.fit)
-        axles, curves, combinations = self._axles(found, all_free, unexplained)
+        axles, curves, combinations = self._axles(found, joint_fit, unexplained)
         verdicts = self._verdicts(found, effects, axles, leave_one_out)
-        stated, minor, contradicted = (tuple(e for e in effects if verdicts[e.name].rule in rules) for rules in (
+        named, minor, contradicted = (tuple(e for e in effects if verdicts[e.name].rule in rules) for rules in (
             (decision.STATED,), (decision.MINOR,), (decision.FORCES, decision.IMPLAUSIBLE)))
-        return _Names(stated, minor, contradicted, verdicts, leave_one_out, curves, combinations)
+        return _JudgedEffects(named, minor, contradicted, verdicts, leave_one_out, curves, combinations)
 
-    def _named_model(self, found: Found, names: _Names) -> AugmentedModel | None:
+    def _named_model(self, found: Found, judged: _JudgedEffects) -> AugmentedModel | None:
         """The model without the contradicted effects; None if no effect was found."""
         if not found.fit.names:
             return None
-        return self.space.at(self.problem.vector_without(found.fit, *(e.name for e in names.contradicted)))
+        return self.space.at(self.problem.vector_without(found.fit, *(e.name for e in judged.contradicted)))
 
     def _outcome(self, found: Found, effects: Sequence[FoundEffect], untestable: Sequence[NotTestable], residual: float,
-                 varying_effects: int, together: Sequence[Combination]) -> tuple[Outcome, Reason]:
-        """residual [1]: ratio of the position error to the noise. varying_effects: number of effects that vary over the
-        drives. together: combinations that differ from the vehicle file without a named effect."""
+                 varying_effects: int, unattributed: Sequence[Combination]) -> tuple[Outcome, Reason]:
+        """residual [1]: ratio of the position error to the noise. varying_effects: number of effects that vary
+        between parts of the drives. unattributed: combinations that differ from the vehicle file without a named
+        effect."""
         hypotheses = self.space.hypotheses
         detectable = 1.0 - sum(n.name in hypotheses for n in untestable) / len(hypotheses)
         refused = [evidence for evidence, *_ in found.refused.values()]
-        stated = [found.evidence[e.name] for e in effects]
-        answer = decision.Answer(stated, found.rivals, refused, residual, detectable, varying_effects,
-                                 [c.name for c in together])
+        named = [found.evidence[e.name] for e in effects]
+        answer = decision.Answer(named, found.rivals, refused, residual, detectable, varying_effects,
+                                 [c.name for c in unattributed])
         return decision.decide(answer, self.limits)
 
     def _corrected(self, found: Found, parts: Mapping[str, Level]) -> tuple[Problem, Fit]:
-        """The problem and fit that predict best with the answer included, without the priors of the vehicle file. The
-        answer itself where the gain is too small, or with a reference, where parameters are free already."""
+        """The answer extended by effective corrections, (problem, fit), fitted without the priors of the vehicle file.
+        Returns the answer unchanged if the gain is too small, or with a reference: that fit has no such priors."""
         problem, scale = self.problem, self.problem.loss.scale
         if problem.prior is not None:
             return problem, found.fit
@@ -229,21 +236,21 @@ class _Analysis:
     def _problem(self) -> tuple[Problem, dict[str, float]]:
         """The problem to search, starting from the fit to the reference if there is one, and the noise by column."""
         settings, space = self.settings, self.space
-        start, prior, between, by_column = space.null, None, 0.0, noise_floor(self.windows)
+        start, prior, gain_between_drives, by_column = space.null, None, 0.0, noise_floor(self.windows)
         if self.reference:
             healthy = healthy_car(self.reference, self.vehicle, space, settings, self.threads, self._tick("reference"))
-            start, prior, between = healthy.vector, healthy.prior, healthy.gain
+            start, prior, gain_between_drives = healthy.vector, healthy.prior, healthy.gain
             # The residual of the healthy car is not a change since then.
             by_column = {c: max(by_column[c], float(v))
                          for c, v in zip(self.windows.columns, healthy.residual, strict=True)}
             by_column["position_5s"] = healthy.position
         loss = Loss(Errors(self.windows, space, self.threads), start)
         return Problem(loss, start, self.windows.block, prior,
-                       np.array([by_column[c] for c in self.windows.columns]), between,
+                       np.array([by_column[c] for c in self.windows.columns]), gain_between_drives,
                        known_quantities(space, self.vehicle) if prior is None else None), by_column
 
     def _usable(self, runs: Sequence[DriveLog], role: str) -> list[DriveLog]:
-        """The runs that are long enough, with a warning of the others."""
+        """The runs that are long enough; warns about the others."""
         needed = self.settings.horizon + 2.0 * MARGIN_NS * 1e-9 + 0.5
         short = [run.name for run in runs if run.overlap < needed]
         if short:
@@ -251,7 +258,7 @@ class _Analysis:
         return [run for run in runs if run.overlap >= needed]
 
     def _on_one_clock(self, runs: list[DriveLog], deviations: Mapping[str, float]) -> list[DriveLog]:
-        """The runs with corrected steering stamps, with a warning of runs with separate clocks."""
+        """The runs with corrected steering stamps; warns about runs with separate clocks."""
         uncertain = [s for run in runs if (s := deviations.get(run.name, 0.0)) > MAX_CLOCK_DEVIATION]
         if not uncertain:
             return runs
@@ -270,7 +277,7 @@ class _Analysis:
         return apply_clock_corrections(runs, corrections)
 
     def _channels(self, settings: DiscoverySettings) -> DiscoverySettings:
-        """The settings with the channels measured in all runs, with a warning of the others."""
+        """The settings with the channels measured in all runs; warns about the others."""
         logs = [*self.runs, *self.reference]
         left_out = [c for c in settings.channels if not all(CHANNELS[c].is_in(log) for log in logs)]
         if left_out:
@@ -278,10 +285,10 @@ class _Analysis:
                                  f"{'it' if len(left_out) == 1 else 'them'} are not searched")
         return replace(settings, channels=tuple(c for c in settings.channels if c not in left_out))
 
-    def _known_by_sensors(self, identities: Sensors) -> Sensors:
-        """The identities by "effect.parameter"."""
-        return {f"{effect}.{p.name}": identities[p.identity] for effect in self.space.hypotheses
-                for p in get_effect(effect).parameters if p.identity and p.identity in identities}
+    def _known_by_sensors(self, sensor_estimates: Sensors) -> Sensors:
+        """Estimates from redundant sensors, by "effect.parameter"."""
+        return {f"{effect}.{p.name}": sensor_estimates[p.identity] for effect in self.space.hypotheses
+                for p in get_effect(effect).parameters if p.identity and p.identity in sensor_estimates}
 
     def _warn_of_low_excitation(self) -> None:
         if len(self.runs) < 3:
@@ -302,11 +309,11 @@ class _Analysis:
 
     # Results
 
-    def _effect(self, name: str, found: Found, parts: Mapping[str, Level], all_free: Joint | None,
+    def _effect(self, name: str, found: Found, parts: Mapping[str, Level], joint_fit: Joint | None,
                 unexplained: float) -> FoundEffect:
         evidence = found.evidence[name]
         others = sorted(filter(self._is_alternative, found.rivals.get(name, ())), key=lambda r: -r.share)
-        values = waterfall.parameters(self.problem, found.fit, name, parts, found.near, all_free, unexplained)
+        values = waterfall.parameters(self.problem, found.fit, name, parts, found.near, joint_fit, unexplained)
         known = {} if self.reference else self.sensors
         parameters = {n: with_sensor_interval(p, known.get(f"{name}.{n}")) for n, p in values.items()}
         return FoundEffect(name, get_effect(name).kind, parameters, tuple(r.name for r in others), evidence.position,
@@ -321,13 +328,13 @@ class _Analysis:
                  for q in self.problem.quantities if q is not None}
         return tuple(known.values())
 
-    def _axles(self, found: Found, all_free: Joint | None,
+    def _axles(self, found: Found, joint_fit: Joint | None,
                unexplained: float) -> tuple[Axles | None, tuple[ForceCurve, ...], tuple[Combination, ...]]:
         """(axle forces of the answer, force curves, combinations); empty for a base without tyres, driving without
         slip, or values so uncertain that they exceed the limits of a vehicle file."""
         base = self.space.at(self.problem.start)
         try:
-            axles = Axles(self.problem, found.fit, all_free, self.runs, self.vehicle, unexplained,
+            axles = Axles(self.problem, found.fit, joint_fit, self.runs, self.vehicle, unexplained,
                           [vector for _, vector in found.near])
             return axles, axles.curves(base), axles.combinations(base)
         except StCoreError:
@@ -339,9 +346,9 @@ class _Analysis:
         uncertainty of the healthy car."""
         worse_axle: dict[str, str] = {}
         objection: dict[str, str] = {}
-        driven_share, names = 1.0, [e.name for e in effects]
+        reached_force_ratio, names = 1.0, [e.name for e in effects]
         if axles is not None and not self.reference:
-            driven_share = max(axles.driven_shares().values())
+            reached_force_ratio = max(axles.reached_force_ratios().values())
             for axle in axles.contradicting(self.space.at(self.space.null), leave_one_out):
                 worse_axle |= dict.fromkeys(axles.acting(axle, names), axle)
             for name in names:
@@ -349,18 +356,19 @@ class _Analysis:
                 objection[name] = next(iter(objections(alone.effective_vehicle(self.vehicle), self.vehicle)), "")
         return {e.name: decision.naming_verdict(found.evidence[e.name], self.limits, decision.Checks(
             bool(self.reference) or null_excluded(e), "" if self.reference else parameter_across_bound(e),
-            driven_share if get_effect(e.name).at_peak_force else 1.0, worse_axle.get(e.name, ""),
+            reached_force_ratio if get_effect(e.name).at_peak_force else 1.0, worse_axle.get(e.name, ""),
             _summed(e.name, names) if axles is not None else (), objection.get(e.name, ""))) for e in effects}
 
-    def _effective(self, problem: Problem, fit: Fit, found: Found) -> tuple[FoundEffect, ...]:
+    def _effective_corrections(self, problem: Problem, fit: Fit, found: Found) -> tuple[FoundEffect, ...]:
         """The effective corrections: effects of the fit that are not in the answer."""
-        ends = waterfall.HorizonErrors(problem, self.settings.seed)
+        horizon_errors = waterfall.HorizonErrors(problem, self.settings.seed)
         return tuple(FoundEffect(n, get_effect(n).kind, waterfall.parameters(problem, fit, n, {}), (),
-                                 ends.position_without(fit, n), {})
+                                 horizon_errors.position_without(fit, n), {})
                      for n in fit.names if n not in found.fit.names)
 
     def _varying_effects(self, found: Found, parts: Mapping[str, Level]) -> list[tuple[VaryingEffect, Fit | None]]:
-        """The significant effect that varies over the driving: one rejected for that, else the one that varies most."""
+        """The significant effect that varies between parts of the drives: one rejected for that, else the
+        one that varies most."""
         collected: list[tuple[VaryingEffect, Fit | None]] = []
         # An effect of the answer, or an alternative to one, is not reported as varying as well.
         rivals = [r for others in found.rivals.values() for r in others]
@@ -424,7 +432,7 @@ class _Analysis:
                                      f"it reduces the errors by {share_of(gain):.1%}; others reduce them by more, and "
                                      "were tried first")
             else:
-                verdict, gain = Reason("part of the answer", name, {}, "part of a stated effect, or contains it"), 0.0
+                verdict, gain = Reason("part of the answer", name, {}, "part of a named effect, or contains it"), 0.0
             rows.append(CandidateEffect(name, get_effect(name).kind, values, share_of(gain), verdict.rule,
                                         verdict.text))
         return tuple(sorted(rows, key=lambda c: -c.gain))
@@ -436,15 +444,15 @@ class _Analysis:
         self._tick("next drive")()
         return catalogue(self.problem, found.fit)
 
-    def _untestable(self, found: Found, power: Certificate, names: _Names,
+    def _untestable(self, found: Found, power: Certificate, judged: _JudgedEffects,
                     manoeuvres: Catalogue | None) -> tuple[NotTestable, ...]:
         """Effects that are not detectable in these drives."""
-        stated = {*(name for e in names.stated for name in (e.name, *e.alternatives)), *(e.name for e in names.minor)}
+        listed = {*(name for e in judged.named for name in (e.name, *e.alternatives)), *(e.name for e in judged.minor)}
         collected = []
         problem, scores = self.problem, found.scores
         for name in self.space.hypotheses:
             powers = [p for p in power.powers if p.effect == name]
-            if name in stated or max((p.probability for p in powers), default=0.0) >= self.limits.detection_power:
+            if name in listed or max((p.probability for p in powers), default=0.0) >= self.limits.detection_power:
                 continue
             largest = max(powers, key=lambda p: p.size)
             drive = most_informative(problem, name, manoeuvres) if manoeuvres else ""
@@ -452,7 +460,7 @@ class _Analysis:
             why = (f"in these drives it cannot be separated from {other.replace('_', ' ')}; it is visible" if other
                    else "it is visible")
             size = f"{100 * largest.size:.3g} %" if largest.unit == "1" else f"{largest.size:.3g} {largest.unit}"
-            collected.append(NotTestable(name, f"{size} of it would be detected with probability "
+            collected.append(NotTestable(name, f"a change of {size} would be detected with probability "
                                          f"{largest.probability:.2f}; {why} in {get_effect(name).excited_by}", drive))
         for name in self.space.without_signal:
             signals = ", ".join(get_effect(name).signals)
@@ -505,7 +513,7 @@ def _values(evidence: Evidence) -> dict[str, tuple[LocalEstimate, ...]]:
 
 
 def _summed(name: str, names: Sequence[str]) -> tuple[str, ...]:
-    """The other effects of an answer that add up with one to a total delay."""
+    """The other effects of an answer whose delays add to that of `name`, so that only the total is identifiable."""
     parts = [n for n in names if TOTAL_DELAY in get_effect(n).combinations]
     return tuple(n for n in parts if n != name) if name in parts else ()
 

@@ -34,15 +34,15 @@ class Agreement:
 
 @dataclass(frozen=True)
 class AgainstFile:
-    """A quantity of the vehicle file as changed by an effect. value: with the effect; file, deviation: value and
-    standard deviation of the file [unit]. deviations [1]: distance of the two in standard deviations."""
+    """A quantity of the vehicle file as changed by an effect. value: with the effect; file, standard_deviation: of
+    the file [unit]. z_score [1]: distance of the two values in standard deviations."""
 
     key: str
     unit: str
     value: float
     file: float
-    deviation: float
-    deviations: float
+    standard_deviation: float
+    z_score: float
 
 
 @dataclass(frozen=True)
@@ -266,8 +266,8 @@ def against_file(problem: Problem, fit: Fit, effect: str) -> AgainstFile | None:
         known, change = problem.quantities[i], float(fit.vector[i] - problem.space.null[i])
         if known is not None:
             found.append(AgainstFile(known.key, known.unit, known.at(change), known.value, known.deviation,
-                                     known.deviations(change)))
-    return max(found, key=lambda a: a.deviations, default=None)
+                                     known.z_score(change)))
+    return max(found, key=lambda a: a.z_score, default=None)
 
 
 def sensor_p_values(problem: Problem, fit: Fit, effect: str, sensors: Mapping) -> tuple[float | None, float | None]:

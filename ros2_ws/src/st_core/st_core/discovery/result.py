@@ -140,7 +140,8 @@ class ForceCurve:
 
 @dataclass(frozen=True)
 class VaryingEffect:
-    """A significant effect that varies over the driving. resembles: the effect of the library that describes it best.
+    """A significant effect that varies between parts of the drives. resembles: the effect of the library that
+    describes it best.
     level: that it varies with: run, site, time, place or condition. values: in each part. position_5s_reduction [m]: of
     the mean position error after 5 s."""
 
@@ -153,7 +154,10 @@ class VaryingEffect:
 
 @dataclass(frozen=True)
 class Reason:
-    """A rule of `decision` as applied. subject: an effect, or "answer". figures: the numbers it compared."""
+    """A rule of `decision` as applied. subject: an effect, or "answer". figures: the numbers it compared, as
+    in discovery.json; limits by the keys of `Limits` there. chance, differ, absent, no_worse: p-values. left, driven,
+    seen, less, deviations, distance: `noise_ratio`, `peak_force_share`, `detectable_share`, `deficit`, `z_score`,
+    `bound_distance` of `decision` and `evidence`."""
 
     rule: str
     subject: str
@@ -296,8 +300,8 @@ class Discovery:
     """The answer of `discover`.
 
     outcome: none = the residual is near the noise, or not significant; named = one effect; ambiguous = one effect by
-    several names, or a combination (`known_together`); several = more than one effect; bound = significant, but varying
-    with run, place, time or condition; unknown = a significant gap that no effect of the library explains;
+    several names, or a combination (`known_together`); several = more than one effect; bound = significant, but bound
+    to a run, place, time or condition; unknown = a significant gap that no effect of the library explains;
     not_testable = too little excitation. start: of the search. minor: significant effects too small to be named, part
     of the model so that they do not bias the values of the others. varying: significant effects that vary. effective:
     corrections that improve predictions, not properties of the car whatever their names; part of the model, never of a
@@ -307,9 +311,9 @@ class Discovery:
     minor effects only, at the stated values. steps: from the base to the named effects. gap: by channel, and
     position_5s; gap_named: without the effective corrections. reasons: every rule that decided. leave_one_out: values
     of named and minor effects, by the run that was left out of the fit. acceleration_gain [1]:
-    relative excess of the measured lateral specific force over that of the motion, due to body roll. noise: by channel,
-    at the end of the horizon [SI]. signature: description of the residual. clock_errors: correction of the steering
-    stamps by run [s], see `clocks.clock_corrections`; without one, none.
+    relative excess of the measured lateral specific force over that of the motion, due to body roll. noise: error of
+    the best model at the end of the horizon, by channel [SI]. signature: description of the residual. clock_errors:
+    correction of the steering stamps by run [s], see `clocks.clock_corrections`; without one, none.
     """
 
     outcome: Outcome

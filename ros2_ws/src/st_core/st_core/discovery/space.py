@@ -139,8 +139,8 @@ class FileQuantity:
         """The quantity [SI] at a parameter that differs by `change` from its null."""
         return self.absent + self.slope * change
 
-    def deviations(self, change: float) -> float:
-        """Distance of that from the file's value, in standard deviations."""
+    def z_score(self, change: float) -> float:
+        """Distance of the quantity from the file's value, in standard deviations."""
         return abs(self.at(change) - self.value) / self.deviation
 
 

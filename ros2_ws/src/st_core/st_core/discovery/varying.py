@@ -1,4 +1,4 @@
-"""Effects that vary over the driving: another value in each run, site or stretch of time.
+"""Effects that vary between parts of the drives: another value in each run, site or stretch of time.
 
 An effect that begins in the middle of a drive has no single value that reduces the errors everywhere, so the search
 cannot find it. Here each part of a level has a separate value, by the quadratic about the answer.

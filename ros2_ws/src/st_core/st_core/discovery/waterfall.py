@@ -175,7 +175,7 @@ def budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varying: Fit
            ends: HorizonErrors) -> list[BudgetLine]:
     """Contribution of each part when added last and when added first, to the mean position error after 5 s and to the
     loss at the scale of the answer. corrected: fit with effective corrections. varying: fit with an effect that varies
-    over the driving."""
+    between parts of the drives."""
     def size(fit: Fit) -> tuple[float, float]:
         """(mean position error [m], loss per scored error)."""
         end = ends.of(fit)

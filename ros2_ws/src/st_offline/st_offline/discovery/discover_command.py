@@ -154,15 +154,15 @@ def _find_answer(request: Request, base: Model, progress: Progress) -> tuple[Dis
     def stage(name: str, done: int, total: int) -> None:
         progress.update(bar, description=escape(name), completed=done, total=total)
 
-    logs, reference, identities = _logs(request.drives), _logs(request.healthy), sensor_estimates(request.drives)
+    logs, reference, sensors = _logs(request.drives), _logs(request.healthy), sensor_estimates(request.drives)
     clocks = clock_deviations((*request.drives, *request.healthy))
-    name = answer_key(logs, reference, request.vehicle, base, request.settings, request.own_effects, identities, clocks)
+    name = answer_key(logs, reference, request.vehicle, base, request.settings, request.own_effects, sensors, clocks)
     folder = cache_folder() if request.cached else None
     file = folder / f"{name}.json" if folder else None
     found = read_answer(file) if file else None
     if found is not None:
         return found, True
-    found = discover(logs, request.vehicle, base, reference, request.settings, stage, identities, request.jobs,
+    found = discover(logs, request.vehicle, base, reference, request.settings, stage, sensors, request.jobs,
                      clocks)
     if file:
         write_answer(file, found)

@@ -134,7 +134,7 @@ def cache_folder() -> Path | None:
 
 def answer_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle: VehicleParameters, base: Model,
                settings: DiscoverySettings, effects: Mapping[str, str],
-               identities: Mapping[str, Sequence[float]], clocks: Mapping[str, float]) -> str:
+               sensors: Mapping[str, Sequence[float]], clocks: Mapping[str, float]) -> str:
     """Cache key of an answer: hash of all its inputs, the code included."""
     values = base.values if isinstance(base, AugmentedModel) else {}
     files = sorted(file for folder in st_core.__path__ for file in Path(folder).rglob("*.py"))
@@ -142,7 +142,7 @@ def answer_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle:
     content = [ANSWER_FORMAT, code, [_digest(log) for log in runs], [_digest(log) for log in reference],
                vehicle.hash, sorted((name, one.uncertainty) for name, one in vehicle.provenance.items()),
                _base(base), {effect: dict(entry) for effect, entry in values.items()}, asdict(settings),
-               sorted(effects.items()), sorted((name, list(value)) for name, value in identities.items()), clocks]
+               sorted(effects.items()), sorted((name, list(value)) for name, value in sensors.items()), clocks]
     return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()[:32]
 
 

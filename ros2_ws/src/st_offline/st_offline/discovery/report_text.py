@@ -168,7 +168,7 @@ def meaning(found: Discovery) -> list[str]:
 
 
 def describe_varying(effect: VaryingEffect) -> str:
-    """An effect that varies over the driving, with its most significant local values relative to the largest."""
+    """An effect that varies between parts of the drives, with its most significant values relative to the largest."""
     ranked = sorted(effect.values, key=lambda v: -abs(v.ratio) / max(v.deviation, 1e-9))[:MAX_PARTS]
     ratios = "; ".join(f"{v.where}: {v.ratio:.2f} ± {Z95 * v.deviation:.2f}" for v in effect.values if v in ranked)
     more = f" and {len(effect.values) - len(ranked)} more" if len(effect.values) > len(ranked) else ""
