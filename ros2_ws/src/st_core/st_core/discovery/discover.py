@@ -27,6 +27,7 @@ from .reference import healthy_car
 from .result import (
     Assumed,
     CandidateEffect,
+    ChannelError,
     Certificate,
     Combination,
     Discovery,
@@ -133,8 +134,8 @@ class _Analysis:
 
     def result(self) -> Discovery:
         settings, space = self.settings, self.space
-        self.problem, by_column = self._problem()
-        problem = self.problem
+        problem, by_column = self._problem()
+        self.problem = problem
         self._warn_of_low_excitation()
         parts = levels(self.windows)
         search = Search(problem, self.limits, parts, self.sensors, settings.seed, self._tick("searching"))
@@ -145,17 +146,16 @@ class _Analysis:
         varied = self._varying_effects(found, parts)
         floor = self._floor(by_column)
         judged = self._judged(search, found, parts, floor)
-        effects = judged.named
         steps, base = waterfall.steps(problem, found.fit, found.order, horizon_errors, parts)
         best_errors, named_errors = (waterfall.gaps(horizon_errors, base, each, floor) for each in (fit, found.fit))
-        lines = waterfall.budget(problem, base, found.fit, fit, next((fit for _, fit in varied), None),
-                                 horizon_errors)
+        fit_of_varying = next((fit for _, fit in varied), None)
+        budget = waterfall.budget(problem, base, found.fit, fit, fit_of_varying, horizon_errors)
         power = (certificate.measured(problem, found.fit, self.limits, settings.seed, self._tick("certifying"))
                  if settings.certify else certificate.predicted(problem, found.fit, found.scores, self.limits))
-        drives, design_effect = self._catalogue(found, effects), found.scores.design_effect
+        effects, design_effect = judged.named, found.scores.design_effect
+        drives = self._catalogue(found, effects)
         untestable = self._untestable(found, power, judged, drives)
-        residual = (named_errors["position_5s"].augmented / max(floor.get("position_5s", 0.0), 1e-9)
-                    if "position_5s" in named_errors else 1.0)
+        residual = _noise_ratio(named_errors, floor)
         unattributed = known_together(judged.combinations, effects)
         outcome, why = self._outcome(found, effects, untestable, residual, len(varied), unattributed)
         statements = self._where(base, floor) if settings.where else ()
@@ -163,9 +163,8 @@ class _Analysis:
             outcome=outcome, effects=effects, minor=judged.minor,
             effective=(*judged.contradicted, *self._effective_corrections(without_priors, fit, found)),
             varying=tuple(v for v, _ in varied), steps=tuple(steps), gap=best_errors, gap_named=named_errors,
-            budget=tuple(lines),
-            reasons=(why, *self._reasons(found, judged.verdicts)), candidates=self._candidates(found, judged.verdicts),
-            where=statements, not_testable=untestable,
+            budget=tuple(budget), reasons=(why, *self._reasons(found, judged.verdicts)),
+            candidates=self._candidates(found, judged.verdicts), where=statements, not_testable=untestable,
             next_manoeuvre=next_manoeuvre(problem, found.fit, effects, drives, design_effect) if drives else None,
             separability=separability(problem, found.fit, effects, design_effect), certificate=power,
             signature=self._residual_signature(residual, statements), runs=self._run_table(),
@@ -173,9 +172,8 @@ class _Analysis:
             model=space.at(fit.vector) if fit.names else None, named=self._named_model(found, judged),
             warnings=tuple(self.warnings), leave_one_out=judged.leave_one_out, axle_curves=judged.curves,
             assumed=self._assumed(), combinations=judged.combinations, clock_errors=self.clock_errors,
-            acceleration_gain=float(fit.vector[-1]),
             # What the best model does not explain is noise for every later comparison, whatever its cause.
-            noise={channel: error.augmented for channel, error in best_errors.items()})
+            noise={c: error.augmented for c, error in best_errors.items()}, acceleration_gain=float(fit.vector[-1]))
 
     def _judged(self, search: Search, found: Found, parts: Mapping[str, Level],
                 floor: Mapping[str, float]) -> _JudgedEffects:
@@ -510,6 +508,11 @@ class _Analysis:
 def _values(evidence: Evidence) -> dict[str, tuple[LocalEstimate, ...]]:
     return {level: tuple(LocalEstimate(part, ratio, deviation) for part, (ratio, deviation) in a.ratios.items())
             for level, a in evidence.agreement.items()}
+
+
+def _noise_ratio(errors: Mapping[str, ChannelError], floor: Mapping[str, float]) -> float:
+    """Ratio of the position error after 5 s to the noise [1]; 1 if position is not a channel."""
+    return errors["position_5s"].augmented / max(floor.get("position_5s", 0.0), 1e-9) if "position_5s" in errors else 1.0
 
 
 def _summed(name: str, names: Sequence[str]) -> tuple[str, ...]:
