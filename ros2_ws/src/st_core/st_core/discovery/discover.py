@@ -27,8 +27,8 @@ from .reference import healthy_car
 from .result import (
     Assumed,
     CandidateEffect,
-    ChannelError,
     Certificate,
+    ChannelError,
     Combination,
     Discovery,
     ErrorCondition,
@@ -512,7 +512,9 @@ def _values(evidence: Evidence) -> dict[str, tuple[LocalEstimate, ...]]:
 
 def _noise_ratio(errors: Mapping[str, ChannelError], floor: Mapping[str, float]) -> float:
     """Ratio of the position error after 5 s to the noise [1]; 1 if position is not a channel."""
-    return errors["position_5s"].augmented / max(floor.get("position_5s", 0.0), 1e-9) if "position_5s" in errors else 1.0
+    if "position_5s" not in errors:
+        return 1.0
+    return errors["position_5s"].augmented / max(floor.get("position_5s", 0.0), 1e-9)
 
 
 def _summed(name: str, names: Sequence[str]) -> tuple[str, ...]:
