@@ -85,7 +85,7 @@ class Search:
         """Add a load as a rival that explains a part of softer tyres: drives show only the ratio of stiffness to mass.
 
         The load is set to the upper end of its 95 % interval, if that is a relevant size. Effects whose values are then
-        nearer to the vehicle file get it as an alternative, and the set with it counts as nearly as good.
+        nearer to the vehicle file get it as an alternative, and the set with it counts as hardly worse.
         """
         p, names = self.problem, found.fit.names
         for other in (n for n in p.space.additions if n not in names):
@@ -96,8 +96,8 @@ class Search:
             vector = self._upper_end(fit, other)
             if np.abs(p.distance(vector))[p.space.indices(other)].max() < self.limits.min_relative_size:
                 continue
-            twins = p.space.indices(*(n for n in names if n in twins_of(other)))
-            nearer = twins[np.abs(vector - p.start)[twins] < np.abs(found.fit.vector - p.start)[twins]]
+            own = p.space.indices(*(n for n in names if n in twins_of(other)))
+            nearer = own[np.abs(vector - p.start)[own] < np.abs(found.fit.vector - p.start)[own]]
             for name in {p.space.free[i].effect for i in nearer}:
                 e = self._evidence(found.without.get(name, found.fit), fit, other, found.scores)
                 rival = Rival(other, name, 1.0, no_worse(fit.held_out - found.fit.held_out), 0.0, e,
