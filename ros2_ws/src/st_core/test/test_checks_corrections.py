@@ -141,12 +141,36 @@ def of_map(log):
 
 
 @pytest.mark.parametrize(("name", "fault"), [
-    ("velocity_axes", of_map), ("position_scale", times(1.0 / 111e3, *POSITION))])
+    ("velocity_axes", of_map), ("position_scale", times(1.0 / 111e3, *POSITION)),
+    ("velocity_axes", lambda log: replace(of_map(log), velocity_x=of_map(log).velocity_y,
+                                          velocity_y=of_map(log).velocity_x))])
 def test_what_no_run_yaml_mends_is_an_error_all_the_same(log, leaf, name, fault):
     found = findings(fault(log), leaf)
     assert list(found) == [name] and found[name].severity is Severity.ERROR and found[name].advice.kind == "look"
     if name == "position_scale":
         assert found[name].value == pytest.approx(1.0 / 111e3, rel=1e-3)
+
+
+@pytest.mark.parametrize("channel", ["road_wheel_angle", "yaw_rate"])
+def test_a_clipped_channel_is_not_frozen(log, leaf, channel):
+    values = getattr(log, channel)
+    low, high = np.percentile(values, [10, 90])
+    found = findings(replace(log, steering_wheel_angle=None, **{channel: np.clip(values, low, high)}), leaf)
+    assert "channel_clipped" in found and "channel_frozen" not in found
+    assert found["channel_clipped"].channels == (channel,)
+
+
+def test_steering_that_does_not_follow_the_motion(log, leaf):
+    found = findings(replace(log, steering_wheel_angle=None, road_wheel_angle=np.abs(log.road_wheel_angle)), leaf)
+    assert list(found) == ["steering_unrelated"]
+
+
+def test_latitude_and_longitude_decide_that_yaw_and_yaw_rate_count_clockwise(log, leaf):
+    known = AuxiliaryData(geographic=True)
+    wrong = replace(compass()(log), yaw_rate=-log.yaw_rate)
+    (found,) = check(wrong, leaf, known).findings
+    assert found.name == "yaw_convention" and same_to_print(yaml.safe_load(found.advice.line), found.advice.entry)
+    assert check(cured(wrong, found.advice.entry, leaf), leaf, known).findings == ()
 
 
 @pytest.mark.parametrize(("channels", "name"), [(POSITION, "position_scale"), (VELOCITY, "velocity_scale")])

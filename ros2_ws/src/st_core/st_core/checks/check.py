@@ -81,9 +81,11 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
     findings += rate + position.with_sign_alternative(_merge_gross_and_fine(gross, fine, estimates), recorded, motion)
     if vehicle is not None:
         frozen = {channel for finding in stuck if finding.name == "channel_frozen" for channel in finding.channels}
+        broken |= {channel for finding in stuck if finding.severity is Severity.ERROR for channel in finding.channels}
         unusable = coarse | frozen if sideslip_measured else {*coarse, *frozen, "velocity_y"}
+        is_rate_wrong = any(one.severity is Severity.ERROR and "yaw_rate" in one.channels for one in findings)
         for more, values, panel in _compare_with_vehicle(motion, vehicle, wheel_measured, broken, unusable):
-            findings += more
+            findings += [one for one in more if not (is_rate_wrong and one.name == "steering_unrelated")]
             estimates |= values
             panels += [panel] if panel else []
     findings += vehicle_relations.check_standstill(replace(motion, velocity_x=speed))

@@ -177,7 +177,8 @@ class AuxiliaryData:
     without a usable value, left out, by channel. wheel_speed: of the wheels or the car's own speed signal [m/s].
     ins_speed: forward speed from a second output of the INS (its CAN frames, NCOM packets recorded with an odometry)
     [m/s]. corrected: corrections made by run.yaml, a phrase each. implausible: findings of samples that the reader left
-    out, see `plausibility`. start_ns: first recorded INS measurement; None for that of the drive.
+    out, see `plausibility`. start_ns: first recorded INS measurement; None for that of the drive. geographic: whether
+    x and y were computed from latitude and longitude, so that their axes are east and north.
     """
 
     stamps: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -188,6 +189,7 @@ class AuxiliaryData:
     corrected: tuple[str, ...] = ()
     implausible: tuple[Finding, ...] = ()
     start_ns: int | None = None
+    geographic: bool = False
 
 
 HORIZON = 5.0  # s, over which the effect of a fault is judged

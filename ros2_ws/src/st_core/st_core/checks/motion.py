@@ -24,7 +24,7 @@ class Motion:
     """A drive in seconds after the first INS measurement, signals as DriveLog has them; accelerations may be NaN.
 
     steering_time [s], steering [rad]: at the road wheels, left +. speeds: other sources of the forward speed, by name
-    (time [s], values [m/s]).
+    (time [s], values [m/s]). geographic: see `AuxiliaryData`.
     """
 
     time: np.ndarray
@@ -39,6 +39,7 @@ class Motion:
     acceleration_x: np.ndarray | None = None
     acceleration_y: np.ndarray | None = None
     speeds: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    geographic: bool = False
 
     @classmethod
     def of(cls, log: DriveLog, start: int, auxiliary: AuxiliaryData) -> "Motion":
@@ -48,7 +49,7 @@ class Motion:
                   for name, signal in series.items() if signal and len(signal.time_ns) > 1}
         return cls((log.ins_time_ns - start) * NANOSECOND, log.x - log.x[:1], log.y - log.y[:1], log.yaw,
                    log.velocity_x, log.velocity_y, log.yaw_rate, (log.steering_time_ns - start) * NANOSECOND,
-                   log.road_wheel_angle, log.acceleration_x, log.acceleration_y, speeds)
+                   log.road_wheel_angle, log.acceleration_x, log.acceleration_y, speeds, auxiliary.geographic)
 
     def with_time_divided(self, factor: float) -> "Motion":
         """The motion with all times divided by a factor."""

@@ -32,6 +32,7 @@ WRAP_SPREAD, WRAP_SYMMETRY = 0.1, 0.2  # of the wrap's size: largest difference 
 MAX_WRAPPED_SHARE = 0.2  # of the samples; beyond it the true range is uncertain
 MAX_NET_CHANGE = 0.5  # net change of a stretch over the sum of its |steps|: 1 for a turn in another unit, 0 for noise
 JUMP_RATIO = 30.0  # times the 90th percentile of all steps; the largest of seventeen real drives is 15
+MAX_REVERSAL_ERROR = 0.3  # rad, of a heading that is reversed from one sample to the next
 MIN_SAMPLES = 20
 MAX_LISTED = 200  # stretches of a finding
 STEP_TIME = 0.05  # s
@@ -146,8 +147,10 @@ def implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
         if len(new):
             findings.append(_finding(kind, channel, new))
     bad[channel.rows[implausible]] = True
-    if name not in ("x", "y", "yaw") and len(jumps := _find_jumps(channel, large, implausible)):
-        findings.append(_finding("channel_jumps", channel, jumps))
+    if name not in ("x", "y") and len(jumps := _find_jumps(channel, large, implausible)):
+        if name == "yaw":  # in degrees, wraps are steps too: only a heading that turns back to front is certain
+            jumps = jumps[np.abs(channel.step[jumps - 1] - np.pi) < MAX_REVERSAL_ERROR]
+        findings += [_finding("channel_jumps", channel, jumps)] if len(jumps) else []
     return (bad if bad.mean() <= MAX_BAD_SHARE else np.zeros_like(bad)), findings
 
 

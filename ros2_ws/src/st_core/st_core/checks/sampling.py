@@ -21,6 +21,8 @@ MAX_GAP_SHARE = 0.05  # share of the time lost in gaps; above, whole driving con
 MIN_ROWS_PER_SAMPLE = 1.5  # of a slower sensor
 SPACING_TOLERANCE = 0.05  # relative; of its mean spacing, which a gap would shift by its share
 MIN_FREEZE_TIME = 1.5  # s without any change
+MIN_CLIP_TIME = 0.3  # s at a limit
+CLIP_RATIO = 8.0  # samples at a limit over those at the values next to it
 FREEZE_PAUSE_RATIO = 10.0  # times the channel's usual pause without any change
 DISPENSABLE_CHANNELS = ("velocity_y", "acceleration_x", "acceleration_y")  # paths can be scored without them
 MAX_STEP_RATIO = 1.5  # times the median spacing, up to which no sample is lost between two
@@ -192,7 +194,9 @@ def find_stuck_channels(motion: Motion, channels: Mapping[str, Channel]) -> list
     for name, channel in channels.items():
         time, values = _channel_series(motion, name)
         if values is not None:
-            findings += _check_held(name, time, values) or _check_frozen(name, time, values, motion, channel.resolution)
+            findings += (_check_held(name, time, values)
+                         or _check_clipped(name, time, values, motion, channel.resolution)
+                         or _check_frozen(name, time, values, motion, channel.resolution))
     return merge_findings(findings)
 
 
@@ -224,6 +228,30 @@ def _check_held(name: str, time: np.ndarray, values: np.ndarray) -> list[Finding
     severity = Severity.WARNING if rate < MIN_HELD_RATE else Severity.NOTE
     return [Finding("samples_repeated", severity, (name,), text, 1.0 - len(lengths) / len(values),
                     advice=Advice("look", f"log {name} at its own rate, or interpolate it before"))]
+
+
+def _check_clipped(name: str, time: np.ndarray, values: np.ndarray, motion: Motion, step: float) -> list[Finding]:
+    """Finding of a channel that stays at its largest or smallest value several times, while other channels change.
+
+    A rounded maximum is reached slowly: the value below it is held almost as long.
+    """
+    first, lengths = _constant_runs(values)
+    last = first + lengths - 1
+    found: list[int] = []
+    for limit in (values.min(), values.max()) if name in RELATED_RATES and len(first) > 2 else ():
+        held = 1 + np.flatnonzero((values[first[1:-1]] == limit) & (
+            lengths[1:-1] > CLIP_RATIO * np.maximum(lengths[:-2], lengths[2:])))
+        held = [int(k) for k in held if time[last[k]] - time[first[k]] > MIN_CLIP_TIME
+                and _should_change(name, time[first[k]], time[last[k]], motion, step)]
+        found += held if len(held) > 1 else []
+    if not found:
+        return []
+    where = tuple(sorted((float(time[first[k]]), float(time[last[k]])) for k in found))
+    limits = " and ".join(f"{limit:.4g}" for limit in sorted({float(values[first[k]]) for k in found}))
+    text = f"{name} stops at {limits} {UNITS[name]} {len(found)} times while the car goes on: it is clipped"
+    advice = Advice("look", f"look at the range of the sensor and of its signal: {name} is larger than recorded there")
+    return [Finding("channel_clipped", Severity.WARNING, (name,), text, float(np.abs(values[first[found]]).max()),
+                    UNITS[name], where=where, advice=advice)]
 
 
 def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motion, step: float) -> list[Finding]:
@@ -306,9 +334,9 @@ def _check_resolution(name: str, motion: Motion, speed: float) -> list[Finding]:
 
 
 def without_frozen_samples(motion: Motion, findings: Sequence[Finding]) -> Motion:
-    """The motion without the samples of frozen channels, which become gaps."""
+    """The motion without the samples of frozen or clipped channels, which become gaps."""
     for finding in findings:
-        if finding.name != "channel_frozen":
+        if finding.name not in ("channel_frozen", "channel_clipped"):
             continue
         for steering in {channel == "road_wheel_angle" for channel in finding.channels}:
             time = motion.steering_time if steering else motion.time

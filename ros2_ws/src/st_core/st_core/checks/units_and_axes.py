@@ -68,11 +68,17 @@ def _merge_yaw_findings(findings: list[Finding]) -> list[Finding]:
         return findings
     clockwise, offset = by_name["yaw_convention"], by_name.pop("yaw_offset")
     assert clockwise.advice and offset.advice  # both are made with one
-    correct = dict(clockwise.advice.entry["correct"]["yaw"])
-    correct["add"] += offset.advice.entry["correct"]["yaw"]["add"]
+    correct = {channel: dict(values) for channel, values in clockwise.advice.entry["correct"].items()}
+    correct["yaw"]["add"] += offset.advice.entry["correct"]["yaw"]["add"]
     text = f"{clockwise.text.partition(':')[0]}, and not from north: yaw is from east, counter-clockwise"
-    by_name["yaw_convention"] = replace(clockwise, text=text, advice=Advice.correct("yaw", **correct))
+    by_name["yaw_convention"] = replace(clockwise, text=text, advice=_correct_channels(correct))
     return list(by_name.values())
+
+
+def _correct_channels(correct: Mapping[str, Mapping[str, float]]) -> Advice:
+    fields = ", ".join(f"{channel}: {{{', '.join(f'{key}: {value:g}' for key, value in values.items())}}}"
+                       for channel, values in correct.items())
+    return Advice("run.yaml", f"correct: {{{fields}}}", {"correct": correct})
 
 
 def _error(name: str, channels: tuple[str, ...], text: str, value: float | None, advice: Advice) -> Finding:
@@ -156,7 +162,7 @@ def _correct_turns(motion: Motion) -> Corrected:
 def _correct_north_east(motion: Motion) -> Corrected:
     """Positions (north, east) and a clockwise yaw, where the other channels confirm the sign of the yaw rate."""
     r = ratios(motion)
-    if not (is_near(r.yaw_rate, -1.0, LIMITS.unit) and is_near(r.yaw_course, 1.0, LIMITS.unit)):
+    if motion.geographic or not (is_near(r.yaw_rate, -1.0, LIMITS.unit) and is_near(r.yaw_course, 1.0, LIMITS.unit)):
         return motion, None
     turn = motion.yaw_rate * motion.velocity_x
     votes = [_common_sign(motion.steering_at_ins() * motion.velocity_x, turn)]
@@ -242,6 +248,12 @@ def _correct_position_axes(motion: Motion) -> Corrected:
     r = ratios(motion)
     if not (is_near(r.yaw_course, -1.0, LIMITS.unit) and is_near(r.yaw_rate, 1.0, LIMITS.unit)):
         return motion, None
+    if motion.geographic:
+        text = ("yaw and yaw_rate count clockwise: a compass heading from north, and a gyroscope with its axis down? "
+                "Left is positive, and yaw from east")
+        advice = _correct_channels({"yaw": {"scale": -1.0, "add": np.pi / 2}, "yaw_rate": {"scale": -1.0}})
+        return motion.with_(yaw=np.pi / 2 - motion.yaw, yaw_rate=-motion.yaw_rate), _error(
+            "yaw_convention", ("yaw", "yaw_rate"), text, r.yaw_course, advice)
     _, measured, derived = _displacements(motion, *motion.velocity_map)
     angle = np.angle(np.sum(measured * derived))
     quarter = int(np.round(angle / (np.pi / 2))) % 4
@@ -306,15 +318,18 @@ def _misfit(motion: Motion) -> float:
 def _correct_velocity_axes(motion: Motion) -> Corrected:
     """Velocities in the map frame, which positions follow without rotation by yaw, or exchanged velocities."""
     over, measured, of_map = _displacements(motion, motion.velocity_x, motion.velocity_y)
+    misfits = [float(np.median(np.abs(measured - one))) if len(over) else 0.0 for one in (of_map, 1j * of_map.conj())]
     if len(over) < MIN_WINDOWS:
         return motion, None
     distance, unchanged = float(np.median(np.abs(measured))), _misfit(motion)
     swapped = replace(motion, velocity_x=motion.velocity_y, velocity_y=motion.velocity_x)
     max_misfit = MAX_MAP_MISFIT * distance  # of velocities in the right frame
-    misfit = float(np.median(np.abs(measured - of_map)))
+    misfit, is_north_first = min(misfits), misfits[1] < misfits[0]
     if np.ptp(motion.yaw) > MIN_YAW_RANGE and misfit <= max_misfit and misfit < MAX_MAP_MISFIT * unchanged:
-        body = (motion.velocity_x + 1j * motion.velocity_y) * np.exp(-1j * motion.yaw)
-        text = "velocity_x and velocity_y are in the map frame, east and north: the body frame is expected"
+        of_axes = motion.velocity_x + 1j * motion.velocity_y
+        body = (1j * of_axes.conj() if is_north_first else of_axes) * np.exp(-1j * motion.yaw)
+        axes = "north and east" if is_north_first else "east and north"
+        text = f"velocity_x and velocity_y are in the map frame, {axes}: the body frame is expected"
         advice = Advice("look", "rotate them by yaw: velocity_x = cos(yaw) east + sin(yaw) north, "
                         "velocity_y = cos(yaw) north - sin(yaw) east")
         motion = replace(motion, velocity_x=body.real, velocity_y=body.imag)

@@ -30,6 +30,7 @@ MAX_COSINE = 0.9  # between speed and yaw rate over the drive: 1 on a circle
 MIN_STEERING_ANGLE = 0.01  # rad, root mean square
 MIN_ANGLE_FOR_SIGN = 0.003  # rad, root mean square; fast wide bends determine the sign, not the size
 MAX_OPPOSITE_CORRELATION = -0.8  # of steering and curvature, up to which the sensor has the opposite sign
+MIN_UNRELATED_SPREAD = 0.01  # rad at the road wheels, of the steering and of that derived from curvature
 MIN_GAIN = 1e-6  # of steering over curvature; a smaller one is a constant angle, reported as frozen
 
 
@@ -45,7 +46,9 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
     gain = _steering_gain(motion, derived)
     understeer = _understeer_factor(motion.velocity_x, derived, vehicle)
     if found is None or abs(found.correlation) < LIMITS.correlation:
-        unit = gain and _unit_finding(gain, understeer, vehicle)
+        if found is not None and min(found.spread, float(np.std(found.measured))) > MIN_UNRELATED_SPREAD:
+            return [_unrelated_finding(found)], {}, None
+        unit = gain and _unit_finding(gain, understeer, vehicle, wheel_measured)
         return [unit] if unit else [], {}, None
     # On one bend throughout, gain and offset are confounded.
     if gain is not None and (found.scale.deviation > 0.2 * abs(found.scale.value)
@@ -53,7 +56,8 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
         found = replace(found, scale=gain, bias=ZERO)
     gain = with_systematic("steering_scale", found.scale)
     late = with_systematic("steering_lag", found.lag.shifted(response))
-    findings = [_unit_finding(gain, understeer, vehicle), _offset_finding(found, speed, vehicle, wheel_measured)]
+    findings = [_unit_finding(gain, understeer, vehicle, wheel_measured),
+                _offset_finding(found, speed, vehicle, wheel_measured)]
     estimates = {"steering_scale": gain, "steering_sign": gain}
     # Steering that falls where curvature rises is the driver's reaction to another yaw moment: it has no lag.
     if found.correlation * gain.value >= 0.0:
@@ -64,6 +68,13 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
                      "from yaw rate and speed", found.time, found.measured, found.derived,
                      ("steering_scale", "steering_sign", "steering_lag", "steering_offset"))
     return [finding for finding in findings if finding], estimates, panel
+
+
+def _unrelated_finding(found: Agreement) -> Finding:
+    text = (f"the steering does not follow the car's motion (correlation {found.correlation:.2f}): the steering of "
+            "another drive, another signal, or a sign that changes during the drive?")
+    return Finding("steering_unrelated", Severity.WARNING, ("road_wheel_angle",), text, found.correlation,
+                   advice=Advice("look", "compare steering and yaw rate over time; no prediction is valid with it"))
 
 
 def _steering_gain(motion: Motion, derived: np.ndarray) -> Estimate | None:
@@ -109,7 +120,8 @@ def _lateral_shift(error: float, speed: float, vehicle: VehicleParameters) -> fl
     return abs(0.5 * speed * yaw_gain * error) * HORIZON**2
 
 
-def _unit_finding(gain: Estimate, understeer: float, vehicle: VehicleParameters) -> Finding | None:
+def _unit_finding(gain: Estimate, understeer: float, vehicle: VehicleParameters,
+                  wheel_measured: bool) -> Finding | None:
     """understeer: factor from the vehicle file; its stiffnesses may be guesses, so 1 is accepted as well."""
     value, limit = gain.value, LIMITS.steering_unit
     if abs(value) < MIN_GAIN or (gain.interval[1] > 1.0 / limit and gain.interval[0] < limit * understeer):
@@ -127,6 +139,9 @@ def _unit_finding(gain: Estimate, understeer: float, vehicle: VehicleParameters)
     text = (f"road_wheel_angle is {value:.3g} times the angle from yaw rate and speed"
             + (f": {reason}?" if reason else ""))
     advice = Advice.correct("road_wheel_angle", scale=float(f"{1.0 / np.copysign(exact, value):.6g}"))
+    if wheel_measured and exact == 1.0 / vehicle.steering_ratio:  # its offset was subtracted, too
+        advice = Advice.correct("road_wheel_angle", scale=vehicle.steering_ratio,
+                                add=float(f"{vehicle.steering_wheel_offset:.5g}"))
     name = "steering_scale"
     if exact == 1.0:
         name = "steering_sign"
@@ -197,8 +212,11 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> Comparison:
     declared = vehicle.cg_to_rear_axle + vehicle.cg_to_ins_x
     heading = with_systematic("heading_misaligned", found["heading"])
     point = with_systematic("measuring_point", found["point"].shifted(-declared))
-    findings = [finding for finding in (_heading_finding(heading, forward), _point_finding(point, motion, vehicle))
-                if finding]
+    low, high = (declared + end for end in point.interval)
+    # A point as far behind the axle as it is declared ahead, and a rear axle that slips outwards the wrong way.
+    is_mirrored = low < -declared < high and declared > LIMITS.mounting and found["slip"].interval[1] < 0.0
+    place = _sign_finding() if is_mirrored else _point_finding(point, motion, vehicle)
+    findings = [finding for finding in (_heading_finding(heading, forward), place) if finding]
     motion_of_axle = sum(found[name].value * problem.columns[name][:, 0] for name in ("slip", "roll"))
     panel = Identity("velocity_y", "lateral velocity: measured against that derived from the rear axle", "m/s",
                      "velocity_y", "rear axle at the declared distance", over.time[use], lateral,
@@ -236,6 +254,11 @@ def _heading_finding(heading: Estimate, forward: np.ndarray) -> Finding | None:
             "road is banked")
     return Finding("heading_misaligned", _at_most_warning(effect), ("yaw", "velocity_y"), text, heading.value, "rad",
                    heading.interval, (), effect, Advice.correct("heading", add=float(f"{-heading.value:.4g}")))
+
+
+def _sign_finding() -> Finding:
+    return Finding("velocity_y_scale", Severity.ERROR, ("velocity_y",), "velocity_y has the opposite sign (left is "
+                   "positive)", -1.0, advice=Advice.correct("velocity_y", scale=-1.0))
 
 
 def _point_finding(point: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding | None:

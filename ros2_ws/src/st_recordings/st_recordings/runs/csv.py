@@ -95,7 +95,8 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
     log = drive_log(file, file.stem, ins_time_ns=table.time_ns[ins], steering_time_ns=table.time_ns[steered], **values)
     speeds = {name: (table.time_ns[table.used], columns[name][table.used]) for name in SPEEDS if name in columns}
     first, last = np.flatnonzero(table.used)[[0, -1]]
-    extras = AuxiliaryData({"INS": table.time_ns[first : last + 1]}, missing, car_speed(speeds))
+    extras = AuxiliaryData({"INS": table.time_ns[first : last + 1]}, missing, car_speed(speeds),
+                           geographic=origin is not None)
     sources = {channel: f"{source.name} [{source.unit}{'' if source.stated else ', assumed'}]"
                for channel, source in table.sources.items()}
     provenance = {"columns": sources, **({"origin": list(origin)} if origin else {})}

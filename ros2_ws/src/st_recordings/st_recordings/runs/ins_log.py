@@ -20,7 +20,7 @@ LATEST_TIME = 9.0e9  # s since 1970, year 2255; whole nanoseconds do not reach m
 MAX_LOST_SHARE = 0.01
 """Share of rows not newer than all before, above which the clock was set back, and only one stretch is used."""
 MAX_END_STEP = 10.0
-"""Ratio of the first or last time step to the median one, above which that stamp is wrong."""
+"""Ratio of the first or last time step to the 95th percentile of all, above which that stamp is wrong."""
 
 
 @dataclass(frozen=True)
@@ -129,10 +129,11 @@ def usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list[str]]:
     elif lost:
         notes.append(f"{share(lost, n, what)} are not later than all before; they were left out")
     steps = np.diff(time_ns[rows])
-    if len(rows) > 10 and steps[-1] > MAX_END_STEP * np.median(steps):
+    usual = np.percentile(steps, 95) if len(rows) > 10 else 0.0  # rows may arrive in batches
+    if len(rows) > 10 and steps[-1] > MAX_END_STEP * usual:
         notes.append(f"the last of {n} {what} is {steps[-1] * 1e-9:.3f} s after the one before; it was left out")
         rows = rows[:-1]
-    if len(rows) > 10 and steps[0] > MAX_END_STEP * np.median(steps):
+    if len(rows) > 10 and steps[0] > MAX_END_STEP * usual:
         notes.append(f"the first of {n} {what} is {steps[0] * 1e-9:.3f} s before the one after; it was left out")
         rows = rows[1:]
     return rows, notes
