@@ -81,11 +81,10 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
     findings += rate + position.with_sign_alternative(_merge_gross_and_fine(gross, fine, estimates), recorded, motion)
     if vehicle is not None:
         frozen = {channel for finding in stuck if finding.name == "channel_frozen" for channel in finding.channels}
-        broken |= {channel for finding in stuck if finding.severity is Severity.ERROR for channel in finding.channels}
         unusable = coarse | frozen if sideslip_measured else {*coarse, *frozen, "velocity_y"}
-        is_rate_wrong = any(one.severity is Severity.ERROR and "yaw_rate" in one.channels for one in findings)
-        for more, values, panel in _compare_with_vehicle(motion, vehicle, wheel_measured, broken, unusable):
-            findings += [one for one in more if not (is_rate_wrong and one.name == "steering_unrelated")]
+        for more, values, panel in _compare_with_vehicle(
+                motion, vehicle, wheel_measured, broken | broken_channels(stuck), unusable):
+            findings += more
             estimates |= values
             panels += [panel] if panel else []
     findings += vehicle_relations.check_standstill(replace(motion, velocity_x=speed))
@@ -99,11 +98,14 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
 
 
 def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: Motion) -> list[Finding]:
-    """The findings without those that are due to a yaw rate derived from yaw, or to a course in place of yaw.
+    """The findings without those that are due to a yaw rate that is wrong or derived from yaw, or to a course in place
+    of yaw.
 
     The noise of yaw changes the scale of a yaw rate derived from it. Without velocity_y, yaw may be the course, which
     differs by the sideslip.
     """
+    if any(f.severity is Severity.ERROR and "yaw_rate" in f.channels for f in findings):
+        findings = [f for f in findings if f.name != "steering_unrelated"]
     if has_derived_yaw_rate(log):
         compared = ("yaw_rate_scale", "yaw_rate_bias", "yaw_rate_lag")
         findings = [f for f in findings if f.severity is Severity.ERROR or f.name not in compared]
