@@ -239,9 +239,9 @@ def _check_clipped(name: str, time: np.ndarray, values: np.ndarray, motion: Moti
     last = first + lengths - 1
     found: list[int] = []
     for limit in (values.min(), values.max()) if name in RELATED_RATES and len(first) > 2 else ():
-        held = 1 + np.flatnonzero((values[first[1:-1]] == limit) & (
+        long = 1 + np.flatnonzero((values[first[1:-1]] == limit) & (
             lengths[1:-1] > CLIP_RATIO * np.maximum(lengths[:-2], lengths[2:])))
-        held = [int(k) for k in held if time[last[k]] - time[first[k]] > MIN_CLIP_TIME
+        held = [int(k) for k in long if time[last[k]] - time[first[k]] > MIN_CLIP_TIME
                 and _should_change(name, time[first[k]], time[last[k]], motion, step)]
         found += held if len(held) > 1 else []
     if not found:

@@ -252,7 +252,7 @@ def _correct_position_axes(motion: Motion) -> Corrected:
         text = ("yaw and yaw_rate count clockwise: a compass heading from north, and a gyroscope with its axis down? "
                 "Left is positive, and yaw from east")
         advice = _correct_channels({"yaw": {"scale": -1.0, "add": np.pi / 2}, "yaw_rate": {"scale": -1.0}})
-        return motion.with_(yaw=np.pi / 2 - motion.yaw, yaw_rate=-motion.yaw_rate), _error(
+        return replace(motion, yaw=np.pi / 2 - motion.yaw, yaw_rate=-motion.yaw_rate), _error(
             "yaw_convention", ("yaw", "yaw_rate"), text, r.yaw_course, advice)
     _, measured, derived = _displacements(motion, *motion.velocity_map)
     angle = np.angle(np.sum(measured * derived))

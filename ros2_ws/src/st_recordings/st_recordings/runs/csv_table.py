@@ -13,7 +13,17 @@ import numpy as np
 from st_core.sideslip import derived_yaw_rate
 
 from .can_formats import month_number
-from .columns import COLUMNS, UNITS, ColumnSource, Layout, find_columns, stamp_columns, unit_named, unknown_units
+from .columns import (
+    COLUMNS,
+    UNITS,
+    ColumnSource,
+    Layout,
+    find_columns,
+    normalised,
+    stamp_columns,
+    unit_named,
+    unknown_units,
+)
 from .errors import RunError, check_readable, share, short
 from .ins_log import LATEST_TIME, usable_rows
 
@@ -186,6 +196,9 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
 def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layout: Layout,
                   warnings: list[str]) -> dict[str, ColumnSource]:
     """The channels that a header names; a first column of times without a name, the index of a data frame, is time."""
+    plain = {normalised(name) for name in names}
+    if plain & {"id", "canid", "arbitrationid"} and plain & {"dlc", "len", "length"}:
+        raise RunError(file, "this is a CAN log as a table", "export it as .asc, .blf, .trc, .mf4 or .log of candump")
     sources = find_columns(file, names, layout)
     warnings += [f"{file}: {sentence}" for sentence in unknown_units(names, sources).values()]
     first = _first_row(body, delimiter)[:1]
