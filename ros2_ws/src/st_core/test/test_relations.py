@@ -13,7 +13,7 @@ from st_core.discovery import DiscoverySettings, discover
 from st_core.discovery.loss import Quadratic
 from st_core.discovery.settings import Limits
 from st_core.effects import EFFECTS, Measured
-from st_core.effects._relation import COUNT, RelationEffect, curve
+from st_core.effects._relation import SPLINES, RelationEffect, curve
 from st_core.errors import ConfigurationError
 from st_core.integrate import rk4
 from st_core.models import MODELS
@@ -58,7 +58,7 @@ def test_every_place_can_be_asked_and_the_library_does_not_hold_the_law():
 @pytest.mark.parametrize("parity", [-1.0, 0.0, 1.0])
 def test_curve_of_the_equations_is_that_of_the_splines(parity):
     c = Candidate("yaw_moment", "yaw_rate", parity, -0.5, 0.5)
-    heights = np.random.default_rng(1).normal(size=COUNT)
+    heights = np.random.default_rng(1).normal(size=SPLINES)
     theta = RelationEffect.Theta(**{p.name: p.null for p in RelationEffect.parameters} | c.constants
                       | {f"c{k}": h for k, h in enumerate(heights)}, car=())
     u = np.linspace(-0.8, 0.8, 33)
@@ -76,7 +76,7 @@ def rates(model, car, angle=0.05, acceleration=0.5):
 
 def test_without_heights_it_leaves_no_trace(leaf):
     c = Candidate("front_grip", "speed", 0.0, 3.0, 20.0)
-    none = augment("nonlinear", {"law": {f"c{k}": 0.0 for k in range(COUNT)} | c.constants})
+    none = augment("nonlinear", {"law": {f"c{k}": 0.0 for k in range(SPLINES)} | c.constants})
     assert rates(none, leaf)[:6] == rates(MODELS["nonlinear"], leaf)
 
 
@@ -135,7 +135,7 @@ def read(candidate: Candidate, formula, noise=0.0, pinned=False):
     if pinned:
         splines = splines - splines.mean(axis=1, keepdims=True)
     beside = np.random.default_rng(6).normal(size=(BLOCKS, len(at))) * noise
-    hessian = np.broadcast_to(splines @ splines.T, (BLOCKS, COUNT, COUNT))
+    hessian = np.broadcast_to(splines @ splines.T, (BLOCKS, SPLINES, SPLINES))
     seen = Quadratic(np.zeros(BLOCKS), beside @ splines.T, hessian)
     return fitted_shapes(candidate, heights, seen, np.arange(BLOCKS) // 3)
 
@@ -185,7 +185,7 @@ def test_a_curve_that_one_run_alone_shows_is_read():
     splines = law.splines(np.linspace(-1.0, 1.0, 60))
     heights = np.linalg.lstsq(splines.T, np.linspace(-2.0, 2.0, 60), rcond=1e-6)[0]
     hessian = (np.arange(BLOCKS) < 3)[:, None, None] * (splines @ splines.T)
-    seen = Quadratic(np.zeros(BLOCKS), np.zeros((BLOCKS, COUNT)), hessian)
+    seen = Quadratic(np.zeros(BLOCKS), np.zeros((BLOCKS, SPLINES)), hessian)
     assert fitted_shapes(law, heights, seen, np.arange(BLOCKS) // 3)[0].numbers == pytest.approx([2.0])
 
 
@@ -315,8 +315,8 @@ def curved(laws, candidate, heights):
 def test_a_curve_at_its_bound_is_no_proposal(laws):
     laws, car = laws
     c = Candidate("side_force", "speed", 0.0, 3.0, 20.0)
-    assert rejected_curve(laws, curved(laws, c, np.full(COUNT, 1.0)), car) == ""
-    at_bound = curved(laws, c, np.eye(COUNT)[2] * 100.0)
+    assert rejected_curve(laws, curved(laws, c, np.full(SPLINES, 1.0)), car) == ""
+    at_bound = curved(laws, c, np.eye(SPLINES)[2] * 100.0)
     assert "side_force over speed reaches its bound" in rejected_curve(laws, at_bound, car)
 
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from ..ops import absolute, cos, maximum, minimum, sin
 from ._base import Effect, Parameter, unlisted
 
-COUNT = 8
+SPLINES = 8  # number of splines, and of coefficients of a curve
 MAX_HEIGHT = 100.0  # bound of the coefficients, which are scaled to their usual size
 INTERVALS = 5.0  # between the knots of u
 MOTION = ("steering", "acceleration_y", "acceleration_x", "speed", "yaw_rate", "north", "east", "position_x",
@@ -97,7 +97,7 @@ def _parameters(*more: Parameter) -> tuple[Parameter, ...]:
     """Parameters of a kind of relation: coefficients, range, parity, weights; more: further constants."""
     return (
         *(Parameter(f"c{k}", "1", null=0.0, initial=1.0, bounds=(-MAX_HEIGHT, MAX_HEIGHT),
-                    meaning=f"coefficient of spline {k}", source="of the relation") for k in range(COUNT)),
+                    meaning=f"coefficient of spline {k}", source="of the relation") for k in range(SPLINES)),
         _constant("low", "smallest value of u"), _constant("spacing", "of the knots of u", 1.0),
         _constant("parity", "-1 odd, +1 even, 0 neither"),
         *(_constant(f"in_{name}", "weight in u") for name in INPUTS),

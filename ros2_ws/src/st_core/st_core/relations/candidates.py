@@ -8,8 +8,8 @@ import numpy as np
 from ..discovery.levels import sites
 from ..discovery.windows import Windows
 from ..effects._relation import (
-    COUNT,
     INTERVALS,
+    SPLINES,
     TERMS,
     LaggedRelationEffect,
     RelationEffect,
@@ -125,10 +125,10 @@ class Candidate:
         return known | ({"by_one": 0.0} if self.factor else {})
 
     def splines(self, u: np.ndarray) -> np.ndarray:
-        """(COUNT, ...) splines of the curve [its unit] at u [unit of the quantity], of which the curve is a linear
+        """(SPLINES, ...) splines of the curve [its unit] at u [unit of the quantity], of which the curve is a linear
         combination."""
         t, s = ((np.clip(v, self.low, self.high) - self.low) * INTERVALS / (self.high - self.low) for v in (u, -u))
-        return self.usual_size * np.stack([spline(t - k) + self.parity * spline(s - k) for k in range(-1, COUNT - 1)])
+        return self.usual_size * np.stack([spline(t - k) + self.parity * spline(s - k) for k in range(-1, SPLINES - 1)])
 
 
 def run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 from ..discovery.loss import Errors, Loss
 from ..discovery.next_manoeuvre import MIN_SEPARATION, REPETITIONS, simulated
 from ..discovery.windows import Windows
-from ..effects._relation import COUNT
+from ..effects._relation import SPLINES
 from ..manoeuvres import Manoeuvre
 from ..regression import ridge
 from .candidates import ODD, Candidate, driven_quantities
@@ -81,7 +81,7 @@ def next_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, riva
     splines = candidate.splines(at)
     rivals = {name: other for name, other in rivals.items()
               if other.candidate is not None and other.candidate.quantity not in INDEPENDENT_OF_MANOEUVRE}
-    recorded = {name: _joint(fits.loss, fit.rows, fit.slopes, other.slopes[-COUNT:], fit)
+    recorded = {name: _joint(fits.loss, fit.rows, fit.slopes, other.slopes[-SPLINES:], fit)
                 for name, other in rivals.items()}
     curvature = fit.q.hessian.sum(axis=0)
     variance = _variance(curvature + fit.penalty, splines)
@@ -115,20 +115,20 @@ def _loss(fits: RelationFits, windows: Windows, candidate: Candidate, fit: Relat
 
 def _joint(loss: Loss, rows: np.ndarray, slopes: np.ndarray, rival_slopes: np.ndarray, fit: RelationFit) -> np.ndarray:
     """Curvature in the other parameters, the coefficients of a rival, and the size of the relation."""
-    size_slope = np.einsum("p,pnm->nm", fit.coefficients, slopes[-COUNT:])
-    return loss.quadratic(rows, np.concatenate([slopes[:-COUNT], rival_slopes, size_slope[None]])).hessian.sum(axis=0)
+    size_slope = np.einsum("p,pnm->nm", fit.coefficients, slopes[-SPLINES:])
+    return loss.quadratic(rows, np.concatenate([slopes[:-SPLINES], rival_slopes, size_slope[None]])).hessian.sum(axis=0)
 
 
 def _strength(h: np.ndarray, fit: RelationFit, other: RelationFit, design_effect: float) -> float:
     """Separation of a relation from a rival, in standard deviations. h: of `_joint`."""
-    n_others = len(fit.indices) - COUNT
+    n_others = len(fit.indices) - SPLINES
     penalty = np.zeros((len(h) - 1, len(h) - 1))
-    penalty[n_others:, n_others:] = other.penalty[-COUNT:, -COUNT:]
+    penalty[n_others:, n_others:] = other.penalty[-SPLINES:, -SPLINES:]
     unexplained = float(h[-1, -1] - h[-1, :-1] @ np.linalg.solve(ridge(h[:-1, :-1] + penalty), h[:-1, -1]))
     return float(np.sqrt(max(2.0 * unexplained / design_effect, 0.0)))
 
 
 def _variance(h: np.ndarray, splines: np.ndarray) -> np.ndarray:
     """(k,) variance of the curve, up to a factor."""
-    inverse = np.linalg.inv(h + RIDGE * np.eye(len(h)))[-COUNT:, -COUNT:]
+    inverse = np.linalg.inv(h + RIDGE * np.eye(len(h)))[-SPLINES:, -SPLINES:]
     return np.einsum("ik,ij,jk->k", splines, inverse, splines)

@@ -13,7 +13,7 @@ from ..discovery.settings import DiscoverySettings
 from ..discovery.space import GAIN, Space
 from ..discovery.windows import Windows
 from ..effects import get_effect
-from ..effects._relation import COUNT, RelationEffect
+from ..effects._relation import SPLINES, RelationEffect
 from ..log import DriveLog
 from ..regression import ridge
 from ..vehicle import VehicleParameters
@@ -25,8 +25,8 @@ SIZE_PENALTY = 0.1  # on the coefficients, over that on their second differences
 ITERATIONS, STEP_SHARES, MIN_LOSS_FALL = 8, (1.0, 0.5, 0.2), 2e-4  # of a fit; the last: per scored error, ends it
 BASE_FITS = 2  # of the answer alone
 RIDGE = 1e-6
-_SECOND = np.diff(np.eye(COUNT), 2, axis=0)
-ROUGHNESS = _SECOND.T @ _SECOND + SIZE_PENALTY * np.eye(COUNT)
+_SECOND = np.diff(np.eye(SPLINES), 2, axis=0)
+ROUGHNESS = _SECOND.T @ _SECOND + SIZE_PENALTY * np.eye(SPLINES)
 """Penalty: sum of squared second differences, plus SIZE_PENALTY times the squares."""
 
 
@@ -52,14 +52,14 @@ class RelationFit:
 
     @property
     def coefficients(self) -> np.ndarray:
-        return self.vector[self.indices[-COUNT:]] if self.candidate else np.zeros(COUNT)
+        return self.vector[self.indices[-SPLINES:]] if self.candidate else np.zeros(SPLINES)
 
     def covariance(self) -> np.ndarray:
-        """(COUNT, COUNT) of the coefficients: sandwich over the blocks."""
+        """(SPLINES, SPLINES) of the coefficients: sandwich over the blocks."""
         inverse = np.linalg.inv(self.q.hessian.sum(axis=0) + self.penalty + RIDGE * np.eye(len(self.indices)))
         scores, blocks = self.q.gradient, len(self.q.cost)
         scatter = scores.T @ scores * blocks / max(blocks - 1, 1)
-        return (inverse @ scatter @ inverse)[-COUNT:, -COUNT:]
+        return (inverse @ scatter @ inverse)[-SPLINES:, -SPLINES:]
 
 
 class RunWindows(Windows):
@@ -128,8 +128,8 @@ class RelationFits:
         """(a, a) on all free parameters, the coefficients last. hessian: (a, a)."""
         penalty = np.zeros(hessian.shape)
         if candidate:
-            own = hessian[-COUNT:, -COUNT:]
-            penalty[-COUNT:, -COUNT:] = smooth * float(np.trace(own)) / COUNT * ROUGHNESS + 1e-9 * np.eye(COUNT)
+            curvature = float(np.trace(hessian[-SPLINES:, -SPLINES:])) / SPLINES
+            penalty[-SPLINES:, -SPLINES:] = smooth * curvature * ROUGHNESS + 1e-9 * np.eye(SPLINES)
         return penalty
 
     def left_out_steps(self, q: Quadratic, penalty: np.ndarray,
@@ -159,7 +159,7 @@ class RelationFits:
         coefficients; the last that lowers the held-out loss."""
         indices = np.concatenate([self.refitted, self.relation])
         loss = self.loss_of(candidate)
-        slopes = np.concatenate([without.slopes, np.zeros((COUNT, *without.slopes.shape[1:]))])
+        slopes = np.concatenate([without.slopes, np.zeros((SPLINES, *without.slopes.shape[1:]))])
         strong, *weaker = sorted(SMOOTHING, reverse=True)
         best = self._fit(candidate, loss, indices, strong, slopes, without.vector)
         for smooth in weaker:
@@ -177,17 +177,17 @@ class RelationFits:
         car = loss.slopes(fit.vector, self.car)
         q = self.quadratic(loss, fit.rows, np.concatenate([car, fit.slopes]))
         whole = q.hessian.sum(axis=0)
-        others = whole[:-COUNT, :-COUNT]
-        projection = np.concatenate([-np.linalg.solve(ridge(others), whole[:-COUNT, -COUNT:]), np.eye(COUNT)])
+        others = whole[:-SPLINES, :-SPLINES]
+        projection = np.concatenate([-np.linalg.solve(ridge(others), whole[:-SPLINES, -SPLINES:]), np.eye(SPLINES)])
         hessian = np.einsum("ik,bij,jl->bkl", projection, q.hessian, projection)
         return Quadratic(q.cost, q.gradient @ projection, hessian)
 
     def without_effect(self, candidate: Candidate, fit: RelationFit, name: str) -> RelationFit:
         """The relation with an effect of the answer removed and everything else refitted."""
-        own = self.space.indices(name)
-        vector, others = fit.vector.copy(), np.setdiff1d(fit.indices[:-COUNT], own)
+        removed = self.space.indices(name)
+        vector, others = fit.vector.copy(), np.setdiff1d(fit.indices[:-SPLINES], removed)
         null = {p.name: p.null for p in get_effect(name).parameters}
-        vector[own] = [null[self.space.free[i].parameter] for i in own]
+        vector[removed] = [null[self.space.free[i].parameter] for i in removed]
         loss, indices = self.loss_of(candidate), np.concatenate([others, self.relation])
         return self._fit(candidate, loss, indices, fit.smooth, loss.slopes(vector, indices), vector)
 
@@ -196,7 +196,7 @@ class RelationFits:
         vector, scale = vector.copy(), self.space.scale
         for iteration in range(ITERATIONS):
             if candidate:
-                slopes = np.concatenate([slopes[:-COUNT], loss.slopes(vector, self.relation)])
+                slopes = np.concatenate([slopes[:-SPLINES], loss.slopes(vector, self.relation)])
             q = self.quadratic(loss, loss.errors.at(vector), slopes)
             h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
             if not iteration:

@@ -10,7 +10,7 @@ from scipy import stats
 from ..contract import describe_instability
 from ..discovery.settings import Limits
 from ..effects import get_effect
-from ..effects._relation import COUNT, MAX_HEIGHT
+from ..effects._relation import MAX_HEIGHT, SPLINES
 from ..models import get_model
 from ..regression import ridge
 from ..vehicle import VehicleParameters
@@ -27,7 +27,7 @@ class Screened:
 
     observed, drawn: score statistic, and with random signs of the blocks (DRAWS,), both over the mean of the draws.
     freedom: effective degrees of freedom of the curve. design_effect: of dependent windows on the variance of the
-    scores, >= 1, from the residual scores. gain: reduction of the held-out loss. information: (COUNT, COUNT) on the
+    scores, >= 1, from the residual scores. gain: reduction of the held-out loss. information: (SPLINES, SPLINES) on the
     coefficients, other parameters projected out.
     """
 
@@ -87,25 +87,25 @@ def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.
     slopes = loss.slopes(without.vector, fits.relation)
     q = fits.quadratic(loss, without.rows, np.concatenate([without.slopes, slopes]))
     h = q.hessian.sum(axis=0)
-    if float(np.trace(h[-COUNT:, -COUNT:])) <= 1e-9 * float(np.trace(h)):
+    if float(np.trace(h[-SPLINES:, -SPLINES:])) <= 1e-9 * float(np.trace(h)):
         return None
     q_all = fits.quadratic(loss, without.rows, np.concatenate([without.slopes, car, slopes]))
-    distance = np.concatenate([((without.vector - fits.start) / fits.space.scale)[without.indices], np.zeros(COUNT)])
+    distance = np.concatenate([((without.vector - fits.start) / fits.space.scale)[without.indices], np.zeros(SPLINES)])
     penalties = {smooth: fits.penalty(candidate, h, smooth) for smooth in SMOOTHING}
     losses = {smooth: fits.predicted_held_out(q, penalty, distance) for smooth, penalty in penalties.items()}
     smooth = min(losses, key=lambda share: float(losses[share].sum()))
     h = q_all.hessian.sum(axis=0)
-    cross = np.linalg.solve(ridge(h[:-COUNT, :-COUNT]), h[:-COUNT, -COUNT:])
-    gradient = q_all.gradient[:, -COUNT:] - q_all.gradient[:, :-COUNT] @ cross
-    information = h[-COUNT:, -COUNT:] - h[-COUNT:, :-COUNT] @ cross
-    inverse = np.linalg.pinv(information + penalties[smooth][-COUNT:, -COUNT:])
+    cross = np.linalg.solve(ridge(h[:-SPLINES, :-SPLINES]), h[:-SPLINES, -SPLINES:])
+    gradient = q_all.gradient[:, -SPLINES:] - q_all.gradient[:, :-SPLINES] @ cross
+    information = h[-SPLINES:, -SPLINES:] - h[-SPLINES:, :-SPLINES] @ cross
+    inverse = np.linalg.pinv(information + penalties[smooth][-SPLINES:, -SPLINES:])
     drawn = np.einsum("di,ij,dj->d", signs @ gradient, inverse, signs @ gradient)
     mean = max(float(drawn.mean()), 1e-30)
     total = gradient.sum(axis=0)
     freedom = max(float(np.trace(inverse @ information)), 1.0)
     step = inverse @ total
     residual_gradient = q_all.gradient - q_all.hessian @ np.concatenate([-cross @ step, step])
-    after = residual_gradient[:, -COUNT:] - residual_gradient[:, :-COUNT] @ cross
+    after = residual_gradient[:, -SPLINES:] - residual_gradient[:, :-SPLINES] @ cross
     design_effect = max(2.0 * float(np.einsum("bi,ij,bj->", after, inverse, after)) / freedom, 1.0)
     return Screened(candidate, float(total @ inverse @ total) / mean, drawn / mean, freedom, design_effect,
                     float((base - losses[smooth]).sum()), information)
@@ -238,8 +238,8 @@ def equally_good(worse: np.ndarray, p: float, seed: int) -> np.ndarray:
 def run_shares(fits: RelationFits, fit: RelationFit) -> RunShares:
     """Size of the relation in each run, everything else refitted, by the quadratic."""
     h = fit.q.hessian.sum(axis=0)
-    others, coefficients = h[:-COUNT, :-COUNT], fit.coefficients
-    direction = np.concatenate([-np.linalg.solve(ridge(others), h[:-COUNT, -COUNT:] @ coefficients), coefficients])
+    others, coefficients = h[:-SPLINES, :-SPLINES], fit.coefficients
+    direction = np.concatenate([-np.linalg.solve(ridge(others), h[:-SPLINES, -SPLINES:] @ coefficients), coefficients])
     g, hh = fit.q.gradient @ direction, np.einsum("i,bij,j->b", direction, fit.q.hessian, direction)
     run = fits.problem.run_of_block
     informative = [k for k in np.unique(run) if hh[run == k].sum() > MIN_INFORMATION * hh.sum()]
@@ -269,9 +269,9 @@ def cosine(fits: RelationFits, first: RelationFit, other: RelationFit) -> float:
     """Cosine similarity of two relations' effects on the predictions, all other parameters projected out."""
     effects = []
     for fit in (first, other):
-        change = np.einsum("p,pnm->nm", fit.coefficients, fit.slopes[-COUNT:]) / fits.loss.scale
+        change = np.einsum("p,pnm->nm", fit.coefficients, fit.slopes[-SPLINES:]) / fits.loss.scale
         # Without a named effect and an accelerometer there are no other parameters.
-        others = (fit.slopes[:-COUNT] / fits.loss.scale).reshape(len(fit.slopes) - COUNT, change.size)
+        others = (fit.slopes[:-SPLINES] / fits.loss.scale).reshape(len(fit.slopes) - SPLINES, change.size)
         change = np.where(fits.loss.known, change, 0.0).ravel()
         others = np.nan_to_num(others * fits.loss.known.ravel())
         effects.append(change - np.linalg.lstsq(others.T, change, rcond=None)[0] @ others)
