@@ -413,11 +413,11 @@ def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, names: 
     prior[0, :] = prior[:, 0] = 0.0
     shares, variances, informative = [], [], []
     for k in range(len(h)):
-        own_variance = inverse(h[k] + prior)
-        information = 1.0 / max(own_variance[0, 0], 1e-30)
+        part_variance = inverse(h[k] + prior)
+        information = 1.0 / max(part_variance[0, 0], 1e-30)
         if h[k, 0, 0] <= 0.0 or information < MIN_INFORMATION_SHARE * total:
             continue
-        shares.append(1.0 + float((own_variance @ g[k])[0]))
+        shares.append(1.0 + float((part_variance @ g[k])[0]))
         variances.append(design_effect / information)
         informative.append(names[k])
     return pooled(np.array(shares), np.array(variances), informative)
