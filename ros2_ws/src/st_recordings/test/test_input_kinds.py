@@ -616,6 +616,15 @@ def test_bags(tmp_path: Path, drive, make, settings: ReadSettings, warning: str)
     assert_warned(run.warnings, warning)
 
 
+def test_a_missing_file_of_a_bag_is_named(tmp_path: Path, drive) -> None:
+    splits(tmp_path, drive[1])
+    for k in (4, 5):
+        (tmp_path / f"drive_{k}.mcap").unlink()
+    first, second = (read(source, CAR) for source in find_runs([tmp_path]))
+    assert not first.warnings
+    assert_warned(second.warnings, "2 files between drive_3.mcap and this one are missing: they are read as separate")
+
+
 def test_a_bag_of_another_encoding_is_named(tmp_path: Path, drive) -> None:
     file = write_bag(tmp_path / "json.mcap", drive[1], 0, 5, encoding="json")
     with pytest.raises(RunError, match="its messages are encoded as json, and only CDR of ROS 2 can be read"):

@@ -14,7 +14,7 @@ from st_core.log import DriveLog
 
 from ..bag_metadata import read_information
 from ..paths import project_root
-from .bag_storage import EXTENSIONS, Storage, Topic, missing_files, open_storage, storage_files
+from .bag_storage import EXTENSIONS, Storage, Topic, missing_before, missing_files, open_storage, storage_files
 from .cdr import CAN_FRAMES, DAMAGE, NCOM, ODOMETRY, STEERING, field_of, summary_of, typestore, with_definitions
 from .errors import RunError, check_readable, share, short
 from .ins_log import InsLog, planar_ins_log, usable_rows, yaw_of
@@ -126,7 +126,7 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     elif STEERING not in columns:
         columns[STEERING] = reconstruction.steering()
         topics[STEERING] = reconstruction.topic(CAN_FRAMES).name + RECONSTRUCTED
-    notes = [note for note in [missing_files(path) if path.is_dir() else ""] if note]
+    notes = [note for note in [missing_files(path) if path.is_dir() else missing_before(path)] if note]
     notes += _replace_meaningless_stamps(storage, topics, columns)
     log, missing, row_notes = _drive_log(path, name or path.stem, columns[ODOMETRY], columns[STEERING])
     stamps = {"INS": columns[ODOMETRY]["header.stamp"], "steering": columns[STEERING]["header.stamp"]}

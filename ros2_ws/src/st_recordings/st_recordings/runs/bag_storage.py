@@ -105,6 +105,23 @@ def missing_files(directory: Path) -> str:
     return f"{share(len(missing), len(listed), 'files')} of metadata.yaml are missing: {', '.join(missing)[:200]}"
 
 
+def missing_before(file: Path) -> str:
+    """A note on files of one recording that are missing before this one: drive_1, drive_3 without metadata.yaml. Their
+    gap must fit files as long as the two next to it, else they are recordings that were numbered."""
+    stem, _, number = file.stem.rpartition("_")
+    numbers = {int(end): other for other in file.parent.iterdir() if other.suffix == file.suffix
+               and other.stem.rpartition("_")[0] == stem and (end := other.stem.rpartition("_")[2]).isdigit()}
+    before = max((k for k in numbers if number.isdigit() and k < int(number)), default=None)
+    if before is None or (count := int(number) - before - 1) == 0:
+        return ""
+    earlier, own = time_span(numbers[before]), time_span(file)
+    if earlier is None or own is None or not 0 < own[0] - earlier[1] < 2 * count * max(
+            earlier[1] - earlier[0], own[1] - own[0]):
+        return ""
+    return (f"{count} file{'s' if count > 1 else ''} between {numbers[before].name} and this one "
+            f"{'are' if count > 1 else 'is'} missing: they are read as separate runs")
+
+
 def time_span(file: Path) -> tuple[int, int] | None:
     """Log times of the first and last message of a storage file [ns]; None for a file that cannot be read."""
     try:
