@@ -112,6 +112,12 @@ def geographic(log, every: int = 1) -> str:
     return csv(cells, "t,latitude,longitude,phi,vx,vy,yaw_rate,steering_wheel_angle")
 
 
+def in_radians(text: str) -> str:
+    head, *lines = (line.split(",") for line in text.splitlines())
+    return csv([[row[0], *(f"{np.radians(float(cell)):.12f}" for cell in row[1:3]), *row[3:]] for row in lines],
+               ",".join(head))
+
+
 def to_degrees(log) -> tuple[np.ndarray, np.ndarray]:
     """Latitude and longitude of x and y about 52 N, 1.5 W, first order."""
     a, e2, origin = 6378137.0, 6.69437999014e-3, np.radians(52.0)
@@ -248,6 +254,8 @@ def test_a_table_in_parts_is_one_run(tmp_path: Path, drive, kind: str) -> None:
     (lambda log: stamped(log, lambda s: f"{s * 1e9:.0f}"), r"are not in s; .*units: \{t: ns\}"),
     (lambda log: csv(rows(log), ",".join(NAMES).replace(",x,", ",a/pos_x,b/pos_x,")[:-21]), "is known as x"),
     (lambda log: "timestamp,arbitration_id,dlc,data\n0.1,0x2,8,AAAA\n", "this is a CAN log as a table; export it as"),
+    (lambda log: geographic(log).replace("latitude,longitude", "longitude,latitude"), "longitude are exchanged: only"),
+    (lambda log: in_radians(geographic(log)), r"are in radians: read as degrees, they give 1/\d\d of the distance"),
     (doubtful_thousands, r"1,234 may be a number with a decimal mark or with a thousands separator"),
     (lambda log: csv(rows(log), ",".join(NAMES) + "\ns,m,m,Grad,m/s,m/s,deg/s,deg"), "unit row: 'Grad' of column yaw"),
 ])

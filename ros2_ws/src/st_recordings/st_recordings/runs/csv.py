@@ -29,6 +29,8 @@ RELATED = {"time": "t", "x": "longitude", "y": "latitude", "yaw": COMPASS}
 QUATERNION = [f"orientation_{axis}" for axis in "xyzw"]
 MIN_COURSE_SPEED = 1.0
 """m/s; a velocity noise of 0.05 m/s turns the course by 3 degrees there."""
+MIN_DISTANCE_SAMPLES = 20
+"""Samples of a drive whose distance is compared with its speed."""
 MAX_HELD_SHARE = 0.3
 """Share of rows of a moving car with an unchanged position, above which positions have a lower rate than the rows."""
 MIN_INTERVAL_RATIO = 1.5
@@ -228,9 +230,44 @@ def _with_derived(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray]
         found = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude) & table.used)
         origin = (float(latitude[found[0]]), float(longitude[found[0]]), 0.0) if len(found) else None
         columns["x"], columns["y"], _ = enu(origin or (0.0, 0.0, 0.0), latitude, longitude, np.zeros(len(latitude)))
+        _check_distance(table, columns, latitude, longitude)
     _interpolate_lower_rates(table, columns, notes)
     _interpolate_held_positions(table, columns, notes)
     return columns, origin
+
+
+def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: np.ndarray,
+                    longitude: np.ndarray) -> None:
+    """Raises RunError for latitude and longitude in radians without a unit, or exchanged: the car drives another
+    distance. Steps of a second, in which the noise of a receiver hardly adds to it."""
+    if "velocity_x" not in columns:
+        return
+    rows = np.flatnonzero(table.used & np.isfinite(latitude) & np.isfinite(longitude) & np.isfinite(
+        columns["velocity_x"]))
+    time = (table.time_ns[rows] - table.time_ns[:1]) * 1e-9
+    if len(rows) < MIN_DISTANCE_SAMPLES:
+        return
+    step = max(round(1.0 / float(np.median(np.diff(time)))), 1)
+    rows, time = (values[: (len(rows) - 1) // step * step + 1] for values in (rows, time))
+    speed = np.abs(columns["velocity_x"][rows])
+    driven = float(np.sum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time)))
+
+    def moved(one: np.ndarray, other: np.ndarray) -> float:
+        first = (float(one[rows[0]]), float(other[rows[0]]), 0.0)
+        at = rows[::step]
+        east, north, _ = enu(first, one[at], other[at], np.zeros(len(at)))
+        return float(np.sum(np.hypot(np.diff(east), np.diff(north)))) / max(driven, 1e-9)
+
+    as_read, names = moved(latitude, longitude), [table.sources[name].name for name in ("latitude", "longitude")]
+    if not table.sources["latitude"].stated and 0.8 < as_read * 180.0 / np.pi < 3.0:
+        raise RunError(table.file, f"{names[0]} and {names[1]} are in radians: read as degrees, they give 1/"
+                       f"{1.0 / as_read:.0f} of the distance that the car drives",
+                       "declare it in a run.yaml, as units: {latitude: rad, longitude: rad}")
+    if abs(as_read - 1.0) > 0.05 and np.abs(longitude[rows]).max() < np.pi / 2 and abs(
+            moved(longitude, latitude) - 1.0) < 0.02:
+        raise RunError(table.file, f"{names[0]} and {names[1]} are exchanged: only exchanged they give the distance "
+                       "that the car drives", f"exchange them in a run.yaml, as columns: {{latitude: '{names[1]}', "
+                       f"longitude: '{names[0]}'}}")
 
 
 def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
