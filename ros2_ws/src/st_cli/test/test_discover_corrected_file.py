@@ -118,7 +118,7 @@ def test_the_file_holds_what_its_effect_would_do(driven, name):
     values = values_of(name, 0.8)
     found, one = corrected(driven, (name, values))
     assert one.folded == (name,) and not one.kept
-    expected = EFFECTS[name].fold(CAR, EFFECTS[name].Theta(**values, car=()))
+    expected = EFFECTS[name].fold(CAR, EFFECTS[name].Theta(**values, constants=()))
     for key in KEYS:
         assert value_of(one.vehicle, key) == pytest.approx(value_of(expected, key), rel=1e-5, abs=1e-9), key
     for low, high in ((change[2], change[3]) for change in one.changes.values()):

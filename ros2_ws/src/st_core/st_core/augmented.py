@@ -143,7 +143,7 @@ class AugmentedModel(Model):
                      if any(p.fit and self.values[e.name][p.name] != p.null for p in e.parameters))
 
     def _theta(self, effect: type[Effect]) -> Any:
-        return effect.Theta(**self.values[effect.name], car=())
+        return effect.Theta(**self.values[effect.name], constants=())
 
 
 def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedModel:
@@ -193,7 +193,7 @@ def _compose(base: Model, effects: tuple[type[Effect], ...], values: Values) -> 
         if not composed.active:
             return base_parameters
         return AugmentedParameters(base_parameters, tuple(
-            e.Theta(**values[e.name], car=e.constants(vehicle) if e.constants else ()) for e in composed.active))
+            e.Theta(**values[e.name], constants=e.constants(vehicle) if e.constants else ()) for e in composed.active))
 
     model = AugmentedModel(
         "augmented", parameters, composed.inputs, composed.rhs, composed.extra_states, composed.start, composed.signals,
@@ -227,7 +227,7 @@ def fold(vehicle: VehicleParameters, effects: Iterable[type[Effect]], values: Va
     """
     for effect in effects:
         assert effect.fold is not None
-        vehicle = effect.fold(vehicle, effect.Theta(**values[effect.name], car=()))
+        vehicle = effect.fold(vehicle, effect.Theta(**values[effect.name], constants=()))
     return vehicle
 
 

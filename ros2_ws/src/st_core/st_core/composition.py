@@ -48,7 +48,7 @@ class _Layout:
 
     effect: type[Effect]
     index: int
-    given: tuple[int, int]
+    prepared: tuple[int, int]
     extra: tuple[int, int]
 
 
@@ -63,7 +63,7 @@ def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composed:
     changed_inputs = _changed_inputs(layouts, signals)
     if not any(e.lifts or getattr(e, hook) for e in acting for hook in EQUATION_HOOKS):
         return Composed(acting, _inputs_only(base.inputs, changed_inputs), _rhs_of_base(base.rhs), signals=signals)
-    base_begin = layouts[-1].given[1]
+    base_begin = layouts[-1].prepared[1]
     geometric_slips, base_forces, motion = _dynamics(base, layouts, base_begin)
     rhs = _rhs(geometric_slips, _chain(_unchanged_slips, _add_slip_angles, layouts, "slip_angles"),
                _chain(base_forces, _add_axle_forces, layouts, "axle_forces"), motion,
@@ -74,17 +74,17 @@ def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composed:
     extra_states = tuple(f"{e.name}.{name}" for e in acting for name in e.extra_states)
     start = _start(_chain(_nothing, _add_start, layouts, "extra_states"), geometric_slips) if extra_states else None
     force = _chain(_no_force, _add_specific_force, layouts, "specific_force")
-    return Composed(acting, _inputs(base.inputs, changed_inputs, _given(layouts, signals)), rhs, start,
+    return Composed(acting, _inputs(base.inputs, changed_inputs, _prepared(layouts, signals)), rhs, start,
                     None if force is _no_force else _specific_force(force), extra_states, signals)
 
 
 def _layouts(acting: tuple[type[Effect], ...]) -> list[_Layout]:
     layouts, w, state = [], 2, STATES
     for index, effect in enumerate(acting):
-        given = (w, w + len(effect.prepared or effect.signals))
+        prepared = (w, w + len(effect.prepared or effect.signals))
         extra = (state, state + len(effect.extra_states))
-        w, state = given[1], extra[1]
-        layouts.append(_Layout(effect, index, given, extra))
+        w, state = prepared[1], extra[1]
+        layouts.append(_Layout(effect, index, prepared, extra))
     return layouts
 
 
@@ -111,29 +111,30 @@ def _dynamics(base: Model, layouts: list[_Layout], base_begin: int):
     """Functions slips(at), forces(slip_front, slip_rear, at), motion(force_front, force_rear, at) of the dynamics."""
     if base.axles is None:
         lift, axles = _lift(layouts), linear_tyre.AXLES
-        index, (begin, end) = lift.index, lift.given
+        index, (begin, end) = lift.index, lift.prepared
 
-        def w_and_p(at):
-            return at.w[begin:end], at.p.effects[index].car
+        def w_and_p(instant):
+            return instant.w[begin:end], instant.p.effects[index].constants
     else:
         axles = base.axles
 
-        def w_and_p(at):
-            return at.w[base_begin:], at.p.base
+        def w_and_p(instant):
+            return instant.w[base_begin:], instant.p.base
 
     slip_angles, axle_forces, axle_motion = axles.slip_angles, axles.forces, axles.motion
 
-    def slips(at):
-        w, p = w_and_p(at)
-        return slip_angles((at.x, at.y, at.velocity_x, at.velocity_y, at.yaw, at.yaw_rate), w, p)
+    def slips(instant):
+        w, p = w_and_p(instant)
+        state = (instant.x, instant.y, instant.velocity_x, instant.velocity_y, instant.yaw, instant.yaw_rate)
+        return slip_angles(state, w, p)
 
-    def forces(slip_front, slip_rear, at):
-        w, p = w_and_p(at)
+    def forces(slip_front, slip_rear, instant):
+        w, p = w_and_p(instant)
         return axle_forces(slip_front, slip_rear, w, p)
 
-    def motion(force_front, force_rear, at):
-        w, p = w_and_p(at)
-        state = at.x, at.y, at.velocity_x, at.velocity_y, at.yaw, at.yaw_rate
+    def motion(force_front, force_rear, instant):
+        w, p = w_and_p(instant)
+        state = instant.x, instant.y, instant.velocity_x, instant.velocity_y, instant.yaw, instant.yaw_rate
         return axle_motion(state, force_front, force_rear, w, p)
 
     return slips, forces, motion
@@ -141,13 +142,13 @@ def _dynamics(base: Model, layouts: list[_Layout], base_begin: int):
 
 def _rhs(geometric_slips, changed_slips, forces, motion, acceleration, rates):
     def rhs(state, w, p):
-        at = _instant(state, w, p)
-        geometric = geometric_slips(at)
-        slip_front, slip_rear = changed_slips(geometric[0], geometric[1], state, at)
-        axle = forces(slip_front, slip_rear, at)
-        x, y, velocity_x, velocity_y, yaw, yaw_rate = motion(axle[0], axle[1], at)
-        a_x, a_y, a_yaw = acceleration(at)
-        return x, y, velocity_x + a_x, velocity_y + a_y, yaw, yaw_rate + a_yaw, *rates(state, geometric, axle, at)
+        instant = _instant(state, w, p)
+        geometric = geometric_slips(instant)
+        slip_front, slip_rear = changed_slips(geometric[0], geometric[1], state, instant)
+        axle = forces(slip_front, slip_rear, instant)
+        x, y, velocity_x, velocity_y, yaw, yaw_rate = motion(axle[0], axle[1], instant)
+        a_x, a_y, a_yaw = acceleration(instant)
+        return x, y, velocity_x + a_x, velocity_y + a_y, yaw, yaw_rate + a_yaw, *rates(state, geometric, axle, instant)
     return rhs
 
 
@@ -171,8 +172,8 @@ def _rhs_of_base(base_rhs):
 
 def _start(extra_states, geometric_slips):
     def start(state, w, p):
-        at = _instant(state, w, p)
-        return extra_states(geometric_slips(at), at)
+        instant = _instant(state, w, p)
+        return extra_states(geometric_slips(instant), instant)
     return start
 
 
@@ -195,10 +196,10 @@ def _inputs_only(base_inputs, changed_inputs):
     return inputs
 
 
-def _inputs(base_inputs, changed_inputs, given):
+def _inputs(base_inputs, changed_inputs, prepared):
     def inputs(road_wheel_angle, velocity_x_dot, p, *signals):
         angle, acceleration = changed_inputs(road_wheel_angle, velocity_x_dot, p, signals)
-        added = given(angle, acceleration, p, signals)
+        added = prepared(angle, acceleration, p, signals)
         return angle, acceleration, *added, *base_inputs(angle, acceleration, p.base)
     return inputs
 
@@ -236,96 +237,96 @@ def _pass_signals(angle, acceleration, signals, theta):
     return signals
 
 
-def _given(layouts: list[_Layout], signals: tuple[str, ...]):
-    given = _nothing
+def _prepared(layouts: list[_Layout], signals: tuple[str, ...]):
+    prepared = _nothing
     for layout in layouts:
         if layout.effect.prepare or layout.effect.signals:
-            given = _add_given(given, layout.effect.prepare or _pass_signals, layout.index,
+            prepared = _add_prepared(prepared, layout.effect.prepare or _pass_signals, layout.index,
                                _pick(signals, layout.effect.signals))
-    return given
+    return prepared
 
 
-def _add_given(previous, hook, index, pick):
-    def given(angle, acceleration, p, signals):
+def _add_prepared(previous, hook, index, pick):
+    def prepared(angle, acceleration, p, signals):
         before = previous(angle, acceleration, p, signals)
         return *before, *hook(angle, acceleration, pick(signals), p.effects[index])
-    return given
+    return prepared
 
 
 # Equations: for each hook the function without effects, and a wrapper that adds one effect.
 
-def _unchanged_slips(slip_front, slip_rear, state, at):
+def _unchanged_slips(slip_front, slip_rear, state, instant):
     return slip_front, slip_rear
 
 
 def _add_slip_angles(previous, layout):
-    hook, index, (begin, end), (first, last) = layout.effect.slip_angles, layout.index, layout.given, layout.extra
+    hook, index, (begin, end), (first, last) = layout.effect.slip_angles, layout.index, layout.prepared, layout.extra
 
-    def slips(slip_front, slip_rear, state, at):
-        front, rear = previous(slip_front, slip_rear, state, at)
-        return hook(front, rear, state[first:last], at, at.w[begin:end], at.p.effects[index])
+    def slips(slip_front, slip_rear, state, instant):
+        front, rear = previous(slip_front, slip_rear, state, instant)
+        return hook(front, rear, state[first:last], instant, instant.w[begin:end], instant.p.effects[index])
     return slips
 
 
 def _add_axle_forces(previous, layout):
-    hook, index, (begin, end) = layout.effect.axle_forces, layout.index, layout.given
+    hook, index, (begin, end) = layout.effect.axle_forces, layout.index, layout.prepared
 
-    def forces(slip_front, slip_rear, at):
-        return hook(previous, slip_front, slip_rear, at, at.w[begin:end], at.p.effects[index])
+    def forces(slip_front, slip_rear, instant):
+        return hook(previous, slip_front, slip_rear, instant, instant.w[begin:end], instant.p.effects[index])
     return forces
 
 
-def _no_acceleration(at):
-    zero = 0.0 * at.velocity_x
+def _no_acceleration(instant):
+    zero = 0.0 * instant.velocity_x
     return zero, zero, zero
 
 
 def _add_acceleration(previous, layout):
-    hook, index, (begin, end) = layout.effect.acceleration, layout.index, layout.given
+    hook, index, (begin, end) = layout.effect.acceleration, layout.index, layout.prepared
 
-    def acceleration(at):
-        x, y, yaw = previous(at)
-        a_x, a_y, a_yaw = hook(at, at.w[begin:end], at.p.effects[index])
+    def acceleration(instant):
+        x, y, yaw = previous(instant)
+        a_x, a_y, a_yaw = hook(instant, instant.w[begin:end], instant.p.effects[index])
         return x + a_x, y + a_y, yaw + a_yaw
     return acceleration
 
 
 def _add_rates(previous, layout):
-    hook, index, (begin, end), (first, last) = layout.effect.rates, layout.index, layout.given, layout.extra
+    hook, index, (begin, end), (first, last) = layout.effect.rates, layout.index, layout.prepared, layout.extra
 
-    def rates(state, slips, forces, at):
-        added = hook(state[first:last], slips, forces, at, at.w[begin:end], at.p.effects[index])
-        return *previous(state, slips, forces, at), *added
+    def rates(state, slips, forces, instant):
+        added = hook(state[first:last], slips, forces, instant, instant.w[begin:end], instant.p.effects[index])
+        return *previous(state, slips, forces, instant), *added
     return rates
 
 
 def _add_start(previous, layout):
-    hook, index, (begin, end) = layout.effect.start, layout.index, layout.given
+    hook, index, (begin, end) = layout.effect.start, layout.index, layout.prepared
     if hook is None:
         hook = _zeros(len(layout.effect.extra_states))
 
-    def start(slips, at):
-        return *previous(slips, at), *hook(slips, at, at.w[begin:end], at.p.effects[index])
+    def start(slips, instant):
+        return *previous(slips, instant), *hook(slips, instant, instant.w[begin:end], instant.p.effects[index])
     return start
 
 
 def _zeros(count: int):
-    def start(slips, at, given, theta):
-        zero = 0.0 * at.velocity_x
+    def start(slips, instant, prepared, theta):
+        zero = 0.0 * instant.velocity_x
         return (zero,) * count
     return start
 
 
-def _no_force(at):
-    zero = 0.0 * at.velocity_x
+def _no_force(instant):
+    zero = 0.0 * instant.velocity_x
     return zero, zero
 
 
 def _add_specific_force(previous, layout):
-    hook, index, (begin, end) = layout.effect.specific_force, layout.index, layout.given
+    hook, index, (begin, end) = layout.effect.specific_force, layout.index, layout.prepared
 
-    def specific_force(at):
-        x, y = previous(at)
-        a_x, a_y = hook(at, at.w[begin:end], at.p.effects[index])
+    def specific_force(instant):
+        x, y = previous(instant)
+        a_x, a_y = hook(instant, instant.w[begin:end], instant.p.effects[index])
         return x + a_x, y + a_y
     return specific_force

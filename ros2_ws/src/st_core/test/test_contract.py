@@ -32,7 +32,8 @@ def test_the_library_meets_every_requirement(leaf, name):
 
 
 def of(acceleration):
-    return lambda at, given, theta: (0.0 * at.yaw_rate, 0.0 * at.yaw_rate, acceleration(at, theta))
+    return lambda instant, prepared, theta: (
+        0.0 * instant.yaw_rate, 0.0 * instant.yaw_rate, acceleration(instant, theta))
 
 
 @pytest.mark.parametrize(("acceleration", "requirement", "words"), [
@@ -79,8 +80,8 @@ class Good(Effect):
     parameters = (Parameter("gain", "1/s", null=0.0, initial=0.5, bounds=(0.0, 5.0), meaning="damping", source="t"),)
 
     @staticmethod
-    def acceleration(at, given, theta):
-        return 0.0 * at.yaw_rate, 0.0 * at.yaw_rate, -theta.gain * at.yaw_rate
+    def acceleration(instant, prepared, theta):
+        return 0.0 * instant.yaw_rate, 0.0 * instant.yaw_rate, -theta.gain * instant.yaw_rate
 ''')
     effect, = load_file(str(tmp_path), "good")
     assert broken(effect, leaf) == {"the equation is written in the file": "no docstring; write the equation there, "

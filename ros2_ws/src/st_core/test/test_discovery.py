@@ -262,9 +262,9 @@ class Flywheel(Effect):
     )
 
     @staticmethod
-    def acceleration(at, given, theta):
-        zero = 0.0 * at.yaw_rate
-        return zero, zero, -theta.gain * at.yaw_rate * at.velocity_y * at.velocity_y
+    def acceleration(instant, prepared, theta):
+        zero = 0.0 * instant.yaw_rate
+        return zero, zero, -theta.gain * instant.yaw_rate * instant.velocity_y * instant.velocity_y
 '''
 
 

@@ -37,8 +37,8 @@ BANK_FROM_A_MAP = '''
         )
 
         @staticmethod
-        def acceleration(at, given, theta):
-            a_y = -theta.gain * GRAVITY * sin(given[0])
+        def acceleration(instant, prepared, theta):
+            a_y = -theta.gain * GRAVITY * sin(prepared[0])
             return 0.0 * a_y, a_y, 0.0 * a_y
 '''
 
@@ -66,7 +66,8 @@ def test_a_complete_effect_is_taken():
     ({"name": None}, "must be a subclass of Effect with a name"),
     ({"name": "friction"}, r"effect friction: registered already, by .*friction\.py"),
     ({"axle_force": staticmethod(len)}, "effect trial: unknown attribute axle_force, did you mean axle_forces?"),
-    ({"acceleration": lambda at, given, theta: (0.0, 0.0, 0.0)}, "effect trial: acceleration must be a @staticmethod"),
+    ({"acceleration": lambda instant, prepared, theta: (0.0, 0.0, 0.0)},
+     "effect trial: acceleration must be a @staticmethod"),
     ({"physics": ""}, "effect trial: physics is not given"),
     ({"kind": None}, "effect trial: kind is not given; it is one of sensors, vehicle param.*, surroundings"),
     ({"kind": "sensor"}, "effect trial: kind 'sensor' is not one of sensors, vehicle parameters, physics, surr"),

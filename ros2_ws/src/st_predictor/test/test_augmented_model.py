@@ -147,9 +147,9 @@ class TowHook(Effect):
     )
 
     @staticmethod
-    def acceleration(at, given, theta):
-        zero = 0.0 * at.yaw_rate
-        return zero, zero, -theta.gain * at.yaw_rate
+    def acceleration(instant, prepared, theta):
+        zero = 0.0 * instant.yaw_rate
+        return zero, zero, -theta.gain * instant.yaw_rate
 '''
 MODEL = """
 base: linear

@@ -173,7 +173,7 @@ def _changed_quantity(space: Space, vehicle: VehicleParameters, i: int) -> FileQ
     step = DIFFERENCE_STEP * free.usual * free.sign
     for change in (step, -step):
         try:
-            before, after = (effect.fold(vehicle, effect.Theta(**null | {free.parameter: value}, car=()))
+            before, after = (effect.fold(vehicle, effect.Theta(**null | {free.parameter: value}, constants=()))
                              for value in (free.null, free.null + change))
         except ConfigurationError:  # beyond the limits of a vehicle file
             continue

@@ -125,23 +125,25 @@ class Effect:
     """One physical effect: its description, its parameters, and hooks at the places of a model where it acts.
 
     Every hook is an optional @staticmethod. `theta` has the parameters by name, and the result of `constants` as
-    `theta.car`. Hooks of the equations are compiled and differentiated: they use only arithmetic and `st_core.ops`, no
-    branch on a value, and return tuples. `given`: the result of `prepare`, or the declared `signals` without it.
+    `theta.constants`. Hooks of the equations are compiled and differentiated: they use only arithmetic and
+    `st_core.ops`, no branch on a value, and return tuples. `instant`: an Instant. `prepared`: the result of `prepare`,
+    or the declared `signals` without it.
 
         constants(vehicle) -> numbers of the car for the other hooks, a NamedTuple (or one float)
-        vehicle(vehicle, theta) -> changed VehicleParameters; once for a set of values, without theta.car
+        vehicle(vehicle, theta) -> changed VehicleParameters; once for a set of values, without theta.constants
         fold(vehicle, theta) -> VehicleParameters that contain the effect exactly, for a vehicle file; default `vehicle`
         steering(time, angle, begins, theta) -> (time [s], road wheel angle [rad]), changed; arrays of a whole
             recording, for effects with memory; begins: True at the start and after each gap, where memory is reset
         inputs(road_wheel_angle, velocity_x_dot, signals, theta) -> both, changed; once per instant
         prepare(road_wheel_angle, velocity_x_dot, signals, theta) -> tuple, named by `prepared`; once per instant
-        slip_angles(slip_front, slip_rear, extra, at, given, theta) -> both, changed
-        axle_forces(forces, slip_front, slip_rear, at, given, theta) -> (front, rear) [N], from
-            forces(slip_front, slip_rear, at) -> (front, rear), those without the effect
-        acceleration(at, given, theta) -> (along x, along y [m/s^2], of yaw [rad/s^2]), added
-        start(slips, at, given, theta) -> initial values of `extra_states`; default 0
-        rates(extra, slips, forces, at, given, theta) -> their derivatives; slips [rad] geometric, forces [N] as acting
-        specific_force(at, given, theta) -> (a_x, a_y) [m/s^2] of an accelerometer at the CG, in excess of the motion
+        slip_angles(slip_front, slip_rear, extra, instant, prepared, theta) -> both, changed
+        axle_forces(forces, slip_front, slip_rear, instant, prepared, theta) -> (front, rear) [N], from
+            forces(slip_front, slip_rear, instant) -> (front, rear), those without the effect
+        acceleration(instant, prepared, theta) -> (along x, along y [m/s^2], of yaw [rad/s^2]), added
+        start(slips, instant, prepared, theta) -> initial values of `extra_states`; default 0
+        rates(extra, slips, forces, instant, prepared, theta) -> their derivatives; slips [rad] geometric, forces [N]
+        specific_force(instant, prepared, theta) -> (a_x, a_y) [m/s^2] of an accelerometer at the CG, in excess of
+            the motion
         observe(measured, theta) -> Measured: readings for true values; correct(measured, theta): the inverse
 
     name: unique. physics: the equation in a line, with the sign. excited_by: driving that shows it. kind: of
@@ -223,7 +225,8 @@ def _enter(effect: type[Effect], registry: dict[str, type[Effect]]) -> type[Effe
         raise ConfigurationError(f"effect {name}: registered already, by {source_file(known)}")
     for problem in chain(_wrong_attributes(effect), _missing(effect), _wrong_names(effect), _wrong_pairs(effect)):
         raise ConfigurationError(f"effect {name}: {problem}")
-    theta = namedtuple("Theta", [p.name for p in effect.parameters] + ["car"], module=effect.__module__)  # type: ignore[misc]  # names are known at run time only
+    names = [*(p.name for p in effect.parameters), "constants"]
+    theta = namedtuple("Theta", names, module=effect.__module__)  # type: ignore[misc]  # names known at run time only
     theta.__qualname__ = f"{effect.__qualname__}.Theta"  # pickled by this path: compiled kernels are cached by type
     effect.Theta = theta
     if effect.fold is None and effect.vehicle:
@@ -269,8 +272,8 @@ def _wrong_names(effect: type[Effect]) -> Iterator[str]:
     if effect.members and (len(set(effect.members)) < 2 or effect.name in effect.members):
         yield "members must name two other effects or more"
     names = [p.name for p in effect.parameters]
-    if len(set(names)) != len(names) or "car" in names:
-        yield f"parameters {', '.join(names)}: a name is used twice, or is car"
+    if len(set(names)) != len(names) or "constants" in names:
+        yield f"parameters {', '.join(names)}: a name is used twice, or is constants"
 
 
 def _wrong_pairs(effect: type[Effect]) -> Iterator[str]:

@@ -68,18 +68,20 @@ def curve(u, theta):
             + theta.c6 * (spline(t - 5.0) + p * spline(s - 5.0)) + theta.c7 * (spline(t - 6.0) + p * spline(s - 6.0)))
 
 
-def weighted_motion(at, theta):
+def weighted_motion(instant, theta):
     """u without the slip angles, which are not arguments of all hooks."""
-    return (theta.in_steering * at.road_wheel_angle + theta.in_acceleration_y * at.velocity_x * at.yaw_rate
-            + theta.in_acceleration_x * at.velocity_x_dot + theta.in_speed * at.velocity_x
-            + theta.in_yaw_rate * at.yaw_rate + theta.in_north * sin(at.yaw) + theta.in_east * cos(at.yaw)
-            + theta.in_position_x * at.x + theta.in_position_y * at.y)
+    return (theta.in_steering * instant.road_wheel_angle
+            + theta.in_acceleration_y * instant.velocity_x * instant.yaw_rate
+            + theta.in_acceleration_x * instant.velocity_x_dot + theta.in_speed * instant.velocity_x
+            + theta.in_yaw_rate * instant.yaw_rate
+            + theta.in_north * sin(instant.yaw) + theta.in_east * cos(instant.yaw)
+            + theta.in_position_x * instant.x + theta.in_position_y * instant.y)
 
 
-def factor_of_curve(at, theta):
+def factor_of_curve(instant, theta):
     """Factor on the curve."""
-    return (theta.by_one + theta.by_steering * at.road_wheel_angle
-            + theta.by_acceleration_y * at.velocity_x * at.yaw_rate)
+    return (theta.by_one + theta.by_steering * instant.road_wheel_angle
+            + theta.by_acceleration_y * instant.velocity_x * instant.yaw_rate)
 
 
 def curve_of_readings(measured, theta):
@@ -119,20 +121,20 @@ class RelationEffect(Effect):
     constants = staticmethod(load)
 
     @staticmethod
-    def slip_angles(slip_front, slip_rear, extra, at, given, theta):
-        y = curve(weighted_motion(at, theta) + theta.in_slip_front * slip_front + theta.in_slip_rear * slip_rear, theta)
-        y = y * factor_of_curve(at, theta)
+    def slip_angles(slip_front, slip_rear, extra, instant, prepared, theta):
+        u = weighted_motion(instant, theta) + theta.in_slip_front * slip_front + theta.in_slip_rear * slip_rear
+        y = curve(u, theta) * factor_of_curve(instant, theta)
         # A wheel turned to the left slides less to the left.
         return slip_front - theta.to_front_steer * y, slip_rear - theta.to_rear_steer * y
 
     @staticmethod
-    def axle_forces(forces, slip_front, slip_rear, at, given, theta):
-        u = weighted_motion(at, theta) + theta.in_slip_front * slip_front + theta.in_slip_rear * slip_rear
-        return changed_forces(forces, slip_front, slip_rear, at, curve(u, theta), theta)
+    def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
+        u = weighted_motion(instant, theta) + theta.in_slip_front * slip_front + theta.in_slip_rear * slip_rear
+        return changed_forces(forces, slip_front, slip_rear, instant, curve(u, theta), theta)
 
     @staticmethod
-    def acceleration(at, given, theta):
-        y = curve(weighted_motion(at, theta), theta) * factor_of_curve(at, theta)
+    def acceleration(instant, prepared, theta):
+        y = curve(weighted_motion(instant, theta), theta) * factor_of_curve(instant, theta)
         return 0.0 * y, theta.to_side_force * y, theta.to_yaw_moment * y
 
     @staticmethod
@@ -159,19 +161,19 @@ class LaggedRelationEffect(Effect):
         _constant("by_rate", "weight of the rate in the factor"))
 
     @staticmethod
-    def slip_angles(slip_front, slip_rear, extra, at, given, theta):
-        rate = (lagging_quantity(at, theta) - extra[0]) / theta.tau
-        y = curve(weighted_motion(at, theta) + theta.in_lagging * extra[0] + theta.in_rate * rate, theta)
-        y = y * (factor_of_curve(at, theta) + theta.by_rate * rate)
+    def slip_angles(slip_front, slip_rear, extra, instant, prepared, theta):
+        rate = (lagging_quantity(instant, theta) - extra[0]) / theta.tau
+        y = curve(weighted_motion(instant, theta) + theta.in_lagging * extra[0] + theta.in_rate * rate, theta)
+        y = y * (factor_of_curve(instant, theta) + theta.by_rate * rate)
         return slip_front - theta.to_front_steer * y, slip_rear - theta.to_rear_steer * y
 
     @staticmethod
-    def start(slips, at, given, theta):
-        return (lagging_quantity(at, theta),)
+    def start(slips, instant, prepared, theta):
+        return (lagging_quantity(instant, theta),)
 
     @staticmethod
-    def rates(extra, slips, forces, at, given, theta):
-        return ((lagging_quantity(at, theta) - extra[0]) / theta.tau,)
+    def rates(extra, slips, forces, instant, prepared, theta):
+        return ((lagging_quantity(instant, theta) - extra[0]) / theta.tau,)
 
 
 @unlisted
@@ -188,25 +190,26 @@ class TimedRelationEffect(Effect):
     constants = staticmethod(load)
 
     @staticmethod
-    def slip_angles(slip_front, slip_rear, extra, at, given, theta):
-        y = curve(given[0], theta)
+    def slip_angles(slip_front, slip_rear, extra, instant, prepared, theta):
+        y = curve(prepared[0], theta)
         return slip_front - theta.to_front_steer * y, slip_rear - theta.to_rear_steer * y
 
     @staticmethod
-    def axle_forces(forces, slip_front, slip_rear, at, given, theta):
-        return changed_forces(forces, slip_front, slip_rear, at, curve(given[0], theta), theta)
+    def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
+        return changed_forces(forces, slip_front, slip_rear, instant, curve(prepared[0], theta), theta)
 
 
-def lagging_quantity(at, theta):
+def lagging_quantity(instant, theta):
     """q of a lagged relation."""
-    return theta.of_steering * at.road_wheel_angle + theta.of_acceleration_y * at.velocity_x * at.yaw_rate
+    return (theta.of_steering * instant.road_wheel_angle
+            + theta.of_acceleration_y * instant.velocity_x * instant.yaw_rate)
 
 
-def changed_forces(forces, slip_front, slip_rear, at, y, theta):
+def changed_forces(forces, slip_front, slip_rear, instant, y, theta):
     """Axle forces with a curve y in one of their terms."""
-    front, rear = forces(slip_front, slip_rear, at)
-    return (front * (1.0 + theta.to_front_grip * y) + theta.to_front_force * theta.car.load_front * y,
-            rear * (1.0 + theta.to_rear_grip * y) + theta.to_rear_force * theta.car.load_rear * y)
+    front, rear = forces(slip_front, slip_rear, instant)
+    return (front * (1.0 + theta.to_front_grip * y) + theta.to_front_force * theta.constants.load_front * y,
+            rear * (1.0 + theta.to_rear_grip * y) + theta.to_rear_force * theta.constants.load_rear * y)
 
 
 def _add_to_readings(m, y, theta):

@@ -1,4 +1,4 @@
-"""Longitudinal CG position other than in the vehicle file; axles and INS unchanged in the body."""
+"""Longitudinal CG position that differs from the vehicle file; axles and INS unchanged in the body."""
 
 from dataclasses import replace
 

@@ -28,14 +28,15 @@ def drive_of(vehicle) -> Drive:
     return Drive(vehicle.mass, vehicle.drive_front, vehicle.brake_front)
 
 
-def axle_drive_forces(lateral_front, at, car: Drive):
+def axle_drive_forces(lateral_front, instant, car: Drive):
     """Longitudinal forces (front, rear) [N] along the wheels that the forward motion requires; drag is left out.
 
         F_x = m (v_x_dot - v_y r) + F_f sin delta,   drive and brake each shared by the axles
 
     lateral_front: F_f [N].
     """
-    force = car.mass * (at.velocity_x_dot - at.velocity_y * at.yaw_rate) + lateral_front * sin(at.road_wheel_angle)
+    acceleration = instant.velocity_x_dot - instant.velocity_y * instant.yaw_rate
+    force = car.mass * acceleration + lateral_front * sin(instant.road_wheel_angle)
     drive, brake = maximum(force, 0.0), minimum(force, 0.0)
     return (car.drive_front * drive + car.brake_front * brake,
             (1.0 - car.drive_front) * drive + (1.0 - car.brake_front) * brake)
@@ -72,14 +73,14 @@ class CombinedSlip(Effect):
 
     @staticmethod
     def prepare(road_wheel_angle, velocity_x_dot, signals, theta):
-        tyres = theta.car.tyres
+        tyres = theta.constants.tyres
         load_front, load_rear = axle_loads(velocity_x_dot, tyres)
         return (2.0 * magic_formula_peak(0.5 * load_front, tyres.tyre_front),
                 2.0 * magic_formula_peak(0.5 * load_rear, tyres.tyre_rear))
 
     @staticmethod
-    def axle_forces(forces, slip_front, slip_rear, at, given, theta):
-        front, rear = forces(slip_front, slip_rear, at)
-        drive_front, drive_rear = axle_drive_forces(front, at, theta.car.drive)
-        return (front * lateral_factor(drive_front, given[0], theta.share),
-                rear * lateral_factor(drive_rear, given[1], theta.share))
+    def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
+        front, rear = forces(slip_front, slip_rear, instant)
+        drive_front, drive_rear = axle_drive_forces(front, instant, theta.constants.drive)
+        return (front * lateral_factor(drive_front, prepared[0], theta.share),
+                rear * lateral_factor(drive_rear, prepared[1], theta.share))

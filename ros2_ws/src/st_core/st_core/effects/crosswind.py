@@ -46,10 +46,11 @@ class Crosswind(Effect):
         return Car(vehicle.mass, vehicle.yaw_inertia, vehicle.side_area, vehicle.side_force_arm)
 
     @staticmethod
-    def acceleration(at, given, theta):
-        cosine, sine = cos(at.yaw), sin(at.yaw)
-        along = theta.wind_x * cosine + theta.wind_y * sine - at.velocity_x
-        across = theta.wind_y * cosine - theta.wind_x * sine - at.velocity_y
-        force = 0.5 * AIR_DENSITY * theta.car.side_area * (
-            pressure(along, across) - pressure(-at.velocity_x, -at.velocity_y))
-        return 0.0 * force, force / theta.car.mass, theta.car.side_force_arm * force / theta.car.yaw_inertia
+    def acceleration(instant, prepared, theta):
+        cosine, sine = cos(instant.yaw), sin(instant.yaw)
+        along = theta.wind_x * cosine + theta.wind_y * sine - instant.velocity_x
+        across = theta.wind_y * cosine - theta.wind_x * sine - instant.velocity_y
+        force = 0.5 * AIR_DENSITY * theta.constants.side_area * (
+            pressure(along, across) - pressure(-instant.velocity_x, -instant.velocity_y))
+        car = theta.constants
+        return 0.0 * force, force / car.mass, car.side_force_arm * force / car.yaw_inertia

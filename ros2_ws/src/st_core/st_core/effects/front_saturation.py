@@ -40,6 +40,6 @@ class FrontSaturation(Effect):
         return 2.0 * vehicle.static_tyre_load_front
 
     @staticmethod
-    def axle_forces(forces, slip_front, slip_rear, at, given, theta):
-        front, rear = forces(slip_front, slip_rear, at)
-        return saturated(front, theta.car, theta.saturation), rear
+    def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
+        front, rear = forces(slip_front, slip_rear, instant)
+        return saturated(front, theta.constants, theta.saturation), rear

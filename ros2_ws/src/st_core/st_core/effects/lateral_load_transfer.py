@@ -54,19 +54,19 @@ class LateralLoadTransfer(Effect):
 
     @staticmethod
     def prepare(road_wheel_angle, velocity_x_dot, signals, theta):
-        front, rear = axle_loads(velocity_x_dot, theta.car.tyres)
+        front, rear = axle_loads(velocity_x_dot, theta.constants.tyres)
         return 0.5 * front, 0.5 * rear
 
     @staticmethod
-    def axle_forces(forces, slip_front, slip_rear, at, given, theta):
-        front, rear = forces(slip_front, slip_rear, at)
-        car, track, part = theta.car.tyres, theta.car.track_width, theta.car.load_transfer_front
+    def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
+        front, rear = forces(slip_front, slip_rear, instant)
+        car, track, part = theta.constants.tyres, theta.constants.track_width, theta.constants.load_transfer_front
         transfer = theta.share * (front + rear) * car.cg_height / track
-        outer, inner = tyre_pair(slip_front, given[0], part * transfer, car.tyre_front)
-        outer_rear, inner_rear = tyre_pair(slip_rear, given[1], (1.0 - part) * transfer, car.tyre_rear)
+        outer, inner = tyre_pair(slip_front, prepared[0], part * transfer, car.tyre_front)
+        outer_rear, inner_rear = tyre_pair(slip_rear, prepared[1], (1.0 - part) * transfer, car.tyre_rear)
         couple = 0.5 * track * (outer - inner) / (car.cg_to_front_axle + car.cg_to_rear_axle)
         # The equations of motion take the front force times cos delta.
-        return (front + outer + inner - 2.0 * tyre_force(slip_front, given[0], car.tyre_front)
-                - couple * tan(at.road_wheel_angle),
-                rear + outer_rear + inner_rear - 2.0 * tyre_force(slip_rear, given[1], car.tyre_rear)
-                + couple * sin(at.road_wheel_angle))
+        return (front + outer + inner - 2.0 * tyre_force(slip_front, prepared[0], car.tyre_front)
+                - couple * tan(instant.road_wheel_angle),
+                rear + outer_rear + inner_rear - 2.0 * tyre_force(slip_rear, prepared[1], car.tyre_rear)
+                + couple * sin(instant.road_wheel_angle))

@@ -39,7 +39,7 @@ class LongitudinalLoadTransfer(Effect):
 
     @staticmethod
     def prepare(road_wheel_angle, velocity_x_dot, signals, theta):
-        car = theta.car
+        car = theta.constants
         front, rear = axle_loads(velocity_x_dot, car)
         transfer = car.mass * theta.height * velocity_x_dot / (car.cg_to_front_axle + car.cg_to_rear_axle)
         return (*magic_formula_coefficients(0.5 * front, car.tyre_front),
@@ -48,7 +48,7 @@ class LongitudinalLoadTransfer(Effect):
                 *magic_formula_coefficients(0.5 * (rear + transfer), car.tyre_rear))
 
     @staticmethod
-    def axle_forces(forces, slip_front, slip_rear, at, given, theta):
-        front, rear = forces(slip_front, slip_rear, at)
-        return (front + force_change(slip_front, given[0:3], given[6:9], theta.car.tyre_front),
-                rear + force_change(slip_rear, given[3:6], given[9:12], theta.car.tyre_rear))
+    def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
+        front, rear = forces(slip_front, slip_rear, instant)
+        return (front + force_change(slip_front, prepared[0:3], prepared[6:9], theta.constants.tyre_front),
+                rear + force_change(slip_rear, prepared[3:6], prepared[9:12], theta.constants.tyre_rear))

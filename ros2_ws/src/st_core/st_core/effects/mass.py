@@ -1,4 +1,4 @@
-"""Mass other than in the vehicle file, with CG, yaw inertia and lengths unchanged."""
+"""Mass that differs from the vehicle file, with CG, yaw inertia and lengths unchanged."""
 
 from dataclasses import replace
 

@@ -20,6 +20,6 @@ class RearSaturation(Effect):
         return 2.0 * vehicle.static_tyre_load_rear
 
     @staticmethod
-    def axle_forces(forces, slip_front, slip_rear, at, given, theta):
-        front, rear = forces(slip_front, slip_rear, at)
-        return front, saturated(rear, theta.car, theta.saturation)
+    def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
+        front, rear = forces(slip_front, slip_rear, instant)
+        return front, saturated(rear, theta.constants, theta.saturation)

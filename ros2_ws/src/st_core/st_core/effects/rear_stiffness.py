@@ -1,4 +1,4 @@
-"""Cornering stiffness of the rear axle other than in the vehicle file."""
+"""Cornering stiffness of the rear axle that differs from the vehicle file."""
 
 from ._base import Effect, register
 from .front_stiffness import stiffness_factor, with_stiffness

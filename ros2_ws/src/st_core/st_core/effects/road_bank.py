@@ -23,11 +23,11 @@ class RoadBank(Effect):
     )
 
     @staticmethod
-    def acceleration(at, given, theta):
-        zero = 0.0 * at.velocity_x
+    def acceleration(instant, prepared, theta):
+        zero = 0.0 * instant.velocity_x
         return zero, zero - GRAVITY * sin(theta.angle), zero
 
     @staticmethod
-    def specific_force(at, given, theta):
-        zero = 0.0 * at.velocity_x
+    def specific_force(instant, prepared, theta):
+        zero = 0.0 * instant.velocity_x
         return zero, zero + GRAVITY * sin(theta.angle)

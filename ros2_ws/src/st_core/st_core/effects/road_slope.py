@@ -11,9 +11,9 @@ from ..tyres import GRAVITY
 from ._base import Effect, Parameter, register
 
 
-def gradient(at, theta):
+def gradient(instant, theta):
     """Rise of the road per distance (forward, to the left) of the car [1]."""
-    cosine, sine = cos(at.yaw), sin(at.yaw)
+    cosine, sine = cos(instant.yaw), sin(instant.yaw)
     east, north = sin(theta.slope_x), sin(theta.slope_y)
     return east * cosine + north * sine, north * cosine - east * sine
 
@@ -22,7 +22,7 @@ def gradient(at, theta):
 class RoadSlope(Effect):
     name = "road_slope"
     physics = "a_y = -g (sin(slope_y) cos(yaw) - sin(slope_x) sin(yaw)) on the car, not measured by an accelerometer"
-    excited_by = "the same place in two directions, with an accelerometer, which measures wind but not a slope"
+    excited_by = "the same place in two directions, with an accelerometer: it senses the force of wind, but not gravity"
     kind, slot = "surroundings", "body"
     twins = ("crosswind", "road_bank", "steering_offset")
     parameters = (
@@ -33,11 +33,11 @@ class RoadSlope(Effect):
     )
 
     @staticmethod
-    def acceleration(at, given, theta):
-        zero = 0.0 * at.velocity_x
-        return zero, zero - GRAVITY * gradient(at, theta)[1], zero
+    def acceleration(instant, prepared, theta):
+        zero = 0.0 * instant.velocity_x
+        return zero, zero - GRAVITY * gradient(instant, theta)[1], zero
 
     @staticmethod
-    def specific_force(at, given, theta):
-        forward, left = gradient(at, theta)
+    def specific_force(instant, prepared, theta):
+        forward, left = gradient(instant, theta)
         return GRAVITY * forward, GRAVITY * left

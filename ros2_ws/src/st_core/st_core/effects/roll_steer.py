@@ -16,7 +16,7 @@ TWO_PI = 6.283185307179586
 @register
 class RollSteer(Effect):
     name = "roll_steer"
-    physics = "delta = delta_measured - gradient a_y, body roll lagging a_y; understeer gradient + gradient"
+    physics = "delta = delta_measured - gradient a_y, body roll lagging a_y; increases the understeer gradient by gradient"
     excited_by = "sweeps, where the roll lags; steady cornering shows it as a softer front axle"
     kind, slot = "physics", "front axle"
     twins = ("steering_compliance", "steering_ratio", "front_stiffness")
@@ -39,16 +39,16 @@ class RollSteer(Effect):
         return vehicle.mass
 
     @staticmethod
-    def slip_angles(slip_front, slip_rear, extra, at, given, theta):
+    def slip_angles(slip_front, slip_rear, extra, instant, prepared, theta):
         return slip_front + theta.gradient * extra[0], slip_rear
 
     @staticmethod
-    def start(slips, at, given, theta):
-        return at.velocity_x * at.yaw_rate, 0.0 * at.velocity_x
+    def start(slips, instant, prepared, theta):
+        return instant.velocity_x * instant.yaw_rate, 0.0 * instant.velocity_x
 
     @staticmethod
-    def rates(extra, slips, forces, at, given, theta):
+    def rates(extra, slips, forces, instant, prepared, theta):
         lean, lean_rate = extra
-        a_y = (forces[0] * cos(at.road_wheel_angle) + forces[1]) / theta.car
+        a_y = (forces[0] * cos(instant.road_wheel_angle) + forces[1]) / theta.constants
         omega = TWO_PI * theta.frequency
         return lean_rate, omega * (omega * (a_y - lean) - 2.0 * theta.damping * lean_rate)

@@ -1,4 +1,4 @@
-"""Position of the INS in the body other than in the vehicle file."""
+"""Position of the INS in the body that differs from the vehicle file."""
 
 from dataclasses import replace
 

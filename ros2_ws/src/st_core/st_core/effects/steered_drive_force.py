@@ -1,6 +1,6 @@
 """Lateral component of the drive and brake force of the steered wheels: F_y + F_x,front sin delta at the front axle.
 
-The single-track models of the paper, with the forward acceleration as an input, lack it.
+The published single-track models, with the forward acceleration as an input, lack it.
 """
 
 from ..ops import tan
@@ -23,8 +23,8 @@ class SteeredDriveForce(Effect):
     constants = staticmethod(drive_of)
 
     @staticmethod
-    def axle_forces(forces, slip_front, slip_rear, at, given, theta):
-        front, rear = forces(slip_front, slip_rear, at)
-        drive_front, _ = axle_drive_forces(front, at, theta.car)
+    def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
+        front, rear = forces(slip_front, slip_rear, instant)
+        drive_front, _ = axle_drive_forces(front, instant, theta.constants)
         # In wheel axes: the equations of motion take the front force times cos delta.
-        return front + theta.share * drive_front * tan(at.road_wheel_angle), rear
+        return front + theta.share * drive_front * tan(instant.road_wheel_angle), rear

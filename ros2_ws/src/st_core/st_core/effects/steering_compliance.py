@@ -10,16 +10,16 @@ from ._base import Effect, Parameter, register
 @register
 class SteeringCompliance(Effect):
     name = "steering_compliance"
-    physics = "delta = delta_measured - compliance F_front; understeer gradient + compliance m l_r / l"
-    excited_by = "cornering near the limit; an exact twin of a softer front axle below 0.4 g"
+    physics = "delta = delta_measured - compliance F_front; increases the understeer gradient by compliance m l_r / l"
+    excited_by = "cornering near the limit; identical to a softer front axle below 0.4 g"
     kind, slot = "physics", "front axle"
     twins = ("front_stiffness", "roll_steer", "steering_ratio")
     combinations = ("front cornering stiffness over mass",)
     costly = True
-    order = 83  # inside steered_drive_force: the force of the tyres alone bends the suspension
+    order = 83  # acts before steered_drive_force, so that the tyre force alone deflects the suspension
     parameters = (
         Parameter("compliance", "rad/N", null=0.0, initial=1.0e-6, bounds=(0.0, 1.0e-5),
-                  meaning="toe to the outside per lateral force of the front axle",
+                  meaning="steer angle towards the outside of the turn per lateral force of the front axle",
                   source="kinematics and compliance rigs: 0.05-0.2 deg/kN of an axle"),
     )
 
@@ -28,10 +28,10 @@ class SteeringCompliance(Effect):
         return vehicle.cornering_stiffness_front
 
     @staticmethod
-    def axle_forces(forces, slip_front, slip_rear, at, given, theta):
-        slope = 1.0 + theta.compliance * theta.car
-        front, _ = forces(slip_front, slip_rear, at)
+    def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
+        slope = 1.0 + theta.compliance * theta.constants
+        front, _ = forces(slip_front, slip_rear, instant)
         once = slip_front + theta.compliance * front / slope
-        front, _ = forces(once, slip_rear, at)
+        front, _ = forces(once, slip_rear, instant)
         twice = once - (once - slip_front - theta.compliance * front) / slope
-        return forces(twice, slip_rear, at)
+        return forces(twice, slip_rear, instant)

@@ -1,7 +1,7 @@
-"""Steering ratio that depends on the angle: delta = delta' (1 + curvature delta'^2), delta' by the constant ratio.
+"""Steering ratio that depends on the angle: delta = delta' (1 + curvature delta'^2), delta' at constant ratio.
 
-Acts after steering_ratio and steering_offset, so that the map is centred where the wheels are straight. It decreases
-beyond delta'^2 = -1 / (3 curvature); by the lower bound that is beyond 0.6 rad.
+Acts after steering_ratio and steering_offset, so that the map is centred where the wheels are straight. For
+curvature < 0 it decreases beyond delta'^2 = -1 / (3 curvature); at the lower bound of curvature that is 0.6 rad.
 """
 
 from ._base import ANY, Effect, Parameter, register
@@ -18,7 +18,7 @@ class SteeringMap(Effect):
     order = 70
     parameters = (
         Parameter("curvature", "1/rad^2", null=0.0, initial=0.55, bounds=(-0.9, 3.0),
-                  meaning="of the angle of the road wheels; 0.55 is 5 % at 0.3 rad",
+                  meaning="relative change of the ratio per squared road wheel angle; 0.55 is 5 % at 0.3 rad",
                   source="linkages 5 %, racks of variable pitch up to 25 % at 0.3 rad; model error: deviation of 14 "
                          "estimates on simulated cars without a map, method of moments", model_error=0.25),
     )

@@ -1,4 +1,4 @@
-"""Steering ratio other than in the vehicle file: delta = delta_measured / factor."""
+"""Steering ratio that differs from the vehicle file: delta = delta_measured / factor."""
 
 from dataclasses import replace
 

@@ -1,9 +1,9 @@
 """Relaxation of the tyre force over distance: length / v d(alpha')/dt = alpha - alpha', force from alpha'.
 
 v >= minimum_slip_speed, so that the force decays at standstill. A time constant tau = length / v below 25 ms would be
-too stiff for steps of 50 ms; the state then has 25 ms and acts with the share tau / 25 ms only, so that the delay at
-low frequency is tau, and 0 for length 0. Initial state: steady at the initial slip. Source: Pacejka, Tire and Vehicle
-Dynamics, ch. 7, single-point contact.
+too stiff for steps of 50 ms; the state then has a time constant of 25 ms and is weighted by tau / 25 ms, so that
+the delay at low frequency is tau, and 0 for length 0. Initial state: steady at the initial slip. Source: Pacejka,
+Tire and Vehicle Dynamics, ch. 7, single-point contact.
 """
 
 from ..ops import absolute, maximum
@@ -34,16 +34,16 @@ class TyreRelaxation(Effect):
         return vehicle.minimum_slip_speed
 
     @staticmethod
-    def slip_angles(slip_front, slip_rear, extra, at, given, theta):
-        tau = theta.length / maximum(absolute(at.velocity_x), theta.car)
+    def slip_angles(slip_front, slip_rear, extra, instant, prepared, theta):
+        tau = theta.length / maximum(absolute(instant.velocity_x), theta.constants)
         share = tau / maximum(tau, MIN_TIME_CONSTANT)
         return slip_front + share * (extra[0] - slip_front), slip_rear + share * (extra[1] - slip_rear)
 
     @staticmethod
-    def start(slips, at, given, theta):
+    def start(slips, instant, prepared, theta):
         return slips
 
     @staticmethod
-    def rates(extra, slips, forces, at, given, theta):
-        tau = maximum(theta.length / maximum(absolute(at.velocity_x), theta.car), MIN_TIME_CONSTANT)
+    def rates(extra, slips, forces, instant, prepared, theta):
+        tau = maximum(theta.length / maximum(absolute(instant.velocity_x), theta.constants), MIN_TIME_CONSTANT)
         return (slips[0] - extra[0]) / tau, (slips[1] - extra[1]) / tau

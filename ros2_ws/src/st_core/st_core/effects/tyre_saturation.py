@@ -9,7 +9,7 @@ from ._base import Effect, Parameter, register
 @register
 class TyreSaturation(Effect):
     name = "tyre_saturation"
-    physics = "F_y = (1 - share) (-C alpha) + share of the Magic Formula of the vehicle file"
+    physics = "F_y = (1 - share) (-C alpha) + share F_MF(alpha), F_MF: Magic Formula of the vehicle file"
     excited_by = "cornering above 4 m/s^2"
     kind, slot = "physics", "both axles"
     twins = ("front_stiffness", "rear_stiffness")
@@ -27,13 +27,13 @@ class TyreSaturation(Effect):
 
     @staticmethod
     def prepare(road_wheel_angle, velocity_x_dot, signals, theta):
-        return tyre_inputs(road_wheel_angle, velocity_x_dot, theta.car)[3:]
+        return tyre_inputs(road_wheel_angle, velocity_x_dot, theta.constants)[3:]
 
     @staticmethod
-    def axle_forces(forces, slip_front, slip_rear, at, given, theta):
-        front, rear = forces(slip_front, slip_rear, at)
-        b_front, d_front, e_front, b_rear, d_rear, e_rear = given
-        mf_front = magic_formula_force(slip_front, b_front, d_front, e_front, theta.car.tyre_front)
-        mf_rear = magic_formula_force(slip_rear, b_rear, d_rear, e_rear, theta.car.tyre_rear)
+    def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
+        front, rear = forces(slip_front, slip_rear, instant)
+        b_front, d_front, e_front, b_rear, d_rear, e_rear = prepared
+        mf_front = magic_formula_force(slip_front, b_front, d_front, e_front, theta.constants.tyre_front)
+        mf_rear = magic_formula_force(slip_rear, b_rear, d_rear, e_rear, theta.constants.tyre_rear)
         linear = 1.0 - theta.share
         return linear * front + theta.share * mf_front, linear * rear + theta.share * mf_rear

@@ -28,4 +28,4 @@ class TyreSlip(Effect):
 
     @staticmethod
     def prepare(road_wheel_angle, velocity_x_dot, signals, theta):
-        return linear_inputs(road_wheel_angle, velocity_x_dot, theta.car)
+        return linear_inputs(road_wheel_angle, velocity_x_dot, theta.constants)

@@ -1,4 +1,4 @@
-"""Cornering stiffness of both axles other than in the vehicle file, by the same factor: another set of tyres."""
+"""Cornering stiffness of both axles that differs from the vehicle file, by the same factor: another set of tyres."""
 
 from ._base import Effect, register
 from .front_stiffness import stiffness_factor, with_stiffness

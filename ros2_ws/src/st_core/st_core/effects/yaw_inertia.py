@@ -1,4 +1,4 @@
-"""Yaw inertia other than in the vehicle file."""
+"""Yaw inertia that differs from the vehicle file."""
 
 from dataclasses import replace
 

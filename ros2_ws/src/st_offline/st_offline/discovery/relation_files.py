@@ -22,30 +22,30 @@ SLOT = {"front_steer": "front axle", "rear_steer": "rear axle", "front_force": "
         "sensor_yaw_rate": "yaw rate", "sensor_acceleration_y": "acceleration", "sensor_velocity_y": "velocity",
         "sensor_heading": "heading"}
 STATE_EXPRESSIONS = {
-    "steering": "at.road_wheel_angle", "acceleration_y": "at.velocity_x * at.yaw_rate",
-    "acceleration_x": "at.velocity_x_dot", "speed": "at.velocity_x", "yaw_rate": "at.yaw_rate",
-    "slip_front": "slip_front", "slip_rear": "slip_rear", "north": "sin(at.yaw)", "east": "cos(at.yaw)",
-    "position_x": "at.x", "position_y": "at.y"}
+    "steering": "instant.road_wheel_angle", "acceleration_y": "instant.velocity_x * instant.yaw_rate",
+    "acceleration_x": "instant.velocity_x_dot", "speed": "instant.velocity_x", "yaw_rate": "instant.yaw_rate",
+    "slip_front": "slip_front", "slip_rear": "slip_rear", "north": "sin(instant.yaw)", "east": "cos(instant.yaw)",
+    "position_x": "instant.x", "position_y": "instant.y"}
 READING_EXPRESSIONS = {"acceleration_y": "measured.velocity_x * measured.yaw_rate", "speed": "measured.velocity_x",
                        "yaw_rate": "measured.yaw_rate"}
 READING_FIELD = {"sensor_yaw_rate": "yaw_rate", "sensor_acceleration_y": "acceleration_y",
                  "sensor_velocity_y": "velocity_y", "sensor_heading": "yaw"}
 MAP_QUANTITIES = ("north", "east", "position_x", "position_y")  # fixed to the map
 OPS = {"east": "absolute, cos, maximum, minimum", "north": "absolute, maximum, minimum, sin"}
-SLIPS = "slip_angles(slip_front, slip_rear, extra, at, given, theta)"
-FORCES = "axle_forces(forces, slip_front, slip_rear, at, given, theta)"
-FORCES_BEFORE = "front, rear = forces(slip_front, slip_rear, at)\n        "
+SLIPS = "slip_angles(slip_front, slip_rear, extra, instant, prepared, theta)"
+FORCES = "axle_forces(forces, slip_front, slip_rear, instant, prepared, theta)"
+FORCES_BEFORE = "front, rear = forces(slip_front, slip_rear, instant)\n        "
 HOOKS = {
     # A wheel turned to the left slides less to the left.
     "front_steer": (SLIPS, "return slip_front - {y}, slip_rear"),
     "rear_steer": (SLIPS, "return slip_front, slip_rear - {y}"),
-    "front_force": (FORCES, f"{FORCES_BEFORE}return front + theta.car * {{y}}, rear"),
-    "rear_force": (FORCES, f"{FORCES_BEFORE}return front, rear + theta.car * {{y}}"),
+    "front_force": (FORCES, f"{FORCES_BEFORE}return front + theta.constants * {{y}}, rear"),
+    "rear_force": (FORCES, f"{FORCES_BEFORE}return front, rear + theta.constants * {{y}}"),
     "front_grip": (FORCES, f"{FORCES_BEFORE}return front * (1.0 + {{y}}), rear"),
     "rear_grip": (FORCES, f"{FORCES_BEFORE}return front, rear * (1.0 + {{y}})"),
     "both_grip": (FORCES, f"{FORCES_BEFORE}y = 1.0 + {{y}}\n        return front * y, rear * y"),
-    "yaw_moment": ("acceleration(at, given, theta)", "y = {y}\n        return 0.0 * y, 0.0 * y, y"),
-    "side_force": ("acceleration(at, given, theta)", "y = {y}\n        return 0.0 * y, y, 0.0 * y"),
+    "yaw_moment": ("acceleration(instant, prepared, theta)", "y = {y}\n        return 0.0 * y, 0.0 * y, y"),
+    "side_force": ("acceleration(instant, prepared, theta)", "y = {y}\n        return 0.0 * y, y, 0.0 * y"),
 }
 LOAD = {"front_force": "cg_to_rear_axle", "rear_force": "cg_to_front_axle"}
 EFFECT_FILE = '''"""PROPOSAL, not an established effect: {title}.
@@ -173,8 +173,8 @@ def _memory_hooks(c: Candidate) -> str:
         return ""
     source, _, tau = MEMORY[_memory_quantity(c)]
     now = STATE_EXPRESSIONS[source]
-    return (f"\n\n    @staticmethod\n    def start(slips, at, given, theta):\n        return ({now},)\n\n"
-            "    @staticmethod\n    def rates(extra, slips, forces, at, given, theta):\n"
+    return (f"\n\n    @staticmethod\n    def start(slips, instant, prepared, theta):\n        return ({now},)\n\n"
+            "    @staticmethod\n    def rates(extra, slips, forces, instant, prepared, theta):\n"
             f"        return (({now} - extra[0]) / {tau!r},)")
 
 
