@@ -16,7 +16,7 @@ TWO_PI = 6.283185307179586
 @register
 class RollSteer(Effect):
     name = "roll_steer"
-    physics = "delta = delta_measured - gradient a_y, body roll lagging a_y; increases the understeer gradient by gradient"
+    physics = "delta = delta_measured - gradient a_y, body roll lagging a_y; adds gradient to the understeer gradient"
     excited_by = "sweeps, where the roll lags; steady cornering shows it as a softer front axle"
     kind, slot = "physics", "front axle"
     twins = ("steering_compliance", "steering_ratio", "front_stiffness")
