@@ -7,6 +7,7 @@ import numpy as np
 
 WORSE = 1.02
 """A held-out error counts as worse above this factor: two short drives differ by so much."""
+ROUNDING = 1e-9  # of an implied force that no effect changes
 OF_STIFFNESS = ("worn_front", "worn_rear", "compliance")
 MEMBERS = {"tyre_stiffness": ("front_stiffness", "rear_stiffness")}
 
@@ -130,7 +131,7 @@ def totals(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "over the noise, largest": max(noise, default=None),
         "band points": sum(b for _, b in inside), "inside the band": sum(a for a, _ in inside),
         "implied force over the file's, median": float(np.median(ratios)) if ratios else None,
-        "implied force worse than the file's": sum(r > 1.0 for r in ratios), "axles": len(ratios),
+        "implied force worse than the file's": sum(r > 1.0 + ROUNDING for r in ratios), "axles": len(ratios),
         "implied force, rms over peak: file's": _mean(results, "file"), "stated": _mean(results, "answer"),
         "model.yaml": _mean(results, "model"),
         "vehicle.yaml written": sum(f["vehicle"] is not None for f in files),

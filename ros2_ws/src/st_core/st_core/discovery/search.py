@@ -1,14 +1,16 @@
 """Search for the best set of effects by forward, backward and exchange steps, with the same test for all steps."""
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import stats
 
 from ..effects import get_effect, twins_of
-from .decision import CHANCE, NULL, STATED, Rival, judge
-from .evidence import TWO_SIDED, Evidence, Scores, covariance, evidence, library_p_value, null_by_sensors, screen
+from .decision import CHANCE, NULL, STATED, Rival, alternative, judge
+from .evidence import Evidence, Scores, evidence, library_p_value, null_by_sensors, screen
 from .fit import Fit, Problem, Slopes
 from .levels import Level
 from .loss import Quadratic
@@ -84,33 +86,33 @@ class Search:
     def _add_partial_rivals(self, found: Found) -> None:
         """Add a load as a rival that explains a part of softer tyres: drives show only the ratio of stiffness to mass.
 
-        The load is set to the upper end of its 95 % interval, if that is a relevant size. Effects whose values are then
-        nearer to the vehicle file get it as an alternative, and the set with it counts as hardly worse.
+        Effects whose values are nearer to the vehicle file with a load of a relevant size get it as an alternative,
+        unless the drives exclude such a load; the set with it then counts as hardly worse.
         """
         p, names = self.problem, found.fit.names
         for other in (n for n in p.space.additions if n not in names):
             if p.space.overlaps(other, names) or not names:
                 continue
-            _, vector = found.scores.gains.get(other, (None, found.fit.vector))
-            fit = self._refit_with(found.fit, other, vector)
-            vector = self._upper_end(fit, other)
-            if np.abs(p.distance(vector))[p.space.indices(other)].max() < self.limits.min_relative_size:
-                continue
+            fit = self._with_relevant(found.fit, other)
+            difference = fit.held_out - found.fit.held_out
             own = p.space.indices(*(n for n in names if n in twins_of(other)))
-            nearer = own[np.abs(vector - p.start)[own] < np.abs(found.fit.vector - p.start)[own]]
+            nearer = own[np.abs(fit.vector - p.start)[own] < np.abs(found.fit.vector - p.start)[own]]
             for name in {p.space.free[i].effect for i in nearer}:
-                e = self._evidence(found.without.get(name, found.fit), fit, other, found.scores)
-                rival = Rival(other, name, 1.0, no_worse(fit.held_out - found.fit.held_out), 0.0, e,
-                              p.space.values(other, vector), shared=True)
-                found.rivals[name] = [*(r for r in found.rivals.get(name, ()) if r.name != other), rival]
-                found.near.append((fit.names, vector))
+                rival = Rival(other, name, 1.0, no_worse(difference), float(difference.sum()) / p.scored_count,
+                              found.evidence[name], p.space.values(other, fit.vector), shared=True)
+                if alternative(rival, self.limits).rule == "alternative":
+                    found.rivals[name] = [*(r for r in found.rivals.get(name, ()) if r.name != other), rival]
+                    found.near.append((names, fit.vector))
 
-    def _upper_end(self, fit: Fit, name: str) -> np.ndarray:
-        """The vector with an effect of one parameter at the upper end of its 95 % interval, the others adjusted."""
-        k = int(np.searchsorted(fit.indices, self.problem.space.indices(name)[0]))
-        variance = covariance(self.problem, fit)
-        step = TWO_SIDED * variance[:, k] / np.sqrt(max(variance[k, k], 1e-12))
-        return self.problem.moved(fit.vector, fit.indices, step)
+    def _with_relevant(self, fit: Fit, name: str) -> Fit:
+        """The fit of the same set with another effect at `limits.min_relative_size`."""
+        p, own = copy(self.problem), self.problem.space.indices(name)
+        p.start = p.start.copy()
+        p.start[own] += self.limits.min_relative_size * p.space.scale[own]
+        vector = fit.vector.copy()
+        vector[own] = p.start[own]
+        self.tick()
+        return p.refit(p.fit(fit.names, p.slopes_of_all(vector), vector))
 
     def corrections(self, answer: Fit) -> Fit:
         """The best fit with all effects of an answer of another problem and further ones."""
@@ -388,7 +390,7 @@ class Search:
         p, better = self.problem, None
         around = p.slopes_of_all(found.fit.vector)
         q = p.quadratic_of_all(found.fit.vector)
-        found.rivals = {}
+        found.rivals, alternatives = {}, defaultdict(list)
         for name, without in found.without.items():
             gain = self._gain(without, found.fit)
             others = {n: self._exchange_step(q, found.fit, without.names, n) for n in p.space.hypotheses
@@ -404,12 +406,27 @@ class Search:
                               deficit / p.scored_count, self._evidence(without, fit, other, found.scores),
                               p.space.values(other, fit.vector))
                 found.rivals[name].append(rival)
+                if alternative(rival, self.limits).rule == "alternative":
+                    alternatives[other].append(fit)
                 significant = rival.p_no_worse > 1.0 - self.limits.undecided_p
                 if (significant and frozenset(fit.names) not in self._visited
                         and self._judge(rival.evidence, self.limits).rule == STATED
                         and (better is None or fit.held_out.sum() < better.held_out.sum())):
                     better = fit
-        return better
+        return better or self._merge(found, alternatives)
+
+    def _merge(self, found: Found, alternatives: Mapping[str, list[Fit]]) -> Fit | None:
+        """The fit with one effect in the place of several, if it explains as much; each effect costs
+        `limits.negligible`. None if there is none. alternatives: fits with it in the place of each of them, by name."""
+        for fits in alternatives.values():
+            fit = min(fits, key=lambda fit: float(fit.held_out.sum()))
+            if len(fits) > 1 and frozenset(fit.names) not in self._visited:
+                fit = self._backward(fit, found.scores)
+                fewer = len(found.fit.names) - len(fit.names)
+                price = self.limits.negligible * self.problem.scored_count * fewer
+                if fewer > 0 and float((fit.held_out - found.fit.held_out).sum()) < price:
+                    return fit
+        return None
 
     def _exchange_step(self, q: Quadratic, fit: Fit, kept: tuple[str, ...], other: str) -> tuple[float, np.ndarray]:
         """(increase of the loss, vector) with another effect in the place of one, by the quadratic about the fit."""

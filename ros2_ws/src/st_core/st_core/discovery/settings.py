@@ -30,8 +30,8 @@ class Limits:
     reduction of the errors that an effect must reach: over all channels, relative to the errors without it, to be kept;
     in one channel, relative to the baseline error, to be named. relevant_position [m]: reduction of the mean position
     error after 5 s, overall or in one driving condition, that is sufficient instead of `relevant`. min_relative_size
-    [1]: fraction of its usual size that is sufficient instead, if redundant sensors measure the effect; also
-    the fraction that a load not excluded by the drives must reach to be an alternative to lower tyre stiffness.
+    [1]: fraction of its usual size that is sufficient instead, if redundant sensors measure the effect; also that of
+    the load which is an alternative to lower tyre stiffness unless the drives exclude it.
     negligible [1]: relative reduction of the errors below which an effect is ignored, however significant.
     min_rival_gain [1]: fraction of an effect's gain that another must reach in its place to be an alternative.
     max_file_deviation [1]: largest accepted deviation of a value from that of the vehicle file, in standard deviations.
