@@ -86,29 +86,32 @@ class Search:
     def _add_partial_rivals(self, found: Found) -> None:
         """Add a load as a rival that explains a part of softer tyres: drives show only the ratio of stiffness to mass.
 
-        Effects whose values are nearer to the vehicle file with a load of a relevant size get it as an alternative,
-        unless the drives exclude such a load; the set with it then counts as hardly worse.
+        Effects whose values are nearer to the vehicle file with it get it as an alternative, unless the drives exclude
+        it. Sizes tried: the standard deviation of its prior, then `limits.min_relative_size`. Bands of axle forces
+        extend to the laden car; values do not, as they are those without a load.
         """
         p, names = self.problem, found.fit.names
-        for other in (n for n in p.space.additions if n not in names):
-            if p.space.overlaps(other, names) or not names:
-                continue
-            fit = self._with_relevant(found.fit, other)
-            difference = fit.held_out - found.fit.held_out
-            own = p.space.indices(*(n for n in names if n in twins_of(other)))
-            nearer = own[np.abs(fit.vector - p.start)[own] < np.abs(found.fit.vector - p.start)[own]]
-            for name in {p.space.free[i].effect for i in nearer}:
-                rival = Rival(other, name, 1.0, no_worse(difference), float(difference.sum()) / p.scored_count,
-                              found.evidence[name], p.space.values(other, fit.vector), shared=True)
-                if alternative(rival, self.limits).rule == "alternative":
-                    found.rivals[name] = [*(r for r in found.rivals.get(name, ()) if r.name != other), rival]
-                    found.near.append((names, fit.vector))
+        for other in (n for n in p.space.additions if names and n not in names and not p.space.overlaps(n, names)):
+            for size in (p.space.deviation[p.space.indices(other)], self.limits.min_relative_size):
+                fit = self._with_other(found.fit, other, size)
+                difference = fit.held_out - found.fit.held_out
+                own = p.space.indices(*(n for n in names if n in twins_of(other)))
+                nearer = own[np.abs(fit.vector - p.start)[own] < np.abs(found.fit.vector - p.start)[own]]
+                rivals = [Rival(other, name, 1.0, no_worse(difference), float(difference.sum()) / p.scored_count,
+                                found.evidence[name], p.space.values(other, fit.vector), shared=True)
+                          for name in sorted({p.space.free[i].effect for i in nearer})]
+                if rivals and alternative(rivals[0], self.limits).rule == "alternative":
+                    for rival in rivals:
+                        others = found.rivals.get(rival.instead, ())
+                        found.rivals[rival.instead] = [*(r for r in others if r.name != other), rival]
+                    found.near.append(((), fit.vector))
+                    break
 
-    def _with_relevant(self, fit: Fit, name: str) -> Fit:
-        """The fit of the same set with another effect at `limits.min_relative_size`."""
+    def _with_other(self, fit: Fit, name: str, size: np.ndarray | float) -> Fit:
+        """The fit of the same set with another effect fixed at a number of usual sizes."""
         p, own = copy(self.problem), self.problem.space.indices(name)
         p.start = p.start.copy()
-        p.start[own] += self.limits.min_relative_size * p.space.scale[own]
+        p.start[own] += size * p.space.scale[own]
         vector = fit.vector.copy()
         vector[own] = p.start[own]
         self.tick()
