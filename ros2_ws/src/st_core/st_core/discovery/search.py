@@ -102,8 +102,8 @@ class Search:
                           for name in sorted({p.space.free[i].effect for i in nearer})]
                 if rivals and alternative(rivals[0], self.limits).rule == "alternative":
                     for rival in rivals:
-                        others = found.rivals.get(rival.instead, ())
-                        found.rivals[rival.instead] = [*(r for r in others if r.name != other), rival]
+                        others = found.rivals.get(rival.replaces, ())
+                        found.rivals[rival.replaces] = [*(r for r in others if r.name != other), rival]
                     found.near.append(((), fit.vector))
                     break
 
