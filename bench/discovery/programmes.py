@@ -53,10 +53,10 @@ class Builder:
         """From the present speed, which is that of the manoeuvre. seconds: of it, one round if not given."""
         time = _time(manoeuvre.period if seconds is None else seconds)
         angle = manoeuvre.steering(time, self.car.wheelbase)
-        if manoeuvre.share(np.zeros(1))[0]:
+        if manoeuvre.profile(np.zeros(1))[0]:
             angle *= np.minimum(time / INTO, 1.0)
         # Hands that are still while braking do not look.
-        self.add(angle, manoeuvre.speed_at(time), closed=manoeuvre.follows and not manoeuvre.pedals)
+        self.add(angle, manoeuvre.speed_at(time), closed=manoeuvre.closed_loop and not manoeuvre.pedals)
 
     def side(self) -> int:
         return int(self.generator.choice([-1, 1]))

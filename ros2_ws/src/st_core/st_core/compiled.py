@@ -17,10 +17,10 @@ from .prediction import PredictionSettings, predict
 from .types import STATE_NAMES, ControlInput, InputSequence, Trajectory, VehicleState
 from .vehicle import VehicleParameters
 
-# Largest difference from the result on Python floats, relative to max(1, |value|).
+# Largest difference from the result of the interpreted model, relative to max(1, |value|).
 TOLERANCE = 1.0e-9
-# States and inputs of the comparison with floats: (v_x [m/s], v_y [m/s], yaw rate [rad/s], road wheel angle [rad],
-# acceleration [m/s^2]): walking pace to motorway, both sides, driven and braked.
+# States and inputs of the comparison with the interpreted model: (v_x [m/s], v_y [m/s], yaw rate [rad/s],
+# road wheel angle [rad], acceleration [m/s^2]): walking pace to motorway, both sides, driven and braked.
 _SAMPLES = ((1.0, 0.0, 0.05, 0.1, 0.3), (8.0, 0.1, -0.25, -0.08, 0.0), (15.0, -0.2, 0.2, 0.04, -1.0),
             (30.0, 0.0, -0.02, -0.005, 0.5))
 
@@ -65,10 +65,10 @@ class CompiledModel:
 
 
 def compile_model(model: Model, vehicle: VehicleParameters, settings: PredictionSettings) -> CompiledModel:
-    """The compiled form of a model, from the compiler or its cache, verified against Python floats.
+    """The compiled form of a model, from the compiler or its cache, verified against the interpreted model.
 
     Raises ConfigurationError with the reason if numba is not installed, cannot compile the model, or its result differs
-    from floats by more than TOLERANCE.
+    from the interpreted model by more than TOLERANCE.
     """
     if not has_numba():
         raise ConfigurationError("numba is not installed")
@@ -76,7 +76,7 @@ def compile_model(model: Model, vehicle: VehicleParameters, settings: Prediction
         result = CompiledModel(model, vehicle, settings)
     except ConfigurationError:
         raise
-    except Exception as error:  # numba raises many kinds of errors; floats are the fallback
+    except Exception as error:  # numba raises many kinds of errors; the interpreted model is the fallback
         raise ConfigurationError(f"{type(error).__name__}: {error}") from None
     for constant in (True, False):
         for sample in _SAMPLES:
@@ -98,7 +98,7 @@ def compile_models(models: Sequence[Model], vehicle: VehicleParameters,
             reasons[model.name] = " ".join(str(error).split())
     parts = [f"compiled and checked: {', '.join(compiled)}"] if compiled else []
     if reasons:
-        parts.append(f"on Python floats: {', '.join(reasons)} ({'; '.join(dict.fromkeys(reasons.values())):.200})")
+        parts.append(f"not compiled: {', '.join(reasons)} ({'; '.join(dict.fromkeys(reasons.values())):.200})")
     return compiled, "; ".join(parts)
 
 
@@ -119,4 +119,4 @@ def _check_agreement(name: str, compiled: np.ndarray, exact: np.ndarray) -> None
     finite = np.isfinite(exact)
     if not np.array_equal(finite, np.isfinite(compiled)) or (difference[finite] > TOLERANCE).any():
         worst = float(np.nanmax(np.where(finite, difference, 0.0)))
-        raise ConfigurationError(f"the compiled {name} differs from Python floats by {worst:.1e}")
+        raise ConfigurationError(f"the compiled {name} differs from the interpreted model by {worst:.1e}")

@@ -2,8 +2,8 @@
 
 A manoeuvre is defined by its speed and its target lateral acceleration, so that any car can drive it:
 
-    curvature(t) = lateral share(t) / speed^2              share between -1 and 1
-    road wheel angle(t) = (L + K speed^2) curvature(t)     L: wheelbase, K: understeer
+    curvature(t) = lateral profile(t) / speed^2            profile: -1 to 1
+    road wheel angle(t) = (L + K speed^2) curvature(t)     L: wheelbase, K: understeer gradient
 
 Left is positive everywhere; a negative `lateral` is the mirrored manoeuvre. Times count from the start.
 Checked by: test_manoeuvres.py, tests/bench/test_discovery_manoeuvres.py.
@@ -17,15 +17,15 @@ from functools import cached_property
 import numpy as np
 
 UNDERSTEER = 0.004
-"""rad s^2/m: assumed understeer K of a car that is not known."""
+"""rad s^2/m: understeer gradient K assumed for an unknown car."""
 
 Shape = Callable[[np.ndarray], np.ndarray]
-"""Share of the target lateral acceleration, -1 to 1, at times [s] within one period."""
+"""Lateral acceleration over its target, -1 to 1, at times [s] within one period."""
 
 
 @dataclass(frozen=True)
 class PiecewiseLinear:
-    """Piecewise linear share of time; parts: (duration [s], share at its start, share at its end)."""
+    """Piecewise linear function of time; parts: (duration [s], value at its start, value at its end)."""
 
     parts: tuple[tuple[float, float, float], ...]
 
@@ -62,34 +62,35 @@ class Sine:
 class Manoeuvre:
     """Steering and pedal inputs over time.
 
-    name: also the scenario of the virtual car. speed: at the start [m/s]. lateral: target acceleration at a share of 1
-    and the speed of the start [m/s^2]. period: after which the manoeuvre repeats [s]. rounds: periods in one drive.
-    pedals: consecutive (duration [s], forward acceleration [m/s^2]), never beyond the speed of the start; empty for
-    constant speed. follows: the driver follows a road of this curvature (PiecewiseLinear) in closed loop; otherwise the
-    steering is open loop. With pedals the road is a circle, and the steering is held while braking. meaning: one line.
+    name: also the scenario of the virtual car. speed: at the start [m/s]. lateral: peak target acceleration at the
+    initial speed [m/s^2]. profile: lateral acceleration over that. period: after which the manoeuvre repeats [s].
+    repetitions: periods in one drive. pedals: consecutive (duration [s], forward acceleration [m/s^2]), where the speed
+    never exceeds the initial speed; empty for constant speed. closed_loop: the driver follows a road of this curvature
+    (PiecewiseLinear); otherwise the steering is open loop. With pedals the road is a circle, and the steering is held
+    while braking. description: one line.
     """
 
     name: str
     speed: float
     lateral: float
-    share: Shape
+    profile: Shape
     period: float
-    rounds: int = 1
+    repetitions: int = 1
     pedals: tuple[tuple[float, float], ...] = ()
-    follows: bool = False
-    meaning: str = field(default="", compare=False)
+    closed_loop: bool = False
+    description: str = field(default="", compare=False)
 
     @property
     def duration(self) -> float:
         """Duration of a drive [s]."""
-        return self.rounds * self.period
+        return self.repetitions * self.period
 
     def curvature(self, time: np.ndarray | float) -> np.ndarray:
-        """Curvature of the path at the speed of the start [1/m]; time [s] >= 0."""
-        return self.lateral / self.speed**2 * self.share(np.asarray(time) % self.period)
+        """Curvature of the path at the initial speed [1/m]; time [s] >= 0."""
+        return self.lateral / self.speed**2 * self.profile(np.asarray(time) % self.period)
 
     def steering(self, time: np.ndarray | float, wheelbase: float, understeer: float = UNDERSTEER) -> np.ndarray:
-        """Road wheel angle [rad] for a wheelbase [m] and an understeer K [rad s^2/m]; time [s] >= 0."""
+        """Road wheel angle [rad] for a wheelbase [m] and an understeer gradient K [rad s^2/m]; time [s] >= 0."""
         return (wheelbase + understeer * self.speed**2) * self.curvature(time)
 
     def speed_at(self, time: np.ndarray | float) -> np.ndarray:
@@ -119,31 +120,32 @@ class Manoeuvre:
 def sweep(speed: float, lateral: float, duration: float = 26.0, pause: float = 4.0) -> Manoeuvre:
     """Sine steering, 0.2 to 2.8 Hz within `duration` [s], then straight for `pause` [s]."""
     return Manoeuvre("sweep", speed, lateral, Sine(0.2, 2.8, duration), duration + pause,
-                     meaning=f"sine steering 0.2 to 2.8 Hz at {speed:g} m/s")
+                     description=f"sine steering 0.2 to 2.8 Hz at {speed:g} m/s")
 
 
 def step(speed: float, lateral: float, hold: float = 4.0, pause: float = 3.0) -> Manoeuvre:
     """Step steer to one side, straight, step steer to the other; each held for `hold` [s], straight for `pause` [s]."""
     parts = ((pause, 0.0, 0.0), (hold, 1.0, 1.0), (pause, 0.0, 0.0), (hold, -1.0, -1.0))
-    return Manoeuvre("step", speed, lateral, PiecewiseLinear(parts), 2 * (hold + pause), rounds=2,
-                     meaning=f"steps of steering to both sides at {speed:g} m/s")
+    return Manoeuvre("step", speed, lateral, PiecewiseLinear(parts), 2 * (hold + pause), repetitions=2,
+                     description=f"steps of steering to both sides at {speed:g} m/s")
 
 
-def ramp_to_limit(speed: float, lateral: float, up: float = 25.0, out: float = 2.0, rest: float = 4.0) -> Manoeuvre:
-    """Ramp steer within `up` [s], back within `out` [s], `rest` [s]; then the other side. lateral: beyond the grip."""
-    return Manoeuvre("ramp_to_limit", speed, lateral, _both_sides((up, 0.0, 1.0), (out, 1.0, 0.0), (rest, 0.0, 0.0)),
-                     2 * (up + out + rest), meaning=f"steering slowly increased to the limit at {speed:g} m/s")
+def ramp_to_limit(speed: float, lateral: float, up: float = 25.0, down: float = 2.0, rest: float = 4.0) -> Manoeuvre:
+    """Ramp steer within `up` [s], back within `down` [s], `rest` [s]; then the other side. lateral: above what
+    the tyres can reach."""
+    return Manoeuvre("ramp_to_limit", speed, lateral, _both_sides((up, 0.0, 1.0), (down, 1.0, 0.0), (rest, 0.0, 0.0)),
+                     2 * (up + down + rest), description=f"steering slowly increased to the limit at {speed:g} m/s")
 
 
 def brake_in_turn(speed: float, lateral: float, cruise: float = 8.0, braking: float = 4.0, down_to: float = 3.0,
-                  power: float = 2.0, drive: float = 6.0) -> Manoeuvre:
-    """A circle; braking [m/s^2] at held steering down to a speed [m/s], then power [m/s^2] for `drive` [s]."""
-    pedals = ((cruise, 0.0), ((speed - down_to) / braking, -braking), (drive, power))
+                  acceleration: float = 2.0, driving: float = 6.0) -> Manoeuvre:
+    """A circle; braking [m/s^2] at held steering down to a speed [m/s], then acceleration [m/s^2] for `driving` [s]."""
+    pedals = ((cruise, 0.0), ((speed - down_to) / braking, -braking), (driving, acceleration))
     period = sum(seconds for seconds, _ in pedals)
     constant = PiecewiseLinear(((period, 1.0, 1.0),))
-    return Manoeuvre("brake_in_turn", speed, lateral, constant, period, 2, pedals, follows=True,
-                     meaning=f"R = {speed**2 / abs(lateral):.0f} m at {abs(lateral):g} m/s^2, braking at {braking:g} "
-                             "m/s^2 with the steering wheel held")
+    return Manoeuvre("brake_in_turn", speed, lateral, constant, period, 2, pedals, closed_loop=True,
+                     description=f"R = {speed**2 / abs(lateral):.0f} m at {abs(lateral):g} m/s^2, braking at "
+                                 f"{braking:g} m/s^2 with the steering wheel held")
 
 
 def lane_change(speed: float, lateral: float) -> Manoeuvre:
@@ -156,27 +158,27 @@ def lane_change(speed: float, lateral: float) -> Manoeuvre:
     back = tuple((length, -first, -last) for length, first, last in there)
     metres = ((40.0, 0.0, 0.0), *there, (25.0, 0.0, 0.0), *back, (35.0, 0.0, 0.0))
     shape = PiecewiseLinear(tuple((length / speed, first, last) for length, first, last in metres))
-    return Manoeuvre("lane_change", speed, lateral, shape, shape.duration, rounds=2, follows=True,
-                     meaning=f"double lane changes at {speed:g} m/s")
+    return Manoeuvre("lane_change", speed, lateral, shape, shape.duration, repetitions=2, closed_loop=True,
+                     description=f"double lane changes at {speed:g} m/s")
 
 
 def slalom(speed: float, lateral: float, frequency: float = 0.5, waves: int = 12) -> Manoeuvre:
     """Sine steering at one frequency [Hz]."""
     return Manoeuvre("slalom", speed, lateral, Sine(frequency, frequency, waves / frequency), waves / frequency,
-                     meaning=f"sine steering of {frequency:g} Hz to {abs(lateral):g} m/s^2 at {speed:g} m/s")
+                     description=f"sine steering of {frequency:g} Hz to {abs(lateral):g} m/s^2 at {speed:g} m/s")
 
 
 def weave(speed: float, lateral: float, waves: float = 6.0) -> Manoeuvre:
     """Sine steering at 0.25 Hz and a small amplitude about the centre."""
     return Manoeuvre("weave", speed, lateral, Sine(0.25, 0.25, 4 * waves), 4 * waves,
-                     meaning=f"gentle sine steering of 0.25 Hz about the centre at {speed:g} m/s")
+                     description=f"gentle sine steering of 0.25 Hz about the centre at {speed:g} m/s")
 
 
 def circle(speed: float, lateral: float, hold: float = 10.0, ramp: float = 2.0) -> Manoeuvre:
     """Steady circle for `hold` [s], entered and left within `ramp` [s]; then the same to the other side."""
     return Manoeuvre("circle", speed, lateral,
                      _both_sides((ramp, 0.0, 1.0), (hold, 1.0, 1.0), (ramp, 1.0, 0.0), (1.0, 0.0, 0.0)),
-                     2 * (hold + 2 * ramp + 1.0), meaning=f"steady circles to both sides, {speed:g} m/s and "
+                     2 * (hold + 2 * ramp + 1.0), description=f"steady circles to both sides, {speed:g} m/s and "
                                                           f"{abs(lateral):g} m/s^2, with the steering wheel held")
 
 
@@ -184,8 +186,8 @@ def there_and_back(speed: float, lateral: float) -> Manoeuvre:
     """10 s straight, a U-turn, straight back, a U-turn: a wind of constant direction then acts from both sides."""
     half = ((10.0, 0.0, 0.0), (1.0, 0.0, 1.0), (math.pi * speed / abs(lateral) - 1.0, 1.0, 1.0), (1.0, 1.0, 0.0))
     shape = PiecewiseLinear(half + half)
-    return Manoeuvre("there_and_back", speed, lateral, shape, shape.duration, follows=True,
-                     meaning=f"straight there and straight back at {speed:g} m/s")
+    return Manoeuvre("there_and_back", speed, lateral, shape, shape.duration, closed_loop=True,
+                     description=f"straight there and straight back at {speed:g} m/s")
 
 
 def figure_eight() -> Manoeuvre:
@@ -195,8 +197,8 @@ def figure_eight() -> Manoeuvre:
     half = ((straight / 2, 0.0, 0.0), (ramp, 0.0, 1.0), (arc, 1.0, 1.0), (ramp, 1.0, 0.0), (straight / 2, 0.0, 0.0))
     metres = half + tuple((length, -first, -last) for length, first, last in half)
     shape = PiecewiseLinear(tuple((length / speed, first, last) for length, first, last in metres))
-    return Manoeuvre("S1", speed, speed**2 / radius, shape, shape.duration, follows=True,
-                     meaning=f"figure eight at {speed:g} m/s, R = {radius:g} m")
+    return Manoeuvre("S1", speed, speed**2 / radius, shape, shape.duration, closed_loop=True,
+                     description=f"figure eight at {speed:g} m/s, R = {radius:g} m")
 
 
 def _both_sides(*parts: tuple[float, float, float]) -> PiecewiseLinear:

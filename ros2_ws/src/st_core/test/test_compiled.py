@@ -69,13 +69,13 @@ def test_other_numbers_than_floats_are_refused(leaf, monkeypatch):
     monkeypatch.setattr(compiled.CompiledModel, "__call__", wrong)
     runners, said = compile_models(list(MODELS.values()), leaf, SETTINGS)
     assert set(runners) == {"kinematic", "nonlinear"}
-    assert said.startswith("compiled and checked: kinematic, nonlinear; on Python floats: linear (the compiled ")
+    assert said.startswith("compiled and checked: kinematic, nonlinear; not compiled: linear (the compiled ")
 
 
 def test_without_numba_all_stay_on_floats(leaf, monkeypatch):
     monkeypatch.setattr(compiled, "has_numba", lambda: False)
     assert compile_models(list(MODELS.values()), leaf, SETTINGS) == (
-        {}, "on Python floats: kinematic, linear, nonlinear (numba is not installed)")
+        {}, "not compiled: kinematic, linear, nonlinear (numba is not installed)")
     with pytest.raises(ConfigurationError, match="numba is not installed"):
         compile_model(MODELS["linear"], leaf, SETTINGS)
 

@@ -35,8 +35,8 @@ def test_every_one_of_the_catalogue(m):
     gained = m.speed + np.cumsum(m.forward(t)) * DT
     np.testing.assert_allclose(gained, m.speed_at(t + DT), atol=0.05)
     # Long enough for predictions of five seconds, short enough to be driven three times.
-    assert 20.0 <= m.duration <= 70.0 and m.duration == m.rounds * m.period
-    assert m.meaning
+    assert 20.0 <= m.duration <= 70.0 and m.duration == m.repetitions * m.period
+    assert m.description
 
 
 def test_names_are_unique():
@@ -80,7 +80,7 @@ def test_lines_and_sine():
 
 
 def test_braking_ends_at_its_speed_and_power_at_the_first_one():
-    m = manoeuvres.brake_in_turn(11.0, 4.0, cruise=2.0, braking=4.0, down_to=3.0, power=2.0, drive=6.0)
+    m = manoeuvres.brake_in_turn(11.0, 4.0, cruise=2.0, braking=4.0, down_to=3.0, acceleration=2.0, driving=6.0)
     assert m.period == 10.0
     np.testing.assert_allclose(m.speed_at(np.array([0.0, 2.0, 3.0, 4.0, 5.0, 8.0, 9.9])), [11, 11, 7, 3, 5, 11, 11])
     np.testing.assert_allclose(m.forward(np.array([1.0, 2.1, 3.9, 4.1, 7.9, 8.1])), [0, -4, -4, 2, 2, 0], atol=1e-9)

@@ -103,7 +103,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(404)
 
     def _host_is_allowed(self) -> bool:
-        """On loopback only local names: else another site's page could read frames by a name that is 127.0.0.1."""
+        """On loopback only local names: else against DNS rebinding: a foreign host name that resolves to 127.0.0.1."""
         name = self.headers.get("Host", "").rpartition(":")[0]
         return self.server.server_address[0] != LOOPBACK or name in (LOOPBACK, "localhost")
 

@@ -224,7 +224,7 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replayed: 
         result = _verify_with_progress(folder, vehicle, console)
     if result is None or not result.n_starts:
         settling = sum(c.n_settling for c in result.comparisons) if result else 0
-        why = (f"all {settling} predictions start too early after the first sample received" if settling
+        why = (f"all {settling} predictions start too soon after the first sample received" if settling
                else "no prediction was made from this recording")
         console.print(f"nothing to compare: {why}")
         return 2

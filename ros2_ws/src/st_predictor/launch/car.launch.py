@@ -26,7 +26,7 @@ PARENT_DEATH = "setpriv --pdeathsig INT"
 
 
 class CarFile(Substitution):
-    """A file of the car folder, config_dir/car/NAME or an absolute one; the Leaf's without a car."""
+    """A file in the folder of the car: config_dir/car/<car>, or an absolute folder; of the Leaf if `car` is empty."""
 
     def __init__(self, name):
         super().__init__()
@@ -45,7 +45,7 @@ def argument(name, description, default=None):
 
 
 def text(node, name, *value):
-    """One parameter as an override. It names the node and follows the file, else the section in the file wins."""
+    """One parameter as an override. It must name the node and come after --params-file, else the file wins."""
     return ["-p", [f"{node}:{name}:='", *value, "'"]]
 
 

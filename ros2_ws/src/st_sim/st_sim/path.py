@@ -55,7 +55,7 @@ def turn(radius: float, angle_deg: float, speed: float, blend: float = 0.0) -> l
 
 
 def lane_shift(offset: float, length: float, speed: float) -> list[Piece]:
-    """Lateral shift by an offset [m, left +] within a length [m] at constant heading; curvature +, -, linear.
+    """Lateral shift by an offset [m, left +] within a length [m], back to the initial heading; curvature +, -, linear.
 
     offset = 2 k (length / 4)^2 for small angles. Checked by: test_scenarios.py.
     """

@@ -119,9 +119,9 @@ def plan_of(manoeuvre: Manoeuvre) -> Plan:
     speed, curvature = manoeuvre.speed, manoeuvre.lateral / manoeuvre.speed**2
     if manoeuvre.pedals:
         return PhasePlan(1 / abs(curvature), 1 if curvature > 0 else -1, speed, _phases(manoeuvre))
-    if manoeuvre.follows and isinstance(manoeuvre.share, PiecewiseLinear):
+    if manoeuvre.closed_loop and isinstance(manoeuvre.profile, PiecewiseLinear):
         return RoadPlan([Piece(length * speed, curvature * first, curvature * last, speed)
-                         for length, first, last in manoeuvre.share.parts])
+                         for length, first, last in manoeuvre.profile.parts])
     return OpenLoopPlan(manoeuvre)
 
 
@@ -163,7 +163,7 @@ def _circle_to_rest() -> Plan:
         Phase("path", acceleration=1.2, duration=5.0)])
 
 
-CATALOGUE_SCENARIOS = {m.name: (partial(plan_of, m), m.meaning) for m in CATALOGUE}
+CATALOGUE_SCENARIOS = {m.name: (partial(plan_of, m), m.description) for m in CATALOGUE}
 SCENARIOS: dict[str, tuple[Callable[[], Plan], str]] = {
     "S1": CATALOGUE_SCENARIOS["S1"],
     "S2": (lambda: _circle(1.5), "left circle, R = 11.5 m, 1.5 m/s^2"),

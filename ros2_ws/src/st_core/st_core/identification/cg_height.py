@@ -7,12 +7,12 @@ the wheel centres under the CG when the car is level:
     m_r(theta) l cos(theta) = m (l_f cos(theta) + (h - r) sin(theta))
     m_r(theta) = m_r(0) + m (h - r) / l tan(theta)
     one pitch:   h = r + l (m_r(theta) - m_r(0)) / (m tan(theta))          (ISO 10392)
-    all:         h = r + l b / m,  b the slope of m_r over tan(theta), each lift with a level of its own
+    all:         h = r + l b / m,  b the slope of m_r over tan(theta), with a separate intercept for each lift
     r = r_front (1 - l_f / l) + r_rear l_f / l
 
-r is made of the loaded wheel radii of the level car, because h is the height there. The further deflection of the rear
-tyres when lifted does not enter: the force still passes the wheel centre. It enters the pitch computed from the lift of
-the front wheels: sin(theta + theta_0) = (lift + r_front - r_rear) / l with the radii measured when lifted.
+r is computed from the loaded wheel radii of the level car, because h is the height there. The further deflection of the
+rear tyres when lifted does not enter: the force still passes through the wheel centre. It enters the pitch computed
+from the lift of the front wheels: sin(theta + theta_0) = (lift + r_front - r_rear) / l with the radii when lifted.
 
     u(h)^2 = (l / m)^2 u(b)^2 + (h - r)^2 (u(m)^2 / m^2 + u(l)^2 / l^2) + u(r)^2
 
@@ -189,8 +189,8 @@ def _order_warnings(data: Lift) -> list[str]:
         if len(back):
             k = int(back[0])
             sentences.append(f"Lift {name}: pitch does not rise row by row, it falls from {pitch[k]:.1f} to "
-                             f"{pitch[k + 1]:.1f} deg at row {k + 2}. Rows are used in any order; on the way down "
-                             "friction retains load, so note such rows as a lift of their own.")
+                             f"{pitch[k + 1]:.1f} deg at row {k + 2}. The order does not affect the fit, but on the "
+                             "way down friction retains load: enter such rows as a separate lift.")
     return sentences
 
 

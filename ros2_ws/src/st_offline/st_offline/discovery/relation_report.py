@@ -198,4 +198,5 @@ def _ranges(relation: Relation, ranges: Sequence[tuple[float, float]]) -> str:
 
 def _manoeuvre(option: Option) -> str:
     m = option.manoeuvre
-    return f"{m.name}, {REPETITIONS} times {m.duration:.0f} s ({m.meaning.replace('^2', '²')}, from {m.speed:.1f} m/s)"
+    description = m.description.replace("^2", "²")
+    return f"{m.name}, {REPETITIONS} times {m.duration:.0f} s ({description}, from {m.speed:.1f} m/s)"

@@ -44,9 +44,9 @@ from .run_figures import Drawing, ranking, run_figures
 @dataclass(frozen=True)
 class Task:
     """Settings of an evaluation. models: by name, or (file name, content) of a model.yaml. starts: times drawn in
-    detail [s], () for a choice. folder: of the results; None: nothing is written. formats: of the figures. force:
-    evaluate runs with errors in the checks. bands, course: (file name, content). adaptive: test adaptive bands.
-    effects: folder of own effects of the model files."""
+    detail [s], () for automatic ones. folder: of the results; None: nothing is written. formats: of the figures.
+    force: evaluate runs with errors in the checks. bands, course: (file name, content). adaptive: test adaptive bands.
+    effects: folder of user-defined effects in the model files."""
 
     vehicle: VehicleParameters
     models: tuple[str | tuple[str, str], ...]
@@ -234,7 +234,8 @@ def write_starts(file: Path, evaluation: LogEvaluation) -> None:
 
 
 INPUTS = ("planned_road_wheel_angle", "planned_velocity_x_dot")
-"""Columns of a CSV [rad, left +; m/s^2]: inputs planned for the time of the row before its horizon began."""
+"""Columns of a CSV [rad, left +; m/s^2]: inputs that a planner had planned for the time of the row
+before the start of the prediction."""
 PATH = ("planned_speed", "planned_curvature")  # alternatively speed and curvature of the CG [m/s; 1/m, left +]
 
 

@@ -255,7 +255,7 @@ def _usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_t
 
 
 def _unit_of_step(times: np.ndarray) -> str:
-    """The unit of time in which times are possible and their usual step is between 0.5 ms and 0.5 s; empty if none."""
+    """The time unit that gives plausible times and their usual step is between 0.5 ms and 0.5 s; empty if none."""
     times = times[np.isfinite(times)]
     step = np.abs(np.diff(times))
     usual, largest = float(np.median(step[step > 0.0])) if step.any() else 0.0, float(np.abs(times).max())
