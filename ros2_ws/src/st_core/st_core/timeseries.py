@@ -40,7 +40,7 @@ class TimeSeries:
     angles: columns interpolated the short way round. span [s]: at least one second is kept. maximum_gap [s]: nothing is
     known between samples further apart. Memory is bounded by the span, and by MAXIMUM_SAMPLES at any rate.
 
-    breaks: reason by sample time [ns], set by the owner, why nothing is known between that sample and the one before.
+    breaks: by sample time [ns], the reason why nothing is known between the previous sample and this; set by the owner.
     """
 
     def __init__(self, columns: Sequence[str], span: float, maximum_gap: float, angles: Sequence[str] = ()):

@@ -173,7 +173,7 @@ class LiveView:
         show_address(self.url, console)
 
     def finish(self, folder: Path, console: Console) -> None:
-        """After the run: end the page, and draw the recording of the run into the file of --view-save."""
+        """After the run: end the page, and write the recording of the run to the Rerun file of --view-save."""
         if self._server and self._server.process.poll() is not None:
             console.print(f"[yellow]the page ended before the run: {escape(self._server.last_lines())}[/yellow]",
                           highlight=False, soft_wrap=True)

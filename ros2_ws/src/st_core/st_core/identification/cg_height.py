@@ -1,8 +1,8 @@
 """Height of the centre of gravity (CG) from the axle-lift test: front axle lifted, rear load against pitch.
 
-The car rests on free-rolling wheels with locked suspension, so each ground force is vertical and passes the centre of
-its wheel. Moments about the front wheel centres, pitch theta nose up, l the wheelbase, r the height of the line between
-the wheel centres under the CG when the car is level:
+The car rests on free-rolling wheels with locked suspension, so each ground force is vertical and passes through the
+centre of its wheel. Moments about the front wheel centres, pitch theta nose up, l the wheelbase, r the height of the
+line between the wheel centres under the CG when the car is level:
 
     m_r(theta) l cos(theta) = m (l_f cos(theta) + (h - r) sin(theta))
     m_r(theta) = m_r(0) + m (h - r) / l tan(theta)
