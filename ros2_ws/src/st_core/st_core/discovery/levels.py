@@ -11,7 +11,8 @@ MIN_RUNS = 5  # fewer runs are divided into stretches
 TIMES = ("the first third of the runs", "the second third", "the last third")
 KINDS = ("slow and gentle", "fast and gentle", "slow and hard", "fast and hard")
 
-Level = tuple[np.ndarray, list[str]]  # (n,) part of each window, names of the parts
+# A way to divide the driving (a factor of an analysis of variance): (n,) part of each window, names of the parts.
+Level = tuple[np.ndarray, list[str]]
 
 
 def levels(windows: Windows) -> dict[str, Level]:
