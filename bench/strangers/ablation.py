@@ -120,8 +120,8 @@ def _searched(work: Any) -> tuple[Any, ...]:
 def _counts(work: Any, searched: tuple[Any, ...], truth: Mapping[str, Any]) -> dict[str, int]:
     """Counts of statements, hidden errors, values and points of the force curves."""
     work.problem, floor, parts, search, found = searched
-    names = work._names(search, found, parts, floor)
-    answer = {"effects": [_plain(one) for one in names.stated], "minor": [_plain(one) for one in names.minor],
+    names = work._judged(search, found, parts, floor)
+    answer = {"effects": [_plain(one) for one in names.named], "minor": [_plain(one) for one in names.minor],
               "combinations": [vars(one) for one in names.combinations],
               "axle_curves": [vars(one) for one in names.curves]}
     result = {"truth": truth, "answer": answer}

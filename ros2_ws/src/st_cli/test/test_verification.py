@@ -187,7 +187,7 @@ def test_a_recording_too_short_to_compare_is_reported(live, monkeypatch):
     live.write()
     monkeypatch.setattr(verification, "SETTLING_TIME_CONSTANTS", 1e6)
     result = st_verify(live.folder)
-    assert result.exit_code == 2 and "all 120 predictions start too early" in result.output.replace("\n", " ")
+    assert result.exit_code == 2 and "all 120 predictions start too soon" in result.output.replace("\n", " ")
 
 
 @pytest.mark.parametrize("period", [0.1, 0.5, 1.0, 2.0])

@@ -24,6 +24,7 @@ from exact_faults import (
     wheel_turned,
 )
 from st_core.checks import AuxiliaryData, Series, Severity, check
+from st_core.log import DriveLog
 
 DEGREE, G = 180.0 / np.pi, 9.80665
 RATIO = 17.3  # of the Leaf's steering
@@ -158,6 +159,21 @@ def test_a_clipped_channel_is_not_frozen(log, leaf, channel):
     found = findings(replace(log, steering_wheel_angle=None, **{channel: np.clip(values, low, high)}), leaf)
     assert "channel_clipped" in found and "channel_frozen" not in found
     assert found["channel_clipped"].channels == (channel,)
+
+
+def test_steering_at_its_mechanical_stop_is_not_clipped(log, leaf):
+    time = np.arange(0.0, 60.0, 0.01)
+    angle = np.clip(1.5 * np.sin(2 * np.pi * time / 15.0), -0.55, 0.55)
+    speed = 3.0 + np.sin(2 * np.pi * time / 7.0)
+    rate = speed * np.tan(angle) / leaf.wheelbase
+    yaw = np.cumsum(rate) * 0.01
+    velocity_y = rate * (leaf.cg_to_rear_axle + leaf.cg_to_ins_x)
+    x, y = (np.cumsum(v) * 0.01 for v in (speed * np.cos(yaw) - velocity_y * np.sin(yaw),
+                                          speed * np.sin(yaw) + velocity_y * np.cos(yaw)))
+    stamps = (time * 1e9).astype(np.int64)
+    parked = DriveLog("parking", ins_time_ns=stamps, x=x, y=y, yaw=yaw, velocity_x=speed, velocity_y=velocity_y,
+                      yaw_rate=rate, steering_time_ns=stamps, road_wheel_angle=angle, steering_wheel_angle=None)
+    assert "channel_clipped" not in findings(parked, leaf)
 
 
 def test_steering_that_does_not_follow_the_motion(log, leaf):

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import can
@@ -206,6 +207,14 @@ TABLES: list[tuple[str, Callable[[DriveLog], str], str, str]] = [
     ("compass.csv", lambda log: csv([[*row[:3], f"{(90 - np.degrees(float(row[3]))) % 360:.6f}", *row[4:]]
                                      for row in rows(log)], ",".join(NAMES).replace("yaw,", "heading,")), "utf-8",
      "column heading has values from .* to .*: they were read as degrees"),
+    ("unwrapped.csv", lambda log: csv([[*row[:3], f"{6.5 * np.pi - float(row[3]):.6f}", *row[4:]] for row in rows(log)],
+                                      ",".join(NAMES).replace("yaw,", "heading,")), "utf-8", ""),
+    ("whole_stamps.csv", lambda log: csv([[f"{float(row[0]):.3f}", f"{float(row[0]) * 1e9:.0f}", *row[1:]] for row in
+                                          rows(log)], ",".join(("stamp_sec", "stamp_nsec", *NAMES[1:]))), "utf-8", ""),
+    ("track.csv", lambda log: csv([[*row, "7", "4.5"] for row in rows(log)], ",".join((*NAMES, "id", "length"))),
+     "utf-8", ""),
+    ("topics.csv", lambda log: csv([[row[0], "99", "5", "6", *row[1:]] for row in rows(log)], ",".join(
+        ("t", "engine.speed", "a/speed", "b/speed", *NAMES[1:])).replace("velocity_x", "ins/velocity_x")), "utf-8", ""),
     ("unit.csv", lambda log: csv([[*row, "9"] for row in rows(log)], ",".join((*NAMES, "ax [mg]"))), "utf-8",
      "column ax .* is not used: 'mg' is not a unit of acceleration"),
 ]
@@ -216,7 +225,8 @@ def test_tables(tmp_path: Path, drive, name: str, text, encoding: str, warning: 
     file = tmp_path / name
     file.write_bytes(text(drive[1]).encode(encoding))
     run = read(find_runs([file])[0], CAR)
-    assert_same(run.log, drive[1], lost=3 if name == "holes.csv" else 1, turned=name in ("geographic.csv", "held.csv"))
+    assert_same(run.log, drive[1], lost=3 if name == "holes.csv" else 1,
+                turned=name in ("geographic.csv", "held.csv", "unwrapped.csv"))
     assert_warned(run.warnings, warning)
 
 
@@ -272,6 +282,13 @@ def test_positions_rounded_to_the_fifth_decimal_of_a_degree_are_used_as_they_are
     file.write_text("\n".join(",".join(
         [row[0], *(re.sub(r"(\.\d{5})\d+", r"\1", cell) for cell in row[1:3]), *row[3:]]) for row in cells))
     assert not read(find_runs([file])[0], CAR).warnings
+
+
+def test_a_wrong_scale_of_the_speed_is_no_exchange_of_latitude_and_longitude(tmp_path: Path, drive) -> None:
+    file = tmp_path / "scaled.csv"
+    for scale in np.arange(1.02, 1.4, 0.02):
+        file.write_text(geographic(replace(drive[1], velocity_x=drive[1].velocity_x / scale)))
+        assert len(read(find_runs([file])[0], CAR).log.x) == len(drive[1].x)
 
 
 def test_whole_seconds_for_many_rows_are_named(tmp_path: Path, drive) -> None:

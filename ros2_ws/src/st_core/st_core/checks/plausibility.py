@@ -149,7 +149,8 @@ def implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
     bad[channel.rows[implausible]] = True
     if name not in ("x", "y") and len(jumps := _find_jumps(channel, large, implausible)):
         if name == "yaw":  # in degrees, wraps are steps too: only a heading that turns back to front is certain
-            jumps = jumps[np.abs(channel.step[jumps - 1] - np.pi) < MAX_REVERSAL_ERROR]
+            jumps = jumps[(np.abs(channel.step[jumps - 1] - np.pi) < MAX_REVERSAL_ERROR)
+                          & moving[channel.rows[jumps]] & moving[channel.rows[jumps - 1]]]
         findings += [_finding("channel_jumps", channel, jumps)] if len(jumps) else []
     return (bad if bad.mean() <= MAX_BAD_SHARE else np.zeros_like(bad)), findings
 

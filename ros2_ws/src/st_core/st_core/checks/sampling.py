@@ -22,6 +22,7 @@ MIN_ROWS_PER_SAMPLE = 1.5  # of a slower sensor
 SPACING_TOLERANCE = 0.05  # relative; of its mean spacing, which a gap would shift by its share
 MIN_FREEZE_TIME = 1.5  # s without any change
 MIN_CLIP_TIME = 0.3  # s at a limit
+MIN_CURVATURE_CHANGE = 0.1  # fraction of the curvature, while the steering is at a limit
 CLIP_RATIO = 8.0  # samples at a limit over those at the values next to it
 FREEZE_PAUSE_RATIO = 10.0  # times the channel's usual pause without any change
 DISPENSABLE_CHANNELS = ("velocity_y", "acceleration_x", "acceleration_y")  # paths can be scored without them
@@ -242,7 +243,8 @@ def _check_clipped(name: str, time: np.ndarray, values: np.ndarray, motion: Moti
         long = 1 + np.flatnonzero((values[first[1:-1]] == limit) & (
             lengths[1:-1] > CLIP_RATIO * np.maximum(lengths[:-2], lengths[2:])))
         held = [int(k) for k in long if time[last[k]] - time[first[k]] > MIN_CLIP_TIME
-                and _should_change(name, time[first[k]], time[last[k]], motion, step)]
+                and _should_change(name, time[first[k]], time[last[k]], motion, step)
+                and (name != "road_wheel_angle" or _curvature_changes(time[first[k]], time[last[k]], motion))]
         found += held if len(held) > 1 else []
     if not found:
         return []
@@ -294,6 +296,15 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, step: fl
     rate = related(motion)[inside]
     rounding = 3.0 * step if name in IN_UNIT_OF_RELATED else 0.0
     return bool(np.percentile(rate, 95) - np.percentile(rate, 5) > max(min_change, rounding))
+
+
+def _curvature_changes(begin: float, end: float, motion: Motion) -> bool:
+    """Whether the radius changes, which steering at its mechanical stop does not allow."""
+    inside = (motion.time >= begin) & (motion.time <= end) & (motion.velocity_x > 2.0)
+    if inside.sum() < 3:
+        return False
+    low, median, high = np.percentile(motion.yaw_rate[inside] / motion.velocity_x[inside], [5, 50, 95])
+    return bool(high - low > MIN_CURVATURE_CHANGE * abs(median))
 
 
 def _smooth_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -115,8 +115,10 @@ def missing_before(file: Path) -> str:
     if before is None or (count := int(number) - before - 1) == 0:
         return ""
     earlier, own = time_span(numbers[before]), time_span(file)
-    if earlier is None or own is None or not 0 < own[0] - earlier[1] < 2 * count * max(
-            earlier[1] - earlier[0], own[1] - own[0]):
+    if earlier is None or own is None:
+        return ""
+    lengths = [earlier[1] - earlier[0], own[1] - own[0]]
+    if not 0.5 * count * min(lengths) < own[0] - earlier[1] < 2 * count * max(lengths):
         return ""
     return (f"{count} file{'s' if count > 1 else ''} between {numbers[before].name} and this one "
             f"{'are' if count > 1 else 'is'} missing: they are read as separate runs")

@@ -148,7 +148,8 @@ MAX_NAME_LENGTH = 200
 """Characters of the name of a column; a longer one means no channel."""
 PATH_RANK = 1000
 """Added to the rank of a name that is the end of a path, as /ins/odometry/twist/twist/linear/x of PlotJuggler."""
-_OTHER_QUANTITY = re.compile(r"(?i)(^|[^a-z])(ref|target|desired|set|cmd|command|plan|pred|std|cov|var|err|max|min)")
+_OTHER_QUANTITY = re.compile(r"(?i)(^|[^a-z])(ref|target|desired|set|cmd|command|plan|pred|std|cov|var|err|max|min|"
+                             r"engine|motor|wind|trailer|lead|object|obstacle|radar|fan|traffic|other)")
 """In a path: its end is not the measured quantity of this car."""
 
 _CHANNEL_OF = {normalised(name): (channel, rank) for channel, about in COLUMNS.items()
@@ -185,14 +186,16 @@ class ColumnSource:
 def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, ColumnSource]:
     """The channels that a header names. Raises RunError if a column that the layout names is missing."""
     found: dict[str, tuple[int, ColumnSource]] = {}
+    ambiguous: set[str] = set()  # channels that two topics have: which one is meant is unknown
     for number, name in enumerate(names):
         if meaning := _meaning(name):
             channel, rank, unit = meaning
             if channel not in found or rank < found[channel][0]:
                 found[channel] = rank, _source(number, name, channel, unit)
-            elif rank == found[channel][0] >= PATH_RANK:  # of two topics: which one is meant is unknown
-                found[channel] = PATH_RANK - 1, found[channel][1]
-    found = {channel: (rank, source) for channel, (rank, source) in found.items() if rank != PATH_RANK - 1}
+                ambiguous.discard(channel)
+            elif rank == found[channel][0] >= PATH_RANK:
+                ambiguous.add(channel)
+    found = {channel: best for channel, best in found.items() if channel not in ambiguous}
     sources = {channel: source for channel, (_, source) in found.items()}
     for channel, named in layout.columns.items():
         if named not in names and named in found:  # a channel, not a column: {x: y, y: x} exchanges the axes

@@ -238,8 +238,9 @@ def _with_derived(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray]
 
 def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: np.ndarray,
                     longitude: np.ndarray) -> None:
-    """Raises RunError for latitude and longitude in radians without a unit, or exchanged: the car drives another
-    distance. Steps of a second, in which the noise of a receiver hardly adds to it."""
+    """Raises RunError for latitude and longitude in radians without a unit, or exchanged: the distance is not that of
+    the speed, and exchanged it is, in the direction of the heading. Steps of a second: the noise of a receiver hardly
+    adds to it."""
     if "velocity_x" not in columns:
         return
     rows = np.flatnonzero(table.used & np.isfinite(latitude) & np.isfinite(longitude) & np.isfinite(
@@ -248,26 +249,35 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
     if len(rows) < MIN_DISTANCE_SAMPLES:
         return
     step = max(round(1.0 / float(np.median(np.diff(time)))), 1)
-    rows, time = (values[: (len(rows) - 1) // step * step + 1] for values in (rows, time))
     speed = np.abs(columns["velocity_x"][rows])
-    driven = float(np.sum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time)))
+    driven = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time)))[::step]
+    if driven[-1] < time[-1] - time[0]:  # slower than 1 m/s: noise of a standing receiver
+        return
+    moving = np.diff(driven) > 0.5 * np.median(np.diff(driven))
+    turned = [np.pi / 2 - columns[name] for name in (COMPASS, COURSE) if name in columns]
+    heading = next((angle[rows[::step]][:-1] for angle in ([columns["yaw"]] if "yaw" in columns else turned)), None)
 
-    def moved(one: np.ndarray, other: np.ndarray) -> float:
-        first = (float(one[rows[0]]), float(other[rows[0]]), 0.0)
-        at = rows[::step]
-        east, north, _ = enu(first, one[at], other[at], np.zeros(len(at)))
-        return float(np.sum(np.hypot(np.diff(east), np.diff(north)))) / max(driven, 1e-9)
+    def compared(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
+        """(distance over the driven one, angle between course and heading [rad]), of the median step."""
+        first, at = (float(one[rows[0]]), float(other[rows[0]]), 0.0), rows[::step]
+        east, north, _ = (np.diff(v) for v in enu(first, one[at], other[at], np.zeros(len(at))))
+        ratio = np.median((np.hypot(east, north) / np.maximum(np.diff(driven), 1e-9))[moving])
+        if heading is None:
+            return float(ratio), np.nan
+        return float(ratio), float(np.nanmedian(np.abs(np.angle((east + 1j * north) * np.exp(-1j * heading)))[moving]))
 
-    as_read, names = moved(latitude, longitude), [table.sources[name].name for name in ("latitude", "longitude")]
-    if not table.sources["latitude"].stated and 0.8 < as_read * 180.0 / np.pi < 3.0:
+    names = [table.sources[name].name for name in ("latitude", "longitude")]
+    ratio, angle = compared(latitude, longitude)
+    if not table.sources["latitude"].stated and 0.8 < ratio * 180.0 / np.pi < 3.0:
         raise RunError(table.file, f"{names[0]} and {names[1]} are in radians: read as degrees, they give 1/"
-                       f"{1.0 / as_read:.0f} of the distance that the car drives",
+                       f"{1.0 / ratio:.0f} of the distance that the car drives",
                        "declare it in a run.yaml, as units: {latitude: rad, longitude: rad}")
-    if abs(as_read - 1.0) > 0.05 and np.abs(longitude[rows]).max() < np.pi / 2 and abs(
-            moved(longitude, latitude) - 1.0) < 0.02:
-        raise RunError(table.file, f"{names[0]} and {names[1]} are exchanged: only exchanged they give the distance "
-                       "that the car drives", f"exchange them in a run.yaml, as columns: {{latitude: '{names[1]}', "
-                       f"longitude: '{names[0]}'}}")
+    if abs(ratio - 1.0) > 0.05 and angle > 0.3 and np.abs(longitude[rows]).max() < np.pi / 2:
+        ratio, angle = compared(longitude, latitude)
+        if abs(ratio - 1.0) < 0.02 and angle < 0.1:
+            raise RunError(table.file, f"{names[0]} and {names[1]} are exchanged: only exchanged they give the "
+                           f"distance and the direction in which the car drives", f"exchange them in a run.yaml, as "
+                           f"columns: {{latitude: '{names[1]}', longitude: '{names[0]}'}}")
 
 
 def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:

@@ -45,6 +45,7 @@ _WITH_UNIT = re.compile(r"([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*([^\d\s.,+-].*)") 
 _FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]\d\d)")  # 1.5D-03
 DAY, HOUR = 86400.0, 3600.0  # s
 MAX_RADIANS = 6.4  # magnitude of a first heading, beyond which it is in degrees
+MAX_YAW_RATE = 3.0  # rad/s; faster ones are in deg/s
 ROLLOVER_STEP = 60.0  # s, between the last time before midnight, or before the end of a GPS week, and the next one
 _DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # day number of 1970-01-01, and the program
 _EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
@@ -179,17 +180,21 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
         columns = {channel: rows[:, source.column] * source.factor
                    for channel, source in sources.items() if channel != "t"}
     columns = {channel: np.where(np.isfinite(values), values, np.nan) for channel, values in columns.items()}
-    sources = _read_degrees(file, sources, columns, warnings)
     first = _first_row(body, delimiter)
     texts = {channel: first[source.column][:40] for channel, source in sources.items() if channel in columns
              and source.column < len(first) and not np.isfinite(columns[channel]).any()}
     if time is None:
         return Table(file, tuple(names), sources, columns, np.empty(0, np.int64), 0, np.empty(0, bool), tuple(warnings))
     pair = stamp_columns(names)
-    nanoseconds = rows[:, pair[1]] if pair and pair[0] == time.column else 0.0
-    seconds = _seconds(file, rows[:, time.column] + 1e-9 * nanoseconds, time, warnings)
+    stamps = rows[:, time.column]
+    if pair and pair[0] == time.column:
+        fraction = rows[:, pair[1]]
+        if np.nanmax(fraction, initial=0.0) < 1e9 and not np.nan_to_num(stamps % 1.0).any():
+            stamps = stamps + 1e-9 * fraction  # else the first column is the whole time
+    seconds = _seconds(file, stamps, time, warnings)
     has_time, time_ns, used = _usable_times(file, seconds, time, first_time, warnings)
     columns = {channel: values[has_time] for channel, values in columns.items()}
+    sources = _read_degrees(file, sources, columns, time_ns, warnings)
     return Table(file, tuple(names), sources, columns, time_ns, int((~has_time).sum()), used, tuple(warnings), texts)
 
 
@@ -197,9 +202,10 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
                   warnings: list[str]) -> dict[str, ColumnSource]:
     """The channels that a header names; a first column of times without a name, the index of a data frame, is time."""
     plain = {normalised(name) for name in names}
-    if plain & {"id", "canid", "arbitrationid"} and plain & {"dlc", "len", "length"}:
-        raise RunError(file, "this is a CAN log as a table", "export it as .asc, .blf, .trc, .mf4 or .log of candump")
     sources = find_columns(file, names, layout)
+    if (plain & {"id", "canid", "arbitrationid"} and plain & {"dlc", "len", "length"}
+            and not sources.keys() & {"velocity_x", "yaw_rate", "yaw"}):
+        raise RunError(file, "this is a CAN log as a table", "export it as .asc, .blf, .trc, .mf4 or .log of candump")
     warnings += [f"{file}: {sentence}" for sentence in unknown_units(names, sources).values()]
     first = _first_row(body, delimiter)[:1]
     if "t" not in sources and names[:1] == [""] and first and _parse_stamp(first[0]):
@@ -207,18 +213,25 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
     return sources
 
 
-def _read_degrees(file: Path, sources: dict[str, ColumnSource], columns: dict[str, np.ndarray],
+def _read_degrees(file: Path, sources: dict[str, ColumnSource], columns: dict[str, np.ndarray], time_ns: np.ndarray,
                   warnings: list[str]) -> dict[str, ColumnSource]:
     """The sources, with degrees for a compass heading or course whose unit is not stated and whose values are no
-    radians: from -180 to 360, and beyond 2 pi at the first row or next to a wrap. Its column is converted."""
+    radians: from -180 to 360, with a wrap of 360, or beyond 2 pi at the first row, unless they change as the yaw rate
+    in radians does. Its column is converted."""
     degree = UNITS["angle"]["deg"][0]
     # A derived yaw rate would hide that yaw is in degrees.
     for channel in ("compass_heading", "course", *(() if "yaw_rate" in sources else ("yaw",))):
         source = sources.get(channel)
         if source is None or source.stated or source.unit != "rad":
             continue
-        values = columns[channel][np.isfinite(columns[channel])]
+        known = np.isfinite(columns[channel])
+        values = columns[channel][known]
         wraps = np.abs(np.diff(values)).max(initial=0.0) > 180.0
+        if not wraps and "yaw_rate" in columns and len(values):
+            rate = np.nan_to_num(columns["yaw_rate"])
+            turned = np.cumsum(rate * np.diff(time_ns * 1e-9, prepend=time_ns[0] * 1e-9))[known]
+            if np.abs(rate).max() < MAX_YAW_RATE and np.ptp(turned) > 0.3 and np.ptp(values) < 3.0 * np.ptp(turned):
+                continue  # both are in radians
         if len(values) and values.min() > -180.5 and values.max() < 360.5 and (wraps or abs(values[0]) > MAX_RADIANS):
             columns[channel] = columns[channel] * degree
             sources = {**sources, channel: replace(source, unit="deg")}

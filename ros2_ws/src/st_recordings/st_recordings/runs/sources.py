@@ -27,6 +27,8 @@ MAX_SPLIT_GAP = 5.0
 TABLE_EXTENSIONS = (".lvm", ".xls", ".xlsx", ".ods", ".mat", ".parquet", ".feather", ".h5",
                     ".hdf5", ".tdms", ".json", ".erg", ".ld")
 """Tables of other programs; a text table is read if it is renamed to .csv."""
+TEXT_EXPORTS = (".txt", ".tsv", ".dat")
+"""Tables that a program often exports along with its own file."""
 UNKNOWN_ADVICE = {
     ".bag": "convert the ROS 1 bag with rosbags-convert",
     ".dbc": "give a DBC with --dbc, or put it into the folder of --car",
@@ -120,6 +122,9 @@ def _may_be_in_a_run(path: Path, files: Sequence[Path]) -> bool:
     reader = reader_of(path)
     if reader is None or reader.needs_can:
         return True
+    if path.suffix.lower() in TEXT_EXPORTS and not reader.has_drive(path) and any(
+            other.stem == path.stem and other != path and reader_of(other) for other in files):
+        return False  # an export of the same drive
     return (reader.has_drive(path) or reader.is_ins_only(path) or reader.is_incomplete(path)
             or (path.suffix.lower() == ".csv" and any(map(is_can_log, logs_of(path, files)))))
 
