@@ -1,4 +1,4 @@
-"""Axle forces in the model of an answer: force curves over the driven slip, measured forces, parameter combinations."""
+"""Axle forces of a fitted model: force curves in the driven slip range, measured forces, parameter combinations."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -19,17 +19,17 @@ from .evidence import Joint
 from .fit import Fit, Problem
 from .result import Combination, ForceCurve
 
-DRAWS = 100  # of the values, for quantiles of 90 % and 95 %
-MAX_SLIP = 0.35  # rad, beyond the peak force of every road tyre
+DRAWS = 100  # random draws of the values, for 90 % and 95 % intervals
+MAX_SLIP = 0.35  # rad, above the slip of peak force of every road tyre
 MIN_FORCE_CHANGE = 0.01  # relative; an effect with a smaller one does not act on the axle
 SMALL_SLIP = 0.005  # rad, where the cornering stiffness of an axle is evaluated
 GAIN_SPEED = 20.0  # m/s, of the steady-state yaw gain
 
 
 class Axles:
-    """Forces of both axles in the model of an answer. unexplained: residual over the noise, which widens bands and
-    intervals. near: vectors of sets that fit nearly as well; the band extends to their curves. Raises StCoreError for a
-    base model without tyres, or drives without slip."""
+    """Forces of both axles in a fitted model. unexplained: ratio of residual to noise, a factor of bands and intervals.
+    near: vectors of sets that fit nearly as well; the bands extend to their curves. Raises StCoreError for a base model
+    without tyres, or drives without slip."""
 
     def __init__(self, problem: Problem, fit: Fit, joint: Joint | None, runs: Sequence[DriveLog],
                  vehicle: VehicleParameters, unexplained: float, near: Sequence[np.ndarray] = ()):
@@ -52,7 +52,7 @@ class Axles:
             self.draws = draw_models(self.model, covariance, vehicle, DRAWS)
 
     def _regressions(self) -> tuple[AxleRegression, AxleRegression]:
-        """Slip and force of both axles, with the answer's effects of steering, sensors and load only."""
+        """Measured slip and force of both axles, corrected by the fitted effects of steering, sensors and load only."""
         logs, additions = [], self.problem.space.additions
         model = self.model.only(e for e in self.model.effects
                                 if e.kind == "sensors" or e.slot == "steering" or e.name in additions)
@@ -65,7 +65,8 @@ class Axles:
         return axle_regressions(logs, car)
 
     def curves(self, base: AugmentedModel) -> tuple[ForceCurve, ...]:
-        """Force curves of front and rear axle over the driven slip with a 90 % band, and those of the file."""
+        """Force versus slip of front and rear axle in the driven range, with a 90 % band, and that of the vehicle file.
+        """
         found = (axle_curve(self.model, self.vehicle, regression.axle, regression.samples.slip, self.draws, base,
                             also=self.near) for regression in self.regressions)
         return tuple(ForceCurve(c.axle, *(tuple(values.tolist()) for values in (
@@ -82,7 +83,7 @@ class Axles:
                      for i, (name, unit) in enumerate(COMBINATIONS.items()))
 
     def reached_force_ratios(self) -> dict[str, float]:
-        """Force at the largest slip in the drives over the peak force, by axle [1]."""
+        """Ratio of the force at the largest slip in the drives to the peak force, by axle [1]."""
         found = {}
         for regression in self.regressions:
             slip = np.linspace(0.0, MAX_SLIP, 61)
@@ -106,10 +107,10 @@ class Axles:
 
     def contradicting(self, base: AugmentedModel,
                       leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[str, ...]:
-        """Axles whose measured forces the answer describes less well than the vehicle file does.
+        """Axles whose measured forces fit the model worse than the vehicle file; none if sideslip was not measured or
+        excitation is low.
 
-        leave_one_out: values by run, fitted without that run. Empty where sideslip was not measured or excitation is
-        low.
+        leave_one_out: values by run, fitted without that run.
         """
         space, found = self.problem.space, []
         base = base.with_values({name: space.values(name, self.fit.vector) for name in space.additions})
@@ -133,7 +134,7 @@ class Axles:
 def _combined(model: AugmentedModel, vehicle: VehicleParameters) -> np.ndarray:
     """(5,) `COMBINATIONS` of a model."""
     car = model.effective_vehicle(vehicle)
-    limits = VEHICLE_QUANTITIES["cornering_stiffness_front"]  # which a random draw may exceed
+    limits = VEHICLE_QUANTITIES["cornering_stiffness_front"]  # random draws are clipped to these
     front, rear = (min(max(float(force[0]) / SMALL_SLIP, limits.minimum), limits.maximum)
                    for force in axle_forces(model, vehicle, np.array([SMALL_SLIP])))
     understeer = stability_factor(replace(car, cornering_stiffness_front=front, cornering_stiffness_rear=rear))

@@ -1,8 +1,8 @@
 """Power and false alarms of the tests on these drives: predicted from the curvature of the loss, or measured.
 
-Measured: simulated drives have the residuals of the answer, with random signs of whole blocks, plus the change of the
-errors by a known effect. One forward step of the search, the best effect by the quadratic, decides whether it is found;
-the search is not repeated.
+Measured: simulated drives have the residuals of the final fit, with random signs of whole blocks, plus the change of
+the errors by a known effect. The effect counts as found if one forward step of the search, from the quadratic, selects
+it; the search is not repeated.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,12 +17,13 @@ from .loss import Quadratic
 from .result import Certificate, Power
 from .settings import Limits
 
-SIZES = (0.25, 0.5, 1.0)  # of the usual size of an effect
-DRAWS = 20  # of each size; standard deviation of a power 0.11 at most
+SIZES = (0.25, 0.5, 1.0)  # sizes of an effect that are tested, in parameter scales
+DRAWS = 20  # simulated drives for each size; the standard deviation of a power is at most 0.11
 
 
 def predicted(problem: Problem, fit: Fit, scores: Scores, limits: Limits) -> Certificate:
-    """Power by the curvature about the answer: twice the gain over the design effect is noncentral chi-square."""
+    """Power from the curvature at the final fit: twice the gain divided by the design effect is noncentral chi-square.
+    """
     q = problem.quadratic_of_all(fit.vector).summed(problem.block, problem.blocks)
     powers = []
     for effect in problem.space.hypotheses:
@@ -38,8 +39,8 @@ def predicted(problem: Problem, fit: Fit, scores: Scores, limits: Limits) -> Cer
 
 
 def confounded_with(problem: Problem, fit: Fit, effect: str, scores: Scores, limits: Limits) -> str:
-    """The effect of the answer that takes the place of this one: with its values known, this one would be found at its
-    usual size; "" for none."""
+    """The effect of the fit that masks `effect`: if the values of that one were known, `effect` would be found at one
+    parameter scale; "" for none."""
     q = problem.quadratic_of_all(fit.vector).summed(problem.block, problem.blocks)
     names = [n for n in fit.names if not problem.space.overlaps(effect, (n,))]
     indices, best, found = problem.space.indices(effect), "", limits.detection_power
@@ -54,7 +55,7 @@ def confounded_with(problem: Problem, fit: Fit, effect: str, scores: Scores, lim
 
 def _power(problem: Problem, fit: Fit, index: int, share: float, information: float, scores: Scores,
            limits: Limits) -> float:
-    """Probability that a parameter is found at a share of its usual size."""
+    """Probability that a parameter is found at `share` times its scale."""
     library = len(problem.space.hypotheses)
     threshold = float(stats.chi2.isf(limits.false_alarm / library, 1))
     slopes = problem.slopes_of_all(fit.vector).values[index]
@@ -67,7 +68,7 @@ def _power(problem: Problem, fit: Fit, index: int, share: float, information: fl
 
 
 def _required(problem: Problem, rows: np.ndarray, reduction: float, limits: Limits) -> float:
-    """Smallest gain per scored error of an effect that is named. rows: errors of the answer. reduction: of the mean
+    """Smallest gain per residual of an effect that is named. rows: residuals of the final fit. reduction: of the mean
     position error [m]."""
     required = limits.negligible if reduction > limits.relevant_position else limits.relevant
     unexplained = residual_over_noise(problem, rows) > limits.max_noise_ratio
@@ -75,8 +76,8 @@ def _required(problem: Problem, rows: np.ndarray, reduction: float, limits: Limi
 
 
 def measured(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callable[[], None]) -> Certificate:
-    """Power and false alarms of a forward step on simulated drives: DRAWS of each size of each effect, FLIPS / 4
-    without any."""
+    """Power and false alarms of a forward step on simulated drives: DRAWS for each size of each effect, FLIPS / 4
+    without an effect."""
     rng = np.random.default_rng(seed)
     rows = np.nan_to_num(problem.errors.at(fit.vector))
     slopes = problem.slopes_of_all(fit.vector).values
@@ -104,8 +105,8 @@ def measured(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callab
 
 def _found(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, slopes: np.ndarray, required: float,
            limits: Limits, rng: np.random.Generator) -> list[str]:
-    """Effects that would be named on one simulated drive, the best one and those that are not separable from it; none
-    without a significant one. change: (n, m) of the errors by the effect. required: gain per scored error."""
+    """Effects that would be named on one simulated drive: the best one and those not separable from it; none if that is
+    not significant. change: (n, m) of the residuals by the simulated effect. required: gain per residual."""
     signs = rng.choice([-1.0, 1.0], problem.blocks)
     simulated = signs[problem.block][:, None] * rows + change
     q = problem.loss.quadratic(simulated, slopes).summed(problem.block, problem.blocks)
@@ -128,6 +129,6 @@ def _found(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, slo
 
 
 def _held_out(problem: Problem, q: Quadratic, names: Sequence[str], vector: np.ndarray) -> np.ndarray:
-    """(b,) held-out loss of a set of effects by the quadratic."""
+    """(b,) held-out loss of a set of effects, from the quadratic."""
     indices = problem.free_indices(names)
     return problem.leave_out(q.only(indices), names, vector, indices, problem.fold)[1]

@@ -22,13 +22,13 @@ from .space import Space, known_quantities
 from .windows import Windows
 
 MAX_CLOCK_DEVIATION = 0.01  # s; a third of a typical steering delay
-ROUNDS = 3  # of the joint fit, each with the corrected stamps
+ROUNDS = 3  # repetitions of the joint fit, each with the corrected stamps
 
 
 def clock_corrections(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
                       deviations: Mapping[str, float], threads: int = 1, tick: Callable[[], None] = lambda: None,
                       ) -> dict[str, float]:
-    """Correction of the steering stamps by run [s], > 0 where they were early; empty if none is needed.
+    """Correction of the steering stamps by run [s], > 0 if they were early; empty if none is needed.
 
     deviations [s]: standard deviation of the steering clock by run; up to MAX_CLOCK_DEVIATION it counts as exact. The
     corrections, with these as priors, and all parameters of the library minimise one loss. An error common to all runs

@@ -18,8 +18,8 @@ class Checks:
     """Checks of an effect that need intervals and axle curves. null_outside: whether an interval excludes the null.
     crossing: parameter whose interval crosses a bound, "" for none. peak_force_share [1]: largest axle force in the
     drives over the peak force, for an effect on the peak. worse_axle: axle that the effect acts on, whose measured
-    forces fit worse with the answer than with the vehicle file; "" for none. summed: effects of the answer whose
-    sum with it is the only identifiable quantity. objection: why the car with it would be implausible,
+    forces fit worse with the final model than with the vehicle file; "" for none. summed: other effects of the model
+    of which only the sum with this one is identifiable. objection: why the car with this effect would be implausible,
     see `handling.objections`; "" for none."""
 
     null_outside: bool = True
@@ -32,10 +32,10 @@ class Checks:
 
 @dataclass(frozen=True)
 class Rival:
-    """An effect that could replace the effect `replaces` in the answer. share [1]: ratio of its gain to that of the
+    """An effect that could replace the effect `replaces` in the model. share [1]: ratio of its gain to that of the
     replaced effect. p_no_worse [1]: p-value of the hypothesis that it is no worse. deficit [1]: difference of the gains
-    per scored error. evidence, values: of the rival in the set without the replaced effect. shared: it explains a part
-    of the replaced effect, and both are in the model."""
+    per residual. evidence, values: of the rival in the set without the replaced effect. shared: True if it explains a
+    part of the replaced effect and both are in the model."""
 
     name: str
     replaces: str
@@ -49,10 +49,10 @@ class Rival:
 
 @dataclass(frozen=True)
 class Answer:
-    """Input of `decide`. noise_ratio [1]: residual over noise. detectable_share [1]: share of the library's effects
-    that are detectable in these drives at their usual size. varying_effects: number of effects that vary between
-    parts of the drives. combinations: names of parameter combinations that differ from the vehicle file without a named
-    effect."""
+    """Input of `decide`. noise_ratio [1]: ratio of residual to noise. detectable_share [1]: fraction of the library's
+    effects that are detectable in these drives at a value of one parameter scale. varying_effects: number of effects
+    that vary between parts of the drives. combinations: names of parameter combinations that differ from the vehicle
+    file without a named effect."""
 
     named: Sequence[Evidence]
     rivals: Mapping[str, Sequence[Rival]]
@@ -93,7 +93,8 @@ def judge(e: Evidence, limits: Limits) -> Reason:
 
 
 def correction_verdict(e: Evidence, limits: Limits) -> Reason:
-    """The verdict on one effect as an effective correction, which must improve predictions in all parts."""
+    """The verdict on one effect as an effective correction: it must improve predictions in all parts of the drives, but
+    need not be a property of the car."""
     return _by_chance(e, limits) or _varying(e, limits) or Reason(
         STATED, e.name, {"gain": e.gain, "chance": e.p_value}, f"it reduces the size of the errors by {e.share:.1%}")
 
@@ -157,15 +158,15 @@ def position_of(e: Evidence) -> float:
 
 
 def is_relevant(e: Evidence, limits: Limits) -> bool:
-    """Whether an effect is large enough to be named: in the channel that it affects most, in the position, or, if
-    redundant sensors confirm it, in its value."""
+    """Whether an effect is large enough to be named: by the error reduction in the channel that it affects most or in
+    position, or, if redundant sensors confirm it, by its value."""
     return (most_affected(e, limits)[1] >= limits.relevant or position_of(e) >= limits.relevant_position
             or (confirmed(e, limits) and e.size >= limits.min_relative_size))
 
 
 def most_affected(e: Evidence, limits: Limits) -> tuple[str, float]:
-    """(channel above the noise that an effect reduces most, ratio of the reduction to its baseline error [1]); ("", 0)
-    for none."""
+    """(channel with the largest relative error reduction among those with an error above the noise, that reduction
+    divided by the baseline error [1]); ("", 0) for none."""
     share, column = max(((share, column) for column, (share, noise_ratio) in e.shares.items()
                          if noise_ratio > limits.max_noise_ratio), default=(0.0, ""))
     return CHANNEL_OF_COLUMN[column].name if column else "", share
@@ -228,7 +229,8 @@ LEVEL_NAMES = {"run": "the runs", "site": "the sites", "time": "the time in the 
 
 
 def varies_over(e: Evidence, limits: Limits) -> str:
-    """The level over which an effect varies significantly and may be absent in a further part; "" for none."""
+    """The level, such as run or place, between whose parts an effect varies significantly, so that it may be absent in
+    a new part; "" for none."""
     found = [level for level, a in e.agreement.items()
              if a.p_equal < limits.false_alarm and a.p_absent > limits.undecided_p]
     return max(found, key=lambda level: e.agreement[level].p_absent, default="")
@@ -240,7 +242,7 @@ def varies_relevantly(e: Evidence, limits: Limits) -> bool:
 
 
 def alternative(rival: Rival, limits: Limits) -> Reason:
-    """Whether another effect is an alternative to an effect of the answer."""
+    """Whether another effect is an alternative to an effect of the final model."""
     verdict = judge(rival.evidence, limits)
     figures = {"share": rival.share, "no_worse": rival.p_no_worse, "less": rival.deficit,
                "rival": limits.min_rival_gain, "doubt": limits.undecided_p,
@@ -279,7 +281,7 @@ def decide(a: Answer, limits: Limits) -> tuple[Outcome, Reason]:
                        "effects that change it cannot be separated", combinations=len(a.combinations))
     verdicts = [judge(e, limits) for e in a.refused if is_relevant(e, limits)]
     if a.varying_effects or any(v.rule == VARIES for v in verdicts):
-        # "bound" as in bound to a run, place, time or condition; not a bound of a parameter.
+        # "bound": specific to a run, place, time or condition; not a bound of a parameter.
         return because("bound", "a significant effect varies between parts of the drives")
     if any(v.rule in (BOUND, SENSORS, FILE) for v in verdicts):
         return because("unknown", "errors are significant, but no effect of the library explains them within its "

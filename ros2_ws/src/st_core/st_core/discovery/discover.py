@@ -65,10 +65,10 @@ def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | M
              clocks: Mapping[str, float] | None = None) -> Discovery:
     """Find the effects that the base model lacks to explain the runs.
 
-    runs: suspect drives. vehicle: of the vehicle file, where the search starts. reference: drives of the healthy car;
-    the search then starts from the fit to them, and finds changes since then. sensor_estimates: (value, low, high)
-    from redundant sensors, by the name of an estimate of `st_core.checks`. parallel: threads. clocks: standard
-    deviation of the steering clock [s] by run; without one, stamps are exact.
+    runs: suspect drives. vehicle: values of the vehicle file, where the search starts. reference: drives of the healthy
+    car; the search then starts from the fit to them, and finds changes since then. sensor_estimates: (value, low, high)
+    from redundant sensors, by the name of the estimate in `st_core.checks`. parallel: number of threads. clocks:
+    standard deviation of the steering clock [s] by run; time stamps of runs without one are taken as exact.
     progress(stage, done, total): called during the work.
 
     Raises StCoreError for runs in which nothing can be predicted, ConfigurationError for settings that do not fit the
@@ -96,8 +96,8 @@ def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str 
 
 
 class _JudgedEffects(NamedTuple):
-    """The effects of an answer by verdict: named, minor, or contradicted by the axle forces or by plausibility.
-    leave_one_out: see `Discovery`."""
+    """The effects of the final fit by verdict: named; minor, kept in the model but not named; contradicted, by the axle
+    forces or because the car would be implausible. leave_one_out: see `Discovery`."""
 
     named: tuple[FoundEffect, ...]
     minor: tuple[FoundEffect, ...]
@@ -109,7 +109,7 @@ class _JudgedEffects(NamedTuple):
 
 
 class _Analysis:
-    """One discovery: its inputs, and the steps from the search to the answer."""
+    """One discovery: its inputs, and the steps from the search to the result."""
 
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model,
                  reference: Sequence[DriveLog], settings: DiscoverySettings, progress: Progress | None,
@@ -179,7 +179,7 @@ class _Analysis:
                 floor: Mapping[str, float]) -> _JudgedEffects:
         """The effects of the search by verdict, with force curves and combinations of the axles."""
         problem = self.problem
-        # The effects of the answer fitted together with all other parameters of the library, for intervals.
+        # All other parameters of the library are free too, for intervals that include what they could contribute.
         joint_fit = joint(problem, found.fit) if problem.prior is None else None
         position = problem.position_error(problem.held_out_rows(found.fit))
         unexplained = (float(np.nanmean(position)) / max(floor["position_5s"], 1e-9)
@@ -194,7 +194,7 @@ class _Analysis:
         return _JudgedEffects(named, minor, contradicted, verdicts, leave_one_out, curves, combinations)
 
     def _named_model(self, found: Found, judged: _JudgedEffects) -> AugmentedModel | None:
-        """The model without the contradicted effects; None if no effect was found."""
+        """The final model without the contradicted effects; None if no effect was found."""
         if not found.fit.names:
             return None
         return self.space.at(self.problem.vector_without(found.fit, *(e.name for e in judged.contradicted)))
@@ -213,8 +213,8 @@ class _Analysis:
         return decision.decide(answer, self.limits)
 
     def _corrected(self, found: Found, parts: Mapping[str, Level]) -> tuple[Problem, Fit]:
-        """The answer extended by effective corrections, (problem, fit), fitted without the priors of the vehicle file.
-        Returns the answer unchanged if the gain is too small, or with a reference: that fit has no such priors."""
+        """(problem, fit) of the effects found plus effective corrections, without the priors of the vehicle file. The
+        fit is returned unchanged if the gain is too small, or with a reference, since it then has no such priors."""
         problem, scale = self.problem, self.problem.loss.scale
         if problem.prior is not None:
             return problem, found.fit
@@ -225,7 +225,7 @@ class _Analysis:
         problem.loss.scale = scale
         fit = free.fit_at(fit.names, fit.vector, fit.indices, fit.slopes)
         gain = free.held_out_gain(found.fit, fit)
-        # Both over the same windows, so that the sums can be compared; 0 if position is not a channel.
+        # Both sums are over the same windows, hence comparable; 0 if position is not a channel.
         named, best = (np.nansum(p.position_error(p.held_out_rows(f))) for p, f in ((problem, found.fit), (free, fit)))
         return (problem, found.fit) if gain < self.limits.relevant or best > named else (free, fit)
 
@@ -275,7 +275,7 @@ class _Analysis:
         return apply_clock_corrections(runs, corrections)
 
     def _channels(self, settings: DiscoverySettings) -> DiscoverySettings:
-        """The settings with the channels measured in all runs; warns about the others."""
+        """The settings, with only the channels that are measured in all runs; warns about the others."""
         logs = [*self.runs, *self.reference]
         left_out = [c for c in settings.channels if not all(CHANNELS[c].is_in(log) for log in logs)]
         if left_out:
@@ -284,7 +284,7 @@ class _Analysis:
         return replace(settings, channels=tuple(c for c in settings.channels if c not in left_out))
 
     def _known_by_sensors(self, sensor_estimates: Sensors) -> Sensors:
-        """Estimates from redundant sensors, by "effect.parameter"."""
+        """Estimates from redundant sensors, keyed by "effect.parameter"."""
         return {f"{effect}.{p.name}": sensor_estimates[p.identity] for effect in self.space.hypotheses
                 for p in get_effect(effect).parameters if p.identity and p.identity in sensor_estimates}
 
@@ -321,15 +321,15 @@ class _Analysis:
         return decision.alternative(rival, self.limits).rule == "alternative"
 
     def _assumed(self) -> tuple[Assumed, ...]:
-        """The quantities of the vehicle file that are priors."""
+        """The quantities of the vehicle file that are used as priors."""
         known = {q.key: Assumed(q.key, q.unit, q.value, q.deviation, q.stated)
                  for q in self.problem.quantities if q is not None}
         return tuple(known.values())
 
     def _axles(self, found: Found, joint_fit: Joint | None,
                unexplained: float) -> tuple[Axles | None, tuple[ForceCurve, ...], tuple[Combination, ...]]:
-        """(axle forces of the answer, force curves, combinations); empty for a base without tyres, driving without
-        slip, or values so uncertain that they exceed the limits of a vehicle file."""
+        """(axle forces of the final model, force curves, combinations); None and empty for a base without tyres,
+        driving without slip, or values so uncertain that they exceed the limits of a vehicle file."""
         base = self.space.at(self.problem.start)
         try:
             axles = Axles(self.problem, found.fit, joint_fit, self.runs, self.vehicle, unexplained,
@@ -340,7 +340,7 @@ class _Analysis:
 
     def _verdicts(self, found: Found, effects: Sequence[FoundEffect], axles: Axles | None,
                   leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, Reason]:
-        """The verdict on each effect of the answer. With a reference, intervals do not decide, as they contain the
+        """The verdict on each effect of the final fit. With a reference, intervals do not decide, as they include the
         uncertainty of the healthy car."""
         worse_axle: dict[str, str] = {}
         objection: dict[str, str] = {}
@@ -358,17 +358,17 @@ class _Analysis:
             _summed(e.name, names) if axles is not None else (), objection.get(e.name, ""))) for e in effects}
 
     def _effective_corrections(self, problem: Problem, fit: Fit, found: Found) -> tuple[FoundEffect, ...]:
-        """The effective corrections: effects of the fit that are not in the answer."""
+        """The effective corrections: effects of `fit` that are not in `found.fit`."""
         horizon_errors = waterfall.HorizonErrors(problem, self.settings.seed)
         return tuple(FoundEffect(n, get_effect(n).kind, waterfall.parameters(problem, fit, n, {}), (),
                                  horizon_errors.position_without(fit, n), {})
                      for n in fit.names if n not in found.fit.names)
 
     def _varying_effects(self, found: Found, parts: Mapping[str, Level]) -> list[tuple[VaryingEffect, Fit | None]]:
-        """The significant effect that varies between parts of the drives: one rejected for that, else the
-        one that varies most."""
+        """The significant effect that varies between parts of the drives, at most one, and its fit: one that the search
+        rejected for that, else the one that varies most."""
         collected: list[tuple[VaryingEffect, Fit | None]] = []
-        # An effect of the answer, or an alternative to one, is not reported as varying as well.
+        # An effect of the final fit, or an alternative to one, is not also reported as varying.
         rivals = [r for others in found.rivals.values() for r in others]
         reported = [*found.fit.names, *(r.name for r in filter(self._is_alternative, rivals))]
         for name, (evidence, verdict, fit) in found.refused.items():
@@ -406,7 +406,7 @@ class _Analysis:
     def _candidates(self, found: Found, named: Mapping[str, Reason]) -> tuple[CandidateEffect, ...]:
         """Gain and verdict of every effect of the library."""
         problem, space, rows = self.problem, self.space, []
-        # An effect that was tried in several places is listed where it explains most.
+        # An effect that was tried in place of several others is listed where it explains most.
         rivals = {r.name: r for r in sorted((r for others in found.rivals.values() for r in others),
                                             key=lambda r: (self._is_alternative(r), r.share))}
         for name in space.hypotheses:
@@ -436,7 +436,7 @@ class _Analysis:
         return tuple(sorted(rows, key=lambda c: -c.gain))
 
     def _catalogue(self, found: Found, effects: Sequence[FoundEffect]) -> Catalogue | None:
-        """The simulated manoeuvres, if they are needed."""
+        """The simulated manoeuvres; None if they are not needed."""
         if not self.settings.where and not any(e.alternatives for e in effects):
             return None
         self._tick("next drive")()
@@ -467,7 +467,7 @@ class _Analysis:
 
     @staticmethod
     def _floor(by_column: Mapping[str, float]) -> dict[str, float]:
-        """Noise of each channel at the end of the horizon, and of the mean position error."""
+        """Noise of each channel at the end of the horizon, and mean position error from noise alone."""
         result: dict[str, float] = {}
         for column, value in by_column.items():
             channel = CHANNEL_OF_COLUMN[column].name if column in CHANNEL_OF_COLUMN else column
@@ -518,14 +518,14 @@ def _noise_ratio(errors: Mapping[str, ChannelError], floor: Mapping[str, float])
 
 
 def _summed(name: str, names: Sequence[str]) -> tuple[str, ...]:
-    """The other effects of an answer whose delays add to that of `name`, so that only the total is identifiable."""
+    """The other effects whose delays add to that of `name`: only the total delay is identifiable."""
     parts = [n for n in names if TOTAL_DELAY in get_effect(n).combinations]
     return tuple(n for n in parts if n != name) if name in parts else ()
 
 
 def parameter_across_bound(effect: FoundEffect) -> str:
     """Name of a parameter whose interval crosses a bound, "" without one. Bounds at the null, at the theoretical value
-    and of curve shapes do not count."""
+    and on the shape of a curve do not count."""
     for p in get_effect(effect.name).parameters:
         fitted = effect.parameters.get(p.name)
         if fitted is not None and not p.shape and any(
@@ -540,8 +540,8 @@ def null_excluded(effect: FoundEffect) -> bool:
 
 
 def with_sensor_interval(fitted: FittedParameter, known: tuple[float, float, float] | None) -> FittedParameter:
-    """The value with the width of the interval of the redundant sensors, (value, low, high), if they agree with the
-    value and exclude the null although its own interval contains it."""
+    """The value with an interval of the width from redundant sensors, (value, low, high), if these agree with the value
+    and exclude the null although the fitted interval contains it."""
     _, low, high = known or (0.0, -np.inf, np.inf)
     contains_null = fitted.interval[0] <= fitted.null <= fitted.interval[1]
     if not contains_null or not low <= fitted.value <= high or low <= fitted.null <= high:

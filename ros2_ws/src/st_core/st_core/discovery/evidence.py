@@ -15,17 +15,17 @@ from .space import Space
 
 FLIPS = 400  # random signs of all blocks; they resolve a p-value of 0.01
 TWO_SIDED = float(stats.norm.ppf(0.975))
-MIN_CURVATURE = 0.3  # of the robust loss, over that of the reweighted squares; outliers reduce it
-PART_PRIOR = 0.05  # curvature of the prior of the other parameters in a part of the driving, over that of all driving
-UNSELECTED_DEVIATION = 0.5  # usual sizes, prior standard deviation of effects outside the set, for intervals
-MIN_INFORMATION_SHARE = 0.02  # of all driving; a part with less information is ignored
+MIN_CURVATURE = 0.3  # lower limit: curvature of the robust loss, which outliers reduce, to that of reweighted squares
+PART_PRIOR = 0.05  # curvature of the other parameters' prior in a part of the driving, relative to all driving
+UNSELECTED_DEVIATION = 0.5  # parameter scales, prior standard deviation of effects outside the set, for intervals
+MIN_INFORMATION_SHARE = 0.02  # fraction of the information in all driving; a part with less is ignored
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """Agreement of the parts of the driving (runs, sites, ...) on an effect. ratios: by part, (ratio of its value to
-    the fitted one, standard deviation). p_equal [1]: p-value of equal values in all parts. p_absent [1]: probability
-    that another part shows none of it, or the opposite."""
+    """Agreement of the parts of the driving (runs, sites, ...) on an effect. ratios: by part, (ratio of the value there
+    to the overall one, standard deviation). p_equal [1]: p-value of equal values in all parts. p_absent [1]:
+    probability that the effect is absent or of opposite sign in a new part."""
 
     ratios: Mapping[str, tuple[float, float]]
     p_equal: float
@@ -49,16 +49,16 @@ class AgainstFile:
 class Evidence:
     """Statistics of one effect in a set.
 
-    gain [1]: reduction of the held-out loss per scored error, about the relative reduction of their size; the smaller
-    of two values, with blocks and with whole runs held out. healthy_gain [1]: the largest such gain between drives of
-    the healthy car. p_value [1]: of the gain, over the whole library; null_p_value [1]: of the null. shares: by column
-    of the errors, (ratio of the reduction to the baseline error, of the error without the effect to the noise) [1].
-    position [m]: reduction of the mean held-out position error at the end of the horizon; position_somewhere: the
-    largest in one driving condition (lower 95 % bound). noise_ratio [1]: of the error with the effect, in the
-    column where this ratio is largest. bound_distance [1]: to the nearest bound, and size [1]: distance from the null,
-    both in usual sizes. sensors_p_value, sensors_null_p_value [1]: of the fitted value and of the null, under the
-    redundant measurements of the sensors; None without any. against_file: the quantity of the vehicle file that is
-    furthest from the file's value; None without one. agreement: by level.
+    gain [1]: reduction of the held-out loss per residual, about the relative reduction of the RMS error; the smaller of
+    two values, with blocks and with whole runs held out. healthy_gain [1]: the largest such gain between drives of the
+    healthy car. p_value [1]: of the gain, corrected for the whole library; null_p_value [1]: of the null value. shares:
+    by column, (reduction of the error divided by the baseline error, ratio of the error without the effect to the
+    noise) [1]. position [m]: reduction of the mean held-out position error at the end of the horizon;
+    position_somewhere: the largest in one driving condition (lower 95 % bound). noise_ratio [1]: ratio of the error
+    with the effect to the noise, in the column where it is largest. bound_distance [1]: to the nearest bound, and size
+    [1]: distance from the null, both in parameter scales. sensors_p_value, sensors_null_p_value [1]: of the fitted
+    value and of the null, given redundant sensor measurements; None without any. against_file: the quantity of the
+    vehicle file that is furthest from the file's value; None without one. agreement: by level.
     """
 
     name: str
@@ -79,12 +79,12 @@ class Evidence:
 
     @property
     def share(self) -> float:
-        """Relative reduction of the size of the errors, 1 - exp(-gain)."""
+        """Relative reduction of the RMS error [1], 1 - exp(-gain)."""
         return share_of(self.gain)
 
 
 def share_of(gain: float) -> float:
-    """Relative reduction of the size of the errors [1], 1 - exp(-gain); negative where errors grow."""
+    """Relative reduction of the RMS error [1], 1 - exp(-gain); negative if errors grow."""
     return -float(np.expm1(-gain))
 
 
@@ -92,9 +92,9 @@ def share_of(gain: float) -> float:
 class Scores:
     """Efficient scores of all effects of the library that are not in a fit.
 
-    by_effect: (b, k) each. largest: (FLIPS,) largest statistic of the library under random signs of the blocks.
+    by_effect: scores (b, k) of each. largest: (FLIPS,) largest statistic of the library under random block signs.
     design_effect [1]: factor by which dependent windows increase the variance of a score (median of the library).
-    gains: by effect, (b,) gain by the quadratic approximation, and the vector at its optimum.
+    gains: by effect, (b,) gain from the quadratic approximation, and the vector at its optimum.
     """
 
     by_effect: Mapping[str, np.ndarray]
@@ -105,8 +105,8 @@ class Scores:
 
 def score(q: Quadratic, problem: Problem, names: tuple[str, ...], effect: str,
           prior_gradient: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """((b, k) score, (k,) information) of an effect, with the effects `names` projected out. q: by block, of all
-    parameters. prior_gradient: (p,) half of it where the quadratic is about a fit."""
+    """((b, k) score, (k,) information) of an effect, with the effects `names` projected out. q: by block, in all
+    parameters. prior_gradient: (p,) half the gradient of the prior; needed if the quadratic is about a fit."""
     new = problem.space.indices(effect)
     indices = np.setdiff1d(problem.free_indices(names), new)
     h = q.hessian.sum(axis=0) + problem.prior_curvature((*names, effect), np.arange(len(problem.space)))
@@ -125,7 +125,7 @@ def statistic(scores: np.ndarray) -> float:
 
 
 def screen(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
-    """Scores of every effect of the library that is not in the fit, by the slopes about it."""
+    """Scores of every effect of the library that is not in the fit, from the sensitivities at the fit."""
     q = problem.quadratic_of_all(fit.vector).summed(problem.block, problem.blocks)
     by_effect, information, gains = {}, {}, {}
     base = problem.leave_out(q.only(fit.indices), fit.names, fit.vector, fit.indices, problem.fold)[1]
@@ -145,7 +145,8 @@ def screen(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
 
 def make_scores(q: Quadratic, by_effect: Mapping[str, np.ndarray], information: Mapping[str, np.ndarray],
                 gains: Mapping[str, tuple[np.ndarray, np.ndarray]], rng: np.random.Generator, draws: int) -> Scores:
-    """`Scores` from those of each effect and their information. q: by block, of all parameters. draws: random signs."""
+    """`Scores` from the scores and information of each effect. q: by block, in all parameters. draws: number of draws
+    of random signs."""
     signs, largest, ratios = rng.choice([-1.0, 1.0], (draws, len(q.cost))), np.zeros(draws), []
     min_information = 1e-9 * max(float(np.trace(q.hessian.sum(axis=0))), 1e-30)
     for effect, s in by_effect.items():
@@ -159,10 +160,10 @@ def make_scores(q: Quadratic, by_effect: Mapping[str, np.ndarray], information: 
 def library_p_value(best: np.ndarray, gain: np.ndarray, scores: Scores, library: int) -> float:
     """p-value of the gain of the best effect of the library: the smaller one of two tests.
 
-    Sign flips: the score exceeds the largest of the library under random signs of the blocks, and the gain is positive
-    over the blocks. Likelihood ratio: twice the gain over the design effect, with Bonferroni's factor for the library;
-    needed for effects that act in a few blocks only. The design effect is estimated from the blocks, hence Fisher's F
-    instead of chi-square.
+    Sign flips: the score exceeds the largest of the library under random signs of the blocks, and the mean gain of the
+    blocks is positive. Likelihood ratio: twice the gain divided by the design effect, with Bonferroni's factor for the
+    library; needed for effects that act in a few blocks only. The design effect is estimated from the blocks, hence
+    Fisher's F instead of chi-square.
     """
     blocks, values = best.shape
     if blocks < 2:
@@ -176,7 +177,7 @@ def library_p_value(best: np.ndarray, gain: np.ndarray, scores: Scores, library:
 
 def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scores, levels: Mapping[str, Level],
              sensors: Mapping[str, tuple[float, float, float]]) -> Evidence:
-    """Evidence for an effect of `fit`, compared with the fit `without` it. scores: of the library, about `without`.
+    """Evidence for an effect of `fit`, compared with the fit `without` it. scores: of the library, at `without`.
     sensors: (value, low, high) of parameters from redundant sensors."""
     gain = without.held_out - fit.held_out
     block_scores = scores.by_effect.get(effect)
@@ -197,16 +198,16 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
 
 
 def residual_over_noise(problem: Problem, rows: np.ndarray) -> float:
-    """Largest ratio of error to noise over the columns. 1 with a reference: an unexplained residual is in the healthy
-    car as well, and no change of the car can imitate it."""
+    """Largest ratio of error to noise of all columns. 1 with a reference: an unexplained residual is present in the
+    healthy car as well, and no change of the car can imitate it."""
     if problem.prior is not None:
         return 1.0
     return float((problem.sizes(rows) / np.maximum(problem.noise, 1e-12)).max())
 
 
 def shares(problem: Problem, without: np.ndarray, rows: np.ndarray) -> dict[str, tuple[float, float]]:
-    """By column, (reduction of the error over the baseline error or, if larger, the error without the effect; error
-    without the effect over the noise)."""
+    """By column, (reduction of the error divided by the baseline error or, if larger, by the error without the effect;
+    ratio of the error without the effect to the noise)."""
     before, after = problem.sizes(without), problem.sizes(rows)
     return {column: (float(fall), float(over)) for column, fall, over in zip(
         problem.errors.windows.columns, (before - after) / np.maximum(problem.baseline_sizes, before),
@@ -214,7 +215,8 @@ def shares(problem: Problem, without: np.ndarray, rows: np.ndarray) -> dict[str,
 
 
 def score_of(problem: Problem, fit: Fit, effect: str, slopes: Slopes) -> np.ndarray:
-    """(b, k) efficient scores of an effect that is not in the fit. slopes: of both, about a nearby point."""
+    """(b, k) efficient scores of an effect that is not in the fit. slopes: sensitivities to the parameters of fit and
+    effect, at a nearby vector."""
     indices = np.union1d(fit.indices, problem.space.indices(effect))
     q = problem.loss.quadratic(problem.errors.at(fit.vector), slopes.of(indices)).summed(problem.block, problem.blocks)
     padded = Quadratic(q.cost, np.zeros((problem.blocks, len(problem.space))),
@@ -225,8 +227,8 @@ def score_of(problem: Problem, fit: Fit, effect: str, slopes: Slopes) -> np.ndar
 
 
 def error_reductions(reduction: np.ndarray, condition: Level | None) -> tuple[float, float]:
-    """(mean reduction of an error, largest lower 95 % bound of it in one driving condition), from the reduction in each
-    window (n,)."""
+    """(mean reduction of an error, largest lower 95 % bound of the reduction in one driving condition). reduction: (n,)
+    in each window."""
     known = np.isfinite(reduction)
     if not known.any():
         return 0.0, 0.0
@@ -239,8 +241,8 @@ def error_reductions(reduction: np.ndarray, condition: Level | None) -> tuple[fl
 
 
 def distance_to_bound(problem: Problem, fit: Fit, effect: str) -> float:
-    """Distance of the effect's values to their nearest bounds, in usual sizes. Bounds at the null, at the theoretical
-    value or of the shape of a curve do not count."""
+    """Distance of the effect's values to their nearest bounds, in parameter scales. Bounds at the null, at the
+    theoretical value and on the shape of a curve do not count."""
     space, nearest = problem.space, np.inf
     for i in space.indices(effect):
         null, shape = next((p.null, p.shape) for p in get_effect(effect).parameters
@@ -254,13 +256,13 @@ def distance_to_bound(problem: Problem, fit: Fit, effect: str) -> float:
 
 
 def effect_size(problem: Problem, fit: Fit, effect: str) -> float:
-    """Largest distance of the effect's values from their null, in usual sizes."""
+    """Largest distance of the effect's values from their null, in parameter scales."""
     indices = problem.space.indices(effect)
     return float(np.abs((fit.vector - problem.space.null) / problem.space.scale)[indices].max())
 
 
 def against_file(problem: Problem, fit: Fit, effect: str) -> AgainstFile | None:
-    """The quantity of the vehicle file that an effect takes furthest from the file's value, in standard deviations."""
+    """The quantity that an effect moves furthest from its value in the vehicle file, in standard deviations."""
     found = []
     for i in problem.space.indices(effect) if problem.prior is None else ():
         known, change = problem.quantities[i], float(fit.vector[i] - problem.space.null[i])
@@ -271,8 +273,7 @@ def against_file(problem: Problem, fit: Fit, effect: str) -> AgainstFile | None:
 
 
 def sensor_p_values(problem: Problem, fit: Fit, effect: str, sensors: Mapping) -> tuple[float | None, float | None]:
-    """p-values of the fitted value and of the null under the redundant measurements of the sensors; None without
-    any."""
+    """p-values of the fitted value and of the null, given redundant sensor measurements; None without any."""
     deviations = dict(zip(problem.space.indices(effect), deviation(problem, fit, effect), strict=True))
     values = [_two_sided(fit.vector[i] - value, np.hypot(spread, deviations[i]))
               for i, value, spread in _sensor_estimates(problem.space, effect, sensors)]
@@ -282,7 +283,7 @@ def sensor_p_values(problem: Problem, fit: Fit, effect: str, sensors: Mapping) -
 
 
 def null_by_sensors(space: Space, effect: str, sensors: Mapping) -> float | None:
-    """p-value of the null under the redundant measurements of the sensors; None without any."""
+    """p-value of the null, given redundant sensor measurements; None without any."""
     return min((_two_sided(space.free[i].null - value, spread)
                 for i, value, spread in _sensor_estimates(space, effect, sensors)), default=None)
 
@@ -316,40 +317,40 @@ def deviation(problem: Problem, fit: Fit, effect: str) -> np.ndarray:
 
 
 def covariance(problem: Problem, fit: Fit) -> np.ndarray:
-    """(a, a) sandwich covariance of the fitted parameters in usual sizes: H^-1 S H^-1, S: scatter of the scores of
-    independent blocks, H: half the second derivative of the loss."""
+    """(a, a) sandwich covariance of the fitted parameters, in parameter scales: H^-1 S H^-1, S: scatter of the scores
+    of independent blocks, H: half the second derivative of the loss."""
     q = fit.quadratic.summed(problem.block, problem.blocks)
     curvature = problem.loss.curvature(problem.errors.at(fit.vector), fit.slopes.of(fit.indices))
     h = inverse(_raised(curvature, q.hessian.sum(axis=0)) + problem.prior_curvature(fit.names, fit.indices))
     centred = q.gradient - q.gradient.mean(axis=0)  # at the optimum the sum equals the gradient of the prior
     scatter = centred.T @ centred * problem.blocks / max(problem.blocks - 1, 1)
-    if problem.prior is None:  # the values of the vehicle file vary, and with them the gradient of the prior
+    if problem.prior is None:  # the values of the vehicle file are uncertain, hence also the gradient of the prior
         scatter = scatter + np.diag(0.5 * problem.design_effect * problem.file_curvature[fit.indices])
     return h @ scatter @ h
 
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A fit with all other effects of the library free as well. indices: (a,) free parameters; covariance: (a, a) in
-    usual sizes; shift: (a,) of their optimum from the fit."""
+    """A fit in which all other effects of the library are free as well. indices: (a,) free parameters; covariance:
+    (a, a); shift: (a,) distance of the optimum from the fit; both in parameter scales."""
 
     indices: np.ndarray
     covariance: np.ndarray
     shift: np.ndarray
 
     def of(self, indices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(standard deviations, shifts) of some of the parameters, in usual sizes."""
+        """(standard deviations, shifts) of some of the parameters, in parameter scales."""
         place = np.searchsorted(self.indices, indices)
         return np.sqrt(np.maximum(np.diag(self.covariance)[place], 0.0)), self.shift[place]
 
 
 def joint(problem: Problem, fit: Fit) -> Joint:
-    """Covariance with the uncertainties of the vehicle file and with every effect outside the set present, its prior
-    standard deviation UNSELECTED_DEVIATION.
+    """Covariance with the uncertainties of the vehicle file, and with every effect outside the set free as well, with
+    a prior standard deviation of UNSELECTED_DEVIATION.
 
         covariance = (D / 2) (H + K)^-1,   K: curvature of the priors,   D: the design effect
 
-    An effect that was not selected may still be present; the covariance contains what it could contribute.
+    An effect that was not selected may still be present; the covariance includes its possible contribution.
     Source: Laplace approximation of the posterior; Pauli and others, composite likelihoods with a curvature adjusted by
     the design effect, Statistica Sinica 21 (2011).
     """
@@ -368,7 +369,7 @@ def joint(problem: Problem, fit: Fit) -> Joint:
 
 
 def _raised(curvature: np.ndarray, reweighted: np.ndarray) -> np.ndarray:
-    """The curvature, raised in any direction to MIN_CURVATURE of that of the reweighted squares."""
+    """The curvature, raised in every direction to at least MIN_CURVATURE times that of the reweighted squares."""
     if not len(curvature):
         return curvature
     root = np.linalg.cholesky(_regular(reweighted))
@@ -378,7 +379,8 @@ def _raised(curvature: np.ndarray, reweighted: np.ndarray) -> np.ndarray:
 
 
 def null_p_value(problem: Problem, fit: Fit, effect: str) -> float:
-    """p-value of the start for the values of an effect, by their sandwich covariance (Hotelling's T^2 test)."""
+    """p-value of the hypothesis that the values of an effect equal the start (Hotelling's T^2 test with the sandwich
+    covariance)."""
     indices = problem.space.indices(effect)
     columns = np.searchsorted(fit.indices, indices)
     variance = covariance(problem, fit)[np.ix_(columns, columns)]
@@ -393,8 +395,8 @@ def null_p_value(problem: Problem, fit: Fit, effect: str) -> float:
 def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, names: list[str]) -> Agreement:
     """The value of an effect in each part of the driving, compared by a random-effects model.
 
-    Along the fitted values d, the share of a part is a = 1 + the step of its own gradient; the other fitted
-    parameters are free, with a weak prior (PART_PRIOR). Variances contain the design effect of dependent windows.
+    The ratio of a part is a = 1 + Newton step along the fitted values d with the loss of this part alone; the other
+    fitted parameters are free, with a weak prior (PART_PRIOR). Variances include the design effect.
     """
     columns = np.searchsorted(fit.indices, problem.space.indices(effect))
     others = np.setdiff1d(np.arange(len(fit.indices)), columns)
@@ -424,7 +426,7 @@ def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, names: 
 
 
 def pooled(shares: np.ndarray, variances: np.ndarray, names: list[str]) -> Agreement:
-    """`Agreement` of independent shares by a random-effects model."""
+    """`Agreement` of independent ratios, by a random-effects model."""
     collected = {n: (float(s), float(np.sqrt(v))) for n, s, v in zip(names, shares, variances, strict=True)}
     if len(shares) < 2:
         return Agreement(collected, 1.0, 0.0)

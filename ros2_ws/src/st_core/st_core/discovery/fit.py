@@ -11,18 +11,18 @@ from ..regression import ridge
 from .loss import Loss, Quadratic, rho
 from .space import GAIN, Quantities, prior_deviations
 
-ITERATIONS, STEP_SHARES = 5, (1.0, 0.5, 0.2)  # of a fit; of a step, until the loss falls
-SLOPES_VALID_WITHIN, SLOPES_CACHE_SIZE = 0.25, 4  # slopes are reused within this distance [usual sizes]; points kept
-MIN_LOSS_FALL = 2e-4  # per scored error; a fit ends after a smaller reduction of the loss
+ITERATIONS, STEP_SHARES = 5, (1.0, 0.5, 0.2)  # maximum of a fit; fractions of a step, tried until the loss decreases
+SLOPES_VALID_WITHIN, SLOPES_CACHE_SIZE = 0.25, 4  # distance [parameter scales] of reuse; number of cached Jacobians
+MIN_LOSS_FALL = 2e-4  # per residual; a fit ends at a smaller reduction of the loss
 FOLDS = 8  # groups of blocks, each held out once
-MAX_SCALED = 5.0  # scales of the baseline errors: larger errors are clipped, so that a few windows do not dominate
+MAX_SCALED = 5.0  # clip limit of a residual, in robust scales of the baseline residuals; a few windows cannot dominate
 DIVERGED = 100.0  # m: position error of a prediction that diverges
-MAX_QUADRATIC_RISE = 0.05  # per scored error; beyond that rise of the loss, held-out folds are simulated
-RIDGE = 1e-6  # of the mean curvature; keeps steps finite in directions without information
+MAX_QUADRATIC_RISE = 0.05  # per residual; at a larger predicted increase of the loss, held-out folds are simulated
+RIDGE = 1e-6  # fraction of the mean curvature added to the diagonal, for finite steps without information
 
 
 def bounded(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Minimum of x'Ax - 2 b'x with low <= x <= high (low <= 0 <= high), by an active-set method."""
+    """Minimiser x of x'Ax - 2 b'x subject to low <= x <= high (low <= 0 <= high), by an active-set method."""
     x = np.linalg.solve(a, b)
     if ((x >= low) & (x <= high)).all():
         return x
@@ -51,7 +51,8 @@ def bounded(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> 
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """values: (a, n, m) reduction of the errors per usual size of the parameters `indices`, about `vector`."""
+    """Sensitivities of the residuals, their negative Jacobian. values: (a, n, m) reduction of the m residuals of n
+    windows per parameter scale of the a parameters `indices`, at `vector`."""
 
     vector: np.ndarray
     indices: np.ndarray
@@ -61,18 +62,18 @@ class Slopes:
         return self.values[np.searchsorted(self.indices, indices)]
 
     def moved(self, vector: np.ndarray, scale: np.ndarray, reduction: np.ndarray) -> "Slopes":
-        """The slopes about another vector by Broyden's update (1965). reduction: (n, m) simulated reduction of the
-        errors by the step there."""
+        """The sensitivities at another vector by Broyden's update (1965). reduction: (n, m) simulated reduction of
+        the residuals by the step to that vector."""
         step = ((vector - self.vector) / scale)[self.indices]
         square = float(step @ step)
         if square == 0.0:
             return self
         error = reduction - np.tensordot(step, self.values, 1)
-        error[~np.isfinite(error)] = 0.0  # of a window that diverges at one of the two vectors
+        error[~np.isfinite(error)] = 0.0  # a window that diverges at one of the two vectors
         return Slopes(vector, self.indices, self.values + (step / square)[:, None, None] * error)
 
     def with_values(self, indices: np.ndarray, values: np.ndarray) -> "Slopes":
-        """The slopes with those of some parameters replaced."""
+        """The sensitivities with those to some parameters replaced."""
         new = self.values.copy()
         new[np.searchsorted(self.indices, indices)] = values
         return Slopes(self.vector, self.indices, new)
@@ -80,8 +81,9 @@ class Slopes:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A set of effects with fitted values. indices: (a,) free parameters. slopes: of at least these. quadratic: in
-    these, by window. held_out: (b,) loss of each block at the values fitted without its fold."""
+    """A set of effects with fitted values. indices: (a,) free parameters. slopes: sensitivities to at least these.
+    quadratic: approximation of the loss of each window in these. held_out: (b,) loss of each block at the values fitted
+    without its fold."""
 
     names: tuple[str, ...]
     vector: np.ndarray
@@ -104,14 +106,14 @@ def marginalised(prior: np.ndarray, free: np.ndarray) -> np.ndarray:
 class Problem:
     """A loss with its priors, and the fits of sets of effects to it.
 
-    start: (p,) first vector of a search. prior: (p, p) curvature about `start` of the parameters outside the set, from
-    reference drives; None: these stay at the start, except the gain of the accelerometer. block: (n,) number of the
-    block of each window. noise: (c,) error of each column from noise alone [SI]. healthy_gain: largest gain per scored
-    error between drives of the healthy car.
+    start: (p,) initial vector of a search. prior: (p, p) curvature about `start`, from reference drives, for the
+    parameters of effects that are not in the fitted set; None: these keep their start values, except the gain of the
+    accelerometer. block: (n,) number of the block of each window. noise: (c,) error of each column from noise alone
+    [SI]. healthy_gain: largest gain per residual between drives of the healthy car.
 
     quantities: (p,) quantity of the vehicle file that each parameter changes. Its standard deviation s enters the loss
-    as a Gaussian prior, 0.5 D (x / s)^2. design_effect D [1]: number of scored errors that count as one independent
-    error, see `update_design_effect`.
+    as a Gaussian prior, 0.5 D (x / s)^2. design_effect D [1]: number of residuals that count as one independent
+    residual, see `update_design_effect`.
     """
 
     def __init__(self, loss: Loss, start: np.ndarray, block: np.ndarray, prior: np.ndarray | None = None,
@@ -125,20 +127,20 @@ class Problem:
         self._cached_slopes: list[Slopes] = []
 
     def set_quantities(self, quantities: Quantities) -> None:
-        """Set the quantity of the vehicle file that each parameter changes. Priors of additions to the car, as a load,
-        apply without reference drives only: those contain the load."""
+        """Set the quantity of the vehicle file that each parameter changes. Priors of additions to the car, such as a
+        load, apply only without reference drives, since reference drives already include the load."""
         self.quantities = quantities
         addition_deviation = self.space.deviation if self.prior is None else np.inf
         self._deviation = np.minimum(prior_deviations(quantities, self.space.scale), addition_deviation)
 
     @cached_property
     def baseline_sizes(self) -> np.ndarray:
-        """(c,) `sizes` of the baseline errors."""
+        """(c,) RMS of the baseline residuals, see `sizes`."""
         return np.maximum(self.sizes(self.errors.at(self.start)), 1e-12)
 
     def sizes(self, rows: np.ndarray) -> np.ndarray:
-        """(c,) root mean square error of each column over the horizon [SI], clipped at MAX_SCALED scales of the
-        baseline errors."""
+        """(c,) RMS of the residuals of each column, averaged over the points of the horizon [SI]; residuals are clipped
+        at MAX_SCALED scales of the baseline residuals."""
         limit = MAX_SCALED * self._baseline_scale
         square = np.square(np.clip(np.nan_to_num(rows, nan=np.inf), -limit, limit))
         points = np.where(self.loss.known, square, 0.0).sum(axis=0) / np.maximum(self.loss.known.sum(axis=0), 1)
@@ -150,7 +152,7 @@ class Problem:
 
     @cached_property
     def held_out_groups(self) -> np.ndarray:
-        """(b,) group of each block for the held-out errors of reports: its run where there are four or more, else its
+        """(b,) group of each block for reported held-out errors: its run if there are at least four runs, else its
         fold."""
         return self.run_of_block if len(np.unique(self.run_of_block)) > 3 else self.fold
 
@@ -162,14 +164,14 @@ class Problem:
         return run
 
     def without_file(self) -> "Problem":
-        """The problem without the priors of the vehicle file: its fits predict best, whether plausible or not."""
+        """The problem without the priors of the vehicle file: its fits predict best, but may be implausible."""
         other = copy(self)
         other.set_quantities((None,) * len(self.space))
         return other
 
     @property
     def scored_count(self) -> int:
-        """Number of scored errors."""
+        """Number of residuals in the loss."""
         return self.loss.scored_count
 
     def free_indices(self, names: Iterable[str]) -> np.ndarray:
@@ -180,8 +182,8 @@ class Problem:
         return self.space.indices(*names, *always)
 
     def prior_curvature(self, names: Iterable[str], indices: np.ndarray) -> np.ndarray:
-        """(a, a) curvature of the prior about the start: that of the vehicle file; with a reference that of its drives,
-        for the parameters outside the effects `names`."""
+        """(a, a) curvature of the prior about the start: from the vehicle file; with a reference from its drives, for
+        all parameters except those of the effects `names`."""
         if self.prior is None:
             return np.diag(self.file_curvature[indices])
         return marginalised(self.prior, self.space.indices(*names))
@@ -196,10 +198,10 @@ class Problem:
         return self.file_curvature * (vector - self.start) / self.space.scale
 
     def update_design_effect(self, vector: np.ndarray) -> None:
-        """Estimate the design effect from the errors at a vector: variance of the scores between blocks, and between
-        runs, over that of independent errors; median over the library, at least 1.
+        """Estimate the design effect from the residuals at a vector: ratio of the variance of the scores between
+        blocks, or between runs if larger, to that of independent residuals; median over the library, at least 1.
 
-            D = 2 n var(g_k) / H,   g_k: half gradient of part k of n, H: half of the curvature
+            D = 2 n var(g_k) / H,   g_k: half the gradient of the loss in part k of n, H: half its second derivative
 
         Scores of an incomplete model vary between parts of the driving, so D grows with unmodelled effects.
         Source: Kish, Survey Sampling (1965), ch. 8.
@@ -216,16 +218,16 @@ class Problem:
         self.design_effect = max(found)
 
     def distance(self, vector: np.ndarray) -> np.ndarray:
-        """(p,) distance from the start [usual sizes]."""
+        """(p,) distance from the start [parameter scales]."""
         return (vector - self.start) / self.space.scale
 
     def distance_to_bounds(self, vector: np.ndarray, indices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(a,) largest negative and positive steps of some parameters [usual sizes]."""
+        """(a,) largest negative and positive steps of some parameters [parameter scales]."""
         low, high = np.minimum(self.space.low - vector, 0.0), np.maximum(self.space.high - vector, 0.0)
         return (low / self.space.scale)[indices], (high / self.space.scale)[indices]
 
     def solve(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, indices: np.ndarray) -> np.ndarray:
-        """(a,) step from `vector` to the minimum of a quadratic by window, within the bounds."""
+        """(a,) step from `vector` to the minimum of the quadratic q, given by window, within the bounds."""
         return self.stepper(names, vector, indices)(q.hessian.sum(axis=0), q.gradient.sum(axis=0))
 
     def stepper(self, names: Iterable[str], vector: np.ndarray,
@@ -246,7 +248,7 @@ class Problem:
         return self.loss.total(vector) + float(distance @ self.prior_curvature(names, indices) @ distance)
 
     def slopes_of_all(self, vector: np.ndarray) -> Slopes:
-        """Slopes of all parameters: those of a nearby point, updated for the step, or new ones."""
+        """Sensitivities to all parameters: cached ones of a nearby vector, updated for the step, or new ones."""
         for known in reversed(self._cached_slopes):
             if np.abs((vector - known.vector) / self.space.scale).max() < SLOPES_VALID_WITHIN:
                 return self._slopes_at(known, vector, np.zeros(0, int))
@@ -256,26 +258,26 @@ class Problem:
         return new
 
     def quadratic_of_all(self, vector: np.ndarray) -> Quadratic:
-        """Quadratic of the loss about a vector, by window, in all parameters."""
+        """Quadratic approximation of the loss of each window about a vector, in all parameters."""
         return self.loss.quadratic(self.errors.at(vector), self.slopes_of_all(vector).values)
 
     def moved(self, vector: np.ndarray, indices: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """The vector after a step [usual sizes] of some parameters, limited to the bounds."""
+        """The vector after a step [parameter scales] of some parameters, limited to the bounds."""
         moved = vector.copy()
         moved[indices] += step * self.space.scale[indices]
         return self.space.inside(moved)
 
     def vector_without(self, fit: Fit, *names: str) -> np.ndarray:
-        """The vector of a fit with the effects `names` at the start."""
+        """The vector of a fit with the effects `names` at their start values."""
         vector, indices = fit.vector.copy(), self.space.indices(*names)
         vector[indices] = self.start[indices]
         return vector
 
     def fit(self, names: Iterable[str], slopes: Slopes, vector: np.ndarray | None = None, fresh: Iterable[str] = (),
             iterations: int = ITERATIONS) -> Fit:
-        """Fit a set of effects by robust Gauss-Newton. slopes: of the free parameters at least, about a nearby point;
-        updated along the steps. vector: first point, default that of the slopes. fresh: effects whose slopes are
-        recomputed at each step.
+        """Fit a set of effects by robust Gauss-Newton. slopes: sensitivities to at least the free parameters at a
+        nearby vector; updated at each step. vector: initial vector, default that of the sensitivities. fresh: effects
+        whose sensitivities are recomputed at each step.
         """
         names = tuple(names)
         indices, new = self.free_indices(names), self.space.indices(*fresh)
@@ -300,7 +302,7 @@ class Problem:
         return self.fit_at(names, vector, indices, slopes)
 
     def refit(self, fit: Fit, iterations: int = 2) -> Fit:
-        """The fit, continued with recomputed slopes."""
+        """The fit, continued with recomputed sensitivities."""
         fitted = np.union1d(self.space.indices(*fit.names), self.space.indices(GAIN))
         fresh = Slopes(fit.vector, fit.slopes.indices, fit.slopes.values)
         if len(fitted):
@@ -309,26 +311,26 @@ class Problem:
         return self.fit(fit.names, fresh, iterations=iterations)
 
     def _slopes_at(self, slopes: Slopes, vector: np.ndarray, new: np.ndarray) -> Slopes:
-        """The slopes about another vector, those of the parameters `new` recomputed."""
+        """The sensitivities at another vector, with those to the parameters `new` recomputed."""
         if not np.array_equal(vector, slopes.vector):
             reduction = self.errors.at(slopes.vector) - self.errors.at(vector)
             slopes = slopes.moved(vector, self.space.scale, reduction)
         return slopes.with_values(new, self.loss.slopes(vector, new)) if len(new) else slopes
 
     def fit_at(self, names: tuple[str, ...], vector: np.ndarray, indices: np.ndarray, slopes: Slopes) -> Fit:
-        """The fit with the values of a vector, with its quadratic and held-out loss."""
+        """The `Fit` with the values of a vector, with the quadratic and the held-out loss there."""
         q = self.loss.quadratic(self.errors.at(vector), slopes.of(indices))
         fit = Fit(names, vector, indices, slopes, q, np.zeros(self.blocks))
         return replace(fit, held_out=self.held_out_loss(fit, self.fold))
 
     def leave_out(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, indices: np.ndarray,
                   fold: np.ndarray, settled: bool = False) -> tuple[dict[int, np.ndarray], np.ndarray]:
-        """({fold: step to the values fitted without it}, (b,) loss of each block at those values, with its part of the
-        prior's cost), by the quadratic.
+        """({fold: step to the values fitted without it}, (b,) loss of each block at those values, with its share of the
+        cost of the prior), from the quadratic approximation of the loss.
 
-        q: by block. fold: (b,). settled: the vector is the optimum although the quadratic predicts a further step; only
-        the difference that a fold makes counts. With a prior from reference drives a fold moves only the parameters of
-        the set.
+        q: by block. fold: (b,). settled: treat `vector` as the optimum and ignore the remaining Gauss-Newton step; only
+        the change from leaving out a fold is applied. With a prior from reference drives, leaving out a fold changes
+        only the parameters of the effects `names`.
         """
         names = tuple(names)
         h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
@@ -359,23 +361,23 @@ class Problem:
         return steps, held_out
 
     def _robust(self, rise: np.ndarray, blocks: np.ndarray) -> np.ndarray:
-        """Increase of the robust loss for an increase of its quadratic: logarithmic beyond 1 per scored error."""
+        """Increase of the robust loss for an increase of its quadratic: logarithmic above 1 per residual."""
         count = np.maximum(self._scored_counts[blocks], 1)
         return np.where(rise > count, count * (1.0 + np.log(np.maximum(rise / count, 1.0))), rise)
 
     @cached_property
     def _scored_counts(self) -> np.ndarray:
-        """(b,) number of scored errors of each block."""
+        """(b,) number of residuals of each block."""
         return np.bincount(self.block, self.loss.known.sum(axis=1), self.blocks)
 
     def leave_out_of(self, fit: Fit, groups: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray]:
-        """`leave_out` about a fit. groups: (b,)."""
+        """`leave_out`, linearised at a fit. groups: (b,) group of each block."""
         q = fit.quadratic.summed(self.block, self.blocks)
         return self.leave_out(q, fit.names, fit.vector, fit.indices, groups, settled=True)
 
     def held_out_loss(self, fit: Fit, groups: np.ndarray) -> np.ndarray:
-        """(b,) loss of each block at values fitted without its group; simulated where the quadratic predicts much more
-        than the fitted loss. groups: (b,)."""
+        """(b,) loss of each block at values fitted without its group; simulated if the quadratic predicts a loss much
+        higher than the fitted one. groups: (b,) group of each block."""
         steps, held_out = self.leave_out_of(fit, groups)
         if held_out.sum() - fit.quadratic.cost.sum() < MAX_QUADRATIC_RISE * self.scored_count:
             return held_out
@@ -388,8 +390,8 @@ class Problem:
         return np.minimum(held_out, result)
 
     def held_out_gain(self, without: Fit, fit: Fit) -> float:
-        """Reduction of the loss per scored error by a fit over one without some of its effects, both at values fitted
-        without each group (`held_out_groups`)."""
+        """Reduction of the held-out loss per residual from a fit without some of the effects to the fit with them;
+        groups held out: `held_out_groups`."""
         before, after = (self.held_out_loss(each, self.held_out_groups) for each in (without, fit))
         return float((before - after).sum()) / self.scored_count
 
@@ -403,7 +405,7 @@ class Problem:
             out = group == k
             result[out] -= np.einsum("p,pnm->nm", d, slopes[:, out])
         before, after = (self.loss.scaled(each) for each in (rows, result))
-        # Beyond the validity of the slopes the held-out errors are simulated.
+        # Where the linear approximation is not valid, the held-out errors are simulated.
         if rho(after).sum() - rho(before).sum() > MAX_QUADRATIC_RISE * self.scored_count:
             for k, d in steps.items():
                 out = group == k

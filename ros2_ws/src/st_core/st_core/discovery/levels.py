@@ -6,7 +6,7 @@ import numpy as np
 from .windows import Windows
 
 PLACE_SIZE = 50.0  # m, side of the squares of the map that count as places
-SAME_SITE_SHARE = 0.2  # of the places of the shorter run: two runs that share more are at one site
+SAME_SITE_SHARE = 0.2  # fraction of the shorter run's places: runs that have more in common are at the same site
 MIN_RUNS = 5  # fewer runs are divided into stretches
 TIMES = ("the first third of the runs", "the second third", "the last third")
 KINDS = ("slow and gentle", "fast and gentle", "slow and hard", "fast and hard")
@@ -42,8 +42,8 @@ def runs(windows: Windows) -> Level:
 
 
 def sites(windows: Windows) -> np.ndarray:
-    """(n,) site of each window: runs that share places, also through another run, are at one site. Distance is no
-    criterion, as sites may have maps of different origin."""
+    """(n,) site of each window, an area of several `places`: runs through common places, directly or by way of other
+    runs, are at one site. Distance is no criterion, as maps of different sites may have different origins."""
     number = places(windows.driven["x"], windows.driven["y"])[0]
     visited = [set(number[windows.run == run]) for run in range(len(windows.names))]
     site = list(range(len(visited)))
@@ -55,14 +55,15 @@ def sites(windows: Windows) -> np.ndarray:
 
 
 def places(x: np.ndarray, y: np.ndarray) -> Level:
-    """Squares of the map."""
+    """Places: squares of the map with side PLACE_SIZE."""
     cells = np.stack([np.floor(x / PLACE_SIZE), np.floor(y / PLACE_SIZE)], axis=1)
     unique, number = np.unique(cells, axis=0, return_inverse=True)
     return number.ravel(), [f"east {east:.0f} m, north {north:.0f} m" for east, north in PLACE_SIZE * (unique + 0.5)]
 
 
 def conditions(speed: np.ndarray, lateral: np.ndarray) -> Level:
-    """Four kinds of driving: slow or fast, and each with less or more lateral acceleration than its median."""
+    """Four kinds of driving: slower or faster than the median speed, each with less or more lateral acceleration than
+    its median."""
     fast = speed > np.median(speed)
     hard = np.zeros(len(speed), bool)
     for half in (fast, ~fast):
@@ -71,7 +72,7 @@ def conditions(speed: np.ndarray, lateral: np.ndarray) -> Level:
 
 
 def _thirds(windows: Windows) -> np.ndarray:
-    """(n,) third of its run of each window."""
+    """(n,) which third of its run each window is in: 0, 1 or 2."""
     longest = np.zeros(len(windows.names))
     np.maximum.at(longest, windows.run, windows.seconds)
     share = windows.seconds / np.maximum(longest[windows.run], 1e-9)

@@ -2,11 +2,12 @@
 
     rho(z) = (nu + 1) / 2 log(1 + z^2 / nu),   z = r / s
 
-the negative log-likelihood of Student's distribution, r: error of a channel at a point of the horizon, s: its scale.
-The scale is estimated from the errors and recomputed as the model improves, so that all channels have similar weight
-and small errors matter once large ones are explained. Approximation (iteratively reweighted least squares):
+the negative log-likelihood of Student's distribution, r: residual (measured minus predicted) of a column at a scored
+point of the horizon, s: its scale. The scale is estimated from the residuals and recomputed as the model improves, so
+that all channels have similar weight, and small errors matter once large ones are explained. Approximation (iteratively
+reweighted least squares):
 
-    cost(d) ~ cost - 2 g'd + d'H d,   d: step in usual sizes of the parameters
+    cost(d) ~ cost - 2 g'd + d'H d,   d: step of the parameters, in parameter scales (`Space.scale`)
 
 Source: Lange, Little, Taylor, Robust statistical modeling using the t distribution, JASA 84 (1989).
 """
@@ -21,9 +22,9 @@ from ..channels import CHANNEL_OF_COLUMN
 from .space import Space
 from .windows import Windows
 
-NU = 4.0  # degrees of freedom; errors beyond two scales have decreasing influence
-DIFFERENCE_STEP = 0.1  # of the usual size: step of the difference quotients
-MAX_SCALED_ERROR = 100.0  # scales; limit of the errors, and value of a diverged prediction
+NU = 4.0  # degrees of freedom; residuals beyond two scales have decreasing influence
+DIFFERENCE_STEP = 0.1  # step of the difference quotients, as a fraction of the parameter scale
+MAX_SCALED_ERROR = 100.0  # scales; limit of the residuals, and value for a diverged prediction
 ERROR_CACHE_SIZE = 64  # parameter vectors
 
 
@@ -56,14 +57,14 @@ class Quadratic:
 
 
 class Errors:
-    """Prediction errors of all windows at a parameter vector, cached. threads: for several vectors."""
+    """Prediction errors of all windows at a parameter vector, cached. threads: used by `many`."""
 
     def __init__(self, windows: Windows, space: Space, threads: int = 1):
         self.windows, self.space, self.threads = windows, space, threads
         self._cache: dict[bytes, np.ndarray] = {}
 
     def at(self, vector: np.ndarray) -> np.ndarray:
-        """(n, m): measured minus predicted, all points and columns of a window in a row; NaN where not known."""
+        """(n, m) measured minus predicted, all points and columns of a window in one row; NaN where not known."""
         key = vector.tobytes()
         if key not in self._cache:
             values = self.windows.errors(self.space.at(vector).lean(), float(vector[-1]))
@@ -80,7 +81,8 @@ class Errors:
 
 
 class Loss:
-    """Loss of the errors at a scale. known: (n, m) whether measured. scale: (m,) SI. scored_count: of errors."""
+    """Robust loss. known: (n, m) whether measured. scale: (m,) of the residuals [SI]. scored_count: number of
+    residuals."""
 
     def __init__(self, errors: Errors, at: np.ndarray):
         self.errors, self.space = errors, errors.space
@@ -91,7 +93,7 @@ class Loss:
         self.scale = self.scale_of(at)
 
     def scale_of(self, vector: np.ndarray) -> np.ndarray:
-        """(m,) 68 % quantile of the magnitude of the errors, one standard deviation of normal ones."""
+        """(m,) 68 % quantile of the magnitude of the residuals: one standard deviation if they are normal."""
         rows = np.where(self.known, np.abs(self.errors.at(vector)), np.nan)
         rows[self.known & ~np.isfinite(rows)] = np.inf
         with np.errstate(all="ignore"):
@@ -102,7 +104,7 @@ class Loss:
         self.scale = self.scale_of(vector)
 
     def scaled(self, rows: np.ndarray) -> np.ndarray:
-        """(n, m) z of errors (n, m); 0 where not measured."""
+        """(n, m) z of residuals `rows` (n, m); 0 where not measured."""
         z = np.nan_to_num(rows / self.scale, nan=MAX_SCALED_ERROR, posinf=MAX_SCALED_ERROR, neginf=-MAX_SCALED_ERROR)
         return np.where(self.known, np.clip(z, -MAX_SCALED_ERROR, MAX_SCALED_ERROR), 0.0)
 
@@ -113,8 +115,8 @@ class Loss:
         return float(self.by_window(vector).sum())
 
     def slopes(self, vector: np.ndarray, indices: np.ndarray) -> np.ndarray:
-        """(a, n, m) reduction of the errors [SI] per usual size of the parameters `indices`, by difference quotients;
-        0 where a prediction diverges."""
+        """(a, n, m) sensitivities: reduction of the residuals [SI] per parameter scale of the parameters `indices`, by
+        difference quotients; 0 where a prediction diverges."""
         step = DIFFERENCE_STEP * self.space.scale[indices] * self.space.sign[indices]
         value = vector[indices] + step
         step = np.where((value < self.space.low[indices]) | (value > self.space.high[indices]), -step, step)
@@ -125,7 +127,7 @@ class Loss:
         return np.nan_to_num(np.reshape(slopes, (len(indices), *before.shape)), posinf=0.0, neginf=0.0)
 
     def quadratic(self, rows: np.ndarray, slopes: np.ndarray) -> Quadratic:
-        """The approximation about the vector with these errors (n, m) and slopes (p, n, m)."""
+        """The approximation about the vector with residuals `rows` (n, m) and sensitivities `slopes` (p, n, m)."""
         z = self.scaled(rows)
         j = self._scaled_slopes(slopes, z)
         w = weight(z)
@@ -133,7 +135,7 @@ class Loss:
         return Quadratic(rho(z).sum(axis=1), (jw @ z[:, :, None])[:, :, 0], jw @ np.transpose(j, (1, 2, 0)))
 
     def curvature(self, rows: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-        """(p, p) half the second derivative of the loss for errors linear in the parameters; outliers reduce it."""
+        """(p, p) half the second derivative of the loss for residuals linear in the parameters; outliers reduce it."""
         z = self.scaled(rows)
         j = self._scaled_slopes(slopes, z)
         second = 0.5 * (NU + 1.0) * (NU - np.square(z)) / np.square(NU + np.square(z))  # rho'' / 2
@@ -141,7 +143,7 @@ class Loss:
         return (flat * second.ravel()) @ flat.T
 
     def _scaled_slopes(self, slopes: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """(p, n, m) slopes over the scale, of limited size; 0 where not measured or in a window that diverges."""
+        """(p, n, m) sensitivities divided by the residual scale, clipped; 0 where not measured or diverging."""
         limit = MAX_SCALED_ERROR / DIFFERENCE_STEP
         j = np.clip(np.nan_to_num(slopes / self.scale, nan=0.0, posinf=0.0, neginf=0.0), -limit, limit)
         return np.where(self.known & (np.abs(z) < MAX_SCALED_ERROR), j, 0.0)

@@ -1,4 +1,4 @@
-"""The manoeuvre to drive next: that of the catalogue which best separates alternative effects, or shows an effect."""
+"""The manoeuvre to drive next: the one of the catalogue that best separates alternative effects, or shows an effect."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -24,19 +24,19 @@ from .windows import STEP, Windows, added_acceleration
 
 REPETITIONS = 3  # of each manoeuvre, the minimum of ISO 7401
 MIN_SEPARATION = 3.0  # standard deviations; a manoeuvre with less does not separate a pair
-MAX_SPEED_RATIO = 1.15  # over the driven speed; the errors of faster manoeuvres are unknown
-MAX_LATERAL_ACCELERATION = 9.0  # m/s^2; beyond, the simulation of the base is unreliable
+MAX_SPEED_RATIO = 1.15  # to the driven speed; model errors at higher speed are unknown
+MAX_LATERAL_ACCELERATION = 9.0  # m/s^2; above it the simulation with the base model is unreliable
 PERIOD = STEP / 2  # s, of the simulated log
-LEAD_TIME = 4.0  # s before a manoeuvre, in which the steering reaches its first angle
+LEAD_TIME = 4.0  # s before a manoeuvre, to reach its initial steering angle
 
 Catalogue = Mapping[str, np.ndarray]
-"""Curvature (p, p) that a manoeuvre adds to the loss, by its name."""
+"""Curvature (p, p) that a manoeuvre adds to the loss, by name of the manoeuvre."""
 
 
 def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameters) -> DriveLog:
-    """Log of a manoeuvre driven by the model, with sensors without noise: `duration` seconds at 1 / PERIOD.
+    """Log of a manoeuvre driven by the model, with noise-free sensors: `duration` seconds at 1 / PERIOD.
 
-    The steering compensates for the understeer of the vehicle file, so that the manoeuvre has its lateral acceleration.
+    The steering compensates for the understeer of the vehicle file, so that the target lateral acceleration is reached.
     """
     lead, steps = round(LEAD_TIME / PERIOD), round(manoeuvre.duration / PERIOD)
     times = 0.5 * PERIOD * np.arange(-2 * lead, 2 * steps + 1)
@@ -63,8 +63,8 @@ def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameter
 
 
 def simulated(windows: Windows, base: Model) -> Iterator[tuple[Manoeuvre, Windows]]:
-    """All manoeuvres at speeds like those driven, simulated with the base model without effects, which is accurate
-    enough for the excitation. The windows of one drive each, with the recorded channels."""
+    """All manoeuvres at speeds up to MAX_SPEED_RATIO times the driven one, and the windows of a simulated drive of
+    each, with the recorded channels. Simulated with the base model without effects: accurate enough for excitation."""
     model = augment(base, {})
     fastest = MAX_SPEED_RATIO * float(np.nanquantile(windows.speeds, 0.95))
     settings = replace(windows.settings, windows=50)
@@ -87,7 +87,7 @@ def simulated(windows: Windows, base: Model) -> Iterator[tuple[Manoeuvre, Window
 
 
 def catalogue(problem: Problem, fit: Fit) -> Catalogue:
-    """Curvatures at the values of a fit, each manoeuvre driven REPETITIONS times."""
+    """Curvatures at the values of a fit, for REPETITIONS drives of each manoeuvre."""
     space, result = problem.space, {}
     for manoeuvre, driven in simulated(problem.errors.windows, space.model.base):
         loss = Loss(Errors(driven, space, problem.errors.threads), fit.vector)
@@ -100,8 +100,9 @@ def catalogue(problem: Problem, fit: Fit) -> Catalogue:
 
 def separation(h: np.ndarray, problem: Problem, others: Sequence[str], first: str, second: str, values: np.ndarray,
                design_effect: float) -> tuple[float, float]:
-    """(cosine of the effects on the errors, part of `first` that `second` does not explain [standard deviations]) for
-    a curvature h (p, p). others: effects in the fit besides `first`. values: (p,) distance from null [usual sizes]."""
+    """(cosine between the effects on the errors, part of `first` that `second` does not explain [standard deviations])
+    for a curvature h (p, p). others: effects in the fit besides `first`. values: (p,) distance from null [parameter
+    scales]."""
     indices, other_indices = problem.space.indices(first), problem.space.indices(second)
     free = np.setdiff1d(problem.free_indices((*others, second)), indices)
     d = values[indices]
@@ -131,8 +132,8 @@ def separability(problem: Problem, fit: Fit, effects: Sequence[FoundEffect],
 def next_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], driven: Catalogue,
                    design_effect: float) -> NextManoeuvre | None:
     """The manoeuvre with the largest minimum separation over all pairs that these drives separate by less than
-    MIN_SEPARATION; None if it does not reach that, or without such a pair, as more driving does not reduce the error of
-    the model."""
+    MIN_SEPARATION. None if no manoeuvre reaches MIN_SEPARATION, or if there is no such pair: more driving does not
+    reduce the error of the model."""
     h = problem.quadratic_of_all(fit.vector).hessian.sum(axis=0)
     values = (fit.vector - problem.space.null) / problem.space.scale
 

@@ -1,4 +1,4 @@
-"""The healthy car from reference drives: first vector of the search, and prior of the parameters outside the set."""
+"""The healthy car from reference drives: initial vector of the search, and prior of the effects that are not fitted."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,8 +17,8 @@ from .settings import DiscoverySettings
 from .space import Quantities, Space, known_quantities, prior_deviations
 from .windows import Windows
 
-JOINT_DEVIATION = 3.0  # usual sizes, prior standard deviation of every parameter of the healthy car
-MAX_FITS, FINAL_STEP = 8, 0.02  # most fits; they end with a smaller step [usual sizes]
+JOINT_DEVIATION = 3.0  # parameter scales, prior standard deviation of every parameter of the healthy car
+MAX_FITS, FINAL_STEP = 8, 0.02  # maximum number of fits; tolerance: they stop at a smaller step [parameter scales]
 FIXED_CURVATURE = 1e6  # prior curvature that fixes a parameter
 
 
@@ -26,8 +26,8 @@ FIXED_CURVATURE = 1e6  # prior curvature that fixes a parameter
 class Healthy:
     """vector: (p,) values of the whole library fitted to the reference. prior: (p, p) curvature of the loss about them.
     residual: (c,) scale (`Loss.scale_of`) of the errors of each column at the end of the horizon [SI]. position [m]:
-    mean position error there, of the run where it is largest. gain: largest gain per scored error of an effect in one
-    run, compared with the other runs."""
+    mean position error there, in the run where it is largest. gain: largest reduction of the loss per residual that an
+    effect reaches in one run alone, with a prior from the other runs (false-alarm level)."""
 
     vector: np.ndarray
     prior: np.ndarray
@@ -40,8 +40,8 @@ def healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Spa
                 threads: int, tick: Callable[[], None]) -> Healthy:
     """The healthy car from its drives.
 
-    The prior is the predictive distribution for a new drive of the same car: the covariance of the reference drives,
-    times their design effect, twice: once for the reference, once for the new drive.
+    The prior is the predictive distribution for a new drive of the same car, with 2 x covariance of the reference
+    drives x design effect: once for the uncertainty of the reference, once for that of the new drive.
     """
     windows = Windows(runs, vehicle, settings)
     prior, quantities = weak_prior(space), known_quantities(space, vehicle)
@@ -62,20 +62,20 @@ def healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Spa
 
 
 def weak_prior(space: Space) -> np.ndarray:
-    """(p, p) prior curvature of a joint fit of the whole library; composites stay at the start."""
+    """(p, p) prior curvature of a joint fit of the whole library; effects composed of others (`members`) are fixed."""
     prior = np.eye(len(space)) / JOINT_DEVIATION**2
     composite = space.indices(*(n for n in space.hypotheses if get_effect(n).members))
-    prior[composite, composite] = FIXED_CURVATURE  # the members have the same influence
+    prior[composite, composite] = FIXED_CURVATURE  # a composite is collinear with its members
     return prior
 
 
 def _predictive_prior(h: np.ndarray, spread: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """(p, p) curvature of the drives, their standard deviations multiplied by `spread` (p,), plus `prior`."""
+    """(p, p) curvature h of the drives, with standard deviations multiplied by `spread` (p,), plus `prior`."""
     return inverse(spread[:, None] * inverse(h) * spread) + prior
 
 
 def _gain_between_runs(q: Quadratic, space: Space, windows: Windows, spread: np.ndarray, prior: np.ndarray) -> float:
-    """Largest gain per scored error of an effect in one run, with the prior of the other runs, by the quadratic."""
+    """`Healthy.gain`, from the quadratic approximation of the loss; 0 with fewer than three runs."""
     run, largest = q.summed(windows.run), 0.0
     if len(windows.names) < 3:
         return largest
@@ -98,8 +98,8 @@ def _minimum(h: np.ndarray, g: np.ndarray, centre: np.ndarray, prior: np.ndarray
 
 
 def _design_effects(q: Quadratic, curvature: np.ndarray, windows: Windows) -> np.ndarray:
-    """(p,) design effect of each value, at least 1: its variance over that of independent windows, between blocks or
-    between runs, whichever is larger; with Student's quantile, as there may be few of them."""
+    """(p,) design effect of each value, at least 1: ratio of the variance of its score between blocks, or between runs
+    if larger, to that of independent windows; widened by Student's quantile, as there may be few blocks or runs."""
     effects = np.ones(len(curvature))
     for part in (windows.block, windows.run):
         gradient = q.summed(part).gradient
@@ -111,7 +111,7 @@ def _design_effects(q: Quadratic, curvature: np.ndarray, windows: Windows) -> np
 
 
 def theoretical_values(space: Space) -> np.ndarray:
-    """(p,) values known from theory for any car; effects that change the kind of the base stay at null."""
+    """(p,) values known from theory for any car; effects that turn the base model into another keep their null."""
     vector = space.null.copy()
     for i, free in enumerate(space.free):
         if free.theory is not None and not get_effect(free.effect).lifts:
@@ -121,11 +121,11 @@ def theoretical_values(space: Space) -> np.ndarray:
 
 def fit_library(loss: Loss, windows: Windows, prior: np.ndarray, quantities: Quantities, vector: np.ndarray,
                 tick: Callable[[], None]) -> tuple[np.ndarray, np.ndarray]:
-    """((p,) all parameters fitted from a vector, the scale of the loss updated, until convergence; (p, p) curvature of
-    the prior, plus that of the vehicle file)."""
+    """Fit all parameters from an initial vector and update the scale of the loss, until convergence. Returns (vector
+    (p,), curvature (p, p) of `prior` plus the priors of the vehicle file)."""
     space = loss.space
     file = Problem(loss, space.null, windows.block, quantities=quantities)
-    deviations = prior_deviations(quantities, space.scale)  # without that of a load, which the drives contain
+    deviations = prior_deviations(quantities, space.scale)  # none for a load: the drives already include it
     for _ in range(MAX_FITS):
         tick()
         file.update_design_effect(vector)

@@ -17,7 +17,7 @@ WIDENING = float(stats.norm.isf(0.5 * Limits().false_alarm) / stats.norm.isf(0.0
 OUTCOMES: tuple[Outcome, ...] = ("none", "named", "ambiguous", "several", "bound", "unknown", "not_testable")
 EFFECTIVE = "effective corrections"
 PARTS = (*EFFECT_KINDS, EFFECTIVE, "place or time", "unexplained")
-"""Parts of the gap (`BudgetLine`)."""
+"""Kinds of cause that the baseline error is divided into (`BudgetLine`)."""
 Interval = tuple[float, float]
 MODELS = ("base", "model", "named")
 """Fields of `Discovery` that are models and not part of discovery.json."""
@@ -60,7 +60,7 @@ class Step:
 @dataclass(frozen=True)
 class LocalEstimate:
     """Local estimate of an effect in one run, site, time, place or condition. ratio [1]: of the local to the overall
-    estimate, negative or above 1 too; in a `VaryingEffect`, to the local estimate that differs most from null.
+    estimate, can be negative or above 1; in a `VaryingEffect`, to the local estimate that differs most from null.
     deviation: standard deviation of the ratio."""
 
     where: str
@@ -70,11 +70,11 @@ class LocalEstimate:
 
 @dataclass(frozen=True)
 class FoundEffect:
-    """One effect of the answer. kind: of EFFECT_KINDS. alternatives: names that the data do not separate from it, best
-    first. position_5s_increase [m]: of the mean error after 5 s without it. agreement: by level (run, site, time,
-    place, condition), its value in each part. joint: other effects of the answer that it cancels; only the combination
-    of their values is identifiable. channel, share [1]: the channel with the largest reduction, relative to its
-    baseline error; "" where no error is above the noise."""
+    """One effect of the result. kind: one of EFFECT_KINDS. alternatives: names of effects that the data do not separate
+    from it, best first. position_5s_increase [m]: of the mean error after 5 s without it. agreement: by level (run,
+    site, time, place, condition), its value in each part. joint: other effects of the result that it cancels; only the
+    combination of their values is identifiable. channel, share [1]: the channel with the largest error reduction, and
+    that reduction divided by the baseline error; "" if no error is above the noise."""
 
     name: str
     kind: str
@@ -126,7 +126,7 @@ class Combination:
 @dataclass(frozen=True)
 class ForceCurve:
     """Lateral force of an axle versus slip angle, within the driven range. slip [rad], >= 0; force, 90 % band low to
-    high, and force by the vehicle file [N]: positive when it opposes positive slip. density: share of the driving
+    high, and force of the vehicle file [N]: positive when it opposes positive slip. density: fraction of the driving
     between two values of slip."""
 
     axle: str
@@ -140,7 +140,7 @@ class ForceCurve:
 
 @dataclass(frozen=True)
 class VaryingEffect:
-    """A significant effect that varies between parts of the drives. resembles: the effect of the library that
+    """A significant effect that varies between parts of the drives. resembles: effect of the library that
     describes it best.
     level: that it varies with: run, site, time, place or condition. values: in each part. position_5s_reduction [m]: of
     the mean position error after 5 s."""
@@ -154,10 +154,10 @@ class VaryingEffect:
 
 @dataclass(frozen=True)
 class Reason:
-    """A rule of `decision` as applied. subject: an effect, or "answer". figures: the numbers it compared, as
-    in discovery.json; limits by the keys of `Limits` there. chance, differ, absent, no_worse: p-values. left, driven,
-    seen, less, deviations, distance: `noise_ratio`, `peak_force_share`, `detectable_share`, `deficit`, `z_score`,
-    `bound_distance` of `decision` and `evidence`."""
+    """A rule of `decision` as applied. subject: an effect, or "answer" for the outcome. figures: the numbers that were
+    compared, with the keys of discovery.json, limits with those of `Limits` there. chance, differ, absent, no_worse:
+    p-values. left, driven, seen, less, deviations, distance: `noise_ratio`, `peak_force_share`, `detectable_share`,
+    `deficit`, `z_score`, `bound_distance` of `decision` and `evidence`."""
 
     rule: str
     subject: str
@@ -167,8 +167,8 @@ class Reason:
 
 @dataclass(frozen=True)
 class CandidateEffect:
-    """One effect of the library, in addition to the answer or as part of it. gain: relative reduction of the size of
-    the errors. verdict: stated, alternative, or the rule that rejected it. why: a sentence with figures."""
+    """One effect of the library, in the final model or as an addition to it. gain: relative reduction of the RMS error.
+    verdict: stated (named), alternative, or the rule that rejected it. why: a sentence with figures."""
 
     name: str
     kind: str
@@ -180,9 +180,9 @@ class CandidateEffect:
 
 @dataclass(frozen=True)
 class BudgetLine:
-    """One part of the gap, of PARTS. last, first [m]: reduction of the held-out mean position error after 5 s when this
-    part is added last, or first. share_last, share_first [1]: the reduction divided by the baseline error; loss_last,
-    loss_first [1]: the same for the loss."""
+    """Contribution of one of PARTS to the error. last, first [m]: reduction of the held-out mean position error after
+    5 s when this part is added last, or first. share_last, share_first [1]: the reduction divided by the baseline
+    error; loss_last, loss_first [1]: the same for the loss."""
 
     part: str
     last: float
@@ -232,8 +232,9 @@ class ErrorCondition:
 @dataclass(frozen=True)
 class ChannelError:
     """Error of a channel on held-out driving, before and after. base, augmented [unit]: root mean square at the end of
-    the horizon; of position_5s the mean. interval: 95 % of base - augmented. floor: error by noise alone [unit].
-    worst_run, worst: the run with the largest error after. worse_runs: in which it grew by more than the floor."""
+    the horizon; of position_5s the mean. interval: 95 % of base - augmented. floor: error from noise alone [unit].
+    worst_run, worst: run with the largest error after, and that error. worse_runs: runs in which the error increased by
+    more than the floor."""
 
     base: float
     augmented: float
@@ -247,7 +248,7 @@ class ChannelError:
 
 @dataclass(frozen=True)
 class NotTestable:
-    """An effect that is not detectable in these drives. manoeuvre: of the catalogue, that would show it; "" for
+    """An effect that is not detectable in these drives. manoeuvre: one of the catalogue that would show it; "" for
     none."""
 
     name: str
@@ -257,10 +258,10 @@ class NotTestable:
 
 @dataclass(frozen=True)
 class NextManoeuvre:
-    """The manoeuvre that separates the names of an answer best. name: in the catalogue, and of the scenario of the
-    virtual car. separates: the pair with the smallest separation. strength: of that pair [standard deviations], with
-    the manoeuvre driven `times` times and added to the runs. options: strength of every manoeuvre. duration [s] and
-    speed [m/s]: of each time it is driven."""
+    """The manoeuvre that best separates an effect from its alternatives. name: in the catalogue, and of the scenario of
+    the virtual car. separates: the pair with the smallest separation. strength: separation of that pair [standard
+    deviations] by the runs plus `times` drives of the manoeuvre. options: strength of every manoeuvre. duration [s],
+    speed [m/s]: of one drive."""
 
     name: str
     separates: tuple[str, str]
@@ -274,8 +275,8 @@ class NextManoeuvre:
 
 @dataclass(frozen=True)
 class Separability:
-    """Separability of two effects in these drives. cosine: of their changes of the errors, 1 = the same. strength: of
-    the part of the first that the second does not explain [standard deviations]."""
+    """Separability of two effects in these drives. cosine: between their changes of the errors, 1 = the same. strength:
+    size of the part of the first that the second does not explain [standard deviations]."""
 
     first: str
     second: str
@@ -297,23 +298,23 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Discovery:
-    """The answer of `discover`.
+    """The result of `discover`.
 
-    outcome: none = the residual is near the noise, or not significant; named = one effect; ambiguous = one effect by
-    several names, or a combination (`known_together`); several = more than one effect; bound = significant, but bound
-    to a run, place, time or condition; unknown = a significant gap that no effect of the library explains;
-    not_testable = too little excitation. start: of the search. minor: significant effects too small to be named, part
-    of the model so that they do not bias the values of the others. varying: significant effects that vary. effective:
-    corrections that improve predictions, not properties of the car whatever their names; part of the model, never of a
-    vehicle file.
+    outcome: none = the residual is near the noise, or not significant; named = one effect; ambiguous = one effect with
+    alternatives, or a combination (`known_together`); several = more than one effect; bound = significant, but specific
+    to a run, place, time or condition; unknown = a significant residual that no effect of the library explains;
+    not_testable = too little excitation. start: of the search. minor: significant effects too small to be named, in
+    the model so that they do not bias the values of the others. varying: significant effects that vary between parts of
+    the drives. effective: effective corrections, which improve predictions but are not properties of the car whatever
+    their names; part of the model, never of a vehicle file.
 
     base: the model at the start; model: the best prediction, with all effects, None without any; named: with named and
-    minor effects only, at the stated values. steps: from the base to the named effects. gap: by channel, and
-    position_5s; gap_named: without the effective corrections. reasons: every rule that decided. leave_one_out: values
-    of named and minor effects, by the run that was left out of the fit. acceleration_gain [1]:
-    relative excess of the measured lateral specific force over that of the motion, due to body roll. noise: error of
-    the best model at the end of the horizon, by channel [SI]. signature: description of the residual. clock_errors:
-    correction of the steering stamps by run [s], see `clocks.clock_corrections`; without one, none.
+    minor effects only, at the reported values. steps: from the base to the named effects. gap: errors of base and best
+    model by channel, and position_5s; gap_named: without the effective corrections. reasons: every rule that decided.
+    leave_one_out: values of named and minor effects, by the run left out of the fit. acceleration_gain [1]: relative
+    excess of the measured lateral specific force over that of the motion, due to body roll. noise: error of the best
+    model at the end of the horizon, by channel [SI]. signature: description of the residual. clock_errors: correction
+    of the steering stamps by run [s], see `clocks.clock_corrections`; no entry for runs without a correction.
     """
 
     outcome: Outcome

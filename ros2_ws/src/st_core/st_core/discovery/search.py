@@ -18,10 +18,10 @@ from .result import Reason
 from .settings import Limits
 
 CONTENDERS = 4  # effects refitted by simulation in one step
-CONTENDER_SHARE = 0.5  # of the best gain; effects with less are not refitted
-JOINT_DEVIATION = 3.0  # usual sizes: prior standard deviation where many effects are fitted at once
+CONTENDER_SHARE = 0.5  # fraction of the best gain; effects with a smaller gain are not refitted
+JOINT_DEVIATION = 3.0  # parameter scales: prior standard deviation where many effects are fitted at once
 FIXED_CURVATURE = 1e9  # prior curvature that fixes a parameter
-JOINT_FITS, JOINT_STEP = 4, 0.1  # most fits of many effects at once; they end with a smaller step [usual sizes]
+JOINT_FITS, JOINT_STEP = 4, 0.1  # maximum number of joint fits; they stop at a smaller step [parameter scales]
 EXCHANGE_ROUNDS = 3
 
 Near = tuple[tuple[str, ...], np.ndarray]  # names of a set, vector of its fit
@@ -29,10 +29,10 @@ Near = tuple[tuple[str, ...], np.ndarray]  # names of a set, vector of its fit
 
 @dataclass
 class Found:
-    """State of the search. fit: of the current set. order: its names in order of selection. evidence, without: by name,
-    the latter the fit without it. refused: by name, effects tried in addition, (evidence, verdict, fit). rivals: by
-    name, effects tried in its place. cached_scores: of the other effects of the library. near: sets that fit nearly as
-    well (`_near_sets`).
+    """State of the search. fit: of the current set. order: names of its effects in order of selection. By name of an
+    effect of the set: evidence; without, the fit without it; rivals, effects tried in its place. refused: by name,
+    effects tried in addition, (evidence, verdict, fit). cached_scores: of the other effects of the library. near: sets
+    that fit nearly as well (`_near_sets`).
     """
 
     fit: Fit
@@ -65,7 +65,8 @@ class Search:
         self._fits_tried: list[tuple[np.ndarray, Near, float]] = []
 
     def run(self) -> Found:
-        """The best answer from three starts: the empty set; its answer with all physics; the whole library."""
+        """The best set found from three starts: the empty set; the set found from it plus all physical effects; the
+        whole library."""
         p = self.problem
         p.update_design_effect(p.start)
         first = self._step_from(p.fit((), p.slopes_of_all(p.start)))
@@ -86,9 +87,9 @@ class Search:
     def _add_partial_rivals(self, found: Found) -> None:
         """Add a load as a rival that explains a part of softer tyres: drives show only the ratio of stiffness to mass.
 
-        Effects whose values are nearer to the vehicle file with it get it as an alternative, unless the drives exclude
-        it. Sizes tried: the standard deviation of its prior, then `limits.min_relative_size`. Bands of axle forces
-        extend to the laden car; values do not, as they are those without a load.
+        Effects whose values are nearer to the vehicle file with a load get it as an alternative, unless the drives
+        exclude it. Loads tried: the standard deviation of the prior, then `limits.min_relative_size` (in parameter
+        scales). Bands of axle forces extend to the laden car; values do not, since they apply without a load.
         """
         p, names = self.problem, found.fit.names
         for other in (n for n in p.space.additions if names and n not in names and not p.space.overlaps(n, names)):
@@ -108,7 +109,7 @@ class Search:
                     break
 
     def _with_other(self, fit: Fit, name: str, size: np.ndarray | float) -> Fit:
-        """The fit of the same set with another effect fixed at a number of usual sizes."""
+        """The fit of the same set with another effect fixed at `size` parameter scales from its start value."""
         p, own = copy(self.problem), self.problem.space.indices(name)
         p.start = p.start.copy()
         p.start[own] += size * p.space.scale[own]
@@ -118,7 +119,7 @@ class Search:
         return p.refit(p.fit(fit.names, p.slopes_of_all(vector), vector))
 
     def corrections(self, answer: Fit) -> Fit:
-        """The best fit with all effects of an answer of another problem and further ones."""
+        """The best fit with all effects of `answer`, a fit of another problem, and further ones."""
         self._required = frozenset(answer.names)
         p = self.problem
         found = self._step_from(p.fit(answer.names, p.slopes_of_all(answer.vector), answer.vector))
@@ -126,8 +127,8 @@ class Search:
         return self._drop_rejected(found).fit
 
     def _near_sets(self, found: Found) -> list[Near]:
-        """Sets that were tried and are worse by less than `limits.unexplained_share` of the residual; none where the
-        residual is near the noise."""
+        """Sets that were tried and are worse by less than the fraction `limits.unexplained_share` of the residual; none
+        if the residual is near the noise."""
         p, limits = self.problem, self.limits
         if max((e.noise_ratio for e in found.evidence.values()), default=0.0) <= limits.max_noise_ratio:
             return []
@@ -155,7 +156,7 @@ class Search:
             found.cached_scores = None
 
     def _rescale(self, fit: Fit) -> Fit:
-        """The fit with the scale and the design effect of its own errors."""
+        """The fit, repeated with the residual scale and the design effect estimated from its own residuals."""
         self.problem.loss.rescale(fit.vector)
         self.problem.update_design_effect(fit.vector)
         return self.problem.refit(fit)
@@ -182,8 +183,8 @@ class Search:
         return fit
 
     def _select(self, answers: list[Found]) -> Found:
-        """The answer with the lowest held-out loss, at the scale of the one with the smallest errors; each effect costs
-        `limits.negligible`."""
+        """The set with the lowest held-out loss, normalised by the residual scale of the one with the smallest errors;
+        each effect costs `limits.negligible`."""
         p = self.problem
         if len(answers) > 1:
             smallest = min(answers, key=lambda a: float(np.log(p.loss.scale_of(a.fit.vector)).sum()))
@@ -201,7 +202,7 @@ class Search:
         gains = found.scores.gains
         largest = max((gain.sum() for gain, _ in gains.values()), default=0.0)
         relevant = max(limits.negligible * p.scored_count, CONTENDER_SHARE * largest)
-        # A load is tried only in exchange for an effect with a similar influence.
+        # A load is tried only in exchange for an effect with similar consequences.
         ranked = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum())
                   if gains[e][0].sum() > CONTENDER_SHARE * relevant and e not in p.space.additions]
         # Significant effects come first: with much noise, others gain more by chance.
@@ -241,8 +242,8 @@ class Search:
         return None
 
     def _refit_with(self, fit: Fit, effect: str, start: np.ndarray, around: Slopes | None = None) -> Fit:
-        """A fit with a further effect, started at a vector, or at that of `fit` if better. around: slopes, default
-        those of `fit`."""
+        """A fit with a further effect, started at `start`, or at the vector of `fit` if its loss is lower. around:
+        sensitivities, default those of `fit`."""
         p = self.problem
         self.tick()
         better = p.loss.total(start) < p.loss.total(fit.vector)
@@ -254,7 +255,7 @@ class Search:
         return float((without.held_out - fit.held_out).sum())
 
     def _members_first(self, fits: Mapping[str, Fit], without: Fit) -> list[str]:
-        """Names by gain; a member precedes its composite unless that is clearly better."""
+        """Names by gain; a member precedes its composite effect unless the composite is clearly better."""
         gain = {e: self._gain(without, f) for e, f in fits.items()}
         order = sorted(fits, key=lambda e: -gain[e])
         for name in [e for e in order if get_effect(e).members]:
@@ -295,8 +296,8 @@ class Search:
         return fit
 
     def predicted_rise(self, fit: Fit, *names: str, fixed: tuple[str, ...] = ()) -> float:
-        """Increase of the loss without some effects of a fit, by its quadratic. fixed: effects that keep their values;
-        the others are refitted."""
+        """Increase of the loss without some effects of a fit, from its quadratic approximation. fixed: effects that
+        keep their values; the others are refitted."""
         p = self.problem
         kept = tuple(n for n in fit.names if n not in names)
         removed = np.isin(fit.indices, np.setdiff1d(p.space.indices(*names), p.space.indices(*kept)))
@@ -305,8 +306,8 @@ class Search:
         return _constrained_step(p, fit.quadratic, fit.vector, fit.indices, step, free)[0]
 
     def cancelling(self, fit: Fit, name: str) -> tuple[str, ...]:
-        """Effects of a fit that cancel one: without both, the loss rises by less than `limits.min_rival_gain` of its
-        rise without either one while the other keeps its value. The drives then show the sum of the two."""
+        """Effects of a fit that cancel one: without both, the loss increases by less than `limits.min_rival_gain` times
+        its increase without one of them while the other keeps its value. The drives show only the sum of the two."""
         def cancels(other: str) -> bool:
             alone = min(self.predicted_rise(fit, name, fixed=(other,)), self.predicted_rise(fit, other, fixed=(name,)))
             return self.predicted_rise(fit, name, other) < self.limits.min_rival_gain * alone
@@ -371,7 +372,7 @@ class Search:
     def _weakest_failing(self, found: Found, required: float = np.inf) -> str:
         """Fill in `evidence` and `without`, and return the weakest effect that fails the test, "" if none does.
 
-        required: an effect whose removal raises the loss by three times this per scored error passes without a refit.
+        required: an effect whose removal raises the loss by three times this per residual passes without a refit.
         """
         p = self.problem
         found.cached_scores = found.cached_scores or self._scores(found.fit)
@@ -419,8 +420,8 @@ class Search:
         return better or self._merge(found, alternatives)
 
     def _merge(self, found: Found, alternatives: Mapping[str, list[Fit]]) -> Fit | None:
-        """The fit with one effect in the place of several, if it explains as much; each effect costs
-        `limits.negligible`. None if there is none. alternatives: fits with it in the place of each of them, by name."""
+        """The fit with one effect in place of several, if it explains as much; each effect costs `limits.negligible`.
+        None if there is none. alternatives: by name of an effect, the fits with it in place of one other effect."""
         for fits in alternatives.values():
             fit = min(fits, key=lambda fit: float(fit.held_out.sum()))
             if len(fits) > 1 and frozenset(fit.names) not in self._visited:
@@ -432,7 +433,7 @@ class Search:
         return None
 
     def _exchange_step(self, q: Quadratic, fit: Fit, kept: tuple[str, ...], other: str) -> tuple[float, np.ndarray]:
-        """(increase of the loss, vector) with another effect in the place of one, by the quadratic about the fit."""
+        """(increase of the loss, vector) with the effects `kept` and `other`, from the quadratic about the fit."""
         p = self.problem
         indices = np.arange(len(p.space))
         free = np.isin(indices, p.free_indices((*kept, other)))
@@ -444,7 +445,7 @@ class Search:
 def _constrained_step(problem: Problem, q: Quadratic, vector: np.ndarray, indices: np.ndarray, fixed: np.ndarray,
                       free: np.ndarray) -> tuple[float, np.ndarray]:
     """(increase of the loss, best step) with the components `free` of the step free and the others as in `fixed`. q:
-    about the vector, of the parameters `indices`."""
+    about the vector, in the parameters `indices`."""
     d = np.array(fixed)
     h = q.hessian.sum(axis=0) + np.diag(problem.file_curvature[indices])
     g = q.gradient.sum(axis=0) - problem.prior_gradient(vector)[indices]

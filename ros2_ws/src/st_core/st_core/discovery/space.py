@@ -1,7 +1,7 @@
-"""The parameter vector of a discovery, and the priors of the vehicle file.
+"""The parameter vector of a discovery, and the priors from the vehicle file.
 
-The vector contains all parameters of all effects of the library, and the gain of the accelerometer by body roll. All
-vectors share one set of compiled functions.
+The vector contains all parameters of all effects of the library, and the gain of the accelerometer due to body roll.
+All vectors share one set of compiled functions.
 """
 
 import math
@@ -17,15 +17,15 @@ from ..models import Model, get_model
 from ..vehicle import DEFAULT_UNCERTAINTIES, VehicleParameters, quantity, value_of
 from .settings import DiscoverySettings
 
-DIFFERENCE_STEP = 0.02  # step of the difference quotients, over the usual size of an effect
+DIFFERENCE_STEP = 0.02  # step of the difference quotients, as a fraction of the parameter scale
 GAIN = "acceleration_gain"
 GAIN_USUAL, GAIN_BOUNDS = 0.05, (-0.3, 0.5)  # usual: body roll of 5 mrad s^2/m, times g
 
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """One parameter of the vector. usual: its usual size > 0, the unit of steps and distances. sign: of initial -
-    null."""
+    """One parameter of the vector. usual: parameter scale > 0, the typical magnitude of the effect (usual size in
+    reports); unit of steps and distances. sign: of initial - null."""
 
     effect: str
     parameter: str
@@ -41,9 +41,9 @@ class Space:
     """Parameters of all effects that apply to a base model. not_searched: further effects of the model. library: names
     of the effects to choose from, default all that apply.
 
-    hypotheses: names of the searched effects. null: (p,) vector of the base; scale, low, high: (p,) usual sizes and
-    bounds. deviation: (p,) prior standard deviation of additions to the measured car, as a load [usual sizes], inf of
-    all others; additions: names of the effects with additions.
+    hypotheses: names of the searched effects. null: (p,) vector of the base; scale, low, high: (p,) parameter scales
+    and bounds. deviation: (p,) prior standard deviation of additions to the measured car, such as a load [parameter
+    scales], inf for all others; additions: names of the effects with additions.
     """
 
     def __init__(self, base: str | Model, settings: DiscoverySettings, not_searched: Sequence[str] = (),
@@ -98,13 +98,14 @@ class Space:
 
 
 def usual_size(effect: str, unit: str) -> float:
-    """The largest |initial - null| of the parameters of an effect with this unit; both components of wind have the same
-    usual size."""
+    """Scale of the parameters of an effect with this unit: their largest |initial - null|. Both components of wind thus
+    have the same scale."""
     return max(abs(p.initial - p.null) for p in get_effect(effect).parameters if p.fit and p.unit == unit)
 
 
 def _chosen(usable: Sequence[str], settings: DiscoverySettings, known: Sequence[str]) -> tuple[str, ...]:
-    """Names of the effects to search. Raises ConfigurationError. known: names that apply to the base."""
+    """Names of the effects to search. known: names that apply to the base. Raises ConfigurationError for requested
+    effects that do not apply, or if none is left."""
     requested = settings.effects
     for name in requested or ():
         if name not in EFFECTS:
@@ -148,23 +149,23 @@ Quantities = tuple[FileQuantity | None, ...]
 
 
 def known_quantities(space: Space, vehicle: VehicleParameters) -> Quantities:
-    """(p,) quantity of the vehicle file that each parameter changes, the most precise if several; None without one."""
+    """(p,) quantity of the vehicle file that each parameter changes, the best known if several; None without one."""
     return (*(_changed_quantity(space, vehicle, i) for i in range(len(space.free))), None)
 
 
 def prior_deviations(known: Quantities, scale: np.ndarray) -> np.ndarray:
-    """(p,) prior standard deviation of each parameter about its null [usual sizes `scale`]; inf without a prior."""
+    """(p,) prior standard deviation of each parameter about its null, in units of `scale`; inf without a prior."""
     return np.array([np.inf if k is None or k.absent != k.value else k.deviation / abs(k.slope) / s
                      for k, s in zip(known, scale, strict=True)])
 
 
 def _changed_quantity(space: Space, vehicle: VehicleParameters, i: int) -> FileQuantity | None:
-    """Quantity that one parameter changes: as it declares, else by the finite difference of the effect's `fold`."""
+    """Quantity that parameter i changes: the one it declares, else from finite differences of the effect's `fold`."""
     free = space.free[i]
     effect = get_effect(free.effect)
     parameter = next(p for p in effect.parameters if p.name == free.parameter)
     if parameter.quantity:
-        # Equations without the quantity have it as 0.
+        # In equations without the quantity its value is 0.
         absent = value_of(vehicle, parameter.quantity) if space.model.base.name == "nonlinear" else 0.0
         return _file_quantity(vehicle, parameter.quantity, 1.0, absent)
     if effect.fold is None or parameter.deviation < math.inf:
@@ -175,7 +176,7 @@ def _changed_quantity(space: Space, vehicle: VehicleParameters, i: int) -> FileQ
         try:
             before, after = (effect.fold(vehicle, effect.Theta(**null | {free.parameter: value}, constants=()))
                              for value in (free.null, free.null + change))
-        except ConfigurationError:  # beyond the limits of a vehicle file
+        except ConfigurationError:  # outside the limits of a vehicle file
             continue
         slopes = {key: (value_of(after, key) - value_of(before, key)) / change
                   for key in dict.fromkeys((*DEFAULT_UNCERTAINTIES, *vehicle.provenance))}
@@ -186,7 +187,7 @@ def _changed_quantity(space: Space, vehicle: VehicleParameters, i: int) -> FileQ
 
 
 def _file_quantity(vehicle: VehicleParameters, key: str, slope: float, absent: float) -> FileQuantity | None:
-    """None for a quantity without a standard deviation."""
+    """The `FileQuantity` of a key of the vehicle file; None without a standard deviation."""
     deviation, entry, known = vehicle.uncertainty(key), vehicle.provenance.get(key), quantity(key)
     return FileQuantity(key, known.si_unit if known else "1", value_of(vehicle, key), deviation, slope,
                         bool(entry and entry.uncertainty), absent) if deviation else None

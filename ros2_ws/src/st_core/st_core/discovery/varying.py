@@ -1,7 +1,7 @@
-"""Effects that vary between parts of the drives: another value in each run, site or stretch of time.
+"""Effects that vary between parts of the drives: another value in each run, at each site or in each stretch of time.
 
 An effect that begins in the middle of a drive has no single value that reduces the errors everywhere, so the search
-cannot find it. Here each part of a level has a separate value, by the quadratic about the answer.
+cannot find it. Here each part of a level has a separate value, from the quadratic about the final fit.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,9 +23,9 @@ Part = tuple[int, np.ndarray, np.ndarray]  # number of a part, half gradient (k,
 class Varying:
     """An effect with its own value in each part of a level.
 
-    gain [1]: reduction of the loss per scored error beyond that of one common value. p_value [1]: of that
-    gain, over all effects of the library. parameter: the one with the most information; values: of it by part, (value,
-    standard deviation) [its unit]. steps: by part, (p,) step of all parameters [usual sizes].
+    gain [1]: reduction of the loss per residual beyond that of one common value. p_value [1]: of that gain, corrected
+    for all effects of the library. parameter: the one with the most information; values: (value, standard deviation) of
+    this parameter by part [its unit]. steps: by part, (p,) step of all parameters [parameter scales].
     """
 
     name: str
@@ -38,7 +38,8 @@ class Varying:
 
 
 def varying(problem: Problem, fit: Fit, levels: Mapping[str, Level]) -> list[Varying]:
-    """Largest gain first. Levels with half as many parts as blocks, or more, are left out."""
+    """Every effect of the library with separate values in the parts of each level, largest gain first. Levels with at
+    least half as many parts as there are blocks are left out."""
     q = problem.quadratic_of_all(fit.vector)
     usable = {name: level for name, level in levels.items() if len(np.unique(level[0])) < problem.blocks / 2}
     library = [n for n in problem.space.hypotheses if not get_effect(n).members]
@@ -49,13 +50,14 @@ def varying(problem: Problem, fit: Fit, levels: Mapping[str, Level]) -> list[Var
 
 def _by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, level: Level,
              tests: int) -> Varying | None:
-    """One effect on one level; None without two parts that have information. tests: number of them (Bonferroni)."""
+    """One effect with separate values in the parts of one level; None without two parts that have information. tests:
+    number of tests, for Bonferroni's correction."""
     space, (number, names) = problem.space, level
     indices = space.indices(effect)
     fitted = problem.free_indices(fit.names) if problem.prior is None else space.indices(*fit.names)
     others = np.setdiff1d(fitted, indices)
     h = q.hessian.sum(axis=0)
-    projection = np.zeros((len(space), len(indices)))  # the other parameters follow the effect
+    projection = np.zeros((len(space), len(indices)))  # the other fitted parameters are re-optimised
     projection[indices, np.arange(len(indices))] = 1.0
     if len(others):
         projection[others] = -inverse(h[np.ix_(others, others)]) @ h[np.ix_(others, indices)]
@@ -97,7 +99,7 @@ def _design_effect(problem: Problem, number: np.ndarray, parts: Sequence[Part], 
 
 
 def evidence_of(problem: Problem, fit: Fit, v: Varying, levels: Mapping[str, Level]) -> Evidence:
-    """Reduction of the errors by a value for each part, to first order, on the driving the values were fitted to."""
+    """Reduction of the errors by separate values for the parts, to first order, on the driving they were fitted to."""
     rows = problem.errors.at(fit.vector)
     corrected, slopes = rows.copy(), problem.slopes_of_all(fit.vector).values
     for k, step in v.steps.items():

@@ -1,4 +1,4 @@
-"""Reduction of the held-out error by step, channel and part of the answer, and intervals of the values."""
+"""Reduction of the held-out error by added effect, by channel and by kind of cause, and intervals of the values."""
 
 from collections.abc import Mapping, Sequence
 
@@ -42,7 +42,7 @@ class HorizonErrors:
         return result
 
     def position_without(self, fit: Fit, name: str) -> float:
-        """Increase of the mean position error after 5 s without an effect of a fit, the others unchanged [m]."""
+        """Increase of the mean position error after 5 s if an effect of a fit is removed, the others unchanged [m]."""
         p = self.problem
         without, with_effect = (float(np.nanmean(p.position_error(p.errors.at(vector))))
                                 for vector in (p.vector_without(fit, name), fit.vector))
@@ -73,10 +73,10 @@ def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Lev
                joint: Joint | None = None, unexplained: float = 1.0) -> dict[str, FittedParameter]:
     """Values with 95 % intervals.
 
-    Half width: the largest of that from independent blocks, that of the differences between parts of any level, and
-    that of the `joint` fit with all else free, there with the model error and widened by `unexplained`, the residual
-    over the noise (Birge, Phys. Rev. 40, 1932). The interval extends to the values in `near`, sets of effects that fit
-    nearly as well. It thus allows for differences between the equations of the model and the car.
+    Half width: the largest of three, from (1) blocks taken as independent, (2) the scatter between the parts of a
+    level, such as runs or sites, (3) the `joint` fit with all other parameters free, with the model error, times
+    `unexplained`, the ratio of residual to noise (Birge, Phys. Rev. 40, 1932). The interval extends to the values in
+    `near`, sets of effects that fit nearly as well. It thus allows for differences between model equations and car.
     """
     space, result = problem.space, {}
     indices = space.indices(effect)
@@ -117,11 +117,11 @@ def _prediction_interval(ratios: Mapping[str, tuple[float, float]]) -> float:
 
 def steps(problem: Problem, final: Fit, order: Sequence[str], ends: HorizonErrors,
           levels: Mapping[str, Level]) -> tuple[list[Step], Fit]:
-    """The steps from the base to the answer, one effect at a time, and the fit of the base. Restores the scale of the
-    loss."""
+    """The steps from the base model to the final one, one effect at a time, and the fit of the base. `loss.scale` is
+    re-estimated in each step and restored afterwards."""
     if not order:
         return [], final
-    scale = problem.loss.scale.copy()  # the design effect stays that of the answer
+    scale = problem.loss.scale.copy()  # restored below; the design effect of the final fit is kept for all steps
     problem.loss.rescale(problem.start)
     fit = problem.fit((), problem.slopes_of_all(problem.start))
     problem.loss.rescale(fit.vector)
@@ -162,7 +162,7 @@ def gaps(ends: HorizonErrors, base: Fit, final: Fit, floor: Mapping[str, float])
 
 
 def leave_one_out(problem: Problem, fit: Fit) -> dict[str, dict[str, dict[str, float]]]:
-    """Values by run, effect and parameter, fitted without that run; empty for a single run."""
+    """{run: {effect: {parameter: value}}}, fitted without that run; empty for a single run."""
     windows = problem.errors.windows
     if len(np.unique(windows.run)) < 2:
         return {}
@@ -173,11 +173,11 @@ def leave_one_out(problem: Problem, fit: Fit) -> dict[str, dict[str, dict[str, f
 
 def budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varying: Fit | None,
            ends: HorizonErrors) -> list[BudgetLine]:
-    """Contribution of each part when added last and when added first, to the mean position error after 5 s and to the
-    loss at the scale of the answer. corrected: fit with effective corrections. varying: fit with an effect that varies
-    between parts of the drives."""
+    """Contribution of each kind of cause when added last and when added first, to the mean position error after 5 s
+    and to the loss, normalised by the residual scale of the final fit. corrected: fit with effective corrections.
+    varying: fit with an effect that varies between parts of the drives."""
     def size(fit: Fit) -> tuple[float, float]:
-        """(mean position error [m], loss per scored error)."""
+        """(mean position error [m], loss per residual)."""
         end = ends.of(fit)
         values = end.get("position_5s", np.zeros(1))
         return float(np.nanmean(values)), float(fit.held_out.sum()) / problem.scored_count
@@ -187,7 +187,7 @@ def budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varying: Fit
                           last[1] / max(start[1], 1e-9), first[1] / max(start[1], 1e-9))
 
     def fitted(names: tuple[str, ...]) -> Fit:
-        """The best of the base and two fits, started at the answer and at the base."""
+        """The best of the base and two fits, started at the final values and at those of the base."""
         from_answer = problem.refit(problem.fit(names, final.slopes, iterations=3))
         from_base = problem.refit(problem.fit(names, problem.slopes_of_all(base.vector), base.vector, names))
         return min((from_answer, from_base, base), key=lambda fit: float(fit.held_out.sum()))

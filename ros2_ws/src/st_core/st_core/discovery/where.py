@@ -1,4 +1,4 @@
-"""Conditions, times and places with larger prediction errors than expected, as statements."""
+"""Statements on conditions, times and places with larger prediction errors than expected."""
 
 import itertools
 import math
@@ -34,17 +34,17 @@ from .where_parts import (
 )
 from .windows import STEP, Windows
 
-SHORT_HORIZON = 1.0  # s, of errors of velocity, rate and acceleration: near the place where they arise
-RESAMPLES = 1000  # of the bootstrap
+SHORT_HORIZON = 1.0  # s, for errors of velocity, rate and acceleration: near the place where they arise
+RESAMPLES = 1000  # bootstrap samples
 MAX_RANGES = 3  # statements about conditions per channel
 SIGNED = ("lateral acceleration", "steering angle", "steering rate")
-MIN_CONTRAST = 1.15  # error of a range over that of the channel everywhere, above which it is reported
+MIN_CONTRAST = 1.15  # ratio of the error in a range to that in all driving, above which it is reported
 
 
 def largest_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters,
                    settings: DiscoverySettings, reference: Sequence[DriveLog] = (),
                    noise: Mapping[str, float] | None = None, gain: float = 0.0) -> tuple[ErrorCondition, ...]:
-    """Where the errors of a model on the runs exceed those on the reference drives, or the sensor noise; the largest
+    """Where the errors of a model in the runs exceed those in the reference drives, or the sensor noise; the largest
     excess first within each channel.
 
     noise: one standard deviation by channel [unit]; needed without reference. gain: see `Windows.errors`. A channel
@@ -82,8 +82,8 @@ def window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: Vehi
 
 
 def _squares(windows: Windows, squares: np.ndarray) -> dict[str, np.ndarray]:
-    """(n,) by channel: mean square error over the first second; of errors that accumulate, at the end of the horizon.
-    """
+    """(n,) by channel: mean square error in the first second; of channels whose errors accumulate, at the end of the
+    horizon."""
     short = windows.time <= max(SHORT_HORIZON, float(windows.time[0]))
     found: dict[str, np.ndarray] = {}
     for column, square in zip(windows.columns, np.moveaxis(squares, -1, 0), strict=True):
@@ -94,7 +94,7 @@ def _squares(windows: Windows, squares: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _places_of_run(log: DriveLog, seconds: np.ndarray, horizon: float) -> dict[str, np.ndarray]:
-    """Place and conditions of the windows of one run, seconds after INS and steering have both begun."""
+    """Place and conditions of the windows of one run. seconds: since both INS and steering are available."""
     signals = LogSignals(log, 0.1, 5.0, "zero_phase")
     begin = max((int(t[0]) for t in (log.ins_time_ns, log.steering_time_ns) if len(t)), default=0)
     starts = begin + np.round(seconds / NANOSECOND).astype(np.int64)
@@ -113,7 +113,7 @@ def _places_of_run(log: DriveLog, seconds: np.ndarray, horizon: float) -> dict[s
 
 
 def _significant(found: list[Cell]) -> list[Cell]:
-    """Those significant by Benjamini and Hochberg over all, and at least MIN_ERROR_RATIO in size."""
+    """The cells that are significant (Benjamini and Hochberg, all cells) with a ratio of at least MIN_ERROR_RATIO."""
     if not found:
         return []
     adjusted = stats.false_discovery_control([c.p for c in found], method="bh")
@@ -182,7 +182,7 @@ def _range_statement(group: Sequence[BinExcess], bins: Sequence[BinExcess], over
 
 
 def _part_statement(part: Part, overall: BinExcess, samples: Samples) -> ErrorCondition:
-    """Statement on a stretch of a run; its excess is that of the channel times its ratio."""
+    """Statement on a stretch of a run; its excess is the excess of the channel times the ratio of the stretch."""
     last = float(samples.time[samples.run == part.run].max())
     name = samples.names[part.run]
     when = (f"from {part.start:.0f} s on" if part.end >= last - 1.0 else f"until {part.end:.0f} s" if part.start < 2.0

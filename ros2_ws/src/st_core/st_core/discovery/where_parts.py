@@ -4,16 +4,16 @@ Ranges of a condition:
 
     excess = sqrt(mean square error in the bin / expected mean square error)
 
-Expected is the error of reference drives in the same bin, their largest one where they have too few blocks there, or
-the sensor noise without reference. Interval and p-value are from resampling whole blocks of time, since errors of
-neighbouring predictions are correlated. Significance is decided over all bins (Benjamini and Hochberg, 1995).
+The expected error is that of reference drives in the same bin, or their largest one if they have too few blocks there,
+or the sensor noise without reference. Interval and p-value are from resampling whole blocks of time, since errors of
+neighbouring predictions are correlated. Significance is corrected for all bins (Benjamini and Hochberg, 1995).
 
-Errors are larger in corners than on straights, so times and places are compared by the residuals of a regression on the
-conditions, over all predictions:
+Errors are larger in corners than on straights, so times and places are compared by the residuals of a regression of all
+predictions on the conditions:
 
     log(mean square + noise) = a + b . (log speed, log lateral acceleration, log steering rate, |forward acceleration|)
 
-They change on ice, in a gust, or with a defect.
+The residuals change on ice, in a gust, or with a defect.
 """
 
 import itertools
@@ -29,15 +29,15 @@ from ..binning import LATERAL_ACCELERATION, SPEED, STEERING_RATE
 STEERING_ANGLE = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)  # rad at the road wheels, magnitude
 FORWARD_ACCELERATION = (-math.inf, -2.0, -0.7, 0.7, 2.0)  # m/s^2
 MIN_TURNING = 0.5  # m/s^2; below that a stretch is straight
-MIN_BLOCKS = 4  # of a bin with an interval
+MIN_BLOCKS = 4  # blocks that a bin needs for an interval
 FALSE_DISCOVERY_RATE = 0.05  # among the significant bins
-MIN_FLOOR_RATIO = 1.25  # error of a relevant bin over the floor
+MIN_FLOOR_RATIO = 1.25  # minimum ratio of the error in a relevant bin to the floor
 
 CELL_SIZE = 20.0  # m, side of a cell of the map
-MIN_PART_DURATION = 8.0  # s, of a part between change points
+MIN_PART_DURATION = 8.0  # s between change points
 MAX_P_VALUE = 0.01  # of a change point
-MIN_ERROR_RATIO = 1.5  # of root mean squares
-MAX_CHANGES = 3  # of a run and channel
+MIN_ERROR_RATIO = 1.5  # of RMS errors
+MAX_CHANGES = 3  # change points per run and channel
 PERMUTATIONS = 299  # they resolve a p-value of 0.01
 
 EVERYWHERE = "everywhere"
@@ -45,9 +45,9 @@ EVERYWHERE = "everywhere"
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """One row for each prediction. run: index into names. time [s] after the first measurement of the run. x, y [m]: of
-    its start. block: number of a stretch of time that counts as one observation. conditions: (n,) by name. squares:
-    (n,) mean squared error by channel [unit^2]."""
+    """One row for each prediction. run: index into names. time [s]: since the first measurement of the run. x, y [m]:
+    position at its start. block: number of a stretch of time that counts as one observation. conditions: (n,) by name.
+    squares: (n,) mean squared error by channel [unit^2]."""
 
     names: tuple[str, ...]
     run: np.ndarray
@@ -71,8 +71,9 @@ class Range:
 
 @dataclass(frozen=True)
 class BinExcess:
-    """Error of one channel in one range. excess [1]: over the expected one; interval: 95 %. p: of an error not above
-    the expected. blocks: number of them. covered: whether the reference visited the range; True without one."""
+    """Error of one channel in one range. excess [1]: ratio to the expected error; interval: 95 %. p: p-value of an
+    error not above the expected one. blocks: number of blocks. covered: whether the reference contains the range; True
+    without a reference."""
 
     channel: str
     range: Range
@@ -86,8 +87,8 @@ class BinExcess:
 
 @dataclass(frozen=True)
 class Part:
-    """A stretch of a run, [s] after its first measurement. ratio: of the error to that of the rest of the run under
-    similar conditions, root mean square."""
+    """A stretch of a run, [s] since its first measurement. ratio: of the RMS error to that in the other parts of the
+    run under similar conditions."""
 
     channel: str
     run: int
@@ -99,8 +100,8 @@ class Part:
 
 @dataclass(frozen=True)
 class Cell:
-    """A square of CELL_SIZE, centre in the map frame [m]. ratio: of the error to that elsewhere under similar
-    conditions."""
+    """A square with side CELL_SIZE, centre in the map frame [m]. ratio: of the RMS error to that elsewhere under
+    similar conditions."""
 
     channel: str
     x: float
@@ -151,7 +152,7 @@ class _Means:
 
 def excesses(samples: Samples, members: np.ndarray, ranges: tuple[Range, ...], reference: Samples | None,
              noise: Mapping[str, float], seed: int, resamples: int) -> tuple[BinExcess, ...]:
-    """Every channel in every range with enough blocks, `significant` filled in. noise: floor without reference."""
+    """Every channel in every range with enough blocks, with `significant` set. noise: floor without a reference."""
     found = []
     expected_members = membership(reference)[1] if reference is not None else None
     for number, (channel, squares) in enumerate(samples.squares.items()):
@@ -163,7 +164,7 @@ def excesses(samples: Samples, members: np.ndarray, ranges: tuple[Range, ...], r
             floor = _means(reference.squares[channel], reference.block, expected_members,
                            np.random.default_rng((seed, number, 1)), resamples)
             covered = floor.blocks >= MIN_BLOCKS
-            # With too little reference driving: its largest error anywhere, to avoid false alarms.
+            # With too little reference driving in a bin, its largest error anywhere is used, to avoid false alarms.
             worst = int(np.nanargmax(np.where(covered, floor.mean, -1.0)))
             expected = np.where(covered, floor.mean, floor.mean[worst])
             spread = np.where(covered, floor.deviation, floor.deviation[worst])
@@ -202,7 +203,7 @@ def _means(squares: np.ndarray, block: np.ndarray, members: np.ndarray, rng: np.
 
 def _excess(channel: str, part: Range, mean: float, expected: float, deviation: float, blocks: int,
             covered: bool) -> BinExcess:
-    """Interval and p-value of a log ratio of mean squares by Student's t, with as many observations as blocks."""
+    """Ratio to the expected error; interval and p-value by Student's t for its logarithm, one observation per block."""
     log_ratio = math.log(max(mean, 1e-300) / max(expected, 1e-300))
     deviation = max(deviation, 1e-6)
     reach = float(stats.t.ppf(0.975, blocks - 1)) * deviation
@@ -213,7 +214,8 @@ def _excess(channel: str, part: Range, mean: float, expected: float, deviation: 
 
 
 def _with_significance(found: list[BinExcess]) -> tuple[BinExcess, ...]:
-    """`significant` filled in: by Benjamini and Hochberg over all, and at least MIN_FLOOR_RATIO times the floor."""
+    """The bins with `significant` set: by Benjamini and Hochberg for all bins, and at least MIN_FLOOR_RATIO times the
+    floor."""
     adjusted = stats.false_discovery_control([f.p for f in found], method="bh") if found else ()
     return tuple(replace(f, significant=bool(q <= FALSE_DISCOVERY_RATE and f.excess >= MIN_FLOOR_RATIO))
                  for f, q in zip(found, adjusted, strict=True))
@@ -235,7 +237,7 @@ def log_residuals(samples: Samples, squares: np.ndarray, noise: float) -> np.nda
 
 
 def changes(samples: Samples, channel: str, noise: float, block: float, seed: int, resamples: int) -> list[Part]:
-    """Stretches with larger errors than the rest of the run, found by binary segmentation.
+    """Stretches with larger errors than the other parts of the run, found by binary segmentation.
 
     A change point is significant if the largest cumulative sum of `log_residuals` exceeds that of shuffled blocks.
     """
@@ -262,7 +264,7 @@ def changes(samples: Samples, channel: str, noise: float, block: float, seed: in
 
 
 def _seconds(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Means over whole seconds."""
+    """(whole seconds, mean of the values in each)."""
     second = np.floor(time).astype(int)
     unique, index = np.unique(second, return_inverse=True)
     return unique.astype(float), np.bincount(index, values) / np.bincount(index)

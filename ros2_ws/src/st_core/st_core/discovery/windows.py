@@ -1,8 +1,8 @@
 """Multi-step errors: predictions from many instants of the recorded drives, compared with the measurements.
 
 All runs are placed one after the other on one clock, so that one batch predicts all windows. A window starts from the
-measured state. Without measured sideslip it starts from that of steady cornering, and is scored after the influence of
-this assumption has decayed.
+measured state. Without measured sideslip it starts from the sideslip of steady cornering, and is scored only after the
+influence of this assumption has decayed.
 """
 
 from collections import OrderedDict
@@ -30,19 +30,19 @@ from ..timeseries import NANOSECOND, Neighbours, smoothed
 from ..vehicle import VehicleParameters
 from .settings import DiscoverySettings
 
-STEP = 0.05  # s, of the integration
+STEP = 0.05  # s, integration step
 SIDESLIP_SETTLING_TIME = 0.75  # s, decay of an assumed initial sideslip
 MARGIN_NS = 600_000_000  # ns at both ends of a run, for effects that delay or advance the steering
-MAX_GAP = 0.1  # s, longest gap that is interpolated, as PredictionSettings.maximum_gap
+MAX_GAP = 0.1  # s, longest gap that is interpolated, like PredictionSettings.maximum_gap
 MIN_SPEED = 1.5  # m/s; slower windows have no lateral motion
 PAUSE_NS = 5_000_000_000  # ns between runs on the common clock
 RECORDING_CACHE_SIZE = 4  # corrected recordings, and tables computed from them
 LOOKUP_CACHE_SIZE = 8  # sets of instants with their neighbouring samples
-SCORED_SHARES = (0.1, 0.25, 0.5, 1.0)  # points of the horizon that are scored
+SCORED_SHARES = (0.1, 0.25, 0.5, 1.0)  # points that are scored, as fractions of the horizon
 
 
 class Signals(LogSignals):
-    """Signals of a drive with the centred slope of the forward speed over 2 STEP as forward acceleration.
+    """Signals of a drive; forward acceleration is the central difference of the forward speed over 2 STEP.
 
     The neighbouring samples of requested instants are cached, as a fit requests the same ones thousands of times.
     """
@@ -68,7 +68,7 @@ class Signals(LogSignals):
     def _find_neighbours(self, times: np.ndarray, requested: np.ndarray) -> Neighbours:
         key = _memory_key(times), _memory_key(requested)
         known = self._lookups.pop(key, None)
-        # The memory may have been reused for other values; comparing takes a hundredth of a search.
+        # The memory may have been reused for other values; a comparison takes a hundredth of the time of a search.
         if known is None or not (np.array_equal(known[0], times) and np.array_equal(known[1], requested)):
             known = times.copy(), requested.copy(), super()._find_neighbours(times, requested)
         return _remember(self._lookups, key, known, LOOKUP_CACHE_SIZE)[2]
@@ -76,7 +76,7 @@ class Signals(LogSignals):
 
 class Batch(LogBatch):
     """A LogBatch for thousands of fits: the caller validates the step once, and recordings and input tables are cached
-    for models that correct the recording equally."""
+    for models that correct the recording in the same way."""
 
     def __init__(self, *arguments: Any, **options: Any):
         super().__init__(*arguments, **options)
@@ -98,12 +98,12 @@ class Batch(LogBatch):
 
 
 def _memory_key(array: np.ndarray) -> tuple:
-    """Key that is equal for two views of the same memory."""
+    """Cache key, equal for two views of the same memory."""
     return array.ctypes.data, array.shape, array.strides
 
 
 def _remember(cache: OrderedDict, key: tuple, value: Any, size: int = RECORDING_CACHE_SIZE) -> Any:
-    """Enter a value as the newest, drop the oldest, and return it."""
+    """Add a value to a cache as the newest, drop the oldest beyond `size`, and return the value."""
     cache[key] = value
     while len(cache) > size:
         cache.popitem(last=False)
@@ -118,14 +118,15 @@ def score_points(settings: DiscoverySettings) -> np.ndarray:
 
 
 def prepared(log: DriveLog, vehicle: VehicleParameters, settings: DiscoverySettings) -> DriveLog:
-    """The drive for the initial states: yaw rate smoothed; sideslip of steady cornering where it is not measured."""
+    """The drive that initial states are taken from: yaw rate smoothed, sideslip of steady cornering if not measured."""
     log = replace(log, yaw_rate=smoothed(log.ins_time_ns, log.yaw_rate, 50_000_000))
     return log if "velocity_y" in settings.channels else replace(log, velocity_y=steady_velocity_y(log, vehicle))
 
 
 class Windows:
-    """The windows of some runs. starts_ns: (n,) on the common clock; run, block: (n,) numbers; seconds: (n,) from the
-    start of the run; time: (k,) scored points after the start of a window [s]; columns: (c,) names of the errors."""
+    """The windows of some runs. starts_ns: (n,) on the common clock; run, block: (n,) number of each; seconds: (n,)
+    since the start of the run; time: (k,) scored points, after the start of a window [s]; columns: (c,) names of the
+    errors."""
 
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings):
         self.vehicle, self.settings = vehicle, settings
@@ -163,7 +164,7 @@ class Windows:
         return tuple(self._batch.signals.ins_at(times, *names))
 
     def _readings(self, times: np.ndarray) -> dict[str, np.ndarray]:
-        """Measured signals at times [ns], those of some channels smoothed."""
+        """Measured signals at times [ns]; signals of channels with `smoothed` are smoothed."""
         log = self.joined
         signals = Signals(log, MAX_GAP)
         names = {"x": False, "y": False, "yaw": False, "velocity_x": False} | {
@@ -178,15 +179,16 @@ class Windows:
 
     @cached_property
     def known(self) -> np.ndarray:
-        """(n, m) whether an error has a measurement, and inputs up to it; points and columns of a window in one row."""
+        """(n, m) whether an error has a measurement, and inputs without a gap before it; points and columns of a window
+        in one row."""
         measured = [np.isfinite([self._measured[name] for name in channel.signals]).all(axis=0)
                     for channel in self.channels for _ in channel.columns]
         return (np.stack(measured, axis=-1) & self._with_inputs[..., None]).reshape(len(self), -1)
 
     @cached_property
     def _with_inputs(self) -> np.ndarray:
-        """(n, k) whether a point is before the first gap of steering or INS, beyond which there are no inputs.
-        MARGIN_NS around a gap, as at the ends of a run."""
+        """(n, k) whether a point is before the first gap of steering or INS, after which there are no inputs. Gaps have
+        a margin of MARGIN_NS before the start of a window and half of it after a point, like the ends of a run."""
         last = np.full(len(self), np.iinfo(np.int64).max)
         for time_ns in (self.joined.steering_time_ns, self.joined.ins_time_ns):
             gaps = np.flatnonzero(np.diff(time_ns) > MAX_GAP / NANOSECOND)
@@ -196,8 +198,8 @@ class Windows:
 
     @cached_property
     def driven(self) -> dict[str, np.ndarray]:
-        """(n,) of each window: x, y of the start [m], mean speed [m/s], mean magnitude of lateral acceleration
-        [m/s^2]."""
+        """Driving in each window, (n,) by name: x, y of the start [m], mean speed [m/s], mean magnitude of the lateral
+        acceleration [m/s^2]."""
         grid = self.starts_ns[:, None] + np.round(np.linspace(0.0, self._length, 12) / NANOSECOND).astype(np.int64)
         x, y, rate, speed = self._batch.signals.ins_at(grid, "x", "y", "yaw_rate", "velocity_x")
         with np.errstate(all="ignore"):
@@ -207,16 +209,16 @@ class Windows:
     def errors(self, model: AugmentedModel, gain: float = 0.0) -> np.ndarray:
         """(n, k, c) errors of a model, measured minus predicted [SI], by `time` and `columns`; NaN where not known.
 
-        gain [1]: relative excess of the accelerometer over the motion, as from body roll.
+        gain [1]: relative excess of the measured lateral specific force over that of the motion, e.g. from body roll.
         """
         readings = self._predicted_readings(model, gain)
-        with np.errstate(all="ignore"):  # of predictions that diverge
+        with np.errstate(all="ignore"):  # predictions may diverge
             parts = [part for channel in self.channels for part in channel.residuals(self._measured, readings)]
         return np.stack(parts, axis=-1)
 
     def _predicted_readings(self, model: AugmentedModel, gain: float) -> Measured:
-        """INS readings at the scored points; acceleration and yaw rate as means over 2 STEP, like the measurements.
-        The gain applies to the true specific force, before the sensor errors."""
+        """Predicted INS readings at the scored points; acceleration and yaw rate are means over 2 STEP, like the
+        measurements. The gain applies to the true specific force, before the sensor errors."""
         states = self._batch.predict(model, self.vehicle).states
         with np.errstate(all="ignore"):
             readings = faultless_readings(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)))
@@ -246,8 +248,8 @@ class Windows:
 
 def added_acceleration(model: AugmentedModel, vehicle: VehicleParameters, states: tuple, angle: np.ndarray,
                        acceleration: np.ndarray) -> np.ndarray | float:
-    """Lateral specific force minus lateral acceleration at the CG [m/s^2]. states: the six, arrays like the inputs."""
-    # Of the effects that act on an accelerometer, and those that change their inputs.
+    """Lateral specific force minus lateral acceleration at the CG [m/s^2]. states: six arrays, like the inputs."""
+    # Only effects that act on an accelerometer, and those that change the inputs of such effects.
     model = model.only(e for e in model.effects if e.lifts or (e in model.active and (e.specific_force or e.inputs)))
     added = compose(model.base, model.effects).specific_force
     if added is None:
@@ -274,7 +276,7 @@ def _join(runs: Sequence[DriveLog]) -> tuple[DriveLog, list[int]]:
 
 def _starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: float,
             settings: DiscoverySettings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Instants, run and seconds into the run of all windows driven faster than MIN_SPEED."""
+    """(start [ns], run, seconds since the start of the run) of all windows driven faster than MIN_SPEED."""
     length = round(horizon / NANOSECOND)
     usable = sum(max(run.overlap - horizon, 0.0) for run in runs)
     interval = max(settings.interval, usable / settings.windows)
@@ -297,7 +299,7 @@ def _starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: float,
 
 
 def _blocks(run: np.ndarray, seconds: np.ndarray, length: float) -> np.ndarray:
-    """Number of the block of each window: stretches of `length` seconds of one run."""
+    """(n,) number of the block of each window; a block is a stretch of `length` seconds of one run."""
     keys = np.stack([run, (seconds // length).astype(int)], axis=1)
     return np.unique(keys, axis=0, return_inverse=True)[1].ravel()
 
