@@ -3,14 +3,14 @@
     F_f cos(delta) = (l_r m a_y + I_z r_dot) / L,    F_r = (l_f m a_y - I_z r_dot) / L
 
 from the force and moment balance of the single-track car, a_y at the CG; slip angles from the velocity at each axle.
-The stiffness is the slope of force over slip. Samples that are slow, near-straight or beyond |a_y| = 4 m/s^2 are left
+The stiffness is the slope of force versus slip. Samples that are slow, near-straight or above |a_y| = 4 m/s^2 are left
 out, and those with |alpha| > 2 deg in the regression of their axle. An intercept absorbs offsets of steering and INS.
-The slope is the secant over that range: a tyre that begins to saturate within it gives less than its stiffness at zero
-slip, and noise of the slip angle attenuates the slope as well. `AxleRegression.model_error` is the standard
-uncertainty of the secant as stiffness at zero slip, by `regression.extrapolation_uncertainty` from the lower half of
-the slip; its range a: mean |alpha| weighted by alpha^2. Source: Aertssen et al., Short-Horizon Position Accuracy
-of Single-Track Models, section on parameter identification. Checked by: test_identification_driving.py,
-test_axle_curve.py, test_stiffness_model_error.py.
+The slope is a secant: a tyre that begins to saturate within the slip range gives less than its stiffness at zero slip,
+and noise of the slip angle attenuates the slope as well. `AxleRegression.model_error` is the standard uncertainty of
+the secant as an estimate of the stiffness at zero slip, from a second regression in the lower half of the slip range
+(`regression.extrapolation_uncertainty`; range a of each secant: mean |alpha|, weighted by alpha^2). Source: Aertssen et
+al., Short-Horizon Position Accuracy of Single-Track Models, section on parameter identification. Checked by:
+test_identification_driving.py, test_axle_curve.py, test_stiffness_model_error.py.
 """
 
 from collections.abc import Sequence
@@ -37,13 +37,13 @@ AXLES = ("front", "rear")
 METHOD = "regression of axle force on slip angle (paper)"
 MIN_SPEED, MAX_RADIUS, MAX_ACCELERATION = 3.0, 300.0, 4.0  # m/s, m, m/s^2
 MAX_SLIP = np.deg2rad(2.0)
-MIN_AXLE_SAMPLES = 500  # of a regression
+MIN_AXLE_SAMPLES = 500  # minimum number of samples in a regression
 N_BINS = 12  # of the slip angle
 MAX_RANGE_RATIO = 0.8
-"""Largest mean slip or acceleration of the lower range over that of all driving: extrapolation to zero multiplies their
-difference by up to 5."""
+"""Largest ratio of the mean slip in the lower range to that in the full range: above it, extrapolation to zero would
+multiply the difference of the two slopes by more than 5."""
 MAX_RELATIVE_UNCERTAINTY = 0.1
-"""Standard uncertainty over stiffness, above which the stiffness is doubtful."""
+"""Ratio of the standard uncertainty to the stiffness, above which the stiffness is doubtful."""
 DRIVEN_QUANTILE = 0.995  # quantile of the slip angles up to which driving counts as covered
 
 Slope = tuple[float, Spread, np.ndarray, np.ndarray]
@@ -64,8 +64,8 @@ class AxleSamples:
     def binned(self) -> tuple[np.ndarray, np.ndarray]:
         """(slip, mean force) per bin of |slip|, (b,) each, force opposing the slip.
 
-        Both signs are combined after subtracting the slip at which the force vanishes, which offsets of steering and
-        INS cause. Bins with less than 1 % of an even share of the samples are left out.
+        Both signs are combined after subtracting the slip at zero force, which is due to offsets of steering and INS.
+        Bins with less than 1 % of the samples of a uniform distribution are left out.
         """
         slip = self.slip - self.zero_force_slip()
         size, force = np.abs(slip), -self.force * np.sign(slip)
@@ -76,8 +76,8 @@ class AxleSamples:
                 np.array([force[member].mean() for member in members]))
 
     def zero_force_slip(self) -> float:
-        """Slip at zero force [rad], by a line through the samples in the regression's range; 0 where the force does not
-        oppose the slip."""
+        """Slip at zero force [rad], from a line through the samples of the regression; 0 if the force does not oppose
+        the slip."""
         use = self.used if self.used.sum() >= 10 else np.ones(len(self.slip), bool)
         slope, intercept = np.polyfit(self.slip[use], -self.force[use], 1)
         return float(-intercept / slope) if slope > 0.0 else 0.0
@@ -87,9 +87,9 @@ class AxleSamples:
 class AxleRegression:
     """Result of the regression of one axle. stiffness, standard_error [N/rad], interval95: NaN where it failed.
 
-    samples: all slip and force pairs above the minimum speed. coverage: excitation by signal. reasons: why the value is
-    refused, sentences; empty for a usable value. basis: text, number of samples and blocks. model_error [N/rad]: of
-    the stiffness at zero slip, see the module; NaN where the samples do not determine it.
+    samples: all slip and force pairs above the minimum speed. coverage: excitation by signal. reasons: sentences why
+    the value is rejected; empty for a usable value. basis: text, number of samples and blocks. model_error [N/rad]: of
+    the stiffness at zero slip, see the module; NaN if the samples do not determine it.
     """
 
     axle: str
@@ -108,11 +108,11 @@ class AxleRegression:
 
     @property
     def uncertainty(self) -> float:
-        """Standard uncertainty of the stiffness at zero slip [N/rad]; without model error where that is unknown."""
+        """Standard uncertainty of the stiffness at zero slip [N/rad]; without the model error if that is unknown."""
         return float(np.hypot(self.standard_error, np.nan_to_num(self.model_error)))
 
     def estimate(self, runs: tuple[str, ...]) -> Estimate:
-        """The stiffness at zero slip, with the degrees of freedom of interval95."""
+        """Estimate of the stiffness at zero slip; its interval uses the Student quantile of interval95."""
         half = 0.5 * (self.interval95[1] - self.interval95[0]) * self.uncertainty / max(self.standard_error, 1e-300)
         status: Status = "identified" if self.uncertainty < MAX_RELATIVE_UNCERTAINTY * self.stiffness else "doubtful"
         if self.reasons:
@@ -145,10 +145,10 @@ def slip_angles(samples: RunSamples, vehicle: VehicleParameters) -> tuple[np.nda
 
 
 def axle_regressions(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[AxleRegression, AxleRegression]:
-    """Regressions of (front, rear) axle on drives with measured sideslip; reasons against a value are in the result.
+    """Regressions of (front, rear) axle on drives with measured sideslip; the result contains reasons against a value.
 
-    vehicle: mass, inertia, lengths, lever arm, steering; its stiffnesses do not enter. Offset and ratio must be
-    correct. Raises IdentificationError for no drive, a repeated name, or a drive that is too short.
+    vehicle: mass, inertia, lengths, lever arm, steering are used; its stiffnesses are not. Steering offset and ratio
+    must be correct. Raises IdentificationError for no drive, a repeated name, or a drive that is too short.
     """
     drives, _ = prepare_drives(logs, vehicle)
     return _regressions([run_samples(log, vehicle) for log in drives], vehicle)[0]
@@ -173,7 +173,7 @@ def _regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> tupl
 
 
 def _slope(samples: AxleSamples) -> Slope:
-    """(C, spread, number and influence of each block) of F = -C alpha + intercept over the used samples."""
+    """(C, spread, number and influence of each block) of F = -C alpha + intercept, fitted to the used samples."""
     slip = samples.slip[samples.used]
     group = blocks(samples.run_of[samples.used], samples.time[samples.used])
     found, spread, influence = group.regression(np.stack([-slip, np.ones_like(slip)], axis=1),
@@ -182,7 +182,8 @@ def _slope(samples: AxleSamples) -> Slope:
 
 
 def _model_error(samples: AxleSamples, slope: Slope) -> float:
-    """Standard uncertainty of the secant as stiffness at zero slip [N/rad], see the module; NaN if not determined."""
+    """Standard uncertainty of the secant as an estimate of the stiffness at zero slip [N/rad], see the module; NaN if
+    the samples do not determine it."""
     size = np.abs(samples.slip - samples.zero_force_slip())
     low = replace(samples, used=samples.used & (size <= 0.5 * np.quantile(size[samples.used], DRIVEN_QUANTILE)))
     mean, mean_low = (float(np.average(used, weights=used**2)) if used.any() else np.inf
@@ -226,9 +227,10 @@ def _make_regression(samples: AxleSamples, slope: Slope | None, covered: tuple[C
 
 
 def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
-    """Both stiffnesses by regression, with a covariance over runs (or blocks of few runs).
+    """Both stiffnesses by regression, with a covariance from the scatter between runs, or between blocks if there are
+    few runs.
 
-    vehicle: as for `axle_regressions`. A slope with zero inside its interval becomes NaN, unidentifiable, with the
+    vehicle: as for `axle_regressions`. A slope whose interval contains zero becomes NaN, unidentifiable, with the
     reason as its verdict.
     Raises IdentificationError, with the numbers, for too little excitation.
     """

@@ -20,8 +20,8 @@ from ..timeseries import NANOSECOND, smoothed
 from ..vehicle import VehicleParameters
 
 ODD, NEITHER = -1.0, 0.0
-TAIL_SHARE = 0.01  # of the driving, beyond either end of the range of a curve, where it is constant
-MIN_SPEED = 2.0  # m/s; below, slip angles are not defined
+TAIL_SHARE = 0.01  # fraction of the driving beyond either end of the range of a curve, where the curve is constant
+MIN_SPEED = 2.0  # m/s; at lower speed, slip angles are not defined
 QUANTITIES = {"slip_front": "rad", "slip_rear": "rad", "steering": "rad", "acceleration_y": "m/s^2",
               "acceleration_x": "m/s^2", "speed": "m/s", "yaw_rate": "rad/s", "steering_rate": "rad/s",
               "lagging_steering": "rad", "lean": "m/s^2", "north": "1", "east": "1", "position_x": "m",
@@ -30,7 +30,7 @@ QUANTITIES = {"slip_front": "rad", "slip_rear": "rad", "steering": "rad", "accel
 MIN_RANGES = {"slip_front": 0.005, "slip_rear": 0.005, "steering": 0.01, "acceleration_y": 0.5, "acceleration_x": 0.3,
               "speed": 1.0, "yaw_rate": 0.03, "steering_rate": 0.03, "lagging_steering": 0.01, "lean": 0.5,
               "north": 0.1, "east": 0.1, "position_x": 20.0, "position_y": 20.0, "run_time": 10.0}
-"""Smallest driven range of a quantity with candidates; narrower ones are mostly noise and road unevenness."""
+"""Minimum driven range of a quantity for candidates; smaller ranges are mostly noise and road unevenness."""
 MEMORY = {"steering_rate": ("steering", "rate", 0.1), "lagging_steering": ("steering", "lagging", 0.2),
           "lean": ("acceleration_y", "lagging", 0.15)}
 """Quantity with memory -> (source, kind, lag [s])."""
@@ -38,10 +38,10 @@ ALL_TERMS = {**TERMS, "both_grip": ("1", "of the lateral force of both axles, as
 USUAL_SIZES = {"front_steer": 0.005, "rear_steer": 0.005, "front_force": 0.02, "rear_force": 0.02, "front_grip": 0.1,
                "rear_grip": 0.1, "both_grip": 0.1, "yaw_moment": 0.05, "side_force": 0.1, "sensor_yaw_rate": 0.005,
                "sensor_acceleration_y": 0.2, "sensor_velocity_y": 0.05, "sensor_heading": 0.005}
-"""Usual size of a relation, by term, in its unit."""
-SMOOTHING_NS = 400_000_000  # ns, of the forward speed before its derivative, against the noise of the INS
+"""Typical magnitude of a relation by term, in the unit of the term; scale of its coefficients."""
+SMOOTHING_NS = 400_000_000  # ns, smoothing of the forward speed before differentiation, because of INS noise
 FACTORS = {"steering": 0.1, "acceleration_y": 3.0, "steering_rate": 0.3}
-"""Quantities that a curve may be multiplied by, with their usual sizes."""
+"""Quantities that a curve may be multiplied by, with their typical magnitudes."""
 ADMISSIBLE: Mapping[str, tuple[tuple[str, float], ...]] = {
     "front_steer": (("steering", ODD), ("acceleration_y", ODD), ("speed", NEITHER), ("acceleration_x", NEITHER),
                     ("steering_rate", ODD), ("lagging_steering", ODD), ("lean", ODD), ("run_time", NEITHER)),
@@ -60,7 +60,7 @@ ADMISSIBLE: Mapping[str, tuple[tuple[str, float], ...]] = {
     "sensor_velocity_y": (("yaw_rate", ODD), ("acceleration_y", ODD), ("speed", NEITHER)),
     "sensor_heading": (("acceleration_y", ODD), ("speed", NEITHER)),
 }
-"""Quantities a relation of each term may depend on, and the symmetry of its curve."""
+"""Quantities that a relation of each term may depend on, with the symmetry of the curve."""
 PAIRS = (("front_steer", "speed", "steering_rate"), ("front_steer", "speed", "steering"),
          ("rear_steer", "speed", "acceleration_y"), ("yaw_moment", "acceleration_x", "steering"))
 """(term, quantity of the curve, factor): relations of two quantities."""
@@ -68,8 +68,9 @@ PAIRS = (("front_steer", "speed", "steering_rate"), ("front_steer", "speed", "st
 
 @dataclass(frozen=True)
 class Candidate:
-    """A candidate relation. term: of ALL_TERMS; quantity: of QUANTITIES; parity: -1 for an odd curve, 0 for any. low,
-    high: driven range [unit of the quantity]. factor: of FACTORS, multiplies the curve; "" for none."""
+    """A candidate relation. term: one of ALL_TERMS; quantity: one of QUANTITIES; parity: -1 for an odd curve, 0 for
+    any. low, high: driven range [unit of the quantity]. factor: one of FACTORS that multiplies the curve; "" for
+    none."""
 
     term: str
     quantity: str
@@ -107,7 +108,7 @@ class Candidate:
 
     @property
     def usual_size(self) -> float:
-        """Usual size of the curve [unit]."""
+        """Typical magnitude of the curve [unit]."""
         return USUAL_SIZES[self.term] / (FACTORS[self.factor] if self.factor else 1.0)
 
     @property
@@ -125,8 +126,8 @@ class Candidate:
         return known | ({"by_one": 0.0} if self.factor else {})
 
     def splines(self, u: np.ndarray) -> np.ndarray:
-        """(SPLINES, ...) splines of the curve [its unit] at u [unit of the quantity], of which the curve is a linear
-        combination."""
+        """(SPLINES, ...) values of the basis splines [unit of the curve] at u [unit of the quantity]; the curve is a
+        linear combination of them."""
         t, s = ((np.clip(v, self.low, self.high) - self.low) * INTERVALS / (self.high - self.low) for v in (u, -u))
         return self.usual_size * np.stack([spline(t - k) + self.parity * spline(s - k) for k in range(-1, SPLINES - 1)])
 
@@ -162,8 +163,8 @@ def driven_quantities(windows: Windows, vehicle: VehicleParameters) -> dict[str,
 
 
 def candidates(windows: Windows, vehicle: VehicleParameters) -> list[Candidate]:
-    """Candidates that these drives excite: of measured channels, of quantities with a range above MIN_RANGES; positions
-    only with a single site, because maps of several sites may have different origins."""
+    """Candidates that these drives excite: sensor terms of measured channels only, quantities with a range above
+    MIN_RANGES; positions only with a single site, because maps of several sites may have different origins."""
     values, found = driven_quantities(windows, vehicle), []
     one_site = int(sites(windows).max()) == 0
     admissible = [(p, q, parity, "") for p, quantities in ADMISSIBLE.items() for q, parity in quantities]

@@ -12,20 +12,21 @@ from .candidates import NEITHER, Candidate
 from .relation_fit import RelationFit, RelationFits
 
 MAX_FORMULAS, POINTS = 3, 61
-MIN_EXPLAINED = 0.5  # of the gain of the curve, by its quadratic; shapes with less are not considered
-MIN_EXPLAINED_MORE = 1e-3  # of the gain of the curve, by which a shape with more numbers must exceed one with fewer
-FULL_SHARE = 0.98  # of the gain of the best shape; a simpler one with more is preferred
-NEAR_SHARE = 0.9  # the same, if its held-out loss is not significantly higher
-MIN_KEPT_GAIN = 0.9  # of the held-out gain of the curve that a formula keeps, simulated in its place
-MAX_RANGE = 2.0  # largest formula over the largest curve within the driven range
+MIN_EXPLAINED = 0.5  # fraction of the gain of the curve, from its quadratic, that a shape must explain
+MIN_EXPLAINED_MORE = 1e-3  # fraction of the gain of the curve by which a shape with more numbers must explain more
+FULL_SHARE = 0.98  # fraction of the gain of the best shape: a simpler shape that explains more is preferred
+NEAR_SHARE = 0.9  # the same, if the held-out loss of the simpler shape is not significantly higher
+MIN_KEPT_GAIN = 0.9  # minimum fraction of the held-out gain of the curve that a formula retains when simulated
+MAX_RANGE = 2.0  # maximum ratio of the largest value of a formula to that of the curve, within the driven range
 
 ShapeFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
 class Formula:
-    """shape: its name. text: with its numbers, y the relation and u the quantity, SI. kept [1]: share of the held-out
-    gain of the curve that it keeps, simulated in its place. causes: from textbooks."""
+    """shape: name of the shape. text: formula with its numbers, y the relation and u the quantity, SI. kept [1]:
+    fraction of the held-out gain of the curve that the formula retains when simulated in its place. causes: possible
+    causes from textbooks."""
 
     shape: str
     text: str
@@ -35,8 +36,8 @@ class Formula:
 
 @dataclass(frozen=True, eq=False)
 class FittedShape:
-    """A shape fitted by the quadratic about the curve. numbers, by_fold: fitted to all blocks, and without each fold.
-    explained [1]: share of the gain of the curve. held_out: (b,) loss by the quadratic."""
+    """A shape fitted with the quadratic about the curve. numbers, by_fold: fitted to all blocks, and without each fold.
+    explained [1]: fraction of the gain of the curve. held_out: (b,) loss from the quadratic."""
 
     shape: str
     text: str
@@ -128,8 +129,8 @@ CONSTANT = {
 
 def fitted_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadratic,
                   fold: np.ndarray) -> Sequence[FittedShape]:
-    """Up to MAX_FORMULAS shapes, the preferred one first. profile: of the loss about the coefficients (8,), by block,
-    all other parameters profiled out; fold: (b,).
+    """Up to MAX_FORMULAS shapes, the preferred one first. profile: quadratic of the loss about the coefficients (8,),
+    by block, all other parameters profiled out; fold: (b,).
 
     The numbers of a shape minimise the loss. Only shapes that explain MIN_EXPLAINED are considered; the best is the one
     with the lowest held-out loss. A shape with fewer numbers is preferred if it explains FULL_SHARE as much; or
@@ -140,7 +141,7 @@ def fitted_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadr
     to_splines, value = np.linalg.pinv(candidate.splines(at).T, rcond=1e-6), coefficients @ candidate.splines(at)
 
     def rise(distance: np.ndarray) -> np.ndarray:
-        """(b,) rise of the loss over that of the curve, at a distance from its coefficients."""
+        """(b,) increase of the loss above that of the curve, at a distance from its coefficients."""
         return np.einsum("i,bij,j->b", distance, profile.hessian, distance) - 2.0 * profile.gradient @ distance
 
     total = float(rise(-coefficients).sum())
@@ -193,11 +194,11 @@ def _ordered(found: Sequence[FittedShape]) -> Sequence[FittedShape]:
 def simulated_formulas(fits: RelationFits, fit: RelationFit, without: RelationFit) -> tuple[Formula, ...]:
     """Formulas that keep MIN_KEPT_GAIN of the held-out gain of the curve when simulated in its place.
 
-    Each fold is simulated with the numbers fitted to the others, the parameters of the answer refitted by one step. If
-    a parameter of the vehicle file acts like a constant, a curve without odd symmetry is known up to a constant only;
-    its formula therefore gets a constant of its own if it fails without one. Within the driven range a formula must
-    have the sign of the curve and stay below MAX_RANGE times its largest value, and it must not raise the held-out
-    position error of the answer.
+    Each fold is simulated with the numbers fitted to the others, after one refitting step of the parameters of the
+    discovered model. If a parameter of the vehicle file acts like a constant, a curve without odd symmetry is known up
+    to a constant only; its formula therefore gets an additional constant if it fails without one. Within the driven
+    range a formula must have the sign of the curve and stay below MAX_RANGE times its largest value, and it must not
+    increase the held-out position error of the discovered model.
     """
     assert fit.candidate is not None
     candidate, gain = fit.candidate, float((without.held_out - fit.held_out).sum())
@@ -219,7 +220,7 @@ def simulated_formulas(fits: RelationFits, fit: RelationFit, without: RelationFi
 
 def _simulated(fits: RelationFits, fit: RelationFit, without: RelationFit, shape: FittedShape,
                with_offset: bool) -> tuple[float, float]:
-    """(held-out gain of a shape over the answer, its offset); gain -inf for a wrong sign, range or path."""
+    """(held-out gain of a shape, its offset); gain -inf for a wrong sign, range or path."""
     candidate = fit.candidate
     assert candidate is not None
     at = np.linspace(candidate.low, candidate.high, POINTS)
@@ -227,7 +228,7 @@ def _simulated(fits: RelationFits, fit: RelationFit, without: RelationFit, shape
     loss, to_splines = fits.loss_of(candidate), np.linalg.pinv(splines.T, rcond=1e-6)
 
     def refitted(numbers: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, float]:
-        """(vector with a shape in place of the curve, everything else fitted to the known blocks; offset)."""
+        """(vector with a shape in place of the curve and all other parameters fitted to the known blocks, offset)."""
         scale = fits.space.scale[fit.indices]
         count = len(fit.coefficients)
         fixed = np.zeros(len(scale))
@@ -260,7 +261,7 @@ def _simulated(fits: RelationFits, fit: RelationFit, without: RelationFit, shape
 
 
 def _nonzero(number: float) -> float:
-    """The number, or 1e-9 if its magnitude is smaller: a divisor."""
+    """The number, or 1e-9 if its magnitude is smaller, for use as a divisor."""
     return number if abs(number) > 1e-9 else 1e-9
 
 

@@ -1,4 +1,4 @@
-"""Next drive for a relation: the manoeuvres that reduce its uncertainty or separate it from its rivals most."""
+"""Next drive for a relation: the manoeuvres that best reduce its uncertainty or separate it from its rivals."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,16 +15,16 @@ from .candidates import ODD, Candidate, driven_quantities
 from .relation_fit import RIDGE, RelationFit, RelationFits
 
 MIN_IMPROVEMENT = 1.3  # factor on separation or precision; a manoeuvre with less is not suggested
-SPARSE = 0.1  # density over that of uniform driving, below which a range is sparsely driven
+SPARSE = 0.1  # ratio of the density to that of uniform driving, below which a range counts as sparsely driven
 INDEPENDENT_OF_MANOEUVRE = ("run_time", "position_x", "position_y", "north", "east")
 Range = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class Option:
-    """One manoeuvre, driven REPETITIONS times and added to the runs. deviation: (k,) expected standard deviation of the
-    curve [its unit]. separation: from each rival [standard deviations]. seconds: time in each sparse range
-    in one drive."""
+    """Expected result of the runs plus REPETITIONS drives of one manoeuvre. deviation: (k,) standard deviation of the
+    curve [its unit]. separation: from each rival [standard deviations]. seconds: time in each sparse range, in one
+    drive of the manoeuvre."""
 
     manoeuvre: Manoeuvre
     deviation: np.ndarray
@@ -34,21 +34,21 @@ class Option:
 
 @dataclass(frozen=True, eq=False)
 class NextDrives:
-    """sparse: sparsely driven ranges of the quantity. current_separation: in the existing runs. options: all simulated
-    manoeuvres; none for a relation of time or position."""
+    """sparse: sparsely driven ranges of the quantity. current_separation: separation in the existing runs. options: all
+    simulated manoeuvres; none for a relation that depends on time or position."""
 
     sparse: Sequence[Range] = ()
     current_separation: Mapping[str, float] = field(default_factory=dict)
     options: Sequence[Option] = ()
 
     def most_precise(self, deviation: np.ndarray) -> Option | None:
-        """The option with the lowest maximum deviation; None below MIN_IMPROVEMENT. deviation: (k,) of the existing
-        runs."""
+        """The option with the lowest maximum deviation; None if the improvement is below MIN_IMPROVEMENT. deviation:
+        (k,) in the existing runs."""
         best = min(self.options, key=lambda o: float(o.deviation.max()), default=None)
         return best if best is not None and MIN_IMPROVEMENT * best.deviation.max() <= deviation.max() else None
 
     def most_separating(self) -> tuple[Option, str] | None:
-        """The option with the largest minimum separation over the rivals, and that rival; None below MIN_SEPARATION or
+        """The option with the largest separation from its nearest rival, and that rival; None below MIN_SEPARATION or
         MIN_IMPROVEMENT."""
         weakest = [(option, min(option.separation, key=option.separation.__getitem__))
                    for option in self.options if option.separation]
@@ -61,8 +61,8 @@ class NextDrives:
 
 
 def sparse_ranges(at: np.ndarray, density: np.ndarray, parity: float) -> list[Range]:
-    """Sparsely driven ranges, by the mean over a point and its two neighbours. at, density: (k,) as in `Relation`. For
-    an odd curve, the side of positive values."""
+    """Sparsely driven ranges, from the mean density of a point and its two neighbours. at, density: (k,) as in
+    `Relation`. For an odd curve, positive values only."""
     if parity == ODD:
         density = 0.5 * (density + density[::-1])
     around = np.convolve(np.pad(density, 1, mode="edge"), np.ones(3) / 3.0, mode="valid")
@@ -75,7 +75,7 @@ def sparse_ranges(at: np.ndarray, density: np.ndarray, parity: float) -> list[Ra
 def next_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, rivals: Mapping[str, RelationFit],
                 design_effect: float, at: np.ndarray, deviation: np.ndarray, sparse: Sequence[Range]) -> NextDrives:
     """Expected gain of each manoeuvre, by simulation. rivals: equally good relations. at, deviation: (k,) of the curve.
-    Expected deviations are from the curvature of the loss about the fit."""
+    Expected deviations are from the curvature of the loss at the fit."""
     if candidate.quantity in INDEPENDENT_OF_MANOEUVRE:
         return NextDrives(sparse)
     splines = candidate.splines(at)
@@ -107,14 +107,14 @@ def next_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, riva
 
 
 def _loss(fits: RelationFits, windows: Windows, candidate: Candidate, fit: RelationFit) -> Loss:
-    """Loss of other windows, at the scale of the runs."""
+    """Loss of other windows, with the residual scale of the runs."""
     loss = Loss(Errors(windows, fits.space_of(candidate), fits.threads), fit.vector)
     loss.scale = fits.loss.scale
     return loss
 
 
 def _joint(loss: Loss, rows: np.ndarray, slopes: np.ndarray, rival_slopes: np.ndarray, fit: RelationFit) -> np.ndarray:
-    """Curvature in the other parameters, the coefficients of a rival, and the size of the relation."""
+    """Curvature of the loss in the other parameters, the coefficients of a rival, and a factor of the relation."""
     size_slope = np.einsum("p,pnm->nm", fit.coefficients, slopes[-SPLINES:])
     return loss.quadratic(rows, np.concatenate([slopes[:-SPLINES], rival_slopes, size_slope[None]])).hessian.sum(axis=0)
 
@@ -129,6 +129,6 @@ def _strength(h: np.ndarray, fit: RelationFit, other: RelationFit, design_effect
 
 
 def _variance(h: np.ndarray, splines: np.ndarray) -> np.ndarray:
-    """(k,) variance of the curve, up to a factor."""
+    """(k,) variance of the curve, up to a constant factor."""
     inverse = np.linalg.inv(h + RIDGE * np.eye(len(h)))[-SPLINES:, -SPLINES:]
     return np.einsum("ik,ij,jk->k", splines, inverse, splines)

@@ -1,4 +1,4 @@
-"""Fits of one candidate relation by simulation, together with the effects of an answer."""
+"""Fits of one candidate relation by simulation, together with the effects of a discovered model."""
 
 from collections.abc import Sequence
 from copy import copy
@@ -20,10 +20,10 @@ from ..vehicle import VehicleParameters
 from .candidates import Candidate, run_time
 
 RELATION = RelationEffect.name  # the three kinds have the same indices in the vector
-SMOOTHING = (0.003, 0.03, 0.3)  # penalty on second differences, shares of the coefficients' mean curvature
-SIZE_PENALTY = 0.1  # on the coefficients, over that on their second differences; draws uninformed ones to 0
-ITERATIONS, STEP_SHARES, MIN_LOSS_FALL = 8, (1.0, 0.5, 0.2), 2e-4  # of a fit; the last: per scored error, ends it
-BASE_FITS = 2  # of the answer alone
+SMOOTHING = (0.003, 0.03, 0.3)  # penalty on second differences, fractions of the coefficients' mean curvature
+SIZE_PENALTY = 0.1  # penalty on the coefficients, relative to that on second differences; shrinks uninformed ones to 0
+ITERATIONS, STEP_SHARES, MIN_LOSS_FALL = 8, (1.0, 0.5, 0.2), 2e-4  # as in discovery.fit
+BASE_FITS = 2  # fits of the discovered model without a relation
 RIDGE = 1e-6
 _SECOND = np.diff(np.eye(SPLINES), 2, axis=0)
 ROUGHNESS = _SECOND.T @ _SECOND + SIZE_PENALTY * np.eye(SPLINES)
@@ -32,11 +32,11 @@ ROUGHNESS = _SECOND.T @ _SECOND + SIZE_PENALTY * np.eye(SPLINES)
 
 @dataclass(frozen=True, eq=False)
 class RelationFit:
-    """A fit of a candidate, or of the answer alone (None).
+    """A fit with a candidate, or of the discovered model without a relation (candidate None).
 
-    smooth: of SMOOTHING. vector: of the space of its candidate. rows: (n, m) errors. indices, slopes: (a,), (a, n, m)
-    of the free parameters, the coefficients last. penalty: (a, a). q: quadratic by block. held_out: (b,) loss of each
-    block at values fitted without its fold. steps: by fold, from the fit to the values fitted without it.
+    smooth: one of SMOOTHING. vector: in the space of its candidate. rows: (n, m) residuals. indices, slopes: (a,) free
+    parameters, the coefficients last, and sensitivities to them (a, n, m). penalty: (a, a). q: quadratic by block.
+    held_out: (b,) loss of each block at values fitted without its fold. steps: by fold, from the fit to those values.
     """
 
     candidate: Candidate | None
@@ -55,7 +55,7 @@ class RelationFit:
         return self.vector[self.indices[-SPLINES:]] if self.candidate else np.zeros(SPLINES)
 
     def covariance(self) -> np.ndarray:
-        """(SPLINES, SPLINES) of the coefficients: sandwich over the blocks."""
+        """(SPLINES, SPLINES) sandwich covariance of the coefficients, with scores summed by block."""
         inverse = np.linalg.inv(self.q.hessian.sum(axis=0) + self.penalty + RIDGE * np.eye(len(self.indices)))
         scores, blocks = self.q.gradient, len(self.q.cost)
         scatter = scores.T @ scores * blocks / max(blocks - 1, 1)
@@ -63,7 +63,7 @@ class RelationFit:
 
 
 class RunWindows(Windows):
-    """Windows with the time in the run as a signal."""
+    """Windows with the time since the start of the run as a signal."""
 
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings):
         super().__init__(runs, vehicle, settings)
@@ -73,11 +73,11 @@ class RunWindows(Windows):
 
 
 class RelationFits:
-    """Fits of candidate relations on top of one answer.
+    """Fits of candidate relations in addition to one discovered model.
 
-    answer: model of the answer; gain: of its accelerometer; names: of its effects. fold: (b,) fold of each block. The
-    scale of the errors stays that of the answer. refitted: indices of the parameters fitted together with a relation;
-    car: of the other vehicle parameters, projected out of its evidence.
+    answer: the discovered model; gain: of its accelerometer; names: of its effects. fold: (b,) fold of each block. The
+    residual scale of the discovered model is kept. refitted: indices of the parameters fitted together with a relation;
+    car: indices of the other vehicle parameters, which are projected out of the evidence for it.
     """
 
     def __init__(self, windows: Windows, answer: AugmentedModel, gain: float, names: Sequence[str],
@@ -106,14 +106,14 @@ class RelationFits:
         return space
 
     def loss_of(self, candidate: Candidate) -> Loss:
-        """Loss of the same windows with the term, quantity and range of a candidate; at the scale of the answer."""
+        """Loss of the same windows with the term, quantity and range of a candidate; same residual scale."""
         space = self.space_of(candidate)
         loss = copy(self.loss)
         loss.errors, loss.space = Errors(self.windows, space, self.threads), space
         return loss
 
     def answer_alone(self) -> RelationFit:
-        """The answer alone, refitted."""
+        """The discovered model without a relation, refitted."""
         vector = self.start
         for _ in range(BASE_FITS):
             fit = self._fit(None, self.loss, self.refitted, 0.0, self.loss.slopes(vector, self.refitted), vector)
@@ -125,7 +125,7 @@ class RelationFits:
         return loss.quadratic(rows, slopes).summed(self.block, self.blocks)
 
     def penalty(self, candidate: Candidate | None, hessian: np.ndarray, smooth: float) -> np.ndarray:
-        """(a, a) on all free parameters, the coefficients last. hessian: (a, a)."""
+        """(a, a) penalty on all free parameters, the coefficients last. hessian: (a, a)."""
         penalty = np.zeros(hessian.shape)
         if candidate:
             curvature = float(np.trace(hessian[-SPLINES:, -SPLINES:])) / SPLINES
@@ -135,7 +135,7 @@ class RelationFits:
     def left_out_steps(self, q: Quadratic, penalty: np.ndarray,
                        distance: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray]:
         """({fold: step to the values fitted without it}, (b,) loss of each block there). distance: (a,) of the vector
-        from the start [usual sizes]."""
+        from the start [parameter scales]."""
         h, g = ridge(q.hessian.sum(axis=0)) + penalty, q.gradient.sum(axis=0) - penalty @ distance
         steps, held_out = {}, np.zeros(self.blocks)
         common = np.linalg.solve(h, g)
@@ -155,8 +155,8 @@ class RelationFits:
         return self.left_out_steps(optimum, penalty, distance + step)[1]
 
     def fit(self, candidate: Candidate, without: RelationFit) -> RelationFit:
-        """Gauss-Newton fits by simulation with less and less smoothing, each from the one before, the first from zero
-        coefficients; the last that lowers the held-out loss."""
+        """Fit by Gauss-Newton with simulation: a sequence with decreasing smoothing, each started from the previous
+        one, the first from zero coefficients. Returns the last one that lowers the held-out loss."""
         indices = np.concatenate([self.refitted, self.relation])
         loss = self.loss_of(candidate)
         slopes = np.concatenate([without.slopes, np.zeros((SPLINES, *without.slopes.shape[1:]))])
@@ -183,7 +183,7 @@ class RelationFits:
         return Quadratic(q.cost, q.gradient @ projection, hessian)
 
     def without_effect(self, candidate: Candidate, fit: RelationFit, name: str) -> RelationFit:
-        """The relation with an effect of the answer removed and everything else refitted."""
+        """The relation with an effect of the discovered model removed and everything else refitted."""
         removed = self.space.indices(name)
         vector, others = fit.vector.copy(), np.setdiff1d(fit.indices[:-SPLINES], removed)
         null = {p.name: p.null for p in get_effect(name).parameters}

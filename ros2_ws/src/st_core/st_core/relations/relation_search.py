@@ -17,9 +17,9 @@ from .next_drive import NextDrives, next_drives, sparse_ranges
 from .relation_fit import RelationFit, RelationFits, RunWindows
 from .selection import RunShares, Screened
 
-MIN_BLOCKS = 10  # for a curve of eight coefficients
-MAX_DETECTABLE = 3.0  # usual sizes; model terms with a larger detection limit are reported as not examined
-MIN_REPORTED_RATIO = 1.25  # held-out error of a run with the relation over that without; smaller rises are not reported
+MIN_BLOCKS = 10  # needed for a curve with eight coefficients
+MAX_DETECTABLE = 3.0  # typical magnitudes; model terms with a higher detection limit are reported as not examined
+MIN_REPORTED_RATIO = 1.25  # held-out error of a run with the relation to that without; smaller ratios are not reported
 MEASURED_BY = {"sensor_yaw_rate": ("yaw_rate",), "sensor_acceleration_y": ("acceleration_y",),
                "sensor_velocity_y": ("velocity_y",), "sensor_heading": ("yaw",)}
 STEERING_TIMING = ("steering_rate", "lagging_steering")
@@ -28,17 +28,17 @@ STEERING_TIMING = ("steering_rate", "lagging_steering")
 
 @dataclass(frozen=True, eq=False)
 class Relation:
-    """An empirical relation that lowers the held-out loss.
+    """An empirical relation that reduces the held-out loss.
 
     candidate: the model term that it modifies (steering, axle force or grip, yaw moment, side force, a sensor), and the
     quantity it depends on. coefficients: (8,) of the splines. at: (k,) values of the quantity; value, deviation: (k,)
-    the curve there and its standard deviation [unit of the term]; density: (k,) share of the driving near each. gain
-    [1]: reduction of the held-out loss per scored error. p_value [1]: probability that any candidate gains as much
+    the curve there and its standard deviation [unit of the term]; density: (k,) fraction of the driving near each. gain
+    [1]: reduction of the held-out loss per residual. p_value [1]: probability that any candidate gains as much
     without a real effect. position_5s [m]: held-out (without, with); runs: the same by run. model: everything
     else, at the values fitted with the relation. others: equally good relations, with the cosine similarity of their
     effects [1]. formulas: closed forms that retain the curve's gain in simulation, best first. shares: its size by run.
-    redundant: effects of the result that the relation replaces, with the share of the residual [1] that returns if the
-    effect is dropped. drives: sparsely driven ranges, and manoeuvres to drive next.
+    redundant: effects of the result that the relation replaces, with the fraction of the residual [1] that returns if
+    the effect is dropped. drives: sparsely driven ranges, and manoeuvres to drive next.
     """
 
     candidate: Candidate
@@ -75,7 +75,7 @@ class RelationSearch:
     detection_limits: Mapping[str, float] = field(default_factory=dict)
 
     def not_examined(self) -> list[str]:
-        """Model terms whose detection limit exceeds MAX_DETECTABLE usual sizes."""
+        """Model terms whose detection limit exceeds MAX_DETECTABLE typical magnitudes."""
         smallest: dict[str, float] = {}
         for name, limit in self.detection_limits.items():
             term, _, quantities = name.partition(" over ")
@@ -85,7 +85,7 @@ class RelationSearch:
 
 
 def needs_search(found: Discovery) -> bool:
-    """Whether the residual of an answer is large enough for a search: outcome unknown, or errors beyond
+    """Whether the residual of a discovery is large enough for a search: outcome unknown, or errors above
     `limits.max_noise_ratio` times the noise."""
     return found.outcome == "unknown" or bool(found.signature)
 
@@ -93,9 +93,9 @@ def needs_search(found: Discovery) -> bool:
 def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParameters,
                   settings: DiscoverySettings | None = None, threads: int = 1, tick: Callable[[], None] = lambda: None,
                   reported: Collection[tuple[str, str]] = ()) -> RelationSearch:
-    """The relation that an answer of `discover` lacks, or the reason for none.
+    """The relation that a result of `discover` lacks, or the reason for none.
 
-    Every candidate is fitted together with the answer; effects that a parameter of the vehicle file can reproduce are
+    Every candidate is fitted together with the result; changes that a parameter of the vehicle file can reproduce are
     projected out of its evidence. A relation is reported if its p-value over all candidates is below
     `limits.false_alarm`, if its held-out gain reaches `limits.relevant` of the residual or `limits.relevant_position`
     significantly, if the predicted path improves at level `limits.false_alarm` (not required of a sensor relation), and
@@ -129,7 +129,7 @@ def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehiclePa
 def _select(screened: Sequence[Screened], fits: RelationFits, without: RelationFit, vehicle: VehicleParameters,
             settings: DiscoverySettings, named: Sequence[str], reported: Collection[tuple[str, str]],
             tick: Callable[[], None]) -> RelationSearch:
-    """The best significant candidate, or the reason for none. named: effects of the answer."""
+    """The best significant candidate, or the reason for none. named: effects of the result."""
     limits, number = settings.limits, fits.loss.scored_count
     p_values = selection.p_values(screened, fits.blocks)
     tried = {s.candidate.name: (s.gain / number, p_values[s.candidate.name])

@@ -17,18 +17,18 @@ from ..vehicle import VehicleParameters
 from .candidates import Candidate, candidates
 from .relation_fit import SMOOTHING, RelationFit, RelationFits
 
-DRAWS = 999  # random signs of the blocks
-POINTS = 41  # of a curve
+DRAWS = 999  # draws of random signs of the blocks
+POINTS = 41  # at which a curve is evaluated
 
 
 @dataclass(frozen=True, eq=False)
 class Screened:
-    """A candidate by the slopes about the answer.
+    """Statistics of a candidate, linearised at the discovered model.
 
-    observed, drawn: score statistic, and with random signs of the blocks (DRAWS,), both over the mean of the draws.
-    freedom: effective degrees of freedom of the curve. design_effect: of dependent windows on the variance of the
-    scores, >= 1, from the residual scores. gain: reduction of the held-out loss. information: (SPLINES, SPLINES) on the
-    coefficients, other parameters projected out.
+    observed, drawn: score statistic, and with random signs of the blocks (DRAWS,), both divided by the mean of the
+    draws. freedom: effective degrees of freedom of the curve. design_effect: of dependent windows on the variance of
+    the scores, >= 1, from the residual scores. gain: reduction of the held-out loss. information: (SPLINES, SPLINES) on
+    the coefficients, other parameters projected out.
     """
 
     candidate: Candidate
@@ -50,7 +50,7 @@ class Screened:
 
 def screen(fits: RelationFits, without: RelationFit, vehicle: VehicleParameters, seed: int,
            tick: Callable[[], None]) -> list[Screened]:
-    """Every candidate that these drives excite and that changes a prediction. without: the answer alone."""
+    """Every candidate that these drives excite and that changes a prediction. without: fit without a relation."""
     distance = ((without.vector - fits.start) / fits.space.scale)[without.indices]
     base = fits.predicted_held_out(without.q, without.penalty, distance)
     car = fits.loss.slopes(without.vector, fits.car)
@@ -66,8 +66,8 @@ def p_values(screened: Sequence[Screened], blocks: int) -> dict[str, float]:
     """p-value by name that any candidate gains as much without a real effect; the smaller of two tests.
 
     Random signs of blocks: the largest statistic of all candidates in every draw. Likelihood ratio: twice the held-out
-    gain over the design effect (of the candidate, or the median of all if larger) and its degrees of freedom, Fisher's
-    F, Bonferroni over the candidates; for relations that act in few blocks only.
+    gain divided by the design effect (of the candidate, or the median of all if larger) and by the degrees of freedom,
+    Fisher's F, Bonferroni for the number of candidates; for relations that act in few blocks only.
     """
     largest = np.max([s.drawn for s in screened], axis=0)
     median = float(np.median([s.design_effect for s in screened]))
@@ -81,8 +81,8 @@ def p_values(screened: Sequence[Screened], blocks: int) -> dict[str, float]:
 
 def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.ndarray, candidate: Candidate,
             signs: np.ndarray) -> Screened | None:
-    """Efficient scores of the coefficients: all other parameters projected out. base: (b,) held-out loss of the answer
-    alone, by the same slopes. car: slopes of the vehicle file's parameters."""
+    """Efficient scores of the coefficients: all other parameters projected out. base: (b,) held-out loss without a
+    relation, with the same linearisation. car: sensitivities to the parameters of the vehicle file."""
     loss = fits.loss_of(candidate)
     slopes = loss.slopes(without.vector, fits.relation)
     q = fits.quadratic(loss, without.rows, np.concatenate([without.slopes, slopes]))
@@ -112,21 +112,21 @@ def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.
 
 
 REFITTED = 10  # candidates fitted by simulation
-BOUND_MARGIN = 0.02  # of the bound of the coefficients; a curve within it is on the bound
-MIN_INFORMATION = 0.02  # of the information on the relation; a run with less has no estimate of its own
+BOUND_MARGIN = 0.02  # fraction of the bound of the coefficients; a curve nearer to the bound counts as on it
+MIN_INFORMATION = 0.02  # fraction of the information on the relation; a run with less gets no separate estimate
 TWO_SIDED_95 = 1.96
 
 
 @dataclass(frozen=True)
 class RunShares:
-    """Size of the relation in each run, 1: as fitted. by_run: (share, standard deviation). p_equal: p-value of equal
-    shares in all runs."""
+    """Ratio of the relation in each run to the overall one. by_run: (ratio, standard deviation). p_equal: p-value of
+    equal ratios in all runs."""
 
     by_run: Mapping[str, tuple[float, float]]
     p_equal: float
 
     def absent(self) -> list[str]:
-        """Runs with a share significantly below one half."""
+        """Runs with a ratio significantly below one half."""
         return [name for name, (share, deviation) in self.by_run.items() if share + TWO_SIDED_95 * deviation < 0.5]
 
 
@@ -137,7 +137,7 @@ def shortlist(significant: Sequence[Screened]) -> list[Screened]:
 
 
 def lower_bound(values: np.ndarray, p: float) -> float:
-    """One-sided lower confidence bound of the sum of values by block (b,), Student's t, at level 1 - p."""
+    """One-sided lower confidence bound of the sum of `values`, (b,) by block, Student's t, at level 1 - p."""
     spread = float(values.std(ddof=1)) * np.sqrt(len(values))
     return float(values.sum() - stats.t.isf(p, len(values) - 1) * spread)
 
@@ -151,7 +151,7 @@ def by_block(fits: RelationFits, values: np.ndarray) -> np.ndarray:
 
 
 def rejected_curve(fits: RelationFits, fit: RelationFit, vehicle: VehicleParameters) -> str:
-    """Why a curve is rejected whatever its gain: on its bound, or an unstable car; "" for an accepted one."""
+    """Why a curve is rejected whatever its gain: it is on its bound, or the car is unstable; "" if it is accepted."""
     assert fit.candidate is not None
     name = fit.candidate.name
     if np.abs(fit.coefficients).max() > (1.0 - BOUND_MARGIN) * MAX_HEIGHT:
@@ -218,9 +218,9 @@ def finite_mean(values: np.ndarray) -> float:
 
 
 def equally_good(worse: np.ndarray, p: float, seed: int) -> np.ndarray:
-    """(k,) whether the data do not separate each rival from the best. worse: (k, b) held-out loss beyond the best.
+    """(k,) whether the data do not separate each rival from the best. worse: (k, b) held-out loss above the best.
 
-    Paired differences of blocks over their standard error, t; a rival is separated where t exceeds the quantile
+    t: paired differences of blocks divided by their standard error. A rival is separated if t exceeds the quantile
     1 - p of the largest t under random signs of whole blocks, common to all rivals (Romano and Wolf 2005).
     """
     if not len(worse):
@@ -236,7 +236,7 @@ def equally_good(worse: np.ndarray, p: float, seed: int) -> np.ndarray:
 
 
 def run_shares(fits: RelationFits, fit: RelationFit) -> RunShares:
-    """Size of the relation in each run, everything else refitted, by the quadratic."""
+    """`RunShares` from the quadratic approximation, everything else refitted in each run."""
     h = fit.q.hessian.sum(axis=0)
     others, coefficients = h[:-SPLINES, :-SPLINES], fit.coefficients
     direction = np.concatenate([-np.linalg.solve(ridge(others), h[:-SPLINES, -SPLINES:] @ coefficients), coefficients])
@@ -257,7 +257,7 @@ def run_shares(fits: RelationFits, fit: RelationFit) -> RunShares:
 
 
 def held_out_positions(fits: RelationFits, fit: RelationFit) -> np.ndarray:
-    """(n,) position error at the end of the horizon under values fitted to other driving [m]."""
+    """(n,) position error at the end of the horizon with values fitted to other driving [m]."""
     rows = fit.rows.copy()
     for k, d in fit.steps.items():
         in_fold = fits.fold[fits.block] == k
@@ -280,14 +280,14 @@ def cosine(fits: RelationFits, first: RelationFit, other: RelationFit) -> float:
 
 def redundant_effects(fits: RelationFits, candidate: Candidate, fit: RelationFit, without: RelationFit,
                       names: Sequence[str], limits: Limits) -> dict[str, float]:
-    """Effects of the answer that the relation makes redundant: residual [1] that returns without each, all refitted.
+    """Effects of the result that the relation makes redundant: residual [1] that returns without each, all refitted.
 
-    An effect is kept if its held-out gain next to the relation passes the test of a relation. It is redundant if it
-    does not, and the relation alone explains significantly more than the effect alone did.
+    An effect is kept if its held-out gain in addition to the relation passes the test of a relation. It is redundant if
+    it does not, and the relation alone explains significantly more than the effect alone.
     """
     found = {}
     with_both = held_out_positions(fits, fit)
-    # An effect that lifts the kinematic model carries the relation itself.
+    # An effect that turns the base model into another (`lifts`) is a precondition of the relation.
     for name in (n for n in names if not get_effect(n).lifts):
         alone = fits.without_effect(candidate, fit, name)
         gains = alone.held_out - fit.held_out

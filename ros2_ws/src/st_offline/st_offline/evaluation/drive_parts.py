@@ -1,4 +1,4 @@
-"""Segments a drive into manoeuvres: by the labels of the run, else turns, circles, straights, braking as detected."""
+"""Segments a drive into manoeuvres: by the labels of the run, else into detected turns, circles, straights, braking."""
 
 import itertools
 from collections.abc import Sequence
@@ -12,17 +12,17 @@ from st_recordings.runs import Label
 GRID = 0.1  # s
 SMOOTHING = 1.0  # s, moving average; short enough for both sides of a double lane change
 STANDSTILL_SPEED = 0.5  # m/s
-# A bend begins above the first and ends below the second: a radius of 100 m and 200 m, or a slow car at 0.8 m/s^2.
+# A bend begins above the first limit of curvature or lateral acceleration, and ends below the second limits of both.
 CURVATURE = (0.01, 0.005)  # 1/m
 LATERAL_ACCELERATION = (0.8, 0.4)  # m/s^2
-SHORTEST = 1.5  # s; a shorter part joins its neighbour
-HARD_ACCELERATION = 0.7  # m/s^2, forward, mean, above which a straight is called braking or accelerating
-BEND, U_TURN, CIRCLE = np.radians([30.0, 150.0, 240.0])  # heading change from which a bend is a turn, U-turn, circle
+SHORTEST = 1.5  # s; a shorter part is merged into its longer neighbour
+HARD_ACCELERATION = 0.7  # m/s^2, mean longitudinal, either sign; a straight with more is called braking or accelerating
+BEND, U_TURN, CIRCLE = np.radians([30.0, 150.0, 240.0])  # minimum heading change of a turn, a U-turn, a circle
 
 
 @dataclass(frozen=True)
 class DrivePart:
-    """Part of a drive, [s] after its first INS measurement. heading_change [rad], left +."""
+    """Part of a drive. start, end [s]: since the first INS measurement. heading_change [rad], left +."""
 
     name: str
     start: float
@@ -31,7 +31,7 @@ class DrivePart:
 
 
 def drive_parts(log: DriveLog, labels: Sequence[Label] = ()) -> list[DrivePart]:
-    """The labelled parts if there are any, else the ones detected, in order of time."""
+    """The labelled parts if there are any, else the detected ones, in order of time."""
     if len(log.ins_time_ns) < 2:
         return []
     time = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
@@ -52,7 +52,7 @@ def drive_parts(log: DriveLog, labels: Sequence[Label] = ()) -> list[DrivePart]:
 
 
 def assign_horizons(parts: Sequence[DrivePart], middles: np.ndarray) -> list[slice]:
-    """Rows of the horizons whose middles [s, rising] lie in each part."""
+    """Rows of the horizons whose midpoints `middles` [s, ascending] lie in each part."""
     return [slice(*np.searchsorted(middles, (part.start, part.end)).tolist()) for part in parts]
 
 
@@ -71,7 +71,8 @@ def _states(speed: np.ndarray, yaw_rate: np.ndarray) -> np.ndarray:
 
 
 def _stretches(states: np.ndarray, shortest: int) -> list[tuple[int, int]]:
-    """(first, last) of equal states; one shorter than `shortest` joins its longer neighbour, also in `states`."""
+    """(first, last) index of each stretch of equal states. A stretch of fewer than `shortest` samples is merged into
+    its longer neighbour; `states` is modified in place."""
     spans = list(itertools.pairwise([0, *(np.flatnonzero(np.diff(states)) + 1).tolist(), len(states)]))
     while len(spans) > 1:
         size, i = min((b - a, i) for i, (a, b) in enumerate(spans))
