@@ -1,10 +1,10 @@
-"""Lateral force of an axle against its slip angle over the driven range: model with band, and measurement.
+"""Lateral force of an axle versus slip angle in the driven range: model with band, and measurement.
 
     F(alpha) = (F_model(-alpha) - F_model(alpha)) / 2,   alpha >= 0
 
 F_model is the axle force in the model's equations of motion in steady cornering at equal slip of both axles, without
-forward acceleration: every effect that acts at that state is included, offsets cancel. The slip angle is that of the
-measured steering, as in a regression, so compliance and roll steer change the curve. No curve is given beyond the
+forward acceleration: every effect that acts in that state is included, offsets cancel. The slip angle is computed from
+the measured steering, as in a regression, so compliance and roll steer change the curve. No curve is given beyond the
 driven slip. Checked by: test_axle_curve.py.
 """
 
@@ -19,9 +19,9 @@ from ..models import Model, get_model
 from ..vehicle import VehicleParameters
 from .cornering_stiffness import DRIVEN_QUANTILE, AxleSamples
 
-SPEED = 20.0  # m/s, at which the curve is evaluated: no minimum_slip_speed is higher
+SPEED = 20.0  # m/s, at which the curve is evaluated: every minimum_slip_speed is lower
 MIN_DRAWS = 20
-SECANT_STEPS = 6  # of the lateral acceleration, with an error below 0.1 % at the bounds of roll steer
+SECANT_STEPS = 6  # iterations for the lateral acceleration; its error is below 0.1 % at the bounds of roll steer
 BAND = (0.05, 0.95)  # quantiles of the draws
 
 
@@ -30,7 +30,7 @@ class AxleCurve:
     """Force curve of one axle. slip: (m,) [rad], 0 to the driven slip; force, low, high, file: (m,) [N], opposing the
     slip; low and high: 90 % band, equal to force without draws; file: of the original model.
 
-    density: (m - 1,) share of the driving between two values of slip [1], sum 1 up to the driven slip.
+    density: (m - 1,) fraction of the driving between two values of slip [1], sum 1 up to the driven slip.
     """
 
     axle: str
@@ -98,7 +98,7 @@ def _steady_forces(model: Model, vehicle: VehicleParameters, slip: np.ndarray) -
 def axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven_slip: np.ndarray,
                draws: Iterable[Model] = (), original: str | Model | None = None,
                also: Iterable[Model] = ()) -> AxleCurve:
-    """The force curve of one axle with its band over the driven slip, at 41 slip angles.
+    """The force curve of one axle with its band, at 41 slip angles up to the driven slip.
 
     driven_slip: (n,) slip angles of the axle while driving [rad], either sign. draws: models with other values, from
     `draw_models`; the band is their central 90 % at each slip, extended to the curves of `also`. original: model of
@@ -149,7 +149,7 @@ def valid_models(models: Iterable[AugmentedModel], vehicle: VehicleParameters) -
 
 
 def force_error(model: str | Model, vehicle: VehicleParameters, samples: AxleSamples) -> float:
-    """Root mean square difference of a model's axle force and the measured one over the slip, over the peak [1].
+    """RMS difference between modelled and measured axle force versus slip, divided by the measured peak [1].
 
         sqrt(mean over bins of (F_model(alpha) - mean F)^2) / max |mean F|
 

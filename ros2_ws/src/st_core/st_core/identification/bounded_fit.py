@@ -1,12 +1,12 @@
 """Nonlinear least squares within bounds, and profile-likelihood intervals of each parameter.
 
-    S(p) = sum r(p)^2,   s^2 = S_min / (n - k),   covariance = s^2 (J^T J)^-1 over the parameters inside their bounds
+    S(p) = sum r(p)^2,   s^2 = S_min / (n - k),   covariance = s^2 (J^T J)^-1 of the parameters inside their bounds
 
-The 95 % interval of parameter i ends where fixing it raises the sum of squares significantly, all others refitted:
+The 95 % interval of parameter i ends where fixing it increases the sum of squares significantly, all others refitted:
 
     min over the others of S = S_min + s^2 F_0.95(1, n - k)
 
-An end that is not reached before the parameter's bound is open. Source: Bates and Watts, Nonlinear Regression Analysis,
+If the parameter's bound is reached first, that end is open. Source: Bates and Watts, Nonlinear Regression Analysis,
 ch. 6. Checked by: test_identification_result.py.
 """
 
@@ -21,9 +21,9 @@ from scipy.stats import f as fisher
 Residuals = Callable[[np.ndarray], np.ndarray]
 """Function of parameters (k,) or many sets of them (m, k): residuals (n,) or (m, n)."""
 
-END_TOLERANCE = 0.03  # of the rise at an end of an interval
+END_TOLERANCE = 0.03  # relative tolerance of an end of an interval
 MAX_STEPS = 8
-BOUND_TOLERANCE = 1e-6  # distance from a bound over the width between both
+BOUND_TOLERANCE = 1e-6  # distance from a bound, as a fraction of the range between both bounds
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,8 @@ class CurveFit:
 
 @dataclass(frozen=True)
 class Interval:
-    """95 % interval of one parameter. lower_open, upper_open: whether an end is the bound, not determined by data."""
+    """95 % interval of one parameter. lower_open, upper_open: whether an end is the bound, not determined by the data.
+    """
 
     low: float
     high: float
@@ -85,7 +86,8 @@ def _solve(residuals: Residuals, start: Sequence[float] | np.ndarray, low: np.nd
 
 
 def profile_interval(residuals: Residuals, fit: CurveFit, index: int) -> Interval:
-    """Profile-likelihood interval of parameter `index`, by the secant method on the root of the rise."""
+    """Profile-likelihood interval of parameter `index`, by the secant method on the square root of the increase of S.
+    """
     low, low_open = _interval_end(residuals, fit, index, -1.0)
     high, high_open = _interval_end(residuals, fit, index, 1.0)
     return Interval(low, high, low_open, high_open)
@@ -114,7 +116,7 @@ def _interval_end(residuals: Residuals, fit: CurveFit, index: int, side: float) 
         steepness = (root - known[1]) / (distance - known[0])
         known = (distance, root)
         step = (1.0 - root) / steepness if steepness > 0.0 else distance
-        # Steps are limited: not back past the estimate, and not far beyond it.
+        # Steps are limited: the distance stays positive and grows at most fourfold.
         distance = min(max(distance + step, 0.3 * distance), 4.0 * distance, to_bound)
     return value + side * distance, False
 
@@ -139,6 +141,6 @@ def _fit_with_fixed(residuals: Residuals, fit: CurveFit, index: int, value: floa
     def of_others(free: np.ndarray) -> np.ndarray:
         return residuals(np.insert(free, index, value, axis=-1))
 
-    # The rise is about 5 % of the sum of squares; a tolerance of 0.01 % is sufficient.
+    # The increase is about 5 % of the sum of squares; a tolerance of 0.01 % is sufficient.
     found = _solve(of_others, start, low, high, 1e-4, 60)
     return found.x, 2.0 * found.cost

@@ -7,7 +7,7 @@ line between the wheel centres under the CG when the car is level:
     m_r(theta) l cos(theta) = m (l_f cos(theta) + (h - r) sin(theta))
     m_r(theta) = m_r(0) + m (h - r) / l tan(theta)
     one pitch:   h = r + l (m_r(theta) - m_r(0)) / (m tan(theta))          (ISO 10392)
-    all:         h = r + l b / m,  b the slope of m_r over tan(theta), with a separate intercept for each lift
+    all:         h = r + l b / m,  b the slope of m_r versus tan(theta), with a separate intercept for each lift
     r = r_front (1 - l_f / l) + r_rear l_f / l
 
 r is computed from the loaded wheel radii of the level car, because h is the height there. The further deflection of the
@@ -29,8 +29,8 @@ from ..regression import symmetric_interval, welch_freedom
 from .result import Coverage, Estimate, Identification, IdentificationError
 from .steering_ratio import Line, fit_line
 
-MAX_LEVEL_PITCH = math.radians(0.5)  # a row below counts as level
-MIN_PITCH_RANGE = math.radians(3.0)  # of pitch; below it the load changes by less than wheel scales resolve
+MAX_LEVEL_PITCH = math.radians(0.5)  # rows with a smaller pitch count as level
+MIN_PITCH_RANGE = math.radians(3.0)  # in a smaller range the load changes by less than the resolution of wheel scales
 MAX_PITCH = math.radians(45.0)
 BIN = math.radians(3.0)
 RADIUS_UNCERTAINTY = 0.003  # m, of a wheel radius read off a ruler
@@ -42,8 +42,8 @@ class Lift:
     """Rows of one or several lifts: pitch (n,) nose up [rad] relative to the level car, rear_load (n,) both wheels
     [kg].
 
-    lifts: name per row. front_radius, rear_radius: (n,) height of the wheel centres over their ground [m], NaN where
-    not measured; the level rows need them.
+    lifts: name of the lift per row. front_radius, rear_radius: (n,) height of the wheel centres above the ground under
+    them [m], NaN where not measured; the level rows need them.
     """
 
     pitch: np.ndarray
@@ -100,7 +100,7 @@ def cg_height(data: Lift, car: LiftedCar) -> Identification:
         arm * car.wheelbase_uncertainty / car.wheelbase, RADIUS_UNCERTAINTY * math.hypot(1.0 - share, share))
     single, usable = _single_heights(data, car, level, radius, line)
     average = float(single[usable].mean())
-    # Only the slope's uncertainty was estimated, from few rows.
+    # Only the uncertainty of the slope was estimated from a few rows; the other uncertainties are known.
     freedom = welch_freedom((car.wheelbase / car.mass * line.uncertainty) ** 2, spread**2, line.freedom)
     used = tuple(dict.fromkeys(data.lifts))
     method = (f"ISO 10392 axle lift, {len(data.pitch)} rows in {len(used)} lift{'s' * (len(used) != 1)} up to "
@@ -167,8 +167,8 @@ def _radii(data: Lift, car: LiftedCar, level: np.ndarray) -> tuple[float, float 
 
 def _single_heights(data: Lift, car: LiftedCar, level: np.ndarray, radius: float,
                     line: Line) -> tuple[np.ndarray, np.ndarray]:
-    """Height from each row alone (n,), and which rows give one; the level load is the mean of that lift's level
-    rows."""
+    """Height from each single row (n,), and which rows give one; the level load is the mean of the level rows of that
+    lift."""
     groups = np.asarray(data.lifts)
     zero = np.array([data.rear_load[level & (groups == name)].mean() if (level & (groups == name)).any()
                      else line.levels[name] for name in data.lifts])

@@ -40,10 +40,11 @@ MISALIGNMENT, DELAY, RELAXATION = "ins_misalignment", SteeringDelay.name, TyreRe
 MAX_ROUNDS, SCALE_TOLERANCE = 6, 0.02
 """Number of fits, each with the error scale of the previous one, and relative change of that scale at convergence."""
 BOUND_TOLERANCE = 1e-3
-"""Distance to a bound, over the range between both, below which a value counts as at the bound."""
+"""Distance to a bound, as a fraction of the range between both bounds, below which a value counts as at the bound."""
 MAX_CONDITION = 1e12
 MIN_CURVATURE_RATIO = 0.2
-"""Second derivative of the loss over its weighted squares; 0.7 for errors distributed as the loss assumes."""
+"""Minimum ratio of the second derivative of the loss to the weighted squares; 0.7 for the distribution that it assumes.
+"""
 
 Values = Mapping[str, float]
 
@@ -81,21 +82,21 @@ FREE_PARAMETERS: Mapping[str, FreeParameter] = {
     "steering_wheel_offset": FreeParameter(SteeringOffset.name, "rad", _offset, max_uncertainty=0.02),
     "cg_to_ins_x": FreeParameter(SensorLeverArm.name, "m", max_uncertainty=0.1, value=lambda car, values: (
         car.cg_to_ins_x + values[f"{SensorLeverArm.name}.x"])),
-    # Angle by which the reported heading is too far left.
+    # Angle by which the reported heading points too far left.
     MISALIGNMENT: FreeParameter(HeadingMisalignment.name, "rad",
                                 lambda car, values: values[f"{HeadingMisalignment.name}.angle"], max_uncertainty=0.005),
-    # Delay of the wheels after the measured angle.
+    # Delay from the measured angle to the wheels.
     DELAY: FreeParameter(DELAY, "s", lambda car, values: values[f"{DELAY}.time"], max_uncertainty=0.02),
-    # Distance rolled until 63 % of a slip step is force.
+    # Distance rolled until the force reaches 63 % of its final value after a step of the slip.
     RELAXATION: FreeParameter(RELAXATION, "m", lambda car, values: values[f"{RELAXATION}.length"], max_uncertainty=0.1),
 }
 
 
 @dataclass(frozen=True)
 class DrivingFitSettings:
-    """horizon [s] of the predictions, 1 or more; interval [s] between their starts. Windows are used when over the
-    whole horizon the speed is at least minimum_speed [m/s] and |v_x r| at most maximum_acceleration [m/s^2]; fewer
-    than min_windows are refused. channels: measured quantities to compare predictions with; without velocity_y a
+    """horizon [s] of the predictions, 1 or more; interval [s] between their starts. Windows are used if throughout the
+    horizon the speed is at least minimum_speed [m/s] and |v_x r| at most maximum_acceleration [m/s^2]; fewer than
+    min_windows are rejected. channels: measured quantities to compare predictions with; without velocity_y a
     prediction starts from steady sideslip.
     """
 
@@ -167,7 +168,7 @@ class DrivingFit:
         return sum(used for used, _ in self.windows.values())
 
     def change_with(self, name: str) -> dict[str, float]:
-        """Change of each other value [SI] per unit of `name`, when that is changed and the rest refitted."""
+        """Change of each other value [SI] per unit of `name`, if that is changed and all others are refitted."""
         inverse = np.linalg.inv(self.hessian)
         covariance = self.slopes @ inverse @ self.slopes.T
         k = self.names.index(name)

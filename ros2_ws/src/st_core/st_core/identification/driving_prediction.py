@@ -1,12 +1,12 @@
 """Stiffnesses, steering and yaw inertia from multi-step predictions of several drives at once.
 
-The offset of the steering and the misalignment of the INS are always fitted in addition, since they resemble tyres.
-Stiffness: with the nonlinear model it is the slope at small slip at the static load, with the tyre curve of the vehicle
-file; with the linear one it is the secant that predicts best over the driven slip. For a tyre with another curve the
-value depends on the range of slip. The interval includes that: the fit is repeated on the windows of small lateral
-acceleration, and the difference extrapolated to zero slip (`slip_range_uncertainty`).
+The offset of the steering and the misalignment of the INS are always fitted in addition, since their errors resemble
+those of tyres. Stiffness: with the nonlinear model it is the slope at small slip at the static load, with the tyre
+curve of the vehicle file; with the linear one it is the secant that predicts best in the driven slip range. For a tyre
+with another curve the value depends on the range of slip. The interval includes that: the fit is repeated with the
+windows of low lateral acceleration, and the difference extrapolated to zero slip (`slip_range_uncertainty`).
 
-Steering ratio, where no turntables are available:
+Steering ratio, if no turntables are available:
 
     delta = (delta_h - o) / i:    L kappa + K v^2 kappa = delta
 
@@ -19,7 +19,7 @@ fits. Steering dynamics, wrong time stamps and the relaxation of the tyres delay
 of the steering and relaxation length are therefore fitted too. Without relaxation in the fit, the inertia of a car with
 a relaxation length of 0.4 m is estimated 17 % too small. The delay between an angle and its stamp, up to a sampling
 interval T, differs between drives, which one dead time for N drives cannot represent: its uncertainty has a part
-T / sqrt(12 N), with its effect on the inertia. Checked by: test_identification_driving.py.
+T / sqrt(12 N), which is propagated to the inertia. Checked by: test_identification_driving.py.
 """
 
 from collections.abc import Mapping, Sequence
@@ -64,20 +64,21 @@ UNCERTAINTY_GRADES: tuple[tuple[float, str, Status], ...] = (
     (MAX_RELATIVE_UNCERTAINTY, "Determined", "identified"),
     (5.0 * MAX_RELATIVE_UNCERTAINTY, "Poorly determined", "doubtful"),
     (np.inf, "Not identifiable: determined only", "unidentifiable"))
-"""(largest standard uncertainty over value of a stiffness, ratio or inertia; text of the verdict; status)."""
+"""(largest relative standard uncertainty of a stiffness, ratio or inertia; text of the verdict; status)."""
 INERTIA_NAMES = ("yaw_inertia", *STIFFNESSES, DELAY, RELAXATION, *NUISANCE)
 YAW_ACCELERATION_EDGES = np.array([-10.0, -0.3, -0.1, 0.1, 0.3, 10.0])  # rad/s^2, left +
 TRANSIENT_SETTINGS = DrivingFitSettings(interval=0.3)
 SINGLE_TRACK_ERROR = 0.8**2
-"""Standard uncertainty of a stiffness by the single-track assumption, relative, over (L / R)^2. Two wheels with
-Ackermann angles turn an axle's force into a yaw moment that one wheel does not have. On the virtual Leaf without noise:
-rear stiffness 4.6 m^2 / R^2 too small, 1.1 % at 20 m, 0.1 % at 60 m. All of it counts, as for full Ackermann angles."""
+"""Relative standard uncertainty of a stiffness due to the single-track assumption, divided by (L / R)^2. With Ackermann
+angles, the forces of two wheels cause a yaw moment that a single wheel does not have. On the virtual Leaf without
+noise, the rear stiffness is too small by 4.6 m^2 / R^2: 1.1 % at 20 m, 0.1 % at 60 m. The full error is taken, as for
+full Ackermann angles."""
 
 
 def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
                       settings: DrivingFitSettings = SETTINGS, *, also: Sequence[str] = (),
                       nuisance: Sequence[str] = NUISANCE) -> Identification:
-    """Both stiffnesses with their uncertainty over runs.
+    """Both stiffnesses with their uncertainty from the scatter between runs.
 
     vehicle: all other values, and the start values of the fit. base: linear, nonlinear, or either with effects that are
     known (`augment`: for example drive force on steered wheels). also: further parameters to fit and report, of
@@ -109,8 +110,8 @@ def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
 def slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model,
                            settings: DrivingFitSettings, fit: DrivingFit) -> dict[str, float]:
     """Standard uncertainty of the stiffnesses [N/rad] as slopes at zero slip, when the tyre's curve is not the model's:
-    `regression.extrapolation_uncertainty` over a, the mean |v_x r| weighted by its square; lower range: the windows up
-    to the median of the peaks. A secant of a brush tyre falls linearly with the slip to first order. Empty where the
+    `regression.extrapolation_uncertainty` with a, the mean |v_x r| weighted by its square; lower range: the windows up
+    to the median of the peaks. To first order, the secant of a brush tyre decreases linearly with slip. Empty if the
     drives do not separate the two ranges.
     """
     try:
@@ -140,7 +141,7 @@ def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                       base: str | Model = "nonlinear") -> Identification:
     """Ratio and offset with their uncertainty, and the stiffnesses fitted with them.
 
-    Raises IdentificationError for too little excitation: two bins of speed at least.
+    Raises IdentificationError for too little excitation: at least two speed bins are needed.
     """
     result = predict_stiffness(logs, vehicle, base, also=(RATIO, OFFSET), nuisance=(*NUISANCE, DELAY, RELAXATION))
     order = [e.parameter for e in result.estimates]
@@ -154,7 +155,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                          base: str | Model = "nonlinear") -> Identification:
     """Yaw inertia with its uncertainty; stiffnesses and steering delay are reported too.
 
-    Raises IdentificationError without transients: half a second of r_dot above 0.3 rad/s^2 to either side.
+    Raises IdentificationError without transients: half a second of |r_dot| above 0.3 rad/s^2 is needed to either side.
     """
     settings = TRANSIENT_SETTINGS
     logs, notices = prepare_drives(logs, vehicle)
@@ -165,7 +166,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                                [run.time for run in runs], 0.5, 5))
     require_coverage(covered, "Steady bends do not show the yaw inertia: drive steps, lane changes or a sine sweep.")
     fit = fit_driving(logs, vehicle, INERTIA_NAMES, base, settings)
-    # Uncertainty of the dead time [s], and through it of the inertia; see the module.
+    # Uncertainty of the dead time [s], and its contribution to that of the inertia; see the module.
     sampling = float(np.median(np.concatenate([np.diff(log.steering_time_ns) for log in logs]))) * NANOSECOND
     dead_time = sampling / np.sqrt(12.0 * sum(used > 0 for used, _ in fit.windows.values()))
     timing = {DELAY: dead_time, "yaw_inertia": abs(fit.change_with(DELAY)["yaw_inertia"]) * dead_time}
@@ -242,7 +243,7 @@ def describe_model(base: str | Model) -> str:
 
 def driving_coverage(logs: Sequence[DriveLog], needs: Mapping[str, tuple[float, int]],
                      minimum_speed: float) -> tuple[Coverage, ...]:
-    """Speed and lateral acceleration v_x r of all driving above a speed [m/s].
+    """Coverage of speed and lateral acceleration v_x r of all driving above a minimum speed [m/s].
 
     needs: {"speed" | "lateral acceleration": (seconds a bin must hold, bins needed)}.
     """

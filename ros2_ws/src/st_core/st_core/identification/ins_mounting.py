@@ -5,14 +5,15 @@ by gamma to the left,
 
     v_y = -gamma v_x + (l_r + d_x) r - s v_x^2 r - e v_x dr/dt,    s = m l_f / (L C_r)
 
-Straights show gamma, bends d_x, bends at two speeds the slip s. e: sideways motion of an INS above the roll axis as the
-body rolls; yaw inertia and relaxation of the slip act like it. How far the INS is off the centreline, d_y, changes
-its forward speed in bends to one side against the other:
+Straights determine gamma, bends d_x, bends at two speeds the slip s. e: sideways motion of an INS above the roll axis
+as the body rolls; yaw inertia and tyre relaxation act like it. The distance d_y of the INS from the centreline makes
+its forward speed differ between left and right bends:
 
     phi + c phi^3 = delta - K v_x r,    phi = atan(L r / (v_x + r d_y))
 
 which needs tight bends to both sides. Ratio, offset and understeer of the steering are fitted as well, and c, the
-deviation of the mean steering angle from the formula in tight bends, which uneven driving would turn into d_y.
+deviation of the mean steering angle from the formula in tight bends: if the drive turns more to one side, that would
+bias d_y.
 Checked by: test_identification_driving.py.
 """
 
@@ -31,15 +32,15 @@ from .run_samples import SPEED_EDGES, RunSamples, prepare_drives, require_covera
 MINIMUM_SPEED, MAXIMUM_SPEED = 1.5, 9.0  # m/s
 MAXIMUM_ACCELERATION = 2.5  # m/s^2, lateral
 CURVATURE_EDGES = np.array([-0.3, -0.05, -0.02, -0.005, 0.005, 0.02, 0.05, 0.3])  # 1/m, left +
-MIN_CURVATURE = 0.03  # 1/m, below which left and right do not show d_y
-MIN_TIGHT_TIME = 5.0  # to each side
-SAMPLE_INTERVAL = 0.1  # s between the samples kept; after the filter, closer ones add nothing
+MIN_CURVATURE = 0.03  # 1/m; d_y is not identifiable from wider bends
+MIN_TIGHT_TIME = 5.0  # s of tight bends, to each side
+SAMPLE_INTERVAL = 0.1  # s between the samples kept; after the filter, closer ones add no information
 
 
 def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
     """cg_to_ins_x [m], ins_misalignment [rad, heading reported too far left] and, with tight bends, cg_to_ins_y [m].
 
-    vehicle: the lengths; its lever arm does not enter. Raises IdentificationError for too little excitation.
+    vehicle: its lengths are used, its lever arm is not. Raises IdentificationError for too little excitation.
     """
     logs, notes = prepare_drives(logs, vehicle, "velocity_y")
     runs = [run_samples(log, vehicle) for log in logs]
@@ -127,7 +128,7 @@ def _estimate(name: str, value: float, spread: Spread, index: int, factor: float
 
 
 def _compare_rear_slip(slip: float, variance: float, vehicle: VehicleParameters) -> str:
-    """A sentence where the slip s contradicts the rear stiffness of the vehicle file, else an empty text."""
+    """A sentence if the slip s contradicts the rear stiffness of the vehicle file, else an empty text."""
     expected = rear_slip_coefficient(vehicle)
     found, uncertainty = -slip, float(np.sqrt(variance))
     if uncertainty > 0.5 * expected or abs(found - expected) < 2.0 * uncertainty:

@@ -22,7 +22,7 @@ from .result import Estimate, Identification, IdentificationError, Status
 
 @dataclass(frozen=True)
 class StiffnessUncertainty:
-    """uncertainty: relative standard uncertainty of K at the static load from a flat-plank table [1]. name: of the
+    """uncertainty: relative standard uncertainty [1] of K at the static load, from a flat-plank table. name: of the
     table."""
 
     uncertainty: float
@@ -32,8 +32,8 @@ class StiffnessUncertainty:
 def lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, StiffnessUncertainty]) -> Identification:
     """Estimates of tyre_front.lambda_ky and tyre_rear.lambda_ky [1].
 
-    tables: by tyre; without one the uncertainty is that of the axle stiffness only. Raises IdentificationError when the
-    vehicle file has no stiffness with an uncertainty: then the scale is a division, not an identification.
+    tables: by tyre; without one the uncertainty is that of the axle stiffness only. Raises IdentificationError if the
+    vehicle file has no stiffness with an uncertainty: the scale would then be a conversion, not an identification.
     """
     estimates, warnings = [], []
     for tyre in TYRES:
@@ -77,7 +77,8 @@ def _load_sensitivity(load: float, tyre: MagicFormula) -> float:
 
 
 def _load_uncertainty(vehicle: VehicleParameters, axle: str) -> float:
-    """Relative standard uncertainty of the static load [1], of mass and CG position as far as the file states them."""
+    """Relative standard uncertainty of the static load [1], from the uncertainties of mass and CG position in the file.
+    """
     distance = vehicle.cg_to_rear_axle if axle == "front" else vehicle.cg_to_front_axle
     sizes = {"mass": vehicle.mass, "cg_to_front_axle": distance}
     known = {key: vehicle.provenance[key].uncertainty or 0.0 for key in sizes if key in vehicle.provenance}

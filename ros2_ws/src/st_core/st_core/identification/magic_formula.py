@@ -1,6 +1,6 @@
-"""Magic Formula of one tyre from flat-plank tables: lateral force against slip angle at several vertical loads.
+"""Magic Formula of one tyre from flat-plank tables: lateral force versus slip angle at several vertical loads.
 
-Equations in `tyres.py`; scale factors lambda are 1, p_ey3 stays as the vehicle file has it (the paper: symmetric). One
+Equations in `tyres.py`; scale factors lambda are 1, p_ey3 is that of the vehicle file (the paper: symmetric). One
 more parameter, a shift s of the slip angle common to all loads, absorbs conicity and plysteer and is then dropped:
 
     F_y(F_z, alpha) = D sin(C atan(B x - E (B x - atan(B x)))),   x = alpha + s
@@ -8,8 +8,8 @@ more parameter, a shift s of the slip angle common to all loads, absorbs conicit
 Stage 1, at the load nearest to nominal_load: p_cy1, p_dy1, p_ey1 and the stiffness K there. Stage 2 fixes these and
 fits their load dependence: p_dy2, p_ey2, p_ky2, p_ky4 (p_ky1 follows from K). That is the paper's order. The result is
 the initial guess of a simultaneous fit, which yields the values and intervals; stage 2 alone would treat the stage 1
-values as exact. Both are compared. With two loads p_ky4 stays as in the vehicle file; with one, every load dependence
-does.
+values as exact. Both are compared. With two loads p_ky4 is kept from the vehicle file; with one, every load dependence
+is.
 
 Slip angle in rad, force in N, of one tyre, steady state, in either sign convention; `check_table` converts to a force
 that opposes the slip angle (sign: tyres.py). Source: paper, parameter identification and appendix. Checked by:
@@ -32,7 +32,7 @@ from .result import Coverage, Estimate, Identification, IdentificationError, Sta
 MAX_SLIP = math.radians(40.0)
 MIN_SLIP = math.radians(3.0)
 LEVEL_GAP = 0.04  # relative; loads closer than this are one level, since the carriage does not hold a load exactly
-MIN_POINTS = 7  # of the nominal load; five parameters are fitted to them
+MIN_POINTS = 7  # at the nominal load; five parameters are fitted to them
 SLIP_BINS = np.radians([0.0, 0.75, 1.5, 3.0, 5.0, 8.0, 12.0, 20.0])
 MIN_FILLED_BINS = 3
 
@@ -50,7 +50,7 @@ class FlatPlank:
 
 
 def load_levels(data: FlatPlank) -> tuple[np.ndarray, np.ndarray]:
-    """Mean load of each level, rising (m,) [N], and the level of each row (n,)."""
+    """Mean load of each level (m,), ascending [N], and the level of each row (n,)."""
     if len(data.load) < MIN_POINTS or not (np.isfinite(data.load).all() and (data.load > 0.0).all()):
         lowest = float(np.min(data.load)) if len(data.load) else math.nan
         raise IdentificationError(f"{data.tyre}: {len(data.load)} rows with loads from {lowest:.4g} N: "
@@ -118,13 +118,13 @@ def slip_coverage(data: FlatPlank, levels: np.ndarray, level: np.ndarray) -> tup
 
 
 SHIFT = "slip_shift"
-# Below p_ky4 = 1 the stiffness would never reach its largest value p_ky1 F_z0, and p_ky1 would lose its meaning; above
-# 2 it would change its sign at some load.
+# With p_ky4 < 1 the stiffness would never reach its largest value p_ky1 F_z0, and p_ky1 would lose its meaning; with
+# p_ky4 > 2 it would change its sign at some load.
 FIT_BOUNDS = {SHIFT: (-math.radians(2.0), math.radians(2.0)), "p_ky4": (1.0, 2.0)}
 NOMINAL_PARAMETERS = ("p_cy1", "p_dy1", "p_ey1")
 STIFFNESS_PARAMETERS = ("p_ky1", "p_ky2", "p_ky4")
 FITTED_PARAMETERS = ("p_cy1", "p_dy1", "p_dy2", "p_ey1", "p_ey2", "p_ky1", "p_ky2", "p_ky4")
-STARTS = ((1.1, -0.5), (1.3, 0.2), (1.6, -0.5), (1.3, -3.0))  # of (C, E): where the nominal fit begins
+STARTS = ((1.1, -0.5), (1.3, 0.2), (1.6, -0.5), (1.3, -3.0))  # start values (C, E) of the fit at the nominal load
 MEANING = {"p_cy1": "shape", "p_dy1": "peak friction", "p_dy2": "load dependence of peak friction",
            "p_ey1": "curvature",
            "p_ey2": "load dependence of curvature", "p_ky1": "stiffness", "p_ky2": "load at maximum stiffness",
@@ -148,7 +148,7 @@ class TyreFit:
     flipped: bool
 
     def stiffness(self, load: float) -> tuple[float, float]:
-        """K [N/rad] of one tyre at a load [N] and its standard uncertainty, by the fit's covariance."""
+        """K [N/rad] of one tyre at a load [N] and its standard uncertainty, from the covariance of the fit."""
         value = magic_formula_stiffness(load, self.tyre)
         gradient = np.zeros(len(self.names))
         for k, name in enumerate(self.names):
@@ -211,7 +211,7 @@ def magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
         if open_ends == 2:
             verdict.append(f"The data do not limit it within {interval.low:g} to {interval.high:g}; it is written "
                            "because, with the other parameters, it reproduces the stiffness at the tested loads.")
-            # Uniform over the range: all values are equally likely.
+            # Uniform distribution in the range: all values are equally likely.
             spread = (interval.high - interval.low) / math.sqrt(12.0)
         estimates.append(Estimate(key, value, "1", spread, (interval.low, interval.high), method, (data.name,),
                                   " ".join(verdict), status))
@@ -241,7 +241,7 @@ def _fit_nominal_load(data: FlatPlank, base: MagicFormula) -> MagicFormula:
 
 
 def _fit_load_dependency(data: FlatPlank, first: MagicFormula, free: Sequence[str]) -> MagicFormula:
-    """Second stage: K at the nominal load held, which makes p_ky1 follow from p_ky2 and p_ky4."""
+    """Second stage: K at the nominal load is fixed, so that p_ky1 follows from p_ky2 and p_ky4."""
     stiffness = float(magic_formula_stiffness(first.nominal_load, first))
 
     def tyre(values: Any) -> MagicFormula:

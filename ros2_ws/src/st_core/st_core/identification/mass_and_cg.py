@@ -2,13 +2,13 @@
 
     m = sum of the four readings,   l_f = l (rear readings) / m
 
-Several weighings of the same car, rolled off and on again between them, show the scatter by friction in tyres and
-suspension. The error of each scale repeats in every weighing and does not average out:
+Several weighings of the same car, which is rolled off and on again between them, show the scatter due to friction in
+tyres and suspension. The error of each scale repeats in every weighing and does not average out:
 
     u(m)^2   = s_m^2 / n + 4 u_s^2
     u(l_f)^2 = s_l^2 / n + 2 u_s^2 (l_f^2 + l_r^2) / m^2 + (l_f / l)^2 u(l)^2
 
-s: scatter over the n weighings, u_s: standard uncertainty of one scale. The interval is Student's, its degrees of
+s: scatter of the n weighings, u_s: standard uncertainty of one scale. The interval is Student's, its degrees of
 freedom by Welch and Satterthwaite. Source: paper, parameter identification.
 Checked by: test_identification_experiments.py.
 """
@@ -87,7 +87,8 @@ def mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncertainty: f
 
 
 def describe_swapped_axles(found: Identification, wheelbase: float, expected: float) -> str:
-    """A sentence when front and rear readings look exchanged: the CG fits the file's [m] only from the other end."""
+    """A sentence if front and rear readings look exchanged: the distance of the CG [m] agrees with that in the file
+    only if measured from the rear axle."""
     front = found["cg_to_front_axle"].value
     if abs(front - expected) > 0.05 * wheelbase and abs(wheelbase - front - expected) < 0.02 * wheelbase:
         return (f"cg_to_front_axle is estimated as {front:.3f} m, the vehicle file has {expected:.3f} m; with front "
@@ -118,8 +119,8 @@ def _check_readings(weighings: Weighings) -> np.ndarray:
 
 
 def _scale_covariance(scale: float, mass: float, front: float, wheelbase: float, wheelbase_spread: float) -> np.ndarray:
-    """Covariance of (mass, l_f) by the four scales' own errors and the wheelbase's."""
-    # d l_f / d reading: -l_f / m in front, (l - l_f) / m behind.
+    """Covariance of (mass, l_f) due to the errors of the four scales and of the wheelbase."""
+    # d l_f / d reading: -l_f / m in front, (l - l_f) / m in the rear.
     gradient = np.stack([np.ones(4), np.array([-front, -front, wheelbase - front, wheelbase - front]) / mass])
     covariance = scale**2 * gradient @ gradient.T
     covariance[1, 1] += (front / wheelbase * wheelbase_spread) ** 2

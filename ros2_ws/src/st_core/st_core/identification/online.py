@@ -5,7 +5,7 @@ usable driving both stiffnesses, ratio, offset, INS misalignment, dead time of t
 are fitted together, so that delay and transients are not taken for a ratio. The deviation adds two parts in quadrature:
 the variation between blocks of driving, as a normal deviation with the same 95 % interval, and SYSTEMATIC, the error of
 the single-track model. A value is estimated when there is enough excitation (`_missing_driving`) and its deviation is
-below MAX_DEVIATIONS; invalid when it is implausible for the car or the residual of the model is too large. Valid for
+below MAX_DEVIATIONS; invalid if it is implausible for the car or the residual of the model is too large. Valid for
 |a_y| <= 4 m/s^2 on dry, level roads. Nothing is applied to the vehicle. Checked by: test_online.py.
 """
 
@@ -37,13 +37,13 @@ FIT_INTERVAL = 15.0  # s of usable driving
 MIN_SPEED = 2.0  # m/s of samples kept
 MAX_GAP = 0.1  # s; a longer pause between samples is not driving time
 SYSTEMATIC = (math.radians(0.05), 0.005, 0.03)
-"""Of offset [rad], and relative of ratio and scale: largest errors on the simulated Leaf, bends and slaloms."""
+"""Largest errors on the simulated Leaf in bends and slaloms: of offset [rad], ratio and scale (relative)."""
 UNKNOWN_DEVIATIONS = (math.radians(30.0), 0.2, 0.5)  # deviations without a fit; ratio and scale relative
 MAX_DEVIATIONS = (math.radians(0.5), 0.015, 0.06)  # of an estimated value; ratio and scale relative
 MAX_OFFSET = math.radians(45.0)
-PLAUSIBLE_RANGES = ((0.6, 1.6), (0.3, 3.0))  # ratio over the file's, scale
-MAX_UNEXPLAINED = 0.2  # of the root mean square yaw rate; 0.02 to 0.04 on the simulated Leaf, 0.1 with a noisy INS
-MIN_YAW_RATE = 0.02  # rad/s, least reference of the residual, for straights
+PLAUSIBLE_RANGES = ((0.6, 1.6), (0.3, 3.0))  # steering ratio divided by that of the vehicle file; stiffness scale
+MAX_UNEXPLAINED = 0.2  # residual to RMS yaw rate; 0.02 to 0.04 on the simulated Leaf, 0.1 with a noisy INS
+MIN_YAW_RATE = 0.02  # rad/s, minimum RMS yaw rate that the residual is divided by, for straights
 SPEED_BINS = (5.0, 7.0, 10.0, 14.0, 20.0)  # m/s
 MIN_BEND_ANGLE = 0.02  # rad, |l r / v| of a bend
 MIN_LOADED_ACCELERATION = 1.5  # m/s^2, |v r| that loads the tyres
@@ -77,8 +77,8 @@ class DrivingTime:
 
 @dataclass(frozen=True)
 class OnlineFit:
-    """Result of one fit: values and deviations (3,) in the order of NAMES. unexplained: root mean square residual over
-    that of the yaw rate. at_bound: names at a bound. problem: reason for a missing fit, else empty."""
+    """Result of one fit: values and deviations (3,) in the order of NAMES. unexplained: ratio of the RMS residual to
+    the RMS yaw rate. at_bound: names at a bound. problem: reason for a missing fit, else empty."""
 
     values: tuple[float, ...]
     deviations: tuple[float, ...]
@@ -95,7 +95,7 @@ def fit_recent(log: DriveLog, vehicle: VehicleParameters) -> OnlineFit:
     except (StCoreError, np.linalg.LinAlgError) as error:
         return _missing_fit(vehicle, str(error))
     files = [getattr(vehicle, name) for name in STIFFNESSES]
-    # Offset, ratio, and the mean over both axles of stiffness over the file's.
+    # Offset, ratio, and stiffness divided by that of the vehicle file, mean of both axles.
     rows = np.zeros((3, len(FITTED)))
     rows[0, 0] = rows[1, 1] = 1.0
     rows[2, 2:4] = 0.5 / np.array(files)

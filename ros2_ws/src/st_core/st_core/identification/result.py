@@ -47,7 +47,7 @@ class Estimate:
 class Coverage:
     """Coverage of the range of one signal: counts (n,) in bins between edges (n + 1,).
 
-    needed: samples of a filled bin. bins_needed: least number of filled bins.
+    needed: minimum number of samples in a filled bin. bins_needed: minimum number of filled bins.
     """
 
     signal: str
@@ -78,8 +78,8 @@ class Identification:
     are possible; parameters of the tyres' formula, which may well be zero, are exempt.
 
     experiment: name of the experiment in `st identify`. used: names of the data. rejected: (data, reason). correlation:
-    matrix over the estimates, in their order, or None. coverage: excitation by signal. warnings: sentences. figure:
-    arrays, numbers and texts for its figure. findings: of the checks, by drive, used or refused.
+    matrix of the estimates, in their order, or None. coverage: excitation by signal. warnings: sentences. figure:
+    arrays, numbers and texts for its figure. findings: of the checks, by drive, used or rejected.
     """
 
     experiment: str
@@ -127,7 +127,7 @@ def _with_status(estimate: Estimate) -> Estimate:
 
 
 def describe_contradiction(estimate: Estimate, value: float, standard_uncertainty: float, origin: str) -> str:
-    """A sentence where a value of another experiment differs significantly (two-sided, 5 %), else an empty text.
+    """A sentence if a value of another experiment differs significantly (two-sided, 5 %), else an empty text.
 
         z = (x_1 - x_2) / sqrt(u_1^2 + u_2^2),    reported when |z| > 1.96
     """
@@ -141,7 +141,7 @@ def describe_contradiction(estimate: Estimate, value: float, standard_uncertaint
 
 
 def describe_correlations(names: Sequence[str], correlation: np.ndarray, limit: float = 0.95) -> tuple[str, ...]:
-    """A sentence for each pair of parameters correlated beyond a limit, which the data hardly separate."""
+    """A sentence for each pair of parameters with a correlation above a limit, which the data hardly separate."""
     return tuple(f"{names[i]} and {names[j]} are correlated by {correlation[i, j]:+.3f}: the data determine a "
                  "combination of the two better than each." for i in range(len(names)) for j in range(i + 1, len(names))
                  if abs(correlation[i, j]) > limit)
@@ -155,7 +155,7 @@ def apply_to_vehicle(vehicle: VehicleParameters, found: Iterable[Identification]
     """The vehicle with every identified or doubtful value of a parameter it has; unidentifiable ones are unchanged.
 
     date: YYYY-MM-DD, for the provenance. A lambda_ky that was derived from the stiffness is derived again.
-    Raises ConfigurationError, naming the key and the limit, for a value beyond the limits of a vehicle file.
+    Raises ConfigurationError, naming the key and the limit, for a value outside the limits of a vehicle file.
     """
     values: dict[str, float] = {}
     sources: dict[str, str] = {}
@@ -190,7 +190,7 @@ def describe_stale_scales(vehicle: VehicleParameters, found: Iterable[Identifica
 
 
 def compare_with_file(vehicle: VehicleParameters, estimate: Estimate) -> str:
-    """A sentence where the value contradicts that of the vehicle file and its uncertainty, else an empty text."""
+    """A sentence if the value contradicts that of the vehicle file and its uncertainty, else an empty text."""
     before = vehicle.provenance.get(estimate.parameter)
     if before is None or before.uncertainty is None or estimate.status == "unidentifiable":
         return ""

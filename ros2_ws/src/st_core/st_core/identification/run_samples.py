@@ -18,20 +18,20 @@ FILTER_SETTLING_TIME = 0.2
 MAXIMUM_GAP = 0.1
 """Longest gap between samples that is interpolated [s]."""
 MIN_COMMON_TIME, MIN_SAMPLES = 5.0, 50
-"""Least overlap of INS and steering [s], and least number of INS samples, of a usable drive."""
+"""Minimum overlap of INS and steering [s], and minimum number of INS samples, of a usable drive."""
 MIN_REPORTED_BIAS = 5.0e-4
-"""rad/s, 0.03 deg/s: above the drift of a faultless INS; it acts as 0.1 deg at the steering wheel at 15 m/s."""
+"""rad/s, 0.03 deg/s: above the drift of a faultless INS; equivalent to 0.1 deg at the steering wheel at 15 m/s."""
 SPEED_EDGES = np.array([0.0, 3.0, 6.0, 9.0, 12.0, 15.0, 20.0, 30.0, 60.0])  # m/s
 ACCELERATION_EDGES = np.array([-8.0, -4.0, -3.0, -2.0, -1.0, -0.3, 0.3, 1.0, 2.0, 3.0, 4.0, 8.0])  # m/s^2, left +
 
 
 @dataclass(frozen=True, eq=False)
 class RunSamples:
-    """Samples of one drive, (n,) each, at the CG in body axes; all known.
+    """Samples of one drive, (n,) each, at the CG in body axes; none is NaN.
 
-    time [s] after the first INS sample. velocity_x, velocity_y [m/s], yaw_rate [rad/s], yaw_acceleration [rad/s^2],
-    lateral_acceleration (v_y_dot + v_x r) [m/s^2], left +. road_wheel_angle [rad], of the vehicle file's ratio and
-    offset, and steering_wheel_angle [rad], as the sensor reads. yaw [rad], not filtered.
+    time [s] since the first INS sample. velocity_x, velocity_y [m/s], yaw_rate [rad/s], yaw_acceleration [rad/s^2],
+    lateral_acceleration (v_y_dot + v_x r) [m/s^2], left +. road_wheel_angle [rad]: computed with the ratio and offset
+    of the vehicle file. steering_wheel_angle [rad]: as measured. yaw [rad]: not filtered.
     """
 
     name: str
@@ -50,13 +50,13 @@ class RunSamples:
 
 
 def run_samples(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) -> RunSamples:
-    """Samples of a drive at the instants of the INS at which everything is known.
+    """Samples of a drive at the INS sample times at which all signals are available.
 
-    Filter of velocity, yaw rate and steering alike, forward and backward: first-order Butterworth of `cutoff` [Hz], see
-    `timeseries.filtered_derivative`; derivatives are central differences of the filtered signals. The filter is
-    zero-phase and attenuates both sides of each equation equally. The lateral acceleration is v_y_dot + v_x r, free of
-    gravity, moved to the CG (`types.ins_to_cg_acceleration`). Raises IdentificationError for a drive without common
-    measurements.
+    Velocity, yaw rate and steering pass the same first-order Butterworth filter, forward and backward, with cutoff
+    `cutoff` [Hz], see `timeseries.filtered_derivative`; derivatives are central differences of the filtered signals.
+    The filter is zero-phase and attenuates both sides of each equation equally. The lateral acceleration is
+    v_y_dot + v_x r, without gravity, transformed to the CG (`types.ins_to_cg_acceleration`). Raises IdentificationError
+    for a drive without common measurements.
     """
     def smooth(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return filtered_derivative(time_ns, values, cutoff, MAXIMUM_GAP, "zero_phase")
@@ -81,10 +81,10 @@ def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                    *needed: str) -> tuple[list[DriveLog], tuple[str, ...]]:
     """(drives prepared for an estimator, warnings).
 
-    The road wheel angle is that of this vehicle's ratio and offset, where the steering wheel was recorded. The mean
-    difference of yaw rate and rate of change of yaw is removed from each drive: the bias of a gyro would appear as an
-    offset of the steering. needed: channels that each drive must have. Raises IdentificationError for no drive, two of
-    one name, and one that is too short or lacks a channel.
+    The road wheel angle is computed with this vehicle's steering ratio and offset if the steering wheel angle was
+    recorded. The mean difference of yaw rate and rate of change of yaw is removed from each drive: a gyro bias would
+    appear as an offset of the steering. needed: channels that each drive must have. Raises IdentificationError for no
+    drive, two with the same name, and one that is too short or lacks a channel.
     """
     names = [log.name for log in logs]
     if not names:
@@ -121,7 +121,7 @@ def yaw_rate_bias(log: DriveLog) -> float:
 
 def signal_coverage(signal: str, unit: str, edges: np.ndarray, values: Sequence[np.ndarray],
                     times: Sequence[np.ndarray], seconds_needed: float, bins_needed: int) -> Coverage:
-    """Coverage of one signal over all drives. values: (n,) of each drive; times: of all its samples [s];
+    """Coverage of one signal in all drives. values: (n,) of each drive; times: of all its samples [s];
     seconds_needed: in a filled bin."""
     interval = float(np.median(np.concatenate([np.diff(time) for time in times])))
     return Coverage(signal, unit, edges, np.histogram(np.concatenate(values), edges)[0],

@@ -1,7 +1,7 @@
 """Offset of the steering wheel sensor from straight driving, by two methods.
 
-The paper's: the offset with which the simulated yaw rate comes closest to the measured one. Directly: the mean
-reading while the car drives straight, corrected by the remaining curvature kappa,
+Method of the paper: the offset with which the simulated yaw rate is closest to the measured one. Direct method: the
+mean reading while the car drives straight, corrected for the remaining curvature kappa,
 
     o = mean(delta_h) - i L kappa (1 + K v_x^2),    kappa = change of heading / distance
 
@@ -27,7 +27,7 @@ PAPER, DIRECT = "steering_wheel_offset", "steering_wheel_offset_direct"
 SETTINGS = DrivingFitSettings(horizon=2.0, maximum_acceleration=0.5, min_windows=40, channels=("yaw_rate",))
 WINDOW = 2.0  # s
 MIN_RADIUS = 500.0  # m
-MAX_ANGLE_DEVIATION = np.deg2rad(3.0)  # at the steering wheel, standard deviation in a window
+MAX_ANGLE_DEVIATION = np.deg2rad(3.0)  # standard deviation of the steering wheel angle in a window
 MIN_WINDOWS = 10
 CUTOFF = 1.0  # Hz, low-pass on the measured yaw rate, forward and backward
 
@@ -35,7 +35,7 @@ CUTOFF = 1.0  # Hz, low-pass on the measured yaw rate, forward and backward
 def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
     """Offset by both methods [rad at the steering wheel, left +]; parameters PAPER and DIRECT.
 
-    vehicle: its offset is the start of the fit. Raises IdentificationError for too little straight driving.
+    vehicle: its offset is the start value of the fit. Raises IdentificationError for too little straight driving.
     """
     logs, notes = prepare_drives(logs, vehicle)
     runs = [run_samples(log, vehicle) for log in logs]
@@ -45,8 +45,8 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
         raise IdentificationError(
             f"too few samples: {len(values)} windows of {WINDOW:g} s are straighter than R = {MIN_RADIUS:g} m, with "
             f"constant steering and faster than {SETTINGS.minimum_speed:g} m/s; {MIN_WINDOWS} are needed")
-    # Smoothing uses all samples of the yaw rate, not only those at the points of the horizon, where road noise would be
-    # 0.02 deg at the steering wheel after four minutes.
+    # The yaw rate is smoothed with all its samples. With only those at the points of the horizon, road noise would
+    # cause an error of 0.02 deg at the steering wheel after four minutes.
     smooth = [replace(log, yaw_rate=filtered_derivative(log.ins_time_ns, log.yaw_rate, CUTOFF, 0.1, "zero_phase")[0])
               for log in logs]
     fit = fit_driving(smooth, vehicle, (PAPER,), "linear", SETTINGS)

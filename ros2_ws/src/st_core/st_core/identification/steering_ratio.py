@@ -1,12 +1,12 @@
-"""Steering ratio from turntables: steering-wheel angle against the angles of both front wheels.
+"""Steering ratio from turntables: angles of both front wheels versus steering-wheel angle.
 
     delta = (left + right) / 2,    delta_k = a_j + delta_h,k / i + e_k,    i = 1 / b,    u(i) = i^2 u(b)
 
-b is one slope through all sweeps, a_j a level per sweep: where the turntables read zero is not where the car drives
-straight, so the steering-wheel offset cannot be identified. A cubic fitted to the residuals is the nonlinearity of the
-steering, where it is significant (F test, 1 %).
+b is one slope for all sweeps, a_j an intercept per sweep: the car does not drive straight where the turntables read
+zero, so the steering-wheel offset cannot be identified. A cubic fitted to the residuals is the nonlinearity of the
+steering, if it is significant (F test, 1 %).
 
-Of `fit_line`, with x_j, y_j the means of group j:
+`fit_line`, with x_j, y_j the means of group j:
 
     y_jk = a_j + b x_jk + e_jk,    b = sum (x - x_j)(y - y_j) / sum (x - x_j)^2 over all groups,
     u(b)^2 = s^2 / sum (x - x_j)^2,    s^2 = sum e^2 / (n - J - 1)
@@ -28,7 +28,8 @@ from .result import Coverage, Estimate, Identification, IdentificationError
 
 @dataclass(frozen=True)
 class Line:
-    """slope b with its standard uncertainty, levels a_j by group, residuals (n,), scatter s, freedom n - J - 1."""
+    """slope b with its standard uncertainty, levels: intercepts a_j by group, residuals (n,), scatter s, freedom
+    n - J - 1."""
 
     slope: float
     uncertainty: float
@@ -39,7 +40,8 @@ class Line:
 
 
 def fit_line(x: np.ndarray, y: np.ndarray, groups: Sequence[str]) -> Line:
-    """Least squares fit of slope and levels. groups: a name per point. Raises IdentificationError for a constant x."""
+    """Least squares fit of slope and intercepts. groups: a name per point. Raises IdentificationError for a constant x.
+    """
     members = {str(name): np.asarray(groups) == name for name in dict.fromkeys(groups)}
     centred_x, centred_y = (_subtract_means(v, members.values()) for v in (x, y))
     spread = float(centred_x @ centred_x)
@@ -98,7 +100,7 @@ class Turntable:
 
 
 def steering_ratio(data: Turntable) -> Identification:
-    """Estimate of steering_ratio [1]: of the best straight line over the tested range.
+    """Estimate of steering_ratio [1], from the best straight line in the tested range.
 
     Raises IdentificationError, with the numbers, for too few rows, too small a range, a wrong unit or sign, exchanged
     columns.
