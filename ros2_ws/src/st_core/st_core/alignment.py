@@ -29,7 +29,7 @@ from .vehicle import VehicleParameters
 # Unexplained displacement allowed at any distance [m]: RTK positions have 2 cm of noise, those of an INS far less from
 # sample to sample.
 POSITION_TOLERANCE = 0.3
-# Allowed in addition, as a fraction of the distance driven: scale of the velocity, a heading error.
+# Allowed in addition, as a fraction of the distance driven: due to scale of the velocity or heading error.
 DISTANCE_TOLERANCE = 0.1
 # Largest acceleration on tyres [m/s^2]: bounds the error of the trapezoidal rule over longer steps.
 MAX_ACCELERATION = 10.0
@@ -53,7 +53,7 @@ X, Y, YAW, VELOCITY_X, VELOCITY_Y, YAW_RATE, FILTERED, DERIVATIVE = range(8)
 
 
 def unexplained_step(spacing: float, before: Sequence[float], after: Sequence[float]) -> float:
-    """|d| [m] between two samples where it exceeds the tolerance, else 0.
+    """|d| [m] between two samples if it exceeds the tolerance, else 0.
 
     spacing: dt [s], > 0. before, after: rows that begin with x, y, yaw, v_x, v_y.
     """

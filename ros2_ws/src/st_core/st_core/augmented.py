@@ -147,7 +147,7 @@ class AugmentedModel(Model):
 
 
 def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedModel:
-    """The base model with effects in addition to those it has.
+    """The base model with further effects.
 
     effects: values by effect and parameter, optional for constants (not `Parameter.fit`); or names, for initial values.
     Raises ConfigurationError naming effect, parameter and limit for an unknown or repeated effect, one that does not

@@ -169,7 +169,7 @@ class LogBatch:
         return self._single_block[count, separate]
 
     def _planned(self, count: int, separate: bool) -> Iterator[Block]:
-        # Held inputs are needed at the start alone, unless earlier steering still acts on the wheels.
+        # Held inputs are needed only at the start, unless earlier steering still acts on the wheels.
         throughout = self._inputs == "measured" or separate
         instants = half_step_grid(0, self.steps * count, self.step / count) if throughout else np.zeros(1, np.int64)
         return plan(self._unique, instants, self._backend.LANES, share=not separate)

@@ -12,7 +12,7 @@ from .log_evaluation import LogEvaluation
 SPEED = (0.0, 3.0, 6.0, 9.0, 12.0, 15.0, 20.0, 25.0)  # m/s
 LATERAL_ACCELERATION = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)  # m/s^2, magnitude
 STEERING_RATE = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)  # rad/s at the road wheel, root mean square
-STRAIGHT = math.radians(5.0)  # largest change of heading over the horizon that counts as straight
+STRAIGHT = math.radians(5.0)  # largest change of heading within the horizon that counts as straight
 
 
 @dataclass(frozen=True, eq=False)

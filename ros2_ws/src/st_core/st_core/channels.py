@@ -18,7 +18,7 @@ STANDSTILL_SPEED = 0.5  # m/s; a car that is never faster does not move
 class Channel:
     """One measured quantity.
 
-    label: name in reports. unit: SI. resolution [unit]: of an INS; smaller errors are not distinguished.
+    label: name in reports. unit: SI. resolution [unit]: accuracy of an INS; smaller errors are not distinguished.
     signals: fields of DriveLog that measure it. columns: components of its error. Both default to `name`.
     errors(measured, readings): measured minus predicted `effects.Measured`, by column; None: difference of the field
     `name`. smoothed: measured and predicted are averaged over SMOOTHING_NS. accumulates: its errors grow over the
@@ -74,7 +74,8 @@ def _position_residuals(measured: Mapping[str, np.ndarray], readings: Any) -> tu
 
 
 def _position_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, u: Any, v: Any, rate: Any) -> tuple[float, ...]:
-    """Measured displacement against dead reckoning, plus the effect of white noise in the start heading and speed."""
+    """Difference of measured displacement and dead reckoning, plus the effect of white noise of initial heading and
+    speed."""
     east, north = (_integral(values, step) for values in body_to_map(u, v, yaw))
     ahead, left = map_to_body(x[:, -1] - x[:, 0] - east, y[:, -1] - y[:, 0] - north, yaw[:, -1])
     horizon = step * (x.shape[1] - 1)
@@ -83,7 +84,7 @@ def _position_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, u: Any, v: 
 
 
 def _heading_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, u: Any, v: Any, rate: Any) -> tuple[float, ...]:
-    """Measured change of heading against the integral of the measured yaw rate."""
+    """Difference of the measured change of heading and the integral of the measured yaw rate."""
     return (_spread(wrap_angle(yaw[:, -1] - yaw[:, 0] - _integral(rate, step))),)
 
 
@@ -105,7 +106,7 @@ CHANNELS: Mapping[str, Channel] = {channel.name: channel for channel in (
     Channel("position", "position", "m", 1e-3, ("x", "y"), ("position_lateral", "position_longitudinal"),
             errors=_position_residuals, accumulates=True, noise=_position_noise),
 )}
-"""By name, the channel most informative about the car first."""
+"""Channels by name, the one with most information on the car first."""
 
 CHANNEL_OF_COLUMN = {column: channel for channel in CHANNELS.values() for column in channel.columns}
 POSITION_5S = "position_5s"

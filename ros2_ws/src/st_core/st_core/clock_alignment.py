@@ -32,7 +32,7 @@ GOOD_PEAK, USABLE_PEAK = 0.95, 0.80
 MIN_OVERLAP = 20.0  # s
 MAX_DISAGREEMENT = 0.005  # s, of one signal with all
 GOOD_DEVIATION, USABLE_DEVIATION = 0.005, 0.05  # s
-STEP_SEARCH = 5.0, 40.0  # s; the second where one offset does not fit the whole recording
+STEP_SEARCH = 5.0, 40.0  # s; the second if one offset does not fit the whole recording
 
 
 def manual_alignment(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal] = ()) -> Alignment:
@@ -59,7 +59,7 @@ def align(signals: Sequence[SharedSignal], search: tuple[float, float] | None = 
     Coarse: masked normalised cross-correlation at all lags, averaged over the signals. Fine: robust joint fit of offset
     and drift (`clock_fit.fit`). The verdict rests on the height of the peak, a similar second peak, enough variation,
     agreement between the signals, and steps of a clock. The recordings must overlap by 40 % of the shorter one, or by
-    20 s where nothing fits then. search: bounds of reference minus other time [s]; None for all.
+    20 s if nothing fits with that. search: bounds of reference minus other time [s]; None for all.
 
     Never raises for the content of a recording: a refused alignment has its reasons. Valid for drifts of a few hundred
     ppm and recordings of up to two days. Checked by: the synthetic pair in tests/golden/test_alignment.py, and
@@ -159,7 +159,8 @@ def _resampled_pairs(signals: Sequence[SharedSignal]) -> dict[float, list[Pair]]
 
 
 def _offset_deviation(solution: Fit, singles: Sequence[SignalLag], signals: Sequence[SharedSignal]) -> float:
-    """Standard deviation of the fit, disagreement of the signals beyond their noise, and latency in quadrature."""
+    """Standard deviation of the fit, disagreement of the signals in excess of their noise, and latency, in quadrature.
+    """
     excess = 0.0
     if len(singles) > 1:
         weights = np.array([s.deviation**-2 for s in singles])
@@ -173,7 +174,7 @@ def _with_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other
     refusals, doubts = [], []
     assert result.peak and result.second_peak
     (first, r_first), (second, r_second) = result.peak, result.second_peak
-    # The correlation of the fit, since a drift lowers the peak of the coarse search.
+    # The correlation at the fit, since a drift reduces the peak of the coarse search.
     weakest = min(max(s.correlation, 0.0) for s in result.signals)
     strongest = max(s.correlation for s in result.signals)
     if strongest < USABLE_PEAK:
@@ -225,7 +226,7 @@ def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.n
 
 
 def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment) -> list[WindowLag]:
-    """Residual offsets, within 2 s, of windows of 30 s after an alignment; time [s] after `at_ns`, other clock."""
+    """Residual offsets, within 2 s, of windows of 30 s after an alignment; time [s] since `at_ns`, other clock."""
     fine, r0, o0 = _fine_pairs(signals)
     if not fine:
         return []
@@ -239,7 +240,7 @@ def mask_standstill(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np.n
                     threshold: float = 0.3) -> np.ndarray:
     """The values, NaN where the speed stays below `threshold` [m/s] from 2 s before to 2 s after.
 
-    Standstill carries no information about time, but correlates with every other standstill.
+    Standstill contains no information on time, but correlates with every other standstill.
     """
     moving_ns = speed_time_ns[np.isfinite(speed) & (np.abs(speed) > threshold)]
     if not len(moving_ns):

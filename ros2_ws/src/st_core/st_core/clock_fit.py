@@ -16,7 +16,7 @@ from .regression import robust_deviation
 RATE = 100.0  # Hz of the grid on which signals are filtered
 DECIMATION = 5  # filtered signals contain nothing above a few hertz, so 20 Hz are enough for the fit
 STEP = DECIMATION / RATE
-MAX_GAP = 0.15  # s, that is interpolated
+MAX_GAP = 0.15  # s, longest gap that is interpolated
 FILTER_SETTLING = 0.5  # periods of the cut-off, masked on both sides of a gap
 
 
@@ -64,7 +64,7 @@ def resample(time: np.ndarray, values: np.ndarray, cutoff: float, angle: bool = 
 
 
 def masked_correlation(reference: Resampled, other: Resampled, minimum_overlap: float) -> tuple[np.ndarray, np.ndarray]:
-    """Normalised correlation of two masked series at every lag, each over its own overlap.
+    """Normalised correlation of two masked series at every lag, from the overlap at that lag.
 
         r(l) = cov(f, g_l) / sqrt(var(f) var(g_l)),   sums over the points known in both at lag l
 
@@ -93,7 +93,7 @@ def masked_correlation(reference: Resampled, other: Resampled, minimum_overlap: 
     covariance = lagged(ff * gf) - sum_f * sum_g / n
     variance_f = lagged(rfft(f * f, size) * mf2) - sum_f**2 / n
     variance_g = lagged(mf1 * np.conj(rfft(g * g, size))) - sum_g**2 / n
-    # A stretch without variation correlates with anything, so it must contain a share of the whole variance.
+    # A stretch without variation correlates with anything, so it must contain a fraction of the total variance.
     floor_f, floor_g = (1e-3 * v.max(initial=0.0) + 1e-12 for v in (variance_f, variance_g))
     usable = (n * STEP >= minimum_overlap) & (variance_f > floor_f) & (variance_g > floor_g)
     r = np.zeros(len(n))
@@ -124,8 +124,8 @@ class Pair:
 class Fit:
     """Fitted relation t_reference = t_other + offset + drift (t_other - middle).
 
-    offset [s] at `middle` [s, other clock], drift [1], with their standard deviations; residual: per signal, rms over
-    the standard deviation of the signal; correlation: per signal, at the solution.
+    offset [s] at `middle` [s, other clock], drift [1], with their standard deviations; residual: per signal, RMS
+    divided by the standard deviation of the signal; correlation: per signal, at the solution.
     """
 
     offset: float
@@ -143,7 +143,7 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
         residual_k(t) = reference_k(t + offset + drift (t - middle)) - gain_k other_k(t) - bias_k,   each over its
         spread
 
-    The gain absorbs the scale of a wheel speed, the bias a gyro offset. The deviations are a sandwich estimate over
+    The gain absorbs the scale of a wheel speed, the bias a gyro offset. The deviations are a sandwich estimate from
     blocks of 5 s, since residuals are autocorrelated. A weak prior (100 ppm) limits the drift of short recordings.
 
     Raises ValueError when fewer than 2 s are known on both sides.
@@ -153,7 +153,7 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
     for _ in range(ITERATIONS):
         normal, gradient, _ = _normal_equations(pairs, splines, parameters, middle, free_drift)
         step = np.linalg.solve(normal, -gradient)
-        # Beyond the width of the correlation peak the linear model is not valid: approach it in several steps.
+        # Outside the width of the correlation peak the linear model is not valid: approach the peak in several steps.
         step[0] = np.clip(step[0], -0.3, 0.3)
         parameters += step
         if abs(step[0]) < 1e-7 and abs(step[1]) < 1e-9:
@@ -199,7 +199,7 @@ def _normal_equations(pairs: Sequence[Pair], splines: Sequence[CubicSpline], par
             weight = 1.0 / np.sqrt(1.0 + (residual / (2 * scale)) ** 2)
         jacobian = np.zeros((2, len(time)))
         for k, derivative in enumerate([slope, slope * (time - middle)] if free_drift else [slope]):
-            # The part that gain and bias explain carries no information about time.
+            # The part that gain and bias explain contains no information on time.
             gain, bias = _weighted_line(other, derivative, weight)
             jacobian[k] = (derivative - gain * other - bias) / scale
         score = jacobian * (weight * residual / scale)
@@ -214,7 +214,7 @@ def _normal_equations(pairs: Sequence[Pair], splines: Sequence[CubicSpline], par
 
 
 def _weighted_line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
-    """(gain, bias) of the weighted least squares line y = gain x + bias; gain 0 where x does not vary."""
+    """(gain, bias) of the weighted least squares line y = gain x + bias; gain 0 if x does not vary."""
     # Plain sums: a dot product would start threads of the linear algebra library for each of these short rows.
     total = float(weight.sum())
     weighted = weight * x
@@ -264,10 +264,10 @@ def mean_correlation(pairs: Sequence[Pair], minimum_overlap: float,
 def coarse_offset(pairs: Sequence[Pair], minimum_overlap: float, exclusion: float,
                   span: tuple[float, float] = (-np.inf, np.inf),
                   ) -> tuple[tuple[float, float], tuple[float, float]] | None:
-    """The two best offsets [s] by the mean of the signals' correlations: ((first, second), (r_first, r_second)).
+    """The two best offsets [s] by mean correlation of the signals: ((first, second), (r_first, r_second)).
 
-    exclusion: least distance of the second peak from the first [s]; it also lies beyond the valley next to that.
-    None where no lag has enough overlap.
+    exclusion: minimum distance of the second peak from the first [s]; there must also be a valley in between. None if
+    no lag has enough overlap.
     """
     curve = mean_correlation(pairs, minimum_overlap, span)
     if curve is None:
@@ -285,7 +285,7 @@ def coarse_offset(pairs: Sequence[Pair], minimum_overlap: float, exclusion: floa
 
 
 def _valley(r: np.ndarray, index: int, direction: int) -> int:
-    """Index at which the correlation stops falling on one side of a peak."""
+    """Index at which the correlation stops decreasing on one side of a peak."""
     row = r[index:] if direction > 0 else r[index::-1]
     rising = np.nonzero(np.diff(row) > 0)[0]
     return index + direction * int(rising[0] if len(rising) else len(row) - 1)

@@ -11,13 +11,14 @@ WINDOW = 30.0  # s
 MAX_WINDOWS = 150  # of a long recording, evenly spaced
 MIN_STEP = 0.01  # s
 USUAL_DRIFT = 50e-6
-MIN_STEP_EVIDENCE = 30.0  # reduction of the sum of squared window lags over their variances by a step
-OUTLIER = 5.0  # standard deviations, at which the weight of a window is limited
+MIN_STEP_EVIDENCE = 30.0  # reduction, by a step, of the sum of squared window lags divided by their variances
+OUTLIER = 5.0  # standard deviations: scale of the robust weight of a window, and cap of its normalised residual
 
 
 @dataclass(frozen=True)
 class WindowLag:
-    """Offset of one window of `other` around `time` [s, other clock] minus the common offset; its deviation [s]."""
+    """Offset of one window of `Pair.other` around `time` [s, other clock] minus the common offset, and the standard
+    deviation of that [s]."""
 
     time: float
     lag: float

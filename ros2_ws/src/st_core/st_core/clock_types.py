@@ -5,7 +5,7 @@ from enum import StrEnum
 
 import numpy as np
 
-AMBIGUOUS_PEAK_RATIO = 0.9  # second peak of the correlation over the first
+AMBIGUOUS_PEAK_RATIO = 0.9  # ratio of the second peak of the correlation to the first
 UNUSUAL_DRIFT_PPM = 200.0  # above that of quartz clocks
 MAX_STEP = 0.05  # s
 MAX_SPAN = 48 * 3600.0  # s; in a longer recording the clock was set while it ran
@@ -44,8 +44,8 @@ class SharedSignal:
 
 @dataclass(frozen=True)
 class SignalLag:
-    """Fit of one signal alone: offset minus the common one, its standard deviation [s], residual over spread,
-    correlation."""
+    """Fit of one signal alone: offset minus the common one, its standard deviation [s], residual divided by the spread
+    of the signal, correlation."""
 
     name: str
     difference: float

@@ -27,7 +27,7 @@ STANDSTILL = (-1.0, 0.0, 1e-9, 0.5, 2.0)  # m/s
 ROUNDING = 1e-9  # relative to max(1, |value|): permitted difference between backends
 # Permitted residual after `correct`, relative to the change by `observe`; not 0, as `correct` starts from the reading.
 CORRECTION_RESIDUAL = 0.05
-GROWTH_RATE = 0.1  # 1/s, permitted for a mode beyond that of the base
+GROWTH_RATE = 0.1  # 1/s, permitted for a mode in excess of that of the base
 MIRROR = np.array([1.0, -1.0, 1.0, -1.0, -1.0, -1.0])
 MIRRORED = ("y", "yaw", "velocity_y", "yaw_rate", "acceleration_y", "yaw_acceleration")
 READING = Measured(3.0, -2.0, 0.2, 12.0, 0.1, 0.25, 0.4, 2.9, 0.3)

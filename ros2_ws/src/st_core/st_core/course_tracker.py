@@ -1,20 +1,20 @@
 """Inputs over the horizon from a recorded course, mixed with held inputs according to their recent errors.
 
-At every start the passes near the car are candidates. A candidate predicts, over the distance s ahead,
+At every start the passes near the car are candidates. A candidate predicts, as functions of the distance s ahead,
 
     v(s) = v_pass(s) v_now / v_pass(0),      k(s) = k_pass(s) + e''(s),     e(s) = A exp(-s / l_1) + B exp(-s / l_2)
 
 e: lateral distance to the pass, which a driver reduces to 0; A and B follow from the present distance and direction.
 Its weight is exp(-d^2 / 2), d^2 the sum of squared differences in position, direction, recent speed and recent
-curvature, each over its scale. The weighted mean of the candidates, "course" below, is mixed with held inputs:
+curvature, each divided by its scale. The weighted mean of the candidates, "course" below, is mixed with held inputs:
 
     curvature: held, course        speed: acceleration held, zero, decaying with DECAY_TIME, course
-    share of each ~ E^-2,      E: mean square error of ended forecasts, weighted exponentially over FORGETTING_TIME
+    weight of each ~ E^-2,     E: mean square error of ended forecasts, exponentially forgotten with FORGETTING_TIME
 
 The error of a curvature is that of the position after the distance driven, the error of a speed that of the distance
-driven. So when the driver leaves the recorded line or speed, the held one takes over within seconds, smoothly and
-independently. Source: Bates and Granger, The combination of forecasts, 1969. Checked by: test_course.py;
-docs/manual/forecast.md.
+driven. If the driver leaves the recorded line or speed, the held one of the two gradually gets all the weight within
+seconds, independently of the other. Source: Bates and Granger, The combination of forecasts, 1969. Checked by:
+test_course.py; docs/manual/forecast.md.
 """
 
 import math
@@ -36,7 +36,7 @@ from .vehicle import VehicleParameters
 RETURN_LENGTHS = (40.0, 100.0)
 """m, l_1 and l_2: at 15 m/s a driver returns to the line within about 10 s."""
 SCALES = {"position": 2.0, "direction": 0.1, "speed": 0.1, "curvature": 0.01}
-"""m, rad, share of the speed, 1/m: differences between drives of one driver on one course."""
+"""m, rad, fraction of the speed, 1/m: differences between drives of one driver on one course."""
 MAX_DIFFERENCE = 7.0
 """d of the best candidate above which the driver follows none."""
 RECENT_TIME = 2.0
@@ -84,8 +84,8 @@ class EgoMotion(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class CourseForecast:
     """Forecast of a course. inputs: on the half-step grid of the horizon; None where the course is not used.
-    curvature_share, speed_share: of the course in the mixture, 0 to 1. spread: standard deviation of the candidates'
-    speeds at the end [m/s]. reason: why the course is not used, in one line, or "".
+    curvature_share, speed_share: weight of the course in the mixture, 0 to 1. spread: standard deviation of the
+    candidates' speeds at the end [m/s]. reason: why the course is not used, in one line, or "".
     """
 
     inputs: InputSequence | None

@@ -1,4 +1,4 @@
-"""Predictions against later measurements: error along, across and in yaw over the horizon, and their statistics."""
+"""Comparison of predictions with later measurements: errors along, across and in yaw, and their statistics."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -18,8 +18,8 @@ from .vehicle import VehicleParameters
 _NEVER = -(2**62)  # before all times
 
 Mode = Literal["forecast", "hindsight", "plan", "course"]
-"""Inputs over the horizon: forecast = held at their values at the start; hindsight = measured over the horizon; plan =
-of a motion planner; course = recorded in earlier drives at the same place."""
+"""Inputs in the horizon: forecast = held at their values at the start; hindsight = as measured in the horizon; plan =
+from a motion planner; course = recorded in earlier drives at the same place."""
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ class Evaluator:
         no_position = self._describe_unknown("INS", self.history.ins, times[::2], measured[0], start_ns)
         no_inputs = (self._describe_unknown("INS", self.history.ins, times, ins[:, DERIVATIVE], start_ns)
                      or self._describe_unknown("steering", self.history.steering, times, angle, start_ns))
-        # The same points for every model: that of some is finite at the end without the last input.
+        # The same points for every model, since some models predict the last point without the last input.
         scorable = inputs.known_so_far[::2]
         jump_ns, jump = self._jump(start_ns, int(times[-1]))
         unbroken = times[::2] < jump_ns
@@ -244,7 +244,7 @@ class Statistic:
 class ErrorStatistics:
     """Statistics of the scores of one model and mode; incomplete scores are counted and enter nothing else.
 
-    longitudinal, lateral [m], yaw [rad]: over the horizon means, as in the paper's table.
+    longitudinal, lateral [m], yaw [rad]: of the horizon means, as in the paper's table.
     """
 
     n_starts: int = 0

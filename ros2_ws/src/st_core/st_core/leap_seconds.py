@@ -32,5 +32,5 @@ def at_gps(gps_seconds: float) -> int:
 
 
 def at_all_gps(gps_seconds: np.ndarray) -> np.ndarray:
-    """`at_gps` of each; NaN counts as the newest."""
+    """`at_gps` for each element; for NaN the newest value."""
     return np.array(LEAP_SECONDS)[np.maximum(np.searchsorted(GPS_STARTS, gps_seconds, side="right") - 1, 0)]

@@ -2,7 +2,7 @@
 
 The offline counterpart of Predictor and Evaluator: from the same start it gives the same trajectory and the same error
 (`st verify` measures that). Whole trajectories exist for one block of starts at a time; for each start the mean, mean
-square and largest error over the horizon are kept, and the errors at whole seconds.
+square and largest error of the horizon are kept, and the errors at whole seconds.
 """
 
 from collections import deque
@@ -102,7 +102,7 @@ class ModelErrors:
 
     def by_axis(self, over: Literal["means", "samples"] = "means",
                 select: np.ndarray | slice = ALL) -> dict[str, tuple[float, float, float]]:
-        """{axis: (mean, largest magnitude, root mean square)} over the selected complete starts [m or rad].
+        """{axis: (mean, largest magnitude, root mean square)} of the selected complete starts [m or rad].
 
         over: means = of the horizon means, as in the paper's table; samples = of all points of all horizons.
         select: rows. NaN without a start.
@@ -119,12 +119,12 @@ class ModelErrors:
 
 @dataclass(frozen=True, eq=False)
 class LogEvaluation:
-    """All models over one drive.
+    """Evaluation of all models on one drive.
 
     starts_ns: (n,) of the predictions made. skipped: starts without one, by reason. incomplete: starts with a
-    horizon that could not be scored in hindsight, by reason. conditions: (n,) each, over the horizon as measured,
-    NaN for those: mean speed [m/s], mean lateral_acceleration v_x r [m/s^2], mean velocity_x_dot [m/s^2], root mean
-    square steering_rate of the road wheels [rad/s], heading_change [rad]; left +.
+    horizon that could not be scored in hindsight, by reason. conditions: (n,) each, measured in the horizon, NaN if
+    that is incomplete: mean speed [m/s], mean lateral_acceleration v_x r [m/s^2], mean velocity_x_dot [m/s^2], RMS
+    steering_rate of the road wheels [rad/s], heading_change [rad]; left +.
     errors: by (model, mode). horizon: (points,) [s].
     """
 
@@ -148,7 +148,7 @@ class LogEvaluation:
 
     @property
     def time(self) -> np.ndarray:
-        """Start times after the begin of the drive [s]."""
+        """Start times since the beginning of the drive [s]."""
         return (self.starts_ns - self.start_ns) * NANOSECOND
 
 
@@ -296,7 +296,7 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
 
 
 def _fill_with_held(planned: Planned, angle: np.ndarray, acceleration: np.ndarray) -> Planned:
-    """Planned inputs (n, m), and the held ones (n,) for the starts where a planned one is not known."""
+    """Planned inputs (n, m), with the held ones (n,) for starts at which a planned one is not known."""
     known = np.isfinite(np.stack(planned)).all(axis=(0, 2))[:, None]
     held = angle[:, None], acceleration[:, None], angle[:, None]
     return tuple(np.where(known, values, held_value) for values, held_value in zip(planned, held, strict=False))

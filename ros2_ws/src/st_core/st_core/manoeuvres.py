@@ -20,7 +20,7 @@ UNDERSTEER = 0.004
 """rad s^2/m: understeer gradient K assumed for an unknown car."""
 
 Shape = Callable[[np.ndarray], np.ndarray]
-"""Lateral acceleration over its target, -1 to 1, at times [s] within one period."""
+"""Lateral acceleration divided by its target, -1 to 1, at times [s] within one period."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class PiecewiseLinear:
 
 @dataclass(frozen=True)
 class Sine:
-    """A sine whose frequency rises exponentially from `low` to `high` [Hz] within `duration` [s], then 0."""
+    """A sine whose frequency increases exponentially from `low` to `high` [Hz] within `duration` [s], then 0."""
 
     low: float
     high: float
@@ -63,7 +63,7 @@ class Manoeuvre:
     """Steering and pedal inputs over time.
 
     name: also the scenario of the virtual car. speed: at the start [m/s]. lateral: peak target acceleration at the
-    initial speed [m/s^2]. profile: lateral acceleration over that. period: after which the manoeuvre repeats [s].
+    initial speed [m/s^2]. profile: lateral acceleration divided by that. period: after which the manoeuvre repeats [s].
     repetitions: periods in one drive. pedals: consecutive (duration [s], forward acceleration [m/s^2]), where the speed
     never exceeds the initial speed; empty for constant speed. closed_loop: the driver follows a road of this curvature
     (PiecewiseLinear); otherwise the steering is open loop. With pedals the road is a circle, and the steering is held

@@ -1,7 +1,7 @@
-"""Planned inputs over the horizon: from steering and acceleration or from speed and curvature, checked before use.
+"""Planned inputs in the horizon: from steering and acceleration or from speed and curvature, checked before use.
 
-A plan gives future inputs of the car over the measurement clock. It replaces the constant inputs of a forecast only
-if `plan_problem` finds none; otherwise the reason is reported.
+A plan gives future inputs of the car as functions of time on the measurement clock. It replaces the constant inputs of
+a forecast only if `plan_problem` finds no problem; otherwise the reason is reported.
 Checked by: test_planned_inputs.py, against hindsight.
 """
 
@@ -26,7 +26,7 @@ MAX_SPACING = 0.5
 MAX_ROAD_WHEEL_ANGLE = 0.8
 """rad. Passenger cars lock at 0.55 to 0.75 rad."""
 MAX_STEERING_RATE = 1.5
-"""rad/s at the road wheel: a steering wheel at 24 rad/s, beyond what steering robots reach (about 20 rad/s)."""
+"""rad/s at the road wheel: a steering wheel at 24 rad/s; steering robots reach about 20 rad/s."""
 MAX_ACCELERATION = 12.0
 """m/s^2, longitudinal and lateral combined: a friction coefficient of 1.2, dry road and sports tyres."""
 ANGLE_TOLERANCE = 0.05

@@ -1,4 +1,4 @@
-"""Statistics of regressions: covariance over blocks of driving, intervals, pooling of runs, robust scale, ridge.
+"""Statistics of regressions: covariance from blocks of driving, intervals, pooling of runs, robust scale, ridge.
 
 Neighbouring samples share slow errors of INS and road, so treating them as independent would underestimate the
 uncertainty by far. With the influence psi_c of block c on the estimate, and k blocks,
@@ -6,9 +6,9 @@ uncertainty by far. With the influence psi_c of block c on the estimate, and k b
     covariance = k / (k - 1) sum_c psi_c psi_c^T * sqrt(f f^T)
     least squares:  psi_c = (k - 1) / k (A - A_c)^-1 g_c,   A_c = J_c^T J_c, g_c = J_c^T e_c: shift by leaving c out
 
-which is the limit of a bootstrap over the blocks; `bootstrap` draws one for strongly nonlinear estimators. Blocks of
-one run share even slower errors: with the correlation rho of psi between adjacent blocks, pooled over the runs, the
-variance grows by
+which is the limit of a bootstrap of the blocks; `bootstrap` draws one for strongly nonlinear estimators. Blocks of one
+run share even slower errors: with the correlation rho of psi between adjacent blocks, pooled over the runs, the
+variance increases by the factor
 
     f = sum_ij rho^|i - j| / k,    i, j: blocks of the same run, k: all blocks
 
@@ -27,9 +27,9 @@ import numpy as np
 MIN_RUNS = 8
 """Number of runs from which whole runs are the blocks."""
 BLOCK_LENGTH = 10.0
-"""s, of a block with fewer runs."""
+"""Length of a block with fewer runs [s]."""
 WEIGHT_INCREMENT = 1e-4
-"""Of the difference quotient of an estimator by the weight of a block."""
+"""Step of the weight of a block, for difference quotients of an estimator."""
 ROBUST = 1.4826
 """Ratio of standard deviation and median magnitude of a normal distribution."""
 
@@ -76,9 +76,9 @@ def white_noise(values: np.ndarray) -> float:
 
 
 def extrapolation_uncertainty(full: tuple[float, float, float], low: tuple[float, float, float]) -> float:
-    """Standard uncertainty [unit of C] of a secant slope C as the slope at zero, if the curve may not be a line.
+    """Standard uncertainty [unit of C] of a secant slope C as an estimate of the slope at zero of a curve.
 
-    full, low: (C, its variance, mean range a) of the secant and of one over a lower range, a_low < a.
+    full, low: (C, its variance, mean range a) of the secant and of one in a lower range, a_low < a.
 
         C(a) = C_0 - s a,    u = sqrt(max((C_low - C)^2 - (u_low^2 - u^2), 0)) a / (a - a_low) / sqrt(3)
 

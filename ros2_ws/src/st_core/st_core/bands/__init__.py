@@ -1,4 +1,4 @@
-"""Prediction bands: regions around a predicted path that contain the whole measured path with a stated probability.
+"""Prediction bands: regions around a predicted path that contain the whole measured path with a given probability.
 
 For every model, mode and level: half-widths along, across and in yaw at every point of the horizon. Bands of mode
 hindsight cover the error of the model alone, of forecast also that of the assumed driver inputs. Calibrated on the

@@ -4,12 +4,12 @@ For one model, mode and level with half-widths c s(t), and the score S = max ove
 
     log c  <-  log c + g w (1{S > c_issued} - (1 - level)),         w: time since the previous score [s], at most 1 s
 
-c_issued is the factor that was issued with the prediction. For any distribution of the errors, over T seconds in which
-c stays within [MIN, MAX], the share of time outside differs from 1 - level by no more than
+c_issued is the factor that was issued with the prediction. For any distribution of the errors, in T seconds in which
+c stays within [MIN, MAX], the fraction of time outside differs from 1 - level by no more than
 
     (log(MAX / MIN) + g D) / (g T),         D: horizon [s]
 
-so the long-run coverage is guaranteed, but not that of the next prediction or of a minute. g falls from START_GAIN to
+so long-run coverage is guaranteed, but not that of the next prediction or of a minute. g decreases from START_GAIN to
 GAIN with the time constant SETTLING, so that a wrong initial factor is corrected fast. The scale is the calibrated one,
 or without a calibration the exponentially weighted root mean square of the errors (SCALE_FORGETTING). Every process and
 run starts with the calibrated factors (or DEFAULT_FACTORS); earlier corrections are not kept.
@@ -33,7 +33,7 @@ than the best fixed factor (docs/manual/bands.md)."""
 MIN_FACTOR, MAX_FACTOR = 0.05, 100.0
 """From sensor noise to the size of a road: limits that no finite prediction exceeds for long."""
 DEFAULT_FACTORS = {0.5: 1.6, 0.9: 3.0}
-"""Without a calibration: median and 90 % quantile of the largest of 300 correlated normal errors over their scale."""
+"""Without a calibration: median and 90 % quantile of the largest of 300 correlated normal errors of unit scale."""
 SCALE_FORGETTING = 120.0  # s: two minutes contain most manoeuvres of a driver on a road
 DEFAULT_SCALE = (0.3, 0.3, 0.02)
 """m, m, rad at 1 s ahead, growing with the square of the time: initial values, replaced within the first horizons."""

@@ -38,7 +38,7 @@ def highest_level(runs: int) -> float:
 
 
 def runs_needed(level: float) -> int:
-    """The fewest runs that support a level in (0, 1): the least n with n/(n + 1) >= level."""
+    """Minimum number of runs that support a level in (0, 1): the smallest n with n/(n + 1) >= level."""
     return max(1, math.ceil(level / (1.0 - level) - ROUNDING))
 
 
@@ -99,7 +99,7 @@ MIN_RUNS = 3  # one to be scored, and two for the calibration domain without it
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """Half-widths are factor times scale. factors: by level, rising with it [1]. ratios: (3, len(RELIABILITY)),
+    """Half-widths are factor times scale. factors: by level, increasing with it [1]. ratios: (3, len(RELIABILITY)),
     quantiles of |error| / scale at a single point, by axis: the distribution there, for the CRPS."""
 
     scale: Scale
@@ -111,7 +111,7 @@ class Band:
         return self.factors[level] * self.scale(conditions)
 
     def scores(self, conditions: np.ndarray, errors: np.ndarray) -> np.ndarray:
-        """(n, points): the least factor with which errors (n, points, 3) lie inside at each point, in all axes."""
+        """(n, points): smallest factor with which errors (n, points, 3) lie inside at each point, in all axes."""
         return (np.abs(errors) / self.scale(conditions)).max(axis=2)
 
 
@@ -121,8 +121,8 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
 
         band = { |e_a(t)| <= c s_a(t | z)  for all t and a },       score of a window = max over t, a of |e_a(t)| / s_a
 
-    A run is scored with a scale fitted to other runs (cross-fitting in at most FOLDS groups), because scores of the
-    runs of the fit would be too small. Windows outside the calibration domain of the others do not count, because they
+    A run is scored with a scale fitted to other runs (cross-fitting in at most FOLDS groups), because scores of runs
+    used in the fit would be too small. Windows outside the calibration domain of the others do not count, because they
     would have no band. time: (points,) of the errors [s]. Raises StCoreError, one line, for too few runs for a level
     and for errors that are not finite.
     """

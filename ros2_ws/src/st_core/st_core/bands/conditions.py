@@ -60,8 +60,8 @@ def conditions_at(signals: LogSignals, starts_ns: np.ndarray) -> np.ndarray:
     return conditions(speed, yaw_rate, acceleration, activity)
 
 
-MIN_STARTS = 10  # of a run in a cell of speed and lateral acceleration, to count: one second of driving
-MIN_RUNS = 2  # with MIN_STARTS in a cell, because one run does not show the variation between runs
+MIN_STARTS = 10  # starts of a run in a cell of speed and lateral acceleration for it to count: one second of driving
+MIN_RUNS = 2  # runs with MIN_STARTS in a cell, because one run does not show the variation between runs
 CELL_EDGES = {CONDITIONS.index("speed"): SPEED, CONDITIONS.index("lateral_acceleration"): LATERAL_ACCELERATION}
 """Edges by column of the conditions."""
 

@@ -9,7 +9,7 @@ q = ALTERNATIVE_RATIO p. Each scored window contributes its log likelihood ratio
     l = log((1 - q) / (1 - p))  if the path left the band,   log(q / p)  if it stayed inside
     S <- max(0, S + w l),     warning from S >= log(HORIZONS)
 
-Overlapping windows are not independent, so each has as weight w the share of a horizon by which it starts later than
+Overlapping windows are not independent, so each has as weight w the fraction of a horizon by which it starts later than
 the previous one. The sum is then the mean over all selections of windows a whole horizon apart, and not above the log
 of the mean of their likelihood ratios (Jensen): an e-detector. If every window stays inside with probability p or more
 given the previous ones, the mean time to a false warning is at least HORIZONS horizons.
@@ -40,7 +40,7 @@ HalfWidths = dict[tuple[str, float], np.ndarray]
 
 
 def conditions_now(history: MeasurementHistory, time_ns: int) -> tuple[float, ...]:
-    """The four `conditions.CONDITIONS` at an instant [ns], as `conditions_at` of a recorded drive; NaN: unknown."""
+    """The four `conditions.CONDITIONS` at an instant [ns], like `conditions_at` for a recorded drive; NaN: unknown."""
     row = history.ins.at(time_ns)
     activity = float(steering_activity(history.steering.sample(activity_instants(time_ns))[:, 0]))
     velocity, rate, acceleration = (math.nan if row is None else row[k] for k in (VELOCITY_X, YAW_RATE, DERIVATIVE))
@@ -157,14 +157,15 @@ class AdaptiveBands:
 
 
 ALTERNATIVE_RATIO = 5.0 / 9.0
-"""Of the level: 50 % coverage of a 90 % band. Coverage above 73 %, within the variation between runs, reduces S."""
+"""Ratio q / p: 50 % coverage of a 90 % band. Coverage above 73 %, within the variation between runs, reduces S."""
 HORIZONS = 7200.0  # ten hours at 5 s each
-END_SHARE = 0.5  # a warning ends when S has fallen to this share of its limit
+END_SHARE = 0.5  # a warning ends when S has decreased to this fraction of its limit
 
 
 @dataclass
 class Coverage:
-    """Observed coverage of one model and mode. n: scored windows with a band. inside: of them by level.
+    """Observed coverage of one model and mode. n: scored windows with a band. inside: number of those with the path
+    inside, by level.
 
     evidence: S, see the top of this file.
     """
@@ -223,7 +224,7 @@ class Coverages:
         coverage.add(score.start_ns, float(score.horizon[-1]), inside)
 
     def warning(self) -> str:
-        """Names bands with coverage significantly below the nominal level, in one line; empty without one."""
+        """Warning of bands with coverage significantly below the nominal level, in one line; empty without one."""
         found = [f"{mode} of {model} (the {level:.0%} band {coverage.share(level):.0%} so far)"
                  for (model, mode), coverage in self.by_pair.items() if coverage.warns
                  for level in [max(coverage.inside)]]

@@ -51,7 +51,7 @@ def to_predicted_frame(errors: np.ndarray) -> np.ndarray:
 
 def error_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,
                   settings: EvaluationSettings) -> ErrorSamples:
-    """Error curves of one drive from at most STARTS_PER_RUN starts evenly spaced over it.
+    """Error curves of one drive from at most STARTS_PER_RUN evenly spaced starts.
 
     Only starts with a completely measured horizon and known conditions count. Raises StCoreError, one line,
     for a drive shorter than the horizon, for one without such a start, and, as NotFiniteError, where a model's errors

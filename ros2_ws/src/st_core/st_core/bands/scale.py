@@ -1,4 +1,4 @@
-"""Scale of the errors: their typical size by condition and time ahead.
+"""Scale of the errors: their typical magnitude as a function of condition and time ahead.
 
     s_a(t | z)^2 = sigma_a(t | z)^2 + floor_a(t)^2,     floor_a(t)^2 = (NOISE n_a)^2 + (FLOOR_SHARE e_a t/T)^2
     log sigma_a(t_k | z) = phi(z) . C[a, k],     straight in log t between the knots t_k
@@ -26,7 +26,7 @@ from ..errors import StCoreError
 
 KNOTS = (0.1, 0.5, 1.0, 2.0, 3.5, 5.0)  # s ahead, for a horizon of 5 s; in proportion for others
 NOISE = 3.0  # standard deviations of the sensor noise in the floor
-FLOOR_SHARE = 0.2  # of the root mean square error at the end of the horizon; smaller in proportion before
+FLOOR_SHARE = 0.2  # fraction of the RMS error at the end of the horizon; before that, proportional to time
 ERROR_RESOLUTION = np.array([1.0e-3, 1.0e-3,
                              1.0e-4])  # m, m, rad: resolution of the sensors; smaller errors count as this large
 RIDGE = 1.0e-2
@@ -43,7 +43,7 @@ _LEFT, _RIGHT = np.array(_PAIRS).T
 
 
 def features(conditions: np.ndarray) -> np.ndarray:
-    """phi (..., 20) of conditions (..., 4) as `conditions.CONDITIONS`; each about 1 in size.
+    """phi (..., 20) of conditions (..., 4) as `conditions.CONDITIONS`; each of magnitude about 1.
 
     1; the four logarithms  log(v / 10 m/s),  log((a_y + 0.3 m/s^2) / 1.5 m/s^2),  log((a_x + 0.2 m/s^2) / 0.6 m/s^2),
     log((w + 0.005 rad/s) / 0.02 rad/s); their squares and products; triangles 3 m/s^2 wide about SPLINE_KNOTS in a_y.
@@ -78,7 +78,8 @@ def interpolation(knots: np.ndarray, time: np.ndarray) -> np.ndarray:
 
 
 def floor_at(floor: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """(points, 3) [m, m, rad] at times ahead (points,); floor: (2, 3), constant part and part of the end."""
+    """(points, 3) [m, m, rad] at times ahead (points,); floor: (2, 3), constant part, and part at the end of the
+    horizon."""
     return np.hypot(floor[0], floor[1] * (time / time[-1])[:, None])
 
 
@@ -141,7 +142,7 @@ def _gamma_regression(phi: np.ndarray, weights: np.ndarray, squares: np.ndarray)
                 phi.T @ (weights[:, None] * (1.0 - ratio)) + 2.0 * ridge * c, ratio)
 
     c = np.zeros((phi.shape[1], squares.shape[1]))
-    c[0] = 0.5 * np.log(weights @ squares)  # the root mean square over all starts
+    c[0] = 0.5 * np.log(weights @ squares)  # the root mean square of all starts
     value, slope, ratio = loss(c)
     for _ in range(MAX_STEPS):
         if np.abs(slope).max() < TOLERANCE:

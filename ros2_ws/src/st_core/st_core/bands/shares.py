@@ -4,9 +4,9 @@
 
 p: parameters of vehicle and model file with an uncertainty (standard deviation, or a 95 % interval), assumed
 independent. s: the six states at the start and the measured pose at t, with the white noise of this recording. The
-derivatives are central differences of whole predictions over one standard deviation, along and across the predicted
-heading. Residual: structure of the model, parameters without an uncertainty, slow errors of the sensors, noise of
-steering and acceleration over the horizon. It is negative if the uncertainties exceed the observed errors. For
+derivatives are central differences of whole predictions with steps of one standard deviation, along and across the
+predicted heading. Residual: structure of the model, parameters without an uncertainty, slow errors of the sensors,
+noise of steering and acceleration in the horizon. It is negative if the uncertainties exceed the observed errors. For
 hindsight only: errors of the forecast are mostly due to the driver. Checked by: test_bands_shares.py.
 """
 
@@ -42,7 +42,7 @@ def squared_contributions(model: Model, vehicle: VehicleParameters, signals: Log
                           intervals: Intervals | None = None) -> tuple[int, np.ndarray, dict[Cause, np.ndarray]]:
     """(number of starts, squares of the error, squares by cause) of one run.
 
-    Squares are sums over the starts, (seconds, 3) [m^2, m^2, rad^2], along, across and in yaw at 1, 2, ... s ahead.
+    Squares are summed for all starts, (seconds, 3) [m^2, m^2, rad^2], along, across and in yaw at 1, 2, ... s ahead.
     Parameters of the vehicle that affect no prediction are left out.
     """
     seconds = np.arange(1, int(settings.prediction.horizon + 1e-9) + 1, dtype=float)

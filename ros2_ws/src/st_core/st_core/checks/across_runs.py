@@ -1,4 +1,4 @@
-"""Estimates of one quantity over several runs: consistent for a fault of the sensor, varying with place or load."""
+"""Estimates of one quantity in several runs: consistent for a fault of the sensor, varying if due to place or load."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -13,12 +13,12 @@ from .finding import Checked
 
 MIN_RUNS = 3
 CONFIDENCE = 0.95
-MAX_RELATIVE_SPREAD = 0.25  # standard deviation between consistent runs over their mean
+MAX_RELATIVE_SPREAD = 0.25  # standard deviation between consistent runs, divided by their mean
 
 
 @dataclass(frozen=True)
 class AcrossRuns:
-    """One quantity over several runs, in `unit`.
+    """One quantity in several runs, in `unit`.
 
     mean, interval: random effects, between-run variance included (DerSimonian and Laird 1986). between: standard
     deviation between runs beyond their own intervals. reported: number of runs in which it is a finding. consistent:

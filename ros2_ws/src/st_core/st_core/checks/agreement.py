@@ -11,22 +11,22 @@ from ..clock_types import MAX_SPAN
 from ..regression import symmetric_interval
 from .regression import Estimate, Regression
 
-MAX_LAG = 1.5  # s, of the search, to both sides
+MAX_LAG = 1.5  # s, search range to both sides
 MIN_COMMON_TIME = 15.0  # s
 ZERO, ONE = Estimate(0.0, 0.0, (0.0, 0.0)), Estimate(1.0, 0.0, (1.0, 1.0))
 LAG_TEST_LEVEL = 0.95
 LAG_TEST_SHIFT = 0.3  # s; the fit this far to both sides of a lag must be worse, else the drive determines no lag
-BIAS_RESIDUAL_RATIO = 1.25  # residual with a scale over that with a bias; above it, a bias is reported instead
+BIAS_RESIDUAL_RATIO = 1.25  # ratio of the residual with a scale to that with a bias; above it, a bias is reported
 MIN_CERTAIN_CORRELATION = 0.98  # above it, noise changes a scale by less than 4 %
-MIN_RESIDUAL_SHARE = 1e-4  # of the variance; interpolation and filters alone leave 1 % of a signal
-GRID_LOSS = 0.1  # of the variance; largest loss where a maximum lies half a grid step off the grid
+MIN_RESIDUAL_SHARE = 1e-4  # of the variance; interpolation and filters alone cause a residual of 1 % of a signal
+GRID_LOSS = 0.1  # of the variance; largest loss if a maximum is half a grid step off the grid
 
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """Lag [s], scale [1] and bias [unit] of a measured quantity against a derived one.
+    """Lag [s], scale [1] and bias [unit] of a measured quantity relative to a derived one.
 
-    correlation: at that lag; correlation_without_lag: at none. spread: standard deviation of the derived quantity.
+    correlation: at that lag; correlation_without_lag: at zero lag. spread: standard deviation of the derived quantity.
     time, measured, derived: the filtered series at that lag, for a figure. other_lags: further lags [s] that do not
     fit significantly worse, as the drive repeats itself. is_late: whether the expected lag fits significantly worse.
     determines_lag: whether lags LAG_TEST_SHIFT away fit significantly worse; a drive that changes slowly determines
@@ -49,10 +49,11 @@ class Agreement:
 
 def agreement(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, measured: np.ndarray, cutoff: float,
               derived_is_angle: bool = False, biased: bool = True, expected_lag: float = 0.0) -> Agreement | None:
-    """Agreement of two estimates of a quantity; None where they share less than MIN_COMMON_TIME or are constant.
+    """Agreement of two estimates of a quantity; None if they overlap by less than MIN_COMMON_TIME or are constant.
 
-    time, measured_time: rising [s]; values NaN where unknown. cutoff [Hz]: of the low-pass on both. derived_is_angle:
-    the rate of `derived` is compared. biased: whether a bias is possible. expected_lag: of a faultless channel [s].
+    time, measured_time: ascending [s]; values NaN where unknown. cutoff [Hz]: of the low-pass on both.
+    derived_is_angle: the rate of `derived` is compared. biased: whether a bias is possible. expected_lag: of a
+    faultless channel [s].
     """
     if max(float(np.ptp(t)) if len(t) else 0.0 for t in (time, measured_time)) > MAX_SPAN:
         return None
@@ -85,7 +86,7 @@ def agreement(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, 
 
 
 def _fits_worse(pair: Pair, offset: float, best: float, cutoff: float) -> bool:
-    """Whether an offset leaves a significantly larger residual than the best one (F test, 95 %)."""
+    """Whether the residual with an offset is significantly larger than with the best one (F test, 95 %)."""
     if abs(offset - best) < 1e-6:
         return False
     (smallest, residual), common = _residual_shares(pair, [best, offset])
@@ -124,14 +125,14 @@ def _best_offsets(pair: Pair, cutoff: float) -> list[Fit]:
 
 
 def _f_limit(samples: float, cutoff: float, level: float = 0.975) -> float:
-    """Largest ratio of two equal variances at this probability."""
+    """Quantile of the ratio of two estimates of equal variances, at probability `level`."""
     freedom = max(2.0 * cutoff * STEP * samples, 1.0)
     return float(fisher.ppf(level, freedom, freedom))
 
 
 def _residual_shares(pair: Pair, offsets: Sequence[float]) -> tuple[list[float], int]:
-    """(1 - r^2 at each offset, number of samples), over the samples common to all: the ends of a filtered derivative
-    are its least accurate part."""
+    """(1 - r^2 at each offset, number of samples), from the samples common to all offsets, since the ends of a filtered
+    derivative are its least accurate part."""
     series = [_common_samples(pair, offset) for offset in offsets]
     common = np.flatnonzero(np.bincount(np.concatenate([rows for rows, _ in series])) == len(series))
     values = pair.other.values[common]
@@ -142,7 +143,7 @@ def _residual_shares(pair: Pair, offsets: Sequence[float]) -> tuple[list[float],
 
 
 def _fit_line(problem: Regression, derived: np.ndarray, correlation: float, biased: bool) -> tuple[Estimate, Estimate]:
-    """(scale, bias). On one long bend the two are confounded: then the one with the smaller residual is estimated, and
+    """(scale, bias). In one long bend the two are confounded: then the one with the smaller residual is estimated, and
     the other is assumed faultless."""
     confounded = abs(float(derived.mean())) > float(derived.std()) and abs(correlation) < MIN_CERTAIN_CORRELATION
     if biased and not confounded:

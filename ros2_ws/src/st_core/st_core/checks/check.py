@@ -30,12 +30,12 @@ SensorResult = tuple[Motion, list[Finding], dict[str, Estimate], list[Identity]]
 def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: AuxiliaryData | None = None) -> Checked:
     """Findings of one recording.
 
-    The order: sampling; units, signs and axes; identities that hold for any vehicle (position, yaw, velocity,
+    Order: sampling; units, signs and axes; identities that hold for any vehicle (position, yaw, velocity,
     accelerations, other speeds); relations with the vehicle. Every fault found is removed from a working copy before
     the next check.
 
     vehicle: for the relations with the vehicle; without one they are skipped. auxiliary: further recorded data. Never
-    raises for the content of a recording: a channel too short or too poor to judge gives no finding.
+    raises for the content of a recording: a channel that is too short or too inaccurate gives no finding.
     """
     auxiliary = auxiliary or AuxiliaryData()
     start_ns = auxiliary.start_ns
@@ -43,7 +43,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
         start_ns = int(log.ins_time_ns[0]) if len(log.ins_time_ns) else 0
     log, implausible = without_implausible(log, start_ns)
     known = {(finding.name, finding.channels) for finding in auxiliary.implausible}
-    # A channel that keeps its implausible samples is found again.
+    # A channel that keeps its implausible samples is reported again.
     implausible = [*auxiliary.implausible,
                    *(finding for finding in implausible if (finding.name, finding.channels) not in known)]
     motion = Motion.of(log, start_ns, auxiliary)
@@ -98,8 +98,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
 
 
 def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: Motion) -> list[Finding]:
-    """The findings without those that are due to a yaw rate that is wrong or derived from yaw, or to a course in place
-    of yaw.
+    """The findings without those that are due to a wrong yaw rate, one derived from yaw, or a course in place of yaw.
 
     The noise of yaw changes the scale of a yaw rate derived from it. Without velocity_y, yaw may be the course, which
     differs by the sideslip.
@@ -217,7 +216,7 @@ def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 
 def _check_yaw_lag(motion: Motion, found: Agreement | None) -> tuple[Motion, list[Finding]]:
-    """Correction and finding of a yaw that lags or leads the yaw rate, if positions confirm that yaw is wrong."""
+    """(corrected motion, finding) for a yaw that lags or leads the yaw rate, if positions confirm that yaw is wrong."""
     if found is None or not (found.lag.significant and found.is_late) or abs(found.lag.value) < LIMITS.lag or (
             abs(found.correlation) < LIMITS.correlation):
         return motion, []
@@ -258,7 +257,7 @@ def _merge_gross_and_fine(gross: list[Finding], fine: list[Finding], estimates: 
             findings.append(finding)
             continue
         if advice and finding.name in fine_names:
-            # One correction by the whole value, not by the unit or offset alone.
+            # One correction by the combined value, not by the unit or offset alone.
             (channel, (key,)), = advice.entry["correct"].items()
             correction = 1.0 / estimate.value if key == "scale" else -estimate.value
             advice = Advice.correct(channel, **{key: float(f"{correction:.6g}")})

@@ -92,8 +92,8 @@ class Channel:
     """Sampling and noise of one channel, in its own `unit`.
 
     rate: median samples per second. gaps: number of intervals longer than 0.25 s; longest_gap [s]. noise: standard
-    deviation of white noise. resolution: smallest step of the values, 0 where they lie on no grid. repeated: share of
-    samples equal to the previous one. missing: rows without a number, left out.
+    deviation of white noise. resolution: smallest step of the values, 0 if they are not quantised. repeated: fraction
+    of samples equal to the previous one. missing: number of rows without a value, left out.
     """
 
     unit: str
@@ -109,7 +109,7 @@ class Channel:
 
 @dataclass(frozen=True, eq=False)
 class Identity:
-    """A quantity from two sources, for a figure: measured and derived, (n,) each, at `time` [s after the first INS
+    """A quantity from two sources, for a figure: measured and derived, (n,) each, at `time` [s since the first INS
     measurement]. findings: names of the findings based on it."""
 
     name: str
@@ -125,7 +125,7 @@ class Identity:
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """Result of a check: findings, the most severe first; channels by name; identities in the order they were judged.
+    """Result of a check: findings, the most severe first; channels by name; identities in the order of the checks.
 
     estimates: (value, low, high), 95 %, of every quantity measured, by the name of its finding.
     """
@@ -148,7 +148,7 @@ class Checked:
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """A signal: values (n,) at time_ns, int64, rising, on the INS clock."""
+    """A signal: values (n,) at time_ns, int64, ascending, on the INS clock."""
 
     time_ns: np.ndarray
     values: np.ndarray
@@ -192,7 +192,7 @@ class AuxiliaryData:
     geographic: bool = False
 
 
-HORIZON = 5.0  # s, over which the effect of a fault is judged
+HORIZON = 5.0  # s of prediction, after which the effect of a fault is judged
 WHEEL_SCALE = 0.03  # 1; wear and inflation change the radius of a tyre by that much
 
 
@@ -203,7 +203,7 @@ class Limits:
     min_reported_effect: float = 0.02  # m; an RTK position is known to 2 cm
     warning: float = 0.25  # m; the best models are wrong by 0.4 m over such horizons
     error: float = 5.0  # m; as wrong as a model that drives straight on in a bend of 250 m at 10 m/s
-    unit: float = 1.33  # factor beyond which a ratio is a unit, a sign or an axis, not a calibration
+    unit: float = 1.33  # factor above which a ratio is due to a wrong unit, sign or axis, not to calibration
     channel_unit: float = 2.0  # the same for accelerometers (roll) and wheel speeds (tyre radius)
     settling: float = 0.2  # s, in which an error of a model's initial yaw rate decays
     lag: float = 0.015  # s; a smaller one is filtering inside a sensor
@@ -211,7 +211,8 @@ class Limits:
     correlation: float = 0.6  # below it two estimates of a quantity are not compared
     bias_acceleration: float = 0.1  # m/s^2; 0.6 deg of mounting or road
     tyre: float = 13.0  # m/s^2; no road tyre gives more
-    # Steering over curvature of a faultless car, beyond the understeer of its file (ratio, wheelbase, stiffnesses).
+    # Deviations of the ratio of steering to curvature that a faultless car may have from its vehicle file (ratio,
+    # wheelbase, stiffnesses):
     steering_unit: float = 1.5
     steering_lag: float = 0.1  # s; the response of the car itself may be that late
     steering_offset: float = 0.02  # rad, at the road wheels
@@ -235,7 +236,7 @@ SYSTEMATIC = {
     "heading_misaligned": 0.001, "steering_offset": 0.001, "position_reference": 0.02, "measuring_point": 0.05,
     "map_shear": 0.001, "velocity_x_bias": 0.02, "velocity_y_bias": 0.02,
 }
-"""Systematic uncertainty of an identity, half of a 95 % interval, in the finding's unit (scales: share of the value),
-by the finding's name or the last part of it. It covers filters, interpolation between samples, roll and, for the
-steering, the car's own response, which the spread over blocks does not. Added in quadrature (GUM: type B to type A).
+"""Systematic uncertainty of an identity, half of a 95 % interval, in the finding's unit (scales: fraction of the
+value), by the finding's name or the last part of it. It covers filters, interpolation between samples, roll and, for
+the steering, the response of the car, which the scatter between blocks does not. Added in quadrature (GUM: type B).
 Set from the errors of the estimates on the development drives of bench/checks, not on the test drives."""

@@ -25,9 +25,9 @@ class Tolerances:
     against: name of the reference. unit: of the channel. lag [s], bias [unit]: smallest that are reported; scale:
     smallest deviation from 1. severe: (lag, scale, bias) above which the finding is a warning whatever its effect on a
     prediction, since identification and discovery use the channel too. position_effect: shift of the position after 5 s
-    per unit of error [m]. correlation: only the lag is judged below it. min_spread: no lag is reported for a smaller
-    standard deviation of the channel [unit]. factors: names of units by their factor. causes: possible ones of a
-    bias, as text.
+    per unit of error [m]. correlation: with a lower correlation only the lag is judged. min_spread: no lag is reported
+    for a smaller standard deviation of the channel [unit]. factors: names of units by their factor. causes: possible
+    causes of a bias, as text.
     """
 
     channel: str
@@ -46,7 +46,7 @@ class Tolerances:
 
 def judge_agreement(found: Agreement | None, tolerances: Tolerances, removed_scale: float = 1.0,
                     ) -> tuple[list[Finding], dict[str, Estimate]]:
-    """(findings, estimates by the name of their finding). removed_scale: factor that was divided out before."""
+    """(findings, estimates by the name of their finding). removed_scale: factor that has already been divided out."""
     if found is None or abs(found.correlation) < min(tolerances.correlation, LIMITS.correlation):
         return [], {}
     name = tolerances.channel
@@ -94,7 +94,7 @@ def _lag_finding(found: Agreement, lag: Estimate, tolerances: Tolerances) -> Fin
 
 
 def format_estimate(estimate: Estimate) -> str:
-    """Value ± half of the 95 % interval, to two digits of that."""
+    """Value ± half of the 95 % interval, to two significant digits of the latter."""
     digits = min(max(1 - math.floor(math.log10(estimate.half)), 0), 6) if estimate.half > 0.0 else 3
     return f"{estimate.value:.{digits}f} ± {estimate.half:.{digits}f}"
 
@@ -157,7 +157,7 @@ def agreement_panel(found: Agreement | None, tolerances: Tolerances, title: str,
 
 GRAVITY = 9.80665
 GYRO_CUTOFF, ACCELERATION_CUTOFF, SPEED_CUTOFF = 4.0, 1.5, 1.5  # Hz
-GYRO_CORRELATION = 0.9  # of two outputs of one unit; less where yaw is too coarse to be differentiated
+GYRO_CORRELATION = 0.9  # of two outputs of one unit; lower if yaw is too coarse to be differentiated
 GYRO_SCALE = 0.02  # 1; a gyroscope's scale is known to 1 %
 GYRO_BIAS = 0.001  # rad/s; a faultless INS has half of it
 ACCELERATION_SCALE = 0.35  # 1; roll and pitch of the body change it by up to a third
@@ -174,7 +174,7 @@ Comparison = tuple[list[Finding], dict[str, Estimate], Identity | None]
 
 
 def compare_yaw_rate(motion: Motion) -> tuple[Agreement | None, Tolerances]:
-    """Yaw rate against the change of yaw. An error of the initial yaw rate decays within LIMITS.settling."""
+    """Comparison of yaw rate and change of yaw. An error of the initial yaw rate decays within LIMITS.settling."""
     position_effect = LIMITS.settling * float(np.median(np.abs(motion.velocity_x))) * HORIZON
     found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, GYRO_CUTOFF, True)
     return found, Tolerances("yaw_rate", "yaw", "rad/s", LIMITS.lag, GYRO_SCALE, GYRO_BIAS,
@@ -182,7 +182,7 @@ def compare_yaw_rate(motion: Motion) -> tuple[Agreement | None, Tolerances]:
 
 
 def yaw_rate_lag(motion: Motion) -> float:
-    """Lag of the yaw rate behind yaw [s]; 0 where it is small, or the two agree without its correction."""
+    """Lag of the yaw rate behind yaw [s]; 0 if it is small, or if the two agree without a correction."""
     found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, ACCELERATION_CUTOFF, True)
     if found is None or not (found.is_late and found.lag.significant) or abs(found.lag.value) < LIMITS.severe_lag:
         return 0.0
@@ -192,7 +192,7 @@ def yaw_rate_lag(motion: Motion) -> float:
 
 
 def correct_yaw_rate(motion: Motion, found: Agreement) -> Motion:
-    """The motion without the lag, scale and bias of its yaw rate, where they are known."""
+    """The motion with lag, scale and bias of its yaw rate corrected, as far as they are known."""
     if found.correlation < LIMITS.correlation:
         return motion
     late = found.lag.value if found.lag.significant and found.is_late else 0.0
@@ -202,7 +202,7 @@ def correct_yaw_rate(motion: Motion, found: Agreement) -> Motion:
 
 
 def check_accelerations(motion: Motion) -> list[Comparison]:
-    """Both accelerations against the derivative of velocity; nothing where the axes of the velocity are wrong."""
+    """Comparison of both accelerations with the derivative of velocity; empty if the axes of the velocity are wrong."""
     if moves_sideways(motion):
         return []
     time, speed = motion.time, float(np.median(np.abs(motion.velocity_x)))
@@ -238,7 +238,7 @@ def check_accelerations(motion: Motion) -> list[Comparison]:
 
 
 def check_speeds(motion: Motion) -> list[Comparison]:
-    """Other sources of the speed against the INS's forward speed."""
+    """Comparison of other sources of the speed with the forward speed of the INS."""
     comparisons = []
     for name in motion.speeds:
         found = compare_speed(motion, name)
@@ -251,5 +251,5 @@ def check_speeds(motion: Motion) -> list[Comparison]:
 
 
 def compare_speed(motion: Motion, name: str) -> Agreement | None:
-    """Another source of the speed, by its name in `motion.speeds`, against the INS's forward speed."""
+    """Agreement of another source of the speed, by its name in `motion.speeds`, with the forward speed of the INS."""
     return agreement(motion.time, motion.velocity_x, *motion.speeds[name], SPEED_CUTOFF, biased=False)

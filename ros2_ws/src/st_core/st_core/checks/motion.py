@@ -13,15 +13,15 @@ from .finding import AuxiliaryData
 
 MAX_GAP = 0.25  # s between samples; nothing is integrated across a longer one
 MOVING = 1.0  # m/s; slower driving is not used
-MIN_DRIVEN_WINDOWS = 5  # that must show the car driving
+MIN_DRIVEN_WINDOWS = 5  # minimum number of windows in which the car drives
 MIN_COHERENCE = 0.5  # cosine between displacements of successive windows: 1 straight on, 0 for a random walk
-MIN_SPEED_VARIATION = 0.1  # standard deviation of the speed over its mean
-MIN_SIGNAL_TO_NOISE = 10.0  # forward velocity over the standard deviation of its noise
+MIN_SPEED_VARIATION = 0.1  # standard deviation of the speed divided by its mean
+MIN_SIGNAL_TO_NOISE = 10.0  # forward velocity divided by the standard deviation of its noise
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A drive in seconds after the first INS measurement, signals as DriveLog has them; accelerations may be NaN.
+    """A drive, times in seconds since the first INS measurement, signals as in DriveLog; accelerations may be NaN.
 
     steering_time [s], steering [rad]: at the road wheels, left +. speeds: other sources of the forward speed, by name
     (time [s], values [m/s]). geographic: see `AuxiliaryData`.
@@ -98,7 +98,7 @@ def is_driven(motion: Motion) -> bool:
 
 
 def has_varying_speed(speed: np.ndarray) -> bool:
-    """Whether the speed varies enough to separate effects that grow with different powers of it."""
+    """Whether the speed varies enough to separate effects that depend on different powers of it."""
     return float(np.std(speed)) > MIN_SPEED_VARIATION * abs(float(np.mean(speed)))
 
 
@@ -121,11 +121,11 @@ class Windows:
     time: np.ndarray
 
     def change(self, values: np.ndarray) -> np.ndarray:
-        """Change over each window."""
+        """Change from start to end of each window."""
         return values[self.last] - values[self.first]
 
     def mean(self, time: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Time average over each window."""
+        """Time average in each window."""
         return self.change(integral(time, values)) / self.change(time)
 
     def __len__(self) -> int:
@@ -133,7 +133,7 @@ class Windows:
 
 
 def windows(time: np.ndarray, length: float, longest_gap: float = MAX_GAP) -> Windows:
-    """Windows of `length` [s] over the stretches without a gap."""
+    """Windows of `length` [s] in the stretches without a gap."""
     if len(time) < 2:
         empty = np.zeros(0, np.int64)
         return Windows(empty, empty, np.zeros(0))
@@ -147,7 +147,7 @@ def windows(time: np.ndarray, length: float, longest_gap: float = MAX_GAP) -> Wi
 
 
 def stretches(times: np.ndarray, apart: float) -> tuple[tuple[float, float], ...]:
-    """Groups (first, last) of instants [s] that follow each other within `apart` [s]."""
+    """(first, last) of each group of instants [s] with intervals of at most `apart` [s]."""
     if not len(times):
         return ()
     edges = [0, *(np.flatnonzero(np.diff(times) > apart) + 1).tolist(), len(times)]
@@ -168,10 +168,10 @@ SAME_RATIO_FACTOR = 1.2  # ratios that differ by less are equal
 
 @dataclass(frozen=True)
 class Ratios:
-    """Median ratios of channels over windows, NaN with too little motion.
+    """Ratios of the changes of channels in windows, median; NaN with too little motion.
 
-    distance: positions over integrated velocity. yaw_rate: yaw over integrated yaw rate. yaw_course, rate_course: yaw,
-    and integrated yaw rate, over the course.
+    distance: positions to integrated velocity. yaw_rate: yaw to integrated yaw rate. yaw_course, rate_course: yaw, and
+    integrated yaw rate, to the course.
     """
 
     distance: float
@@ -181,12 +181,12 @@ class Ratios:
 
 
 def is_near(value: float, target: float, factor: float = SAME_RATIO_FACTOR) -> bool:
-    """Whether two ratios have one sign and differ by less than a factor."""
+    """Whether two ratios have the same sign and differ by less than a factor."""
     return bool(np.isfinite(value) and value * target > 0.0 and 1.0 / factor < value / target < factor)
 
 
 def ratios(motion: Motion, length: float = 1.0) -> Ratios:
-    """Ratios of channels over windows of `length` [s]."""
+    """Ratios of channels in windows of `length` [s]."""
     over = windows(motion.time, length, max(0.25, 0.5 * length))
     measured = np.hypot(over.change(motion.x), over.change(motion.y))
     integrated = over.change(integral(motion.time, motion.speed))
@@ -209,7 +209,8 @@ def _unless_constant(ratio: float) -> float:
 
 
 def _slope(top: np.ndarray, bottom: np.ndarray) -> float:
-    """Robust slope of top over bottom with a small intercept, so that a bias of the yaw rate does not change it."""
+    """Robust slope of `top` versus `bottom` with a small intercept, so that a bias of the yaw rate does not change it.
+    """
     if len(top) < MIN_WINDOWS or max(np.percentile(np.abs(c), 95) for c in (top, bottom)) < MIN_TURN:
         return float("nan")
     smaller, larger = sorted((top, bottom), key=lambda turns: float(np.percentile(np.abs(turns), 95)))
@@ -217,7 +218,7 @@ def _slope(top: np.ndarray, bottom: np.ndarray) -> float:
             float(np.std(larger)) < 0.5 * abs(float(np.mean(larger)))):
         return float("nan")  # one hardly turns, the other is a bias
     weights, slope = np.ones(len(top)), float("nan")
-    # Prior of the intercept, which a circle does not determine: as windows that turn by MIN_TURN.
+    # Prior of the intercept, which a circle does not determine: equivalent to windows that turn by MIN_TURN.
     prior = (len(top) * MIN_TURN**2) / max(float(np.square(bottom).mean()), 1e-300)
     for _ in range(8):
         rows = np.array([[weights @ bottom**2, weights @ bottom], [weights @ bottom, weights.sum() + prior]])
@@ -228,11 +229,11 @@ def _slope(top: np.ndarray, bottom: np.ndarray) -> float:
 
 
 def _against_course(motion: Motion, over: Windows, distance: np.ndarray) -> tuple[float, float]:
-    """(yaw, integrated yaw rate) over course: change from one window's middle to the next."""
+    """Ratios (yaw, integrated yaw rate) to course, of the changes from the middle of one window to the next."""
     if len(over) < 2:
         return float("nan"), float("nan")
     turn = np.diff(np.unwrap(np.arctan2(over.change(motion.y), over.change(motion.x))))
-    # Consecutive windows in which the car moves: else the course is noise.
+    # Only consecutive windows in which the car moves; at standstill the course is noise.
     moving = np.minimum(distance[1:], distance[:-1]) > max(0.3 * float(np.median(distance)), 1e-12)
     usable = (over.last[:-1] == over.first[1:]) & moving & (np.abs(turn) < 1.5)
     yaw = np.diff(over.mean(motion.time, motion.yaw))

@@ -1,12 +1,12 @@
 """Samples that neither a car nor a working sensor produces: spikes, sentinels, values out of range, wrap-arounds.
 
 Each channel is examined alone, before any comparison, so that a broken sample is not taken for a wrong unit of the run.
-Implausible samples are reported, and no command uses them. A step from one sample to the next is large where it exceeds
-both the physical limit and the usual steps of the channel, whatever its unit:
+Implausible samples are reported, and no command uses them. A step from one sample to the next is large if it exceeds
+both the physical limit and a multiple of the median step of the channel, whatever its unit:
 
-    |v_k - v_{k-1}| > max(limit, 20 median |v_k - v_{k-1}|),   median over the steps that are not 0
+    |v_k - v_{k-1}| > max(limit, 20 median |v_k - v_{k-1}|),   median of the steps that are not 0
 
-Checked by: test_checks_plausibility.py, over kinds and channels.
+Checked by: test_checks_plausibility.py, for all kinds and channels.
 """
 
 from collections.abc import Iterable, Mapping
@@ -21,27 +21,27 @@ from .motion import MAX_GAP, spans, stretches
 
 STEP_MEDIAN_RATIO = 20.0  # times the median step; noise and quantisation stay below
 HALF_WINDOW = 0.1  # s before and after a sample, for the median of its neighbours; at least two updates
-MIN_SENTINEL_SAMPLES = 3  # of one value between two large steps
+MIN_SENTINEL_SAMPLES = 3  # samples of one value between two large steps
 MIN_ZERO_TIME = 0.2  # s for the value 0
-SENTINEL_HOLD_RATIO = 3.0  # times the usual hold of a channel; shorter ones are its update interval
+SENTINEL_HOLD_RATIO = 3.0  # times the typical time that a channel holds a value, its update interval
 MIN_MOVING_SPEED = 1.0  # m/s
 MAX_BAD_SHARE = 0.5  # of the samples; beyond it the channel is unusable and nothing is left out
-NOTE_SHARE = 0.01  # of the samples, up to which spikes are a note
+NOTE_SHARE = 0.01  # fraction of the samples up to which spikes are a note
 WRAP_LIMIT = 0.3  # of the largest plausible step; smaller wraps cannot be distinguished from changes of the channel
 WRAP_SPREAD, WRAP_SYMMETRY = 0.1, 0.2  # of the wrap's size: largest difference of its steps, asymmetry of its ends
-MAX_WRAPPED_SHARE = 0.2  # of the samples; beyond it the true range is uncertain
-MAX_NET_CHANGE = 0.5  # net change of a stretch over the sum of its |steps|: 1 for a turn in another unit, 0 for noise
+MAX_WRAPPED_SHARE = 0.2  # of the samples; above it the true range is uncertain
+MAX_NET_CHANGE = 0.5  # ratio of net change to sum of |steps| of a stretch: 1 for a turn in another unit, 0 for noise
 JUMP_RATIO = 30.0  # times the 90th percentile of all steps; the largest of seventeen real drives is 15
 MAX_REVERSAL_ERROR = 0.3  # rad, of a heading that is reversed from one sample to the next
 MIN_SAMPLES = 20
-MAX_LISTED = 200  # stretches of a finding
+MAX_LISTED = 200  # maximum number of stretches that a finding lists
 STEP_TIME = 0.05  # s
 
 
 @dataclass(frozen=True)
 class ChannelLimits:
     """Plausible range of a channel of a road car. step: largest change within STEP_TIME [unit], proportionally more in
-    longer times. largest: magnitude beyond which a value is out of range [unit]."""
+    longer intervals. largest: magnitude above which a value is out of range [unit]."""
 
     unit: str
     step: float
@@ -63,8 +63,8 @@ CHANNELS: Mapping[str, ChannelLimits] = {
 
 @dataclass(frozen=True)
 class _Channel:
-    """One channel without NaN samples. rows: their indices in the log. step: |change| from each sample to the next;
-    median_step: of those that are not 0. gap: whether one lies between the two. update: their usual interval [s].
+    """One channel without NaN samples. rows: indices of its samples in the log. step: |change| from each sample to the
+    next; median_step: of those that are not 0. gap: whether there is a gap in between. update: update interval [s].
     """
 
     name: str
@@ -93,7 +93,7 @@ def without_implausible(log: DriveLog, start_ns: int | None = None) -> tuple[Dri
     """(the drive without implausible samples, one finding for each kind and channel).
 
     A row of the INS is left out for any of INS_SIGNALS, an optional signal becomes NaN, and samples of the steering are
-    left out of the steering alone. A channel more than half of which is implausible keeps its samples, and its finding
+    left out of the steering alone. A channel with more than half of its samples implausible keeps them, and its finding
     is an error. start_ns: zero of the times in the findings; None for the first INS measurement.
     """
     if start_ns is None:
@@ -128,7 +128,7 @@ def implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
                         moving: np.ndarray) -> tuple[np.ndarray, list[Finding]]:
     """(which samples of one channel to leave out (n,), the findings).
 
-    name: a key of CHANNELS. time: rising [s], any zero; that of the findings. values: (n,), NaN where unknown; yaw
+    name: a key of CHANNELS. time: ascending [s], any zero, also used in findings. values: (n,), NaN where unknown; yaw
     unwrapped. moving: (n,) whether the car moves. Nothing is left out of a channel with more than half bad samples.
     """
     bad = np.zeros(len(values), bool)
@@ -156,13 +156,13 @@ def implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
 
 
 def broken_channels(findings: Iterable[Finding]) -> set[str]:
-    """Channels that cannot be compared, since leaving samples out did not repair them."""
+    """Channels that cannot be compared, because they are still faulty after samples were left out."""
     return {channel for finding in findings for channel in finding.channels
             if finding.name == "channel_jumps" or finding.severity is Severity.ERROR}
 
 
 def _channel(name: str, time: np.ndarray, values: np.ndarray) -> _Channel | None:
-    """The channel without NaN; None where it is too short or constant."""
+    """The channel without NaN; None if it is too short or constant."""
     rows = np.flatnonzero(np.isfinite(values))
     if len(rows) < MIN_SAMPLES:
         return None
@@ -187,8 +187,8 @@ def _is_moving(log: DriveLog) -> np.ndarray:
 
 
 def _find_jumps(channel: _Channel, large: np.ndarray, implausible: np.ndarray) -> np.ndarray:
-    """Samples after a step that neither wraps nor returns and far exceeds all others, in any unit. Steps after a hold
-    belong to a frozen channel."""
+    """Samples after a step that is not a wrap-around, is not reversed and far exceeds all others, in any unit. Steps
+    after a held value belong to a frozen channel."""
     same = channel.step == 0.0
     on_hold = np.append(same[:1], same) | np.append(same, same[-1:])
     excluded = implausible | (on_hold & (channel.update <= 1.5 * channel.spacing))
@@ -207,7 +207,7 @@ def _find_wraps(channel: _Channel) -> np.ndarray:
     size = float(np.median(np.abs(change)))
     ends = channel.values[places] + channel.values[places + 1]
     wraps = (np.abs(np.abs(change) - size) < WRAP_SPREAD * size) & (np.abs(ends) < WRAP_SYMMETRY * size)
-    # Next to a wrap the channel approaches the end of its range: neighbours of a spike or of a sentinel do not.
+    # Next to a wrap the channel approaches the end of its range, unlike next to a spike or a sentinel.
     if wraps.sum() < 2 or wraps.mean() < MAX_BAD_SHARE or np.abs(channel.values).max() > (0.5 + WRAP_SPREAD) * size:
         return places[:0]
     level = np.zeros(len(channel.values), np.int64)
@@ -218,8 +218,8 @@ def _find_wraps(channel: _Channel) -> np.ndarray:
 
 
 def _find_out_of_range(channel: _Channel, large: np.ndarray) -> np.ndarray:
-    """Samples out of range, in stretches that begin or end with a large step, of a channel that is mostly within range:
-    one in another unit exceeds it throughout, and without a step."""
+    """Samples out of range, in stretches that begin or end with a large step, of a channel that is mostly within range.
+    A channel in another unit would exceed the range throughout, without a step."""
     beyond = np.abs(channel.values) > channel.limits.largest
     if not beyond.any() or beyond.mean() > MAX_BAD_SHARE:
         return np.zeros(0, np.int64)
@@ -229,7 +229,7 @@ def _find_out_of_range(channel: _Channel, large: np.ndarray) -> np.ndarray:
 
 
 def _find_sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) -> np.ndarray:
-    """Stretches of one value, entered and left by large steps: a code for no measurement, or 0 while the car moves."""
+    """Stretches of one value between large steps: a code for no measurement, or 0 while the car moves."""
     same = np.concatenate((channel.step == 0.0, [False]))
     edges = np.flatnonzero(~same)
     first, last = np.concatenate(([0], edges[:-1] + 1)), edges
@@ -256,7 +256,7 @@ def _find_sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) ->
 
 def _find_spikes(channel: _Channel, large: np.ndarray) -> np.ndarray:
     """Samples further than the limit from the median of their neighbours (Hampel 1974, with a physical limit), and
-    stretches in which most steps are large and unlike the next ones: equal large steps are a turn in another unit.
+    stretches in which most steps are large and irregular: equal large steps would be a turn in another unit.
 
     Only samples next to a large step are examined. Neighbours across a gap do not count.
     """

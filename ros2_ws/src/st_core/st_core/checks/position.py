@@ -1,8 +1,8 @@
-"""Positions against velocity and yaw: an identity that holds for any vehicle parameters.
+"""Comparison of positions with velocity and yaw: an identity that holds for any vehicle parameters.
 
     p(t2) - p(t1) = integral of R(yaw) v dt
 
-over windows of a second. The residual of a faulty recording has a few possible causes, each linear in its size:
+in windows of a second. The residual of a faulty recording has a few possible causes, each linear in its size:
 
     x or y scale s        p = s p_true                           s - 1 times the derived displacement along that axis
     map shear h           x = x_true + h y_true                  h times the displacement north, in x
@@ -25,16 +25,16 @@ from .regression import Estimate, Regression, is_relevant, with_systematic
 WINDOW = 1.0  # s
 MIN_WINDOWS = 10
 ROUNDS = 3
-# Share of the lag of positions that may remain once a lagging, or a leading (rare) yaw is corrected.
+# Fraction of the lag of positions that may remain after a lagging, or a leading (rare) yaw is corrected.
 MAX_RESIDUAL_LAG, MAX_RESIDUAL_LEAD = 0.5, 0.25
 MIN_LOSS_RATIO = 1.1  # losses whose ratio is below this do not decide between two explanations
-MIN_SIGN_GAIN = 0.01  # m; least reduction of the misfit over a second by another sign: RTK noise is 1 cm
-MAX_SIGN_MISFIT_RATIO = 1.2  # misfit with velocity_y reversed over that with the causes removed; below, both fit
+MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit in a second by another sign: RTK noise is 1 cm
+MAX_SIGN_MISFIT_RATIO = 1.2  # misfit with velocity_y reversed to that with the causes removed; below, both fit
 MIN_LATERAL_VELOCITY = 0.02  # m/s, root mean square
 SPHERICAL_EARTH_SCALE = 0.005  # a map projected with one radius of the earth is wrong by up to half a per cent per axis
 MIN_VELOCITY_BIAS = 0.05  # m/s; velocities of an INS are known to 0.03
 AXES = {"x_scale", "y_scale"}
-# Causes that are confounded at one speed; one of them is fitted, a bias only where its loss is clearly smaller.
+# Causes that are confounded at one speed; one of them is fitted, a bias only if its loss is clearly smaller.
 BIASES = {"velocity_x_bias": {*AXES, "velocity_scale"}, "velocity_y_bias": {"yaw_offset"}}
 CONFOUNDED = {"velocity_scale": {*AXES, "velocity_x_bias"}, "yaw_offset": {"velocity_y_bias"}, **BIASES,
               **{axis: {"velocity_scale", "velocity_x_bias"} for axis in AXES}}
@@ -61,7 +61,7 @@ CHANNELS = {"x_scale": ("x",), "y_scale": ("y",), "map_shear": ("x",), "yaw_offs
 
 
 def residual_regression(motion: Motion) -> Regression:
-    """Regression of the residual of the identity on the effects of all causes, over windows."""
+    """Regression of the residual of the identity on the effects of all causes, by window."""
     over = windows(motion.time, WINDOW)
     east, north = motion.velocity_map
     cosine, sine, rate = np.cos(motion.yaw), np.sin(motion.yaw), motion.yaw_rate
@@ -105,8 +105,8 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
 
 def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estimates: dict[str, Estimate],
                                  wheel: Estimate) -> tuple[Motion, list[Finding]]:
-    """(motion, findings) with a scale of the velocity replaced by one of the positions, where the wheel speed agrees
-    with the velocity as recorded. wheel: scale of the wheel speed against that velocity."""
+    """(motion, findings) with a scale of the velocity replaced by one of the positions, if the wheel speed agrees with
+    the velocity as recorded. wheel: scale of the wheel speed relative to that velocity."""
     wrong = next((finding for finding in findings if finding.name == "velocity_scale"), None)
     if wrong is None or not wrong.value or abs(wheel.value - 1.0) > 0.5 * abs(wrong.value - 1.0) or (
             abs(wrong.value - 1.0) < WHEEL_SCALE):
@@ -122,7 +122,7 @@ def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estima
 
 
 def scaled_misfit(motion: Motion) -> float:
-    """Median distance over a second between positions and integrated velocity [m], without scales of the map."""
+    """Median distance [m] between positions and integrated velocity after a second, with scales of the map removed."""
     problem = residual_regression(motion)
     return problem.fit(("x_scale", "y_scale"))[1] if len(problem.time) >= MIN_WINDOWS else np.inf
 
@@ -143,7 +143,7 @@ def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> 
 
 
 def check_lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """(motion, findings) with the sign of velocity_y reversed where that explains positions better than any cause."""
+    """(motion, findings) with the sign of velocity_y reversed if that explains positions better than any cause."""
     if float(np.sqrt(np.mean(motion.velocity_y**2))) < MIN_LATERAL_VELOCITY:
         return motion, []
     mirrored = replace(motion, velocity_y=-motion.velocity_y)
@@ -166,7 +166,7 @@ def check_lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 
 def with_sign_alternative(findings: list[Finding], recorded: Motion, corrected: Motion) -> list[Finding]:
-    """The findings; those that the opposite sign of velocity_y explains equally well name it and propose no correction.
+    """The findings; those that the opposite sign of velocity_y explains equally well mention it, without a correction.
 
     On a steady circle velocity_y is constant, so a wrong sign is also an offset of yaw or a displaced measuring point.
     """
@@ -235,7 +235,7 @@ def _estimate_all(problem: Regression, found: dict[str, Estimate]) -> dict[str, 
         alongside = tuple(other for other in found if other != name and other not in CONFOUNDED.get(name, ()))
         estimate = problem.estimates((*alongside, name))[name]
         estimates[name] = _as_reported(name, estimate.shifted(found[name].value) if name in found else estimate)
-    # Scale of the positions if the velocity is right.
+    # Scale of the positions if the velocity is correct.
     estimates["position_scale"] = estimates["velocity_scale"].inverse()
     return estimates
 

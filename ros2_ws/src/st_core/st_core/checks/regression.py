@@ -13,7 +13,7 @@ import numpy as np
 from ..regression import Blocks, symmetric_interval
 from .finding import SYSTEMATIC
 
-OUTLIER = 3.0  # robust standard deviations; windows beyond it weigh less (Huber)
+OUTLIER = 3.0  # robust standard deviations; windows with a larger residual have less weight (Huber)
 DRAWS, SEED = 200, 0  # of the bootstrap
 BLOCK = 5.0  # s, as in the alignment of clocks; correlation between neighbouring blocks widens the interval
 MIN_FREEDOM = 4.0  # of Student's t
@@ -30,7 +30,7 @@ class Estimate:
 
     @property
     def significant(self) -> bool:
-        """Whether the 95 % interval excludes 0 by another half of its half-width: a dozen causes are tested."""
+        """Whether 0 is outside the 95 % interval, widened by half because a dozen causes are tested."""
         low, high = self.interval
         return min(abs(low), abs(high)) > 0.5 * (high - self.value) and low * high > 0.0
 
@@ -63,7 +63,7 @@ class Estimate:
 
 
 class Regression:
-    """Robust regression y = sum_k theta_k X_k + residual over windows.
+    """Robust regression y = sum_k theta_k X_k + residual, one row per window.
 
     time: (n,) of the windows [s]. y: (n, m), m components of a window. columns: X_k by name, (n, m) each.
     """
@@ -79,7 +79,7 @@ class Regression:
         return self.y - sum((value * self.columns[name] for name, value in theta.items()), np.zeros_like(self.y))
 
     def fit(self, names: Sequence[str]) -> tuple[dict[str, float], float, np.ndarray]:
-        """(theta by name, median norm of the residual over the windows, Huber weights of the windows (n,))."""
+        """(theta by name, median norm of the residuals of the windows, Huber weights of the windows (n,))."""
         design = np.stack([self.columns[name] for name in names], axis=-1) if names else np.zeros((*self.y.shape, 0))
         weights, theta = np.ones(len(self.y)), np.zeros(len(names))
         for _ in range(6 if names else 1):
@@ -120,7 +120,7 @@ class Regression:
         return estimates
 
     def effect(self, name: str, value: float, seconds: float, window: float) -> float:
-        """Root mean square change of y by a cause of this size over `seconds`, from windows of `window` [s]."""
+        """RMS change of y in `seconds` [s] by a cause of this size, from windows of `window` [s]."""
         count = max(round(seconds / window), 1)
         column = self.columns[name]
         if len(column) < count:

@@ -14,12 +14,12 @@ UNITS = {"x": "m", "y": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m
 STEERING = ("road_wheel_angle", "steering_wheel_angle")
 STAMPS_OF = {"INS": ("time",), "steering": ("road_wheel_angle",)}
 """Signal -> channels of a finding about its stamps."""
-MIN_HELD_SHARE = 0.7  # share of the changes that come at one interval in a channel held at a lower rate
+MIN_HELD_SHARE = 0.7  # fraction of the changes that have the same interval in a channel held at a lower rate
 MIN_HELD_RATE = 15.0  # Hz; positions held at a lower rate are half a metre old at 15 m/s, on average a quarter
-NOTE_SHARE = 0.01  # share of rows below which a fault of single rows is a note
-MAX_GAP_SHARE = 0.05  # share of the time lost in gaps; above, whole driving conditions may be missing
+NOTE_SHARE = 0.01  # fraction of rows below which a fault of single rows is a note
+MAX_GAP_SHARE = 0.05  # fraction of the time lost in gaps; above it, whole driving conditions may be missing
 MIN_ROWS_PER_SAMPLE = 1.5  # of a slower sensor
-SPACING_TOLERANCE = 0.05  # relative; of its mean spacing, which a gap would shift by its share
+SPACING_TOLERANCE = 0.05  # relative, of the mean spacing of its samples, which a gap would increase
 MIN_FREEZE_TIME = 1.5  # s without any change
 MIN_CLIP_TIME = 0.3  # s at a limit
 MIN_CURVATURE_CHANGE = 0.1  # fraction of the curvature, while the steering is at a limit
@@ -56,9 +56,9 @@ def _channel_series(motion: Motion, name: str) -> tuple[np.ndarray, np.ndarray |
 
 
 def resolution(time: np.ndarray, values: np.ndarray) -> float:
-    """Smallest step of values that lie on a grid, in their unit; 0 where they do not. time: rising [s].
+    """Quantisation step of values, in their unit; 0 if they are not quantised. time: ascending [s].
 
-    Steps over lost samples do not count: those of a uniform motion are multiples of one step.
+    Steps across lost samples do not count: in a uniform motion they are multiples of one step.
     """
     if len(values) < 2:
         return 0.0
@@ -113,7 +113,8 @@ def _missing_values(channel: str, count: int, motion: Motion, auxiliary: Auxilia
 def refused_frames(time: np.ndarray, frames: int, reason: str) -> Finding:
     """Finding of steering frames that were received and are not used.
 
-    time: of these frames [s after the first INS measurement], rising. frames: number of all. reason: of the decoder.
+    time: of these frames [s since the first INS measurement], ascending. frames: number of all frames. reason: of the
+    decoder.
     """
     share = len(time) / frames
     text = (f"road_wheel_angle: {len(time)} of {frames} frames between {time[0]:.2f} and {time[-1]:.2f} s were "
@@ -125,10 +126,10 @@ def refused_frames(time: np.ndarray, frames: int, reason: str) -> Finding:
 
 
 def _slower_rate(time: np.ndarray, rows: np.ndarray, missing: float) -> float:
-    """Rate [Hz] of a sensor that is slower than the rows of the recording; 0 where the samples are not evenly spaced.
+    """Rate [Hz] of a sensor that is slower than the rows of the recording; 0 if the samples are not evenly spaced.
 
-    time: of its samples [s]; rows: of all rows [s]; missing: share of the rows without a sample. If a gap caused the
-    missing rows, the samples are one row apart. One sample in a hundred may be off.
+    time: of its samples [s]; rows: of all rows [s]; missing: fraction of the rows without a sample. If a gap caused the
+    missing rows, the samples are one row apart. One sample in a hundred may deviate.
     """
     spacing, between = np.diff(time), np.diff(rows)
     if len(spacing) < 20 or len(between) < 20:
@@ -174,7 +175,7 @@ def _check_gaps(signal: str, time: np.ndarray, left_out: Sequence[tuple[float, f
     if len(time) < 2:
         return []
     spacing = np.diff(time)
-    # A slow recording has no gap between every two of its samples.
+    # In a slow recording, the interval between two samples is not a gap.
     long = np.flatnonzero(spacing > max(MAX_GAP, 1.5 * float(np.median(spacing))))
     long = np.array([k for k in long if not any(time[k] < begin and end < time[k + 1] for begin, end in left_out)], int)
     if not len(long):
@@ -202,7 +203,8 @@ def find_stuck_channels(motion: Motion, channels: Mapping[str, Channel]) -> list
 
 
 def find_coarse_channels(motion: Motion, stuck: Sequence[Finding]) -> list[Finding]:
-    """Findings of channels rounded so coarsely that a start is off by a relevant distance; held ones are left out."""
+    """Findings of channels rounded so coarsely that the start of a prediction has a relevant error; held channels are
+    left out."""
     held = {channel for finding in stuck if finding.name == "samples_repeated" for channel in finding.channels}
     speed = float(np.median(motion.speed))
     return merge_findings([finding for name in POSITION_EFFECT if name not in held
@@ -308,7 +310,7 @@ def _curvature_changes(begin: float, end: float, motion: Motion) -> bool:
 
 
 def _smooth_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Rate of change over the half second that follows; at the end the last one."""
+    """Rate of change in the following half second; at the end the last value is repeated."""
     count = max(round(0.5 / float(np.median(np.diff(time)))), 1)
     rate = (values[count:] - values[:-count]) / (time[count:] - time[:-count])
     return np.concatenate([rate, np.full(len(time) - len(rate), rate[-1] if len(rate) else 0.0)])
@@ -318,7 +320,7 @@ def _smooth_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
 POSITION_EFFECT = {
     "x": (1.0, False), "y": (1.0, False), "yaw": (HORIZON, True), "velocity_x": (HORIZON, False),
     "velocity_y": (LIMITS.settling * HORIZON, False), "yaw_rate": (LIMITS.settling * HORIZON, True)}
-# A quantity of other channels that changes when this one does, and the change beyond which this one must change.
+# A quantity of other channels that changes when this one does, and the change above which this one must change.
 RELATED_RATES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] = {
     "velocity_x": (lambda m: np.hypot(_smooth_rate(m.time, m.x), _smooth_rate(m.time, m.y)), 0.3),
     "velocity_y": (lambda m: m.yaw_rate, 0.05),

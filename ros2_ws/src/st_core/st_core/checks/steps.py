@@ -1,9 +1,9 @@
-"""Positions sample by sample against integrated velocity: jumps, stale samples, noise, jitter of the stamps.
+"""Comparison of positions with integrated velocity, sample by sample: jumps, stale samples, noise, jitter of stamps.
 
     d_k = p_k - p_{k-1} - integral of R(yaw) v dt
 
 A jump is one large d. A stale position, one receiver interval h old, is a step back along the track by v h; the next
-fresh one is a step forward by as much.
+new position is an equal step forward.
 """
 
 from collections.abc import Sequence
@@ -23,10 +23,10 @@ MIN_NOISE = 0.05  # m; RTK positions have 2 cm, and those of an INS far less fro
 MIN_JUMP = 0.2  # m; the distance in 10 ms at 20 m/s
 MAX_LISTED_JUMPS = 50
 JUMP_MARGIN = 0.5 * MAX_GAP + 0.01  # s to both sides of a jump, so that a gap remains; rounded to 10 ms
-MIN_STALE_SAMPLES, WARNING_STALE_SHARE = 5, 0.05  # with this share, one start in twenty is wrong
-MAX_AGE_SPREAD = 0.35  # spread of the ages of stale samples over their median
-MIN_STEP_BALANCE = 0.5  # steps forward over steps back
-MAX_CROSS_TRACK_SHARE = 0.3  # of a stale sample's step
+MIN_STALE_SAMPLES, WARNING_STALE_SHARE = 5, 0.05  # at this fraction, one start in twenty is wrong
+MAX_AGE_SPREAD = 0.35  # spread of the ages of stale samples divided by their median
+MIN_STEP_BALANCE = 0.5  # ratio of steps forward to steps back
+MAX_CROSS_TRACK_SHARE = 0.3  # fraction of the step of a stale sample
 
 
 def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
@@ -46,7 +46,7 @@ def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 
 def _step_errors(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
-    """(d_k [m], east + i north; its part along the track over the speed [s], NaN at standstill), n - 1 each."""
+    """(d_k [m], east + i north; its part along the track divided by the speed [s], NaN at standstill), n - 1 each."""
     east, north = motion.velocity_map
     errors = (np.diff(motion.x) - np.diff(integral(motion.time, east))
               + 1j * (np.diff(motion.y) - np.diff(integral(motion.time, north))))
@@ -115,7 +115,7 @@ def _check_jumps(motion: Motion, errors: np.ndarray, stale: np.ndarray, rounding
 
 
 def _leave_out_jumps(where: Sequence[tuple[float, float]]) -> Advice:
-    """Gaps at the jumps, across which nothing is compared and no prediction scored."""
+    """Advice to leave out the jumps: nothing is compared and no prediction scored across the resulting gaps."""
     if len(where) > MAX_LISTED_JUMPS:
         return Advice("look", "too many to leave out: use the positions of one receiver, with RTK, or post-process")
     gaps: list[list[float]] = []
@@ -129,7 +129,7 @@ def _leave_out_jumps(where: Sequence[tuple[float, float]]) -> Advice:
 
 
 def _check_noise(motion: Motion, errors: np.ndarray) -> list[Finding]:
-    """White noise of positions: the size of d_k is Rayleigh distributed about sigma sqrt(2), its median 1.665 sigma."""
+    """White noise of positions: |d_k| has a Rayleigh distribution with scale sqrt(2) sigma, median 1.665 sigma."""
     within = np.diff(motion.time) <= MAX_GAP
     if within.sum() < 50:
         return []

@@ -1,8 +1,8 @@
 """Relations that involve the vehicle, with bounds so wide that only a faulty recording exceeds them.
 
-Steering: the road wheel angle of a car without slip is atan(L r / v_x). Errors of ratio and wheelbase change it by some
-ten per cent, understeer at 20 m/s may nearly double it, a wrong unit makes it 57 times as large. Rear axle: at low
-speed it moves in the direction of the heading, so at the INS point
+Steering: the road wheel angle of a car without slip is atan(L r / v_x). Errors of ratio and wheelbase change it by
+about ten per cent, understeer at 20 m/s may nearly double it, a wrong unit makes it 57 times as large. Rear axle: at
+low speed it moves in the direction of the heading, so at the INS point
 
     v_y = -a v_x + d r - s v_x^2 r - e d(v_x r)/dt
 
@@ -23,20 +23,20 @@ from .motion import MOVING, Motion, has_varying_speed, windows
 from .regression import Estimate, Regression, with_systematic
 
 CUTOFF = 1.5  # Hz
-MIN_SPEED, MAX_LATERAL_ACCELERATION = 2.0, 4.0  # m/s, m/s^2; between them an axle's slip is linear
+MIN_SPEED, MAX_LATERAL_ACCELERATION = 2.0, 4.0  # m/s, m/s^2; within these limits the slip of an axle is linear
 DEGREE = 180.0 / np.pi
 WINDOW = 0.5  # s
-MAX_COSINE = 0.9  # between speed and yaw rate over the drive: 1 on a circle
+MAX_COSINE = 0.9  # cosine between speed and yaw rate of the drive: 1 on a circle
 MIN_STEERING_ANGLE = 0.01  # rad, root mean square
 MIN_ANGLE_FOR_SIGN = 0.003  # rad, root mean square; fast wide bends determine the sign, not the size
 MAX_OPPOSITE_CORRELATION = -0.8  # of steering and curvature, up to which the sensor has the opposite sign
 MIN_UNRELATED_SPREAD = 0.01  # rad at the road wheels, of the steering and of that derived from curvature
-MIN_GAIN = 1e-6  # of steering over curvature; a smaller one is a constant angle, reported as frozen
+MIN_GAIN = 1e-6  # of steering versus curvature; with a smaller one the angle is constant, reported as frozen
 
 
 def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: bool) -> Comparison:
-    """Steering against curvature. wheel_measured: whether the steering wheel angle was recorded, whose offset is in the
-    vehicle file."""
+    """Comparison of steering with curvature. wheel_measured: whether the steering wheel angle was recorded, whose
+    offset is in the vehicle file."""
     moving = motion.velocity_x > MIN_SPEED
     curvature = np.where(moving, motion.yaw_rate / np.maximum(motion.velocity_x, MOVING), np.nan)
     derived = np.arctan(vehicle.wheelbase * curvature)
@@ -50,7 +50,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
             return [_unrelated_finding(found)], {}, None
         unit = gain and _unit_finding(gain, understeer, vehicle, wheel_measured)
         return [unit] if unit else [], {}, None
-    # On one bend throughout, gain and offset are confounded.
+    # In one long bend, gain and offset are confounded.
     if gain is not None and (found.scale.deviation > 0.2 * abs(found.scale.value)
                              or abs(float(found.derived.mean())) > found.spread):
         found = replace(found, scale=gain, bias=ZERO)
@@ -59,7 +59,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
     findings = [_unit_finding(gain, understeer, vehicle, wheel_measured),
                 _offset_finding(found, speed, vehicle, wheel_measured)]
     estimates = {"steering_scale": gain, "steering_sign": gain}
-    # Steering that falls where curvature rises is the driver's reaction to another yaw moment: it has no lag.
+    # Steering that decreases with increasing curvature is a reaction to another yaw moment and determines no lag.
     if found.correlation * gain.value >= 0.0:
         findings.insert(1, _lag_finding(late, found, speed, vehicle, format_alternative_lags(found, response)))
         estimates |= {"steering_lag": late} if found.determines_lag else {}
@@ -78,9 +78,8 @@ def _unrelated_finding(found: Agreement) -> Finding:
 
 
 def _steering_gain(motion: Motion, derived: np.ndarray) -> Estimate | None:
-    """Road wheel angle over that of the curvature, without an offset; None where the car hardly turns.
-
-    For a negative gain smaller angles suffice: only its sign is reported, which an offset does not change.
+    """Ratio of the road wheel angle to that computed from the curvature, without an offset; None if the car hardly
+    turns. For a negative gain smaller angles suffice: only its sign is reported, which an offset does not change.
     """
     angle = motion.steering_at_ins()
     known = np.flatnonzero(np.isfinite(derived) & np.isfinite(angle))[::10]
@@ -114,7 +113,7 @@ def response_time(vehicle: VehicleParameters, speed: float) -> float:
 
 
 def _lateral_shift(error: float, speed: float, vehicle: VehicleParameters) -> float:
-    """Lateral shift of the position after the horizon by a constant error of the road wheel angle [rad]: [m]."""
+    """Lateral shift [m] of the position after the horizon due to a constant error of the road wheel angle [rad]."""
     a, b = linear_system(max(speed, MOVING), vehicle)
     yaw_gain = -float(np.linalg.solve(a, b).ravel()[1])
     return abs(0.5 * speed * yaw_gain * error) * HORIZON**2
@@ -172,7 +171,7 @@ def _offset_finding(found: Agreement, speed: float, vehicle: VehicleParameters, 
     text = (f"the road wheels read {format_magnitude(offset)} rad ({abs(offset.value) * DEGREE:.1f} deg) too far "
             f"{_left_or_right(offset)} when driving straight: the steering offset is wrong")
     effect = _lateral_shift(offset.value, speed, vehicle)
-    # In the direction that counts once the sign is corrected, where that is wrong too.
+    # Direction after correction of the sign, if that is wrong too.
     left = offset.value * float(np.sign(found.scale.value))
     if wheel_measured:
         wheel = vehicle.steering_wheel_offset + left * vehicle.steering_ratio
@@ -196,7 +195,7 @@ def _at_most_warning(effect: float) -> Severity:
 
 
 def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> Comparison:
-    """Heading against the straight-on course, and position of the INS ahead of the rear axle."""
+    """Comparison of heading and course on straights, and position of the INS ahead of the rear axle."""
     over = windows(motion.time, WINDOW)
     means = [over.mean(motion.time, values) for values in (motion.velocity_x, motion.velocity_y, motion.yaw_rate)]
     use = (means[0] > MIN_SPEED) & (np.abs(means[0] * means[2]) < MAX_LATERAL_ACCELERATION)
@@ -213,7 +212,7 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> Comparison:
     heading = with_systematic("heading_misaligned", found["heading"])
     point = with_systematic("measuring_point", found["point"].shifted(-declared))
     low, high = (declared + end for end in point.interval)
-    # A point as far behind the axle as it is declared ahead, and a rear axle that slips outwards the wrong way.
+    # The point is as far behind the axle as it is declared ahead, and the slip of the rear axle has the wrong sign.
     is_mirrored = low < -declared < high and declared > LIMITS.mounting and found["slip"].interval[1] < 0.0
     place = _sign_finding() if is_mirrored else _point_finding(point, motion, vehicle)
     findings = [finding for finding in (_heading_finding(heading, forward), place) if finding]
@@ -228,7 +227,7 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> Comparison:
 def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, separable: bool) -> dict[str, Estimate]:
     """heading [rad], point [m ahead of the rear axle], slip [s^2/m] and roll [s^2].
 
-    separable: whether the speed varies. Where slip and point are confounded, the slip is that of the vehicle file
+    separable: whether the speed varies. If not, slip and point are confounded, and the slip is that of the vehicle file
     +/- 50 %.
     """
     expected = rear_slip_coefficient(vehicle)
@@ -280,7 +279,7 @@ def _point_finding(point: Estimate, motion: Motion, vehicle: VehicleParameters) 
 
 
 def check_tyre_limit(motion: Motion) -> list[Finding]:
-    """Finding of a lasting lateral acceleration above the limit of road tyres."""
+    """Finding of a sustained lateral acceleration above the limit of road tyres."""
     over = windows(motion.time, WINDOW)
     lateral = over.mean(motion.time, motion.velocity_x * motion.yaw_rate)
     impossible = np.abs(lateral) > LIMITS.tyre
