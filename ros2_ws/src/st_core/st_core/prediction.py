@@ -76,7 +76,7 @@ def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState,
             horizon: float = 5.0, step: float = 0.05, substeps: int = 1) -> Trajectory:
     """Trajectory of one model from one state: RK4 with a fixed step.
 
-    inputs: held over the horizon (ControlInput), or on the half-step grid (InputSequence of 2 * steps + 1 values).
+    inputs: held in the whole horizon (ControlInput), or on the half-step grid (InputSequence of 2 * steps + 1 values).
     horizon, step [s]: horizon a whole number of steps. Returns steps + 1 states, the start first. substeps: number >= 1
     of integration steps in a step, with inputs interpolated linearly; see `stability` for the number needed. NaN in the
     state or an input gives NaN from there on; a step too long for the stiffness gives large or non-finite numbers,
@@ -261,7 +261,7 @@ class Predictor:
         return "INS and steering: no common instant"
 
     def planned(self, plan: PlannedInputs, start: Start) -> InputSequence | str:
-        """The inputs of a plan over the horizon, for `run`; or the reason, in one line, why it cannot be used."""
+        """The inputs of a plan in the horizon, for `run`; or the reason, in one line, why it cannot be used."""
         settings = self.settings
         problem = plan_problem(plan, start.time_ns, start.state, start.inputs, settings.horizon, self.vehicle)
         return problem or plan.sequence(start.time_ns, settings.steps, settings.step)
@@ -269,7 +269,7 @@ class Predictor:
     def run(self, start: Start, model: str, ahead: InputSequence | None = None) -> Trajectory:
         """The trajectory of one model from a start, at the CG of that model (`car`).
 
-        ahead: inputs on the half-step grid of the horizon, of a plan (`planned`) or a course; None: inputs held.
+        ahead: inputs on the half-step grid of the horizon, from a plan (`planned`) or a course; None: held inputs.
         """
         if model not in self._views:
             raise ConfigurationError(f"model {model!r} is not configured; there are {', '.join(self._views)}")

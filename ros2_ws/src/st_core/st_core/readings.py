@@ -18,7 +18,7 @@ from .types import InsSample, cg_to_ins_position, pose_errors
 from .vehicle import VehicleParameters
 
 MEMORY = 5.0
-"""s of steering before now that live predictions need for effects with memory; a lag of 0.5 s decays to e^-10."""
+"""Past steering that live predictions need for effects with memory [s]; a lag of 0.5 s decays to e^-10."""
 MEMORY_NS = round(MEMORY / NANOSECOND)
 
 
@@ -67,7 +67,7 @@ def has_memory(model: Model) -> bool:
 
 def wheel_angles_ahead(model: Model, time_ns: np.ndarray, angle: np.ndarray, grid_ns: np.ndarray, ahead: np.ndarray,
                        maximum_gap: float) -> np.ndarray:
-    """Angle of the wheels [rad] at rising instants (m,) [ns] when the steering is `ahead` (m,) [rad] from the first on.
+    """Angle of the wheels [rad] at increasing instants (m,) [ns] with the steering `ahead` (m,) [rad] at these.
 
     time_ns [ns], angle [rad]: as recorded; later samples are not used. With delay, play or lag the wheels follow the
     steering of the previous MEMORY seconds, too. After the end the last angle is kept. maximum_gap [s].

@@ -21,13 +21,13 @@ from .types import wrap_angle
 from .vehicle import VehicleParameters
 
 MIN_SPEED = 2.0  # m/s; the course of a slower car is mostly noise
-COURSE_TIME = 0.2  # s, over which the direction of the displacement is taken
+COURSE_TIME = 0.2  # s, length of the displacement whose direction is the course
 RATE_WIDTH_NS = 200_000_000
-"""ns over which the yaw rate is averaged: one that is derived from the course is noisy."""
+"""ns, averaging time of the yaw rate, which is noisy if derived from the course."""
 MAX_DERIVATIVE_ERROR = 1e-6  # rad/s; a gyroscope differs by its noise
 MAX_COURSE_ERROR = 0.0015
-"""rad, root mean square of the part of (direction of the displacement - yaw) that depends on the yaw rate; more is
-sideslip. Genesis drives with the heading of the INS: 0.003 (INS above the rear axle) to 0.03; courses of a GNSS: to
+"""rad, RMS of the part of (direction of the displacement - yaw) that depends on the yaw rate; a larger value is
+sideslip. Genesis drives with the heading of the INS: 0.003 (INS above the rear axle) to 0.03; courses of a GNSS: up to
 0.0004."""
 
 
@@ -56,7 +56,8 @@ def with_steady_sideslip(log: DriveLog, vehicle: VehicleParameters) -> DriveLog:
 
 
 def derived_yaw_rate(time_ns: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-    """Derivative of unwrapped yaw [rad/s], averaged over RATE_WIDTH_NS: that of a course from step to step is noise."""
+    """Derivative of unwrapped yaw [rad/s], averaged over RATE_WIDTH_NS: differences between samples are mostly noise.
+    """
     return smoothed(time_ns, np.gradient(yaw, (time_ns - time_ns[0]) * NANOSECOND), RATE_WIDTH_NS)
 
 

@@ -8,7 +8,7 @@ the actual spacing dt of each pair:
     x = dt / tau,  e = exp(-x),  g = (1 - e) / x,   y_k = e y_{k-1} + (g - e) u_{k-1} + (1 - g) u_k
     y_dot_k = (y_k - y_{k-1}) / dt
 
-Uneven spacing therefore adds no noise of its own; with a bilinear transform it adds 1 % of a constant acceleration at
+Uneven spacing therefore adds no noise; with a bilinear transform it adds 1 % of a constant acceleration at
 10 +- 6 ms (measured). At an even 100 Hz the results agree with scipy.signal.butter(1, 5, fs=100) to a thousandth.
 The backward difference belongs to the middle of the last interval, so slow changes are late by tau + dt / 2: at 5 Hz
 and 100 Hz sampling 31.8 + 5 = 37 ms. The filter restarts at the first sample and after every gap with y = u; the
@@ -28,7 +28,7 @@ from .types import wrap_angle
 NANOSECOND = 1.0e-9
 # A sample at most this much older than the newest is sorted in; an older one is late and dropped [ns].
 REORDER_WINDOW_NS = 500_000_000
-# After this many late samples in a row the clock has been set back, and they are the new beginning.
+# After this many consecutive late samples the clock counts as set back, and the series restarts with them.
 JUMP_SAMPLES = 5
 MAXIMUM_SAMPLES = 200_000
 
@@ -287,14 +287,14 @@ def _filter_causally(times_ns: np.ndarray, values: np.ndarray, cutoff: float,
 
 
 def smoothed(time_ns: np.ndarray, values: np.ndarray, width_ns: int) -> np.ndarray:
-    """Centred mean over `width_ns` about each sample, over fewer samples at the ends."""
+    """Centred mean over `width_ns` about each sample, of fewer samples at the ends."""
     total = np.concatenate(([0.0], np.cumsum(values)))
     low, high = _averaging_windows(time_ns, width_ns)
     return (total[high] - total[low]) / (high - low)
 
 
 def smoothed_deviation(time_ns: np.ndarray, width_ns: int) -> float:
-    """Standard deviation of white noise after `smoothed` over that before [1]: sqrt(mean(1 / number of samples))."""
+    """Ratio of the standard deviations of white noise after and before `smoothed`: sqrt(mean(1 / sample count))."""
     low, high = _averaging_windows(time_ns, width_ns)
     return float(np.sqrt(np.mean(1.0 / (high - low)))) if len(time_ns) else 1.0
 

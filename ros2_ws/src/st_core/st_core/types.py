@@ -52,7 +52,7 @@ class ControlInput:
 
 @dataclass(frozen=True, slots=True)
 class InputSequence:
-    """Inputs over a horizon on the half-step grid 0, step/2, step, ...: 2 * steps + 1 values each, as ControlInput.
+    """Inputs in a horizon on the half-step grid 0, step/2, step, ...: 2 * steps + 1 values each, as ControlInput.
 
     NaN marks an input that is not known; the trajectory is NaN from there on. signals: those a model needs beyond its
     inputs (`Model.signals`), by name, on the same grid.

@@ -11,7 +11,7 @@ from .ops import absolute, atan, maximum, minimum, sign, sin
 
 GRAVITY = 9.81  # m/s^2, as in the paper
 
-# The load is a divisor. A jump in the measured speed can demand a lifted axle, far outside the range of the model; a
+# The load is a divisor. A jump of the measured speed can imply a lifted axle, far outside the range of the model; a
 # lower limit of 1 N keeps the force finite and close to zero.
 MINIMUM_LOAD = 1.0  # N, of one tyre
 
@@ -64,11 +64,11 @@ def magic_formula_peak(load, tyre: MagicFormula):
 
 
 def magic_formula_coefficients(load, tyre: MagicFormula):
-    """(B, D, E) of one tyre at load [N], the coefficients that depend on the load alone.
+    """(B, D, E) of one tyre at load [N], the coefficients that depend only on the load.
 
         D = (p_dy1 + p_dy2 df) lambda_muy F_z,  B = K / (C D),  E = p_ey1 + p_ey2 df,  df = (F_z - F_z0) / F_z0
 
-    Limited to F_z >= 1 N and to E <= 1, beyond which the curve folds back (Pacejka, Tire and Vehicle Dynamics, eq.
+    Limited to F_z >= 1 N and to E <= 1; with a larger E the curve folds back (Pacejka, Tire and Vehicle Dynamics, eq.
     4.E24); the Leaf reaches neither limit below 8 m/s^2 of braking.
     """
     load = maximum(load, MINIMUM_LOAD)

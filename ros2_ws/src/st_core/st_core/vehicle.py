@@ -41,7 +41,7 @@ def _quantity(unit: str, minimum: float, maximum: float, required: bool = True, 
     return Quantity({unit: 1.0}, minimum, maximum, required and math.isnan(default), default)
 
 
-# Limits are wide on purpose: they catch a wrong unit or a slipped digit, from a go-kart to a loaded truck.
+# Limits are intentionally wide, from a go-kart to a loaded truck: they detect a wrong unit or a misplaced digit.
 OPTIONAL_QUANTITIES = {
     "track_width": _quantity("m", 0.3, 4.0, default=1.54),
     "drive_front": _quantity("1", 0.0, 1.0, default=1.0),
@@ -116,8 +116,8 @@ DEFAULT_UNCERTAINTIES: Mapping[str, Uncertainty] = {
     "cornering_stiffness_rear": Uncertainty(0.3, True, "tyres of one size differ by a factor of 2"),
     **{f"{tyre}.{key}": uncertainty for tyre in TYRES for key, uncertainty in _TYRE_UNCERTAINTIES.items()},
 }
-"""Of entries of a vehicle file without `uncertainty`. Other keys, like the steering ratio and the position of the INS,
-are often guesses: they constrain a fit only with an `uncertainty` of their own."""
+"""Used for entries of a vehicle file that give no `uncertainty`. Other keys, such as the steering ratio and the
+position of the INS, are often guesses: they constrain a fit only if the file gives their `uncertainty`."""
 DERIVED = "derived: C / (2 abs(K)) at the static load of one tyre"
 
 
@@ -135,11 +135,11 @@ class VehicleParameters:
     steering_wheel_offset [rad]: reading of the steering wheel sensor when driving straight, left +.
     cornering_stiffness_front/_rear: per axle, > 0 [N/rad]. minimum_slip_speed: v_eps, lower limit of the speed in the
     denominator of the slip angle [m/s]. tyre_front, tyre_rear: one tyre each, lambda_ky filled in. length, width [m]:
-    of the body, for drawing. track_width [m]: both axles. drive_front, brake_front: share of drive and brake force on
-    the front axle [1]; rear-wheel drive: drive_front 0. load_transfer_front: share of the lateral load transfer on the
-    front axle [1]. side_area: side force coefficient times its reference area, C_y A [m^2]; side_force_arm [m]: its
-    centre ahead of the CG. sources: where each value comes from, by key ("tyre_front.p_cy1" for the tyres). provenance:
-    of the values that were identified, by key.
+    of the body, for drawing. track_width [m]: both axles. drive_front, brake_front: fraction of drive and brake force
+    on the front axle [1]; rear-wheel drive: drive_front 0. load_transfer_front: fraction of the lateral load transfer
+    on the front axle [1]. side_area: side force coefficient times its reference area, C_y A [m^2]; side_force_arm [m]:
+    its centre ahead of the CG. sources: where each value comes from, by key ("tyre_front.p_cy1" for the tyres).
+    provenance: of the values that were identified, by key.
 
     Raises ConfigurationError, naming the key and the limit, for a value out of bounds or contradictory lengths.
     """

@@ -1,1 +1,1 @@
-"""At the desk: checks, evaluation, identification, discovery, bands, reports."""
+"""Offline processing: checks, evaluation, identification, discovery, bands, reports."""

@@ -19,7 +19,7 @@ MAX_POINTS = 4000  # of a line
 
 
 def alignment_figure(signals: Sequence[SharedSignal], alignment: Alignment, title: str, file: Path) -> None:
-    """Write the figure: a speed over the drive, the most active 10 s of a yaw rate, correlation, residual lags."""
+    """Write the figure: a speed versus time, the most active 10 s of a yaw rate, correlation, residual lags."""
     candidates = [s for s in signals if not s.angle] or list(signals)
     speed = next((s for s in candidates if "velocity" in s.name or "speed" in s.name), candidates[0])
     with plt.rc_context(RC):
@@ -40,7 +40,7 @@ def _draw_signal(ax: plt.Axes, signal: SharedSignal, alignment: Alignment, whole
     mapped = alignment.to_reference_ns(signal.other_time_ns - round(signal.latency * 1e9))
     reference, other = (signal.reference_time_ns - zero) * 1e-9, (mapped - zero) * 1e-9
     values = signal.other
-    if "curvature" in signal.name:  # proportional only, so it is scaled to the reference
+    if "curvature" in signal.name:  # only proportional to the reference, so it is scaled
         known = np.isfinite(signal.reference)
         values = np.polyval(np.polyfit(np.interp(reference[known], other, values), signal.reference[known], 1), values)
     start = -np.inf if whole else _most_active(reference, signal.reference, other)
@@ -72,7 +72,7 @@ def _draw_correlation(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: 
         ax.text(0.5, 0.5, "no signal to correlate", transform=ax.transAxes, ha="center")
         return
     zero = alignment.offset_ns * 1e-9
-    # r is 0 at lags with too little in common; the lag next to one is interpolated towards that 0.
+    # r is 0 at lags with too little overlap; a lag next to one of these is interpolated towards 0.
     has_overlap = minimum_filter1d(r != 0, 3, mode="nearest")
     ax.plot(lags - zero, np.where(has_overlap, r, np.nan), color=MEASURED_COLOUR, lw=0.9)
     for peak, style, name in ((alignment.peak, "o", "best"), (alignment.second_peak, "s", "second")):

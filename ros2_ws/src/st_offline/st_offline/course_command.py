@@ -1,4 +1,4 @@
-"""`st course build`: read the runs, keep the path of each with its speed and curvature, write one file."""
+"""`st course build`: reads runs and writes the path of each, with its speed and curvature, into one file."""
 
 import math
 from collections.abc import Sequence

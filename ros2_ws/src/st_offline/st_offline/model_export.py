@@ -22,7 +22,7 @@ from st_recordings.paths import json_ready
 
 Format = Literal["casadi", "c"]
 STEPS = (0.01, 0.02, 0.05, 0.1)
-"""s; the description states the lowest stable speed of each."""
+"""Integration steps [s] for which the description states the lowest stable speed."""
 
 
 def load_model(name: str, vehicle: VehicleParameters, origin: str, requested: bool) -> tuple[Model, VehicleParameters]:
@@ -132,7 +132,7 @@ def _readme(description: dict[str, Any], kind: Format) -> str:
 
 
 MAX_LOG = 60.0
-"""Of a squared scale: finite in floats, far beyond any error of a prediction."""
+"""Limit of the logarithm of a squared scale: finite in floats, far above any error of a prediction."""
 
 
 def half_width_function(band: Band, level: float, vehicle: VehicleParameters,
@@ -140,7 +140,7 @@ def half_width_function(band: Band, level: float, vehicle: VehicleParameters,
     """(x, u, steering_activity) -> (points, 3): along, across [m] and yaw [rad] at every point of the horizon.
 
     x: the six states at the CG. u: road_wheel_angle [rad], velocity_x_dot [m/s^2]. steering_activity [rad/s]: root mean
-    square of the road wheel's rate over the last second. The numbers are those of `Band.half_widths`; the calibration
+    square of the road wheel's rate in the last second. The numbers are those of `Band.half_widths`; the calibration
     domain is not checked. Raises ConfigurationError for a level that is not in the band.
     """
     if level not in band.factors:

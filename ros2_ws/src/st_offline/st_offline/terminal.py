@@ -1,4 +1,4 @@
-"""Terminal output shared by the verbs: progress, tables of rows, lines, the files it wrote."""
+"""Terminal output shared by the verbs: progress, tables, single lines, lists of written files."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,7 +18,7 @@ def rows_table(rows: Sequence[Mapping[str, str]], **options) -> Table:
     """Table with the keys of the first row as titles. options: of rich's Table."""
     table = Table(box=None, **options)
     for title in rows[0] if rows else ():
-        # Names of models are short identifiers: broken in two they cannot be copied.
+        # Names of models are short identifiers, which cannot be copied if a line break splits them.
         table.add_column(title, overflow="fold", no_wrap=title == "model")
     for row in rows:
         table.add_row(*row.values())

@@ -27,8 +27,8 @@ from ..types import STATE_NAMES
 from . import numba_cache, numpy_batch, structure
 from .numba_ops import FLAGS, inline
 
-# A multiple of three vectors of 8 (AVX-512) or 4 (AVX2) numbers. Below 16 the loop is not vectorised, seven times
-# slower; 32 to 96 lanes and 2 to 4 vectors differ by less than 15 %.
+# A multiple of three vectors of 8 (AVX-512) or 4 (AVX2) numbers. With fewer than 16 the loop is not vectorised and
+# seven times slower; 32 to 96 lanes and 2 to 4 vectors differ by less than 15 %.
 LANES = 48
 INTERLEAVE = 3
 CACHE_LINE = 64
@@ -77,7 +77,7 @@ def _kernel(model: Model, p: Any, skeleton: tuple, fields: int, states: int):
 
 
 def _skeleton(p: tuple, numbers: list[float]) -> tuple:
-    """Nesting and types of p; appends its numbers. Equivalent to numba's own type, which takes milliseconds."""
+    """Nesting and types of p; appends its numbers. Equivalent to the type that numba determines in milliseconds."""
     shape: list[Any] = [type(p)]
     for value in p:
         if isinstance(value, tuple):

@@ -35,7 +35,7 @@ class Model:
     signals: names of further measured quantities that the model needs.
     axles: for a dynamic model, None for the kinematic one.
 
-    The functions are written over `st_core.ops` and take floats, or arrays of equal shape for a batch.
+    The functions are written with `st_core.ops` and take floats, or arrays of equal shape for a batch.
     """
 
     name: str

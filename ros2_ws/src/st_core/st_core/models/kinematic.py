@@ -1,4 +1,4 @@
-"""Kinematic single-track model: wheels roll without slip, so steering alone sets the curvature.
+"""Kinematic single-track model: wheels roll without slip, so the curvature depends only on the steering.
 
     x_dot = v_x cos(psi + beta),  y_dot = v_x sin(psi + beta),  v_x_dot: input,  psi_dot = v_x / l cos(beta) tan(delta)
     beta = atan(l_r / l tan(delta))

@@ -151,7 +151,7 @@ def intervals_of(files: Sequence[ModelFile]) -> dict[str, Intervals]:
 
 def share_sums(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, settings: EvaluationSettings,
                intervals: Mapping[str, Intervals]) -> Sums:
-    """Decomposition of the error of one run, as sums over its starts."""
+    """Decomposition of the error of one run, summed for its starts."""
     found: Sums = {}
     for model in models:
         starts, total, parts = squared_contributions(model, vehicle, signals, settings, intervals.get(model.name))
@@ -166,7 +166,7 @@ def _by_second(values: np.ndarray) -> dict[str, dict[str, float]]:
 
 
 def summarise_shares(sums: Sums) -> dict[str, Any]:
-    """By model: starts, rms of the error [m, m, rad] and of each cause by second and axis, and shares of the mean
+    """By model: starts, RMS of the error [m, m, rad] and of each cause by second and axis, and fractions of the mean
     square error; those of all causes and the residual add up to 1."""
     found = {}
     for model, squares_of_model in sums.get("shares", {}).items():

@@ -80,7 +80,7 @@ def collect(sources: Sequence[RunSource], task: Task, models: Sequence[Model], r
                 run = read(source, task.vehicle, task.read)
                 before = {digest: name for name, digest in recordings.items()}
                 for digest in run.provenance["files"].values():
-                    if digest in before:  # a copy is no further sample
+                    if digest in before:  # a copy is not an additional sample
                         raise RunError(source.where, f"has the same content as {before[digest]}",
                                        "give every recording once")
                 _refuse_other_car(source, run, task.vehicle)

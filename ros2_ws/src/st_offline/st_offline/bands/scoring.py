@@ -1,4 +1,4 @@
-"""Bands against the errors of one run, block by block: coverage, interval score, CRPS, sharpness."""
+"""Scores of bands for the errors of one run, block by block: coverage, interval score, CRPS, sharpness."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -18,7 +18,7 @@ _PROBABILITIES = np.concatenate([0.5 - 0.5 * np.array(RELIABILITY)[::-1], [0.5],
 
 
 class Scorer:
-    """Scores of the bands over one run, as sums. Errors are rotated into the predicted frame, that of the bands."""
+    """Scores of the bands on one run, as sums. Errors are rotated into the predicted frame, that of the bands."""
 
     def __init__(self, bands: Bands, signals: LogSignals):
         self._bands, self._signals = bands, signals
@@ -46,7 +46,7 @@ class Scorer:
 
 
 class AdaptiveScorer:
-    """Coverage of adaptive bands over one run, in order of time, as sums. bands: None: without a calibration."""
+    """Coverage of adaptive bands on one run, in order of time, as sums. bands: None: without a calibration."""
 
     LATE = 120.0  # s after the first start; coverage from then on is counted separately
 
@@ -84,7 +84,7 @@ class AdaptiveScorer:
 
 
 def summarise_adaptive(sums: Sums) -> dict[str, Any]:
-    """{model: {mode: starts, coverage, late_starts, late_coverage}}, shares by level; None where nothing was scored."""
+    """{model: {mode: starts, coverage, late_starts, late_coverage}}, coverage by level; None if nothing was scored."""
     return {model: {mode: {**counts, "coverage": _divided(counts["coverage"], counts["starts"]),
                            "late_coverage": _divided(counts["late_coverage"], counts["late_starts"])}
                     for mode, counts in modes.items()} for model, modes in sums.get("adaptive", {}).items()}
@@ -101,15 +101,15 @@ def band_sums(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sums:
     start.
 
     coverage: whole paths inside, by level; axes: of one axis alone; seconds: inside throughout that second; cells: of
-    speed, lateral acceleration and second ahead. interval_score [m, m, rad]: mean over the horizon, by level and axis.
-    crps [m, m, rad]: mean over the whole seconds. half_width: by level, second and axis, at that second.
+    speed, lateral acceleration and second ahead. interval_score [m, m, rad]: mean of the horizon, by level and axis.
+    crps [m, m, rad]: mean of the whole seconds. half_width: by level, second and axis, at that second.
     """
     import scoringrules  # loaded only where bands are scored
 
     scale, size = band.scale(conditions), np.abs(errors)
     ratio = size / scale
     time, levels = band.scale.time, scored_levels(band)
-    # Rounded: 20 steps of 0.05 s are 1.0000000000000002 s.
+    # Rounded, because 20 steps of 0.05 s are 1.0000000000000002 s.
     second = np.ceil(np.round(time, 6)).astype(int)
     whole = [k for k in range(len(time)) if abs(time[k] - round(time[k])) < 1e-6]
     by_point, by_axis = ratio.max(axis=2), ratio.max(axis=1)
@@ -144,7 +144,7 @@ def band_sums(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sums:
 
 
 def _crps(band: Band, scale: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """(3,) sums over starts of the mean over points: of the symmetric distribution with the band's quantiles."""
+    """(3,) CRPS of the symmetric distribution with the quantiles of the band: mean of the points, sum of the starts."""
     import scoringrules
 
     found = np.zeros(errors.shape[2])
@@ -208,7 +208,7 @@ def _means(sums: Sums) -> dict[str, Any]:
 
 
 def _divided(value: Any, count: int) -> Any:
-    """The value, or every number in a nested mapping, over `count`; None for a count of 0."""
+    """The value, or every number in a nested mapping, divided by `count`; None for a count of 0."""
     if isinstance(value, Mapping):
         return {key: _divided(one, count) for key, one in value.items()}
     return value / count if count else None

@@ -30,7 +30,7 @@ from .check_report import CheckedRun, residual_rms
 
 HEIGHT = 3.1  # inch
 MAX_LINE_GAP = 1.5  # s; a line is interrupted at longer gaps
-MIN_SHADE_WIDTH = 0.004  # of the width, so that short stretches are visible
+MIN_SHADE_WIDTH = 0.004  # fraction of the width of the figure, so that short stretches are visible
 SHADE = {Severity.ERROR: BAD, Severity.WARNING: WARN, Severity.NOTE: MEASURED_COLOUR}
 DERIVED_COLOUR = MODEL_COLOUR["kinematic"]
 

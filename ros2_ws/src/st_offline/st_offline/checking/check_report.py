@@ -227,7 +227,7 @@ def document(good: Sequence[CheckedRun], failed: Mapping[str, str]) -> dict[str,
 
 
 def residual_rms(identity: Identity) -> float:
-    """Root mean square of measured minus derived, in the unit of the identity; NaN where nothing is known of both."""
+    """Root mean square of measured minus derived, in the unit of the identity; NaN without common samples."""
     residual = np.asarray(identity.measured) - np.asarray(identity.derived)
     residual = residual[np.isfinite(residual)]
     return float(np.sqrt(np.square(residual).mean())) if len(residual) else float("nan")
@@ -274,7 +274,8 @@ def print_runs(runs: Sequence[CheckedRun], console: Console) -> None:
 
 
 def group_by_name(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, list[str]]]:
-    """Findings grouped by name, channels and sign, most severe and largest first: (that of largest effect, its runs).
+    """Findings grouped by name, channels and sign, most severe and largest first: (finding with the largest effect,
+    runs of the group).
 
     A lag and a lead, or an offset to the left and one to the right, are two findings: the text states the side.
     """

@@ -1,4 +1,4 @@
-"""Gate before every verb: checks a recording, and refuses one with errors."""
+"""Gate before every verb: checks a recording, and rejects one with errors."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -148,7 +148,7 @@ def _logs(drives: Sequence[Drive]) -> list[DriveLog]:
 
 
 def _find_answer(request: Request, base: Model, progress: Progress) -> tuple[Discovery, bool]:
-    """The answer, and whether it is a cached one for the same inputs."""
+    """The result, and whether it is a cached one for the same inputs."""
     bar = progress.add_task("", total=None)
 
     def stage(name: str, done: int, total: int) -> None:
@@ -178,7 +178,7 @@ def sensor_estimates(drives: Sequence[Drive]) -> dict[str, tuple[float, float, f
 def draw(found: Discovery, request: Request, output: FigureOutput) -> list[PageFigure]:
     """The figures of the page, in its order."""
     runs = _logs(request.drives)
-    # Of the channels that all runs have.
+    # Only the channels that all runs have.
     settings = replace(request.settings, channels=tuple(c for c in found.gap if c in request.settings.channels))
 
     def errors(model):

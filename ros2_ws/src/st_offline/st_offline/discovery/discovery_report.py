@@ -46,7 +46,7 @@ def document(found: Discovery, request: Request, update: VehicleUpdate | None,
 
 
 def provenance(found: Discovery, request: Request, seconds: Mapping[str, float]) -> dict[str, Any]:
-    """All inputs of the answer."""
+    """All inputs of the discovery."""
     return {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "vehicle": {"name": request.vehicle.name, "file": request.vehicle_file, "hash": request.vehicle.hash},
@@ -68,7 +68,7 @@ def provenance(found: Discovery, request: Request, seconds: Mapping[str, float])
 def model_file(found: Discovery, request: Request, update: VehicleUpdate) -> ModelFile | None:
     """The effects that are not in vehicle.yaml, for that vehicle; None without any. Effects at null are left out.
 
-    With a reference a value may be a change against it; the interval is shifted to the total.
+    With a reference a value may be the change since then; the interval is shifted to the total.
     """
     intervals: dict[tuple[str, str], Interval] = {}
     for one in found.effects:
@@ -204,15 +204,15 @@ FILE_MEANINGS = {
     "effects": "the relation proposed, as an effect; its folder: --effects of st evaluate, st demo, st live",
     "proposed.yaml": "a model with it: --model, together with --effects and the vehicle file as it was given",
     "model.yaml": "all effects that are not in the vehicle file: --model of st demo, st live, st evaluate"}
-MAX_ADVICE = 3  # sentences on the terminal; the page has all
+MAX_ADVICE = 3  # sentences on the terminal; the page contains all
 
 
 def show(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Drive], files: Mapping[str, Path],
          from_cache: bool, console: Console, relation: RelationReport | None = None) -> None:
-    """Print the answer, the values of its effects, what to do, and the files.
+    """Print the result, the values of its effects, what to do, and the files.
 
-    recordings: all runs, with those that could not be used. from_cache: whether the answer is. relation: the
-    search for a relation beyond the library.
+    recordings: all runs, including those that could not be used. from_cache: whether the result is from the cache.
+    relation: result of the search for a relation beyond the library.
     """
     def print_line(name: str, text: str) -> None:
         console.print(f"[bold]{name}[/bold]: {escape(text)}", highlight=False)

@@ -1,4 +1,4 @@
-"""Inputs of a discovery: options, drives as read, and the cache of answers."""
+"""Inputs of a discovery: options, drives as read, and the cache of results."""
 
 import hashlib
 import json
@@ -29,7 +29,7 @@ from st_recordings.runs.load import file_hashes
 from ..checking.check_report import findings_as_json
 from ..checking.gate import RUN_ERRORS, Refused, check_log, describe_problem, refuse_errors
 
-ANSWER_FORMAT = 2  # of a cached answer; files of another number are not used
+ANSWER_FORMAT = 2  # version of the format of cached results; other versions are not used
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,11 @@ class Drive:
 class Request:
     """base: name or model file. vehicle_text: of vehicle_file. settings: of the search.
 
-    runs, reference: paths of recordings; drives, healthy: the same as read. read: options. effects: folder of own
-    effects; own_effects: sha256 of each file in it. output: folder, None for runs/discover-<time>. jobs: processes.
-    formats: of figure files. report: whether one is written. cached: whether a cached answer may be used. force: use
-    runs in which a check finds an error. propose: search for a relation beyond the library; None: if the residual is
-    large.
+    runs, reference: paths of recordings; drives, healthy: the same as read. read: options. effects: folder of
+    user-defined effects; own_effects: sha256 of each file in it. output: folder, None for runs/discover-<time>. jobs:
+    number of processes. formats: of figure files. report: whether one is written. cached: whether a cached result may
+    be used. force: use runs in which a check finds an error. propose: search for a relation beyond the library; None:
+    if the residual is large.
     """
 
     base: str
@@ -120,12 +120,12 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
 
 
 def clock_deviations(drives: Sequence[Drive]) -> dict[str, float]:
-    """Standard deviation of the steering clock [s] by run, where it was aligned."""
+    """Standard deviation of the steering clock [s] by run, if it was aligned."""
     return {d.name: s for d in drives if d.log is not None and (s := d.about.get("clock_deviation_s"))}
 
 
 def cache_folder() -> Path | None:
-    """Folder of cached answers; None without a home directory."""
+    """Folder of cached results; None without a home directory."""
     try:
         return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "single_track" / "answers"
     except RuntimeError:
@@ -135,7 +135,7 @@ def cache_folder() -> Path | None:
 def answer_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle: VehicleParameters, base: Model,
                settings: DiscoverySettings, effects: Mapping[str, str],
                sensors: Mapping[str, Sequence[float]], clocks: Mapping[str, float]) -> str:
-    """Cache key of an answer: hash of all its inputs, the code included."""
+    """Cache key of a result: hash of all its inputs, including the code."""
     values = base.values if isinstance(base, AugmentedModel) else {}
     files = sorted(file for folder in st_core.__path__ for file in Path(folder).rglob("*.py"))
     code = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
@@ -147,7 +147,7 @@ def answer_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle:
 
 
 def write_answer(file: Path, found: Discovery) -> None:
-    """Write an answer for `read_answer`, atomically; a failure, such as a full disk, is ignored."""
+    """Write a result for `read_answer`, atomically; a failure, such as a full disk, is ignored."""
     def parts(model: AugmentedModel) -> list[Any]:
         return [_base(model), {effect: dict(values) for effect, values in model.values.items()}]
 
@@ -163,7 +163,7 @@ def write_answer(file: Path, found: Discovery) -> None:
 
 
 def read_answer(file: Path) -> Discovery | None:
-    """The answer in a file of `write_answer`; None for a missing or damaged file."""
+    """The result in a file of `write_answer`; None for a missing or damaged file."""
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
         hints = get_type_hints(Discovery)

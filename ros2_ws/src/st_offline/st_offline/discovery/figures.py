@@ -24,7 +24,7 @@ from .relation_files import title_of
 
 AFTER = MODEL_COLOUR["augmented"]
 HALF_WIDTH = 6.8  # inch; two of them in a row of the page
-MIN_ASPECT = 0.3  # width over length of a track, below which its axes have different scales
+MIN_ASPECT = 0.3  # ratio of width to length of a track, below which its axes have different scales
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def waterfall(scene: Scene) -> PageFigure | None:
     """Held-out 5 s position error from the base model to the last step."""
     steps = scene.found.steps
     if not steps or not all(np.isfinite((s.position_5s.base, s.position_5s.augmented)).all() for s in steps):
-        return None  # without the position no such error exists
+        return None  # position is not a channel
     floor = scene.found.gap["position_5s"].floor if "position_5s" in scene.found.gap else 0.0
     with style():
         figure, axes = plt.subplots(figsize=(WIDTH, 1.1 + 0.3 * (len(steps) + 2)))
@@ -94,7 +94,7 @@ def _label(axes: plt.Axes, x: float, row: int, text: str) -> None:
 
 
 def axle_curves(scene: Scene) -> PageFigure | None:
-    """Force of each axle versus slip angle, within the driven range, with its band, and the share of samples at each
+    """Force of each axle versus slip angle, within the driven range, with its band, and the fraction of samples at each
     slip angle."""
     curves = scene.found.axle_curves
     if not curves or not scene.found.model:
@@ -232,7 +232,7 @@ def _draw_ratios(axes: plt.Axes, ratios: Sequence[tuple[int, LocalEstimate]]) ->
 
 
 def relation_figure(relation: Relation, output: FigureOutput) -> PageFigure:
-    """Curve and 95 % band above, share of the driving below; angles in degrees, shares in per cent."""
+    """Curve and 95 % band above, distribution of the driving below; angles in degrees, fractions in per cent."""
     c = relation.candidate
     (up, unit), (across, across_unit) = display_unit(c.unit), display_unit(QUANTITIES[c.quantity])
     at, value, band = across * relation.at, up * relation.value, up * report_text.Z95 * relation.deviation

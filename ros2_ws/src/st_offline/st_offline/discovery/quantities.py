@@ -1,4 +1,4 @@
-"""Names and numbers of a discovery in reports: angles in degrees, digits by the interval."""
+"""Names and numbers of a discovery in reports: angles in degrees, number of digits according to the interval."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -11,7 +11,7 @@ from st_core.relations import Candidate
 from st_core.vehicle import VehicleParameters
 
 MAX_DECIMALS = 6
-ON_BOUND = Limits().at_bound  # distance from a bound, over the usual size of the effect
+ON_BOUND = Limits().at_bound  # distance from a bound, in parameter scales
 _DISPLAY = {"rad": ("°", 57.29577951308232), "rad/s": ("°/s", 57.29577951308232)}
 
 
@@ -31,7 +31,7 @@ def channel(name: str) -> str:
 
 
 def plain(name: str) -> str:
-    """An effect's name as words."""
+    """Name of an effect as separate words."""
     return name.replace("_", " ")
 
 
@@ -60,7 +60,7 @@ def decimals(uncertainty: float) -> int:
 
 
 def decimal(number: float, count: int) -> str:
-    """A number with `count` decimals; with an exponent beyond MAX_DECIMALS."""
+    """A number with `count` decimals; with an exponent if `count` exceeds MAX_DECIMALS."""
     if count <= MAX_DECIMALS:
         text = f"{number:.{count}f}"
         return text if float(text) else f"{number + 0.0:.1g}"  # neither "-0.0" nor "x 0" for a small number
@@ -71,7 +71,7 @@ def decimal(number: float, count: int) -> str:
 def value(p: FittedParameter, parameter: Parameter | None = None, interval: bool = True) -> str:
     """Value and 95 % interval, in significant digits; with the null 1 as a factor.
 
-    parameter: that of the effect; a value on one of its bounds is reported as such. The interval may cross a bound.
+    parameter: of the effect; a value on one of its bounds is reported as such. The interval may cross a bound.
     """
     usual_size = abs(parameter.initial - parameter.null) if parameter else 0.0
     bounds = [] if parameter is None or parameter.shape else [

@@ -36,7 +36,7 @@ SLIPS = "slip_angles(slip_front, slip_rear, extra, instant, prepared, theta)"
 FORCES = "axle_forces(forces, slip_front, slip_rear, instant, prepared, theta)"
 FORCES_BEFORE = "front, rear = forces(slip_front, slip_rear, instant)\n        "
 HOOKS = {
-    # A wheel turned to the left slides less to the left.
+    # Steering a wheel to the left reduces its slip to the left.
     "front_steer": (SLIPS, "return slip_front - {y}, slip_rear"),
     "rear_steer": (SLIPS, "return slip_front, slip_rear - {y}"),
     "front_force": (FORCES, f"{FORCES_BEFORE}return front + theta.constants * {{y}}, rear"),
@@ -186,7 +186,7 @@ def _kind(c: Candidate) -> str:
 
 def write_files(found: RelationSearch, vehicle: VehicleParameters, runs: Sequence[str], created: str,
                 digests: dict[str, str], folder: Path) -> dict[str, Path]:
-    """Write the effect file and the model file that uses it; paths by kind, none without a relation.
+    """Write the effect file and the model file that uses it; paths by kind, empty without a relation.
 
     A relation of the time in the run is not written, as it is not valid in other drives. The user's effects in the
     model are copied, so that one folder of effects is enough for every command.

@@ -16,7 +16,7 @@ from .figures import display_unit
 from .relation_files import name_of, title_of
 from .vehicle_update import changed_keys
 
-P_DIFFERENT = 0.01  # p-value of equal shares below which the relation varies between runs
+P_DIFFERENT = 0.01  # p-value of equal ratios in all runs, below which the relation varies between runs
 SQUARES = str.maketrans({"^": None, "2": "²"})
 ELSEWHERE = ("drive the same again, once beginning elsewhere on the course and once in the other direction, and add "
              "these runs: only then can the place, the course and the time in the run be separated")
@@ -114,7 +114,7 @@ def _alternatives(relation: Relation) -> list[str]:
 
 
 def _files(relation: Relation, corrected: bool, folder: str) -> list[str]:
-    """corrected: whether the answer without the relation has files of its own."""
+    """corrected: whether there are files of the result without the relation."""
     if relation.candidate.quantity == "run_time":
         return ["no effect file is written: the time in a run predicts nothing of another drive"]
     lines = [f"with the relation: the original vehicle file, proposed.yaml and effects/{name_of(relation)}.py. To "

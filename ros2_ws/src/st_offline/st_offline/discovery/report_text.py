@@ -27,8 +27,8 @@ from .quantities import change, channel, decimal, decimals, fitted, metres, plai
 from .vehicle_update import SLIP_SPEED, VehicleUpdate
 
 MAX_PARTS = 6
-MAX_UNDETECTABLE = 4  # effects named in a sentence; the table has all
-MAX_KEYS = 3  # of a vehicle file in a sentence; the table has all
+MAX_UNDETECTABLE = 4  # effects listed in a sentence; the table contains all
+MAX_KEYS = 3  # keys of a vehicle file listed in a sentence; the table contains all
 MIN_CHANGE = 0.005  # m; a step that changes the position by less is described by the channel it changes most
 MAX_SEPARATION = 10.0  # standard deviations
 MAX_RATIO = 1000.0  # of the expected error: beyond that predictions diverge
@@ -75,7 +75,7 @@ def most_reduced_channel(step: Step) -> str:
 
 
 def title(found: Discovery) -> str:
-    """The answer in a line."""
+    """The result in one line."""
     if found.outcome == "not_testable":
         return "These drives have too little excitation for a result"
     effects = [with_alternatives(found, e) for e in by_size(found.effects)]
@@ -179,7 +179,7 @@ def describe_varying(effect: VaryingEffect) -> str:
 
 
 def agreement(effect: FoundEffect) -> str:
-    """In how many runs (of few runs: parts of them) and sites an effect is significant separately."""
+    """In how many runs (or parts of runs if there are few) and sites an effect is significant on its own."""
     counts = []
     for level in ("run", "site"):
         parts = effect.agreement.get(level, ())
@@ -190,7 +190,7 @@ def agreement(effect: FoundEffect) -> str:
 
 
 def certainty(found: Discovery) -> list[str]:
-    """The rule that decided, and its measured false alarms."""
+    """The rule that decided the outcome, and its measured false alarms."""
     lines = [reason.text for reason in found.reasons if reason.subject == "answer"]
     if found.certificate.measured:
         lines.append(f"false alarms: an effect was named in {found.certificate.alarms} of "
@@ -220,7 +220,7 @@ def ratio_to_file(combination: Combination) -> str:
 
 
 def not_separable(found: Discovery) -> str:
-    """Effects that explain the drives equally well, with the limits of that, or that compensate for each other."""
+    """Effects that explain the drives equally well, with the limits of this test, or that compensate for each other."""
     names = [" or ".join(map(plain, (e.name, *e.alternatives))) for e in found.effects if e.alternatives]
     pairs = [f"{plain(e.name)} with {', '.join(map(plain, e.joint))} (they compensate for each other)"
              for e in found.effects if e.joint]
@@ -266,7 +266,7 @@ def contradicted_quantities(found: Discovery) -> list[str]:
 
 
 def separation(strength: float) -> str:
-    """A separation [standard deviations]; large ones are beyond the linear range of the prediction."""
+    """A separation [standard deviations] as text; large ones are outside the linear range of the prediction."""
     return f"{strength:.1f}" if strength < MAX_SEPARATION else f"more than {MAX_SEPARATION:g}"
 
 
@@ -404,7 +404,7 @@ def format_changes(changes_of: Mapping[str, Sequence[float]]) -> str:
 
 
 def details(found: Discovery, update: VehicleUpdate | None) -> list[tuple[str, list[str]]]:
-    """(question, lines of the answer) below the summary; empty answers are left out."""
+    """(question, lines of the answer to it) below the summary; questions without an answer are left out."""
     why = {r.subject: r.text for r in found.reasons if r.rule in (MINOR, FORCES, IMPLAUSIBLE)}
     minor = [f"{with_alternatives(found, e)}: {why[e.name]}" for e in by_size(found.minor) if e.name in why]
     lines = [*((role, [text]) for role, text in drives(found)), ("meaning", meaning(found)),

@@ -31,7 +31,7 @@ HORIZON, STEP, INTERVAL = 5.0, 0.05, 5.0  # s, of the predictions that are compa
 MIN_SPEED = 1.5  # m/s, at a start
 POSE_TOLERANCE = 1e-3  # m, rad; predictions that differ less at the end of the horizon count as equal
 MAX_POSITION_DIFFERENCE = 0.02  # m, mean, up to which effective corrections are kept with another vehicle file
-SIGNIFICANCE_LEVEL = 0.05  # p-value of a paired t-test over the starts of a drive, which do not overlap
+SIGNIFICANCE_LEVEL = 0.05  # p-value of a paired t-test of the starts of a drive, which do not overlap
 SIGNIFICANT_DIGITS = 6  # of a written value
 VALUE_TOLERANCE = 1e-5  # largest relative difference from rounding to SIGNIFICANT_DIGITS
 SLIP_SPEED = "minimum_slip_speed"
@@ -97,7 +97,7 @@ def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
         try:
             car = fold(request.vehicle, candidate, found.named.values)
             errors = _errors(without_effects(found.named, candidate), car, drives)
-        except StCoreError:  # impossible, or beyond the limits of a vehicle file
+        except StCoreError:  # impossible, or outside the limits of a vehicle file
             continue
         if all(a.shape == b.shape and np.allclose(a, b, rtol=0.0, atol=POSE_TOLERANCE, equal_nan=True)
                for a, b in zip(errors, expected, strict=True)):
@@ -200,7 +200,7 @@ def changed_keys(vehicle: VehicleParameters, effect: type[Effect], values: Mappi
         return {}
     try:
         pairs = _changes(vehicle, fold(vehicle, (effect,), {effect.name: values}))
-    except StCoreError:  # beyond the limits of a vehicle file
+    except StCoreError:  # outside the limits of a vehicle file
         return {}
     return {key: pair for key, pair in pairs.items() if not key.endswith("lambda_ky")}
 
@@ -211,7 +211,8 @@ def without_effects(model: AugmentedModel, effects: Iterable[type[Effect]]) -> A
 
 
 def _errors(model: AugmentedModel, vehicle: VehicleParameters, drives: Sequence[DriveLog]) -> list[np.ndarray]:
-    """Errors (starts, 3) at the end of the horizon, by drive, with the steering by the vehicle's ratio and offset."""
+    """Errors (starts, 3) at the end of the horizon, by drive, with the steering computed with the vehicle's ratio and
+    offset."""
     found = []
     for drive in drives:
         log = drive
@@ -226,7 +227,7 @@ def _errors(model: AugmentedModel, vehicle: VehicleParameters, drives: Sequence[
 
 def _interval(found: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
               key: str) -> tuple[float, float]:
-    """95 % interval of a quantity of the file, from those of the folded effects, assumed independent."""
+    """95 % interval of a quantity of the file, from the intervals of the folded effects, assumed independent."""
     assert found.named is not None  # it contains the effects
     values = {name: dict(entry) for name, entry in found.named.values.items()}
     centre = value_of(fold(vehicle, folded, values), key)
@@ -319,7 +320,7 @@ def _change(root: yaml.Node, key: str, entry: Callable[[str, float], str]) -> tu
         unit = next(iter(units))
         gap = ", " if section.flow_style else "\n" + " " * first.column
         return first.index, first.index, f"{name}: {entry(unit, units[unit])}{gap}"
-    # The end of a block is where the next key begins, comments between included.
+    # The end of a block is where the next key begins, so that comments in between are part of the block.
     last = node if node.flow_style else node.value[-1][1]
     unit = next(value.value for name, value in node.value if name.value == "unit")
     return node.start_mark.index, last.end_mark.index, entry(unit, units[unit])

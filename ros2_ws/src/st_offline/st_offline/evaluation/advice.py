@@ -41,8 +41,8 @@ CallKey = tuple[str, float, str]
 
 @dataclass(frozen=True)
 class Cost:
-    """Processor time of one prediction over the horizon [s]. floats: live, without numba. compiled: live, with numba;
-    None where the model cannot be compiled. batch: of one start, when a whole drive is predicted as a batch."""
+    """Processor time of one prediction [s]. floats: live, without numba. compiled: live, with numba; None if the model
+    cannot be compiled. batch: per start, if a whole drive is predicted as a batch."""
 
     floats: float
     compiled: float | None
@@ -91,7 +91,7 @@ def median_times(calls: Mapping[CallKey, tuple[Call, int]]) -> dict[CallKey, flo
 
 ACROSS = 1  # index of the axes along, across, yaw
 LEVELS = (0.9, 0.5)
-WITHIN_SHARE = 0.9  # of the starts that must be within the tolerance
+WITHIN_SHARE = 0.9  # fraction of the starts that must be within the tolerance
 MIN_STARTS = 100  # in a speed bin: ten seconds of driving
 
 
@@ -122,7 +122,7 @@ def model_accuracy(runs: Sequence[ErrorSamples], model: str, settings: Evaluatio
     level = next((one for one in LEVELS if len(runs) >= MIN_RUNS and one <= highest_level(len(runs)) + 1e-9), None)
     width = None
     if level is not None:
-        # Over all starts, also those outside the calibration domain.
+        # Mean of all starts, including those outside the calibration domain.
         band = calibrate(runs, pair, time, (level,))
         width = tuple(np.mean([band.half_widths(run.conditions, level)[:, at, ACROSS].mean(axis=0) for run in runs],
                               axis=0).tolist())
@@ -141,14 +141,14 @@ Key = tuple[str, float]  # model, step [s]
 
 
 def processor_time(cost: Cost) -> float:
-    """Processor time of one prediction [s], compiled where the model can be."""
+    """Processor time of one prediction [s], compiled if possible."""
     return cost.floats if cost.compiled is None else cost.compiled
 
 
 def cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
              tolerance: float) -> dict[float, tuple[Key | None, ...]]:
-    """By lower edge of speed [m/s]: for each second ahead the cheapest with a lateral error within the tolerance
-    [m] in WITHIN_SHARE of the starts; None where no model does."""
+    """By lower edge of speed [m/s]: for each second ahead the fastest (model, step) with a lateral error within the
+    tolerance [m] in WITHIN_SHARE of the starts; None if there is none."""
     order = sorted(accuracies, key=lambda key: processor_time(costs[key]))
     speeds = sorted({low for one in accuracies.values() for low in one.within})
     seconds = max((len(one.second) for one in accuracies.values()), default=0)
@@ -194,7 +194,7 @@ def measure(sources: Sequence[RunSource], task: Task) -> Advice:
     unusable: dict[Key, str] = {}
     longest: LogSignals | None = None
     with warnings.catch_warnings():
-        # A step that is too long for a model shows as its errors, or as their absence.
+        # A step that is too long for a model leads to large errors, or to none at all.
         warnings.simplefilter("ignore", StepTooLongWarning)
         for source in sources:
             try:
@@ -213,7 +213,7 @@ def measure(sources: Sequence[RunSource], task: Task) -> Advice:
                         samples.setdefault((model.name, step), []).append(found)
                     except NotFiniteError as error:
                         unusable[model.name, step] = f"{log.name}: {error}"
-                    except StCoreError:  # no start with a whole horizon: true of every model and step
+                    except StCoreError:  # no start with a complete horizon, for any model and step
                         continue
         if longest is None:
             raise ConfigurationError("--advise: no run is as long as the horizon; give longer ones")
@@ -242,7 +242,7 @@ def steps(settings: EvaluationSettings) -> list[EvaluationSettings]:
 
 
 def rows(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy]) -> list[dict[str, str]]:
-    """One row for each model and step; columns by their titles. Costs also as multiples of the least of the column."""
+    """One row for each model and step; columns by their titles. Costs also as multiples of the lowest of the column."""
     least = {kind: min(v for v in (getattr(one, kind) for one in costs.values()) if v is not None)
              for kind in ("floats", "compiled", "batch") if any(getattr(one, kind) for one in costs.values())}
     found = []

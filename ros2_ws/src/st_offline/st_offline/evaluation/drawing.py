@@ -19,7 +19,7 @@ from st_core.errors import ConfigurationError
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, RC
 
 TEXT, GRID, BAD, WARN = "#1c2126", "#e6e6e6", "#b3261e", "#b26a00"
-# Colours in figures -> variables of the page's style sheet.
+# Colour in figures -> variable of the style sheet of the page.
 _VARIABLES = {
     TEXT: "var(--text)", GRID: "var(--rule)", BAD: "var(--bad)", WARN: "var(--warn)",
     MEASURED_COLOUR: "var(--measured)",
@@ -73,7 +73,7 @@ def save_figure(figure: Figure, output: FigureOutput, key: str, title: str, capt
     lines = textwrap.wrap(title, round(TITLE_LETTERS * figure.get_figwidth() / WIDTH))
     heading = figure.suptitle("\n".join(lines), x=0.01, ha="left", fontweight="bold", fontsize=10)
     # The layout is computed once, because it takes longer than the drawing. An engine "none" would still run before
-    # each file, and a removed one returns by the settings.
+    # each file, and a removed one would be set again from the style.
     figure.draw_without_rendering()
     with plt.rc_context({"figure.constrained_layout.use": False}):
         figure.set_layout_engine(None)
@@ -116,7 +116,7 @@ def _rounded(number: re.Match) -> str:
 
 
 def reduce_points(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A line of at most MAX_POINTS that looks the same: the smallest and largest value of each section."""
+    """A line of at most MAX_POINTS with the same appearance: the smallest and largest value of each section."""
     if len(time) <= MAX_POINTS:
         return time, values
     edges = np.linspace(0, len(time), MAX_POINTS // 2 + 1).astype(int)

@@ -50,7 +50,7 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
         line(f"[dim]{key}: {escape(value)}[/dim]", console)
     print_tables([report.bands for report in good], task.bands is not None, task.adaptive, console)
     if tolerance is not None:
-        from .advice import advise  # half a second of libraries, needed for advice only
+        from .advice import advise  # imports take half a second and are needed for advice only
 
         advise([s for s, report in zip(sources, found, strict=True) if not report.problem], task, tolerance, console)
     for report in good:
@@ -97,7 +97,7 @@ def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, schedul
     return [found[source.name] for source in sources]
 
 
-MEMORY_PER_WORKER = "1500MB"  # a worker that needs more is restarted, and its run has failed
+MEMORY_PER_WORKER = "1500MB"  # a worker that needs more is restarted, and its run fails
 
 
 class WorkersError(RuntimeError):
@@ -106,7 +106,7 @@ class WorkersError(RuntimeError):
 
 def reports(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None,
             progress: Callable[[RunSource], Progress] | None = None) -> Iterator[RunReport]:
-    """One report per run; in order with one worker, else as they are finished.
+    """One report per run; in order with one worker, else in order of completion.
 
     scheduler: address of a Dask scheduler with workers that see the same files. Raises WorkersError.
     """

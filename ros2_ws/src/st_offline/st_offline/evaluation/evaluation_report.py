@@ -177,7 +177,7 @@ def overview(reports: Sequence[RunReport], over: str, output: FigureOutput) -> P
         figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 1.4 + 0.24 * len(chosen)), sharey=True)
         layout = figure.get_layout_engine()
         assert isinstance(layout, ConstrainedLayoutEngine)  # by the style
-        layout.set(w_pad=0.12)  # inch; the last label of one axis and the first of the next
+        layout.set(w_pad=0.12)  # inch, between the last label of one axis and the first of the next
         for axes, axis in zip(panels, SHOWN_AXES, strict=True):
             for row, report in enumerate(chosen):
                 sizes = [rmse(report, model, axis) for model in models if model in report.models]
@@ -198,7 +198,7 @@ def overview(reports: Sequence[RunReport], over: str, output: FigureOutput) -> P
 
 
 def headline(reports: Sequence[RunReport], over: str) -> str:
-    """Lateral RMSE in hindsight of each model over all runs, the smallest first."""
+    """Lateral RMSE in hindsight of each model for all runs, the smallest first."""
     models = pooled([r.models for r in reports])
     sizes = [(values(models, m, "hindsight", "lateral", over)["rmse"], m) for m in models]
     ranked = sorted((size, m) for size, m in sizes if size is not None)

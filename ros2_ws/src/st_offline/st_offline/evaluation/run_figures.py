@@ -1,4 +1,4 @@
-"""Figures of one run: segments, errors over time, error over the horizon, slip and forces."""
+"""Figures of one run: segments, errors versus time, error versus time ahead, slip and forces."""
 
 import math
 from collections.abc import Sequence
@@ -51,7 +51,7 @@ def complete_in_all(evaluation: LogEvaluation) -> np.ndarray:
 
 
 def chosen_starts(evaluation: LogEvaluation, times: Sequence[float]) -> np.ndarray:
-    """Rows of the complete starts nearest to the times [s], or four of them spread over the run."""
+    """Rows of the complete starts nearest to the times [s], or of four evenly spaced ones."""
     complete = np.flatnonzero(complete_in_all(evaluation))
     if not len(complete):
         return complete
@@ -144,7 +144,7 @@ def _measured_path(axes: plt.Axes, drawing: Drawing, start_ns: int, length: floa
 
 
 def horizon_means(drawing: Drawing) -> PageFigure:
-    """Horizon-mean errors of all models, speed and acceleration over the start time: the paper's second figure."""
+    """Horizon-mean errors of all models, speed and acceleration versus start time: the paper's second figure."""
     evaluation = drawing.evaluation
     figure, (upper, lower, context) = plt.subplots(
         3, 1, figsize=(WIDTH, 5.2), height_ratios=(1.3, 1.3, 0.9), sharex=True)
@@ -152,7 +152,7 @@ def horizon_means(drawing: Drawing) -> PageFigure:
         axes.axhline(0, color=TEXT, lw=0.6)
         for model in drawing.models:
             line = evaluation.errors[model.name, "hindsight"].mean[:, k]
-            # Linear and nonlinear often coincide: the wider line is visible on both sides.
+            # Linear and nonlinear often coincide: the wider line then remains visible on both sides.
             width = 2.4 if model.name == "linear" else 1.0
             axes.plot(*_over_time(evaluation, line), **drawing.line(model.name) | {"ls": "-", "lw": width})
         axes.set_ylabel(AXIS_LABEL[axis])

@@ -24,7 +24,7 @@ Entry = dict[str, Any]
 
 
 def entry(errors: ModelErrors, select: np.ndarray | slice = ALL) -> Entry:
-    """Statistics over horizon means, and under `samples` over all points of all horizons; None without a score."""
+    """Statistics of horizon means, and under `samples` of all points of all horizons; None without a score."""
     complete = errors.complete[select]
     count = int(complete.sum())
     return {
@@ -35,13 +35,13 @@ def entry(errors: ModelErrors, select: np.ndarray | slice = ALL) -> Entry:
 
 
 def by_model(evaluation: LogEvaluation, select: np.ndarray | slice = ALL) -> dict[str, dict[str, Entry]]:
-    """{model: {mode: entry}} over the selected starts (rows)."""
+    """{model: {mode: entry}} of the selected starts (rows)."""
     return {model: {mode: entry(evaluation.errors[model, mode], select) for mode in evaluation.modes}
             for model in evaluation.models}
 
 
 def by_second(evaluation: LogEvaluation) -> dict[str, dict[str, dict[str, Entry]]]:
-    """{model: {mode: {second: {axis: {mean, max, rmse}}}}}: the error at 1, 2, ... s, over the complete starts."""
+    """{model: {mode: {second: {axis: {mean, max, rmse}}}}}: errors of the complete starts at 1, 2, ... s."""
     found: dict[str, dict[str, dict[str, Entry]]] = {model: {} for model in evaluation.models}
     for (model, mode), errors in evaluation.errors.items():
         values = errors.at_seconds[errors.complete]
@@ -66,7 +66,7 @@ def by_manoeuvre(evaluation: LogEvaluation, parts: Sequence[DrivePart]) -> list[
 
 
 def pooled(entries: Sequence[Mapping[str, Mapping[str, Entry]]]) -> dict[str, dict[str, Entry]]:
-    """{model: {mode: entry}} of several such documents, pooled as if their starts were of one run."""
+    """{model: {mode: entry}} of several such documents, pooled as if all starts were in one run."""
     found: dict[str, dict[str, list[Entry]]] = {}
     for document in entries:
         for model, modes in document.items():
@@ -102,7 +102,7 @@ def _statistics(*values: float) -> Entry:
     return {kind: float(v) if math.isfinite(v) else None for kind, v in zip(STATISTICS, values, strict=True)}
 
 
-DIGITS = 2  # as the paper: centimetres
+DIGITS = 2  # centimetres, as in the paper
 WIDE = 100  # characters, width of the table with forecasts
 SHOWN_AXES = ("longitudinal", "lateral")
 NOTE = "mean | max | RMSE over {what}, m; bold: smallest magnitude of each run"

@@ -117,7 +117,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
             ahead = inputs_ahead(run, signals, task.vehicle, task.settings.prediction, load_course(task.course))
             evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress,
                                       on_block=score, future_inputs=ahead)
-        finally:  # a failed check explains more than an exception that it caused
+        finally:  # a failed check is a better explanation than the exception that it caused
             findings, parts = checked()
             if isinstance(findings, Refused):
                 raise findings
@@ -241,11 +241,11 @@ PATH = ("planned_speed", "planned_curvature")  # alternatively speed and curvatu
 
 def inputs_ahead(run: LoadedRun, signals: LogSignals, vehicle: VehicleParameters, prediction: PredictionSettings,
                  course: Course | None) -> dict[Mode, FutureInputs]:
-    """Inputs over the horizon by mode: plan, if the recording has one, and course, if given; see `evaluate_log`.
+    """Inputs in the horizon by mode: plan, if the recording has one, and course, if given; see `evaluate_log`.
 
-    Passes of the run itself are left out of the course. With known origins the course is moved into the map of the run;
-    else both must be in the same map. Raises RunError for planned columns that are not numbers, and for a course of
-    another place.
+    Passes of the run itself are left out of the course. If both origins are known, the course is transformed into the
+    map of the run; otherwise both must be in the same map. Raises RunError for planned columns that are not numbers,
+    and for a course of another place.
     """
     found: dict[Mode, FutureInputs] = {}
     plan = _planned_columns(run.provenance["files"], vehicle)

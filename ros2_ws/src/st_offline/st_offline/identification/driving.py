@@ -53,7 +53,7 @@ def draw_offset(found: Identification, output: FigureOutput) -> PageFigure:
 
 
 def draw_mounting(found: Identification, output: FigureOutput) -> PageFigure:
-    """Lateral over forward velocity against curvature, slip removed; the slope is the distance to the axle."""
+    """Ratio of lateral to forward velocity versus curvature, slip removed; the slope is the distance to the axle."""
     data = found.figure
     with style():
         figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
@@ -76,7 +76,7 @@ def draw_mounting(found: Identification, output: FigureOutput) -> PageFigure:
 
 
 def draw_stiffness(found: Identification, output: FigureOutput) -> PageFigure:
-    """Axle force against slip angle, as in the paper; of the stiffness by prediction both slopes and 95 % regions."""
+    """Axle force versus slip angle, as in the paper; for the stiffness by prediction both slopes and 95 % regions."""
     paper = found.figure.get("paper")
     both = ", ".join(f"{axle} {_value(found[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))
     cloud = "force and slip angle of the axle from force and moment balance, up to 2 deg of slip."
@@ -148,7 +148,7 @@ def _clouds(panels: Sequence[plt.Axes], cloud: Identification, lines: Sequence[I
         slip, force = cloud.figure[f"slip_{axle}"], cloud.figure[f"force_{axle}"]
         thin = _thinned_rows(len(slip))
         axes.plot(slip[thin] * DEG, force[thin] * 1e-3, ".", color=MEASURED_COLOUR, ms=2)
-        # Through the middle of the cloud: an offset of steering or INS moves it away from the origin.
+        # The line passes through the middle of the samples, which an offset of steering or INS shifts from the origin.
         middle, ends = slip.mean(), np.array([slip.min(), slip.max()])
         styles = ((PAPER_COLOUR, "regression (paper)"), (FIT_COLOUR, "prediction"))
         for one, (colour, label) in zip(lines, styles, strict=False):
@@ -162,7 +162,7 @@ def _clouds(panels: Sequence[plt.Axes], cloud: Identification, lines: Sequence[I
 
 
 def _ellipse(axes: plt.Axes, found: Identification, pair: Sequence[Estimate]) -> None:
-    """95 % region of two estimates by the covariance of the fit."""
+    """95 % region of two estimates from the covariance of the fit."""
     data, names = found.figure, [e.parameter for e in pair]
     index = [data["names"].index(name) for name in names]
     values, directions = np.linalg.eigh(data["covariance"][np.ix_(index, index)])
@@ -250,7 +250,7 @@ def stiffness(logs: Sequence[DriveLog], vehicle, base: Model) -> Identification:
             comparisons.append(f"The paper's regression gives no {name}: {other.verdict}")
             continue
         text = describe_contradiction(estimate, other.value, other.standard_uncertainty, "the paper's regression")
-        # A regression averages over the tyre's curve, so a few per cent are expected; more is a fault elsewhere.
+        # A regression averages the tyre's curve, so a few per cent are expected; more is due to a fault elsewhere.
         if text and abs(estimate.value - other.value) > MAX_DISAGREEMENT * other.value:
             text += f" {ADVICE}"
             estimates.append(replace(estimate, status="doubtful", verdict=f"{estimate.verdict} Doubtful: {ADVICE}"))

@@ -19,7 +19,7 @@ from ..evaluation.drawing import FigureOutput, PageFigure
 @dataclass(frozen=True)
 class Setup:
     """Inputs of every experiment in addition to its files. read: options of reading recordings. force: use drives that
-    the checks refuse. model: for the prediction of drives.
+    the checks reject. model: for the prediction of drives.
     """
 
     vehicle: VehicleParameters
@@ -37,8 +37,8 @@ class Setup:
 class Experiment:
     """name: as on the command line. what: description in a line. files: description of the required files.
 
-    identify: reads the files and computes; several outcomes where one call does several experiments.
-    draw: the figure of an outcome of this experiment. drives: the files are recordings of drives.
+    identify: reads the files and computes; several outcomes if one call performs several experiments.
+    draw: the figure of an outcome of this experiment. drives: whether the files are recordings of drives.
     Both raise StCoreError or RunError, one line for the user.
     """
 

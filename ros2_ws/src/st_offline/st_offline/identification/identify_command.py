@@ -186,7 +186,7 @@ def page(found: Sequence[Identification], figures: Sequence[PageFigure | None], 
 
     def correlation(outcome: Identification) -> tuple[list[str], list[list[str]]]:
         names = [estimate.parameter for estimate in outcome.estimates]
-        assert outcome.correlation is not None  # else not shown
+        assert outcome.correlation is not None  # otherwise it is not shown
         return ["correlation", *names], [[name, *(f"{x:+.2f}" for x in row[:len(names)])]
                                          for name, row in zip(names, outcome.correlation, strict=False)]
 

@@ -89,7 +89,7 @@ def identify_ratio(files: Sequence[Path], setup: Setup) -> tuple[Identification,
 
 
 def draw_ratio(found: Identification, output: FigureOutput) -> PageFigure:
-    """Wheel angles over the steering wheel angle with the fitted line, and its residuals."""
+    """Wheel angles versus steering wheel angle with the fitted line, and its residuals."""
     data, estimate = found.figure, found.estimates[0]
     hand, sweeps = np.degrees(data["hand"]), np.asarray(data["sweeps"])
     with style():
@@ -166,7 +166,7 @@ def _pitch(table: Table, wheelbase: float) -> np.ndarray:
 
 
 def draw_height(found: Identification, output: FigureOutput) -> PageFigure:
-    """Rear load over tan(pitch) with the line, and the height from each row alone."""
+    """Rear load versus tan(pitch) with the line, and the height from each single row."""
     data, estimate = found.figure, found.estimates[0]
     pitch, lifts = np.degrees(data["pitch"]), np.asarray(data["lifts"])
     with style():
@@ -199,7 +199,7 @@ CG_HEIGHT = Experiment("cg-height", "CG height from the axle-lift test (ISO 1039
 
 
 COLUMNS = {"load": ("n", "kn", "kg"), "slip_angle": ("deg", "rad"), "lateral_force": ("n", "kn")}
-# The paper's colours of the three loads, darker where they would be faint on white.
+# Colours of the three loads as in the paper, darker where they would be faint on white; then for further loads.
 LOAD_COLOURS = ("#3baa32", "#1792b5", "#d1048b", "#8c6d1f", "#5a5a5a", "#7e2f8e")
 
 
@@ -239,7 +239,7 @@ def read_tables(files: Sequence[Path]) -> list[FlatPlank]:
 
 
 def draw_tyre(found: Identification, output: FigureOutput) -> PageFigure:
-    """Measured and fitted force, residuals, and the stiffness over the load."""
+    """Measured and fitted force, residuals, and stiffness versus load."""
     data = found.figure
     slip = np.degrees(data["slip"])
     with style():
