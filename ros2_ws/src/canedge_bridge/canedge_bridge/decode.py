@@ -186,7 +186,8 @@ class Decoder:
         return Decoded(spec.name, time_ns, with_unix_time(values), not fault, fault)
 
     def _plausible(self, row: _Row, values: Mapping[str, float], time_ns: int) -> bool:
-        """False also while too many recent values of a signal are implausible: plausible ones are then coincidence."""
+        """Whether all values are plausible; False also while too many recent values of a signal are implausible, since
+        plausible ones are then coincidence."""
         possible = [check.accepts(values[name], time_ns) for name, check in row.plausibility if name in values]
         if not all(possible):
             row.statistics.implausible += 1
@@ -222,8 +223,8 @@ class Decoder:
         """A frame with counter and checksum filled in.
 
         message: any message of the DBC. values: canonical names in SI, or DBC signals in their unit; ins_unix_time
-        for a time frame. Signals not given take the table's `fill`, else raw 0. A value beyond the signal's range is
-        sent as its end, as a sensor does; angles of the INS are wrapped into the range.
+        for a time frame. Signals not given have the table's `fill`, else raw 0. A value outside the signal's range is
+        clipped, as a sensor does; angles of the INS are wrapped into the range.
         Raises KeyError for an unknown message or signal, ValueError for a value that is not finite.
         """
         dbc = self.table.database.get_message_by_name(message)
@@ -284,7 +285,7 @@ def _to_raw(signal: DbcSignal, physical: float) -> float:
 
 
 def _modes(table: SignalTable, overrides: Mapping[str, str]) -> dict[str, tuple[Mode, Mode]]:
-    """Per message: (counter, checksum). Raises TableError for an override of something that is not there."""
+    """(counter, checksum) by message. Raises TableError for an override of a check that does not exist."""
     modes = {m.name: {"counter": m.counter.mode if m.counter else Mode.OFF,
                       "checksum": m.checksum.mode if m.checksum else Mode.OFF} for m in table.messages.values()}
     for key, text in overrides.items():

@@ -31,7 +31,7 @@ def with_unix_time(values: Mapping[str, Any]) -> dict[str, Any]:
 def _from_milli_time(gps: np.ndarray, offset: np.ndarray) -> np.ndarray:
     """UTC [s] of GPS time [s since 1980-01-06]; NaN at 0.
 
-    The unit's own offset takes precedence over the table of leap seconds when it is sent. Only its size is used: GPS
+    If the unit sends its offset, that takes precedence over the table of leap seconds. Only its magnitude is used: GPS
     is ahead of UTC, and the sign in a real frame is not known.
     """
     as_unix = np.where(gps > 0, gps + GPS_EPOCH_UNIX, np.nan)
@@ -62,7 +62,7 @@ def _day_number(year: np.ndarray, month: np.ndarray, day: np.ndarray) -> np.ndar
 
 
 def to_parts(unix_time: float, names: frozenset[str]) -> dict[str, float]:
-    """The parts of GPS time that a time frame with these signals carries, to a hundredth of a second in a date."""
+    """The parts of GPS time for a time frame with these signals, to a hundredth of a second in a date."""
     leap = at_unix(unix_time)
     if "gps_time" in names:
         return {"gps_time": unix_time + leap - GPS_EPOCH_UNIX, "gps_utc_offset": float(-leap)}  # as NCOM, UTC - GPS

@@ -202,7 +202,7 @@ class Receiver:
         if changed:
             try:
                 self._on_state(state, reason)
-            except Exception as error:  # a failing callback must not end the thread either
+            except Exception as error:  # a callback that fails must not end the thread either
                 self._on_error(error)
 
 

@@ -312,7 +312,7 @@ def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
     if spec.sign_signal is not None:
         physical += [-value for value in physical]
     ends = [(spec.gain * value + spec.bias) / spec.factor for value in physical]
-    # Half of the range suffices: some sensors end short of the possible angle, none near straight ahead.
+    # Half of the range suffices, because some sensors do not cover all possible angles; none covers less than half.
     if min(ends) > low / 2 or max(ends) < high / 2:
         order = "low byte first" if spec.dbc.byte_order == "little_endian" else "high byte first"
         raise TableError(

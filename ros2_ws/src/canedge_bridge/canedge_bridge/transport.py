@@ -114,7 +114,7 @@ class LoopbackMulticastBus(can.BusABC):
             self._accepted = frozenset((f["can_id"], bool(f["extended"])) for f in filters)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        # Reading first saves the select() of every frame of a burst.
+        # Reading before waiting avoids a select() for every frame of a burst.
         datagram = self._read()
         if datagram is None:
             ready, _, _ = select.select([self._receiver], [], [], timeout)

@@ -147,7 +147,7 @@ def _count_skipped_packets(columns: Columns, series: np.ndarray) -> int:
 
 
 def _add_angular_acceleration(out: dict, columns: Columns, seconds: np.ndarray) -> None:
-    """Backward difference of the angular rate over the packet time [deg/s^2], regular packets only."""
+    """Backward difference of the angular rate by packet time [deg/s^2], regular packets only."""
     rate = np.degrees(columns.angular_rate)
     series = np.flatnonzero((columns.kind == REGULAR) & ~np.isnan(seconds) & ~np.isnan(rate).any(axis=0))
     result = np.full(rate.shape, np.nan)

@@ -98,7 +98,7 @@ def replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfigurati
 
 
 def model_parameters(model: Path | None, effects: Path | None, vehicle: Path) -> Parameters:
-    """Parameters of predictor and evaluator for a model file in addition to the three models; empty without one.
+    """Parameters of predictor and evaluator for a model file in addition to the three models; empty without a file.
 
     effects: folder of own effects of the model file. Raises SuiteError, StCoreError and RunError for a file that
     is not a model, or is of another car than the vehicle file.

@@ -53,7 +53,7 @@ class SuiteState:
 
 
 class Monitor:
-    """Receives in a thread of its own; `state` is replaced, never changed, so that reading needs no lock."""
+    """Receives in a separate thread; `state` is replaced, never changed, so that reading needs no lock."""
 
     def __init__(self, domain_id: int | None = None):
         self.state = SuiteState()
@@ -166,7 +166,7 @@ def motion(state: SuiteState) -> Text:
 
 
 def running_errors(state: SuiteState) -> RenderableType:
-    """Mean | max | RMSE over the horizon means so far, one row per model and mode."""
+    """Mean | max | RMSE of the horizon means so far, one row per model and mode."""
     statistics = state.summary.statistics if state.summary else []
     if not any(s.n_starts for s in statistics):
         return Text("waiting for the first complete horizon", style="dim")

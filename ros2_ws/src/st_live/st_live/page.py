@@ -103,7 +103,8 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(404)
 
     def _host_is_allowed(self) -> bool:
-        """On loopback only local names: else against DNS rebinding: a foreign host name that resolves to 127.0.0.1."""
+        """Whether the host name is allowed: on loopback only local names, as a protection against DNS rebinding (a
+        foreign host name that resolves to 127.0.0.1)."""
         name = self.headers.get("Host", "").rpartition(":")[0]
         return self.server.server_address[0] != LOOPBACK or name in (LOOPBACK, "localhost")
 
@@ -140,8 +141,8 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 class LiveView:
-    """page: serve the passenger's page. address: HOST or HOST:PORT of this computer to listen on. save: file to draw
-    the recording into after the run, .rrd. Raises SuiteError for an address or a file that cannot be used."""
+    """page: serve the passenger's page. address: HOST or HOST:PORT of this computer to listen on. save: Rerun file
+    (.rrd) to write after the run. Raises SuiteError for an address or a file that cannot be used."""
 
     def __init__(self, page: bool, address: str | None = None, save: Path | None = None):
         host, _, port = (address or LOOPBACK).partition(":")
@@ -161,7 +162,7 @@ class LiveView:
         if not self._page:
             return
         self._processes = Processes(folder, domain)
-        atexit.register(self.close)  # however the run ends
+        atexit.register(self.close)  # for any end of the run
         self._server = self._processes.start("passenger", [
             sys.executable, "-m", "st_live.nodes.passenger", "--vehicle", predictor["vehicle_file"], "--map-frame",
             predictor["map_frame"], "--title", title, "--address", self._host, "--port", str(self._port)])

@@ -24,7 +24,7 @@ from .configuration import recordings_of
 
 TIMELINE = "measured"
 PLOT_SPAN = 40.0  # s
-# Metres shown around the car, heading up: 5 s ahead at 30 km/h, and some of the track behind.
+# Metres shown around the car, heading up: 5 s ahead at 30 km/h, and part of the track behind.
 AHEAD, BEHIND, SIDEWAYS = 44.0, 16.0, 34.0
 AROUND, GRID = 50.0, 20.0  # metres shown around the car on the map, and between the lines of its grid
 PLOTS = {

@@ -72,10 +72,10 @@ def _print_problems(folder: Path, outcome: Outcome, console: Console) -> None:
 
 
 def paths_figure(results: Results, title: str, file: Path) -> None:
-    """Map of measured and predicted paths, and the horizon-mean errors over the start time.
+    """Map of measured and predicted paths, and the horizon-mean errors versus start time.
 
-    The map shows the hindsight predictions (measured inputs over the horizon, as in the paper). Hindsight and forecast
-    have separate error plots, because their scales differ by an order of magnitude where the driver acts.
+    The map shows the hindsight predictions (measured inputs in the horizon, as in the paper). Hindsight and forecast
+    have separate error plots, because their scales differ by an order of magnitude when the driver acts.
     Longitudinal + = predicted ahead, lateral + = predicted to the left.
     """
     with plt.rc_context(RC):
@@ -138,7 +138,7 @@ def _draw_errors(axes: Axes, results: Results, mode: str, quantity: str) -> None
 def error_table(summary: dict[str, Any], title: str) -> Table:
     """Mean | max | RMSE as in the paper, the smallest of each column and mode in bold.
 
-    summary: as in summary.json; errors in m over the horizon means.
+    summary: as in summary.json: statistics of the horizon-mean errors, in m.
     """
     table = Table(title=title, title_justify="left", title_style="bold", box=None, padding=(0, 1))
     for column in ("mode", "model", "starts", "longitudinal, m\nmean | max | RMSE", "lateral, m\nmean | max | RMSE"):

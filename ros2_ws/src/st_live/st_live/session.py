@@ -23,9 +23,9 @@ SILENCE_TIMEOUT = 8.0  # s without /diagnostics (published once a second), after
 FIRST_STATUS_TIMEOUT = 30.0  # s from a start to the first /diagnostics
 BACK_OFF_FIRST, BACK_OFF_LAST = 0.5, 10.0  # s between a failure and the restart
 BACK_OFF_RESET_TIME = 60.0  # s without failure
-MAX_OWN_DELAY = 2.0  # s; a process that was delayed by more cannot judge the silence of the nodes
+MAX_OWN_DELAY = 2.0  # s; if this process was delayed by more, silence of the nodes is not evaluated
 WARN, ERROR = 1, 2
-NODES = (  # package, executable, in the order of their start: subscribers first, so that no message is missed
+NODES = (  # package, executable, in the order of their start: subscribers first, so that they miss no message
     ("st_predictor", "recorder"),
     ("st_predictor", "evaluator"),
     ("st_predictor", "predictor"),

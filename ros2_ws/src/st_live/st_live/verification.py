@@ -39,7 +39,7 @@ from .suite import SuiteError
 
 PLANNED_MODES: tuple[Mode, ...] = ("plan", "course")
 # Each node starts its filter of the forward acceleration with the first sample it receives, which may differ.
-# After this many time constants 2e-9 of the difference remains.
+# After this number of time constants, 2e-9 of the difference remains.
 SETTLING_TIME_CONSTANTS = 20.0
 # A pause this long without prediction may be a restart of the predictor [s]; a busy computer pauses for less.
 RESTART_PAUSE = 1.0
@@ -51,7 +51,7 @@ class Comparison:
 
     model: str
     n_starts: int = 0  # predictions compared
-    start: float = 0.0  # position at the start alone [m]; a difference there is one of the state, not of the prediction
+    start: float = 0.0  # position at the start only [m], where a difference is due to the state, not the prediction
     position: float = 0.0  # of any point [m]
     yaw: float = 0.0  # of any point [rad]
     at_ns: int = 0  # start of the prediction with the largest difference
@@ -61,7 +61,7 @@ class Comparison:
     n_disagree: int = 0  # other scores complete on one side only, except those at position jumps
     n_settling: int = 0  # predictions not compared, see `settled`
     n_planned: int = 0  # predictions with inputs of a plan or course
-    planned: float = 0.0  # position of any point of these [m]
+    planned: float = 0.0  # largest difference of the position of any point of these [m]
 
     @property
     def largest(self) -> float:
@@ -89,7 +89,7 @@ class Verification:
 
 def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = None,
            read: ReadSettings | None = None) -> Verification | None:
-    """Compare every prediction and score in a recording with the library; None without predictions.
+    """Compare every prediction and score in a recording with those of the library; None without predictions.
 
     vehicle: file instead of the one in the recording. Raises RunError, ConfigurationError.
     """
@@ -194,7 +194,7 @@ def _compare_scores(result: Comparison, mode: str, scored: Scores, starts_ns: np
     both = complete & scored.complete[recorded]
     cut = complete & scored.cut[recorded]
     result.n_cut += int(cut.sum())
-    # Live, no score spans a position jump; offline, `st check` finds the jumps and excludes them.
+    # The live nodes do not score across a position jump; offline, `st check` finds the jumps and excludes them.
     excluded = cut | scored.jumped[recorded]
     result.n_disagree += int(((complete != scored.complete[recorded]) & ~excluded).sum())
     result.n_scores[mode] = result.n_scores.get(mode, 0) + int(both.sum())

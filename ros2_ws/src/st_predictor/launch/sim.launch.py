@@ -12,7 +12,7 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import FindPackagePrefix
 
-# No argument car: DBC, table and steering of this bus are the virtual Leaf's.
+# There is no `car` argument: DBC, signal table and steering settings are those of the virtual Leaf.
 ARGUMENTS = {
     "config_dir": (None, "folder with nodes.yaml and car/ (config/ of the repository)"),
     "vehicle": ([LaunchConfiguration("config_dir"), "/car/leaf/vehicle.yaml"], "vehicle file"),

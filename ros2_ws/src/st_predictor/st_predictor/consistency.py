@@ -13,12 +13,12 @@ from st_core.timeseries import NANOSECOND, TimeSeries
 from st_core.vehicle import VehicleParameters
 
 HISTORY_SPAN = 60.0  # s, age of the oldest measurement used
-WINDOW = 30.0  # s checked while the car moves all the time: faults are reported and cleared within that time
+WINDOW = 30.0  # s of continuous driving that are checked: faults are reported and cleared within that time
 MIN_DRIVING, MIN_SPEED = 20.0, 1.0  # s of driving above a speed in m/s, required for a verdict
 MAX_STEP = 0.25  # s between samples; longer gaps do not count as driving
 SAMPLE_NS = 20_000_000  # measurements are thinned out to this period
 PERIOD = 10.0  # s of measurement between checks
-CPU_SHARE = 0.018  # of a core since the start; checks that would take more run less often than every PERIOD
+CPU_SHARE = 0.018  # fraction of a core since the start; checks that would need more run less often than every PERIOD
 # A heading error and a wrong measuring point cannot be distinguished on a single bend, only on a whole drive. Gaps and
 # implausible samples are reported by the bridges; a change of unit would report them for WINDOW.
 NOT_LIVE = frozenset(("heading_misaligned", "measuring_point", "time_gaps", "sample_spikes", "sentinel_values",
@@ -41,7 +41,7 @@ class Consistency:
     Measurements before a position jump are not used. One check of half a minute may be wrong, so a fault is reported
     when two successive checks find it, and cleared by the first check without it.
 
-    share: limit of the checks' processor time since the first poll, as a share of a core (the first check with a
+    share: limit of the checks' processor time since the first poll, as a fraction of a core (the first check with a
     finding compiles its trial). verdict: the newest one. seconds: processor time of all checks.
     """
 
@@ -55,7 +55,7 @@ class Consistency:
         self._checked_at = self._not_before = -math.inf
 
     def poll(self, history: MeasurementHistory, now: float) -> bool:
-        """Run the checks if they are due; returns whether they were. now: of a steady clock [s].
+        """Run the checks if they are due; returns whether they were due. now: of a steady clock [s].
 
         Never raises because of the measurements: a check that fails becomes a warning.
         """

@@ -1,4 +1,4 @@
-"""Writes the folder of a new car, with placeholders to fill in, and finds what is wrong with a car's folder."""
+"""Writes the folder of a new car, with placeholders to fill in, and finds faults in the folder of a car."""
 
 import re
 from collections.abc import Iterator
@@ -39,9 +39,9 @@ MEASUREMENT_HINTS = {
     "cornering_stiffness_front": "at first from a comparable car, later identified",
     "cornering_stiffness_rear": "at first from a comparable car, later identified",
 }
-"""Quantities that cannot be taken over from another car, and how each is measured."""
+"""Quantities that cannot be taken from another car, and how each is measured."""
 ASSUMED_UNCERTAINTIES = {"cg_height": 0.1}
-"""SI, one standard deviation of a value taken over from another car; passenger cars lie within 0.45 to 0.65 m."""
+"""SI, one standard deviation of a value taken from another car; passenger cars have 0.45 to 0.65 m."""
 STABILITY_SPEEDS = tuple(0.5 * k for k in range(1, 81))
 """m/s, at which the models have to be stable with the integration step."""
 ASSUMED_ZERO = ("cg_to_ins_y", "steering_wheel_offset")
@@ -141,7 +141,7 @@ def problems(folder: str) -> list[str]:
 
 
 def remarks(folder: str) -> list[str]:
-    """Lines about a valid car: what is unusual for a road car, and the uncertainties in force."""
+    """Lines about a valid car: what is unusual for a road car, and the uncertainties that are used."""
     car = load_car(folder)
     file = car.vehicle
     vehicle = read_vehicle(file)
@@ -224,7 +224,7 @@ def _bus_problems(car: Car) -> list[str]:
 
 
 def _unused_speeds(car: Car) -> list[str]:
-    """A line about the speed signals of the DBC, where the table names none."""
+    """A line about the speed signals of the DBC, if the table names none."""
     if not car.signals.exists():
         return []
     table = load_table(car.dbc, car.signals)

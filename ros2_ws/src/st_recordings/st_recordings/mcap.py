@@ -28,13 +28,13 @@ from .syncing import Syncer
 __all__ = ["BagWriter", "Qos", "RecoveryError", "RecoveryReport", "recover"]
 
 CHUNK_SIZE = 1024 * 1024
-"""Bytes that are compressed together; at high rates a chunk is full before FLUSH_PERIOD is over."""
+"""Bytes that are compressed together; at high rates a chunk is full before FLUSH_PERIOD has passed."""
 FLUSH_PERIOD = 0.5
 """s. A killed process loses at most the last second: half of it here, half by delays of the caller."""
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Errors after which the newest chunks are dropped until the index fits; after others all written data is kept."""
 _MESSAGE_RECORD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
-_MESSAGE_HEAD_LENGTH = 22  # bytes of it after opcode and length
+_MESSAGE_HEAD_LENGTH = 22  # bytes of the head after opcode and length
 
 
 class BagWriter:
@@ -110,7 +110,7 @@ class BagWriter:
         new.append(Channel(len(self._topics), name, "cdr", metadata, self._schemas[type_name]))
         if not (self.closed or self.error):
             try:
-                # Outside of chunks, so that a damaged chunk costs only its own messages.
+                # Outside of chunks, so that a damaged chunk loses only its own messages.
                 self._contents.append_definitions(self._file, new)
             except OSError as error:
                 self._stop(error)

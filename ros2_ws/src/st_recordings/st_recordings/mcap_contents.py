@@ -102,7 +102,7 @@ class Contents:
         # Index entries of older chunks, serialised to save memory: a long recording has tens of thousands.
         self._older_indexes = bytearray()
         self._older_count = 0
-        # Of the messages in older chunks or outside of chunks: count by channel id, first and last time.
+        # Messages in older chunks or outside of chunks: count by channel id, first and last time.
         self._older_messages: Counter[int] = Counter()
         self._older_times: list[int] = []
         self._metadata_indexes: list[MetadataIndex] = []
@@ -235,7 +235,7 @@ class Contents:
         self._metadata_indexes.append(MetadataIndex(offset=offset, length=len(data), name=name))
 
     def drop_after(self, length: int) -> None:
-        """Drops what lies beyond the first `length` bytes of the file, at most DROPPABLE_CHUNKS chunks."""
+        """Drops the content after the first `length` bytes of the file, at most DROPPABLE_CHUNKS chunks."""
         while self._chunks and self._chunks[-1].index.chunk_start_offset >= length:
             self._chunks.pop()
         self._definitions_end = min(self._definitions_end, length)

@@ -28,7 +28,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class Predictions:
-    """Predictions of one model: start times (n,) rising, states (n, points, 6) at the CG [SI] in the order of
+    """Predictions of one model: start times (n,) ascending, states (n, points, 6) at the CG [SI] in the order of
     STATE_FIELDS, step [s], hashes of the configurations."""
 
     starts_ns: np.ndarray

@@ -262,7 +262,7 @@ def _qos_entries(text: str) -> list[Any]:
 
 
 def _metadata_matches(folder: Path, information: BagInformation) -> bool:
-    """Whether the metadata.yaml names the same files, topics and counts; the rest may differ by recorder."""
+    """Whether the metadata.yaml names the same files, topics and counts; other entries may differ between recorders."""
     expected, found = information.document()["rosbag2_bagfile_information"], read_information(folder)
     try:
         counts = {t["topic_metadata"]["name"]: t["message_count"] for t in found["topics_with_message_count"]}

@@ -40,7 +40,7 @@ class Track:
 class MeanErrors:
     """Scores of one model and mode, in order of their start.
 
-    start_ns, complete: (n,). longitudinal, lateral [m], yaw [rad]: (n,) means over the horizon, NaN where not complete.
+    start_ns, complete: (n,). longitudinal, lateral [m], yaw [rad]: (n,) horizon means, NaN where not complete.
     """
 
     start_ns: np.ndarray
@@ -63,7 +63,7 @@ class Segment:
 class Results:
     """Content of a run folder.
 
-    scores: by model and mode. segments: by model and start [ns UTC], of DRAWN_STARTS starts spread over the run.
+    scores: by model and mode. segments: by model and start [ns UTC], of DRAWN_STARTS evenly spaced starts.
     bands: statistics of st_msgs/ErrorSummary in which predictions with bands were counted.
     """
 
@@ -82,7 +82,7 @@ class Results:
 
 
 def read_results(folder: Path) -> Results:
-    """Reads bag/ and errors/ of a run folder. Of the errors over the horizons, only those to be drawn are kept."""
+    """Reads bag/ and errors/ of a run folder. Of the errors within horizons, only those to be drawn are kept."""
     bag, errors = open_bag(folder / "bag"), open_bag(folder / "errors")
     scores, configuration_hash = _read_scores(folder / "errors")
     summary = _last_message(errors, SUMMARY_TOPIC, "st_msgs/msg/ErrorSummary")
@@ -150,7 +150,7 @@ def _read_segments(errors: Path, scores: dict[tuple[str, str], MeanErrors]) -> d
 
 
 def summarise(results: Results, about: dict[str, Any]) -> dict[str, Any]:
-    """The content of summary.json: errors in m, statistics over the horizon means of complete scores."""
+    """The content of summary.json: statistics of the horizon-mean errors of complete scores, in m."""
     models: dict[str, Any] = {}
     for model in results.models():
         modes = [*MODES, *(mode for name, mode in results.scores if name == model and mode not in MODES)]

@@ -1,4 +1,4 @@
-"""Writes a growing file to the disk in a separate thread, so that a power failure costs its last data only."""
+"""Writes a growing file to the disk in a separate thread, so that a power failure loses only its last data."""
 
 import os
 import threading

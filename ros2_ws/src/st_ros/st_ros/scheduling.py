@@ -53,7 +53,7 @@ def lower_priority(nice: int) -> None:
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, max(nice, os.getpriority(os.PRIO_PROCESS, 0)))
     if os.getsid(0) != os.getpid():
-        return  # otherwise it would lower the other processes of the session too, as those of a launch file
+        return  # it would also lower the other processes of the session, such as those of a launch file
     for _ in range(_TRIES):
         try:
             _GROUP.write_text(str(nice))

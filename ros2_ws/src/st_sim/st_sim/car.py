@@ -1,6 +1,6 @@
 """Reads the vehicle data of the virtual car from config/vehicle/*.yaml.
 
-The reader is deliberately independent of st_core.vehicle, so that an error in either one shows as a difference.
+The reader is deliberately independent of st_core.vehicle, so that an error in either one leads to a difference.
 """
 
 import math

@@ -14,7 +14,7 @@ from .settings import Settings
 
 SAMPLING_TIME = 0.01  # s
 PREVIEW_TIME, MIN_PREVIEW = 0.8, 4.0  # s, m
-ANTICIPATION = 0.18  # s by which the curvature is steered early, to compensate the lag of driver, steering and tyres
+ANTICIPATION = 0.18  # s by which the curvature is steered early, to compensate for lag of driver, steering and tyres
 STEERING_TIME = 0.08  # s, time constant of the driver's steering movement
 MAX_STEERING_WHEEL_RATE, MAX_STEERING_WHEEL_ANGLE = 8.0, 9.5
 """rad/s and rad at the steering wheel: 460 deg/s is fast for a person, 540 deg is the end stop."""
@@ -29,7 +29,7 @@ MAX_BRAKING, MAX_DRIVE, HOLDING_BRAKE = 7.0, 3.5, 2.0  # m/s^2
 class Driver:
     """Driver of one car; advance() before every plant step updates the two inputs of the plant.
 
-    steering_wheel_angle: true, left + [rad]. drive_force: sum over the wheels, braking < 0 [N].
+    steering_wheel_angle: true, left + [rad]. drive_force: sum of all wheels, braking < 0 [N].
     """
 
     def __init__(self, car: Car, settings: Settings, plan: Plan, seed: int = 0):
@@ -94,7 +94,7 @@ class Driver:
         self._steer_sum = 0.0
 
     def _steer_along(self, s: tuple[float, ...], speed: float) -> float:
-        """Road-wheel angle [rad] of the curvature ahead and of the correction within the preview distance."""
+        """Road-wheel angle [rad] for the curvature ahead, plus the correction within the preview distance."""
         road = self.plan.path.pose(self.distance)
         offset = math.cos(road.yaw) * (s[Y] - road.y) - math.sin(road.yaw) * (s[X] - road.x)
         course = math.remainder(s[YAW] + math.atan2(s[VY], speed) - road.yaw, 2 * math.pi)

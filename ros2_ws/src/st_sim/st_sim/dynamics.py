@@ -14,16 +14,16 @@ AIR_DENSITY = 1.2
 SIDE_AREA = 2.5  # m^2, side force coefficient times side area; about half of the Leaf's 4.7 m^2 of flank
 WIND_ARM = 0.25  # m, centre of side wind ahead of the CG
 BRAKE_SHARE_FRONT = 0.65
-ROLL_SHARE_FRONT = 0.55  # share of the lateral load transfer at the front axle
+ROLL_SHARE_FRONT = 0.55  # fraction of the lateral load transfer at the front axle
 MINIMUM_LOAD = 50.0  # N. Lower limit of a wheel load, also of a lifted wheel, to avoid division by zero
 MIN_SLIP_SPEED = 0.5
 """m/s. Lower limit of the denominator of slip: as low as the step allows (the paper's models use 3 m/s)."""
-CREEP_SPEED = 2.5  # m/s. Below, CREEP_DAMPING is added to a tyre with relaxation: there a spring with little damping
+CREEP_SPEED = 2.5  # m/s. At lower speed a tyre with relaxation is a spring with little damping: CREEP_DAMPING is added
 CREEP_DAMPING = 0.17  # s/m, slip per sliding speed
 ROLL_FREQUENCY, ROLL_DAMPING = 12.6, 0.4
 """rad/s (2 Hz) and damping ratio of body roll, which also determines the lateral load transfer."""
 PITCH_TIME, COMPLIANCE_TIME = 0.08, 0.01  # s, time constants of pitch with its load transfer, of steering compliance
-ROLLING_ONSET = 0.2  # m/s. Below, the rolling resistance decreases to 0, so that it cannot move a stationary car
+ROLLING_ONSET = 0.2  # m/s. At lower speed the rolling resistance decreases to 0, so that it cannot move a parked car
 
 # Positions in the state tuple. RACK, COMPLIANCE_ANGLE: road-wheel angles [rad]; S_FL to S_RR: delayed slip; A_Y, A_X:
 # specific force at the CG [m/s^2], filtered by the roll and pitch dynamics.
@@ -132,7 +132,7 @@ def tyre_force(tyre: TyreCoefficients, slip_angle: float, load: float, friction_
 
 
 def lateral_share(longitudinal: float, peak: float) -> float:
-    """sqrt(1 - (F_x / peak)^2): share of the lateral force available with a longitudinal one, 0 beyond the peak."""
+    """sqrt(1 - (F_x / peak)^2): fraction of the lateral force that remains available; 0 if |F_x| exceeds the peak."""
     used = longitudinal / peak
     return sqrt(1.0 - used * used) if -1.0 < used < 1.0 else 0.0
 
@@ -198,7 +198,7 @@ def derivative(s: Sequence[float], rack_target: float, drive_force: float, surro
     cos_l, sin_l, cos_r, sin_r = cos(steer_l), sin(steer_l), cos(steer_r), sin(steer_r)
     steer_rear = rear_roll_steer * roll
 
-    # Loads: static plus transfer by the filtered accelerations.
+    # Loads: static, plus the transfer due to the filtered accelerations.
     normal = cos(bank) * cos(grade)
     pitch_load = transfer_x * a_x
     transfer = transfer_y * a_y
@@ -207,7 +207,7 @@ def derivative(s: Sequence[float], rack_target: float, drive_force: float, surro
     load_fl, load_fr = max(load_front - transfer_front, MINIMUM_LOAD), max(load_front + transfer_front, MINIMUM_LOAD)
     load_rl, load_rr = max(load_rear - transfer_rear, MINIMUM_LOAD), max(load_rear + transfer_rear, MINIMUM_LOAD)
 
-    # Velocity of each contact patch, turned into its wheel.
+    # Velocity of each contact patch, rotated into the axes of its wheel.
     left_x, right_x, front_y, rear_y = vx - r * half_track, vx + r * half_track, vy + r * to_front, vy - r * to_rear
     along_fl, across_fl = left_x * cos_l + front_y * sin_l, front_y * cos_l - left_x * sin_l
     along_fr, across_fr = right_x * cos_r + front_y * sin_r, front_y * cos_r - right_x * sin_r

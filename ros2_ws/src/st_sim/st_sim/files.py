@@ -15,7 +15,7 @@ from .plant import Truth
 from .settings import Settings, SimulationError
 
 TRUTH_TOPIC = "/truth"
-CHUNK = 64 * 1024  # bytes, about 1 s of truth: the loss when the process is killed
+CHUNK = 64 * 1024  # bytes, about 1 s of truth, which is lost if the process is killed
 
 _HISTORY = "<FHcomment><TX>created</TX><tool_id>virtual_leaf</tool_id><tool_vendor>st_sim</tool_vendor></FHcomment>"
 

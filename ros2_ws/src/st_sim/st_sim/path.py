@@ -1,4 +1,4 @@
-"""A periodic road as curvature over distance, and its speed profile."""
+"""A periodic road as curvature versus distance, and its speed profile."""
 
 import bisect
 import math
@@ -28,7 +28,7 @@ class Pose(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """Part of a road whose curvature [1/m, left +] is linear over its length [m], with its target speed [m/s]."""
+    """Part of a road whose curvature [1/m, left +] is linear in distance; length [m], target speed [m/s]."""
 
     length: float
     curvature_start: float
@@ -92,7 +92,7 @@ class Path:
     def anchor(self, distance: float, pose: Pose) -> None:
         """Move the whole path so that it passes through `pose` at `distance`."""
         self._lap_starts.clear()
-        self._anchor = Pose(0.0, 0.0, 0.0)  # so that the next line has the pose in the path's own axes
+        self._anchor = Pose(0.0, 0.0, 0.0)  # so that the next line gives the pose in the axes of the path
         self._anchor = pose.compose(self.pose(distance).inverse())
         self._lap_starts.clear()
 
@@ -140,7 +140,7 @@ class Path:
 
 
 class SpeedProfile:
-    """Highest speed over distance that respects target speeds, acceleration and braking [m/s^2, > 0]."""
+    """Highest speed as a function of distance within target speeds, acceleration and braking [m/s^2, > 0]."""
 
     def __init__(self, path: Path, acceleration: float, braking: float):
         count = max(4, math.ceil(path.length / SPEED_STEP))

@@ -1,4 +1,4 @@
-"""The virtual car: a double-track vehicle with its own equations, independent of the models in st_core.
+"""The virtual car: a double-track vehicle with separate equations, independent of the models in st_core.
 
 Axes ISO 8855 (x forward, y left, z up), state at the true CG, yaw counter-clockwise from east. Wheels: front left,
 front right, rear left, rear right. A slip angle is positive when the wheel slides to its left, so the force is
@@ -49,7 +49,7 @@ from .settings import Settings
 
 STEP = 0.002  # s, of the integrator (Heun). Halving it moves a 10 s drive by less than a millimetre (test_plant.py)
 
-STANDSTILL = 0.02  # m/s. Below, with the brakes applied, the car is at rest
+STANDSTILL = 0.02  # m/s. At lower speed, with the brakes applied, the car is at rest
 DRIVE = 4  # gear code on CAN; 1 P, 2 R, 3 N
 
 
@@ -161,7 +161,7 @@ class Plant:
     def step(self, steering_wheel_angle: float, drive_force: float) -> None:
         """Advance by one time step.
 
-        steering_wheel_angle: true, left + [rad]; drive_force: sum over the wheels, braking < 0 [N].
+        steering_wheel_angle: true, left + [rad]; drive_force: sum of all wheels, braking < 0 [N].
         """
         s, dt = self.state, self.time_step
         self.surroundings = surroundings = self.environment.at(s[X], s[Y], s[YAW])

@@ -49,7 +49,7 @@ class Plan(Protocol):
 
 
 class RoadPlan:
-    """Follow a road with its speed profile."""
+    """Plan that follows a road with its speed profile."""
 
     def __init__(self, pieces: Sequence[Piece], acceleration: float = 1.2, braking: float = 1.5, start: float = 0.0):
         self.path = Path(pieces)
@@ -93,14 +93,15 @@ class PhasePlan:
         dt, self._last_time = time - self._last_time, time
         self._target = min(max(self._target + phase.acceleration * dt, 0.0), self._cruise)
         if phase.acceleration < 0:
-            # While the brake force builds up the target must not run ahead, or braking would exceed the demand.
+            # While the brake force builds up, the target must not fall too far below the speed: braking would exceed
+            # the demand.
             self._target = max(self._target, speed - SPEED_SLACK)
         reached = phase.acceleration > 0 and self._target >= self._cruise
         return Demand(self._target, 0.0 if reached else phase.acceleration, phase.steer)
 
 
 class OpenLoopPlan:
-    """Constant speed and open-loop steering."""
+    """Plan with constant speed and open-loop steering."""
 
     def __init__(self, manoeuvre: Manoeuvre):
         self.path = Path(straight(100.0, manoeuvre.speed))

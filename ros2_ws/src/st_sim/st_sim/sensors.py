@@ -1,4 +1,4 @@
-"""Sensors of the virtual car with noise, bias, lever arm and loss; the encoders of NCOM and CAN do the rounding."""
+"""Sensors of the virtual car with noise, bias, lever arm and loss; values are rounded by the NCOM and CAN encoders."""
 
 import math
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from .plant import Truth
 from .settings import Settings
 
 OUTAGE_LENGTH = 1.0  # s
-FULL_VIBRATION_SPEED = 5.0  # m/s, from which vibration noise is full; at rest it is a tenth
+FULL_VIBRATION_SPEED = 5.0  # m/s, from which vibration noise has its full level; at rest it is a tenth
 MIN_WHEEL_SPEED, MIN_VEHICLE_SPEED = 1.1 / 3.6, 2.8 / 3.6
 """m/s, below which wheel speeds and vehicle speed are sent as 0 (as in recordings of this car family)."""
 
@@ -171,7 +171,7 @@ def _unsigned(speed: float, slowest: float) -> float:
 
 
 class Loss:
-    """Loss of datagrams or frames: a random share, and all of them for 1 s at every multiple of a period."""
+    """Loss of datagrams or frames: a random fraction, and all of them for 1 s at every multiple of a period."""
 
     def __init__(self, share: float, outage_every: float, seed: tuple[int, int]):
         self._share, self._every = share, outage_every

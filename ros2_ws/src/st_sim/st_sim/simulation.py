@@ -100,7 +100,7 @@ class ControlledCar:
             self._count += 1
 
     def _drive_force(self, velocity_x_dot: float) -> float:
-        # Cornering resistance per mass: side force of the front axle times the sine of the steering angle.
+        # Cornering resistance per mass: lateral force of the front axle times the sine of the steering angle.
         s = self.plant.state
         resistance = abs(s[VX] * s[YAW_RATE] * sin(s[RACK])) * self.car.cg_to_rear_axle / self.car.wheelbase
         target = velocity_x_dot + resistance - s[VY] * s[YAW_RATE]

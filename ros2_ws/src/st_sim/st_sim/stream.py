@@ -23,8 +23,8 @@ TRUTH_PERIOD_MS = 10
 # (period, phase) in ms: the control units of the car are not synchronous with the INS.
 STEERING_SCHEDULE, WHEEL_SCHEDULE, GEAR_SCHEDULE = (10, 2), (20, 6), (60, 8)
 INS_CAN_DELAY = 0.0015  # s from the datagram to the first frame on CAN
-EARLY_TOLERANCE = 0.0003  # s. A frame due within this time is sent at once, as exact as on a bus
-LATE_THRESHOLD = 0.005  # s after the deadline; an output beyond it counts as late
+EARLY_TOLERANCE = 0.0003  # s. A frame due within this time is sent at once, with the accuracy of a real bus
+LATE_THRESHOLD = 0.005  # s after the deadline; an output that is sent later counts as late
 INITIALISING_END, LOCKING_LENGTH = 7.0, 11.0  # s, of the start-up of a unit
 
 
@@ -142,7 +142,8 @@ class Stream:
 
 @dataclass
 class Report:
-    """Counts of a real-time run. worst_delay: largest delay after a deadline [s]; late: outputs over 5 ms late."""
+    """Counts of a real-time run. worst_delay: largest delay after a deadline [s]; late: number of outputs later than
+    LATE_THRESHOLD."""
 
     ncom_packets: int = 0
     can_frames: int = 0
@@ -172,7 +173,7 @@ class LiveOutput:
             self._socket.sendto(packet, self._address)
             self.report.ncom_packets += 1
         except OSError:
-            pass  # no receiver or a full buffer, which a real unit does not detect either
+            pass  # no receiver, or a full buffer; a real unit does not detect these either
 
     def send_frame(self, frame: Frame, due: float) -> None:
         try:

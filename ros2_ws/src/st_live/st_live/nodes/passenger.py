@@ -34,10 +34,10 @@ from ..suite import VIEW_NICE
 
 MODELS = ("kinematic", "linear", "nonlinear", "augmented")
 TRACK_SPAN, TRACK_STEP = 20.0, 0.2  # s of measured track shown, and between its points
-PATH_STRIDE = 2  # every second point of a prediction is sent
+PATH_STRIDE = 2  # every PATH_STRIDE-th point of a prediction is sent
 STALE = 1.0  # s; an older prediction or steering angle is not shown
-DIAGNOSTICS_TIMEOUT = 3.0  # s until a node is silent; those of the suite publish their diagnostics once a second
-MISSED_REPORTS = 3  # reporting intervals until a node that reports less often is silent
+DIAGNOSTICS_TIMEOUT = 3.0  # s until a node counts as silent; nodes of the suite publish diagnostics once a second
+MISSED_REPORTS = 3  # reporting intervals until a node that reports less often counts as silent
 BAND_LEVEL = 0.9
 LEVELS = ("ok", "warning", "error", "error")  # of diagnostic_msgs; stale counts as an error
 INPUTS = {"forecast": "held", "course": "remembered", "plan": "planned"}  # by mode, the preferred last

@@ -16,7 +16,7 @@ from st_ros.polling import PolledSubscription, message_class, steady_timer
 TOPICS = ("/ins/odometry", "/ins/status", "/vehicle/*", "/predictor/*", "/evaluator/*", "/view/*", "/tf",
           "/tf_static", "/diagnostics", "/diagnostics_agg")
 DEPTH = 100
-PERIOD = 0.02  # s between emptying the queues
+PERIOD = 0.02  # s, interval at which the queues are emptied
 DISCOVERY_PERIOD = 0.5  # s between searches for new topics
 
 

@@ -53,7 +53,7 @@ class PredictionBands:
             self._messages = BandMessages(self._calibrated.half_widths)
 
     def add_ins(self, sample: InsSample) -> None:
-        """Add a measurement, by which earlier predictions are scored."""
+        """Add a measurement, with which earlier predictions are scored."""
         if self._adaptive:
             self._scorer.add_ins(sample)
 

@@ -21,12 +21,12 @@ from st_ros.polling import LATCHED, PolledSubscription
 from .. import convert
 
 QUEUE_DEPTH = 10  # only the newest plan is used
-PLAN_TIMEOUT = 10.0  # s without a plan until the planner counts as ended, and its last plan is no longer a warning
+PLAN_TIMEOUT = 10.0  # s without a new plan until the planner counts as stopped and the warning on its last plan ends
 NOT_USED = "not used: no prediction at the moment"
 
 
 class PlanInput:
-    """Subscribes to plan/inputs. An unusable plan is refused with a reason; only forecasts with held inputs remain."""
+    """Subscribes to plan/inputs. An unusable plan is rejected with a reason; forecasts then use only held inputs."""
 
     def __init__(self, node: Node, frame: str, vehicle: VehicleParameters):
         self._subscription = PolledSubscription(node, InputPlan, "plan/inputs", QoSProfile(depth=QUEUE_DEPTH))
@@ -37,14 +37,14 @@ class PlanInput:
         self._counts = {"received": 0, "used": 0, "refused": 0}
 
     def drain(self) -> None:
-        """Process all queued messages; the newest plan counts."""
+        """Process all queued messages; only the newest plan is used."""
         for message, _, _ in self._subscription.take(QUEUE_DEPTH):
             self._counts["received"] += 1
             self._plan = convert.planned_inputs(message, self._frame, self._vehicle)
             self._received_at = time.monotonic()
 
     def at(self, core: Predictor, start: Start) -> tuple[InputSequence, int] | None:
-        """(inputs over the horizon, stamp of the plan [ns]) for a start; None without a usable plan."""
+        """(inputs in the horizon, stamp of the plan [ns]) for a start; None without a usable plan."""
         if self._plan is None:
             return None
         inputs = self._plan if isinstance(self._plan, str) else core.planned(self._plan, start)
@@ -99,7 +99,7 @@ class CourseInput:
         self._tracker.restart()
 
     def at(self, core: Predictor, start: Start) -> InputSequence | None:
-        """Inputs over the horizon for a start; None if the course is not used."""
+        """Inputs in the horizon for a start; None if the course is not used."""
         if self._tracker is None or self._origin_problem:
             return None
         sample = core.history.ins_at(start.time_ns)

@@ -23,7 +23,7 @@ QUEUE_DEPTH = 4000  # queued messages per topic: 16 s at 250 Hz, so that a node 
 
 
 class PublisherLock:
-    """Accepts messages of the first publisher of an input only.
+    """Accepts only messages of the first publisher of an input.
 
     A message does not name its publisher, but publishers number their messages consecutively, so that each publisher's
     messages form a chain. Where two chains have the same number, neither is used, so that two cars are never mixed.
@@ -145,7 +145,7 @@ class Inputs:
             self._on_change()
 
     def explain(self, reason: str) -> str:
-        """The reason for no prediction, extended by why arriving messages are refused."""
+        """The reason for no prediction, extended by the reason for which arriving messages are rejected."""
         for signal, refusal in self.last_refusal.items():
             if refusal and reason.startswith(signal):
                 return f"{reason}; messages arrive but are refused: {refusal}"

@@ -21,7 +21,7 @@ from .. import convert, params
 from ..map_drawing import History, Path, car_outline
 
 NEWEST_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
-SCORE_QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)  # those of one instant arrive together
+SCORE_QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)  # scores of an instant arrive together
 LIFETIME = Duration(sec=1)  # markers of a suite that has ended disappear
 TEXT_HEIGHT, CAR_WIDTH, ERROR_WIDTH, GHOST_WIDTH, TRACK_WIDTH = 1.2, 0.15, 0.25, 0.1, 0.6  # m
 GHOST_ALPHA = 0.4
@@ -65,7 +65,7 @@ class MarkersNode(Node):
                 self._bands.publish(MarkerArray(markers=ribbons))
 
     def _publish_error(self, message: PredictionError) -> None:
-        """x: longitudinal, y: lateral, the means over the horizon [m]; z: yaw [rad]."""
+        """Horizon means, x: longitudinal, y: lateral [m]; z: yaw [rad]."""
         plot = Vector3Stamped(header=message.header)
         plot.vector.x, plot.vector.y, plot.vector.z = (
             message.longitudinal_mean, message.lateral_mean, message.yaw_mean)
@@ -91,7 +91,7 @@ class MarkersNode(Node):
         return markers
 
     def _ribbons(self, now_ns: int) -> list[Marker]:
-        """The bands of the newest predictions, the 50 % one on the 90 % one; namespace: the model."""
+        """The bands of the newest predictions, the 50 % one above the 90 % one; namespace: the model."""
         found = []
         for number, model in enumerate(self._history.models):
             path = self._history.newest(model, now_ns)

@@ -34,9 +34,9 @@ STATUS_PERIOD = 1.0
 # stopped for 3 s then received nothing for 90 s at depth 50 (half a megabyte per topic), for 3 s at depth 10.
 # A fast replay makes 100 predictions a second: a recorder delayed by 0.5 s lost 50 of 590 at depth 10, none at 1000.
 LIVE_DEPTH, REPLAY_DEPTH = 10, 1000
-MAX_WAIT_SHARE = 0.5  # longest wait for samples as a share of the period, so that the next tick is not late
+MAX_WAIT_SHARE = 0.5  # longest wait for samples as a fraction of the period, so that the next tick is not late
 JUMP_WARNING_DURATION = 10.0  # a position jump is reported as a warning for this long [s]
-BUSY_TICK_SHARE = 0.5  # of the period; a longer tick is a warning: the computer is too slow or too busy
+BUSY_TICK_SHARE = 0.5  # fraction of the period; a longer tick causes a warning: the computer is too slow or too busy
 
 
 class TickCounter:

@@ -163,10 +163,10 @@ def _store_of(storage: Storage, topics: Sequence[Topic], steering: SteeringField
 
 def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
                                 columns: dict[str, dict[str, np.ndarray]]) -> list[str]:
-    """Replaces meaningless stamps by the times of receipt; returns a note on each.
+    """Replaces invalid stamps by the times of reception; returns a note on each.
 
     A driver or simulator may leave header.stamp at 0 or at one value, or stamp two topics with unrelated clocks; the
-    times of receipt are still correct.
+    times of reception are still correct.
     """
     notes = []
     for kind, topic in topics.items():
@@ -189,7 +189,7 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
 
 
 def _log_times(storage: Storage, topic: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:
-    """When each message was received; the stamps where not every message was read."""
+    """Time of reception of each message; the stamps if not every message was read."""
     times = np.array([log_ns for log_ns, _ in storage.timed_messages(topic)], np.int64)
     return times if len(times) == len(columns["header.stamp"]) else columns["header.stamp"]
 
@@ -217,7 +217,7 @@ def records_of(path: Path) -> dict[str, dict[str, str]]:
 
 
 def was_interrupted(path: Path) -> bool:
-    """Whether a recorder of the suite did not end this recording itself: full disk, kill, `st recover` afterwards."""
+    """Whether the recorder of the suite did not end this recording: full disk, kill, `st recover` afterwards."""
     records = _read_records(path)
     return bool(SUITE_RECORDS & records.keys()) and CLOSING_RECORD not in records
 
@@ -300,7 +300,7 @@ def _drive_log(path: Path, name: str, odometry: Mapping[str, np.ndarray], steeri
 
 
 def _usable_messages(time_ns: np.ndarray, good: np.ndarray, what: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """(strictly rising times of good messages, their rows, notes)."""
+    """(strictly ascending times of valid messages, their rows, notes)."""
     time = np.asarray(time_ns, np.int64)
     usable = good & (time != 0)
     rows = np.flatnonzero(usable)

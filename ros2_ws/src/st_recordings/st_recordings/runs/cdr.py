@@ -59,7 +59,7 @@ def typestore(definitions: Path) -> Typestore:
 
 
 def with_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]], types: Iterable[str]) -> Typestore:
-    """The store with some types as a recording defines them; the same store where none differs.
+    """The store with some types as a recording defines them; the same store if none differs.
 
     definitions: of the recording (bag_storage.Storage.definitions). A definition that cannot be parsed is ignored: the
     type is then that of the store, or unknown.

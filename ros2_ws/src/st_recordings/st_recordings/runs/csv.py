@@ -28,21 +28,22 @@ RELATED = {"time": "t", "x": "longitude", "y": "latitude", "yaw": COMPASS}
 """Channel -> the channel it is computed from, if it has no column of its own."""
 QUATERNION = [f"orientation_{axis}" for axis in "xyzw"]
 MIN_COURSE_SPEED = 1.0
-"""m/s; a velocity noise of 0.05 m/s turns the course by 3 degrees there."""
+"""m/s; at this speed a velocity noise of 0.05 m/s changes the course by 3 degrees."""
 MIN_DISTANCE_SAMPLES = 20
 """Samples of a drive whose distance is compared with its speed."""
 MAX_HELD_SHARE = 0.3
-"""Share of rows of a moving car with an unchanged position, above which positions have a lower rate than the rows."""
+"""Fraction of the rows of a moving car with an unchanged position, above which positions have a lower rate than the
+rows."""
 MIN_INTERVAL_RATIO = 1.5
 """Ratio of the median time between two numbers of a channel to that of another, above which its rate is lower."""
 MIN_LOST_INTERVAL = 2.5
 """Ratio of the time between two rows to the median one, above which rows between them are missing."""
 MAX_LATE_SHARE = 0.1
-"""Share of the new positions that follow missing rows, above which the stamps jitter and no row is missing."""
+"""Fraction of the new positions that follow missing rows, above which the stamps jitter and no row is missing."""
 MAX_ROUNDED_STEP = 1.01
 """Ratio of the steps of a position to the smallest one, up to which they are steps of its rounding."""
 MIN_REGULAR_SHARE = 0.9
-"""Share of the distances between known samples of a channel [rows] that are multiples of the usual distance, above
+"""Fraction of the distances between known samples of a channel [rows] that are multiples of the median distance, above
 which the blanks are due to its lower rate."""
 
 
@@ -281,7 +282,7 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
 
 
 def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
-    """Interpolates INS channels of a lower rate than another, or with stamps of their own, at the rows of that one.
+    """Interpolates INS channels with a lower rate or other stamps at the rows of the channel with the highest rate.
 
     Loggers write such tables with blanks. Missing numbers of a channel of the highest rate stay missing, as do
     gaps in a channel.

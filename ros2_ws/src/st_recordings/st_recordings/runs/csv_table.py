@@ -268,7 +268,7 @@ def _usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_t
 
 
 def _unit_of_step(times: np.ndarray) -> str:
-    """The time unit that gives plausible times and their usual step is between 0.5 ms and 0.5 s; empty if none."""
+    """The time unit that gives plausible times and a typical step between 0.5 ms and 0.5 s; empty if there is none."""
     times = times[np.isfinite(times)]
     step = np.abs(np.diff(times))
     usual, largest = float(np.median(step[step > 0.0])) if step.any() else 0.0, float(np.abs(times).max())
@@ -278,8 +278,8 @@ def _unit_of_step(times: np.ndarray) -> str:
 
 
 def _header_line(lines: list[str], layout: Layout | None = None) -> int:
-    """Index of the line that names most channels, the first of several; where none names two, of the first line with
-    the usual number of cells."""
+    """Index of the line that names most channels, the first of several; if no line names two, of the first line with
+    the most frequent number of cells."""
     counts, widths = [], []
     for line in lines[:MAX_HEADER_LINES]:
         names, _ = _split_header(line)
@@ -307,8 +307,8 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequenc
                     layout: Layout) -> tuple[dict[str, ColumnSource], str]:
     """(sources with the units of a row above or below the names, the body from the first row with a number on).
 
-    Of several rows without a number below the names, one gives the units; the others are types or sources. Cells that
-    only mark missing values are no row of units. Raises RunError for a cell that is not a unit of its channel.
+    Of several rows without a number below the names, one gives the units; the others are types or sources. A row with
+    only markers of missing values is not a row of units. Raises RunError for a cell that is not a unit of its channel.
     """
     def texts(line: str) -> dict[str, str]:
         cells = [cell.strip(' \r"') for cell in line.split(delimiter)]
@@ -475,8 +475,8 @@ def _is_hhmmss(times: np.ndarray) -> bool:
 def _with_decimal_points(file: Path, body: str, delimiter: str) -> str:
     """The body with decimal points and without thousands separators.
 
-    Which of comma and point is the decimal mark is decided over the whole file. Raises RunError where both readings of
-    a cell remain possible: 1,234 is 1.234 or 1234.
+    Whether comma or point is the decimal mark is decided from the whole file. Raises RunError if both readings of a
+    cell remain possible: 1,234 is 1.234 or 1234.
     """
     body = _THOUSANDS_SPACES.sub("", body)
     quoted = delimiter == "," and '"' in body
@@ -546,7 +546,7 @@ def _parse_rows(lines: list[str], delimiter: str, width: int) -> np.ndarray:
         return np.zeros((0, width))
     try:
         rows = np.loadtxt(lines, delimiter=delimiter, ndmin=2, comments=None)
-    except ValueError:  # a cell is empty or text: convert cell by cell, which takes three times as long
+    except ValueError:  # a cell is empty or text: convert cell by cell, which takes three times longer
         rows = np.loadtxt(lines, delimiter=delimiter, ndmin=2, quotechar='"', converters=_number, comments=None)
     if rows.shape[1] == width + 1 and all(line.rstrip().endswith(delimiter) for line in lines):
         rows = rows[:, :width]  # every row ends with a delimiter

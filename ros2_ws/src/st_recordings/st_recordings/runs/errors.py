@@ -32,7 +32,7 @@ def printable(text: str) -> str:
 
 
 def share(count: int, total: int, what: str) -> str:
-    """A count with its share of the total, as "98 of 249 rows (39 %)"."""
+    """A count with its percentage of the total, such as "98 of 249 rows (39 %)"."""
     percent = 100.0 * count / max(total, 1)
     digits = f"{percent:.2g}" if percent < 10 else f"{percent:.3g}" if 99.0 < percent < 100.0 else f"{percent:.0f}"
     return f"{count} of {total} {what} ({digits} %)"
@@ -44,7 +44,7 @@ def short(error: Exception) -> str:
 
 
 def log_warnings(warnings: Iterable[str]) -> None:
-    """Logs each warning once per process, so that it is on the terminal of every command."""
+    """Logs each warning once per process, so that it is shown on the terminal of every command."""
     for warning in warnings:
         if warning in _logged:
             continue

@@ -65,7 +65,7 @@ def empty_frames() -> Frames:
 
 
 def concatenated(parts: Sequence[Frames], order: np.ndarray | slice = slice(None)) -> Frames:
-    """The frames of all parts one after the other, then in the given order; their times are not compared."""
+    """The frames of all parts, concatenated and then in the given order; their times are not compared."""
     if len(parts) == 1 and isinstance(order, slice):
         return parts[0]
     width = max(p.payload.shape[1] for p in parts)
@@ -120,7 +120,7 @@ def without_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]]
 
 
 def clock_step_notes(steps: Sequence[tuple[int, float]]) -> list[str]:
-    """A sentence about the steps of `without_clock_steps`; none without steps."""
+    """A sentence on the steps of `without_clock_steps`; none without steps."""
     if not steps:
         return []
     times = f"{len(steps)} times, first " if len(steps) > 1 else ""

@@ -25,7 +25,7 @@ MDF_OPTIONS: dict[str, Any] = {"process_bus_logging": False}  # frames as they a
 VENDOR_SUFFIXES = (".mfc", ".mfe", ".mfm")
 _FLAGS_OF_KIND = {"CAN_DataFrame": 0, "CAN_RemoteFrame": frames.REMOTE, "CAN_ErrorFrame": frames.ERROR}
 _TIME_CHANNELS = (2, 3)  # types of a channel: master, virtual master
-FD_LENGTHS = np.array([*range(9), 12, 16, 20, 24, 32, 48, 64], np.uint8)  # by data length code, ISO 11898-1
+FD_LENGTHS = np.array([*range(9), 12, 16, 20, 24, 32, 48, 64], np.uint8)  # bytes by data length code, ISO 11898-1
 _BUS = re.compile(r"CAN[ _]?(\d+)")
 _SPLIT = re.compile(r"^(\d{8})(-[0-9A-Fa-f]{8})?$")
 

@@ -94,8 +94,8 @@ def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns, keep_
 
 
 def _parts_of(can: CanLog) -> list[tuple[int, int]]:
-    """Start and end of the parts of a log in which its clock does not step and no MAX_LOG_GAP is without frames [ns],
-    the longest first."""
+    """(start, end) [ns] of the parts of a log without a step of its clock or a gap of MAX_LOG_GAP between frames, the
+    longest first."""
     time_ns = can.frames.time_ns
     starts = np.flatnonzero(np.isin(time_ns, [at for at, _ in can.steps])
                             | (np.diff(time_ns, prepend=time_ns[0]) > MAX_LOG_GAP * 1e9))
@@ -162,7 +162,7 @@ def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
 
 
 def _refused_steering(run: RawRun, settings: ReadSettings) -> tuple[Finding, ...]:
-    """Finding of the steering frames that the decoder refused; empty without any."""
+    """Finding of the steering frames that the decoder rejected; empty without any."""
     assert run.steering is not None
     message = run.steering.message
     if message not in run.signals.rejected or not len(run.ins.time_ns):

@@ -14,7 +14,7 @@ def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
 
 
 def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
-    from ..raw import read_raw_run  # scipy.signal and the CAN libraries: two seconds that others need not wait for
+    from ..raw import read_raw_run  # imports scipy.signal and CAN libraries: two seconds that other kinds save
 
     return read_raw_run(source, vehicle, settings, read_ins)
 
