@@ -208,7 +208,7 @@ def _angles(prefix: str) -> list[Field]:
 
 
 def _innovations(*names: str, first: int = 0) -> list[Field]:
-    """Kalman filter innovations over their standard deviation; |value| < 1 is consistent."""
+    """Kalman filter innovations divided by their standard deviation; |value| < 1 is consistent."""
     return [F(name, "shifted", first + i, "sigma", 0.1, 0, BIT0) for i, name in enumerate(names)]
 
 

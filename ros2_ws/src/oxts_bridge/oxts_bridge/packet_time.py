@@ -14,7 +14,7 @@ FIRST_MINUTE, LAST_MINUTE = 1_000, 30_525_000
 
 # Order of a packet relative to the newest one. SAME: equal time; DUPLICATE: equal bytes too.
 NEW, SAME, LATE, DUPLICATE = 0, 1, 2, 3
-# A packet up to this far behind is late, any other is ahead: milliseconds of the minute resolve no more.
+# A packet up to this time behind is late, any other is ahead: milliseconds of the minute cannot resolve more.
 HALF_MINUTE_MS = 30_000
 # More consecutive late packets, each later than the one before, mean that the clock was set back, not reordering.
 LATE_RUN = 10

@@ -25,7 +25,7 @@ _LARGEST_DATAGRAM = 65_535
 _RECEIVE_BUFFER = 1 << 20
 _WAKE_PERIOD = 0.2
 RETRY_PERIOD = 1.0
-# Another sender is accepted when the one in use has been silent this long [s].
+# Another sender is accepted after the one in use has been silent for this time [s].
 SENDER_TIMEOUT = 2.0
 _MAX_SENDERS_COUNTED = 16
 # A longer step of the recorded time is skipped in a replay: joined files, or a clock that was set [ns].
@@ -91,7 +91,7 @@ class SourceStatus:
 
 
 class Source(ABC):
-    """NCOM bytes read in a thread of its own."""
+    """NCOM bytes, read in a separate thread."""
 
     def __init__(self, name: str):
         self.status = SourceStatus(name)

@@ -12,7 +12,7 @@ from .packet_time import DUPLICATE, LAST_MINUTE, LATE, MINUTE_MS, NEW, SAME, Gps
 
 _NO_VECTOR = (ncom.NAN, ncom.NAN, ncom.NAN)
 _NO_FIELDS: Mapping[str, Value] = {}
-# A stream without channel 0 for this long gets its minute from the host's clock [ns].
+# After this time without channel 0, a stream gets its minute from the host's clock [ns].
 HOST_MINUTE_DELAY_NS = 2_000_000_000
 # A step longer than this many typical ones is a gap.
 GAP_STEPS = 1.75

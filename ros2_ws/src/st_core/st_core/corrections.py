@@ -18,7 +18,7 @@ from .types import body_to_map, map_to_body
 from .vehicle import VehicleParameters
 
 MAXIMUM_GAP = 0.25
-"""s. A signal shifted in time is not interpolated across longer gaps."""
+"""Longest gap across which a signal shifted in time is interpolated [s]."""
 
 MAX_VALUES = {"scale": 1e12, "add": 1e12, "earlier": 60.0, "ahead": 100.0}
 """Largest magnitude of each field; a channel that is a minute late belongs to another recording."""

@@ -38,7 +38,7 @@ MAX_GAP = 0.1
 MIN_LENGTH = 20.0
 """m, length of a pass; a shorter one ends within the horizon."""
 MAX_ORIGIN_DISTANCE = 5000.0
-"""m, between map origins; beyond it the axes differ by more than 1 mrad at latitude 50."""
+"""m, between map origins; at a larger distance the axes differ by more than 1 mrad at latitude 50."""
 SCHEMA = 1
 POINTS = "\npoints: |\n"
 COLUMNS = ("x", "y", "direction", "curvature", "speed")

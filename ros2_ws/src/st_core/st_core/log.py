@@ -19,7 +19,7 @@ SLOPE_HALF_WIDTH = 0.025  # s to both sides of a sample: more attenuates 2.5 Hz 
 class DriveLog:
     """Measurements of one drive, each on its own time base. Arrays are read-only.
 
-    ins_time_ns, steering_time_ns: int64 UTC nanoseconds since the Unix epoch, both on the INS clock, strictly rising.
+    ins_time_ns, steering_time_ns: int64 UTC nanoseconds since the Unix epoch, on the INS clock, strictly increasing.
     A gap in the measurement is a step in time; nothing is interpolated, and only OPTIONAL_INS_SIGNALS may be NaN.
 
     x, y: INS point in the map frame, east and north [m]. yaw: from east counter-clockwise, unwrapped [rad].

@@ -60,7 +60,7 @@ class LogSignals:
         return self.sample(self.log.steering_time_ns, self.log.road_wheel_angle, times_ns)
 
     def sample(self, time_ns: np.ndarray, values: np.ndarray, at_ns: np.ndarray) -> np.ndarray:
-        """Any signal, known at time_ns [ns, rising], at instants `at_ns` of any shape [ns]."""
+        """Any signal, known at time_ns [ns, ascending], at instants `at_ns` of any shape [ns]."""
         return self._at(time_ns, [values], at_ns)[0]
 
     def states_at(self, times_ns: np.ndarray, vehicle: VehicleParameters) -> np.ndarray:

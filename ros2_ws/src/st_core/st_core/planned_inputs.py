@@ -110,8 +110,8 @@ def recorded_plan(time_ns: np.ndarray, columns: Sequence[np.ndarray], steps: int
                   maximum_gap: float) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
     """A plan recorded along a drive as inputs of `log_evaluation.evaluate_log`.
 
-    time_ns: rising [ns]. columns: road wheel angle, velocity_x_dot and, of a path, slip-free angle, as planned for that
-    instant before its horizon began. NaN, and gaps longer than maximum_gap [s]: not planned.
+    time_ns: ascending [ns]. columns: road wheel angle, velocity_x_dot and, of a path, slip-free angle, as planned for
+    that instant before the start of the prediction. NaN, and gaps longer than maximum_gap [s]: not planned.
     """
     gap_ns = round(maximum_gap / NANOSECOND)
 

@@ -141,7 +141,7 @@ def wheel(contact: tuple[float, float, float], tyre: TyreCoefficients, friction:
           across: float, along: float, drive: float) -> tuple[float, float, float]:
     """Lateral and longitudinal force of one wheel [N] and the rate of its delayed slip.
 
-    contact: relaxation length [m], share of combined slip, largest relaxation rate [1/s]. slip: delayed (state).
+    contact: relaxation length [m], weight of combined slip, largest relaxation rate [1/s]. slip: delayed (state).
     across, along: velocity of the contact patch relative to the wheel plane [m/s]. drive: requested F_x [N].
     """
     relaxation, combined, max_rate = contact

@@ -116,8 +116,8 @@ class AdaptiveBand:
                errors: np.ndarray) -> tuple[dict[float, np.ndarray], np.ndarray]:
         """Factors along a recorded drive, each from the scores that had arrived by then; a call continues the previous.
 
-        starts_ns: (n,) rising [ns]. conditions: (n, 4). errors: (n, points, 3) in the predicted frame; not finite where
-        not scored. Returns by level (n,), and the scales (n, points, 3).
+        starts_ns: (n,) ascending [ns]. conditions: (n, 4). errors: (n, points, 3) in the predicted frame; not finite
+        where not scored. Returns by level (n,), and the scales (n, points, 3).
         """
         calibrated = None if self._band is None else self._band.scale(conditions)
         horizon_ns = round(float(self._time[-1]) / NANOSECOND)

@@ -100,8 +100,8 @@ class LiveBands:
 class AdaptiveBands:
     """Bands of all models and modes of a run, each corrected by its scores (`adaptive.AdaptiveBand`).
 
-    time: (points,) ahead, without the start [s]. bands: calibrated ones of forecast and hindsight; None: estimated from
-    the scores alone, as those of plan and course always are, and issued after `adaptive.WARM_UP`.
+    time: (points,) ahead, without the start [s]. bands: calibrated bands of forecast and hindsight; None: estimated
+    from the scores alone, like those of plan and course, and issued after `adaptive.WARM_UP`.
 
     half_widths: as in `LiveBands`. counts: by (model, mode), scored windows and, by level, those with the path inside.
     """

@@ -30,17 +30,17 @@ from .motion import (
 from .regression import Estimate
 
 MIN_YAW_RANGE = 0.2  # rad of turning
-MAX_FOLLOW_MISFIT = 0.02  # of the distance, up to which positions follow yaw and velocity
-MAX_MAP_MISFIT = 0.1  # of the distance, and of the misfit in body axes, up to which velocities are those of the map
+MAX_FOLLOW_MISFIT = 0.02  # fraction of the distance up to which positions are consistent with yaw and velocity
+MAX_MAP_MISFIT = 0.1  # fraction of the distance, and of the misfit in body axes, up to which velocities are in map axes
 MAX_SCALE_ERROR = 0.005  # of a faultless gyroscope or projection
 MIN_RATE_ERROR = 0.005  # of the time; crystals are wrong by 0.0001, nominal rates by a whole sample
 CLEAR_MISFIT_RATIO = 0.8
-TIE_MISFIT_RATIO = 0.97  # beyond it velocity_y is too small to show its unit, and has that of velocity_x
+TIE_MISFIT_RATIO = 0.97  # above it velocity_y is too small to determine its unit, which is then that of velocity_x
 DEGREE, GON = 180.0 / np.pi, 200.0 / np.pi
 ANGLES = {DEGREE: "degrees", GON: "gon", 1000.0: "mrad"}
 SPEEDS = {3.6: "km/h", 2.23694: "mph", 1.94384: "knots"}
 LENGTHS = {1000.0: "millimetres", 100.0: "centimetres", 3.28084: "feet", 0.001: "kilometres"}
-MAX_DEGREE_RATIO = 1e-4  # below it positions are angles: a degree of the earth is 111 km
+MAX_DEGREE_RATIO = 1e-4  # below it positions are angles: a degree of latitude is 111 km
 TIMES = {1e3: ("milliseconds", "ms"), 1e6: ("microseconds", "us"), 1e9: ("nanoseconds", "ns")}
 MIN_WRAP_STEP = 0.01  # rad; 360 degrees are 1.86 degrees more than a whole number of 2 pi
 Corrected = tuple[Motion, Finding | None]
@@ -86,7 +86,7 @@ def _error(name: str, channels: tuple[str, ...], text: str, value: float | None,
 
 
 def check_time_unit(motion: Motion) -> Corrected:
-    """Unit of the stamps against positions and yaw, as milliseconds taken for seconds."""
+    """Unit of the stamps, from comparison with positions and yaw; for example milliseconds taken for seconds."""
     if len(motion.time) < 20:
         return motion, None
     spacing = float(np.median(np.diff(motion.time)))
@@ -109,8 +109,8 @@ def check_time_unit(motion: Motion) -> Corrected:
 
 
 def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate]) -> Finding | None:
-    """Finding of stamps at a wrong nominal rate, which make velocity and yaw rate too large by one factor, that of the
-    time, compared with positions and yaw. None where the two factors differ or one of them is 1."""
+    """Finding of stamps at a wrong nominal rate: compared with positions and yaw, velocity and yaw rate are too large
+    by the same factor, that of the time. None if the two factors differ or one of them is 1."""
     velocity, turn = (estimates.get(name) for name in ("velocity_scale", "yaw_rate_scale"))
     wrong = next((f for f in findings if f.name in ("velocity_scale", "position_scale")), None)
     if velocity is None or turn is None or wrong is None or turn.shifted(-1.0).covers(0.0):
@@ -146,7 +146,7 @@ def _correct_both_turns(motion: Motion) -> Corrected:
 
 
 def _correct_turns(motion: Motion) -> Corrected:
-    """Yaw and yaw rate, each against the other two estimates."""
+    """Yaw and yaw rate, each compared with the other two estimates."""
     r = ratios(motion)
     if not np.isfinite(r.yaw_rate) or 1 / LIMITS.unit < r.yaw_rate < LIMITS.unit:
         return motion, None
@@ -308,7 +308,7 @@ def _displacements(motion: Motion, east: np.ndarray, north: np.ndarray) -> tuple
 
 
 def _misfit(motion: Motion) -> float:
-    """Median distance [m] between change of position and integrated velocity over a second, after the best rotation."""
+    """Median distance [m] between change of position and integrated velocity in a second, after the best rotation."""
     over, measured, derived = _displacements(motion, *motion.velocity_map)
     rotation = np.sum(measured * np.conj(derived))
     rotation /= max(abs(rotation), 1e-300)
@@ -345,7 +345,7 @@ def _correct_velocity_axes(motion: Motion) -> Corrected:
 
 
 def _correct_yaw_offset(motion: Motion) -> Corrected:
-    """Yaw against the direction of travel: counted from another axis, or reversed."""
+    """Comparison of yaw with the direction of travel: counted from another axis, or reversed."""
     over, measured, derived = _displacements(motion, *motion.velocity_map)
     total, size = np.sum(derived * np.conj(measured)), float(np.abs(measured * derived).sum())
     if len(over) < MIN_WINDOWS or size < MIN_DISTANCE or abs(total) < 0.5 * size or abs(np.angle(total)) < 0.35:

@@ -13,7 +13,7 @@ class YawRateDelay(Effect):
     excited_by = "sweeps and steps, with measured heading"
     kind, slot = "sensors", "yaw rate"
     needs = ("yaw_rate",)
-    order = 20  # before scale and bias, which do not depend on time
+    order = 20  # before scale and bias; these are constant, so the order does not change the reading
     parameters = (
         Parameter("time", "s", null=0.0, initial=0.03, bounds=(-0.1, 0.2), meaning="delay of the yaw rate, + late",
                   source="filters of yaw rate sensors, 10-50 Hz: 5-30 ms; stamps on arrival add as much",

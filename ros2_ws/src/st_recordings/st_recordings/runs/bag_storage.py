@@ -1,7 +1,7 @@
 """The storages of rosbag2 behind one interface: the topics of a recording, and the messages of a topic.
 
-MCAP and sqlite3 are read here, because a library that parses every definition in a bag stops at the first foreign one
-it does not understand; what else rosbag2 can write (compressed files and messages) is read by rosbags.
+MCAP and sqlite3 are read here, because a library that parses every definition in a bag stops at the first one that it
+does not support; other formats of rosbag2 (compressed files and messages) are read by rosbags.
 """
 
 import sqlite3

@@ -35,13 +35,13 @@ BLOCK_SIZE = 65536  # messages converted to columns at a time
 MAX_TIME_JUMP_NS = 86400 * 10**9  # a frame further from both of its neighbours has a damaged time
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times count from the start of the log
 MIN_FALLING_SHARE = 0.2
-"""Share of falling times in a candump that begins at 0; above it, times are relative to the previous frame."""
+"""Fraction of decreasing times in a candump that begins at 0, above which times are relative to the previous frame."""
 
 
 def read_can_logs(files: Sequence[Path]) -> CanLog:
     """All frames of the files of one run, merged by time: the splits of a session, and several buses.
 
-    Raises RunError when none of the files can be used. One bad file among several only costs a warning.
+    Raises RunError if none of the files can be used. One bad file among several only causes a warning.
     """
     logs: list[CanLog] = []
     errors: list[RunError] = []
@@ -133,7 +133,7 @@ def _columns(messages: Sequence[can.Message]) -> Frames:
     payload = b"".join([bytes(m.data).ljust(width, b"\0") for m in messages])
     seconds = np.array([m.timestamp for m in messages])
     return Frames(
-        # Microseconds are the finest that any of these formats writes; rounding undoes the error of float seconds.
+        # Microseconds are the finest resolution of these formats; rounding removes the error of float seconds.
         time_ns=np.round(seconds * 1e6).astype(np.int64) * 1000,
         id=np.array(ids, np.uint32), payload=np.frombuffer(payload, np.uint8).reshape(-1, width),
         length=np.array([len(m.data) for m in messages], np.uint8),

@@ -1,4 +1,4 @@
-"""Aligns the clocks of an INS recording and a CAN log by the signals that both hold."""
+"""Aligns the clocks of an INS recording and a CAN log by the signals that both contain."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -14,16 +14,16 @@ from .ins_log import InsLog
 # Delays [s]: (expected, standard deviation), or bounds.
 INS_ON_CAN = (0.002, 0.002)  # from the measurement of an INS value to its frame in the log; default
 WHEEL_SPEED = (0.015, 0.015)  # wheel speeds are counted over a period before they are sent
-# Slip of driven or braked wheels per acceleration [s^2/m]: at speed v it looks like a delay of this times v. A braked
-# rear axle has 0.003, a driven one 0.007, one that rolls freely 0.
+# Slip of driven or braked wheels per acceleration [s^2/m]: at speed v its effect is that of a delay of this times v. A
+# braked rear axle has 0.003, a driven one 0.007, one that rolls freely 0.
 WHEEL_SLIP = 0.002
 STEERING_LEAD = (-0.06, 0.06)  # yaw follows the steering wheel by the response time of the car
 
 NO_INS_FRAMES = "the log has no INS frames that the DBC describes (RT_..., rt.dbc of `st car new`)"
 
 MIN_VARIATION = {"speed": 0.3, "rate": 0.01, "angle": 0.05, "curvature": 0.001}
-"""Smallest standard deviation that carries information [m/s, rad/s, rad, 1/m]."""
-MIN_CURVATURE_SPEED = 3.0  # m/s; at lower speed, yaw rate over speed is noise
+"""Minimum standard deviation for information on the offset [m/s, rad/s, rad, 1/m]."""
+MIN_CURVATURE_SPEED = 3.0  # m/s; at lower speed, yaw rate divided by speed is noise
 MIN_MOVING_SPEED = 1.0  # m/s
 TIME_FRAME_RESOLUTION = {"RT_MilliTime": 0.001, "RT_DateTime": 0.01}  # s
 MAX_METHOD_DIFFERENCE = 0.01  # s, between time frame and shared signals
@@ -68,7 +68,7 @@ def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, sear
 
 
 def shared_signals(ins: InsLog, can: CanSignals, latency: tuple[float, float] = INS_ON_CAN) -> list[SharedSignal]:
-    """The INS's own signals that both recordings hold: forward velocity, yaw rate, yaw.
+    """The signals of the INS that both recordings contain: forward velocity, yaw rate, yaw.
 
     latency: of INS values on CAN, and its standard deviation [s].
     """
@@ -115,7 +115,7 @@ def substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1) -> 
 def without_implausible(ins: InsLog, can: CanSignals) -> tuple[InsLog, CanSignals, list[str]]:
     """(both recordings with NaN for values that no working sensor gives, a note on each such signal).
 
-    One sentinel or spike is larger than all motion together, and moves or hides the offset.
+    One sentinel or spike is larger than all motion, and shifts or hides the peak at the offset.
     """
     notes: list[str] = []
 
@@ -180,7 +180,7 @@ def _align_by_checked_time_frame(frames: Signal, pairs: list[SharedSignal], late
         return result
     # Near the offset of the time frame only: repeated laps fit at many offsets.
     offset = result.offset_at_ns(result.at_ns) * 1e-9
-    # The first message of velocity, yaw rate and yaw; a second one of the same adds nothing.
+    # The first message of velocity, yaw rate and yaw; a second one of the same adds no information.
     distinct = list({pair.name.partition(" (")[0]: pair for pair in reversed(pairs)}.values())[::-1]
     check = align(distinct, search=(offset - CHECK_SEARCH, offset + CHECK_SEARCH))
     if check.verdict is Verdict.REFUSED:

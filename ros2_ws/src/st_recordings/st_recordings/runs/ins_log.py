@@ -11,14 +11,14 @@ from st_core.timeseries import interpolate
 
 from .errors import share
 
-# The unsteered axle gives the speed of the car best; then the other axle, then the car's own signal of both.
+# The unsteered axle gives the most accurate speed of the car; then the other axle, then the speed signal of the car.
 _SPEEDS = (("wheel_speed_rear_left", "wheel_speed_rear_right"), ("wheel_speed_front_left", "wheel_speed_front_right"),
            ("vehicle_speed",))
 SPEEDS = tuple(name for names in _SPEEDS for name in names)
-MAX_WHEEL_GAP_NS = 100_000_000  # longest gap over which the speed of a wheel is interpolated
+MAX_WHEEL_GAP_NS = 100_000_000  # longest gap across which the speed of a wheel is interpolated
 LATEST_TIME = 9.0e9  # s since 1970, year 2255; whole nanoseconds do not reach much further
 MAX_LOST_SHARE = 0.01
-"""Share of rows not newer than all before, above which the clock was set back, and only one stretch is used."""
+"""Fraction of rows not newer than all before, above which the clock was set back, and only one stretch is used."""
 MAX_END_STEP = 10.0
 """Ratio of the first or last time step to the 95th percentile of all, above which that stamp is wrong."""
 
@@ -71,9 +71,9 @@ def yaw_of(x: np.ndarray, y: np.ndarray, z: np.ndarray, w: np.ndarray) -> np.nda
 
 
 def car_speed(speeds: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Series | None:
-    """Speed of the car by its wheels [m/s]: mean of the rear ones, else of the front ones, else its own speed signal.
+    """Speed of the car from its wheels [m/s]: mean of the rear ones, else of the front ones, else its speed signal.
 
-    speeds: name (one of SPEEDS) -> (time [ns], rising; values [m/s]).
+    speeds: name (one of SPEEDS) -> (time [ns], ascending; values [m/s]).
     """
     for names in _SPEEDS:
         if all(name in speeds and np.isfinite(speeds[name][1]).any() for name in names):
@@ -84,7 +84,7 @@ def car_speed(speeds: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Series | N
 
 
 def series(time_ns: np.ndarray, values: np.ndarray) -> Series | None:
-    """The finite samples of a signal with rising time; None without any."""
+    """The finite samples of a signal with ascending time; None without any."""
     time_ns, values = _finite(np.asarray(time_ns, np.int64), values)
     if not len(time_ns):
         return None
@@ -108,10 +108,10 @@ def _finite(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list[str]]:
-    """(rows of strictly rising time, warnings with the share that is not used).
+    """(rows of strictly ascending time, warnings with the fraction that is not used).
 
-    Single rows that are not later than all before are left out. Where that costs more than MAX_LOST_SHARE, the clock
-    was set back while recording: only the longest stretch without a step back is used. A first or last row with
+    Single rows that are not later than all before are left out. If these are more than MAX_LOST_SHARE, the clock was
+    set back while recording: only the longest stretch without a step back is used. A first or last row with
     a stamp far from the others is left out. time_ns: (n,) int64 in the order of the recording. what: noun for the
     rows, plural.
     """
@@ -140,7 +140,7 @@ def usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list[str]]:
 
 
 def _longest_stretch(time_ns: np.ndarray) -> np.ndarray:
-    """The rows of rising time in the longest stretch without a step back."""
+    """The rows of ascending time in the longest stretch without a step back."""
     edges = np.concatenate(([0], np.flatnonzero(np.diff(time_ns) < 0) + 1, [len(time_ns)]))
     longest = int(np.argmax(np.diff(edges)))
     rows = np.arange(edges[longest], edges[longest + 1])

@@ -18,7 +18,7 @@ from .readers import READERS
 from .run_types import LoadedRun, ReadSettings, RunSource
 
 MIN_UNCOVERED_TIME, MIN_UNCOVERED_SHARE = 1.0, 0.01
-"""s, and share of its recording: INS or steering without the other for longer than both is reported."""
+"""s, and fraction of the recording: INS or steering without the other for longer than both is reported."""
 
 
 def read(source: RunSource, vehicle: VehicleParameters | None = None,
@@ -86,7 +86,7 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
 
 
 def coverage_warnings(source: RunSource, log: DriveLog) -> list[str]:
-    """Warnings of time that only INS or only steering covers, with its share. Raises RunError where they do not overlap
+    """Warnings of time that only INS or only steering covers, with its fraction. Raises RunError if they do not overlap
     in time."""
     spans = {"INS": log.ins_time_ns, "steering": log.steering_time_ns}
     if min(map(len, spans.values())) < 2:

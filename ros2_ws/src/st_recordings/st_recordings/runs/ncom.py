@@ -136,7 +136,7 @@ def status_values(columns: Columns, channel: int, names: tuple[str, ...]) -> tup
 
 
 def latest_values(sent_in: np.ndarray, values: np.ndarray, packets: np.ndarray) -> np.ndarray:
-    """The last `status_values` before or in each packet, (n, k); NaN before the first. packets: rising."""
+    """The last `status_values` before or in each packet, (n, k); NaN before the first. packets: ascending."""
     if not len(sent_in):
         return np.full((len(packets), values.shape[1]), np.nan)
     newest = np.searchsorted(sent_in, packets, side="right") - 1
@@ -144,7 +144,7 @@ def latest_values(sent_in: np.ndarray, values: np.ndarray, packets: np.ndarray) 
 
 
 def ins_quality(columns: Columns, packets: np.ndarray) -> InsQuality:
-    """Quality that the unit reports at given packets with rising time."""
+    """Quality that the unit reports at given packets with ascending time."""
     position = latest_values(*status_values(columns, 3, ACCURACIES[3]), packets)
     heading = latest_values(*status_values(columns, 5, ("HeadingAcc",)), packets)[:, 0]
     return InsQuality(columns.utc_ns[packets], columns.navigation_status[packets].astype(float),

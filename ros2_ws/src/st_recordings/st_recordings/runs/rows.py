@@ -24,7 +24,7 @@ CAN_PERIOD_NS = 20_000_000
 
 
 class Covariances:
-    """Covariances of the odometry by the accuracies in one file, each valid from its packet until the next."""
+    """Covariances of the odometry from the accuracies in one file, each valid from its packet until the next."""
 
     def __init__(self, columns: Columns):
         self._accuracies = {}
@@ -140,7 +140,7 @@ class Serialiser:
             **{field: signal.values for field, signal in wheels.items()}})
 
     def can_frames(self, frames: Frames, time_ns: np.ndarray, bus_name: str) -> Messages:
-        """Frames of one bus, in messages of CAN_PERIOD_NS. time_ns: of each frame, rising.
+        """Frames of one bus, in messages of CAN_PERIOD_NS. time_ns: of each frame, ascending.
 
         Each frame is a head (stamp, id, four flags, length of the data) and its data, padded to 4 bytes.
         """

@@ -23,13 +23,13 @@ _STANDARD_CHANNELS = {"lat": ("latitude", "min"), "latitude": ("latitude", "min"
                       "heading": ("course", "deg"), "time": ("t", "s")}
 # Units of Racelogic's loggers for other channels, where [channel units] gives none.
 _DEFAULT_UNITS = {"angular rate": "deg/s", "acceleration": "g", "angle": "deg", "speed": "km/h", "length": "m"}
-HEADER_SIZE = 65536  # bytes, in which the column names are
-MAX_DAMAGED_TIMES = 0.01  # largest share of invalid times with which the others are read as HHMMSS
+HEADER_SIZE = 65536  # bytes that contain the column names
+MAX_DAMAGED_TIMES = 0.01  # largest fraction of invalid times with which the others are read as HHMMSS
 TRUE_HEADING_NAMES = ("trueheading", "truehead", "headingtrue", "heading2", "dualantennaheading")
 MIN_HEADING_AGREEMENT = 0.5
 """Correlation of a yaw rate channel with the derivative of the heading below which it is not used."""
 MIN_TURN_RATE = 0.01
-"""rad/s, median of the heading's derivative below which it is not compared: noise of 0.1 deg at 5 Hz gives as much."""
+"""rad/s, median of the heading's derivative below which it is not compared: equal to noise of 0.1 deg at 5 Hz."""
 
 
 def read_vbo(file: Path, layout: Layout) -> Table:
@@ -75,7 +75,7 @@ def lacks_steering(file: Path) -> bool:
 
 
 def _sections(text: str) -> dict[str, str]:
-    """Section -> its text. Data of several files in one follow each other; otherwise a repeated section counts once."""
+    """Section -> its text. Data of several files in one are concatenated; of other repeated sections one is used."""
     parts = _SECTION.split(text)
     sections: dict[str, str] = {}
     for name, content in zip(parts[1::2], parts[2::2], strict=True):

@@ -26,9 +26,9 @@ from .run_types import LoadedRun, ReadSettings, RunSource
 TOPICS = {"/ins/odometry": ODOMETRY, "/ins/ncom": NCOM, "/vehicle/steering": STEERING,
           "/vehicle/wheel_speeds": WHEEL_SPEEDS, "/can/frames": CAN_FRAMES}
 BLOCK_NS = 20 * 10**9
-"""Part of the drive that is serialised at once, to bound the memory."""
+"""Duration of the part of the drive that is serialised at once, to limit the memory."""
 TIME_MARGIN_NS = 60 * 10**9
-"""Packets further from the fixes than this have a wrong time."""
+"""Time from the fixes [ns] above which the time of a packet is wrong."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
     """Reads and checks a run of raw files and writes it as a bag.
 
     vehicle: for the road wheel angle. directory: of the new bag. check: returns the findings on a drive; raises
-    RunError for one that must not be written. progress: called with the share done, 0 to 1. Raises RunError for a run
-    that cannot be read or aligned, one that is refused, or a bag that cannot be written.
+    RunError for one that must not be written. progress: called with the fraction completed, 0 to 1. Raises RunError for
+    a run that cannot be read or aligned, one that is rejected, or a bag that cannot be written.
     """
     if source.problem is None and source.kind != "ncom":
         raise RunError(source.where, f"import writes NCOM packets and CAN frames; this is a run of kind {source.kind}",
