@@ -333,7 +333,7 @@ IN_UNIT_OF_RELATED = ("velocity_x", "acceleration_x", "acceleration_y", "yaw_rat
 
 
 def _check_resolution(name: str, motion: Motion, speed: float) -> list[Finding]:
-    """Finding of a channel whose rounding moves a start: standard deviation resolution / sqrt(12)."""
+    """Finding of a channel with rounding that shifts a start: standard deviation resolution / sqrt(12)."""
     step = resolution(motion.time, getattr(motion, name))
     distance, grows_with_speed = POSITION_EFFECT[name]
     effect = step / np.sqrt(12.0) * distance * (speed if grows_with_speed else 1.0)

@@ -16,11 +16,11 @@ STATED, NEGLIGIBLE, CHANCE, NULL, IRRELEVANT, SENSORS, FILE, BOUND, VARIES, MINO
 @dataclass(frozen=True)
 class Checks:
     """Checks of an effect that need intervals and axle curves. null_outside: whether an interval excludes the null.
-    crossing: parameter whose interval crosses a bound, "" for none. peak_force_share [1]: largest axle force in the
-    drives over the peak force, for an effect on the peak. worse_axle: axle that the effect acts on, whose measured
-    forces fit worse with the final model than with the vehicle file; "" for none. summed: other effects of the model
-    of which only the sum with this one is identifiable. objection: why the car with this effect would be implausible,
-    see `handling.objections`; "" for none."""
+    crossing: parameter whose interval crosses a bound, "" for none. peak_force_share [1]: ratio of the largest axle
+    force in the drives to the peak force, for an effect on the peak. worse_axle: axle that the effect acts on, if its
+    measured forces fit worse with the final model than with the vehicle file; "" for none. summed: other effects of the
+    model of which only the sum with this one is identifiable. objection: why the car with this effect would be
+    implausible, see `handling.objections`; "" for none."""
 
     null_outside: bool = True
     crossing: str = ""

@@ -35,7 +35,7 @@ other dynamics missed the truth."""
 class Parameter:
     """One number of an effect.
 
-    null: value without effect. initial: start of a fit, a usual size of the effect. bounds: physical limits, inclusive.
+    null: value without effect. initial: start of a fit, of typical magnitude. bounds: physical limits, inclusive.
     source: of initial and bounds. meaning: in a few words, with the sign. odd: whether it changes sign with left and
     right exchanged. fit: False for a constant of the car, not fitted; null is then its default. identity: the estimate
     of `st_core.checks.check` that measures it without a fit to the car, same value, sign and unit; "" without one.
@@ -43,9 +43,9 @@ class Parameter:
     from, same unit and sign, if neither `vehicle` nor `fold` of the effect has it. shape: whether it is a coordinate of
     a family of curves; a value on its bounds is then as good as any other. model_error: standard deviation of the
     values from models of other equations for the same car; from the development cars of `bench/strangers`. deviation:
-    prior standard deviation about null of an addition to the measured car, as a load, instead of the uncertainties of
-    the vehicle file; inf for other parameters.
-    Raises ConfigurationError when these contradict each other.
+    prior standard deviation about null of an addition to the measured car, such as a load, instead of the uncertainties
+    of the vehicle file; inf for other parameters.
+    Raises ConfigurationError if these contradict each other.
     """
 
     name: str
@@ -147,15 +147,15 @@ class Effect:
         observe(measured, theta) -> Measured: readings for true values; correct(measured, theta): the inverse
 
     name: unique. physics: the equation in a line, with the sign. excited_by: driving that shows it. kind: of
-    EFFECT_KINDS, what it belongs to. slot: of SLOTS, where it acts. twins: effects that are hard to separate from it
+    EFFECT_KINDS. slot: of SLOTS, where it acts. twins: confounded effects, which are hard to separate from it
     (one of the two may name the other), by sensitivity vectors of a single-track car on circle, step, sweep and limit.
     needs: channels, all of which it needs to be observable and separable. members: names of the effects it is the sum
     of. combinations: of COMBINATIONS, that it changes. ratio_to: key of the vehicle file; drives show only the ratio of
     its quantity to that one. at_peak_force: observable only near the peak force of an axle. applies_to: kinds of model.
-    lifts: (from, to) of an effect that turns one kind into another. extra_units: of `extra_states`, for exports.
-    costly: evaluates the tyres again, and is left out of a fast model at null. forward_only: the search adds it in
-    forward steps only, since in a joint fit of the whole library it takes a part of others. order: among the effects at
-    one hook, lowest first.
+    lifts: (from, to) of an effect that turns one kind of model into another, such as linear to nonlinear. extra_units:
+    of `extra_states`, for exports. costly: evaluates the tyres again, and is left out of a fast model at null.
+    forward_only: the search adds it in forward steps only, since in a joint fit of the whole library it absorbs a part
+    of others. order: among the effects at one hook, lowest first.
     """
 
     name: ClassVar[str]

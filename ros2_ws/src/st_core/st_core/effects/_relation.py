@@ -18,7 +18,7 @@ from ..ops import absolute, cos, maximum, minimum, sin
 from ._base import Effect, Parameter, unlisted
 
 SPLINES = 8  # number of splines, and of coefficients of a curve
-MAX_HEIGHT = 100.0  # bound of the coefficients, which are scaled to their usual size
+MAX_HEIGHT = 100.0  # bound of the coefficients, which are scaled by their typical magnitude
 INTERVALS = 5.0  # between the knots of u
 MOTION = ("steering", "acceleration_y", "acceleration_x", "speed", "yaw_rate", "north", "east", "position_x",
           "position_y")
@@ -124,7 +124,7 @@ class RelationEffect(Effect):
     def slip_angles(slip_front, slip_rear, extra, instant, prepared, theta):
         u = weighted_motion(instant, theta) + theta.in_slip_front * slip_front + theta.in_slip_rear * slip_rear
         y = curve(u, theta) * factor_of_curve(instant, theta)
-        # A wheel turned to the left slides less to the left.
+        # Steering a wheel to the left reduces its slip to the left.
         return slip_front - theta.to_front_steer * y, slip_rear - theta.to_rear_steer * y
 
     @staticmethod

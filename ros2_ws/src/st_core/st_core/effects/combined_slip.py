@@ -13,7 +13,7 @@ from ..ops import maximum, minimum, sin, sqrt
 from ..tyres import magic_formula_peak
 from ._base import Effect, Parameter, register
 
-MAX_SQUARE_RATIO = 0.98**2  # of (F_x / D)^2; the slope of the root is finite
+MAX_SQUARE_RATIO = 0.98**2  # maximum of (F_x / D)^2, so that the derivative of the root is finite
 
 
 class Drive(NamedTuple):

@@ -12,7 +12,7 @@ from ..ops import cos, sin, sqrt
 from ._base import Effect, Parameter, register
 
 AIR_DENSITY = 1.2  # kg/m^3
-SMALL_SQUARE = 1.0e-6  # (m/s)^2; the slope of the root is finite
+SMALL_SQUARE = 1.0e-6  # (m/s)^2, added so that the derivative of the root is finite
 
 
 class Car(NamedTuple):

@@ -1,4 +1,4 @@
-"""Friction other than in the tyre data: wet, cold, another tyre."""
+"""Friction that differs from the tyre data: wet or cold road, another tyre."""
 
 from dataclasses import replace
 

@@ -3,8 +3,8 @@
     D = peak D of the file,   1 - E = curvature (1 - E of the file) at every load,   slope K unchanged
 
 curvature > 1: an earlier and sharper peak; < 1: a later one. p_ey1 and p_ey2 stay within the limits of the vehicle
-file. Only the part of the curve over the driven slip can be fitted: that of `st_core.identification.axle_curve`, with
-its band. Source: Pacejka, Tire and Vehicle Dynamics, ch. 4.3.
+file. Only the part of the curve within the driven slip can be fitted, as reported by
+`st_core.identification.axle_curve` with its band. Source: Pacejka, Tire and Vehicle Dynamics, ch. 4.3.
 """
 
 from dataclasses import replace

@@ -2,7 +2,7 @@
 
     dF = share m a_y h / track, split between the axles;   F = F(F_z / 2 + dF) + F(F_z / 2 - dF) of two tyres
 
-a_y = (F_f + F_r) / m of the forces without the transfer. The difference to two equally loaded tyres is added to the
+a_y = (F_f + F_r) / m of the forces without the transfer. The difference from two equally loaded tyres is added to the
 axle force. With steered wheels, the difference also has a component along the car, backwards at the outer wheel:
 
     M_z = -track / 2 sin delta (F_outer - F_inner) of the front axle, against the turn

@@ -2,8 +2,9 @@
 
     dF_z = m height a_x / l from the front axle to the rear,   F = F + F_MF(F_z + dF_z) - F_MF(F_z),   a_x = v_x_dot
 
-height is that missing in the base model: all of it for linear tyres, the excess over the vehicle file for the Magic
-Formula. F_MF is the Magic Formula of the vehicle file, two tyres per axle, F_z their loads with the CG of the file.
+height is the CG height that the base model lacks: all of it for linear tyres, the excess above that of the vehicle file
+for the Magic Formula. F_MF is the Magic Formula of the vehicle file, two tyres per axle, F_z their loads with the CG of
+the file.
 """
 
 from ..models.nonlinear_tyre import axle_loads

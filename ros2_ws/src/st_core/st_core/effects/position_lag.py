@@ -1,6 +1,6 @@
-"""Late position, to first order: (x, y)_measured = (x, y) - time R(yaw) (v_x, v_y), of the INS point.
+"""Delay of the measured position, to first order: (x, y)_measured = (x, y) - time R(yaw) (v_x, v_y), of the INS point.
 
-time > 0: the measured position is late. `observe` applies this effect first and `correct` undoes it last, when yaw and
+time > 0: the measured position lags. `observe` applies this effect first and `correct` undoes it last, when yaw and
 velocity are already true, so `correct` is the exact inverse of `observe`.
 """
 

@@ -4,7 +4,7 @@ lean is the lateral acceleration filtered by the roll of the body, second order:
 
     lean_ddot = (2 pi f)^2 (a_y - lean) - 2 zeta 2 pi f lean_dot,   a_y = (F_f cos delta + F_r) / m
 
-The change of delta acts on the slip angle only; by the direction of the force it would change it by less than 0.1 %.
+The change of delta acts only on the slip angle; its effect on the direction of the force, below 0.1 %, is neglected.
 """
 
 from ..ops import cos

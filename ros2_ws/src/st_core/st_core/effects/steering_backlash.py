@@ -1,4 +1,4 @@
-"""Play in the steering: the wheels follow at its ends only."""
+"""Play in the steering: the wheels follow only at the ends of the play."""
 
 from collections.abc import Callable
 

@@ -1,7 +1,7 @@
 """First-order lag in the steering: time_constant delta_dot = delta_measured - delta.
 
-It acts on the measured angle alone, so it is solved on the recording: exactly, for a piecewise linear angle, without a
-further state or an assumed initial value. In steady state at the first sample and after each gap.
+It acts only on the measured angle, so it is solved for the recording: exactly, for a piecewise linear angle, without a
+further state. At the first sample and after each gap it is in steady state.
 """
 
 import numpy as np
@@ -33,7 +33,7 @@ class SteeringLag(Effect):
         with np.errstate(divide="ignore", invalid="ignore"):
             x = np.where(begins, 1.0, spacing / theta.time_constant)
             loss = -np.expm1(-x)
-            mean = loss / x  # of exp(-t / time_constant) over the interval
+            mean = loss / x  # mean of exp(-t / time_constant) in the interval
         factor = np.where(begins, 0.0, 1.0 - loss)
         offset = np.where(begins, angle, (mean - factor) * before + (1.0 - mean) * angle)
         return time, scan((factor, offset), affine)[1]

@@ -1,6 +1,6 @@
 """Load dependence of the cornering stiffness of both axles; the stiffness at the static load of the file is unchanged.
 
-    K(F_z) = K_0 sin(p_ky4 atan(F_z / (factor p_ky2 F_z0))),   K_0 such that K at the static load of one tyre stays
+    K(F_z) = K_0 sin(p_ky4 atan(F_z / (factor p_ky2 F_z0))),   K_0 such that K at the static load of one tyre is kept
 
 factor > 1: the load of the largest stiffness is higher, so K is more nearly proportional to the load. Source: paper,
 appendix.

@@ -1,4 +1,4 @@
-"""Relaxation of the tyre force over distance: length / v d(alpha')/dt = alpha - alpha', force from alpha'.
+"""Relaxation of the tyre force with the distance rolled: length / v d(alpha')/dt = alpha - alpha', force from alpha'.
 
 v >= minimum_slip_speed, so that the force decays at standstill. A time constant tau = length / v below 25 ms would be
 too stiff for steps of 50 ms; the state then has a time constant of 25 ms and is weighted by tau / 25 ms, so that

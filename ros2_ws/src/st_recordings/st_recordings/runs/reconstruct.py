@@ -44,7 +44,7 @@ class Reconstruction:
         self._topics = storage.topics()
 
     def has(self, type_name: str) -> bool:
-        """Whether the recording holds messages of a type."""
+        """Whether the recording contains messages of a type."""
         return any(t.type_name == type_name and t.count for t in self._topics)
 
     def topic(self, type_name: str) -> Topic:

@@ -21,7 +21,7 @@ from .run_types import RunSource
 GENERIC_NAMES = ("run", "bag")
 """File names without meaning (run.ncom with run.mf4, bag/ of st live): the run is named after the folder."""
 DOCUMENT_EXTENSIONS = (".md", ".txt", ".rst", ".pdf", ".html", ".png", ".jpg", ".json", ".yaml", ".yml", "")
-"""Extensions that no recording has: README, LICENSE and the like, ignored among recordings."""
+"""Extensions that no recording has, such as those of README and LICENSE; ignored among recordings."""
 MAX_SPLIT_GAP = 5.0
 """s, between the end of one file of a bag and the start of the next."""
 TABLE_EXTENSIONS = (".lvm", ".xls", ".xlsx", ".ods", ".mat", ".parquet", ".feather", ".h5",
@@ -38,7 +38,7 @@ UNKNOWN_ADVICE = {
     **dict.fromkeys((".gz", ".zip", ".7z", ".bz2", ".xz", ".zst", ".zstd"), "unpack it first"),
     **dict.fromkeys(TABLE_EXTENSIONS, "rename it to .csv if it is a text table with a header line; else export one"),
 }
-"""What to do with a file that no reader knows, by extension."""
+"""Advice on a file that no reader supports, by extension."""
 
 
 def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:

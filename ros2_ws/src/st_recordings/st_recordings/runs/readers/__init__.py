@@ -22,7 +22,7 @@ class Reader:
     kind: its name. key: of its file in a run.yaml. extensions: of its files, lower case. read: reads the whole drive of
     a run; raises RunError. read_ins: reads the INS alone, if the steering is in CAN logs. is_folder: whether a folder
     is one recording. has_drive: quick test of a file found in a folder; True if undecided. is_incomplete: whether a
-    file without a drive was meant as one, and is to be reported. lacks_steering: whether a recording holds an INS
+    file without a drive was meant as one, and is to be reported. lacks_steering: whether a recording has an INS
     alone, to which CAN logs belong; None for a kind that never has a steering angle. scales_yaw: whether `read` itself
     applies a corrected scale of yaw.
     """
