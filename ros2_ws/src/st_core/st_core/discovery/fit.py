@@ -139,8 +139,8 @@ class Problem:
         return np.maximum(self.sizes(self.errors.at(self.start)), 1e-12)
 
     def sizes(self, rows: np.ndarray) -> np.ndarray:
-        """(c,) RMS of the residuals of each column, averaged over the points of the horizon [SI]; residuals are clipped
-        at MAX_SCALED scales of the baseline residuals."""
+        """(c,) RMS of the residuals of each column at all points of the horizon [SI]; residuals are clipped at
+        MAX_SCALED scales of the baseline residuals."""
         limit = MAX_SCALED * self._baseline_scale
         square = np.square(np.clip(np.nan_to_num(rows, nan=np.inf), -limit, limit))
         points = np.where(self.loss.known, square, 0.0).sum(axis=0) / np.maximum(self.loss.known.sum(axis=0), 1)

@@ -305,8 +305,8 @@ class Discovery:
     to a run, place, time or condition; unknown = a significant residual that no effect of the library explains;
     not_testable = too little excitation. start: of the search. minor: significant effects too small to be named, in
     the model so that they do not bias the values of the others. varying: significant effects that vary between parts of
-    the drives. effective: effective corrections, which improve predictions but are not properties of the car whatever
-    their names; part of the model, never of a vehicle file.
+    the drives. effective: corrections that improve predictions but are not properties of the car, whatever their names;
+    part of the model, never of a vehicle file.
 
     base: the model at the start; model: the best prediction, with all effects, None without any; named: with named and
     minor effects only, at the reported values. steps: from the base to the named effects. gap: errors of base and best

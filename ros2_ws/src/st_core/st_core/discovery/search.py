@@ -202,7 +202,7 @@ class Search:
         gains = found.scores.gains
         largest = max((gain.sum() for gain, _ in gains.values()), default=0.0)
         relevant = max(limits.negligible * p.scored_count, CONTENDER_SHARE * largest)
-        # A load is tried only in exchange for an effect with similar consequences.
+        # A load is tried only in place of an effect that changes predictions similarly.
         ranked = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum())
                   if gains[e][0].sum() > CONTENDER_SHARE * relevant and e not in p.space.additions]
         # Significant effects come first: with much noise, others gain more by chance.
@@ -372,7 +372,7 @@ class Search:
     def _weakest_failing(self, found: Found, required: float = np.inf) -> str:
         """Fill in `evidence` and `without`, and return the weakest effect that fails the test, "" if none does.
 
-        required: an effect whose removal raises the loss by three times this per residual passes without a refit.
+        required: an effect passes without a refit if its removal raises the loss per residual by three times this.
         """
         p = self.problem
         found.cached_scores = found.cached_scores or self._scores(found.fit)

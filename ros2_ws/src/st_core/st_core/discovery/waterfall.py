@@ -74,9 +74,9 @@ def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Lev
     """Values with 95 % intervals.
 
     Half width: the largest of three, from (1) blocks taken as independent, (2) the scatter between the parts of a
-    level, such as runs or sites, (3) the `joint` fit with all other parameters free, with the model error, times
-    `unexplained`, the ratio of residual to noise (Birge, Phys. Rev. 40, 1932). The interval extends to the values in
-    `near`, sets of effects that fit nearly as well. It thus allows for differences between model equations and car.
+    level, such as runs or sites, (3) the `joint` fit with all other parameters free, times `unexplained`, the ratio of
+    residual to noise (Birge, Phys. Rev. 40, 1932), with the model error added in quadrature. The interval extends to
+    the values in `near`, sets of effects that fit nearly as well, and thus allows for errors of the model equations.
     """
     space, result = problem.space, {}
     indices = space.indices(effect)
