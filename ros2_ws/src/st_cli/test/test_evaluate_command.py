@@ -23,7 +23,7 @@ def folder(tmp_path_factory):
     base = tmp_path_factory.mktemp("evaluate")
     write_drive(base / "data" / "weave.csv", weave())
     write_drive(base / "data" / f"{HOSTILE.replace('/', '-')}.csv", weave(8.0, 6.0))
-    (base / "data" / "notes.txt").write_text("nothing")
+    (base / "data" / "notes.odt").write_text("nothing")
     write_drive(base / "data" / "short.csv", weave(3.0))
     (base / "data" / "labels.run.yaml").write_text(
         "name: labelled\ncsv: weave.csv\nlabels: [{name: slalom, start: 1, end: 9}]\n")
@@ -133,7 +133,7 @@ def test_wrong_options_say_so_in_one_line(folder, tmp_path, arguments, words):
 @pytest.mark.parametrize(("run", "words"), [
     ("none.csv", "none.csv: the file or folder does not exist"),
     ("empty", "no recording is in this folder"),
-    ("data/notes.txt", "the extension .txt is not that of a recording"),
+    ("data/notes.odt", "the extension .odt is not that of a recording"),
 ])
 def test_nothing_to_evaluate_leaves_nothing(folder, tmp_path, run, words):
     base, _ = folder

@@ -29,7 +29,7 @@ def fitted(leaf, names, scale=None):
     laws = RelationFits(windows, augment("nonlinear", {}), 0.0, (), SETTINGS)
     laws.loss.scale = laws.loss.scale if scale is None else scale
     without = laws.answer_alone()
-    return laws, [laws.fit(c, without, 0.03) for c in (LAW, OTHER)]
+    return laws, [laws.fit(c, without) for c in (LAW, OTHER)]
 
 
 def deviation(fit):
