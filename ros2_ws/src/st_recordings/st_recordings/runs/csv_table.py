@@ -185,17 +185,20 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
              and source.column < len(first) and not np.isfinite(columns[channel]).any()}
     if time is None:
         return Table(file, tuple(names), sources, columns, np.empty(0, np.int64), 0, np.empty(0, bool), tuple(warnings))
-    pair = stamp_columns(names)
-    stamps = rows[:, time.column]
-    if pair and pair[0] == time.column:
-        fraction = rows[:, pair[1]]
-        if np.nanmax(fraction, initial=0.0) < 1e9 and not np.nan_to_num(stamps % 1.0).any():
-            stamps = stamps + 1e-9 * fraction  # else the first column is the whole time
-    seconds = _seconds(file, stamps, time, warnings)
+    seconds = _seconds(file, _with_nanoseconds(rows, names, time.column), time, warnings)
     has_time, time_ns, used = _usable_times(file, seconds, time, first_time, warnings)
     columns = {channel: values[has_time] for channel, values in columns.items()}
     sources = _read_degrees(file, sources, columns, time_ns, warnings)
     return Table(file, tuple(names), sources, columns, time_ns, int((~has_time).sum()), used, tuple(warnings), texts)
+
+
+def _with_nanoseconds(rows: np.ndarray, names: list[str], column: int) -> np.ndarray:
+    """Times of a column, with the nanoseconds of a ROS stamp unless that column is the whole time."""
+    stamps, pair = rows[:, column], stamp_columns(names)
+    if pair is None or pair[0] != column or np.nan_to_num(stamps % 1.0).any():
+        return stamps
+    fraction = rows[:, pair[1]]
+    return stamps + 1e-9 * fraction if np.nanmax(fraction, initial=0.0) < 1e9 else stamps
 
 
 def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layout: Layout,
