@@ -32,7 +32,7 @@ def run(tmp_path_factory: pytest.TempPathFactory):
     try:
         nodes = [processes.node("st_predictor", "identifier", f"vehicle_file:={vehicle}"),
                  processes.node("st_predictor", "recorder", f"output_directory:={folder / 'bag'}")]
-        wait_for(lambda: "tracks" in processes.log("identifier") and "[recorder]" in processes.log("recorder"),
+        wait_for(lambda: "estimates" in processes.log("identifier") and "[recorder]" in processes.log("recorder"),
                  what="nodes up")
         feeder = processes.start([sys.executable, str(ROOT / "tests" / "winding_feeder.py"), "--vehicle", str(vehicle),
                                   "--seconds", "140"],
