@@ -650,6 +650,24 @@ def test_a_missing_file_of_a_bag_is_named(tmp_path: Path, drive) -> None:
     assert_warned(second.warnings, "2 files between drive_3.mcap and this one are missing: they are read as separate")
 
 
+def test_bags_named_by_the_time_of_day_lack_no_file(tmp_path: Path, drive) -> None:
+    splits(tmp_path, drive[1])
+    for file in tmp_path.glob("drive_*.mcap"):
+        if name := {"drive_0": "drive_101500", "drive_2": "drive_104500"}.get(file.stem):
+            file.rename(tmp_path / f"{name}.mcap")
+        else:
+            file.unlink()
+    for source in find_runs([tmp_path]):
+        assert not [warning for warning in read(source, CAR).warnings if "missing" in warning]
+
+
+def test_a_text_export_of_a_recording_in_its_folder_is_no_run(tmp_path: Path, drive) -> None:
+    (tmp_path / "a.csv").write_text(csv(rows(drive[1])))
+    (tmp_path / "a.txt").write_text(csv([row[:-1] for row in rows(drive[1])], "\t".join(NAMES[:-1]), "\t"))
+    assert [run.files for run in find_runs([tmp_path])] == [(tmp_path / "a.csv",)]
+
+
+
 def test_a_bag_of_another_encoding_is_named(tmp_path: Path, drive) -> None:
     file = write_bag(tmp_path / "json.mcap", drive[1], 0, 5, encoding="json")
     with pytest.raises(RunError, match="its messages are encoded as json, and only CDR of ROS 2 can be read"):
