@@ -1,4 +1,4 @@
-"""A drive as columns and as a bag of another make, and comparisons with what was read of it."""
+"""A drive as columns, CSV, VBO and as a bag of another make, and comparisons with what was read of it."""
 
 import json
 import re
@@ -21,6 +21,43 @@ STORE = typestore(definitions_folder())
 def columns(log: DriveLog) -> list[np.ndarray]:
     wheel = np.interp(log.ins_time_ns, log.steering_time_ns, log.steering_wheel_angle)
     return [log.ins_time_ns * 1e-9, log.x, log.y, log.yaw, log.velocity_x, log.velocity_y, log.yaw_rate, wheel]
+
+
+def csv(cells: list[list[str]], header: str = ",".join(NAMES), delimiter: str = ",") -> str:
+    return "\n".join([header, *(delimiter.join(row) for row in cells)]) + "\n"
+
+
+def rows(log: DriveLog, form: str = "%.6f") -> list[list[str]]:
+    return [[form % value for value in row] for row in zip(*columns(log), strict=True)]
+
+
+def clock(seconds: float) -> str:
+    return f"{int(seconds // 3600):02d}:{int(seconds // 60 % 60):02d}:{seconds % 60:09.6f}"
+
+
+def to_degrees(log) -> tuple[np.ndarray, np.ndarray]:
+    """Latitude and longitude of x and y about 52 N, 1.5 W, first order."""
+    a, e2, origin = 6378137.0, 6.69437999014e-3, np.radians(52.0)
+    n = a / np.sqrt(1 - e2 * np.sin(origin) ** 2)
+    m = n * (1 - e2) / (1 - e2 * np.sin(origin) ** 2)
+    return 52.0 + np.degrees(log.y / m), -1.5 + np.degrees(log.x / (n * np.cos(origin)))
+
+
+def vbo(log, start: float = 43200.0, last_wrong: bool = True, seconds_of_day: bool = False) -> str:
+    latitude, longitude = to_degrees(log)
+    speed = np.hypot(log.velocity_x, log.velocity_y) * 3.6
+    course = (90 - np.degrees(log.yaw + np.arctan2(log.velocity_y, log.velocity_x))) % 360
+    wheel = np.degrees(columns(log)[7])
+    lines = []
+    for k, elapsed in enumerate((log.ins_time_ns - log.ins_time_ns[0]) * 1e-9):
+        seconds = (start + elapsed) % 86400 + (180 if last_wrong and k == len(log.x) - 1 else 0)
+        clock = f"{int(seconds // 3600):02d}{int(seconds // 60 % 60):02d}{seconds % 60:05.2f}"
+        clock = f"{seconds:.2f}" if seconds_of_day else clock
+        lines.append(f"010 {clock} {latitude[k] * 60:+014.8f} {-longitude[k] * 60:+014.8f} {speed[k]:07.3f} "
+                     f"{course[k]:06.2f} {wheel[k]:+.4E}")
+    return ("File created on 03/09/2025 @ 12:00:00\n\n[header]\nsatellites\ntime\nlatitude\nlongitude\nvelocity kmh\n"
+            "heading\nSteer\n\n[channel units]\ndeg\n\n[comments]\nLog Rate (Hz) : 100\n\n[column names]\n"
+            "sats time lat long velocity heading Steer\n\n[data]\n" + "\n".join(lines) + "\n")
 
 
 def odometry(log: DriveLog, k: int, stamp_ns: int) -> bytes:

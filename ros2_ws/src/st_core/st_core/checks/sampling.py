@@ -245,8 +245,7 @@ def _check_clipped(name: str, time: np.ndarray, values: np.ndarray, motion: Moti
         long = 1 + np.flatnonzero((values[first[1:-1]] == limit) & (
             lengths[1:-1] > CLIP_RATIO * np.maximum(lengths[:-2], lengths[2:])))
         held = [int(k) for k in long if time[last[k]] - time[first[k]] > MIN_CLIP_TIME
-                and _should_change(name, time[first[k]], time[last[k]], motion, step)
-                and (name != "road_wheel_angle" or _curvature_changes(time[first[k]], time[last[k]], motion))]
+                and _should_change(name, time[first[k]], time[last[k]], motion, step)]
         found += held if len(held) > 1 else []
     if not found:
         return []
@@ -297,16 +296,12 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, step: fl
     related, min_change = RELATED_RATES[name]
     rate = related(motion)[inside]
     rounding = 3.0 * step if name in IN_UNIT_OF_RELATED else 0.0
-    return bool(np.percentile(rate, 95) - np.percentile(rate, 5) > max(min_change, rounding))
-
-
-def _curvature_changes(begin: float, end: float, motion: Motion) -> bool:
-    """Whether the radius changes, which steering at its mechanical stop does not allow."""
-    inside = (motion.time >= begin) & (motion.time <= end) & (motion.velocity_x > 2.0)
-    if inside.sum() < 3:
-        return False
-    low, median, high = np.percentile(motion.yaw_rate[inside] / motion.velocity_x[inside], [5, 50, 95])
-    return bool(high - low > MIN_CURVATURE_CHANGE * abs(median))
+    low, high = np.percentile(rate, [5, 95])
+    if name == "road_wheel_angle":  # held at its mechanical stop, it turns the car faster at a higher speed
+        curvature = rate / np.maximum(motion.velocity_x[inside], 2.0)
+        tight, wide = np.percentile(np.abs(curvature), [95, 5])
+        return bool(high - low > min_change and tight - wide > MIN_CURVATURE_CHANGE * np.median(np.abs(curvature)))
+    return bool(high - low > max(min_change, rounding))
 
 
 def _smooth_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
