@@ -17,7 +17,7 @@ from st_core.effects._relation import SPLINES, RelationEffect, curve
 from st_core.errors import ConfigurationError
 from st_core.integrate import rk4
 from st_core.models import MODELS
-from st_core.relations import Candidate, find_relation
+from st_core.relations import Candidate, find_relation, relation_fit
 from st_core.relations.candidates import (
     ADMISSIBLE,
     ALL_TERMS,
@@ -29,7 +29,7 @@ from st_core.relations.candidates import (
     run_time,
 )
 from st_core.relations.formulas import fitted_shapes, simulated_formulas
-from st_core.relations.relation_fit import RelationFits, RunWindows
+from st_core.relations.relation_fit import SMOOTHING, RelationFits, RunWindows
 from st_core.relations.relation_search import _reported
 from st_core.relations.selection import RunShares, deterioration, equally_good, lower_bound, rejected_curve, small_gain
 from st_core.vehicle import VehicleParameters
@@ -347,7 +347,7 @@ def test_a_law_of_some_runs_is_told_apart():
 
 
 @pytest.mark.slow
-def test_a_formula_is_reported_only_if_it_keeps_the_gain_when_simulated(leaf):
+def test_a_formula_is_reported_only_if_it_keeps_the_gain_when_simulated(leaf, monkeypatch):
     """A straight line without its constant has the slope of this curve, but not its effect in the simulation."""
     c = Candidate("yaw_moment", "speed", 0.0, 6.0, 18.0)
     logs = recorded(leaf, law(c, lambda u: 0.3 - 0.02 * u), 3, DRIVEN)
@@ -357,6 +357,11 @@ def test_a_formula_is_reported_only_if_it_keeps_the_gain_when_simulated(leaf):
     without = fits.answer_alone()
     low, high = np.quantile(windows.joined.velocity_x, [0.01, 0.99])
     fit = fits.fit(Candidate("yaw_moment", "speed", 0.0, float(low), float(high)), without)
+    losses = {}
+    for smooth in SMOOTHING:
+        monkeypatch.setattr(relation_fit, "SMOOTHING", (smooth,))
+        losses[smooth] = float(fits.fit(fit.candidate, without).held_out.sum())
+    assert fit.smooth == min(losses, key=losses.get) < max(SMOOTHING)
     formulas = simulated_formulas(fits, fit, without)
     assert formulas and all(0.9 <= one.kept < 1.2 for one in formulas)
     assert not any(re.fullmatch(r"y = \S+ u( \|u\|)?", one.text) for one in formulas)

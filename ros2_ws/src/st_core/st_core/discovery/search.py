@@ -109,7 +109,8 @@ class Search:
                     break
 
     def _with_other(self, fit: Fit, name: str, size: np.ndarray | float) -> Fit:
-        """The fit of the same set with another effect fixed at `size` parameter scales from its start value."""
+        """The fit of the same set with another effect `size` parameter scales from its start value: fixed there, or
+        with a reference, which frees all parameters, with that value as its prior mean."""
         p, own = copy(self.problem), self.problem.space.indices(name)
         p.start = p.start.copy()
         p.start[own] += size * p.space.scale[own]

@@ -153,7 +153,11 @@ def speeds_of(signals: CanSignals, to_reference: Callable[[np.ndarray], np.ndarr
 
 
 def load_signal_table(dbc: Path, table: Path) -> SignalTable:
-    """The signal table of a DBC. Raises RunError where the two contradict each other."""
+    """The signal table of a DBC. Raises RunError if a file is missing or the two contradict each other."""
+    for file, option in ((table, "--signals"), (dbc, "--dbc")):
+        if not file.is_file():
+            raise RunError(file, "the file does not exist, and a CAN log cannot be decoded without it",
+                           f"give one by {option}, or a car with one by --car")
     try:
         return load_table(dbc, table)
     except ValueError as error:
