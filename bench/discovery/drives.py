@@ -27,13 +27,13 @@ OFF = {"factor": 0.02, "angle": 0.0005}
 @dataclass(frozen=True)
 class Drives:
     """reference, suspect: what `discover` gets, with `vehicle` as the file. held_out: more drives of the suspect car;
-    twin: the same programmes driven by the healthy car, on request. truth: values of all effects the plant has a switch
+    healthy_held_out: the same programmes driven by the healthy car. truth: values of all effects the plant has a switch
     for, relative to that file. mistaken: names of effects that identification got wrong in it."""
 
     reference: tuple[DriveLog, ...]
     suspect: tuple[DriveLog, ...]
     held_out: tuple[DriveLog, ...]
-    twin: tuple[DriveLog, ...]
+    healthy_held_out: tuple[DriveLog, ...]
     vehicle: VehicleParameters
     truth: Values
     mistaken: tuple[str, ...] = ()
@@ -60,10 +60,10 @@ def drives_of(case: Case) -> Drives:
     reference: tuple[DriveLog, ...] = ()
     if case.reference:
         reference = _reference(case.car, tuple(sorted(case.file.items())), case.with_vy)
-    twin = _held_out(case, vehicle, case.car.settings) if case.block in "DE" else []
+    healthy_held_out = _held_out(case, vehicle, case.car.settings) if case.block in "DE" else []
     truth = true_values(case.settings, case.file or case.settings, vehicle) | mistaken
     wrong = tuple(n for n, values in mistaken.items() for p, v in values.items() if abs(v - null_of(n, p)) > OFF[p])
-    return Drives(reference, tuple(suspect), tuple(held_out), tuple(twin), vehicle, truth, wrong)
+    return Drives(reference, tuple(suspect), tuple(held_out), tuple(healthy_held_out), vehicle, truth, wrong)
 
 
 def driven_more(case: Case, vehicle: VehicleParameters, orders: list[Order]) -> tuple[DriveLog, ...]:

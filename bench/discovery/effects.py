@@ -167,7 +167,7 @@ def members(name: str) -> tuple[str, ...]:
 
 
 def alike(first: str, second: str) -> bool:
-    """Whether two names stand for the same: equal, one a part of the other, or declared twins."""
+    """Whether two names stand for the same: equal, one a part of the other, or declared as confounded."""
     if first == second or first in members(second) or second in members(first):
         return True
-    return second in get_effect(first).twins or first in get_effect(second).twins
+    return second in get_effect(first).confounded_with or first in get_effect(second).confounded_with

@@ -37,7 +37,7 @@ def judged(case: Case, drives: Drives, found: Discovery) -> Record:
     if case.block == "E":
         return _rounded(_visible(case, drives, judge, base, answer))
     if case.block == "D":
-        healthy = Judge(drives.twin, drives.vehicle, settings)
+        healthy = Judge(drives.healthy_held_out, drives.vehicle, settings)
         judge.size = np.sqrt(np.nanmean(np.square(healthy.errors(base)), axis=0))
         start = {n: drives.truth[n] for n in case.hidden}
         oracle = Oracle(drives.suspect, drives.vehicle, case.hidden, start, settings, base)
@@ -63,7 +63,7 @@ def _compared(judge: Judge, **points: Point) -> Record:
 
 def _visible(case: Case, drives: Drives, judge: Judge, base: Point, answer: Point) -> Record:
     """Whether what is hidden shows on held-out drives: loss of the base over its loss on the healthy car's."""
-    healthy = Judge(drives.twin, drives.vehicle, settings_of(case))
+    healthy = Judge(drives.healthy_held_out, drives.vehicle, settings_of(case))
     healthy.sized_by(base)
     judge.size = healthy.size
     return _compared(judge, base=base, found=answer) | {"seen": judge.loss(base) / healthy.loss(base)}

@@ -50,12 +50,12 @@ class LawCase:
 
 @dataclass(frozen=True)
 class LawDrives:
-    """suspect, held_out: of the car with the law. healthy, twin: the same programmes without it; () in block N."""
+    """suspect, held_out: of the car with the law. healthy, healthy_held_out: without it; () in block N."""
 
     suspect: list[DriveLog]
     held_out: list[DriveLog]
     healthy: list[DriveLog]
-    twin: list[DriveLog]
+    healthy_held_out: list[DriveLog]
     vehicle: VehicleParameters
 
 

@@ -47,7 +47,7 @@ def run_case(case: LawCase, whole: bool = True) -> Record:
               "position": {"base": position(judge, found.base), "found": position(judge, answer),
                            "proposed": position(judge, after)}}
     if whole and case.hidden:
-        record["position"]["oracle"] = _oracle(case, drives.healthy, drives.twin, vehicle)
+        record["position"]["oracle"] = _oracle(case, drives.healthy, drives.healthy_held_out, vehicle)
         record["baselines"] = relation_baselines.compared(drives.suspect, drives.held_out, vehicle, answer, settings)
     return record
 
@@ -66,12 +66,12 @@ def position(windows: RunWindows, model: AugmentedModel) -> float:
     return float(np.mean(np.minimum(np.nan_to_num(np.hypot(*last.T), nan=FURTHEST, posinf=FURTHEST), FURTHEST)))
 
 
-def _oracle(case: LawCase, healthy: list[DriveLog], twin: list[DriveLog], vehicle: VehicleParameters) -> float:
+def _oracle(case: LawCase, healthy: list[DriveLog], held_out: list[DriveLog], vehicle: VehicleParameters) -> float:
     """Residual error without the law: effects that are in the plant, fitted to the same programmes of the healthy car,
     on the same held-out programmes."""
     names = {*SCATTER, *(n for n in different(case.car.plant) if members(n) == (n,))} - set(ORACLE_LEFT_OUT)
     best = Oracle(healthy, vehicle, names, {}, case.settings).best
-    return position(RunWindows(twin, vehicle, case.settings), best.model)
+    return position(RunWindows(held_out, vehicle, case.settings), best.model)
 
 
 def _answer_record(found: Discovery, search: RelationSearch) -> Record:

@@ -60,7 +60,7 @@ def states(r: Record, hidden: str) -> bool:
 
 
 def is_false(r: Record, effect: Record) -> bool:
-    """Nothing in a statement is hidden, a declared twin of that, or truly different between plant and model."""
+    """Nothing in a statement is hidden, an effect confounded with it, or truly different between plant and model."""
     true = {*different(r["plant"]), *r.get("mistaken", ())}
     if any(name in true or any(alike(name, h) for h in r["hidden"]) for name in _names(effect)):
         return False

@@ -20,7 +20,7 @@ def statements(result: Mapping[str, Any]) -> list[dict[str, Any]]:
     truth, found = result["truth"], []
     for one in named(result["answer"]):
         name, present = one["name"], truth["effects"]
-        there = name in present or any(name in group and set(group) & set(present) for group in truth["twins"])
+        there = name in present or any(name in group and set(group) & set(present) for group in truth["confounded"])
         there = there or any(member in present for member in MEMBERS.get(name, ()))
         line = {"effect": name, "in_car": there, "set": sorted(alternatives(one)), "inside": None}
         if one.get("parameters"):

@@ -1,4 +1,4 @@
-"""What is true of a case: effects of the library that are in the car, their values, twins, axle force curves."""
+"""What is true of a case: effects of the library that are in the car, their values, confounded groups, force curves."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -33,7 +33,7 @@ ACCEPTED = {
     "delay": ("steering_delay", "steering_lag"), "gyro_scale": ("yaw_rate_scale",), "gyro_bias": ("yaw_rate_bias",),
     "heading": ("heading_misalignment",)}
 """Names under which a hidden error counts as named: its own and those of effects that act identically."""
-TWINS = (("front_stiffness", "steering_compliance", "roll_steer"), ("steering_delay", "steering_lag"))
+CONFOUNDED = (("front_stiffness", "steering_compliance", "roll_steer"), ("steering_delay", "steering_lag"))
 """Effects that act identically at the accelerations driven; `tyre_stiffness` is the sum of both axles' stiffness."""
 
 
@@ -52,7 +52,7 @@ def truth_of(case: Case, drives: Iterable[np.ndarray], vehicle: VehicleParameter
     return {
         "car": car.name, "description": car.description, "origin": car.origin,
         "hidden": {name: {"size": size, "accepted": list(ACCEPTED[name])} for name, size in case.hidden.items()},
-        "effects": effects, "twins": [list(group) for group in TWINS], "axles": curves,
+        "effects": effects, "confounded": [list(group) for group in CONFOUNDED], "axles": curves,
         "tyre_stiffness_front": car.numbers.stiffness_front / vehicle.cornering_stiffness_front,
         "body": {"mass": car.numbers.mass, "inertia": car.numbers.inertia, "wheelbase": car.numbers.wheelbase,
                  "front": car.numbers.front},

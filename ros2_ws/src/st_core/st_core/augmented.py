@@ -173,9 +173,9 @@ def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedMode
 def _check_applicable(base: Model, effects: Sequence[type[Effect]]) -> None:
     kinds = {base.name}
     # An effect may turn the model into a kind that another effect turns into a third: one pass per such effect.
-    lifts = [effect.lifts for effect in effects if effect.lifts]
-    for _ in lifts:
-        kinds |= {to for start, to in lifts if start in kinds}
+    conversions = [effect.converts for effect in effects if effect.converts]
+    for _ in conversions:
+        kinds |= {to for start, to in conversions if start in kinds}
     for effect in effects:
         if not effect.applies_to & kinds:
             allowed = " or ".join(sorted(effect.applies_to))

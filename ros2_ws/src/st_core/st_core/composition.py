@@ -55,13 +55,13 @@ class _Layout:
 @cache
 def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composed:
     """The functions of a base model with effects, in the order in which they act; the same objects at every call."""
-    acting = tuple(e for e in effects if e.lifts or any(getattr(e, hook) for hook in ("inputs", *EQUATION_HOOKS)))
+    acting = tuple(e for e in effects if e.converts or any(getattr(e, hook) for hook in ("inputs", *EQUATION_HOOKS)))
     if not acting:
         return Composed((), base.inputs, base.rhs)
     layouts = _layouts(acting)
     signals = tuple(dict.fromkeys(name for effect in acting for name in effect.signals))
     changed_inputs = _changed_inputs(layouts, signals)
-    if not any(e.lifts or getattr(e, hook) for e in acting for hook in EQUATION_HOOKS):
+    if not any(e.converts or getattr(e, hook) for e in acting for hook in EQUATION_HOOKS):
         return Composed(acting, _inputs_only(base.inputs, changed_inputs), _rhs_of_base(base.rhs), signals=signals)
     base_begin = layouts[-1].prepared[1]
     geometric_slips, base_forces, motion = _dynamics(base, layouts, base_begin)
@@ -70,7 +70,7 @@ def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composed:
                _chain(_no_acceleration, _add_acceleration, layouts, "acceleration"),
                _chain(_nothing, _add_rates, layouts, "rates"))
     if base.axles is None:
-        rhs = _blended(base.rhs, rhs, base_begin, _lift(layouts).index)
+        rhs = _blended(base.rhs, rhs, base_begin, _conversion_layout(layouts).index)
     extra_states = tuple(f"{e.name}.{name}" for e in acting for name in e.extra_states)
     start = _start(_chain(_nothing, _add_start, layouts, "extra_states"), geometric_slips) if extra_states else None
     force = _chain(_no_force, _add_specific_force, layouts, "specific_force")
@@ -96,9 +96,9 @@ def _chain(function, add, layouts: list[_Layout], attribute: str):
     return function
 
 
-def _lift(layouts: list[_Layout]) -> _Layout:
+def _conversion_layout(layouts: list[_Layout]) -> _Layout:
     """Layout of the effect that turns a kinematic base into a dynamic model."""
-    return next(layout for layout in layouts if layout.effect.lifts and layout.effect.lifts[0] == "kinematic")
+    return next(layout for layout in layouts if layout.effect.converts and layout.effect.converts[0] == "kinematic")
 
 
 # The functions returned below refer to plain functions and integers only, which compilers can inline.
@@ -110,8 +110,8 @@ def _instant(state, w, p):
 def _dynamics(base: Model, layouts: list[_Layout], base_begin: int):
     """Functions slips(at), forces(slip_front, slip_rear, at), motion(force_front, force_rear, at) of the dynamics."""
     if base.axles is None:
-        lift, axles = _lift(layouts), linear_tyre.AXLES
-        index, (begin, end) = lift.index, lift.prepared
+        conversion, axles = _conversion_layout(layouts), linear_tyre.AXLES
+        index, (begin, end) = conversion.index, conversion.prepared
 
         def w_and_p(instant):
             return instant.w[begin:end], instant.p.effects[index].constants

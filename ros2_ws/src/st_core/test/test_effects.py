@@ -69,7 +69,7 @@ def test_texts_and_parameters_are_complete(name):
     effect = EFFECTS[name]
     assert len(effect.physics) > 10 and len(effect.excited_by) > 10 and effect.__module__
     assert effect.applies_to <= ANY
-    assert set(effect.twins) | set(effect.members) <= set(EFFECTS) - {name}
+    assert set(effect.confounded_with) | set(effect.members) <= set(EFFECTS) - {name}
     assert effect.fold or effect.kind != "vehicle parameters"
     for p in effect.parameters:
         assert p.unit and p.source and p.meaning

@@ -9,7 +9,7 @@ from batched import predict_batch
 from effect_registry import restored
 from st_core import effects
 from st_core.augmented import augment
-from st_core.effects import EFFECTS, Effect, Parameter, get_effect, load_folder, register, twins_of
+from st_core.effects import EFFECTS, Effect, Parameter, confounded_effects, get_effect, load_folder, register
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.prediction import predict
 from st_core.types import ControlInput, InputSequence, VehicleState
@@ -148,8 +148,8 @@ def test_modules_of_a_folder_may_share_a_helper(tmp_path):
     ({"a.py": BANK_FROM_A_MAP.format(name="friction")}, r"a\.py: effect friction: registered already"),
     ({"a.py": BANK_FROM_A_MAP.format(name="twice"), "b.py": BANK_FROM_A_MAP.format(name="twice")},
      r"b\.py: effect twice: registered already, by .*a\.py"),
-    ({"a.py": BANK_FROM_A_MAP.format(name="mine").replace("kind,", 'twins = ("road_banc",)\n        kind,')},
-     "effect mine: twins: unknown effect road_banc, did you mean road_bank"),
+    ({"a.py": BANK_FROM_A_MAP.format(name="mine").replace("kind,", 'confounded_with = ("road_banc",)\n        kind,')},
+     "effect mine: confounded_with: unknown effect road_banc, did you mean road_bank"),
 ])
 def test_what_does_not_load_is_loud_and_leaves_nothing_behind(tmp_path, files, message):
     before = set(EFFECTS)
@@ -161,14 +161,14 @@ def test_what_does_not_load_is_loud_and_leaves_nothing_behind(tmp_path, files, m
         assert set(EFFECTS) == before
 
 
-def test_a_twin_is_one_of_both(tmp_path):
+def test_confounded_effects_are_listed_on_both_sides(tmp_path):
     """What an effect of one's own is hard to tell from, reaches the library's effect too."""
-    twin = BANK_FROM_A_MAP.replace("kind, slot", 'twins = ("road_bank",)\n        kind, slot')
-    write(tmp_path, "a.py", twin.format(name="mine"))
-    assert "mine" not in twins_of("road_bank")
+    text = BANK_FROM_A_MAP.replace("kind, slot", 'confounded_with = ("road_bank",)\n        kind, slot')
+    write(tmp_path, "a.py", text.format(name="mine"))
+    assert "mine" not in confounded_effects("road_bank")
     load_folder(tmp_path)
-    assert twins_of("mine") == {"road_bank"} and "mine" in twins_of("road_bank")
-    assert "road_bank" not in twins_of("road_bank")
+    assert confounded_effects("mine") == {"road_bank"} and "mine" in confounded_effects("road_bank")
+    assert "road_bank" not in confounded_effects("road_bank")
 
 
 def test_folder_that_is_not_there(tmp_path):

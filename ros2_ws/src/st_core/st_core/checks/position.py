@@ -185,15 +185,15 @@ def with_sign_alternative(findings: list[Finding], recorded: Motion, corrected: 
 def _refine_causes(problem: Regression, found: dict[str, Estimate], min_values: dict[str, float],
                    speed_varies: bool) -> dict[str, Estimate]:
     """Refined values of the causes found before, and further causes."""
-    excluded = {*found, *(twin for name in found for twin in CONFOUNDED.get(name, ()))}
+    excluded = {*found, *(other for name in found for other in CONFOUNDED.get(name, ()))}
     free = {name: value for name, value in min_values.items() if name not in excluded}
     more = _find_causes(problem, {name: value for name, value in free.items() if name not in BIASES}, tuple(found))
     _, scale, _ = problem.fit((*found, *more))
     loss = problem.loss((*found, *more), scale)
-    for bias, twins in BIASES.items():
-        if bias in free and twins & {*more} and speed_varies:
+    for bias, confounded in BIASES.items():
+        if bias in free and confounded & {*more} and speed_varies:
             candidates = {name: value for name, value in free.items()
-                          if name not in twins and (name == bias or name not in BIASES)}
+                          if name not in confounded and (name == bias or name not in BIASES)}
             instead = _find_causes(problem, candidates, tuple(found))
             if bias in instead and MIN_LOSS_RATIO * problem.loss((*found, *instead), scale) < loss:
                 more = instead

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy import stats
 
-from ..effects import twins_of
+from ..effects import confounded_effects
 from .evidence import FLIPS, Scores, library_p_value, make_scores, residual_over_noise, score
 from .fit import Fit, Problem
 from .loss import Quadratic
@@ -125,7 +125,7 @@ def _found(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, slo
     if p_value > limits.false_alarm or gains[best].sum() / problem.scored_count < required:
         return []
     return [e for e in gains if gains[e].sum() > (1.0 - limits.undecided_p) * gains[best].sum()
-            or (e in twins_of(best) and gains[e].sum() > limits.min_rival_gain * gains[best].sum())]
+            or (e in confounded_effects(best) and gains[e].sum() > limits.min_rival_gain * gains[best].sum())]
 
 
 def _held_out(problem: Problem, q: Quadratic, names: Sequence[str], vector: np.ndarray) -> np.ndarray:

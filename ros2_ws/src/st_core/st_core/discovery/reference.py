@@ -114,7 +114,7 @@ def theoretical_values(space: Space) -> np.ndarray:
     """(p,) values known from theory for any car; effects that turn the base model into another keep their null."""
     vector = space.null.copy()
     for i, free in enumerate(space.free):
-        if free.theory is not None and not get_effect(free.effect).lifts:
+        if free.theory is not None and not get_effect(free.effect).converts:
             vector[i] = free.theory
     return vector
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy import stats
 
-from ..effects import get_effect, twins_of
+from ..effects import confounded_effects, get_effect
 from .decision import CHANCE, NULL, STATED, Rival, alternative, judge
 from .evidence import Evidence, Scores, evidence, library_p_value, null_by_sensors, screen
 from .fit import Fit, Problem, Slopes
@@ -96,7 +96,7 @@ class Search:
             for size in (p.space.deviation[p.space.indices(other)], self.limits.min_relative_size):
                 fit = self._with_other(found.fit, other, size)
                 difference = fit.held_out - found.fit.held_out
-                own = p.space.indices(*(n for n in names if n in twins_of(other)))
+                own = p.space.indices(*(n for n in names if n in confounded_effects(other)))
                 nearer = own[np.abs(fit.vector - p.start)[own] < np.abs(found.fit.vector - p.start)[own]]
                 rivals = [Rival(other, name, 1.0, no_worse(difference), float(difference.sum()) / p.scored_count,
                                 found.evidence[name], p.space.values(other, fit.vector), shared=True)

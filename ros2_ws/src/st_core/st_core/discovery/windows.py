@@ -250,7 +250,7 @@ def added_acceleration(model: AugmentedModel, vehicle: VehicleParameters, states
                        acceleration: np.ndarray) -> np.ndarray | float:
     """Lateral specific force minus lateral acceleration at the CG [m/s^2]. states: six arrays, like the inputs."""
     # Only effects that act on an accelerometer, and those that change the inputs of such effects.
-    model = model.only(e for e in model.effects if e.lifts or (e in model.active and (e.specific_force or e.inputs)))
+    model = model.only(e for e in model.effects if e.converts or (e in model.active and (e.specific_force or e.inputs)))
     added = compose(model.base, model.effects).specific_force
     if added is None:
         return 0.0

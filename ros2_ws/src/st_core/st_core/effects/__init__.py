@@ -24,10 +24,10 @@ from ._base import (
     Measured,
     Parameter,
     applicable,
+    confounded_effects,
     get_effect,
     register,
     source_file,
-    twins_of,
 )
 
 for _module in sorted(info.name for info in pkgutil.iter_modules(__path__)):
@@ -35,8 +35,8 @@ for _module in sorted(info.name for info in pkgutil.iter_modules(__path__)):
         importlib.import_module(f"{__name__}.{_module}")
 
 __all__ = ["ANY", "COMBINATIONS", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "HOOKS", "SLOTS", "TOTAL_DELAY", "Effect",
-           "Instant", "Measured", "Parameter", "applicable", "get_effect", "load_file", "load_folder", "register",
-           "source_file", "twins_of"]
+           "Instant", "Measured", "Parameter", "applicable", "confounded_effects", "get_effect", "load_file",
+           "load_folder", "register", "source_file"]
 
 
 def load_folder(path: str) -> tuple[str, ...]:
@@ -98,10 +98,10 @@ def _load(finder: FileFinder, package: str, names: Sequence[str]) -> None:
 
 
 def _check_others(names: Iterable[str], known: Iterable[str], folder: str) -> None:
-    """Raises ConfigurationError for twins and members that are not known. known: names of effects, and of the files of
-    the folder, loaded or not: each has the name of its effect."""
+    """Raises ConfigurationError for unknown effects in confounded_with and members. known: names of effects, and of the
+    files of the folder, loaded or not: each has the name of its effect."""
     for name in sorted(names):
-        for key in ("twins", "members"):
+        for key in ("confounded_with", "members"):
             for other in getattr(EFFECTS[name], key):
                 if other not in known:
                     raise ConfigurationError(f"{folder}: effect {name}: {key}: unknown effect {other}"

@@ -147,13 +147,13 @@ class Effect:
         observe(measured, theta) -> Measured: readings for true values; correct(measured, theta): the inverse
 
     name: unique. physics: the equation in a line, with the sign. excited_by: driving that shows it. kind: of
-    EFFECT_KINDS. slot: of SLOTS, where it acts. twins: confounded effects, which are hard to separate from it
+    EFFECT_KINDS. slot: of SLOTS, where it acts. confounded_with: effects that are hard to separate from it
     (one of the two may name the other), by sensitivity vectors of a single-track car on circle, step, sweep and limit.
     needs: channels, all of which it needs to be observable and separable. members: names of the effects it is the sum
     of. combinations: of COMBINATIONS, that it changes. ratio_to: key of the vehicle file; drives show only the ratio of
     its quantity to that one. at_peak_force: observable only near the peak force of an axle. applies_to: kinds of model.
-    lifts: (from, to) of an effect that turns one kind of model into another, such as linear to nonlinear. extra_units:
-    of `extra_states`, for exports. costly: evaluates the tyres again, and is left out of a fast model at null.
+    converts: (from, to) of an effect that turns one kind of model into another, such as linear to nonlinear.
+    extra_units: of `extra_states`, for exports. costly: evaluates the tyres again, left out of a fast model at null.
     forward_only: the search adds it in forward steps only, since in a joint fit of the whole library it absorbs a part
     of others. order: among the effects at one hook, lowest first.
     """
@@ -164,14 +164,14 @@ class Effect:
     kind: ClassVar[str]
     slot: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]]
-    twins: ClassVar[tuple[str, ...]] = ()
+    confounded_with: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[tuple[str, ...]] = ()
     members: ClassVar[tuple[str, ...]] = ()
     combinations: ClassVar[tuple[str, ...]] = ()
     ratio_to: ClassVar[str] = ""
     at_peak_force: ClassVar[bool] = False
     applies_to: ClassVar[frozenset[str]] = DYNAMIC
-    lifts: ClassVar[tuple[str, str] | None] = None
+    converts: ClassVar[tuple[str, str] | None] = None
     signals: ClassVar[tuple[str, ...]] = ()
     prepared: ClassVar[tuple[str, ...]] = ()
     extra_states: ClassVar[tuple[str, ...]] = ()
@@ -197,7 +197,7 @@ class Effect:
     correct: ClassVar[Callable | None] = None
 
 
-HOOKS = tuple(name for name, value in vars(Effect).items() if value is None and name != "lifts")
+HOOKS = tuple(name for name, value in vars(Effect).items() if value is None and name != "converts")
 AUXILIARY_HOOKS = ("constants", "fold")
 EQUATION_HOOKS = ("slip_angles", "axle_forces", "acceleration", "rates", "specific_force")
 EFFECTS: dict[str, type[Effect]] = {}
@@ -256,14 +256,14 @@ def _missing(effect: type[Effect]) -> Iterator[str]:
             yield f"{key} {getattr(effect, key)!r} is not one of {', '.join(known)}"
     if not any(p.fit for p in getattr(effect, "parameters", ())):
         yield "no parameter that can be fitted"
-    if effect.lifts is None and all(getattr(effect, hook) is None for hook in HOOKS if hook not in AUXILIARY_HOOKS):
+    if effect.converts is None and all(getattr(effect, hook) is None for hook in HOOKS if hook not in AUXILIARY_HOOKS):
         yield "it has no hook, so it changes nothing"
 
 
 def _wrong_names(effect: type[Effect]) -> Iterator[str]:
     if not effect.applies_to or not effect.applies_to <= ANY:
         yield f"applies_to must name some of {', '.join(KINDS)}"
-    for key in ("twins", "needs", "members", "combinations"):
+    for key in ("confounded_with", "needs", "members", "combinations"):
         if not isinstance(getattr(effect, key), tuple):
             yield f"{key} must be a tuple of names, also of one: (\"name\",)"
     for key, known in (("needs", CHANNELS), ("combinations", COMBINATIONS)):
@@ -303,9 +303,10 @@ def get_effect(name: str) -> type[Effect]:
     return EFFECTS[name]
 
 
-def twins_of(name: str) -> frozenset[str]:
-    """Names of the effects that are hard to separate from one: its twins, and those with it as a twin."""
-    return frozenset(get_effect(name).twins) | {other for other, effect in EFFECTS.items() if name in effect.twins}
+def confounded_effects(name: str) -> set[str]:
+    """Names of the effects that are hard to separate from one: those it is confounded with, and those that list it."""
+    others = {other for other, effect in EFFECTS.items() if name in effect.confounded_with}
+    return others.union(get_effect(name).confounded_with)
 
 
 def applicable(kind: str) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ class CgPosition(Effect):
     physics = "l_f = l_f - shift, l_r = l_r + shift"
     excited_by = "cornering with measured sideslip, at two speeds"
     kind, slot = "vehicle parameters", "body"
-    twins = ("rear_stiffness", "front_stiffness", "sensor_lever_arm")
+    confounded_with = ("rear_stiffness", "front_stiffness", "sensor_lever_arm")
     combinations = ("rear cornering stiffness over mass", "stability factor K")
     applies_to = ANY
     parameters = (

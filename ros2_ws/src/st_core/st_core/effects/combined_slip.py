@@ -59,7 +59,7 @@ class CombinedSlip(Effect):
     physics = "F_y = F_y0 (1 - share + share sqrt(1 - (F_x / D)^2)) per axle, F_x from the forward motion"
     excited_by = "braking or power in a turn at 0.4 g only"
     kind, slot = "physics", "both axles"
-    twins = ("steered_drive_force", "longitudinal_load_transfer")
+    confounded_with = ("steered_drive_force", "longitudinal_load_transfer")
     prepared = ("peak_front", "peak_rear")
     order = 80
     parameters = (

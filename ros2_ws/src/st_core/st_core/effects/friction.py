@@ -11,7 +11,7 @@ class Friction(Effect):
     physics = "peak force D = factor D on both axles, cornering stiffness unchanged"
     excited_by = "driving to the limit; not observable below 0.5 g"
     kind, slot = "vehicle parameters", "both axles"
-    twins = ("lateral_load_transfer", "front_stiffness", "rear_stiffness")
+    confounded_with = ("lateral_load_transfer", "front_stiffness", "rear_stiffness")
     at_peak_force = True
     applies_to = frozenset(("nonlinear",))  # a linear tyre has no peak
     parameters = (

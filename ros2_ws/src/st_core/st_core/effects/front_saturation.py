@@ -30,7 +30,7 @@ class FrontSaturation(Effect):
     physics = "F_f = F / (1 + s u^2 + s^2 u^4)^(1/4), F = -C_f alpha, u = F / static load; limit F_z / sqrt(s)"
     excited_by = "cornering above 4 m/s^2"
     kind, slot = "physics", "front axle"
-    twins = ("tyre_saturation", "front_stiffness", "steering_compliance")
+    confounded_with = ("tyre_saturation", "front_stiffness", "steering_compliance")
     applies_to = frozenset(("linear",))
     order = 10
     parameters = PARAMETERS

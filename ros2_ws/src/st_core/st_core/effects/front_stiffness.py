@@ -25,7 +25,7 @@ class FrontStiffness(Effect):
     physics = "C_f = factor C_f of the file, the peak force unchanged"
     excited_by = "cornering at two speeds, or transients; at one steady speed not separable from a steering gain"
     kind, slot = "vehicle parameters", "front axle"
-    twins = ("steering_compliance", "steering_ratio", "roll_steer", "mass", "friction", "tyre_stiffness")
+    confounded_with = ("steering_compliance", "steering_ratio", "roll_steer", "mass", "friction", "tyre_stiffness")
     combinations = ("front cornering stiffness over mass", "stability factor K", "steady-state yaw gain at 20 m/s")
     ratio_to = "mass"
     parameters = (stiffness_factor(0.9),)

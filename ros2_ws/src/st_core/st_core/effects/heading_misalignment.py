@@ -19,7 +19,7 @@ class HeadingMisalignment(Effect):
     physics = "measured yaw = yaw + angle, velocity and acceleration in the rotated axes; position unchanged"
     excited_by = "straight driving: v_y of the INS is -angle v_x"
     kind, slot = "sensors", "heading"
-    twins = ("steering_offset", "sensor_lever_arm")
+    confounded_with = ("steering_offset", "sensor_lever_arm")
     needs = ("velocity_y",)  # without it yaw may be the course, which hides both
     applies_to = ANY
     order = 10

@@ -10,7 +10,7 @@ class LateralAccelerationBias(Effect):
     excited_by = "any driving with the lateral acceleration recorded; the same road in both directions"
     kind, slot = "sensors", "acceleration"
     needs = ("acceleration_y",)
-    twins = ("road_bank", "crosswind")
+    confounded_with = ("road_bank", "crosswind")
     applies_to = ANY
     order = 60
     parameters = (

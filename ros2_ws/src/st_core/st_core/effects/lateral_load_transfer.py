@@ -38,7 +38,7 @@ class LateralLoadTransfer(Effect):
                "M_z = -track/2 sin(delta) dF_y of the front")
     excited_by = "cornering to the limit, transients; not observable below 0.4 g"
     kind, slot = "physics", "both axles"
-    twins = ("friction", "front_stiffness", "rear_stiffness")
+    confounded_with = ("friction", "front_stiffness", "rear_stiffness")
     applies_to = frozenset(("nonlinear",))  # a linear tyre has no dependence on load
     prepared = ("load_front", "load_rear")
     costly = True

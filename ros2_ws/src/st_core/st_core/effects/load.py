@@ -17,7 +17,7 @@ class Load(Effect):
     physics = "m + load, CG and yaw inertia of a mass over the rear axle"
     excited_by = "cornering with measured sideslip, at two speeds; weigh the laden car to confirm it"
     kind, slot = "vehicle parameters", "body"
-    twins = ("mass", "cg_position", "rear_stiffness", "tyre_stiffness", "yaw_inertia")
+    confounded_with = ("mass", "cg_position", "rear_stiffness", "tyre_stiffness", "yaw_inertia")
     combinations = ("front cornering stiffness over mass", "rear cornering stiffness over mass",
                     "stability factor K")
     parameters = (

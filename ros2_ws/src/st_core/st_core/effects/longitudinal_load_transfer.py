@@ -25,7 +25,7 @@ class LongitudinalLoadTransfer(Effect):
     physics = "m height a_x / l moves from the front axle to the rear; the Magic Formula gives the effect"
     excited_by = "braking and power in turns"
     kind, slot = "physics", "both axles"
-    twins = ("combined_slip", "steered_drive_force")
+    confounded_with = ("combined_slip", "steered_drive_force")
     prepared = tuple(f"{what}_{axle}_{when}" for when in ("before", "after") for axle in ("front", "rear")
                      for what in "bde")
     costly = True

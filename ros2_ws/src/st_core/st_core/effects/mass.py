@@ -11,7 +11,7 @@ class Mass(Effect):
     physics = "m = factor m of the file"
     excited_by = "cornering; with tyres that scale with load it cancels against yaw_inertia: weigh the car"
     kind, slot = "vehicle parameters", "body"
-    twins = ("yaw_inertia", "tyre_stiffness", "front_stiffness", "rear_stiffness")
+    confounded_with = ("yaw_inertia", "tyre_stiffness", "front_stiffness", "rear_stiffness")
     combinations = ("front cornering stiffness over mass", "rear cornering stiffness over mass")
     parameters = (
         Parameter("factor", "1", null=1.0, initial=1.1, bounds=(0.6, 2.0), meaning="ratio of true mass to the file's",

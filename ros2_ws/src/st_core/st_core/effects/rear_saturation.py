@@ -10,7 +10,7 @@ class RearSaturation(Effect):
     physics = "F_r = F / (1 + s u^2 + s^2 u^4)^(1/4), F = -C_r alpha, u = F / static load; limit F_z / sqrt(s)"
     excited_by = "cornering above 4 m/s^2 with measured sideslip"
     kind, slot = "physics", "rear axle"
-    twins = ("tyre_saturation", "rear_stiffness", "cg_position")
+    confounded_with = ("tyre_saturation", "rear_stiffness", "cg_position")
     applies_to = frozenset(("linear",))
     order = 10
     parameters = PARAMETERS

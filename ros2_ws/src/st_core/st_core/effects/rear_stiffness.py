@@ -10,7 +10,7 @@ class RearStiffness(Effect):
     physics = "C_r = factor C_r of the file, the peak force unchanged"
     excited_by = "cornering with measured sideslip, and steering sweeps (yaw damping)"
     kind, slot = "vehicle parameters", "rear axle"
-    twins = ("front_stiffness", "cg_position", "friction", "tyre_stiffness")
+    confounded_with = ("front_stiffness", "cg_position", "friction", "tyre_stiffness")
     combinations = ("rear cornering stiffness over mass", "stability factor K", "steady-state yaw gain at 20 m/s")
     ratio_to = "mass"
     parameters = (stiffness_factor(0.85),)

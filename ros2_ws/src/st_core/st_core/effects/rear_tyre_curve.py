@@ -12,7 +12,7 @@ class RearTyreCurve(Effect):
     physics = "D_r = peak D_r, 1 - E_r = curvature (1 - E_r) of the file, cornering stiffness unchanged"
     excited_by = "cornering towards the limit of the rear axle with measured sideslip; not observable below 0.3 g"
     kind, slot = "vehicle parameters", "rear axle"
-    twins = ("friction", "rear_stiffness", "lateral_load_transfer", "cg_position")
+    confounded_with = ("friction", "rear_stiffness", "lateral_load_transfer", "cg_position")
     applies_to = frozenset(("nonlinear",))  # a linear tyre has no peak
     parameters = PARAMETERS
 

@@ -24,7 +24,7 @@ class RoadSlope(Effect):
     physics = "a_y = -g (sin(slope_y) cos(yaw) - sin(slope_x) sin(yaw)) on the car, not measured by an accelerometer"
     excited_by = "the same place in two directions, with an accelerometer: it senses the force of wind, but not gravity"
     kind, slot = "surroundings", "body"
-    twins = ("crosswind", "road_bank", "steering_offset")
+    confounded_with = ("crosswind", "road_bank", "steering_offset")
     parameters = (
         Parameter("slope_x", "rad", null=0.0, initial=0.01, bounds=(-0.2, 0.2), meaning="rises towards map x (east)",
                   source="proving grounds drain at 0.01-0.02, hillsides 0.1"),

@@ -19,7 +19,7 @@ class RollSteer(Effect):
     physics = "delta = delta_measured - gradient a_y, body roll lagging a_y; adds gradient to the understeer gradient"
     excited_by = "sweeps, where the roll lags; steady cornering shows it as a softer front axle"
     kind, slot = "physics", "front axle"
-    twins = ("steering_compliance", "steering_ratio", "front_stiffness")
+    confounded_with = ("steering_compliance", "steering_ratio", "front_stiffness")
     combinations = ("front cornering stiffness over mass", "stability factor K", "steady-state yaw gain at 20 m/s")
     extra_states = ("lean", "lean_rate")
     extra_units = ("m/s^2", "m/s^3")

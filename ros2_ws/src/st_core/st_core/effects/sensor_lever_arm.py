@@ -11,7 +11,7 @@ class SensorLeverArm(Effect):
     physics = "INS point = that of the file + (x, y), in body axes; v_y there is v_y + r x"
     excited_by = "tight turns, both ways; v_y of the INS shows x, v_x shows y"
     kind, slot = "sensors", "position"
-    twins = ("cg_position", "heading_misalignment")
+    confounded_with = ("cg_position", "heading_misalignment")
     needs = ("velocity_y",)  # without it yaw may be the course, which hides both
     applies_to = ANY
     parameters = (

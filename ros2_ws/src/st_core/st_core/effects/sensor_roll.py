@@ -25,7 +25,7 @@ class SensorRoll(Effect):
     physics = "INS point moves shift a_y to the outside of the bend as the body rolls; v_y there - shift v_x r_dot"
     excited_by = "sweeps and quickly entered bends: v_y of the INS has a step at their beginning"
     kind, slot = "sensors", "position"
-    twins = ("yaw_inertia", "tyre_relaxation")
+    confounded_with = ("yaw_inertia", "tyre_relaxation")
     needs = ("velocity_y",)
     applies_to = ANY
     forward_only = True

@@ -10,7 +10,7 @@ class SpeedScale(Effect):
     excited_by = "any driving with position fixes: distance against speed"
     kind, slot = "sensors", "velocity"
     needs = ("position",)
-    twins = ("steering_ratio", "yaw_rate_scale")
+    confounded_with = ("steering_ratio", "yaw_rate_scale")
     applies_to = ANY
     order = 40
     parameters = (

@@ -14,7 +14,7 @@ class SteeredDriveForce(Effect):
     physics = "F_y of the front axle + share F_x,front sin delta, F_x from the forward motion"
     excited_by = "braking or power with the wheels turned: tight turns"
     kind, slot = "physics", "front axle"
-    twins = ("combined_slip", "longitudinal_load_transfer")
+    confounded_with = ("combined_slip", "longitudinal_load_transfer")
     order = 85
     parameters = (
         Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.5), meaning="1: all of it", source="theory: 1"),

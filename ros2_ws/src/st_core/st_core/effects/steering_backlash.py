@@ -40,7 +40,7 @@ class SteeringBacklash(Effect):
     physics = "delta stays until delta_measured leaves delta +- play / 2, then follows it at that distance"
     excited_by = "small steering reversals around straight ahead; not observable at large amplitudes"
     kind, slot = "physics", "steering"
-    twins = ("steering_delay", "steering_lag", "steering_ratio")
+    confounded_with = ("steering_delay", "steering_lag", "steering_ratio")
     applies_to = ANY
     order = 20
     parameters = (

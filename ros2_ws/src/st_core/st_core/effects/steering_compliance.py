@@ -13,7 +13,7 @@ class SteeringCompliance(Effect):
     physics = "delta = delta_measured - compliance F_front; increases the understeer gradient by compliance m l_r / l"
     excited_by = "cornering near the limit; identical to a softer front axle below 0.4 g"
     kind, slot = "physics", "front axle"
-    twins = ("front_stiffness", "roll_steer", "steering_ratio")
+    confounded_with = ("front_stiffness", "roll_steer", "steering_ratio")
     combinations = ("front cornering stiffness over mass",)
     costly = True
     order = 83  # acts before steered_drive_force, so that the tyre force alone deflects the suspension

@@ -12,7 +12,7 @@ class SteeringDelay(Effect):
     physics = "delta(t) = delta_measured(t - time): dead time, or stamps of two different clocks"
     excited_by = "sweeps to 2.5 Hz and steps; content above 1 / (2 pi time) separates it from a lag"
     kind, slot = "physics", "steering"
-    twins = ("steering_lag", "tyre_relaxation", "yaw_inertia")
+    confounded_with = ("steering_lag", "tyre_relaxation", "yaw_inertia")
     combinations = (TOTAL_DELAY,)
     applies_to = ANY
     order = 10

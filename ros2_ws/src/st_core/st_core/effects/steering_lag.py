@@ -16,7 +16,7 @@ class SteeringLag(Effect):
     physics = "time_constant delta_dot = delta_measured - delta: column, actuator or low-pass in the sensor"
     excited_by = "sweeps to 2.5 Hz and steps"
     kind, slot = "physics", "steering"
-    twins = ("steering_delay", "yaw_inertia", "tyre_relaxation")
+    confounded_with = ("steering_delay", "yaw_inertia", "tyre_relaxation")
     combinations = (TOTAL_DELAY,)
     applies_to = ANY
     order = 30

@@ -13,7 +13,7 @@ class SteeringMap(Effect):
     physics = "delta = delta_measured (1 + curvature delta_measured^2): > 0 a more direct ratio at large angles"
     excited_by = "large angles, so slow and tight turns, next to small ones; not observable below 0.1 rad"
     kind, slot = "physics", "steering"
-    twins = ("steering_ratio",)
+    confounded_with = ("steering_ratio",)
     applies_to = ANY
     order = 70
     parameters = (

@@ -11,7 +11,7 @@ class SteeringOffset(Effect):
     physics = "delta = delta_measured + angle, of the sensor or of the linkage"
     excited_by = "any driving, also straight; two speeds separate it from wind, as its yaw rate grows with speed"
     kind, slot = "vehicle parameters", "steering"
-    twins = ("crosswind", "road_bank", "heading_misalignment")
+    confounded_with = ("crosswind", "road_bank", "heading_misalignment")
     applies_to = ANY
     order = 60
     parameters = (

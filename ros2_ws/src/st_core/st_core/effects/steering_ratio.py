@@ -11,7 +11,7 @@ class SteeringRatio(Effect):
     physics = "delta = delta_measured / factor: a larger true ratio turns the wheels less"
     excited_by = "transients or two speeds; at one steady speed not separable from front stiffness"
     kind, slot = "vehicle parameters", "steering"
-    twins = ("front_stiffness", "roll_steer", "yaw_rate_scale", "speed_scale", "steering_map")
+    confounded_with = ("front_stiffness", "roll_steer", "yaw_rate_scale", "speed_scale", "steering_map")
     combinations = ("steady-state yaw gain at 20 m/s",)
     applies_to = ANY
     order = 40

@@ -29,7 +29,7 @@ class TyreLoadSensitivity(Effect):
     physics = "K(F_z) with factor p_ky2 on both axles, K at the static load unchanged; > 1: K more proportional to F_z"
     excited_by = "braking and power in turns; a load transfer of 10 % at least"
     kind, slot = "vehicle parameters", "both axles"
-    twins = ("longitudinal_load_transfer", "lateral_load_transfer", "mass")
+    confounded_with = ("longitudinal_load_transfer", "lateral_load_transfer", "mass")
     applies_to = frozenset(("nonlinear",))  # a linear tyre has no dependence on load
     order = 40  # before mass and cg_position: the file's stiffness is that at the file's load
     parameters = (

@@ -18,7 +18,7 @@ class TyreRelaxation(Effect):
     physics = "force from alpha', length / v d(alpha')/dt = alpha - alpha', both axles"
     excited_by = "sweeps, and the same at half the speed: the delay is length / v"
     kind, slot = "physics", "both axles"
-    twins = ("yaw_inertia", "steering_delay", "steering_lag")
+    confounded_with = ("yaw_inertia", "steering_delay", "steering_lag")
     extra_states = ("slip_front", "slip_rear")
     extra_units = ("rad", "rad")
     order = 40

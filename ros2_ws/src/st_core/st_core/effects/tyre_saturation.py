@@ -12,9 +12,9 @@ class TyreSaturation(Effect):
     physics = "F_y = (1 - share) (-C alpha) + share F_MF(alpha), F_MF: Magic Formula of the vehicle file"
     excited_by = "cornering above 4 m/s^2"
     kind, slot = "physics", "both axles"
-    twins = ("front_stiffness", "rear_stiffness")
+    confounded_with = ("front_stiffness", "rear_stiffness")
     applies_to = frozenset(("linear",))
-    lifts = ("linear", "nonlinear")
+    converts = ("linear", "nonlinear")
     prepared = ("b_front", "d_front", "e_front", "b_rear", "d_rear", "e_rear")
     costly = True
     order = 10

@@ -17,7 +17,7 @@ class TyreSlip(Effect):
     excited_by = "cornering above 2 m/s^2"
     kind, slot = "physics", "both axles"
     applies_to = frozenset(("kinematic",))
-    lifts = ("kinematic", "linear")
+    converts = ("kinematic", "linear")
     prepared = ("sine", "cosine", "velocity_x_dot")
     parameters = (
         Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.0), meaning="1: tyres as in the vehicle file",

@@ -10,7 +10,7 @@ class TyreStiffness(Effect):
     physics = "C_f = factor C_f, C_r = factor C_r of the file, the peak forces unchanged"
     excited_by = "cornering with measured sideslip, steering sweeps; observable relative to mass and yaw_inertia only"
     kind, slot = "vehicle parameters", "both axles"
-    twins = ("mass", "front_stiffness", "rear_stiffness", "cg_position")
+    confounded_with = ("mass", "front_stiffness", "rear_stiffness", "cg_position")
     ratio_to = "mass"
     members = ("front_stiffness", "rear_stiffness")
     parameters = (stiffness_factor(0.85),)

@@ -11,7 +11,7 @@ class YawInertia(Effect):
     physics = "I_z = factor I_z of the file"
     excited_by = "sweeps and sine with dwell; not observable in steady cornering"
     kind, slot = "vehicle parameters", "body"
-    twins = ("mass", "steering_lag", "tyre_relaxation")
+    confounded_with = ("mass", "steering_lag", "tyre_relaxation")
     ratio_to = "mass"
     parameters = (
         Parameter("factor", "1", null=1.0, initial=1.15, bounds=(0.4, 2.5),

@@ -10,7 +10,7 @@ class YawRateBias(Effect):
     excited_by = "any driving, also straight, with measured heading"
     kind, slot = "sensors", "yaw rate"
     needs = ("yaw_rate",)
-    twins = ("steering_offset", "crosswind")
+    confounded_with = ("steering_offset", "crosswind")
     order = 60
     parameters = (
         Parameter("bias", "rad/s", null=0.0, initial=0.005, bounds=(-0.1, 0.1), odd=True,

@@ -10,7 +10,7 @@ class YawRateScale(Effect):
     excited_by = "turning, with r v_x against a_y, or the heading over a whole lap"
     kind, slot = "sensors", "yaw rate"
     needs = ("yaw_rate",)
-    twins = ("steering_ratio", "speed_scale")
+    confounded_with = ("steering_ratio", "speed_scale")
     order = 40
     parameters = (
         Parameter("factor", "1", null=1.0, initial=1.02, bounds=(0.8, 1.25), meaning="ratio of measured to true",

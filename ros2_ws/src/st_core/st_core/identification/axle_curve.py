@@ -49,7 +49,7 @@ def axle_forces(model: str | Model, vehicle: VehicleParameters, slip: np.ndarray
     """
     model = get_model(model)
     base = model.base if isinstance(model, AugmentedModel) else model
-    if base.axles is None and not (isinstance(model, AugmentedModel) and any(e.lifts for e in model.active)):
+    if base.axles is None and not (isinstance(model, AugmentedModel) and any(e.converts for e in model.active)):
         raise StCoreError(f"{base.name}: this model has no axle forces")
     if isinstance(model, AugmentedModel):
         model = model.only(e for e in model.effects if e.slot != "steering")

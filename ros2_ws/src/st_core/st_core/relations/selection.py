@@ -287,8 +287,8 @@ def redundant_effects(fits: RelationFits, candidate: Candidate, fit: RelationFit
     """
     found = {}
     with_both = held_out_positions(fits, fit)
-    # An effect that turns the base model into another (`lifts`) is a precondition of the relation.
-    for name in (n for n in names if not get_effect(n).lifts):
+    # An effect that turns the base model into another (`converts`) is a precondition of the relation.
+    for name in (n for n in names if not get_effect(n).converts):
         alone = fits.without_effect(candidate, fit, name)
         gains = alone.held_out - fit.held_out
         position = float(np.nanmean(held_out_positions(fits, alone) - with_both))
